@@ -1,0 +1,49 @@
+"""What can go wrong, as types.
+
+``ConfigError`` and ``UnknownPlugin`` are the user's to mend: the command line prints them as one line and exits with 2.
+``RemoteProtocolError`` is a peer's fault: it is logged, its message is dropped, and life goes on.
+"""
+
+
+class ZswarmError(Exception):
+    """Everything that zswarm raises on purpose."""
+
+
+class ConfigError(ZswarmError):
+    """A file, option or name that the user gave cannot be used; the text says what was expected."""
+
+
+class UnknownPlugin(ConfigError):
+    """No simulator, representation or optimizer of that name is installed."""
+
+
+class NoServers(ZswarmError):
+    """No server that matches the experiment answered in time."""
+
+
+class ProtocolError(ZswarmError):
+    """A rule of the wire protocol was broken."""
+
+
+class LocalProtocolError(ProtocolError):
+    """We broke it: a bug."""
+
+
+class RemoteProtocolError(ProtocolError):
+    """A peer broke it."""
+
+
+class LeaseLost(ZswarmError):
+    """The right to a server's slots ended: expired, taken over, or the server left."""
+
+
+class EvaluationError(ZswarmError):
+    """Trials could not be evaluated: a fault of machines or programs, never of a candidate's behaviour."""
+
+
+class SimulatorCrashed(EvaluationError):
+    """The process that ran a trial ended."""
+
+
+class EvaluationTimeout(EvaluationError):
+    """A trial took longer than the experiment allows."""

@@ -1,0 +1,128 @@
+"""Joins a network and a simulator: genomes and trials in, outcomes out.
+
+The same code runs in a server's slots and in the optimizer's own tools. What a simulator decides is an outcome: fitness
+and metrics, or NaN where it raised or returned a number that is not finite (always the same NaN). A process that ends or
+hangs is a fault and shows outside.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from zswarm import plugins
+from zswarm.errors import ConfigError
+from zswarm.nets.representation import Representation
+from zswarm.sims.simulator import CompiledSimulator, Simulator
+from zswarm.strict import convert
+
+MAX_ERROR_TEXT = 300
+
+
+class Outcomes(NamedTuple):
+    """Outcomes of trials, in their order."""
+
+    fitness: np.ndarray  # (trials, participants) float64
+    metrics: np.ndarray  # (trials, metrics) float64
+    error: str  # what the simulator raised first, or ""
+
+
+def build(
+    simulator: str, settings: Mapping[str, Any], representation: str, representation_settings: Mapping[str, Any]
+) -> tuple[Simulator, Representation]:
+    """A simulator and the representation of its controllers, from names and settings.
+
+    Raises:
+        ConfigError: unknown name or impossible settings, or the simulator refused them.
+    """
+    simulator_class = plugins.load("simulator", simulator)
+    representation_class = plugins.load("representation", representation)
+    built = simulator_class(convert(settings, simulator_class.Settings, "problem.settings"))
+    network = representation_class(
+        convert(representation_settings, representation_class.Settings, "representation"), built.inputs, built.outputs
+    )
+    return built, network
+
+
+def evaluate(
+    simulator: Simulator,
+    representation: Representation,
+    genomes: Sequence[bytes],
+    participants: np.ndarray,
+    seeds: np.ndarray,
+    progress: np.ndarray | None = None,
+) -> Outcomes:
+    """Play trials in order.
+
+    Args:
+        participants: (trials, simulator.participants) int64, indices into genomes.
+        seeds: (trials,) uint64.
+        progress: (2,) int64, shared with a watcher: [0] is set to the index of the trial that runs, and not zero in [1] ends
+            the batch before the next trial (the outcomes are then worthless).
+
+    Raises:
+        ValueError: a genome does not fit the network, or a shape or index does not fit.
+    """
+    if participants.shape != (len(seeds), simulator.participants):
+        raise ValueError(f"participants must be ({len(seeds)}, {simulator.participants}), not {participants.shape}")
+    if participants.size and not 0 <= participants.min() <= participants.max() < len(genomes):
+        raise ValueError(f"a participant is not among the {len(genomes)} genomes")
+    parameters = representation.parameters(genomes)
+    progress = np.zeros(2, np.int64) if progress is None else progress
+    fitness = np.full(participants.shape, np.nan)
+    metrics = np.full((len(seeds), len(simulator.metrics)), np.nan)
+    error = ""
+    if isinstance(simulator, CompiledSimulator):
+        state_size = representation.state_size
+        simulator.play(
+            representation.step, state_size, parameters, participants, seeds, progress, fitness, metrics
+        )
+    else:
+        for trial, seed in enumerate(seeds):
+            progress[0] = trial
+            if progress[1]:
+                break
+            try:
+                play_in_turns(simulator, representation, parameters[participants[trial]], int(seed), fitness[trial], metrics[trial])
+            except Exception as raised:  # whatever the code of a simulator raises is this trial's outcome
+                fitness[trial], metrics[trial] = np.nan, np.nan
+                error = error or f"{type(raised).__name__}: {raised}"[:MAX_ERROR_TEXT]
+    fitness[~np.isfinite(fitness)] = np.nan
+    metrics[~np.isfinite(metrics)] = np.nan
+    return Outcomes(fitness, metrics, error)
+
+
+def play_in_turns(
+    simulator: Simulator, representation: Representation, parameters: np.ndarray, seed: int, fitness: np.ndarray, metrics: np.ndarray
+) -> None:
+    """One trial through the simulator's turns.
+
+    Args:
+        parameters: (participants, P) float32.
+        fitness: (participants,) float64, filled.
+        metrics: (metrics,) float64, filled.
+    """
+    owners = simulator.owners
+    states = np.zeros((len(owners), representation.state_size), np.float32)
+    turn = simulator.reset(seed)
+    while turn is not None:
+        observations = np.ascontiguousarray(turn.observations, np.float32)
+        if observations.shape != (len(turn.agents), simulator.inputs):
+            raise ValueError(f"observations must be ({len(turn.agents)}, {simulator.inputs}), not {observations.shape}")
+        actions = np.empty((len(turn.agents), simulator.outputs), np.float32)
+        for row, agent in enumerate(turn.agents):
+            representation.step(parameters[owners[agent]], states[agent], observations[row], actions[row])
+        turn = simulator.step(actions)
+    outcome = simulator.outcome()
+    fitness[:] = outcome.fitness
+    metrics[:] = outcome.metrics
+
+
+def warm_up(simulator: Simulator, representation: Representation) -> None:
+    """Compile or load what a trial needs, by playing one with a zero genome where genomes have one length."""
+    if representation.genome_bytes is None:
+        return
+    participants = np.zeros((1, simulator.participants), np.int64)
+    outcomes = evaluate(simulator, representation, [bytes(representation.genome_bytes)], participants, np.zeros(1, np.uint64))
+    if outcomes.error:
+        raise ConfigError(f"the simulator raised in a trial of a zero genome: {outcomes.error}")

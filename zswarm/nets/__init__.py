@@ -1,0 +1,1 @@
+"""Representations: genome to controller. One kind per file; the contract is ``representation.py``."""

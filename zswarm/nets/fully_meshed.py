@@ -1,0 +1,162 @@
+"""Fully-meshed recurrent network, exactly FREVO's ``FullyMeshedNet`` (github.com/smartgrids-aau/Frevo, version 1.5).
+
+Nodes are numbered inputs, hidden, outputs; every non-input node hears every node, itself included. One decision repeats
+``iterations`` times: clamp the inputs, compute all activations from the previous outputs, then set all outputs. Outputs
+last from one decision to the next. FREVO's random source (noise on the biases) is not offered: it is off by default there.
+
+Genome: per non-input node (hidden, then outputs) the weights from nodes 0..N-1, then its bias; float32, little-endian.
+"""
+
+from collections.abc import Sequence
+from typing import Annotated, Literal
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from zswarm.draws import Stream
+from zswarm.jit import STEP_SIGNATURE, float32, kernel
+from zswarm.nets.representation import Representation
+from zswarm.portable import sigmoid
+
+ACTIVATIONS = ("clamp", "sigmoid", "relu")
+CLAMP, SIGMOID, RELU = 0, 1, 2
+LANES = 4  # neurons computed side by side; the tables are padded to a multiple of it
+HEADER = 4  # iterations, activation, neurons, 0
+ZERO, ONE = np.float32(0), np.float32(1)
+
+
+class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Settings of ``[representation]`` with ``kind = "fully-meshed"``."""
+
+    hidden: Annotated[int, Meta(ge=0, le=1000)] = 2
+    iterations: Annotated[int, Meta(ge=1, le=100)] = 2
+    activation: Literal["clamp", "sigmoid", "relu"] = "clamp"
+    weight_range: Annotated[float, Meta(gt=0, le=1e6)] = 2.0
+    bias_range: Annotated[float, Meta(gt=0, le=1e6)] = 2.0
+
+
+@kernel(STEP_SIGNATURE)
+def step(parameters, state, observation, output):  # type: ignore[no-untyped-def]  # compiled
+    """One decision; the sums run over the sources in order, several neurons side by side.
+
+    The inputs do not change between iterations, so what they add is summed once and each iteration goes on from there:
+    the same additions in the same order as FREVO's.
+    """
+    iterations, activation, neurons = int(parameters[0]), int(parameters[1]), int(parameters[2])
+    padded = state.shape[0] // 3
+    outputs, from_inputs, fresh = state[:padded], state[padded : 2 * padded], state[2 * padded :]
+    sources = observation.shape[0] + neurons
+    biases = parameters[HEADER + sources * padded :]
+    for lane in range(0, padded, LANES):
+        sum0, sum1, sum2, sum3 = ZERO, ZERO, ZERO, ZERO
+        for source in range(observation.shape[0]):
+            weights = parameters[HEADER + source * padded + lane :]
+            value = observation[source]
+            sum0 = sum0 + weights[0] * value
+            sum1 = sum1 + weights[1] * value
+            sum2 = sum2 + weights[2] * value
+            sum3 = sum3 + weights[3] * value
+        from_inputs[lane], from_inputs[lane + 1], from_inputs[lane + 2], from_inputs[lane + 3] = sum0, sum1, sum2, sum3
+    for _ in range(iterations):
+        for lane in range(0, padded, LANES):
+            sum0, sum1, sum2, sum3 = from_inputs[lane], from_inputs[lane + 1], from_inputs[lane + 2], from_inputs[lane + 3]
+            for neuron in range(neurons):
+                weights = parameters[HEADER + (observation.shape[0] + neuron) * padded + lane :]
+                value = outputs[neuron]
+                sum0 = sum0 + weights[0] * value
+                sum1 = sum1 + weights[1] * value
+                sum2 = sum2 + weights[2] * value
+                sum3 = sum3 + weights[3] * value
+            fresh[lane] = biases[lane] + sum0
+            fresh[lane + 1] = biases[lane + 1] + sum1
+            fresh[lane + 2] = biases[lane + 2] + sum2
+            fresh[lane + 3] = biases[lane + 3] + sum3
+        if activation == CLAMP:
+            for neuron in range(neurons):
+                outputs[neuron] = min(max(fresh[neuron], ZERO), ONE)
+        elif activation == RELU:
+            for neuron in range(neurons):
+                outputs[neuron] = max(fresh[neuron], ZERO)
+        else:
+            for neuron in range(neurons):
+                outputs[neuron] = float32(sigmoid(np.float64(fresh[neuron])))
+    for index in range(output.shape[0]):
+        output[index] = outputs[neurons - output.shape[0] + index]
+
+
+class FullyMeshed(Representation):
+    """See the module's text; ``neurons`` are the non-input nodes."""
+
+    Settings = Settings
+    step = staticmethod(step)
+    settings: Settings
+
+    def __init__(self, settings: Settings, inputs: int, outputs: int) -> None:
+        super().__init__(settings, inputs, outputs)
+        self.neurons = settings.hidden + outputs
+        self.sources = inputs + self.neurons
+        self.shape = (self.neurons, self.sources + 1)  # a genome as a table: weights, then the bias, per neuron
+        self.genome_bytes = 4 * self.neurons * (self.sources + 1)
+        self._padded = -(-self.neurons // LANES) * LANES
+        self.state_size = 3 * self._padded
+        self._ranges = np.full(self.shape, settings.weight_range)
+        self._ranges[:, -1] = settings.bias_range
+
+    def parameters(self, genomes: Sequence[bytes]) -> np.ndarray:
+        """Header, then per source its weights to all neurons (padded with zeros), then the biases."""
+        for genome in genomes:
+            if len(genome) != self.genome_bytes:
+                raise ValueError(f"a genome has {len(genome)} bytes; this network takes {self.genome_bytes}")
+        table = self._tables(genomes)
+        if not np.isfinite(table).all():
+            raise ValueError("a genome holds a number that is not finite")
+        rows = np.zeros((len(genomes), HEADER + (self.sources + 1) * self._padded), np.float32)
+        rows[:, :3] = self.settings.iterations, ACTIVATIONS.index(self.settings.activation), self.neurons
+        body = rows[:, HEADER:].reshape(len(genomes), self.sources + 1, self._padded)
+        body[:, :, : self.neurons] = table.transpose(0, 2, 1)
+        return rows
+
+    def random(self, count: int, stream: Stream) -> list[bytes]:
+        """Weights uniform on +-weight_range, biases on +-bias_range."""
+        draws = stream.uniform(-1.0, 1.0, count * self._ranges.size).reshape(count, *self.shape)
+        return _split(draws * self._ranges)
+
+    def mutate(
+        self, genomes: Sequence[bytes], stream: Stream, *, method: int, severity: float, probability: float
+    ) -> list[bytes]:
+        """FREVO's mutations of each gene, with the given probability.
+
+        Method 1 adds U(-s, s), s = severity times the weight or bias range. Method 2 is relative, as FREVO's code has it:
+        s = max(w / 5, 0.1) for a weight (so 0.1 for every negative one), s = max(b / 5, 10) cut to an integer for a bias.
+        """
+        tables = self._tables(genomes)
+        hit = stream.uniform(0.0, 1.0, tables.size).reshape(tables.shape) < probability
+        draws = stream.uniform(-1.0, 1.0, tables.size).reshape(tables.shape)
+        if method == 1:
+            reach = severity * self._ranges
+        else:
+            reach = np.maximum(tables.astype(np.float64) / 5.0, 0.1)
+            reach[..., -1] = np.trunc(np.maximum(tables[..., -1].astype(np.float64) / 5.0, 10.0))
+        return _split(np.where(hit, tables + (draws * reach).astype(np.float32), tables))
+
+    def crossover(self, mother: bytes, father: bytes, stream: Stream) -> bytes:
+        """The mother with one block of neurons (their weights and biases) of the father, cut at the last neuron."""
+        length = 1 + stream.integer(max(1, self.neurons - 1))
+        start = stream.integer(self.neurons)
+        row = 4 * (self.sources + 1)
+        begin, end = start * row, min(start + length, self.neurons) * row
+        return mother[:begin] + father[begin:end] + mother[end:]
+
+    def distances(self, left: Sequence[bytes], right: Sequence[bytes]) -> np.ndarray:
+        """Sums of the absolute differences of all genes, added in gene order."""
+        a, b = (np.frombuffer(b"".join(side), "<f4").reshape(len(side), -1).T for side in (left, right))
+        differences = np.abs(a[:, :, None] - b[:, None, :])
+        return np.cumsum(differences, axis=0, dtype=np.float64)[-1]  # cumsum adds in order on every machine, sum may not
+
+    def _tables(self, genomes: Sequence[bytes]) -> np.ndarray:
+        return np.frombuffer(b"".join(genomes), "<f4").reshape(len(genomes), *self.shape)
+
+
+def _split(tables: np.ndarray) -> list[bytes]:
+    return [table.tobytes() for table in tables.astype("<f4")]

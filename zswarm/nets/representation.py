@@ -1,0 +1,63 @@
+"""The contract of a representation: a kind of network, from the genome's bytes to a decision.
+
+A genome is bytes in a layout that the representation documents. ``parameters`` turns genomes into rows of float32 for
+the compiled ``step``, which every simulator calls with the same signature: (parameters, state, observation, output).
+The operators (random, mutate, crossover, distances) are numpy on the optimizer's side and draw from the stream they get.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import ClassVar
+
+import msgspec
+import numpy as np
+
+from zswarm.draws import Stream
+from zswarm.jit import Step
+
+
+class Representation(ABC):
+    """A kind of network with its settings, for so many inputs and outputs.
+
+    Attributes:
+        Settings: the struct of its settings in an experiment file.
+        step: one decision, compiled with ``jit.STEP_SIGNATURE``; reads parameters and observation, changes state, fills output.
+        state_size: float32 numbers of state per agent; all zero at the start of a trial.
+        genome_bytes: length of every genome, or None where it varies.
+    """
+
+    Settings: ClassVar[type[msgspec.Struct]]
+    step: ClassVar[Step]
+    state_size: int
+    genome_bytes: int | None
+
+    def __init__(self, settings: msgspec.Struct, inputs: int, outputs: int) -> None:
+        self.settings = settings
+        self.inputs = inputs
+        self.outputs = outputs
+
+    @abstractmethod
+    def parameters(self, genomes: Sequence[bytes]) -> np.ndarray:
+        """(len(genomes), P) float32, one row for ``step`` per genome.
+
+        Raises:
+            ValueError: a genome has the wrong length, or a number in it is not finite.
+        """
+
+    @abstractmethod
+    def random(self, count: int, stream: Stream) -> list[bytes]:
+        """New random genomes."""
+
+    @abstractmethod
+    def mutate(
+        self, genomes: Sequence[bytes], stream: Stream, *, method: int, severity: float, probability: float
+    ) -> list[bytes]:
+        """A changed copy of each genome."""
+
+    @abstractmethod
+    def crossover(self, mother: bytes, father: bytes, stream: Stream) -> bytes:
+        """A child of two genomes."""
+
+    @abstractmethod
+    def distances(self, left: Sequence[bytes], right: Sequence[bytes]) -> np.ndarray:
+        """(len(left), len(right)) float64: how different each is from each; the same bits on every machine."""

@@ -1,0 +1,1 @@
+"""Optimizers: one per file; the contract is ``optimizer.py``."""

@@ -1,0 +1,100 @@
+"""Simulators, representations and optimizers by name: the bundled tables, and what other packages add.
+
+A package adds its own through the entry-point groups ``zswarm.simulators``, ``zswarm.representations`` and
+``zswarm.optimizers``. A part is imported when it is asked for, never by listing it, so a broken plug-in hurts nobody
+who does not use it.
+"""
+
+import difflib
+import importlib
+import importlib.util
+from collections.abc import Iterator
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any, Literal
+
+from zswarm.errors import UnknownPlugin
+
+Kind = Literal["simulator", "representation", "optimizer"]
+
+BUNDLED: dict[Kind, dict[str, str]] = {
+    "simulator": {
+        "emergency-exit": "zswarm.sims.emergency_exit:EmergencyExit",
+        "minisim": "zswarm.sims.minisim:Minisim",
+    },
+    "representation": {
+        "fully-meshed": "zswarm.nets.fully_meshed:FullyMeshed",
+    },
+    "optimizer": {
+        "nnga": "zswarm.ot.optimizers.nnga:NNGA",
+    },
+}
+
+
+@cache
+def _installed(kind: Kind) -> dict[str, EntryPoint]:
+    group = f"zswarm.{kind}s"
+    table = {point.name: point for point in entry_points(group=group)}
+    return table | {name: EntryPoint(name, target, group) for name, target in BUNDLED[kind].items()}
+
+
+def names(kind: Kind) -> list[str]:
+    """All names of a kind, sorted."""
+    return sorted(_installed(kind))
+
+
+def load(kind: Kind, name: str) -> Any:
+    """The class behind a name.
+
+    Raises:
+        UnknownPlugin: no such name, or the package behind it cannot be imported; the text says which.
+    """
+    table = _installed(kind)
+    if name not in table:
+        raise UnknownPlugin(f"unknown {kind} {name!r}{nearest(name, table)}; known are: {', '.join(names(kind))}")
+    try:
+        return table[name].load()
+    except Exception as error:  # a plug-in's import runs code of its authors: whatever it raises is named, not ours
+        if name in BUNDLED[kind]:
+            raise
+        raise UnknownPlugin(f"{kind} {name!r} cannot be imported: {type(error).__name__}: {error}") from error
+
+
+def nearest(word: str, known: Any) -> str:
+    """`` (did you mean 'x'?)`` when a known word is near, else nothing."""
+    close = difflib.get_close_matches(word, list(known), 1)
+    return f" (did you mean {close[0]!r}?)" if close else ""
+
+
+def source_files(kind: Kind, name: str) -> list[Path]:
+    """The Python files whose change can change what a part computes, without importing it.
+
+    For a bundled part its own module; for a plug-in every file of its top-level package.
+    """
+    module = _installed(kind)[name].module
+    if name in BUNDLED[kind]:
+        return [Path(__file__).parent.joinpath(*module.split(".")[1:]).with_suffix(".py")]
+    return list(_package_files(module.split(".")[0]))
+
+
+def plugin_files() -> list[Path]:
+    """The Python files of all installed simulator and representation plug-ins that are not bundled."""
+    packages = {
+        point.module.split(".")[0]
+        for kind in ("simulator", "representation")
+        for name, point in _installed(kind).items()
+        if name not in BUNDLED[kind]
+    }
+    return [file for package in sorted(packages) for file in _package_files(package)]
+
+
+def _package_files(package: str) -> Iterator[Path]:
+    spec = importlib.util.find_spec(package)
+    if spec is None:
+        return
+    if spec.submodule_search_locations:
+        for folder in spec.submodule_search_locations:
+            yield from sorted(Path(folder).rglob("*.py"))
+    elif spec.origin:
+        yield Path(spec.origin)

@@ -1,0 +1,1 @@
+"""Simulators: one problem per file; the contract is ``simulator.py``."""

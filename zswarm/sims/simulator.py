@@ -1,0 +1,107 @@
+"""The contract of a simulator.
+
+A simulator plays a trial in turns. A turn names the agents that act next and what they observe: all of them, or one in
+worlds where agents move one after another. Each agent belongs to a participant, whose genome drives it. A simulator
+sees observations and actions only, never the network behind them.
+
+``Simulator`` is all that a plug-in needs. ``CompiledSimulator`` adds one method that plays whole trials inside a compiled
+kernel; its turns must give the same bits.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any, ClassVar, NamedTuple
+
+import msgspec
+import numpy as np
+
+from zswarm.jit import Step
+
+
+class Turn(NamedTuple):
+    """Who acts next, and what they observe."""
+
+    agents: Sequence[int]
+    observations: np.ndarray  # (len(agents), inputs) float32
+
+
+class Outcome(NamedTuple):
+    """What a trial decided."""
+
+    fitness: Sequence[float]  # one per participant, higher is better
+    metrics: Sequence[float]  # in the order of Simulator.metrics
+
+
+class Simulator(ABC):
+    """One problem with its settings.
+
+    Attributes:
+        Settings: the struct of its settings in an experiment file.
+        metrics: names of what a trial reports beside fitness.
+        participants: genomes that play one trial together.
+        inputs, outputs: numbers an agent observes and sets in one decision.
+        owners: per agent the participant that drives it.
+    """
+
+    Settings: ClassVar[type[msgspec.Struct]]
+    metrics: ClassVar[tuple[str, ...]] = ()
+    participants: int = 1
+    inputs: int
+    outputs: int
+    owners: Sequence[int]
+
+    def __init__(self, settings: msgspec.Struct) -> None:
+        self.settings = settings
+
+    def fixed_seeds(self, trials: int) -> Sequence[int] | None:
+        """The seeds of an experiment's trials where the problem itself fixes them, else None."""
+        return None
+
+    @abstractmethod
+    def reset(self, seed: int) -> Turn:
+        """Start a trial; the same seed gives the same trial."""
+
+    @abstractmethod
+    def step(self, actions: np.ndarray) -> Turn | None:
+        """Let the agents of the last turn act; None when the trial is over.
+
+        Args:
+            actions: (agents of the turn, outputs) float32.
+        """
+
+    @abstractmethod
+    def outcome(self) -> Outcome:
+        """The outcome of the trial that ended."""
+
+    def frame(self) -> dict[str, Any]:
+        """What a picture of the present state needs; an empty dict where there is nothing to draw."""
+        return {}
+
+
+class CompiledSimulator(Simulator):
+    """A simulator that plays whole trials in a compiled kernel."""
+
+    @abstractmethod
+    def play(
+        self,
+        step: Step,
+        state_size: int,
+        parameters: np.ndarray,
+        participants: np.ndarray,
+        seeds: np.ndarray,
+        progress: np.ndarray,
+        fitness: np.ndarray,
+        metrics: np.ndarray,
+    ) -> None:
+        """Play trials in order; before each set ``progress[0]`` to its index and stop if ``progress[1]`` is not zero.
+
+        Args:
+            step: the controllers' compiled decision.
+            state_size: float32 numbers of state per agent, zero at the start of each trial.
+            parameters: (genomes, P) float32.
+            participants: (trials, k) int64, rows of ``parameters``.
+            seeds: (trials,) uint64.
+            progress: (2,) int64.
+            fitness: (trials, k) float64, filled.
+            metrics: (trials, len(self.metrics)) float64, filled.
+        """
