@@ -151,8 +151,10 @@ class FullyMeshed(Representation):
     def distances(self, left: Sequence[bytes], right: Sequence[bytes]) -> np.ndarray:
         """Sums of the absolute differences of all genes, added in gene order."""
         a, b = (np.frombuffer(b"".join(side), "<f4").reshape(len(side), -1).T for side in (left, right))
-        differences = np.abs(a[:, :, None] - b[:, None, :])
-        return np.cumsum(differences, axis=0, dtype=np.float64)[-1]  # cumsum adds in order on every machine, sum may not
+        total = np.zeros((len(left), len(right)))
+        for gene_of_left, gene_of_right in zip(a, b, strict=True):
+            total += np.abs(gene_of_left[:, None] - gene_of_right)
+        return total
 
     def _tables(self, genomes: Sequence[bytes]) -> np.ndarray:
         return np.frombuffer(b"".join(genomes), "<f4").reshape(len(genomes), *self.shape)

@@ -1,0 +1,82 @@
+"""The contract of an optimizer: ask for genomes, tell their fitness."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import msgspec
+import numpy as np
+
+from zswarm.nets.representation import Representation
+
+
+class Optimizer(ABC):
+    """Proposes genomes and learns from their fitness; a child writes ``_ask``, ``_tell``, ``state``, ``restore``.
+
+    Attributes:
+        Settings: the struct of its settings in an experiment file.
+        portable: whether it does the same on every machine, bit for bit (linear algebra does not).
+        generation: generations told.
+    """
+
+    Settings: ClassVar[type[msgspec.Struct]]
+    portable: ClassVar[bool]
+
+    def __init__(self, settings: msgspec.Struct, representation: Representation, seed: int) -> None:
+        self.settings = settings
+        self.representation = representation
+        self.seed = seed
+        self.generation = 0
+        self._asked: int | None = None
+
+    def ask(self) -> list[bytes]:
+        """The genomes that want evaluation next.
+
+        Raises:
+            RuntimeError: the last generation was not told yet.
+        """
+        if self._asked is not None:
+            raise RuntimeError("tell the fitness of the last generation before asking for the next")
+        genomes = self._ask()
+        self._asked = len(genomes)
+        return genomes
+
+    def tell(self, fitness: np.ndarray) -> None:
+        """Take the fitness of the generation last asked for, in the order asked.
+
+        Args:
+            fitness: (genomes asked,) float64, higher is better; NaN marks a failed evaluation.
+
+        Raises:
+            RuntimeError: no generation is waiting.
+            ValueError: wrong shape.
+        """
+        if self._asked is None:
+            raise RuntimeError("no generation is waiting for its fitness: ask first")
+        if fitness.shape != (self._asked,):
+            raise ValueError(f"fitness must have shape ({self._asked},), not {fitness.shape}")
+        self._tell(fitness)
+        self.generation += 1
+        self._asked = None
+
+    @abstractmethod
+    def _ask(self) -> list[bytes]: ...
+
+    @abstractmethod
+    def _tell(self, fitness: np.ndarray) -> None: ...
+
+    @abstractmethod
+    def state(self) -> dict[str, Any]:
+        """All that ``restore`` needs to go on after the last tell: plain values, bytes, lists, dicts."""
+
+    @abstractmethod
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from a ``state`` of an optimizer with the same settings and seed."""
+
+    @abstractmethod
+    def best(self) -> tuple[bytes, float]:
+        """The best genome told so far and its fitness; (b"", nan) before the first."""
+
+    @abstractmethod
+    def statistics(self) -> dict[str, float]:
+        """Numbers about the last generation; ``best`` and ``mean`` at least."""
