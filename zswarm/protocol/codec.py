@@ -1,0 +1,157 @@
+"""Messages to bytes and back: msgpack, strictly. Whatever does not fit ends in ``RemoteProtocolError``."""
+
+import math
+import unicodedata
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from zswarm.errors import RemoteProtocolError
+from zswarm.protocol import keys, messages
+from zswarm.protocol.messages import MAX_MESSAGE, MAX_TEXT, MAX_TRIALS, Message, Reply, Request
+
+MAX_DEPTH = 8  # of settings
+_encoder = msgspec.msgpack.Encoder()
+_requests: msgspec.msgpack.Decoder[Request] = msgspec.msgpack.Decoder(Request)
+_replies: msgspec.msgpack.Decoder[Reply] = msgspec.msgpack.Decoder(Reply)
+
+
+class _Version(msgspec.Struct):
+    v: int
+
+
+_version = msgspec.msgpack.Decoder(_Version)
+
+
+def encode(message: Message) -> bytes:
+    """A message as bytes."""
+    return _encoder.encode(message)
+
+
+def decode_request(body: bytes) -> Request:
+    """A message from an optimizer.
+
+    Raises:
+        RemoteProtocolError: malformed, too large, of another version, or holding what no message may hold.
+    """
+    message = _decode(body, _requests)
+    if isinstance(message, messages.Reserve):
+        _check_plain(message.simulator.settings, MAX_DEPTH)
+        _check_plain(message.representation.settings, MAX_DEPTH)
+    return message
+
+
+def decode_reply(body: bytes) -> Reply:
+    """A message from a server; its texts are safe to show.
+
+    Raises:
+        RemoteProtocolError: as ``decode_request``.
+    """
+    message = _decode(body, _replies)
+    match message:
+        case messages.Offer():
+            lists = {name: [clean(text) for text in getattr(message, name)] for name in ("simulators", "representations")}
+            texts = {name: clean(getattr(message, name)) for name in ("server", "program", "machine", "mismatch")}
+            return msgspec.structs.replace(message, **lists, **texts)
+        case messages.Lease() | messages.Fault() | messages.Refused():
+            return msgspec.structs.replace(message, reason=clean(message.reason))
+        case messages.Outcomes() if message.error:
+            return msgspec.structs.replace(message, error=clean(message.error))
+    return message
+
+
+def trials(message: messages.Evaluate, participants_per_trial: int) -> tuple[np.ndarray, np.ndarray]:
+    """Participants (trials, k) int64 and seeds (trials,) uint64 of a batch.
+
+    Raises:
+        RemoteProtocolError: the arrays do not fit together, or a participant is not among the genomes.
+    """
+    seeds = array(message.seeds, "<u8")
+    if not 1 <= len(seeds) <= MAX_TRIALS:
+        raise RemoteProtocolError(f"a batch holds 1 to {MAX_TRIALS} trials, not {len(seeds)}")
+    participants = array(message.participants, "<u4")
+    if len(participants) != len(seeds) * participants_per_trial:
+        raise RemoteProtocolError(
+            f"{len(seeds)} trials of {participants_per_trial} participants need {len(seeds) * participants_per_trial} "
+            f"indices, not {len(participants)}"
+        )
+    if participants.max() >= len(message.genomes):
+        raise RemoteProtocolError(f"participant {participants.max()} is not among {len(message.genomes)} genomes")
+    return participants.astype(np.int64).reshape(len(seeds), participants_per_trial), seeds
+
+
+def outcomes(message: messages.Outcomes, count: int, participants: int, metrics: int) -> tuple[np.ndarray, np.ndarray]:
+    """Fitness (count, participants) and metrics (count, metrics), float64.
+
+    Raises:
+        RemoteProtocolError: wrong sizes, or an infinite number.
+    """
+    fitness, measured = array(message.fitness, "<f8"), array(message.metrics, "<f8")
+    if fitness.size != count * participants or measured.size != count * metrics:
+        raise RemoteProtocolError(
+            f"{count} trials need {count * participants} fitness numbers and {count * metrics} metrics, "
+            f"not {fitness.size} and {measured.size}"
+        )
+    if np.isinf(fitness).any() or np.isinf(measured).any():
+        raise RemoteProtocolError("an outcome is infinite")
+    return fitness.reshape(count, participants), measured.reshape(count, metrics)
+
+
+def array(raw: bytes, dtype: str) -> np.ndarray:
+    """Raw little-endian numbers.
+
+    Raises:
+        RemoteProtocolError: the length is no multiple of a number's.
+    """
+    if len(raw) % np.dtype(dtype).itemsize:
+        raise RemoteProtocolError(f"{len(raw)} bytes are no whole number of {dtype}")
+    return np.frombuffer(raw, dtype)
+
+
+def clean(text: str) -> str:
+    """A text from elsewhere, safe for a terminal, a log and a page: no control or format characters, bounded."""
+    if text.isascii() and text.isprintable():
+        return text[:MAX_TEXT]
+    return "".join(
+        character if unicodedata.category(character) not in ("Cc", "Cf", "Cs", "Co", "Cn") else f"\\x{ord(character):02x}"
+        for character in text
+    )[:MAX_TEXT]
+
+
+def _decode(body: bytes, decoder: msgspec.msgpack.Decoder[Any]) -> Any:
+    if len(body) > MAX_MESSAGE:
+        raise RemoteProtocolError(f"a message has {len(body)} bytes; at most {MAX_MESSAGE} are taken")
+    try:
+        return decoder.decode(body)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise RemoteProtocolError(_explain(body, error)) from None
+
+
+def _explain(body: bytes, error: Exception) -> str:
+    try:
+        version = _version.decode(body).v
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        return f"not a message: {clean(str(error))}"
+    if version != keys.VERSION:
+        return f"the peer speaks version {version} of the protocol, this program version {keys.VERSION}"
+    return clean(str(error))
+
+
+def _check_plain(value: Any, depth: int) -> None:
+    """Settings are tables, lists, texts, finite numbers and truth values, not nested too deep."""
+    if depth == 0:
+        raise RemoteProtocolError(f"settings are nested deeper than {MAX_DEPTH}")
+    if isinstance(value, dict):
+        for key, item in value.items():
+            if not isinstance(key, str) or len(key) > MAX_TEXT:
+                raise RemoteProtocolError("a settings' key is no text, or too long")
+            _check_plain(item, depth - 1)
+    elif isinstance(value, list):
+        for item in value:
+            _check_plain(item, depth - 1)
+    elif isinstance(value, float):
+        if not math.isfinite(value):
+            raise RemoteProtocolError("a setting is not finite")
+    elif not isinstance(value, (str, int)):
+        raise RemoteProtocolError(f"a setting is of no known type: {type(value).__name__}")

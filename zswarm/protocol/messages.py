@@ -1,0 +1,160 @@
+"""The messages of the wire, field by field as in docs/protocol.md.
+
+Each is a map with ``type`` and ``v`` (the protocol's version). Arrays of numbers are raw little-endian bytes.
+"""
+
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+MAX_MESSAGE = 8 << 20  # bytes
+MAX_GENOMES = 4096  # in one batch
+MAX_GENOME = 4_000_000  # bytes
+MAX_TRIALS = 65_536  # in one batch
+MAX_TEXT = 500  # characters
+MAX_SLOTS = 65_535
+
+Text = Annotated[str, Meta(max_length=MAX_TEXT)]
+Token = Annotated[bytes, Meta(min_length=16, max_length=16)]
+Count = Annotated[int, Meta(ge=0, le=2**53)]
+Seconds = Annotated[float, Meta(ge=0, le=1e9)]
+BatchId = Count
+State = Literal["waiting", "preparing", "ready", "failed"]
+
+
+class Message(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", forbid_unknown_fields=True):
+    """What all messages have."""
+
+    v: Literal[1] = 1
+
+
+class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A simulator or a representation by name, with its settings."""
+
+    kind: Text
+    settings: dict[str, Any]
+
+
+# ---- from the optimizer -------------------------------------------------------------------------------------------
+
+
+class Requirements(Message, tag="requirements"):
+    """Phase 1: what a run needs; empty texts match every server."""
+
+    simulator: Text = ""
+    representation: Text = ""
+    version_hash: Text = ""
+
+
+class Reserve(Message, tag="reserve"):
+    """Phase 2: the right to slots, and all that is needed to evaluate for this run."""
+
+    nonce: Token  # the same nonce gets the same lease
+    epoch: Count  # raised by every resume; a higher one takes the run's lease over
+    slots: Annotated[int, Meta(ge=1, le=MAX_SLOTS)]
+    simulator: Part
+    representation: Part
+    version_hash: Text
+    trial_timeout_s: Annotated[float, Meta(gt=0, le=1e9)]
+
+
+class Renew(Message, tag="renew"):
+    """Keep a lease, and ask for its state; answered when the state differs from what is known, or after a while."""
+
+    lease: Token
+    known_ready: Annotated[int, Meta(ge=-1, le=MAX_SLOTS)] = -1  # ready slots the optimizer knows of; -1: answer at once
+
+
+class Evaluate(Message, tag="evaluate"):
+    """A batch of trials. Asked again with the same id it attaches to what runs or gets the kept outcomes."""
+
+    lease: Token
+    batch: BatchId
+    genomes: Annotated[list[Annotated[bytes, Meta(max_length=MAX_GENOME)]], Meta(max_length=MAX_GENOMES)]
+    participants: bytes  # (trials, k) uint32, indices into genomes
+    seeds: bytes  # (trials,) uint64
+
+
+class Cancel(Message, tag="cancel"):
+    """Stop batches; their queries end with ``Refused``."""
+
+    lease: Token
+    batches: Annotated[list[BatchId], Meta(max_length=MAX_TRIALS)]
+
+
+class Release(Message, tag="release"):
+    """Give a lease back."""
+
+    lease: Token
+
+
+# ---- from the server ----------------------------------------------------------------------------------------------
+
+
+class Offer(Message, tag="offer"):
+    """What a server has and can do."""
+
+    server: Text
+    program: Text  # zswarm's version
+    machine: Text  # operating system and processor
+    capacity: Count
+    free: Count
+    leases: Count
+    simulators: Annotated[list[Text], Meta(max_length=1000)]
+    representations: Annotated[list[Text], Meta(max_length=1000)]
+    mismatch: Text = ""  # why the requirements are not met; empty: they are
+
+
+class Lease(Message, tag="lease"):
+    """The state of a lease: ``waiting`` for a slot, ``preparing``, ``ready`` (a slot at least) or ``failed``."""
+
+    lease: Token
+    state: State
+    slots: Count  # slots held
+    ready: Count  # of them ready to evaluate
+    lease_s: Seconds  # it ends this long after the last message
+    probe: Annotated[bytes, Meta(max_length=64)] = b""  # digest of the probe's outcomes, once ready
+    trial_s: Seconds = 0.0  # seconds of one trial of the probe
+    reason: Text = ""  # of a failure
+
+
+class Outcomes(Message, tag="outcomes"):
+    """What the trials of a batch decided."""
+
+    batch: BatchId
+    fitness: bytes  # (trials, k) float64, NaN where the simulator raised
+    metrics: bytes  # (trials, m) float64
+    seconds: Seconds  # spent computing
+    error: Text = ""  # what the simulator raised first
+
+
+class Running(Message, tag="running"):
+    """The batch still runs: ask again with the same id."""
+
+    batch: BatchId
+    done: Count  # trials
+
+
+class Fault(Message, tag="fault"):
+    """The machine or the simulator's process failed at one trial; the others of the batch are without blame."""
+
+    batch: BatchId
+    kind: Literal["crashed", "timeout"]
+    trial: Count
+    reason: Text
+
+
+class Refused(Message, tag="refused"):
+    """The request is not carried out."""
+
+    code: Literal["malformed", "lease-lost", "busy", "draining", "mismatch", "cancelled"]
+    reason: Text
+
+
+class Done(Message, tag="done"):
+    """Carried out."""
+
+
+Request = Requirements | Reserve | Renew | Evaluate | Cancel | Release
+Reply = Offer | Lease | Outcomes | Running | Fault | Refused | Done
