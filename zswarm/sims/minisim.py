@@ -1,7 +1,7 @@
-"""Minisim: several robots play capture the flag against scripted defenders.
+"""Minisim: robots play capture the flag against scripted defenders, on a grid.
 
-The minimal simulator of the paper of that name was never published; this game is a design of our own. It has the same
-subject (several robots, a two-dimensional grid, a flag to capture) and is meant to be quick to compute and hard to play.
+The simulator of this name in the paper was never published. This game is a design of our own on the same subject: quick
+to compute, and a matter of teamwork, because a defender that chases one robot leaves the flag to another.
 """
 
 from typing import Annotated, Any
@@ -15,38 +15,62 @@ from zswarm.jit import STEP, Step, array, float32, float64, inline, int64, kerne
 from zswarm.sims.simulator import CompiledSimulator, Outcome, Turn
 
 INPUTS, OUTPUTS = 9, 2
-LOW, HIGH = np.float32(0.25), np.float32(0.75)  # an output below LOW steps back, above HIGH forward
+BACK, FORTH = np.float32(0.25), np.float32(0.75)  # an output below the first steps back, above the second forth
 ZERO, ONE = np.float32(0), np.float32(1)
-
-X, Y = 0, 1
 NOBODY = -1
-# What ``game`` holds, all integers.
-CARRIER, CAPTURES, STEALS, TAGGED, CLOSEST, NEAREST_HOME, STEP_NUMBER = range(7)
-# What ``rules`` holds, all integers.
-WIDTH, HEIGHT, ROBOT_SIGHT, DEFENDER_SIGHT, REACH, REST, PENALTY = range(7)
+
+# All state is integers: ``robots`` and ``defenders`` (a row each), ``stand`` (x, y) and ``game``.
+X, Y, START_Y, CHASED = range(4)  # CHASED: the step in which a defender last chose this robot
+CARRIER, STEP_NUMBER, CAPTURES, STEALS, TAGGED, CLOSEST, NEAREST_HOME = range(7)
+STEPS, WIDTH, HEIGHT, ROBOTS, DEFENDERS, ROBOT_SIGHT, DEFENDER_SIGHT, REACH, REST = range(9)  # ``rules``: the settings
 
 Length = Annotated[int, Meta(ge=2, le=1_000)]
 Sight = Annotated[int, Meta(ge=1, le=1_000)]
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Settings of ``[problem.settings]``; distances are in king moves, so a diagonal neighbour is 1 away."""
+    """Settings of ``[problem.settings]``; lengths are in cells, distances in king moves (a diagonal step counts 1)."""
 
     steps: Annotated[int, Meta(ge=1, le=1_000_000)] = 100
-    width: Length = 20  # cells
-    height: Length = 20  # cells
+    width: Length = 20
+    height: Length = 20
     robots: Annotated[int, Meta(ge=1, le=1_000)] = 8
     defenders: Annotated[int, Meta(ge=0, le=1_000)] = 2
-    robot_sight: Sight = 8  # cells at which defenders and mates fade from a robot's sensors
-    defender_sight: Sight = 6  # cells up to which a defender goes for a robot
-    reach: Annotated[int, Meta(ge=0, le=1_000)] = 1  # cells up to which a defender tags
-    penalty: Annotated[int, Meta(ge=0, le=1_000)] = 10
-    rest: Annotated[int, Meta(ge=0, le=1_000_000)] = 4  # defenders stand still in every rest-th step; 0: never
+    robot_sight: Sight = 8  # from here on a robot does not sense defenders and mates
+    defender_sight: Sight = 6  # up to here a defender chases a robot
+    reach: Annotated[int, Meta(ge=0, le=1_000)] = 1  # up to here a defender tags a robot
+    rest: Annotated[int, Meta(ge=0, le=1_000_000)] = 4  # defenders stand still in every rest-th step; 0: in none
 
 
 class Minisim(CompiledSimulator):
-    """x
+    """Robots fetch a flag again and again and take it home; defenders that come near send them back.
 
+    Cells have x and y from 0. The distance of an offset is |dx, dy| = max(|dx|, |dy|), king moves. Any number of robots
+    and defenders may share a cell. Home is the column x = 0; ``size`` is the greater of width and height.
+
+    Observation: (9,) float32, each operation rounded to float32. Where dx, dy is the offset to
+        the goal, which is the flag's stand, or for the carrier the cell at x = 0 in its row:
+        0-1: dx / max(1, |dx, dy|), dy / max(1, |dx, dy|). 2: 1 - |dx, dy| / size.
+        the nearest defender (the first of equals), with d = |dx, dy| and s = ``robot_sight``:
+        3-4: (dx / d) * ((s - d) / s), (dy / d) * ((s - d) / s); zeros if d is 0 or d >= s.
+        the nearest other robot: 5-6, as for the defender.
+        7: 1 for the carrier, else 0. 8: 1 while another robot carries the flag, else 0.
+    Action: (2,) float32 for x and y: below .25 a cell back, above .75 a cell forth, else none; walls hold robots in.
+    Turns: all robots at once, seeing the state before the step. A step (they count from 1):
+        1. Robots move. The first robot on the stand takes the flag if nobody has it (a steal). A carrier at home has
+        captured it; the flag is back on its stand.
+        2. Unless the step is a multiple of ``rest`` (0: always), defender after defender moves one cell (dx and dy cut
+        to -1..1) towards the nearest robot (the first of equals) within ``defender_sight`` that is not at home and that
+        no earlier defender chose in this step, else towards the stand.
+        3. Every robot not at home within ``reach`` of a defender is tagged: it is put on its start cell, and the flag,
+        if it had it, on the stand.
+    Start: from ``Stream(seed)`` of zswarm.draws the stand, x = width - 1 - integer(width // 2) and y = integer(height),
+        then per robot y = integer(height), x = 0. Defenders start on the stand.
+    End: after ``steps`` steps.
+    Fitness: captures + (there + back) / 2, where the second part, in 0..1, is what was done since the last capture:
+        there = 1 - c / size, c the least distance of a robot to the stand after moves of robots (``size`` before any);
+        back = 1 - h / (x of the stand), h the least x of a carrier after such moves (x of the stand before any).
+    Metrics: ``captures``; ``steals``; ``tagged``, counted per robot and time.
     """
 
     Settings = Settings
@@ -56,31 +80,47 @@ class Minisim(CompiledSimulator):
 
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings)
-        if settings.reach >= settings.width // 2:
-            raise ConfigError("x")
+        shortest = 2 * (settings.width - settings.width // 2)
+        if settings.steps < shortest:
+            raise ConfigError(
+                f"minisim: no flag can be captured in {settings.steps} steps; width {settings.width} takes {shortest}"
+            )
+        if settings.reach > settings.defender_sight:
+            raise ConfigError(
+                f"minisim: reach {settings.reach} must not exceed defender_sight {settings.defender_sight}: "
+                "a defender cannot tag what it does not see"
+            )
         self.owners = (0,) * settings.robots
-        self._rules = np.array(
-            [settings.width, settings.height, settings.robot_sight, settings.defender_sight, settings.reach, settings.rest, settings.penalty]
-        )
+        self._rules = np.array(msgspec.structs.astuple(settings), np.int64)
 
     def reset(self, seed: int) -> Turn:
-        """Draw the start of a seed; all robots act next."""
-        self._robots, self._defenders, self._stand, self._game = self._tables()
-        self._actions = np.empty((self.settings.robots, OUTPUTS), np.float32)
-        start(np.uint64(seed), self._robots, self._defenders, self._stand, self._game, self._rules)
+        """Lay out the start of a seed; all robots act next."""
+        self._state = self._tables()
+        start(np.uint64(seed), *self._state, self._rules)
         return self._turn()
 
     def step(self, actions: np.ndarray) -> Turn | None:
-        """Move all robots, then the defenders."""
-        move_robots(actions, self._robots, self._stand, self._game, self._rules)
-        move_defenders(self._robots, self._defenders, self._stand, self._game, self._rules)
-        return self._turn() if self._game[STEP_NUMBER] < self.settings.steps else None
+        """Move the robots, then the defenders; all robots act next."""
+        act(actions, *self._state, self._rules)
+        return self._turn() if self._state[-1][STEP_NUMBER] < self.settings.steps else None
 
     def outcome(self) -> Outcome:
         """Fitness and metrics of the trial that ended."""
-        fitness, metrics = np.zeros(1), np.zeros(len(self.metrics))
-        judge(self._stand, self._game, self._rules, fitness, metrics)
+        fitness, metrics = np.zeros(1), np.zeros(3)
+        judge(*self._state[2:], self._rules, fitness, metrics)
         return Outcome(list(fitness), list(metrics))
+
+    def frame(self) -> dict[str, Any]:
+        """Positions of robots, defenders and the flag's stand, in cells, and who carries the flag (None: nobody)."""
+        robots, defenders, stand, game = (table.tolist() for table in self._state)
+        return {
+            "size": (self.settings.width, self.settings.height),
+            "step": game[STEP_NUMBER],
+            "robots": [(robot[X], robot[Y]) for robot in robots],
+            "defenders": [(defender[X], defender[Y]) for defender in defenders],
+            "stand": (stand[X], stand[Y]),
+            "carrier": None if game[CARRIER] == NOBODY else game[CARRIER],
+        }
 
     def play(
         self,
@@ -96,33 +136,32 @@ class Minisim(CompiledSimulator):
         """See ``CompiledSimulator.play``."""
         states = np.zeros((self.settings.robots, state_size), np.float32)
         play_trials(
-            step, parameters, participants, seeds.astype(np.uint64), *self._tables(), self._rules, self.settings.steps,
-            states, progress, fitness, metrics
+            step, parameters, participants, seeds.astype(np.uint64), states, *self._tables(), self._rules,
+            progress, fitness, metrics
         )  # fmt: skip
 
-    def _tables(self):
-        return (
-            np.zeros((self.settings.robots, 4), np.int64),
-            np.zeros((self.settings.defenders, 2), np.int64),
-            np.zeros(2, np.int64),
-            np.zeros(7, np.int64),
-        )
+    def _tables(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Robots, defenders, stand and game, for ``start`` to fill."""
+        shapes = (self.settings.robots, 4), (self.settings.defenders, 2), (2,), (7,)
+        robots, defenders, stand, game = (np.zeros(shape, np.int64) for shape in shapes)
+        return robots, defenders, stand, game
 
     def _turn(self) -> Turn:
         observations = np.empty((self.settings.robots, INPUTS), np.float32)
         for robot in range(self.settings.robots):
-            observe(robot, self._robots, self._defenders, self._stand, self._game, self._rules, observations[robot])
+            observe(robot, *self._state, self._rules, observations[robot])
         return Turn(range(self.settings.robots), observations)
 
 
-TABLE = array(int64, 2)
 NUMBERS = array(int64)
+TABLE = array(int64, 2)
+GRIDS = array(float32, 2)
 GAMMA, MIX_1, MIX_2 = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 
 
 @inline
-def draw(state, bound):  # type: ignore[no-untyped-def]  # compiled
-    """The next integer below bound, as ``zswarm.draws.Stream.integer``; state holds the seed at the start."""
+def draw_below(state, bound):  # type: ignore[no-untyped-def]  # compiled
+    """``Stream.integer`` of zswarm.draws; the state is the stream's seed at first."""
     state[0] += GAMMA
     word = state[0]
     word = (word ^ (word >> np.uint64(30))) * MIX_1
@@ -132,124 +171,144 @@ def draw(state, bound):  # type: ignore[no-untyped-def]  # compiled
 
 
 @inline
-def distance(ax, ay, bx, by):  # type: ignore[no-untyped-def]  # compiled
-    """King moves between two cells."""
-    return max(abs(ax - bx), abs(ay - by))
+def distance(dx, dy):  # type: ignore[no-untyped-def]  # compiled
+    """King moves."""
+    return max(abs(dx), abs(dy))
+
+
+@inline
+def begin_attempt(stand, game, rules):  # type: ignore[no-untyped-def]  # compiled
+    """The flag is on its stand, and nothing was done yet towards the next capture."""
+    game[CARRIER] = NOBODY
+    game[CLOSEST] = max(rules[WIDTH], rules[HEIGHT])
+    game[NEAREST_HOME] = stand[X]
 
 
 @inline
 def start(seed, robots, defenders, stand, game, rules):  # type: ignore[no-untyped-def]  # compiled
+    """Lay out a trial."""
     state = np.empty(1, np.uint64)
     state[0] = seed
-    half = rules[WIDTH] // 2
-    stand[X] = rules[WIDTH] - 1 - draw(state, half)
-    stand[Y] = draw(state, rules[HEIGHT])
+    stand[X] = rules[WIDTH] - 1 - draw_below(state, rules[WIDTH] // 2)
+    stand[Y] = draw_below(state, rules[HEIGHT])
     for robot in range(robots.shape[0]):
         robots[robot, X] = 0
-        robots[robot, 3] = 0
-        robots[robot, Y] = robots[robot, 2] = draw(state, rules[HEIGHT])
+        robots[robot, Y] = robots[robot, START_Y] = draw_below(state, rules[HEIGHT])
+        robots[robot, CHASED] = 0
     for defender in range(defenders.shape[0]):
-        defenders[defender, X] = stand[X]
-        defenders[defender, Y] = stand[Y]
+        defenders[defender, X], defenders[defender, Y] = stand[X], stand[Y]
     game[:] = 0
-    game[CARRIER] = NOBODY
-    game[CLOSEST], game[NEAREST_HOME] = max(rules[WIDTH], rules[HEIGHT]), stand[X]
+    begin_attempt(stand, game, rules)
 
 
 @inline
-def point(dx, dy, sight, observation, index):  # type: ignore[no-untyped-def]  # compiled
-    """Write where something is: the nearer the longer, zero from ``sight`` on."""
-    away = max(abs(dx), abs(dy))
+def point(dx, dy, sight, target):  # type: ignore[no-untyped-def]  # compiled
+    """Write the direction of what is near; the nearer, the longer."""
+    away = distance(dx, dy)
+    target[0], target[1] = ZERO, ZERO
     if 0 < away < sight:
         nearness = np.float32(sight - away) / np.float32(sight)
-        observation[index] = np.float32(dx) / np.float32(away) * nearness
-        observation[index + 1] = np.float32(dy) / np.float32(away) * nearness
-    else:
-        observation[index] = observation[index + 1] = ZERO
+        target[0] = np.float32(dx) / np.float32(away) * nearness
+        target[1] = np.float32(dy) / np.float32(away) * nearness
+
+
+@inline
+def nearest(x, y, others, itself, sight):  # type: ignore[no-untyped-def]  # compiled
+    """Offset to the nearest of the others that is nearer than ``sight``, else 0, 0."""
+    least, dx, dy = sight, 0, 0
+    for other in range(others.shape[0]):
+        to_x, to_y = others[other, X] - x, others[other, Y] - y
+        if distance(to_x, to_y) < least and other != itself:
+            least, dx, dy = distance(to_x, to_y), to_x, to_y
+    return dx, dy
 
 
 @inline
 def observe(robot, robots, defenders, stand, game, rules, observation):  # type: ignore[no-untyped-def]  # compiled
     """What a robot observes."""
-    x, y = robots[robot, X], robots[robot, Y]
-    dx, dy = stand[X] - x, stand[Y] - y
-    if game[CARRIER] == robot:
-        dx, dy = -x, 0
-    away = max(abs(dx), abs(dy))
+    x, y, carries, sight = robots[robot, X], robots[robot, Y], game[CARRIER] == robot, rules[ROBOT_SIGHT]
+    dx, dy = (-x, 0) if carries else (stand[X] - x, stand[Y] - y)
+    away = distance(dx, dy)
     observation[0] = np.float32(dx) / np.float32(max(away, 1))
     observation[1] = np.float32(dy) / np.float32(max(away, 1))
     observation[2] = ONE - np.float32(away) / np.float32(max(rules[WIDTH], rules[HEIGHT]))
-    near, dx, dy = rules[ROBOT_SIGHT], 0, 0
-    for other in range(defenders.shape[0]):
-        away = distance(defenders[other, X], defenders[other, Y], x, y)
-        if away < near:
-            near, dx, dy = away, defenders[other, X] - x, defenders[other, Y] - y
-    point(dx, dy, rules[ROBOT_SIGHT], observation, 3)
-    near, dx, dy = rules[ROBOT_SIGHT], 0, 0
-    for other in range(robots.shape[0]):
-        away = distance(robots[other, X], robots[other, Y], x, y)
-        if away < near and other != robot:
-            near, dx, dy = away, robots[other, X] - x, robots[other, Y] - y
-    point(dx, dy, rules[ROBOT_SIGHT], observation, 5)
-    observation[7] = ONE if game[CARRIER] == robot else ZERO
-    observation[8] = ONE if game[CARRIER] != robot and game[CARRIER] != NOBODY else ZERO
+    dx, dy = nearest(x, y, defenders, NOBODY, sight)
+    point(dx, dy, sight, observation[3:5])
+    dx, dy = nearest(x, y, robots, robot, sight)
+    point(dx, dy, sight, observation[5:7])
+    observation[7] = ONE if carries else ZERO
+    observation[8] = ONE if game[CARRIER] != NOBODY and not carries else ZERO
 
 
 @inline
 def velocity(output):  # type: ignore[no-untyped-def]  # compiled
-    return -1 if output < LOW else (1 if output > HIGH else 0)
+    """-1, 0 or 1; NaN means no move."""
+    return -1 if output < BACK else (1 if output > FORTH else 0)
 
 
 @inline
-def move_robots(actions, robots, stand, game, rules):  # type: ignore[no-untyped-def]  # compiled
+def act(actions, robots, defenders, stand, game, rules):  # type: ignore[no-untyped-def]  # compiled
+    """One step of the game, given the actions of all robots."""
+    game[STEP_NUMBER] += 1
+    move_robots(actions, robots, rules)
+    score(robots, stand, game, rules)
+    if rules[REST] == 0 or game[STEP_NUMBER] % rules[REST] != 0:
+        move_defenders(robots, defenders, stand, game, rules)
+    tag(robots, defenders, game, rules)
+
+
+@inline
+def move_robots(actions, robots, rules):  # type: ignore[no-untyped-def]  # compiled
+    """Move all robots by one cell at most."""
     for robot in range(robots.shape[0]):
-        if game[STEP_NUMBER] < robots[robot, 3]:
-            continue
         robots[robot, X] = min(max(robots[robot, X] + velocity(actions[robot, X]), 0), rules[WIDTH] - 1)
         robots[robot, Y] = min(max(robots[robot, Y] + velocity(actions[robot, Y]), 0), rules[HEIGHT] - 1)
+
+
+@inline
+def score(robots, stand, game, rules):  # type: ignore[no-untyped-def]  # compiled
+    """Let a robot take the flag, or bring it home."""
     for robot in range(robots.shape[0]):
-        away = distance(robots[robot, X], robots[robot, Y], stand[X], stand[Y])
+        away = distance(stand[X] - robots[robot, X], stand[Y] - robots[robot, Y])
         game[CLOSEST] = min(game[CLOSEST], away)
         if away == 0 and game[CARRIER] == NOBODY:
             game[CARRIER] = robot
             game[STEALS] += 1
     if game[CARRIER] != NOBODY:
         game[NEAREST_HOME] = min(game[NEAREST_HOME], robots[game[CARRIER], X])
-        if robots[game[CARRIER], X] == 0:
+        if game[NEAREST_HOME] == 0:
             game[CAPTURES] += 1
-            game[CARRIER] = NOBODY
-            game[CLOSEST], game[NEAREST_HOME] = max(rules[WIDTH], rules[HEIGHT]), stand[X]
+            begin_attempt(stand, game, rules)
 
 
 @inline
 def move_defenders(robots, defenders, stand, game, rules):  # type: ignore[no-untyped-def]  # compiled
-    game[STEP_NUMBER] += 1
-    resting = rules[REST] > 0 and game[STEP_NUMBER] % rules[REST] == 0
-    chased = np.zeros(robots.shape[0], np.uint8)
-    if not resting:
-        for defender in range(defenders.shape[0]):
-            x, y = defenders[defender, X], defenders[defender, Y]
-            near, prey = rules[DEFENDER_SIGHT] + 1, NOBODY
-            for robot in range(robots.shape[0]):
-                away = distance(robots[robot, X], robots[robot, Y], x, y)
-                if away < near and robots[robot, X] > 0 and not chased[robot]:
-                    near, prey = away, robot
-            to_x, to_y = stand[X], stand[Y]
-            if prey != NOBODY:
-                chased[prey] = 1
-                to_x, to_y = robots[prey, X], robots[prey, Y]
-            defenders[defender, X] = x + min(max(to_x - x, -1), 1)
-            defenders[defender, Y] = y + min(max(to_y - y, -1), 1)
+    """Each defender follows a robot of its own, or returns to the stand."""
+    for defender in range(defenders.shape[0]):
+        x, y = defenders[defender, X], defenders[defender, Y]
+        least, prey, dx, dy = rules[DEFENDER_SIGHT] + 1, NOBODY, stand[X] - x, stand[Y] - y
+        for robot in range(robots.shape[0]):
+            to_x, to_y = robots[robot, X] - x, robots[robot, Y] - y
+            free = robots[robot, X] > 0 and robots[robot, CHASED] != game[STEP_NUMBER]
+            if free and distance(to_x, to_y) < least:
+                least, prey, dx, dy = distance(to_x, to_y), robot, to_x, to_y
+        if prey != NOBODY:
+            robots[prey, CHASED] = game[STEP_NUMBER]
+        defenders[defender, X] = x + min(max(dx, -1), 1)
+        defenders[defender, Y] = y + min(max(dy, -1), 1)
+
+
+@inline
+def tag(robots, defenders, game, rules):  # type: ignore[no-untyped-def]  # compiled
+    """Send home whom a defender reaches."""
     for robot in range(robots.shape[0]):
-        if robots[robot, X] > 0:
-            for defender in range(defenders.shape[0]):
-                if distance(robots[robot, X], robots[robot, Y], defenders[defender, X], defenders[defender, Y]) <= rules[REACH]:
-                    robots[robot, X], robots[robot, Y] = 0, robots[robot, 2]
-                    robots[robot, 3] = game[STEP_NUMBER] + rules[PENALTY]
-                    game[TAGGED] += 1
-                    if game[CARRIER] == robot:
-                        game[CARRIER] = NOBODY
-                    break
+        for defender in range(defenders.shape[0]):
+            dx, dy = defenders[defender, X] - robots[robot, X], defenders[defender, Y] - robots[robot, Y]
+            if robots[robot, X] > 0 and distance(dx, dy) <= rules[REACH]:
+                robots[robot, X], robots[robot, Y] = 0, robots[robot, START_Y]
+                game[TAGGED] += 1
+                if game[CARRIER] == robot:
+                    game[CARRIER] = NOBODY
 
 
 @inline
@@ -258,18 +317,16 @@ def judge(stand, game, rules, fitness, metrics):  # type: ignore[no-untyped-def]
     there = 1.0 - game[CLOSEST] / max(rules[WIDTH], rules[HEIGHT])
     back = 1.0 - game[NEAREST_HOME] / stand[X]
     fitness[0] = game[CAPTURES] + (there + back) / 2.0
-    metrics[0] = game[CAPTURES]
-    metrics[1] = game[STEALS]
-    metrics[2] = game[TAGGED]
+    metrics[0], metrics[1], metrics[2] = game[CAPTURES], game[STEALS], game[TAGGED]
 
 
 @kernel(
-    void(STEP, array(float32, 2), array(int64, 2), array(uint64), TABLE, TABLE, NUMBERS, NUMBERS, NUMBERS, int64,
-         array(float32, 2), array(int64), array(float64, 2), array(float64, 2))
+    void(STEP, GRIDS, array(int64, 2), array(uint64), GRIDS, TABLE, TABLE, NUMBERS, NUMBERS, NUMBERS, NUMBERS,
+         array(float64, 2), array(float64, 2))
 )  # fmt: skip
 def play_trials(  # type: ignore[no-untyped-def]  # compiled
-    step, parameters, participants, seeds, robots, defenders, stand, game, rules, steps, states, progress, fitness, metrics
-):  # fmt: skip
+    step, parameters, participants, seeds, states, robots, defenders, stand, game, rules, progress, fitness, metrics
+):
     """All trials of a batch, see ``CompiledSimulator.play``."""
     observation, actions = np.empty(INPUTS, np.float32), np.empty((robots.shape[0], OUTPUTS), np.float32)
     for trial in range(seeds.shape[0]):
@@ -279,10 +336,9 @@ def play_trials(  # type: ignore[no-untyped-def]  # compiled
         controller = parameters[participants[trial, 0]]
         states[:] = 0
         start(seeds[trial], robots, defenders, stand, game, rules)
-        while game[STEP_NUMBER] < steps:
+        for _ in range(rules[STEPS]):
             for robot in range(robots.shape[0]):
                 observe(robot, robots, defenders, stand, game, rules, observation)
                 step(controller, states[robot], observation, actions[robot])
-            move_robots(actions, robots, stand, game, rules)
-            move_defenders(robots, defenders, stand, game, rules)
+            act(actions, robots, defenders, stand, game, rules)
         judge(stand, game, rules, fitness[trial], metrics[trial])
