@@ -90,6 +90,10 @@ class Minisim(CompiledSimulator):
                 f"minisim: reach {settings.reach} must not exceed defender_sight {settings.defender_sight}: "
                 "a defender cannot tag what it does not see"
             )
+        if settings.rest == 1 and settings.defenders:
+            raise ConfigError(
+                "minisim: rest 1 keeps the defenders on the flag for ever; give 0 (no rest) or 2 and more"
+            )
         self.owners = (0,) * settings.robots
         self._rules = np.array(msgspec.structs.astuple(settings), np.int64)
 
@@ -202,25 +206,16 @@ def start(seed, robots, defenders, stand, game, rules):  # type: ignore[no-untyp
 
 
 @inline
-def point(dx, dy, sight, target):  # type: ignore[no-untyped-def]  # compiled
-    """Write the direction of what is near; the nearer, the longer."""
-    away = distance(dx, dy)
-    target[0], target[1] = ZERO, ZERO
-    if 0 < away < sight:
-        nearness = np.float32(sight - away) / np.float32(sight)
-        target[0] = np.float32(dx) / np.float32(away) * nearness
-        target[1] = np.float32(dy) / np.float32(away) * nearness
-
-
-@inline
-def nearest(x, y, others, itself, sight):  # type: ignore[no-untyped-def]  # compiled
-    """Offset to the nearest of the others that is nearer than ``sight``, else 0, 0."""
+def sense(x, y, others, itself, sight, observation, at):  # type: ignore[no-untyped-def]  # compiled
+    """Write where the nearest of the others is, if nearer than ``sight``; the nearer, the longer the arrow."""
     least, dx, dy = sight, 0, 0
     for other in range(others.shape[0]):
         to_x, to_y = others[other, X] - x, others[other, Y] - y
         if distance(to_x, to_y) < least and other != itself:
             least, dx, dy = distance(to_x, to_y), to_x, to_y
-    return dx, dy
+    nearness = np.float32(sight - least) / np.float32(sight)
+    observation[at] = np.float32(dx) / np.float32(max(least, 1)) * nearness
+    observation[at + 1] = np.float32(dy) / np.float32(max(least, 1)) * nearness
 
 
 @inline
@@ -232,10 +227,8 @@ def observe(robot, robots, defenders, stand, game, rules, observation):  # type:
     observation[0] = np.float32(dx) / np.float32(max(away, 1))
     observation[1] = np.float32(dy) / np.float32(max(away, 1))
     observation[2] = ONE - np.float32(away) / np.float32(max(rules[WIDTH], rules[HEIGHT]))
-    dx, dy = nearest(x, y, defenders, NOBODY, sight)
-    point(dx, dy, sight, observation[3:5])
-    dx, dy = nearest(x, y, robots, robot, sight)
-    point(dx, dy, sight, observation[5:7])
+    sense(x, y, defenders, NOBODY, sight, observation, 3)
+    sense(x, y, robots, robot, sight, observation, 5)
     observation[7] = ONE if carries else ZERO
     observation[8] = ONE if game[CARRIER] != NOBODY and not carries else ZERO
 
