@@ -21,6 +21,7 @@ Count = Annotated[int, Meta(ge=0, le=2**53)]
 Seconds = Annotated[float, Meta(ge=0, le=1e9)]
 BatchId = Count
 State = Literal["waiting", "preparing", "ready", "failed"]
+Refusal = Literal["malformed", "lease-lost", "busy", "draining", "mismatch", "cancelled"]
 
 
 class Message(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", forbid_unknown_fields=True):
@@ -148,7 +149,7 @@ class Fault(Message, tag="fault"):
 class Refused(Message, tag="refused"):
     """The request is not carried out."""
 
-    code: Literal["malformed", "lease-lost", "busy", "draining", "mismatch", "cancelled"]
+    code: Refusal
     reason: Text
 
 

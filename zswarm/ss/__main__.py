@@ -1,0 +1,5 @@
+"""``python -m zswarm.ss`` is ``zswarm-ss``."""
+
+from zswarm.ss.cli import main
+
+main()

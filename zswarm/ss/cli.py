@@ -1,0 +1,64 @@
+"""The command ``zswarm-ss``: parses and calls. Slots' processes import this file, so it imports little."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+
+@click.command(context_settings={"help_option_names": ["-h", "--help"]})
+@click.option("--capacity", type=click.IntRange(1, 65_535), help="Slots: simulations at the same time.  [default: cores]")
+@click.option("--name", help="Name shown to optimizers.  [default: the host's name]")
+@click.option("--realm", help="Only optimizers of the same realm find this server.  [default: default]")
+@click.option("--listen", multiple=True, metavar="EP", help="Endpoint such as tcp/192.168.1.5:7467; may be repeated.  [default: first free port from 7467]")
+@click.option("--connect", multiple=True, metavar="EP", help="Endpoint to dial, such as a router; may be repeated.")
+@click.option("--multicast/--no-multicast", default=None, help="Be found by multicast.  [default: multicast]")
+@click.option("--simulators", metavar="A,B", help="Simulators to offer.  [default: all installed]")
+@click.option("--config", type=click.Path(exists=True, dir_okay=False, path_type=Path), help="TOML file with these options; the command line wins.")
+@click.option("--log-level", type=click.Choice(["debug", "info", "warning", "error"]), default="info", show_default=True)
+@click.option("--until-stdin-closes", is_flag=True, hidden=True, help="Exit when the program that started this one ends.")
+@click.version_option(package_name="zswarm", prog_name="zswarm-ss")
+def command(config: Path | None, log_level: str, until_stdin_closes: bool, **given: Any) -> None:
+    """Serve simulations: evaluate controllers for the optimizers of this network.
+
+    Optimizers (zswarm-ot run) find this server by themselves. SIGTERM or Ctrl-C finishes what runs and exits; a second one
+    exits at once.
+    """
+    from zswarm.ss import worker
+
+    worker.start_fork_server()  # it loads numba while this program goes on
+    import tomllib
+
+    from zswarm import log, plugins
+    from zswarm.errors import ConfigError
+    from zswarm.protocol import keys
+    from zswarm.ss.server import Options, Server
+    from zswarm.strict import convert
+
+    log.set_up(log_level)
+    try:
+        mapping: dict[str, Any] = tomllib.loads(config.read_text()) if config else {}
+        mapping |= {
+            key: (value.split(",") if key == "simulators" else list(value) if isinstance(value, tuple) else value)
+            for key, value in given.items()
+            if value not in (None, ())
+        }
+        options = convert(mapping, Options, str(config or "zswarm-ss"))
+        for kind, text in (("name", options.name or "x"), ("realm", options.realm)):
+            if not keys.is_id(text):
+                raise ConfigError(f"{kind} {text!r}: expected {keys.ID_RULE}")
+        for name in options.simulators:
+            if name not in plugins.names("simulator"):
+                plugins.load("simulator", name)  # raises, and says which there are
+        code = Server(options, until_stdin_closes=until_stdin_closes).run()
+    except (ConfigError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        where = f"{config}: " if config and not isinstance(error, ConfigError) else ""
+        click.echo(f"zswarm-ss: {where}{error}", err=True)
+        sys.exit(78 if config else 2)
+    sys.exit(code)
+
+
+def main() -> None:
+    """Entry point."""
+    command()

@@ -1,0 +1,609 @@
+"""Slots, leases and batches of a server: a pure state machine. Events and the time go in, commands come out.
+
+A lease holds slots for one run. Free slots go to the leases that want more, in the order the leases were made. A slot is
+prepared once for its lease's problem; the first compiles, and the others are prepared when it is ready, so that they find
+the compiled code. A lease holds one batch running and one waiting per slot, and keeps outcomes for a run that asks again.
+"""
+
+from collections import OrderedDict, deque
+from collections.abc import Callable
+from enum import Enum, auto
+
+import msgspec
+
+from zswarm.errors import LocalProtocolError
+from zswarm.protocol import codec
+from zswarm.protocol.messages import (
+    MAX_TEXT,
+    Cancel,
+    Done,
+    Evaluate,
+    Fault,
+    Lease,
+    Message,
+    Offer,
+    Refusal,
+    Refused,
+    Release,
+    Renew,
+    Request,
+    Requirements,
+    Reserve,
+    Running,
+    State,
+)
+
+LEASE_S = 60.0  # after the last message
+GRACE_S = 30.0  # after the holder's token vanished
+HOLD_QUERY_S = 30.0  # a batch that runs longer is answered "running"
+HOLD_RENEWAL_S = 10.0
+STOP_S = 2.0  # a batch told to stop that goes on longer is killed
+KEPT_BYTES = 64 << 20  # of outcomes, per server
+EPOCHS = 10_000  # runs whose highest epoch is remembered
+
+Query = int  # stands for a query to answer
+
+
+# ---- events -------------------------------------------------------------------------------------------------------
+
+
+class Asked(msgspec.Struct, frozen=True):
+    """A run asks; ``body`` is the message as it came."""
+
+    query: Query
+    user: str
+    run: str
+    message: Request
+    body: bytes
+
+
+class HolderSeen(msgspec.Struct, frozen=True):
+    """A run's liveliness token is there."""
+
+    user: str
+    run: str
+
+
+class HolderGone(msgspec.Struct, frozen=True):
+    """A run's liveliness token vanished."""
+
+    user: str
+    run: str
+
+
+class Prepared(msgspec.Struct, frozen=True):
+    """A slot is ready for its setup."""
+
+    slot: int
+    probe: bytes
+    trial_s: float
+
+
+class Unprepared(msgspec.Struct, frozen=True):
+    """A slot cannot evaluate its setup."""
+
+    slot: int
+    reason: str
+
+
+class Finished(msgspec.Struct, frozen=True):
+    """A slot's batch ended; ``reply`` is the encoded answer."""
+
+    slot: int
+    reply: bytes
+
+
+class Died(msgspec.Struct, frozen=True):
+    """A slot's process ended by itself, in the given trial of its batch; a new one was started."""
+
+    slot: int
+    trial: int
+    reason: str
+
+
+class Tick(msgspec.Struct, frozen=True):
+    """Time passed; ``trials`` are the trials that the slots are at."""
+
+    trials: tuple[int, ...]
+
+
+class Drain(msgspec.Struct, frozen=True):
+    """Finish what runs and take nothing new."""
+
+
+Event = Asked | HolderSeen | HolderGone | Prepared | Unprepared | Finished | Died | Tick | Drain
+
+
+# ---- commands -----------------------------------------------------------------------------------------------------
+
+
+class Answer(msgspec.Struct, frozen=True):
+    """Answer a query, for good."""
+
+    query: Query
+    body: bytes
+
+
+class Prepare(msgspec.Struct, frozen=True):
+    """Prepare a slot for a problem, and evaluate the probe if asked; answered by Prepared, Unprepared or Died."""
+
+    slot: int
+    setup: Reserve
+    probe: bool
+
+
+class Run(msgspec.Struct, frozen=True):
+    """Evaluate a batch in a slot; answered by Finished or Died."""
+
+    slot: int
+    body: bytes
+
+
+class Stop(msgspec.Struct, frozen=True):
+    """Let a slot's batch end before its next trial."""
+
+    slot: int
+
+
+class Kill(msgspec.Struct, frozen=True):
+    """End a slot's process and start a new one; no Died follows."""
+
+    slot: int
+
+
+class Log(msgspec.Struct, frozen=True):
+    """Worth a line in the log."""
+
+    event: str
+    fields: dict[str, str | int | float]
+
+
+class Drained(msgspec.Struct, frozen=True):
+    """Nothing runs any more: exit."""
+
+
+Command = Answer | Prepare | Run | Stop | Kill | Log | Drained
+
+
+# ---- state --------------------------------------------------------------------------------------------------------
+
+
+class SlotState(Enum):
+    """What a slot does."""
+
+    FREE = auto()
+    ASSIGNED = auto()  # waits for the first slot of its lease to be ready
+    PREPARING = auto()
+    READY = auto()
+    BUSY = auto()
+    STOPPING = auto()  # its lease ended; its batch or preparation goes on a little
+
+
+class Batch(msgspec.Struct):
+    """Work of a lease that is not finished."""
+
+    id: int
+    body: bytes
+    query: Query | None
+    since: float  # when the query came
+    cancelled: bool = False
+
+
+class Slot(msgspec.Struct):
+    """Room for one evaluation."""
+
+    index: int
+    state: SlotState = SlotState.FREE
+    lease: "Held | None" = None
+    setup: Reserve | None = None  # what its process is prepared for
+    batch: Batch | None = None
+    trial: int = -1
+    since: float = 0.0  # in this trial, or stopping, since then
+
+
+class Held(msgspec.Struct):
+    """A lease."""
+
+    token: bytes
+    user: str
+    run: str
+    setup: Reserve
+    last_message: float
+    gone_since: float | None = None
+    slots: list[Slot] = []
+    waiting: deque[Batch] = msgspec.field(default_factory=deque)
+    finished: OrderedDict[int, bytes] = msgspec.field(default_factory=OrderedDict)
+    renewals: list[tuple[Query, int, float]] = []  # query, ready slots known, since
+    probe: bytes = b""
+    trial_s: float = 0.0
+    failure: str = ""
+
+    def ready(self) -> int:
+        """Slots that evaluate or could."""
+        return sum(slot.state in (SlotState.READY, SlotState.BUSY) for slot in self.slots)
+
+
+class Slots:
+    """The state machine; ``handle`` is its only entry."""
+
+    def __init__(
+        self,
+        capacity: int,
+        offer: Offer,
+        mismatch: Callable[[Requirements | Reserve], str],
+        new_token: Callable[[], bytes],
+    ) -> None:
+        """Start with all slots free.
+
+        Args:
+            offer: what is told in phase 1; free slots and leases are filled in.
+            mismatch: why this server cannot serve such a problem, or "".
+            new_token: 16 random bytes.
+        """
+        self.slots = [Slot(index) for index in range(capacity)]
+        self.leases: dict[bytes, Held] = {}
+        self.draining = False
+        self._offer = offer
+        self._mismatch = mismatch
+        self._new_token = new_token
+        self._epochs: OrderedDict[tuple[str, str], int] = OrderedDict()
+        self._kept_bytes = 0
+        self._commands: list[Command] = []
+
+    def handle(self, event: Event, now: float) -> list[Command]:
+        """Take an event at a time (seconds, monotonic); give the commands to carry out, in order."""
+        self._commands = []
+        match event:
+            case Asked():
+                self._asked(event, now)
+            case HolderSeen() | HolderGone():
+                for lease in self.leases.values():
+                    if (lease.user, lease.run) == (event.user, event.run):
+                        lease.gone_since = None if isinstance(event, HolderSeen) else now
+            case Prepared():
+                self._prepared(self.slots[event.slot], event, now)
+            case Unprepared():
+                self._unprepared(self.slots[event.slot], event.reason, now)
+            case Finished():
+                self._finished(self.slots[event.slot], event.reply, now)
+            case Died():
+                self._died(self.slots[event.slot], "crashed", event.trial, event.reason, now)
+            case Tick():
+                self._tick(event.trials, now)
+            case Drain():
+                self._drain()
+        if self.draining and not any(slot.state == SlotState.BUSY for slot in self.slots):
+            self._do(Drained())
+        return self._commands
+
+    def busy(self) -> bool:
+        """Whether something needs ticks: a lease, or a slot that stops."""
+        return bool(self.leases) or any(slot.state != SlotState.FREE for slot in self.slots)
+
+    def free(self) -> int:
+        """Slots that no lease holds."""
+        return sum(slot.state == SlotState.FREE for slot in self.slots)
+
+    # ---- requests
+
+    def _asked(self, event: Asked, now: float) -> None:
+        message, query = event.message, event.query
+        match message:
+            case Requirements():
+                mismatch = "draining" if self.draining else self._mismatch(message)
+                self._answer(
+                    query,
+                    msgspec.structs.replace(
+                        self._offer, free=self.free(), leases=len(self.leases), mismatch=mismatch
+                    ),
+                )
+            case Reserve():
+                self._reserve(event, message, now)
+            case Renew() | Evaluate() | Cancel() | Release():
+                lease = self.leases.get(message.lease)
+                if lease is None or (lease.user, lease.run) != (event.user, event.run):
+                    self._refuse(query, "lease-lost", "no such lease: it expired, was released or taken over")
+                    return
+                lease.last_message, lease.gone_since = now, None
+                match message:
+                    case Renew():
+                        lease.renewals.append((query, message.known_ready, now))
+                        self._answer_renewals(lease, now)
+                    case Evaluate():
+                        self._evaluate(lease, message, event, now)
+                    case Cancel():
+                        self._cancel(lease, set(message.batches), now)
+                        self._answer(query, Done())
+                    case Release():
+                        self._end(lease, "released", now)
+                        self._answer(query, Done())
+
+    def _reserve(self, event: Asked, message: Reserve, now: float) -> None:
+        holder = (event.user, event.run)
+        for lease in self.leases.values():
+            if (lease.user, lease.run) == holder and lease.setup.nonce == message.nonce:
+                lease.last_message, lease.gone_since = now, None
+                self._answer(event.query, self._lease(lease))
+                return
+        highest = self._epochs.get(holder, -1)
+        if message.epoch < highest or (
+            message.epoch == highest and any((held.user, held.run) == holder for held in self.leases.values())
+        ):
+            self._refuse(event.query, "lease-lost", f"the run was taken over: its epoch is {highest}, not {message.epoch}")
+            return
+        if self.draining:
+            self._refuse(event.query, "draining", "the server is draining")
+            return
+        if mismatch := self._mismatch(message):
+            self._refuse(event.query, "mismatch", mismatch)
+            return
+        for lease in [held for held in self.leases.values() if (held.user, held.run) == holder]:
+            self._end(lease, "taken-over", now)
+        self._epochs[holder] = message.epoch
+        self._epochs.move_to_end(holder)
+        while len(self._epochs) > EPOCHS:
+            self._epochs.popitem(last=False)
+        lease = Held(self._new_token(), event.user, event.run, message, now)
+        self.leases[lease.token] = lease
+        self._log("lease_granted", user=lease.user, run=lease.run, wanted=message.slots, free=self.free())
+        self._assign(now)
+        self._answer(event.query, self._lease(lease))
+
+    def _evaluate(self, lease: Held, message: Evaluate, event: Asked, now: float) -> None:
+        kept = lease.finished.get(message.batch)
+        if kept is not None:
+            self._do(Answer(event.query, kept))
+            return
+        running = [slot.batch for slot in lease.slots if slot.batch is not None]
+        for batch in [*running, *lease.waiting]:
+            if batch.id == message.batch:
+                if batch.query is not None:
+                    self._refuse(batch.query, "cancelled", "asked again")
+                batch.query, batch.since = event.query, now
+                return
+        if self.draining:
+            self._refuse(event.query, "draining", "the server is draining")
+        elif len(running) + len(lease.waiting) >= 2 * len(lease.slots):
+            self._refuse(event.query, "busy", f"{len(lease.slots)} slots take {2 * len(lease.slots)} batches at once")
+        else:
+            lease.waiting.append(Batch(message.batch, event.body, event.query, now))
+            self._start(lease, now)
+
+    def _cancel(self, lease: Held, ids: set[int], now: float) -> None:
+        for batch in [batch for batch in lease.waiting if batch.id in ids]:
+            lease.waiting.remove(batch)
+            self._refuse(batch.query, "cancelled", "cancelled")
+        for slot in lease.slots:
+            if slot.batch is not None and slot.batch.id in ids and not slot.batch.cancelled:
+                slot.batch.cancelled = True
+                slot.since = now
+                self._do(Stop(slot.index))
+
+    # ---- slots
+
+    def _assign(self, now: float) -> None:
+        """Give free slots to the leases that want more, prefering slots that are prepared already."""
+        for lease in self.leases.values():
+            if lease.failure or self.draining:
+                continue
+            free = [slot for slot in self.slots if slot.state == SlotState.FREE]
+            free.sort(key=lambda slot: not _same_problem(slot.setup, lease.setup))
+            for slot in free[: max(0, lease.setup.slots - len(lease.slots))]:
+                slot.lease = lease
+                lease.slots.append(slot)
+                slot.state = SlotState.ASSIGNED
+            self._prepare(lease)
+            self._start(lease, now)
+            self._answer_renewals(lease, now)
+
+    def _prepare(self, lease: Held) -> None:
+        preparing = any(slot.state == SlotState.PREPARING for slot in lease.slots)
+        for slot in lease.slots:
+            if slot.state != SlotState.ASSIGNED:
+                continue
+            if lease.probe and _same_problem(slot.setup, lease.setup):
+                slot.state = SlotState.READY
+            elif lease.probe or not preparing:
+                slot.state, slot.setup, preparing = SlotState.PREPARING, lease.setup, True
+                self._do(Prepare(slot.index, lease.setup, probe=not lease.probe))
+
+    def _prepared(self, slot: Slot, event: Prepared, now: float) -> None:
+        lease = slot.lease
+        if lease is None:
+            self._release(slot, now)
+            return
+        slot.state = SlotState.READY
+        if not lease.probe:
+            lease.probe, lease.trial_s = event.probe, event.trial_s
+            self._log("lease_ready", user=lease.user, run=lease.run, trial_s=event.trial_s)
+        self._prepare(lease)
+        self._start(lease, now)
+        self._answer_renewals(lease, now)
+
+    def _unprepared(self, slot: Slot, reason: str, now: float) -> None:
+        lease = slot.lease
+        slot.setup = None
+        if lease is None:
+            self._release(slot, now)
+            return
+        slot.state = SlotState.ASSIGNED
+        lease.failure = reason[:MAX_TEXT]
+        self._log("prepare_failed", user=lease.user, run=lease.run, reason=reason)
+        self._let_go(lease, "mismatch", reason, now)
+        self._answer_renewals(lease, now)
+        self._assign(now)
+
+    def _start(self, lease: Held, now: float) -> None:
+        for slot in lease.slots:
+            if not lease.waiting:
+                return
+            if slot.state == SlotState.READY:
+                slot.batch = lease.waiting.popleft()
+                slot.state, slot.trial, slot.since = SlotState.BUSY, -1, now
+                self._do(Run(slot.index, slot.batch.body))
+
+    def _finished(self, slot: Slot, reply: bytes, now: float) -> None:
+        lease, batch = slot.lease, slot.batch
+        slot.batch = None
+        if lease is None:
+            self._release(slot, now)
+            return
+        if batch is None:
+            raise LocalProtocolError(f"slot {slot.index} finished a batch it does not have")
+        slot.state = SlotState.READY
+        if batch.cancelled:
+            self._refuse(batch.query, "cancelled", "cancelled")
+        else:
+            self._keep(lease, batch.id, reply)
+            if batch.query is not None:
+                self._do(Answer(batch.query, reply))
+        self._start(lease, now)
+
+    def _died(self, slot: Slot, kind: str, trial: int, reason: str, now: float) -> None:
+        """The slot's process ended, or was killed, and a new one is there, prepared for nothing."""
+        lease, batch = slot.lease, slot.batch
+        was_preparing = slot.state == SlotState.PREPARING
+        slot.batch, slot.setup = None, None
+        if lease is None:
+            self._release(slot, now)
+            return
+        self._log("slot_died", slot=slot.index, kind=kind, trial=trial, reason=reason)
+        if was_preparing:
+            self._unprepared(slot, f"the simulator's process ended while it was prepared: {reason}", now)
+            return
+        if batch is not None and batch.cancelled:
+            self._refuse(batch.query, "cancelled", "cancelled")
+        elif batch is not None:
+            fault = Fault(batch=batch.id, kind="timeout" if kind == "timeout" else "crashed", trial=trial, reason=reason)
+            self._keep(lease, batch.id, codec.encode(fault))
+            if batch.query is not None:
+                self._answer(batch.query, fault)
+        slot.state = SlotState.ASSIGNED
+        self._prepare(lease)
+
+    def _release(self, slot: Slot, now: float) -> None:
+        """A slot has done with its ended lease."""
+        slot.state, slot.lease, slot.batch = SlotState.FREE, None, None
+        self._assign(now)
+
+    # ---- ends
+
+    def _end(self, lease: Held, why: str, now: float) -> None:
+        self._log("lease_" + why.replace("-", "_"), user=lease.user, run=lease.run)
+        del self.leases[lease.token]
+        self._kept_bytes -= sum(map(len, lease.finished.values()))
+        self._let_go(lease, "lease-lost", f"the lease was {why.replace('-', ' ')}", now)
+        for query, _, _ in lease.renewals:
+            self._refuse(query, "lease-lost", f"the lease was {why.replace('-', ' ')}")
+        self._assign(now)
+
+    def _let_go(self, lease: Held, code: Refusal, reason: str, now: float) -> None:
+        """Refuse a lease's batches and free its slots; one that computes is told to stop first."""
+        for batch in [*lease.waiting, *(slot.batch for slot in lease.slots if slot.batch)]:
+            self._refuse(batch.query, code, reason)
+        lease.waiting.clear()
+        for slot in lease.slots:
+            slot.lease = None
+            if slot.state in (SlotState.BUSY, SlotState.PREPARING):
+                if slot.state == SlotState.BUSY:
+                    self._do(Stop(slot.index))
+                slot.state, slot.since = SlotState.STOPPING, now
+            else:
+                slot.state = SlotState.FREE
+        lease.slots = []
+
+    def _drain(self) -> None:
+        self.draining = True
+        for lease in self.leases.values():
+            for batch in lease.waiting:
+                self._refuse(batch.query, "draining", "the server is draining")
+            lease.waiting.clear()
+
+    def _tick(self, trials: tuple[int, ...], now: float) -> None:
+        for lease in list(self.leases.values()):
+            gone = lease.gone_since is not None and now - lease.gone_since > GRACE_S
+            if gone or now - lease.last_message > LEASE_S:
+                self._end(lease, "expired", now)
+                continue
+            self._answer_renewals(lease, now)
+            for batch in lease.waiting:
+                self._hold(batch, 0, now)
+        for slot in self.slots:
+            if slot.state == SlotState.STOPPING and slot.batch is not None and now - slot.since > STOP_S:
+                self._do(Kill(slot.index))
+                self._died(slot, "stopped", slot.trial, "told to stop", now)
+            elif slot.state == SlotState.BUSY and slot.batch is not None and slot.lease is not None:
+                self._watch(slot, slot.batch, slot.lease.setup.trial_timeout_s, trials[slot.index], now)
+
+    def _watch(self, slot: Slot, batch: Batch, timeout_s: float, trial: int, now: float) -> None:
+        if batch.cancelled:
+            if now - slot.since > STOP_S:
+                self._do(Kill(slot.index))
+                self._died(slot, "stopped", trial, "told to stop", now)
+        elif trial != slot.trial:
+            slot.trial, slot.since = trial, now
+            self._hold(batch, trial, now)
+        elif now - slot.since > timeout_s:
+            self._do(Kill(slot.index))
+            self._died(slot, "timeout", trial, f"one trial took longer than {timeout_s:g} s", now)
+        else:
+            self._hold(batch, trial, now)
+
+    def _hold(self, batch: Batch, done: int, now: float) -> None:
+        """Answer a query that was held for long; the run asks again."""
+        if batch.query is not None and now - batch.since > HOLD_QUERY_S:
+            self._answer(batch.query, Running(batch=batch.id, done=done))
+            batch.query = None
+
+    # ---- answers
+
+    def _keep(self, lease: Held, batch: int, reply: bytes) -> None:
+        lease.finished[batch] = reply
+        self._kept_bytes += len(reply)
+        while self._kept_bytes > KEPT_BYTES and len(lease.finished) > 1:
+            _, dropped = lease.finished.popitem(last=False)
+            self._kept_bytes -= len(dropped)
+
+    def _answer_renewals(self, lease: Held, now: float) -> None:
+        held = lease.renewals
+        lease.renewals = []
+        for query, known, since in held:
+            if known == -1 or known != lease.ready() or lease.failure or now - since > HOLD_RENEWAL_S:
+                self._answer(query, self._lease(lease))
+            else:
+                lease.renewals.append((query, known, since))
+
+    def _lease(self, lease: Held) -> Lease:
+        ready = lease.ready()
+        state: State = "failed" if lease.failure else "ready" if ready else "preparing" if lease.slots else "waiting"
+        return Lease(
+            lease=lease.token,
+            state=state,
+            slots=len(lease.slots),
+            ready=ready,
+            lease_s=LEASE_S,
+            probe=lease.probe,
+            trial_s=lease.trial_s,
+            reason=lease.failure,
+        )
+
+    def _answer(self, query: Query, message: Message) -> None:
+        self._do(Answer(query, codec.encode(message)))
+
+    def _refuse(self, query: Query | None, code: Refusal, reason: str) -> None:
+        if query is not None:
+            self._answer(query, Refused(code=code, reason=reason[:MAX_TEXT]))
+
+    def _log(self, event: str, **fields: str | int | float) -> None:
+        self._do(Log(event, fields))
+
+    def _do(self, command: Command) -> None:
+        self._commands.append(command)
+
+
+def _same_problem(left: Reserve | None, right: Reserve) -> bool:
+    return left is not None and (left.simulator, left.representation, left.version_hash) == (
+        right.simulator,
+        right.representation,
+        right.version_hash,
+    )
