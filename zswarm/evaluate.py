@@ -37,9 +37,9 @@ def build(
     """
     simulator_class = plugins.load("simulator", simulator)
     representation_class = plugins.load("representation", representation)
-    built = simulator_class(convert(settings, simulator_class.Settings, "problem.settings"))
+    built = simulator_class(convert(settings, simulator_class.settings_type, "problem.settings"))
     network = representation_class(
-        convert(representation_settings, representation_class.Settings, "representation"), built.inputs, built.outputs
+        convert(representation_settings, representation_class.settings_type, "representation"), built.inputs, built.outputs
     )
     return built, network
 

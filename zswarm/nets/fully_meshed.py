@@ -88,7 +88,7 @@ def step(parameters, state, observation, output):  # type: ignore[no-untyped-def
 class FullyMeshed(Representation):
     """See the module's text; ``neurons`` are the non-input nodes."""
 
-    Settings = Settings
+    settings_type = Settings
     step = staticmethod(step)
     settings: Settings
 

@@ -20,13 +20,13 @@ class Representation(ABC):
     """A kind of network with its settings, for so many inputs and outputs.
 
     Attributes:
-        Settings: the struct of its settings in an experiment file.
+        settings_type: the struct of its settings in an experiment file.
         step: one decision, compiled with ``jit.STEP_SIGNATURE``; reads parameters and observation, changes state, fills output.
         state_size: float32 numbers of state per agent; all zero at the start of a trial.
         genome_bytes: length of every genome, or None where it varies.
     """
 
-    Settings: ClassVar[type[msgspec.Struct]]
+    settings_type: ClassVar[type[msgspec.Struct]]
     step: ClassVar[Step]
     state_size: int
     genome_bytes: int | None

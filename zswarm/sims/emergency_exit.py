@@ -80,9 +80,11 @@ class EmergencyExit(CompiledSimulator):
     Trial seeds: ``seed``, ``seed`` + 1, ... of the settings, as FREVO; the stadium is the same for every seed.
     """
 
-    Settings = Settings
+    settings_type = Settings
     metrics = ("escaped", "rounds")
     inputs, outputs = INPUTS, OUTPUTS
+    sensors = ("exit_dx", "exit_dy", "n", "ne", "e", "se", "s", "sw", "w", "nw")
+    actuators = ("vx", "vy")
     settings: Settings
 
     def __init__(self, settings: Settings) -> None:

@@ -73,7 +73,7 @@ class Minisim(CompiledSimulator):
     Metrics: ``captures``; ``steals``; ``tagged``, counted per robot and time.
     """
 
-    Settings = Settings
+    settings_type = Settings
     metrics = ("captures", "steals", "tagged")
     inputs, outputs = INPUTS, OUTPUTS
     settings: Settings

@@ -36,18 +36,21 @@ class Simulator(ABC):
     """One problem with its settings.
 
     Attributes:
-        Settings: the struct of its settings in an experiment file.
+        settings_type: the struct of its settings in an experiment file.
         metrics: names of what a trial reports beside fitness.
         participants: genomes that play one trial together.
         inputs, outputs: numbers an agent observes and sets in one decision.
+        sensors, actuators: their names, for robots; may be empty.
         owners: per agent the participant that drives it.
     """
 
-    Settings: ClassVar[type[msgspec.Struct]]
+    settings_type: ClassVar[type[msgspec.Struct]]
     metrics: ClassVar[tuple[str, ...]] = ()
     participants: int = 1
     inputs: int
     outputs: int
+    sensors: Sequence[str] = ()
+    actuators: Sequence[str] = ()
     owners: Sequence[int]
 
     def __init__(self, settings: msgspec.Struct) -> None:

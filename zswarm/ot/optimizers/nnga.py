@@ -61,7 +61,7 @@ class Individual(msgspec.Struct):
 class NNGA(Optimizer):
     """See the module's text. Portable: yes. Every generation draws from a stream of its own."""
 
-    Settings = Settings
+    settings_type = Settings
     portable = True
     settings: Settings
 

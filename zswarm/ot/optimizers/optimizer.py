@@ -14,12 +14,12 @@ class Optimizer(ABC):
     """Proposes genomes and learns from their fitness; a child writes ``_ask``, ``_tell``, ``state``, ``restore``.
 
     Attributes:
-        Settings: the struct of its settings in an experiment file.
+        settings_type: the struct of its settings in an experiment file.
         portable: whether it does the same on every machine, bit for bit (linear algebra does not).
         generation: generations told.
     """
 
-    Settings: ClassVar[type[msgspec.Struct]]
+    settings_type: ClassVar[type[msgspec.Struct]]
     portable: ClassVar[bool]
 
     def __init__(self, settings: msgspec.Struct, representation: Representation, seed: int) -> None:

@@ -1,0 +1,197 @@
+"""The experiment file: TOML, strict, every default once (docs/experiment.md).
+
+``load`` checks what the file says by itself; ``complete`` imports the parts it names, checks their settings and writes every
+default out. ``[cluster]`` takes no part in the history.
+"""
+
+import os
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+import tomli_w
+from msgspec import Meta
+
+from zswarm import plugins
+from zswarm.errors import ConfigError
+from zswarm.plugins import nearest
+from zswarm.protocol import keys
+from zswarm.strict import convert
+
+Positive = Annotated[int, Meta(ge=1, le=1_000_000_000)]
+
+
+class Problem(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[problem]``: what a candidate is judged by. Its fitness is the sum over its trials, in trial order."""
+
+    simulator: str
+    trials: Annotated[int, Meta(ge=1, le=100_000)] = 1
+    seeds: Literal["fixed", "fresh"] = "fixed"  # of the trials: the same for the whole run, or new in each generation
+    settings: dict[str, Any] = {}
+
+
+class Part(msgspec.Struct, frozen=True, kw_only=True):
+    """``[representation]`` or ``[optimizer]``: a kind and its settings."""
+
+    kind: str
+    settings: dict[str, Any]
+
+
+class Cluster(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[cluster]``: who computes. Nothing here changes the result."""
+
+    realm: str = "default"
+    servers: Literal["auto", "local"] | Positive = "auto"
+    connect: list[str] = []
+    multicast: bool = True
+    local_slots: Annotated[int, Meta(ge=0, le=65_535)] = 0  # 0: one per core
+    trial_timeout_s: Annotated[float, Meta(gt=0, le=1e9)] = 300.0
+    on_fault: Literal["pause", "quarantine"] = "pause"
+
+
+class Experiment(msgspec.Struct, frozen=True, kw_only=True):
+    """A whole experiment."""
+
+    name: str
+    seed: int
+    generations: int
+    problem: Problem
+    representation: Part
+    optimizer: Part
+    cluster: Cluster
+
+
+class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The file as it is written: a part's settings stand beside its kind."""
+
+    name: str
+    seed: Annotated[int, Meta(ge=0, lt=2**63 - 1)]
+    generations: Positive
+    problem: Problem
+    representation: dict[str, Any]
+    optimizer: dict[str, Any]
+    cluster: Cluster = Cluster()
+
+
+def find(name: str) -> Path:
+    """The file that an argument of ``run`` names: a path, or an example by name.
+
+    Raises:
+        ConfigError: neither.
+    """
+    if Path(name).is_file():
+        return Path(name)
+    examples = {path.stem: path for path in examples_folder().glob("*.toml")}
+    if name in examples:
+        return examples[name]
+    raise ConfigError(f"{name}: no such file, and no example of that name{nearest(name, examples)}; examples are {', '.join(sorted(examples))}")
+
+
+def examples_folder() -> Path:
+    """Where the examples are: in the installed package, or beside it in a checkout."""
+    package = Path(__file__).parent
+    installed = package / "examples"
+    return installed if installed.is_dir() else package.parent / "examples"
+
+
+def load(path: Path, overrides: Sequence[str] = ()) -> Experiment:
+    """Read a file and check it, but for the settings of the parts it names.
+
+    Args:
+        overrides: ``a.b=value`` texts; the value is TOML, or a text where it is not.
+
+    Raises:
+        ConfigError: the file cannot be read, is no TOML, or something in it is unknown or impossible.
+    """
+    try:
+        mapping = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: not TOML: {error}") from None
+    for override in overrides:
+        _override(mapping, override)
+    return _check(mapping, str(path))
+
+
+def complete(experiment: Experiment, where: str) -> Experiment:
+    """The experiment with every default written out.
+
+    Raises:
+        ConfigError: a named part is unknown, or its settings are impossible.
+    """
+    simulator = plugins.load("simulator", experiment.problem.simulator)
+    representation = plugins.load("representation", experiment.representation.kind)
+    optimizer = plugins.load("optimizer", experiment.optimizer.kind)
+    problem = msgspec.structs.replace(
+        experiment.problem, settings=_complete(experiment.problem.settings, simulator, f"{where}: problem.settings")
+    )
+    return msgspec.structs.replace(
+        experiment,
+        problem=problem,
+        representation=_complete_part(experiment.representation, representation, f"{where}: representation"),
+        optimizer=_complete_part(experiment.optimizer, optimizer, f"{where}: optimizer"),
+    )
+
+
+def to_toml(experiment: Experiment) -> str:
+    """The text of a file that ``load`` reads to the same experiment."""
+    mapping = msgspec.to_builtins(experiment)
+    for part in ("representation", "optimizer"):
+        mapping[part] = {"kind": mapping[part]["kind"], **mapping[part]["settings"]}
+    return tomli_w.dumps(mapping)
+
+
+def local_slots(experiment: Experiment) -> int:
+    """Slots of this machine to use."""
+    return experiment.cluster.local_slots or os.cpu_count() or 1
+
+
+def _check(mapping: Mapping[str, Any], where: str) -> Experiment:
+    file = convert(mapping, _File, where)
+    for key, text in (("name", file.name), ("cluster.realm", file.cluster.realm)):
+        if not keys.is_id(text):
+            raise ConfigError(f"{where}: {key}: expected {keys.ID_RULE}, not {text!r}")
+    return Experiment(
+        name=file.name,
+        seed=file.seed,
+        generations=file.generations,
+        problem=file.problem,
+        representation=_part(file.representation, f"{where}: representation"),
+        optimizer=_part(file.optimizer, f"{where}: optimizer"),
+        cluster=file.cluster,
+    )
+
+
+def _part(mapping: Mapping[str, Any], where: str) -> Part:
+    kind = mapping.get("kind")
+    if not isinstance(kind, str):
+        raise ConfigError(f"{where}: kind: expected the name of one, such as kind = \"...\"")
+    return Part(kind=kind, settings={key: value for key, value in mapping.items() if key != "kind"})
+
+
+def _complete_part(part: Part, loaded: Any, where: str) -> Part:
+    return Part(kind=part.kind, settings=_complete(part.settings, loaded, where))
+
+
+def _complete(settings: Mapping[str, Any], loaded: Any, where: str) -> dict[str, Any]:
+    complete: dict[str, Any] = msgspec.to_builtins(convert(settings, loaded.settings_type, where))
+    return {key: value for key, value in complete.items() if value is not None}  # TOML has no null
+
+
+def _override(mapping: dict[str, Any], override: str) -> None:
+    path, equals, text = override.partition("=")
+    if not equals or not path.strip():
+        raise ConfigError(f"--set {override}: expected key=value, such as optimizer.population=100")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text
+    *tables, key = path.strip().split(".")
+    for table in tables:
+        mapping = mapping.setdefault(table, {})
+        if not isinstance(mapping, dict):
+            raise ConfigError(f"--set {override}: {table} is no table")
+    mapping[key] = value
