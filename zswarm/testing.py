@@ -1,0 +1,475 @@
+"""Checks that a simulator, representation or optimizer keeps its contract, and a clock for tests of state machines.
+
+Run them over a part of your own in its tests::
+
+    from zswarm.testing import check_simulator
+
+    def test_my_simulator_keeps_the_contract():
+        check_simulator(MySimulator)
+
+Each check raises ``AssertionError`` with a text that names what is wrong; what the part itself raises passes through.
+"""
+
+import os
+from collections.abc import Callable, Mapping
+from itertools import pairwise
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from zswarm import plugins
+from zswarm.draws import Stream
+from zswarm.evaluate import evaluate, play_in_turns
+from zswarm.jit import STEP_SIGNATURE
+from zswarm.nets.representation import Representation
+from zswarm.ot.optimizers.optimizer import Optimizer
+from zswarm.sims.simulator import CompiledSimulator, Outcome, Simulator, Turn
+from zswarm.strict import convert
+
+MAX_TURNS = 1_000_000  # of a trial in a check; a trial that goes on is taken to have no end
+TRIAL_SEEDS = (0, 1, 2**63 + 5, 2**64 - 1)
+NOT_A_NUMBER = b"\xff"  # repeated, it is NaN in float32 and float64, and beyond any table in an integer
+DECISIONS = 5
+
+
+class FakeClock:
+    """A clock that stands still until it is moved; call it for the time in seconds."""
+
+    def __init__(self, start: float = 1000.0) -> None:
+        self.now = start
+
+    def __call__(self) -> float:
+        """The time, in seconds."""
+        return self.now
+
+    def advance(self, seconds: float) -> float:
+        """Move on by some seconds, never back; the new time."""
+        if not seconds >= 0:
+            raise ValueError(f"a clock goes forward: seconds must be at least 0, not {seconds}")
+        self.now += seconds
+        return self.now
+
+
+# ---- simulators ---------------------------------------------------------------------------------------------------
+
+
+def check_simulator(simulator_class: type[Simulator], settings: Mapping[str, Any] | None = None) -> None:
+    """Play some trials with random fully-meshed networks and check the contract of ``Simulator``.
+
+    Checked are: the numbers and names the class states; agents, shape and dtype of every turn; lengths and
+    finiteness of the outcome; that a seed gives the same outcome bits again, whatever was played before, and in another
+    instance. A ``CompiledSimulator`` must give the same bits in its turns, in a batch, and trial by trial, and must
+    report its progress and stop when asked.
+
+    Args:
+        simulator_class: the class to check.
+        settings: of the problem, as in ``[problem.settings]``; the defaults where left out.
+
+    Raises:
+        AssertionError: a rule is broken; the text says which.
+    """
+    checked = _CheckedSimulator(_simulator(simulator_class, settings))
+    name = simulator_class.__name__
+    simulator = checked.simulator
+    network = _fully_meshed(simulator.inputs, simulator.outputs)
+    genomes = network.random(simulator.participants + 2, Stream(1))
+    parameters = network.parameters(genomes)
+    trials = [(row, seed) for row in range(len(genomes)) for seed in TRIAL_SEEDS]
+    participants = np.array(
+        [[(row + k) % len(genomes) for k in range(simulator.participants)] for row, _ in trials], np.int64
+    )
+    seeds = np.array([seed for _, seed in trials], np.uint64)
+
+    def play(simulator: Simulator, trial: int) -> bytes:
+        fitness, metrics = np.zeros(simulator.participants), np.zeros(len(simulator.metrics))
+        play_in_turns(simulator, network, parameters[participants[trial]], int(seeds[trial]), fitness, metrics)
+        return fitness.tobytes() + metrics.tobytes()
+
+    in_turns = [play(checked, trial) for trial in range(len(trials))]
+    fresh = _simulator(simulator_class, settings)
+    for trial in reversed(range(len(trials))):
+        _require(
+            play(fresh, trial) == in_turns[trial],
+            f"{name}: seed {seeds[trial]} played again, after other trials, has another outcome; nothing may be left "
+            "over from earlier trials, and all randomness comes from the seed",
+        )
+    if isinstance(simulator, CompiledSimulator):
+        _check_compiled(fresh, network, genomes, participants, seeds, in_turns)
+
+
+def _check_compiled(
+    simulator: Simulator,
+    network: Representation,
+    genomes: list[bytes],
+    participants: np.ndarray,
+    seeds: np.ndarray,
+    in_turns: list[bytes],
+) -> None:
+    name = type(simulator).__name__
+    progress = np.zeros(2, np.int64)
+    batch = evaluate(simulator, network, genomes, participants, seeds, progress)
+    _require(
+        progress[0] == len(seeds) - 1,
+        f"{name}.play: progress[0] must be the index of the trial that runs, {len(seeds) - 1} in the last, "
+        f"not {progress[0]}",
+    )
+    for trial in range(len(seeds)):
+        one = slice(trial, trial + 1)
+        alone = evaluate(simulator, network, genomes, participants[one], seeds[one])
+        compiled = batch.fitness[trial].tobytes() + batch.metrics[trial].tobytes()
+        _require(
+            alone.fitness[0].tobytes() + alone.metrics[0].tobytes() == compiled,
+            f"{name}.play: seed {seeds[trial]} alone has another outcome than as trial {trial} of a batch",
+        )
+        _require(
+            compiled == in_turns[trial],
+            f"{name}: the turns and the compiled form differ, seed {seeds[trial]}: fitness and metrics "
+            f"{np.frombuffer(in_turns[trial])} in turns, {np.frombuffer(compiled)} compiled",
+        )
+    stopped = evaluate(simulator, network, genomes, participants, seeds, np.array([0, 1]))
+    _require(np.isnan(stopped.fitness).all(), f"{name}.play: must end before the next trial when progress[1] is not 0")
+
+
+class _CheckedSimulator(Simulator):
+    """A simulator that checks what another one answers."""
+
+    def __init__(self, simulator: Simulator) -> None:
+        super().__init__(simulator.settings)
+        self.simulator = simulator
+        self.name = name = type(simulator).__name__
+        _require(len(set(simulator.metrics)) == len(simulator.metrics), f"{name}.metrics: a name stands there twice")
+        for what in ("participants", "inputs", "outputs"):
+            count = getattr(simulator, what, None)
+            _require(
+                isinstance(count, int) and count >= 1, f"{name}.{what} must be an int of at least 1, not {count!r}"
+            )
+        for what, count in (("sensors", simulator.inputs), ("actuators", simulator.outputs)):
+            names = getattr(simulator, what)
+            _require(len(names) in (0, count), f"{name}.{what} must be empty or {count} names, not {len(names)}")
+        _require(
+            set(simulator.owners) == set(range(simulator.participants)),
+            f"{name}.owners must name a participant 0..{simulator.participants - 1} per agent, and each at least once; "
+            f"it names {sorted(set(simulator.owners))}",
+        )
+        fixed = simulator.fixed_seeds(3)
+        _require(
+            fixed is None or (len(fixed) == 3 and all(0 <= seed < 2**64 for seed in fixed)),
+            f"{name}.fixed_seeds(3) must be None or three numbers below 2**64, not {fixed!r}",
+        )
+        self.participants, self.owners = simulator.participants, simulator.owners
+        self.inputs, self.outputs = simulator.inputs, simulator.outputs
+        self.turns = 0
+
+    def reset(self, seed: int) -> Turn:
+        turn = self.simulator.reset(seed)
+        _require(turn is not None, f"{self.name}.reset must return a Turn: somebody must act")
+        self.turns = 0
+        return self._checked(turn, "reset")
+
+    def step(self, actions: np.ndarray) -> Turn | None:
+        before = actions.copy()
+        turn = self.simulator.step(actions)
+        _require(
+            np.array_equal(before, actions, equal_nan=True), f"{self.name}.step must not change the actions it gets"
+        )
+        self.turns += 1
+        _require(self.turns < MAX_TURNS, f"{self.name}: the trial goes on after {MAX_TURNS} turns")
+        return None if turn is None else self._checked(turn, "step")
+
+    def outcome(self) -> Outcome:
+        outcome = self.simulator.outcome()
+        for what, values, count in (
+            ("fitness", outcome.fitness, self.participants),
+            ("metrics", outcome.metrics, len(self.simulator.metrics)),
+        ):
+            _require(len(values) == count, f"{self.name}.outcome: {what} must be {count} numbers, not {len(values)}")
+            _require(bool(np.isfinite(values).all()), f"{self.name}.outcome: {what} must be finite, not {values}")
+        return outcome
+
+    def _checked(self, turn: Turn, method: str) -> Turn:
+        where = f"{self.name}.{method}"
+        agents, observations = list(turn.agents), turn.observations
+        _require(bool(agents), f"{where}: a turn must name an agent; a trial that is over returns None")
+        _require(len(set(agents)) == len(agents), f"{where}: an agent stands twice in a turn: {agents}")
+        known = range(len(self.owners))
+        _require(all(agent in known for agent in agents), f"{where}: agents must be in {known}, not {agents}")
+        _require(
+            isinstance(observations, np.ndarray) and observations.dtype == np.float32,
+            f"{where}: observations must be a float32 array, not {getattr(observations, 'dtype', type(observations))}",
+        )
+        wanted = (len(agents), self.inputs)
+        _require(observations.shape == wanted, f"{where}: observations must be {wanted}, not {observations.shape}")
+        frame = self.simulator.frame()
+        _require(isinstance(frame, dict), f"{self.name}.frame must return a dict, not {type(frame).__name__}")
+        return turn
+
+
+def _simulator(simulator_class: type[Simulator], settings: Mapping[str, Any] | None) -> Simulator:
+    return simulator_class(convert(settings or {}, simulator_class.settings_type, "settings"))
+
+
+# ---- representations ----------------------------------------------------------------------------------------------
+
+
+def check_representation(
+    representation_class: type[Representation],
+    settings: Mapping[str, Any] | None = None,
+    *,
+    inputs: int = 5,
+    outputs: int = 2,
+) -> None:
+    """Check the contract of ``Representation`` with some random genomes.
+
+    Checked are: shape and dtype of the parameters; that genomes of a wrong length or with NaN are refused; that a
+    decision is compiled, fills its output, repeats bit for bit and leaves parameters and observation alone; that each
+    operator gives the same for the same stream, and genomes that fit; that distances are symmetric, and zero to itself.
+
+    Args:
+        representation_class: the class to check.
+        settings: as in ``[representation]`` without ``kind``; the defaults where left out.
+        inputs: numbers the network observes.
+        outputs: numbers it sets.
+
+    Raises:
+        AssertionError: a rule is broken; the text says which.
+    """
+    name = representation_class.__name__
+    network = representation_class(
+        convert(settings or {}, representation_class.settings_type, "settings"), inputs, outputs
+    )
+    genomes = network.random(6, Stream(1))
+    _require(len(genomes) == 6, f"{name}.random(6, ...) must make 6 genomes, not {len(genomes)}")
+    _require(network.random(6, Stream(2)) != genomes, f"{name}.random makes the same of another stream")
+    _require(isinstance(network.state_size, int) and network.state_size >= 0, f"{name}.state_size must be an int >= 0")
+    _check_operators(name, network, genomes)
+    _check_refusals(name, network, genomes[0])
+    _check_decisions(name, network, genomes, inputs, outputs)
+
+
+def _check_operators(name: str, network: Representation, genomes: list[bytes]) -> None:
+    operators: dict[str, Callable[[Stream], list[bytes]]] = {
+        "random": lambda stream: network.random(4, stream),
+        "mutate, method 1": lambda stream: network.mutate(genomes, stream, method=1, severity=0.3, probability=0.5),
+        "mutate, method 2": lambda stream: network.mutate(genomes, stream, method=2, severity=0.3, probability=0.5),
+        "crossover": lambda stream: [network.crossover(a, b, stream) for a, b in pairwise(genomes)],
+    }
+    for operator, apply in operators.items():
+        children = apply(Stream(3))
+        _require(
+            children == apply(Stream(3)), f"{name}.{operator}: the same stream gives other genomes; draw only from it"
+        )
+        if operator.startswith("mutate"):
+            _require(len(children) == len(genomes), f"{name}.{operator}: {len(genomes)} genomes gave {len(children)}")
+        for child in children:
+            _require(
+                isinstance(child, bytes) and network.genome_bytes in (None, len(child)),
+                f"{name}.{operator}: a genome must be {network.genome_bytes} bytes, not {len(child)}",
+            )
+        try:
+            network.parameters(children)
+        except ValueError as error:
+            raise AssertionError(f"{name}.{operator}: makes genomes that parameters refuses: {error}") from error
+
+    distances = network.distances(genomes, genomes)
+    count = len(genomes)
+    _require(
+        distances.shape == (count, count) and distances.dtype == np.float64,
+        f"{name}.distances must be ({count}, {count}) float64, not {distances.shape} {distances.dtype}",
+    )
+    _require(not distances.diagonal().any(), f"{name}.distances: a genome differs from itself")
+    _require(np.array_equal(distances, distances.T), f"{name}.distances are not symmetric")
+    _require(bool((distances >= 0).all()), f"{name}.distances: one is negative or NaN")
+    some = network.distances(genomes[:2], genomes)
+    _require(np.array_equal(some, distances[:2]), f"{name}.distances: a pair's distance depends on the other genomes")
+
+
+def _check_refusals(name: str, network: Representation, genome: bytes) -> None:
+    for what, wrong in (
+        ("one byte short", genome[:-1]),
+        ("one byte long", genome + b"\0"),
+        ("empty", b""),
+        ("full of NaN", NOT_A_NUMBER * len(genome)),
+    ):
+        try:
+            network.parameters([genome, wrong])
+        except ValueError:
+            continue
+        raise AssertionError(f"{name}.parameters must refuse a genome that is {what} with ValueError")
+
+
+def _check_decisions(name: str, network: Representation, genomes: list[bytes], inputs: int, outputs: int) -> None:
+    parameters = network.parameters(genomes)
+    _require(
+        parameters.dtype == np.float32 and parameters.ndim == 2 and len(parameters) == len(genomes),
+        f"{name}.parameters must be ({len(genomes)}, P) float32, not {parameters.shape} {parameters.dtype}",
+    )
+    _require(parameters.flags.c_contiguous, f"{name}.parameters must be C-contiguous")
+    _require(
+        np.array_equal(network.parameters(genomes[1:2])[0, : parameters.shape[1]], parameters[1])
+        or network.genome_bytes is None,
+        f"{name}.parameters: a genome's row depends on the other genomes",
+    )
+    step = type(network).step
+    if os.environ.get("NUMBA_DISABLE_JIT", "0") == "0":
+        compiled = getattr(step, "signatures", ())
+        _require(STEP_SIGNATURE.args in compiled, f"{name}.step must be compiled with jit.STEP_SIGNATURE")
+
+    observations = Stream(4).uniform(-3.0, 3.0, DECISIONS * inputs).reshape(DECISIONS, inputs).astype(np.float32)
+    kept = parameters.copy(), observations.copy()
+
+    def decide(row: np.ndarray) -> bytes:
+        state = np.zeros(network.state_size, np.float32)
+        actions = np.full((DECISIONS, outputs), np.nan, np.float32)
+        for observation, action in zip(observations, actions, strict=True):
+            step(row, state, observation, action)
+        _require(not np.isnan(actions).any(), f"{name}.step leaves an output unset, or sets NaN")
+        return actions.tobytes()
+
+    decided = [decide(row) for row in parameters]
+    again = [decide(row) for row in reversed(parameters)]
+    _require(
+        decided == again[::-1], f"{name}.step: the same parameters and observations decide otherwise the second time"
+    )
+    _require(
+        np.array_equal(kept[0], parameters) and np.array_equal(kept[1], observations),
+        f"{name}.step must change only state and output",
+    )
+
+
+# ---- optimizers ---------------------------------------------------------------------------------------------------
+
+
+def check_optimizer(
+    optimizer_class: type[Optimizer], settings: Mapping[str, Any] | None = None, *, generations: int = 25
+) -> None:
+    """Evolve small fully-meshed networks towards zero weights and check the contract of ``Optimizer``.
+
+    Checked are: the order of ask and tell; that a seed gives the same genomes again and another one others; that
+    ``state`` survives msgpack and ``restore`` goes on with the same genomes; that NaN fitness does no harm; that
+    ``best`` is the best of all told, and improves.
+
+    Args:
+        optimizer_class: the class to check.
+        settings: as in ``[optimizer]`` without ``kind``; the defaults where left out.
+        generations: after which the best fitness must have improved.
+
+    Raises:
+        AssertionError: a rule is broken; the text says which.
+    """
+    name = optimizer_class.__name__
+
+    def new(seed: int = 1) -> Optimizer:
+        network = _fully_meshed(3, 1)
+        return optimizer_class(convert(settings or {}, optimizer_class.settings_type, "settings"), network, seed)
+
+    _require(isinstance(optimizer_class.portable, bool), f"{name}.portable must be True or False")
+    _check_order(name, new())
+    _check_repeats(name, new)
+    _check_not_a_number(name, new())
+    _check_improvement(name, new(), generations)
+
+
+def _check_order(name: str, optimizer: Optimizer) -> None:
+    genome, fitness = optimizer.best()
+    _require(genome == b"" and not np.isfinite(fitness), f"{name}.best before the first tell must be without a genome")
+    _require_raises(RuntimeError, lambda: optimizer.tell(np.zeros(1)), f"{name}.tell before an ask")
+    genomes = optimizer.ask()
+    _require(bool(genomes), f"{name}.ask must give a genome at least")
+    _require_raises(RuntimeError, optimizer.ask, f"{name}.ask before the last one was told")
+    for wrong in (np.zeros(len(genomes) + 1), np.zeros((len(genomes), 1))):
+        _require_raises(ValueError, lambda wrong=wrong: optimizer.tell(wrong), f"{name}.tell with shape {wrong.shape}")  # type: ignore[misc]
+    _require(optimizer.generation == 0, f"{name}.generation counts a tell that was refused")
+    optimizer.tell(_toy_fitness(genomes))
+    _require(optimizer.generation == 1, f"{name}.generation must be 1 after the first tell, not {optimizer.generation}")
+    _require_raises(RuntimeError, lambda: optimizer.tell(np.zeros(len(genomes))), f"{name}.tell a second time")
+
+
+def _check_repeats(name: str, new: Callable[[int], Optimizer]) -> None:
+    first, again = new(1), new(1)
+    for generation in range(6):
+        revived = new(1)
+        revived.restore(msgspec.msgpack.decode(msgspec.msgpack.encode(first.state())))
+        where = f"in generation {generation}"
+        _require(revived.generation == first.generation, f"{name}.restore: another generation {where}")
+        _require(_same(revived.best(), first.best()), f"{name}.restore: another best {where}")
+        if generation:
+            _require(_same(revived.statistics(), first.statistics()), f"{name}.restore: other statistics {where}")
+        genomes = first.ask()
+        _require(again.ask() == genomes, f"{name}: the same seed asks other genomes {where}")
+        _require(revived.ask() == genomes, f"{name}: state and restore change what is asked {where}")
+        if generation == 0:
+            _require(new(2).ask() != genomes, f"{name}: another seed asks the same genomes")
+        fitness = _toy_fitness(genomes)
+        for optimizer in (first, again, revived):
+            optimizer.tell(fitness)
+        _require(
+            msgspec.msgpack.encode(revived.state()) == msgspec.msgpack.encode(first.state()),
+            f"{name}: a restored optimizer told the same has another state {where}",
+        )
+
+
+def _check_not_a_number(name: str, optimizer: Optimizer) -> None:
+    optimizer.tell(np.full(len(optimizer.ask()), np.nan))
+    best = float("-inf")
+    for generation in range(4):
+        genomes = optimizer.ask()
+        fitness = _toy_fitness(genomes)
+        if generation % 2:
+            fitness[::2] = np.nan
+        optimizer.tell(fitness)
+        best = max(best, float(np.nanmax(fitness, initial=float("-inf"))))
+        _require(
+            optimizer.best()[1] == best, f"{name}.best after NaN fitness must be {best}, not {optimizer.best()[1]}"
+        )
+        statistics = optimizer.statistics()
+        for what in ("best", "mean"):
+            _require(what in statistics, f"{name}.statistics: {what} is missing")
+            _require(bool(np.isfinite(statistics[what])), f"{name}.statistics: {what} must leave NaN fitness out")
+
+
+def _check_improvement(name: str, optimizer: Optimizer, generations: int) -> None:
+    history: list[float] = []
+    told = float("-inf")
+    for _ in range(generations):
+        genomes = optimizer.ask()
+        fitness = _toy_fitness(genomes)
+        optimizer.tell(fitness)
+        told = max([told, *fitness.tolist()])
+        genome, best = optimizer.best()
+        _require(best == told, f"{name}.best must be the best of all told, {told}, not {best}")
+        _require(_toy_fitness([genome])[0] == best, f"{name}.best: the genome is not the one of that fitness")
+        history.append(best)
+    _require(
+        history[-1] > history[0],
+        f"{name}: the best of {generations} generations is no better than the first: {history[0]}",
+    )
+
+
+def _toy_fitness(genomes: list[bytes]) -> np.ndarray:
+    """Minus the sum of the squares of a genome's float32 numbers: all negative, at most 0."""
+    return np.array([-sum(float(number) ** 2 for number in np.frombuffer(genome, "<f4")) for genome in genomes])
+
+
+def _fully_meshed(inputs: int, outputs: int) -> Representation:
+    representation_class = plugins.load("representation", "fully-meshed")
+    network: Representation = representation_class(representation_class.settings_type(), inputs, outputs)
+    return network
+
+
+def _same(left: object, right: object) -> bool:
+    """Equal, where NaN equals NaN."""
+    return msgspec.msgpack.encode(left) == msgspec.msgpack.encode(right)
+
+
+def _require_raises(kind: type[Exception], call: Callable[[], object], what: str) -> None:
+    try:
+        call()
+    except kind:
+        return
+    raise AssertionError(f"{what} must raise {kind.__name__}")
+
+
+def _require(holds: bool, text: str) -> None:
+    if not holds:
+        raise AssertionError(text)
