@@ -81,9 +81,9 @@ def check_simulator(simulator_class: type[Simulator], settings: Mapping[str, Any
     )
     seeds = np.array([seed for _, seed in trials], np.uint64)
 
-    def play(simulator: Simulator, trial: int) -> bytes:
+    def play(player: Simulator, trial: int) -> bytes:
         fitness, metrics = np.zeros(simulator.participants), np.zeros(len(simulator.metrics))
-        play_in_turns(simulator, network, parameters[participants[trial]], int(seeds[trial]), fitness, metrics)
+        play_in_turns(player, network, parameters[participants[trial]], int(seeds[trial]), fitness, metrics)
         return fitness.tobytes() + metrics.tobytes()
 
     in_turns = [play(checked, trial) for trial in range(len(trials))]
