@@ -18,8 +18,8 @@ UNIT = 2.0**-53
 
 
 def derive_seed(run_seed: int, purpose: str, *indices: int) -> int:
-    """A 64-bit seed from a run's seed, what it is for, and indices such as generation and trial."""
-    text = struct.pack(f"<{1 + len(indices)}q", run_seed, *indices) + purpose.encode()
+    """A 64-bit seed from a run's seed, what it is for, and indices such as generation and trial; all in 0..2**64-1."""
+    text = struct.pack(f"<Q{len(indices)}Q", run_seed, *indices) + purpose.encode()
     return int.from_bytes(hashlib.blake2b(text, digest_size=8).digest(), "little")
 
 

@@ -136,6 +136,18 @@ def complete(experiment: Experiment, where: str) -> Experiment:
     )
 
 
+def with_cluster(experiment: Experiment, changes: Mapping[str, Any]) -> Experiment:
+    """The experiment with other ``[cluster]`` values.
+
+    Raises:
+        ConfigError: an impossible value.
+    """
+    cluster = convert({**msgspec.to_builtins(experiment.cluster), **changes}, Cluster, "cluster")
+    if not keys.is_id(cluster.realm):
+        raise ConfigError(f"cluster.realm: expected {keys.ID_RULE}, not {cluster.realm!r}")
+    return msgspec.structs.replace(experiment, cluster=cluster)
+
+
 def to_toml(experiment: Experiment) -> str:
     """The text of a file that ``load`` reads to the same experiment."""
     mapping = msgspec.to_builtins(experiment)

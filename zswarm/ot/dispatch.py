@@ -533,6 +533,7 @@ class Dispatch:
             self.requeued += len(trials)
             self._unsent += len(trials)
             self._waiting.appendleft(Piece(trials, avoid))
+            self._note("requeued", count=len(trials))
 
     def _fill(self, now: float) -> None:
         """Keep servers with two batches per slot: first one for every slot of all, then the second."""

@@ -1,0 +1,123 @@
+"""How a run shows itself: a live line on a terminal, plain lines elsewhere, JSON lines on stdout for programs."""
+
+import json
+import sys
+import time
+from typing import Any, Self
+
+from zswarm.ot.run import Generation, Result
+
+
+class PlainReporter:
+    """Plain lines on stderr: one a generation."""
+
+    def __init__(self, generations: int) -> None:
+        self._generations = generations
+        self._begin = time.monotonic()
+        self._first: Generation | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def say(self, text: str) -> None:
+        """See ``Reporter``."""
+        print(text, file=sys.stderr, flush=True)
+
+    def progress(self, generation: int, counted: int, trials: int) -> None:
+        """Too much for lines."""
+
+    def generation(self, generation: Generation) -> None:
+        """See ``Reporter``."""
+        g = generation
+        self.say(
+            f"generation {g.generation + 1}/{self._generations}  best {g.best:.6g}  mean {g.mean:.6g}  "
+            f"evaluations {g.evaluations}  servers {g.servers}  slots {g.slots}"
+        )
+
+    def done(self, result: Result) -> None:
+        """The run ended."""
+        print(_summary(result))
+
+
+class JsonReporter(PlainReporter):
+    """One JSON object a line on stdout; what is for people goes to stderr."""
+
+    def generation(self, generation: Generation) -> None:
+        """See ``Reporter``."""
+        print_json({"event": "generation", **generation._asdict()})
+
+    def done(self, result: Result) -> None:
+        """The last line."""
+        print_json({"event": "done", **result._asdict()})
+
+
+class LiveReporter(PlainReporter):
+    """A line that moves, on a terminal."""
+
+    def __init__(self, generations: int) -> None:
+        super().__init__(generations)
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+        self._progress = Progress(
+            TextColumn("generation {task.completed:.0f}/{task.total:.0f}"),
+            BarColumn(bar_width=None),
+            TextColumn("{task.fields[text]}"),
+            TextColumn("eta"),
+            TimeRemainingColumn(compact=True),
+            console=Console(stderr=True),
+            refresh_per_second=8,
+            expand=True,
+        )
+        self._task = self._progress.add_task("run", total=generations, text="looking for servers")
+        self._last: tuple[float, int] | None = None
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def say(self, text: str) -> None:
+        """See ``Reporter``."""
+        from rich.text import Text
+
+        self._progress.console.print(Text(text), soft_wrap=True)
+
+    def generation(self, generation: Generation) -> None:
+        """See ``Reporter``."""
+        g, now = generation, time.monotonic()
+        if self._last is None:
+            self._last = (now, g.evaluations)
+        rate = (g.evaluations - self._last[1]) / max(1e-9, now - self._last[0])
+        servers = f"{g.servers} server{'s' if g.servers != 1 else ''}, {g.slots} slots"
+        self._progress.update(
+            self._task, completed=g.generation + 1, text=f"best {g.best:.5g}  mean {g.mean:.5g}  {rate:.0f}/s  {servers}"
+        )
+
+
+def reporter(generations: int, *, as_json: bool) -> PlainReporter:
+    """The one that fits where the output goes."""
+    if as_json:
+        return JsonReporter(generations)
+    return LiveReporter(generations) if sys.stderr.isatty() else PlainReporter(generations)
+
+
+def print_json(value: dict[str, Any]) -> None:
+    """One line on stdout; numbers that JSON does not have become null."""
+    clean = {key: None if isinstance(item, float) and item - item != 0 else item for key, item in value.items()}
+    print(json.dumps(clean), flush=True)
+
+
+def _summary(result: Result) -> str:
+    faulted = f"faulted: {result.faulted} trials, " if result.faulted else ""
+    return (
+        f"best fitness {result.best:.6g} after {result.generations} generations, {result.evaluations} evaluations "
+        f"({result.requeued} trials sent again), {result.seconds:.1f} s\n"
+        f"history {faulted}{result.history_hash}\n"
+        f"run     {result.run}"
+    )

@@ -1,0 +1,251 @@
+"""A run: ask, dispatch, tell, record, until the last generation."""
+
+import getpass
+import secrets
+import time
+from collections.abc import Iterator
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from zswarm import evaluate, plugins
+from zswarm.draws import derive_seed
+from zswarm.errors import EvaluationError
+from zswarm.experiment import Experiment
+from zswarm.nets.representation import Representation
+from zswarm.ot.cluster import Cluster, Wanted, Who
+from zswarm.ot.dispatch import Counted, Note, Workload
+from zswarm.ot.local import LocalServer
+from zswarm.ot.optimizers.optimizer import Optimizer
+from zswarm.ot.record import Controller, Record
+from zswarm.protocol import keys
+from zswarm.protocol import messages
+from zswarm.sims.simulator import Simulator
+from zswarm.version_hash import version_hash
+
+WAIT_FOR_SERVERS_S = 10.0  # for the number of servers asked for
+PAUSE_S = 2.0  # without any server, before the user is told
+
+
+class Generation(NamedTuple):
+    """A generation that ended."""
+
+    generation: int
+    best: float
+    mean: float
+    evaluations: int
+    servers: int
+    slots: int
+
+
+class Result(NamedTuple):
+    """A run that ended."""
+
+    run: str
+    generations: int
+    best: float
+    evaluations: int
+    requeued: int
+    history_hash: str
+    seconds: float
+    faulted: int
+
+
+class Reporter(Protocol):
+    """Where a run tells how it goes."""
+
+    def say(self, text: str) -> None:
+        """A line for the user."""
+
+    def progress(self, generation: int, counted: int, trials: int) -> None:
+        """Trials of a generation that are counted."""
+
+    def generation(self, generation: Generation) -> None:
+        """A generation ended."""
+
+
+class Parts(NamedTuple):
+    """What an experiment names, built."""
+
+    simulator: Simulator
+    representation: Representation
+    optimizer: Optimizer
+
+
+def build(complete: Experiment) -> Parts:
+    """The parts of a complete experiment.
+
+    Raises:
+        ConfigError: a part refuses its settings, or they do not fit together.
+    """
+    problem = complete.problem
+    simulator, representation = evaluate.build(
+        problem.simulator, problem.settings, complete.representation.kind, complete.representation.settings
+    )
+    if simulator.participants != 1:
+        raise evaluate.ConfigError(
+            f"{problem.simulator} is played by {simulator.participants} participants; a run evolves problems of one"
+        )
+    loaded = plugins.load("optimizer", complete.optimizer.kind)
+    settings = evaluate.convert(complete.optimizer.settings, loaded.settings_type, "optimizer")
+    optimizer = loaded(settings, representation, derive_seed(complete.seed, "optimizer"))
+    return Parts(simulator, representation, optimizer)
+
+
+def run(complete: Experiment, parts: Parts, record: Record, local: LocalServer | None, reporter: Reporter) -> Result:
+    """Evolve to the last generation, from wherever the record is.
+
+    Raises:
+        EvaluationError: trials cannot be evaluated.
+        NoServers: the number of servers asked for was not there in time.
+    """
+    begin = time.monotonic()
+    resumed = record.resumed()
+    if resumed.state is not None:
+        parts.optimizer.restore(resumed.state)
+    history, improved = record.history(), parts.optimizer.best()[1]
+    with _cluster(complete, parts, record, local) as cluster:
+        if isinstance(complete.cluster.servers, int):
+            for note in cluster.wait(complete.cluster.servers, WAIT_FOR_SERVERS_S):
+                _tell(note, record, reporter, cluster, local)
+        for generation in range(resumed.generation, complete.generations):
+            genomes = parts.optimizer.ask()
+            workload = _workload(complete, parts.simulator, genomes, generation)
+            record.begin(generation, workload)
+            record.restore(workload)
+            for item in _evaluate(cluster, workload, local, reporter):
+                if isinstance(item, Counted):
+                    record.add(item, workload)
+                elif isinstance(item, Note):
+                    _tell(item, record, reporter, cluster, local)
+                else:
+                    record.flush()
+                reporter.progress(generation, int(workload.counted.sum()), len(workload.seeds))
+            fitness = np.cumsum(workload.fitness[:, 0].reshape(len(genomes), -1), axis=1)[:, -1]  # in trial order
+            parts.optimizer.tell(fitness)
+            history.add(genomes, fitness)
+            statistics = parts.optimizer.statistics()
+            record.finish(generation, genomes, fitness, statistics, parts.optimizer.state())
+            if parts.optimizer.best()[1] > improved or generation == 0:
+                improved = parts.optimizer.best()[1]
+                record.champion(_controller(complete, parts, record))
+            if cluster.dispatch.probe and not record.meta("probe"):
+                record.set_meta("probe", cluster.dispatch.probe)
+            reporter.generation(
+                Generation(
+                    generation, statistics["best"], statistics["mean"], record.evaluations(),
+                    len(cluster.dispatch.serving()), cluster.dispatch.slots(),
+                )
+            )  # fmt: skip
+    record.set_meta("history_hash", history.hex())
+    return Result(
+        str(record.folder), complete.generations, improved, record.evaluations(), record.requeued(), history.hex(),
+        round(time.monotonic() - begin, 3), record.faulted(),
+    )  # fmt: skip
+
+
+def trial_seeds(complete: Experiment, simulator: Simulator, generation: int) -> np.ndarray:
+    """(trials,) uint64: the problem's own where it fixes them; otherwise from the run's seed, and the generation if fresh."""
+    count = complete.problem.trials
+    if complete.problem.seeds == "fresh":
+        seeds = [derive_seed(complete.seed, "trial", trial, generation) for trial in range(count)]
+    else:
+        fixed = simulator.fixed_seeds(count)
+        seeds = list(fixed) if fixed is not None else [derive_seed(complete.seed, "trial", trial) for trial in range(count)]
+    return np.array(seeds, np.uint64)
+
+
+def _workload(complete: Experiment, simulator: Simulator, genomes: list[bytes], generation: int) -> Workload:
+    """Every candidate on every trial's seed, candidate after candidate."""
+    seeds = trial_seeds(complete, simulator, generation)
+    participants = np.repeat(np.arange(len(genomes)), len(seeds)).reshape(-1, 1)
+    return Workload(genomes, participants, np.tile(seeds, len(genomes)), len(simulator.metrics))
+
+
+def _cluster(complete: Experiment, parts: Parts, record: Record, local: LocalServer | None) -> Cluster:
+    problem, options = complete.problem, complete.cluster
+    who = Who(options.realm, keys.fold(getpass.getuser()), record.meta("run_id"), record.meta("epoch"), secrets.token_bytes(16))
+    wanted = Wanted(
+        simulator=messages.Part(problem.simulator, problem.settings),
+        representation=messages.Part(complete.representation.kind, complete.representation.settings),
+        version_hash=version_hash(problem.simulator, complete.representation.kind),
+        participants=parts.simulator.participants,
+        metrics=len(parts.simulator.metrics),
+        trial_timeout_s=options.trial_timeout_s,
+        slots=complete.optimizer.settings.get("population", messages.MAX_SLOTS) * problem.trials,
+        quarantine=options.on_fault == "quarantine",
+        probe=record.meta("probe") or b"",
+    )
+    only_local = options.servers == "local"
+    connect = [] if only_local else list(options.connect)
+    if local is not None:
+        connect.append(local.endpoint)
+    return Cluster(who, wanted, connect=connect, multicast=options.multicast and not only_local)
+
+
+def _evaluate(
+    cluster: Cluster, workload: Workload, local: LocalServer | None, reporter: Reporter
+) -> Iterator[Counted | Note | None]:
+    """``cluster.evaluate``, watching that somebody computes."""
+    last_served, told = time.monotonic(), False
+    for item in cluster.evaluate(workload):
+        yield item
+        if item is not None or cluster.dispatch.serving():
+            if told and cluster.dispatch.serving():
+                told = False
+            last_served = time.monotonic()
+        elif local is not None and (words := local.ended()):
+            raise EvaluationError(f"the slots of this machine ended: {words}")
+        elif not told and time.monotonic() - last_served > PAUSE_S:
+            told = True
+            reporter.say("no server computes now: waiting for one (Ctrl-C stops; nothing is lost)")
+
+
+TOLD = {
+    "server_joined": "{server} joined with {count} slots",
+    "server_left": "{server} left; {text}",
+    "server_lost": "{server} is gone",
+    "server_back": "{server} is back",
+    "server_mismatch": "{server} is not used: {text}",
+    "server_refused": "{server} refused: {text}",
+    "server_differs": "{server} is not used: {text}",
+    "server_silent": "{server} is not used any more: {text}",
+    "lease_lost": "{server}: {text}; reserving anew",
+    "lease_waiting": "{server} is busy for others: waiting for a slot",
+    "lease_preparing": "{server} compiles or loads the simulator",
+    "fault": "{server}: {text}",
+    "malformed": "{server} sent something that is no answer: {text}",
+    "simulator_raised": "the simulator raised on {server}: {text} ({count} trials)",
+}
+
+
+def _tell(note: Note, record: Record, reporter: Reporter, cluster: Cluster, local: LocalServer | None) -> None:
+    record.note(note)
+    if note.event in TOLD and not (note.event == "lease_preparing" and not _compiles()):
+        reporter.say(TOLD[note.event].format(server=note.server, text=note.text, count=note.count))
+    if note.event == "server_refused" and local is not None and note.server.startswith("local-"):
+        if not cluster.dispatch.serving():
+            raise EvaluationError(note.text)
+
+
+def _compiles() -> bool:
+    from zswarm.jit import is_warm
+
+    return not is_warm()
+
+
+def _controller(complete: Experiment, parts: Parts, record: Record) -> Controller:
+    genome, fitness = parts.optimizer.best()
+    return Controller(
+        simulator=complete.problem.simulator,
+        simulator_settings=complete.problem.settings,
+        representation=complete.representation.kind,
+        representation_settings=complete.representation.settings,
+        inputs=parts.simulator.inputs,
+        outputs=parts.simulator.outputs,
+        sensors=list(parts.simulator.sensors),
+        actuators=list(parts.simulator.actuators),
+        genome=genome,
+        fitness=fitness,
+        run=record.meta("run_id"),
+    )
