@@ -1,0 +1,16 @@
+"""Fail when a test was skipped that is not in .ci/allowed-skips.txt, which holds one test id a line and its reason."""
+
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+allowed = {
+    line.split()[0]
+    for line in (Path(__file__).parent / "allowed-skips.txt").read_text().splitlines()
+    if line.strip() and not line.startswith("#")
+}
+cases = list(ET.parse(sys.argv[1]).iter("testcase"))  # noqa: S314  the file is our own
+skipped = {f"{case.get('classname')}.{case.get('name')}" for case in cases if case.find("skipped") is not None}
+if surprising := sorted(skipped - allowed):
+    sys.exit("skipped, and not allowed to be: " + ", ".join(surprising))
+sys.stdout.write(f"{len(cases)} tests, {len(skipped)} skipped as allowed\n")

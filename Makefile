@@ -1,0 +1,40 @@
+# make run | test | lint: each sets .venv up when it is missing or out of date.
+PYTHON ?= python3
+BIN := .venv/bin
+READY := .venv/ready
+TESTS ?= -n auto
+
+.PHONY: run test lint format bench clean
+
+run: $(READY)
+	$(BIN)/zswarm-ot run $(ARGS)
+
+test: $(READY)
+	$(BIN)/python -m pytest $(TESTS) $(ARGS)
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: $(READY)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: $(READY)
+	$(BIN)/python benchmarks/quick.py
+
+clean:
+	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache
+
+# uv where it is there, else venv and pip; what the machine lacks is named with the package that has it.
+$(READY): pyproject.toml Makefile
+	@command -v $(PYTHON) >/dev/null || { echo "python3 is missing: install Python 3.11 or newer (Debian: apt install python3 python3-venv)"; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "$$($(PYTHON) --version) is too old: install Python 3.11 or newer, or say make PYTHON=python3.12"; exit 1; }
+	@if command -v uv >/dev/null; then \
+	    uv venv --quiet --allow-existing --python $(PYTHON) .venv && uv pip install --quiet --python $(BIN)/python --editable '.[dev]'; \
+	else \
+	    $(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { echo "the venv module is missing: install it (Debian: apt install python3-venv)"; exit 1; }; \
+	    $(PYTHON) -m venv .venv && $(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'; \
+	fi
+	@touch $@
