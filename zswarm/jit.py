@@ -3,17 +3,23 @@
 numba's own cache looks only at the file a function stands in and would return old results after a change elsewhere.
 So the cache lies in a folder named by the hash of all code that may be compiled (``version_hash.cache_hash``), chosen
 here before numba is imported. Import numba's names from this module only.
+
+With ``ZSWARM_PLAIN=1`` kernels stay Python functions, which do the same, slowly: for tests, and for programs that look at
+genomes but evaluate nothing.
 """
 
 import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 import platformdirs
 
 from zswarm.version_hash import cache_hash
+
+Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def cache_folder() -> Path:
@@ -35,44 +41,46 @@ def cache_folder() -> Path:
     return Path(tempfile.mkdtemp(prefix="zswarm-"))
 
 
-def is_warm() -> bool:
-    """Whether kernels of this version were compiled on this machine before."""
-    return any(cache_folder().glob("*/*.nbi"))
+PLAIN = os.environ.get("ZSWARM_PLAIN", "") == "1"  # kernels stay Python, numba is not imported
+
+if PLAIN:
+    uint8, int32, int64, uint64 = np.uint8, np.int32, np.int64, np.uint64
+    float32, float64 = np.float32, np.float64
+else:
+    os.environ["NUMBA_CACHE_DIR"] = str(cache_folder())
+    os.environ["NUMBA_DISABLE_INTEL_SVML"] = "1"  # its functions differ from LLVM's in the last bits
+
+    import numba  # the two settings above are read by this import
+    from numba.types import float32, float64, int32, int64, uint8, uint64
 
 
-os.environ["NUMBA_CACHE_DIR"] = str(cache_folder())
-os.environ["NUMBA_DISABLE_INTEL_SVML"] = "1"  # its functions differ from LLVM's in the last bits
-
-import numba  # noqa: E402  the two settings above are read by this import
-from numba import types  # noqa: E402
-
-void = types.void
-uint8 = types.uint8
-int32 = types.int32
-int64 = types.int64
-uint64 = types.uint64
-float32 = types.float32
-float64 = types.float64
+def void(*arguments: Any) -> Any:
+    """The signature of a kernel, which returns nothing."""
+    return None if PLAIN else numba.types.void(*arguments)
 
 
-def array(dtype: types.Type, dimensions: int = 1) -> types.Type:
+def array(dtype: Any, dimensions: int = 1) -> Any:
     """The type of a C-contiguous array."""
-    return types.Array(dtype, dimensions, "C")
+    return None if PLAIN else numba.types.Array(dtype, dimensions, "C")
 
 
-def kernel(signature):  # type: ignore[no-untyped-def]  # numba is untyped
+def kernel(signature: Any) -> Callable[[Function], Function]:
     """Compile a function for one signature, strictly: no fast-math, no reordering, division by zero as in numpy."""
-    return numba.njit(signature, cache=True, error_model="numpy")
+    return _as_it_is if PLAIN else numba.njit(signature, cache=True, error_model="numpy")
 
 
-def inline(function):  # type: ignore[no-untyped-def]  # numba is untyped
+def inline(function: Function) -> Function:
     """Compile a function into the kernels that call it."""
-    return numba.njit(function, error_model="numpy", cache=True)
+    return function if PLAIN else numba.njit(function, error_model="numpy", cache=True)
+
+
+def _as_it_is(function: Function) -> Function:
+    return function
 
 
 # One decision of a controller: (parameters, state, observation, output). Every representation's ``step`` has this type,
 # so a simulator's kernel is compiled once and takes any of them.
 FLOATS = array(float32)
 STEP_SIGNATURE = void(FLOATS, FLOATS, FLOATS, FLOATS)
-STEP = types.FunctionType(STEP_SIGNATURE)
+STEP = None if PLAIN else numba.types.FunctionType(STEP_SIGNATURE)
 Step = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], None]

@@ -1,5 +1,6 @@
 """The slots of this machine: a private ``zswarm-ss`` child on a socket in a private folder, evaluated through like any other."""
 
+import os
 import subprocess
 import sys
 import tempfile
@@ -27,6 +28,7 @@ class LocalServer:
                 sys.executable, "-m", "zswarm.ss", "--name", "local", "--capacity", str(slots), "--realm", realm,
                 "--listen", self.endpoint, "--no-multicast", "--until-stdin-closes", "--log-level", "warning",
             ],
+            env={key: value for key, value in os.environ.items() if key != "ZSWARM_PLAIN"},  # it does evaluate
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=log,

@@ -24,7 +24,8 @@ from zswarm.sims.simulator import Simulator
 from zswarm.version_hash import version_hash
 
 WAIT_FOR_SERVERS_S = 10.0  # for the number of servers asked for
-PAUSE_S = 2.0  # without any server, before the user is told
+PREPARING_S = 1.0  # of a server, before the user is told
+PAUSE_S = 3.0  # without any server, before the user is told
 
 
 class Generation(NamedTuple):
@@ -113,7 +114,7 @@ def run(complete: Experiment, parts: Parts, record: Record, local: LocalServer |
             workload = _workload(complete, parts.simulator, genomes, generation)
             record.begin(generation, workload)
             record.restore(workload)
-            for item in _evaluate(cluster, workload, local, reporter):
+            for item in _evaluate(cluster, workload, local, reporter, complete.problem.simulator):
                 if isinstance(item, Counted):
                     record.add(item, workload)
                 elif isinstance(item, Note):
@@ -184,21 +185,23 @@ def _cluster(complete: Experiment, parts: Parts, record: Record, local: LocalSer
 
 
 def _evaluate(
-    cluster: Cluster, workload: Workload, local: LocalServer | None, reporter: Reporter
+    cluster: Cluster, workload: Workload, local: LocalServer | None, reporter: Reporter, problem: str
 ) -> Iterator[Counted | Note | None]:
     """``cluster.evaluate``, watching that somebody computes."""
-    last_served, told = time.monotonic(), False
+    last_served, told = time.monotonic(), ""
     for item in cluster.evaluate(workload):
         yield item
-        if item is not None or cluster.dispatch.serving():
-            if told and cluster.dispatch.serving():
-                told = False
-            last_served = time.monotonic()
+        idle = time.monotonic() - last_served
+        if cluster.dispatch.serving():
+            last_served, told = time.monotonic(), ""
         elif local is not None and (words := local.ended()):
             raise EvaluationError(f"the slots of this machine ended: {words}")
-        elif not told and time.monotonic() - last_served > PAUSE_S:
-            told = True
-            reporter.say("no server computes now: waiting for one (Ctrl-C stops; nothing is lost)")
+        elif (preparing := cluster.dispatch.preparing()) and idle > PREPARING_S and not told:
+            told = f"{', '.join(preparing)}: compiling {problem}; done once for this version of zswarm"
+            reporter.say(told)
+        elif not preparing and idle > PAUSE_S and not told:
+            told = "no server computes now: waiting for one (Ctrl-C stops; nothing is lost)"
+            reporter.say(told)
 
 
 TOLD = {
@@ -212,7 +215,6 @@ TOLD = {
     "server_silent": "{server} is not used any more: {text}",
     "lease_lost": "{server}: {text}; reserving anew",
     "lease_waiting": "{server} is busy for others: waiting for a slot",
-    "lease_preparing": "{server} compiles or loads the simulator",
     "fault": "{server}: {text}",
     "malformed": "{server} sent something that is no answer: {text}",
     "simulator_raised": "the simulator raised on {server}: {text} ({count} trials)",
@@ -221,17 +223,11 @@ TOLD = {
 
 def _tell(note: Note, record: Record, reporter: Reporter, cluster: Cluster, local: LocalServer | None) -> None:
     record.note(note)
-    if note.event in TOLD and not (note.event == "lease_preparing" and not _compiles()):
+    if note.event in TOLD:
         reporter.say(TOLD[note.event].format(server=note.server, text=note.text, count=note.count))
     if note.event == "server_refused" and local is not None and note.server.startswith("local-"):
         if not cluster.dispatch.serving():
             raise EvaluationError(note.text)
-
-
-def _compiles() -> bool:
-    from zswarm.jit import is_warm
-
-    return not is_warm()
 
 
 def _controller(complete: Experiment, parts: Parts, record: Record) -> Controller:
