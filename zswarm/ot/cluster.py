@@ -112,16 +112,16 @@ class Cluster:
             yield item
 
     def wait(self, servers: int, timeout_s: float) -> Iterator[Note]:
-        """Wait until so many servers are ready; yields what happens.
+        """Wait until so many servers match and gave a lease, busy ones included; yields what happens.
 
         Raises:
             NoServers: not in time.
         """
         deadline = time.monotonic() + timeout_s
-        while len(self.dispatch.serving()) < servers:
+        while (leased := self.dispatch.leased()) < servers:
             left = deadline - time.monotonic()
             if left <= 0:
-                raise NoServers(f"{len(self.dispatch.serving())} of {servers} servers were ready after {timeout_s:g} s")
+                raise NoServers(f"{leased} of {servers} matching servers were found in {timeout_s:g} s")
             item = self._next(min(left, FLUSH_S))
             if isinstance(item, Note):
                 yield item

@@ -1,0 +1,142 @@
+"""Runs with real processes on loopback: whatever the servers and the optimizer go through, the result is the same."""
+
+import signal
+from pathlib import Path
+
+import pytest
+from programs import Optimizer, Server, query, wait_until
+
+# A trial takes some milliseconds, a run some seconds: long enough to disturb it.
+EXPERIMENT = """
+name = "disturbed"
+seed = 3
+generations = 4
+[problem]
+simulator = "emergency-exit"
+trials = 20
+[problem.settings]
+steps = 3000
+agents = 20
+[representation]
+kind = "fully-meshed"
+[optimizer]
+kind = "nnga"
+population = 50
+"""
+TRIALS = (50 + 3 * 37) * 20
+COUNTED = "SELECT coalesce(sum(count), 0) FROM outcomes"
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The history hash of the experiment on one local slot."""
+    folder = tmp_path_factory.mktemp("undisturbed")
+    return str(run(folder, "alone", "--servers", "local", "--set", "cluster.local_slots=1").done()["history_hash"])
+
+
+def run(folder: Path, name: str, *options: str) -> Optimizer:
+    file = folder / "experiment.toml"
+    file.write_text(EXPERIMENT)
+    return Optimizer(folder, name, ["run", str(file), "--json", *options])
+
+
+def remote(*servers: Server, wait: int = 0) -> list[str]:
+    """Options that use these servers and no other."""
+    return ["--no-multicast", "--servers", str(wait or len(servers)), *(f"--connect={server.endpoint}" for server in servers)]
+
+
+def counted(folder: Path) -> int:
+    rows = query(folder / "runs" / "disturbed", COUNTED)
+    return int(rows[0][0]) if rows else 0
+
+
+def test_a_killed_server_and_a_late_one_leave_the_history_as_it_is(tmp_path: Path, undisturbed: str) -> None:
+    servers = [Server(tmp_path, f"ss-{number}") for number in range(3)]
+    late = Server(tmp_path, "late-port-only", options=("--help",))  # its endpoint is known before it is there
+    late.wait()
+    optimizer = run(tmp_path, "ot", *remote(*servers, late, wait=3))
+    programs = [*servers, optimizer]
+    try:
+        wait_until(lambda: counted(tmp_path) > 100, "some trials are counted")
+        servers[1].kill()
+        programs.append(Server(tmp_path, "late", port=int(late.endpoint.rsplit(":", 1)[1])))
+        done = optimizer.done()
+    finally:
+        for program in programs:
+            program.close()
+    record = tmp_path / "runs" / "disturbed"
+    shares = dict(query(record, "SELECT server, trials FROM servers"))
+    assert done["history_hash"] == undisturbed
+    assert done["requeued"] > 0
+    assert query(record, "SELECT sum(count) > 0 FROM events WHERE event = 'requeued'") == [(1,)]
+    assert sum(trials for server, trials in shares.items() if server.startswith("late-")) > 0
+    assert sum(shares.values()) == TRIALS
+
+
+def test_a_killed_optimizer_goes_on_and_repeats_nothing(tmp_path: Path, undisturbed: str) -> None:
+    server = Server(tmp_path, "ss")
+    try:
+        killed = run(tmp_path, "killed", *remote(server))
+        wait_until(lambda: counted(tmp_path) > 1200, "the second generation is under way")
+        killed.kill()
+        killed.wait()
+        before = counted(tmp_path)
+        done = Optimizer(tmp_path, "resumed", ["resume", "runs/disturbed", "--json", *remote(server)]).done()
+        taken_over = server.events("lease_taken_over")
+    finally:
+        server.close()
+    assert done["history_hash"] == undisturbed
+    assert 1200 < before < TRIALS
+    assert counted(tmp_path) == TRIALS, "a recorded trial was evaluated again"
+    assert len(taken_over) == 1, "the slots were not taken over at once"
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_stopped_optimizer_says_how_to_go_on(tmp_path: Path, undisturbed: str, number: int, code: int) -> None:
+    stopped = run(tmp_path, "stopped", "--servers", "local")
+    wait_until(lambda: counted(tmp_path) > 100, "some trials are counted")
+    stopped.kill(number)
+    assert stopped.wait() == code
+    assert "zswarm-ot resume runs/disturbed" in stopped.err.read_text()
+    assert "Traceback" not in stopped.err.read_text()
+    done = Optimizer(tmp_path, "resumed", ["resume", "runs/disturbed", "--json", "--servers", "local"]).done()
+    assert done["history_hash"] == undisturbed
+    assert counted(tmp_path) == TRIALS
+
+
+def test_two_optimizers_of_one_user_share_the_servers_and_both_finish(tmp_path: Path, undisturbed: str) -> None:
+    folders = [tmp_path / "one", tmp_path / "two"]
+    for folder in folders:
+        folder.mkdir()
+    servers = [Server(tmp_path, f"ss-{number}", capacity=1).ready() for number in range(2)]
+    optimizers = [run(folder, "ot", *remote(*servers, wait=1)) for folder in folders]
+    try:
+        hashes = [optimizer.done()["history_hash"] for optimizer in optimizers]
+    finally:
+        for program in (*servers, *optimizers):
+            program.close()
+    assert hashes == [undisturbed, undisturbed]
+
+
+def test_a_drained_server_finishes_what_runs_and_exits(tmp_path: Path, undisturbed: str) -> None:
+    servers = [Server(tmp_path, f"ss-{number}") for number in range(2)]
+    optimizer = run(tmp_path, "ot", *remote(*servers))
+    try:
+        wait_until(lambda: counted(tmp_path) > 100, "some trials are counted")
+        servers[0].kill(signal.SIGTERM)
+        assert servers[0].wait() == 143
+        assert [event["event"] for event in servers[0].events("server_stopped")] == ["server_stopped"]
+        assert not servers[0].events("drain_cut_short")
+        assert optimizer.done()["history_hash"] == undisturbed
+    finally:
+        for program in (*servers, optimizer):
+            program.close()
+
+
+def test_fresh_seeds_and_local_slots_give_the_same_for_any_number_of_slots(tmp_path: Path) -> None:
+    small = ["--set", "problem.seeds=fresh", "--set", "problem.settings.steps=50", "--servers", "local"]
+    hashes = set()
+    for slots in (1, 3):
+        options = [*small, "--set", f"cluster.local_slots={slots}", "--out", f"out-{slots}"]
+        hashes.add(run(tmp_path, f"slots-{slots}", *options).done()["history_hash"])
+    assert len(hashes) == 1
