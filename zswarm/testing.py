@@ -165,6 +165,8 @@ class _CheckedSimulator(Simulator):
         turn = self.simulator.reset(seed)
         _require(turn is not None, f"{self.name}.reset must return a Turn: somebody must act")
         self.turns = 0
+        frame = self.simulator.frame()
+        _require(isinstance(frame, dict), f"{self.name}.frame must return a dict, not {type(frame).__name__}")
         return self._checked(turn, "reset")
 
     def step(self, actions: np.ndarray) -> Turn | None:
@@ -200,8 +202,6 @@ class _CheckedSimulator(Simulator):
         )
         wanted = (len(agents), self.inputs)
         _require(observations.shape == wanted, f"{where}: observations must be {wanted}, not {observations.shape}")
-        frame = self.simulator.frame()
-        _require(isinstance(frame, dict), f"{self.name}.frame must return a dict, not {type(frame).__name__}")
         return turn
 
 
