@@ -236,18 +236,19 @@ for activation in ("clamp", "sigmoid", "relu"):
 
 def test_plain_python_gives_the_same_bits_as_the_kernel() -> None:
     printed = {}
-    for form, disabled in (("compiled", "0"), ("plain", "1")):
+    for form, options in (("compiled", {}), ("plain", {"NUMBA_DISABLE_JIT": "1"}), ("plain", {"ZSWARM_PLAIN": "1"})):
         done = subprocess.run(
             [sys.executable, "-c", PLAIN, form],
-            env={**os.environ, "NUMBA_DISABLE_JIT": disabled},
+            env={**os.environ, "NUMBA_DISABLE_JIT": "0", "ZSWARM_PLAIN": "", **options},
             capture_output=True,
             text=True,
             check=False,
         )
         assert done.returncode == 0, done.stderr
-        printed[form] = done.stdout
-    assert printed["plain"] == printed["compiled"]
-    assert len(set(printed["plain"].split())) > 10, "the trials differ from one another"
+        printed[str(options)] = done.stdout
+    assert len(printed) == 3
+    assert len(set(printed.values())) == 1
+    assert len(set(printed["{}"].split())) > 10, "the trials differ from one another"
 
 
 def test_one_seed_lays_out_one_field_whatever_else_is_in_the_batch() -> None:
@@ -260,7 +261,7 @@ def test_one_seed_lays_out_one_field_whatever_else_is_in_the_batch() -> None:
 
 @pytest.mark.parametrize("bound", [1, 2, 3, 64, 999, 1000])
 def test_a_draw_that_would_favour_small_numbers_is_repeated_as_in_java(bound: int) -> None:
-    """Java draws again where the upper 31 bits are in the last, incomplete run of 0..bound-1: here each seed is made so."""
+    """Java draws again where the upper 31 bits are in the last, incomplete run of 0..bound-1; these states are."""
     multiplier, mask = 0x5DEECE66D, 2**48 - 1
     for bits in (2**31 - 1, 2**31 - bound, 2**31 - 2**31 % bound - 1, 0, 12345):
         state = ((bits << 17) - 11) * pow(multiplier, -1, 2**48) & mask
