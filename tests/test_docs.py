@@ -1,0 +1,254 @@
+"""The documents say what the programs do: whatever has a name in the code has it in its document."""
+
+import json
+import re
+import sqlite3
+import typing
+from pathlib import Path
+
+import click
+import msgspec
+import pytest
+
+from zswarm import experiment, plugins
+from zswarm.ot import cli as ot
+from zswarm.ot import record
+from zswarm.protocol import codec, messages
+from zswarm.ss import cli as ss
+from zswarm.ss.server import Options
+
+DOCS = Path(__file__).parent.parent / "docs"
+CODE_BLOCK = re.compile(r"^```.*?^```\n", re.S | re.M)
+MESSAGES = [*typing.get_args(messages.Request), *typing.get_args(messages.Reply)]
+PARTS = [(kind, name) for kind in plugins.BUNDLED for name in plugins.BUNDLED[kind]]
+
+
+def text(document: str) -> str:
+    return (DOCS / document).read_text(encoding="utf-8")
+
+
+def section(document: str, heading: str) -> str:
+    """The text below a heading, up to the next of the same or a higher level; code blocks hold no headings."""
+    level = heading.index(" ")
+    prose = CODE_BLOCK.sub("", text(document))
+    found = re.search(rf"^{re.escape(heading)}$\n(.*?)(?=^#{{1,{level}}} |\Z)", prose, re.S | re.M)
+    assert found, f"docs/{document} has no section {heading!r}"
+    return found[1]
+
+
+def rows(document: str, heading: str) -> dict[str, str]:
+    """The table rows of a section by the names in their first cell."""
+    table = {}
+    for line in section(document, heading).splitlines():
+        if line.startswith("|"):
+            first, *rest = line.replace(r"\|", "/").strip("|").split("|")
+            table.update(dict.fromkeys(re.findall(r"`([^`]+)`", first), " | ".join(rest)))
+    return table
+
+
+def fields(struct: type[msgspec.Struct]) -> list[msgspec.structs.FieldInfo]:
+    return list(msgspec.structs.fields(struct))
+
+
+def settings(kind: plugins.Kind, name: str) -> type[msgspec.Struct]:
+    loaded: type[msgspec.Struct] = plugins.load(kind, name).settings_type
+    return loaded
+
+
+# ---- commands
+
+
+def options(command: click.Command) -> list[click.Option]:
+    return [option for option in command.params if isinstance(option, click.Option) and not option.hidden]
+
+
+@pytest.mark.parametrize("name", sorted(ot.command.commands))
+def test_every_command_of_the_optimizer_is_documented_with_its_options(name: str) -> None:
+    """Each has a section in commands.md, with a row or a mention for each option that --help shows."""
+    documented = section("commands.md", f"### {name}")
+    for option in options(ot.command.commands[name]):
+        for spelling in [*option.opts, *option.secondary_opts]:
+            assert f"`{spelling}`" in documented, f"docs/commands.md, {name}: {spelling} is missing"
+
+
+def test_no_command_is_documented_that_is_not_there() -> None:
+    """The sections below zswarm-ot are its commands."""
+    assert set(re.findall(r"^### (.*)$", section("commands.md", "## zswarm-ot"), re.M)) == set(ot.command.commands)
+
+
+def test_every_option_of_the_server_is_documented() -> None:
+    """On the command line and in its --config file."""
+    documented = section("commands.md", "## zswarm-ss")
+    for option in options(ss.command):
+        for spelling in [*option.opts, *option.secondary_opts]:
+            assert f"`{spelling}`" in documented, f"docs/commands.md, zswarm-ss: {spelling} is missing"
+    for field in fields(Options):
+        assert f"`{field.name}`" in documented, f"docs/commands.md, zswarm-ss: the key {field.name} is missing"
+
+
+@pytest.mark.parametrize(
+    "code", [ot.EXIT_FAILED, ot.EXIT_MISTAKE, ot.EXIT_NO_SERVERS, ot.EXIT_INTERRUPTED, ot.EXIT_TERMINATED]
+)
+def test_every_exit_code_of_the_optimizer_is_documented(code: int) -> None:
+    """In the table of exit codes."""
+    assert f"\n| {code} | " in section("commands.md", "## zswarm-ot")
+
+
+# ---- the wire
+
+
+@pytest.mark.parametrize("message", MESSAGES, ids=lambda message: message.__struct_config__.tag)
+def test_every_field_of_every_message_is_documented(message: type[msgspec.Struct]) -> None:
+    """The table of a message has its fields, no others, in their order."""
+    documented = list(rows("protocol.md", f"### {message.__struct_config__.tag}"))
+    assert documented == [field.name for field in fields(message) if field.name != "v"]
+
+
+def test_every_request_and_refusal_code_is_in_its_table() -> None:
+    """So are the states of a lease."""
+    requests = {message.__struct_config__.tag for message in typing.get_args(messages.Request)}
+    assert requests <= set(rows("protocol.md", "## Messages"))
+    assert set(rows("protocol.md", "## Refusals")) == set(typing.get_args(messages.Refusal))
+    states = rows("protocol.md", "### lease")["state"]
+    assert set(re.findall(r"`([a-z]+)`", states)) == set(typing.get_args(messages.State))
+
+
+def test_the_limits_of_the_wire_are_stated() -> None:
+    """As numbers, in the table of limits."""
+    stated = section("protocol.md", "## Encoding")
+    for limit in (
+        messages.MAX_MESSAGE, messages.MAX_GENOMES, messages.MAX_GENOME, messages.MAX_TRIALS, messages.MAX_SLOTS,
+        messages.MAX_TEXT,
+    ):  # fmt: skip
+        assert f"{limit:,}" in stated, f"docs/protocol.md: the limit {limit:,} is missing"
+
+
+EXAMPLES = re.findall(r"```hex\n(.*?)```\s*```json\n(.*?)```", text("protocol.md"), re.S)
+
+
+@pytest.mark.parametrize(("hex_", "meaning"), EXAMPLES, ids=[json.loads(meaning)["type"] for _, meaning in EXAMPLES])
+def test_an_example_of_the_wire_decodes_to_what_the_text_says(hex_: str, meaning: str) -> None:
+    """And the codec makes the same bytes of it; its length stands in the text before."""
+    body, stated = bytes.fromhex(hex_), json.loads(meaning)
+    assert plain(msgspec.msgpack.decode(body)) == stated
+    requests = {message.__struct_config__.tag for message in typing.get_args(messages.Request)}
+    message = (codec.decode_request if stated["type"] in requests else codec.decode_reply)(body)
+    assert codec.encode(message) == body
+    assert f"`{stated['type']}`, {len(body)} bytes" in section("protocol.md", "## An example")
+
+
+def test_there_are_examples_of_the_wire() -> None:
+    """One of each step from the first question to the outcomes."""
+    assert [json.loads(meaning)["type"] for _, meaning in EXAMPLES] == [
+        "requirements", "offer", "reserve", "lease", "evaluate", "outcomes",
+    ]  # fmt: skip
+
+
+def plain(value: object) -> object:
+    """Bytes as 0x..., as in the text."""
+    match value:
+        case bytes():
+            return "0x" + value.hex()
+        case dict():
+            return {key: plain(item) for key, item in value.items()}
+        case list():
+            return [plain(item) for item in value]
+    return value
+
+
+# ---- the experiment file
+
+
+@pytest.mark.parametrize(
+    ("heading", "struct"),
+    [
+        ("## `[problem]`", experiment.Problem),
+        ("## `[cluster]`", experiment.Cluster),
+        *((f"### {name}", settings(kind, name)) for kind, name in PARTS),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_every_key_of_an_experiment_is_documented_with_its_default(heading: str, struct: type[msgspec.Struct]) -> None:
+    """A table in experiment.md has the fields of a struct, no others, in their order."""
+    documented = rows("experiment.md", heading)
+    assert list(documented) == [field.name for field in fields(struct)]
+    for field in fields(struct):
+        default = documented[field.name].split(" | ")[1].strip()
+        value = field.default if field.default is not msgspec.NODEFAULT else field.default_factory
+        expected = "required" if value is msgspec.NODEFAULT else value() if callable(value) else value
+        assert default == (expected if expected == "required" else json.dumps(expected)), f"{heading}: {field.name}"
+
+
+def test_the_top_level_keys_of_an_experiment_are_documented() -> None:
+    """The plain ones in a table, the tables each in a section."""
+    tables = {"problem", "representation", "optimizer", "cluster"}
+    plain_keys = [field.name for field in fields(experiment.Experiment) if field.name not in tables]
+    assert list(rows("experiment.md", "## Top level")) == plain_keys
+    assert set(re.findall(r"^## `\[(.*)\]`$", text("experiment.md"), re.M)) == tables
+
+
+# ---- the record
+
+
+def schema() -> sqlite3.Connection:
+    database = sqlite3.connect(":memory:")
+    database.executescript(record.SCHEMA)
+    return database
+
+
+def tables() -> dict[str, list[str]]:
+    database = schema()
+    names = [row[0] for row in database.execute("SELECT name FROM sqlite_master WHERE type IN ('table', 'view')")]
+    found = {name: [row[1] for row in database.execute(f"PRAGMA table_info({name})")] for name in names}
+    database.close()
+    return found
+
+
+@pytest.mark.parametrize("table", sorted(tables()))
+def test_every_column_of_the_record_is_documented(table: str) -> None:
+    """The section of a table names its columns first, in their order."""
+    columns = tables()[table]
+    assert list(rows("record.md", f"### {table}"))[: len(columns)] == columns
+
+
+def test_the_queries_of_the_record_fit_its_schema() -> None:
+    """SQLite compiles each."""
+    database = schema()
+    found = re.search(r"```sql\n(.*?)```", text("record.md"), re.S)
+    assert found
+    queries = [query for query in found[1].split(";") if query.strip()]
+    assert len(queries) >= 5
+    for query in queries:
+        database.execute(query)
+    database.close()
+
+
+def test_every_field_of_a_champion_is_documented() -> None:
+    """In the order they are written, the format first."""
+    names = [field.name for field in fields(record.Controller)]
+    assert list(rows("record.md", "## champion.zsc")) == ["format", *names]
+
+
+# ---- all documents
+
+
+@pytest.mark.parametrize("document", sorted(path.name for path in DOCS.glob("*.md")))
+def test_links_lead_somewhere(document: str) -> None:
+    """Every link to another document names a file that is there."""
+    for target in re.findall(r"\]\(([^)#:]+)\)", text(document)):
+        assert (DOCS / target).is_file(), f"docs/{document}: {target} is not there"
+
+
+def test_the_example_simulator_keeps_the_contract(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The code in simulators.md is a whole simulator, and its experiment file is one."""
+    blocks = dict(re.findall(r"`([\w.]+)`:\n\n```\w+\n(.*?)```", text("simulators.md"), re.S))
+    assert set(blocks) == {"pyproject.toml", "zswarm_patrol.py", "test_patrol.py", "patrol.toml"}
+    for name, content in blocks.items():
+        (tmp_path / name).write_text(content, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    namespace: dict[str, typing.Any] = {}
+    exec(compile(blocks["test_patrol.py"], "test_patrol.py", "exec"), namespace)  # noqa: S102  our own text
+    namespace["test_patrol_keeps_the_contract"]()
+    loaded = experiment.load(tmp_path / "patrol.toml")
+    assert loaded.problem.simulator == "patrol"
+    assert f"{loaded.problem.simulator} = " in blocks["pyproject.toml"]
