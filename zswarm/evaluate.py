@@ -37,7 +37,13 @@ def build(
     """
     simulator_class = plugins.load("simulator", simulator)
     representation_class = plugins.load("representation", representation)
-    built = simulator_class(convert(settings, simulator_class.settings_type, "problem.settings"))
+    configured = convert(settings, simulator_class.settings_type, "problem.settings")
+    try:
+        built = simulator_class(configured)
+    except ConfigError:
+        raise
+    except Exception as error:  # a plug-in's constructor runs code of its authors
+        raise ConfigError(f"simulator {simulator!r} cannot be set up: {type(error).__name__}: {error}") from error
     network = representation_class(
         convert(representation_settings, representation_class.settings_type, "representation"), built.inputs, built.outputs
     )
@@ -117,12 +123,3 @@ def play_in_turns(
     fitness[:] = outcome.fitness
     metrics[:] = outcome.metrics
 
-
-def warm_up(simulator: Simulator, representation: Representation) -> None:
-    """Compile or load what a trial needs, by playing one with a zero genome where genomes have one length."""
-    if representation.genome_bytes is None:
-        return
-    participants = np.zeros((1, simulator.participants), np.int64)
-    outcomes = evaluate(simulator, representation, [bytes(representation.genome_bytes)], participants, np.zeros(1, np.uint64))
-    if outcomes.error:
-        raise ConfigError(f"the simulator raised in a trial of a zero genome: {outcomes.error}")

@@ -39,6 +39,7 @@ def command(config: Path | None, log_level: str, until_stdin_closes: bool, **giv
     log.set_up(log_level)
     try:
         mapping: dict[str, Any] = tomllib.loads(config.read_text()) if config else {}
+        convert(mapping, Options, str(config))  # what is wrong in the file is wrong even where the command line overrides it
         mapping |= {
             key: (value.split(",") if key == "simulators" else list(value) if isinstance(value, tuple) else value)
             for key, value in given.items()

@@ -85,12 +85,12 @@ class Server:
         """Serve until told to stop; the program's exit code."""
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._on_signal)
-        opened, endpoints = session.open_server(
-            self.options.listen, self.options.connect, multicast=self.options.multicast
-        )
         realm = self.options.realm
         with contextlib.ExitStack() as stack:
             stack.callback(self._close_workers)
+            opened, endpoints = session.open_server(
+                self.options.listen, self.options.connect, multicast=self.options.multicast
+            )
             stack.callback(session.close, opened)
             on_query = zenoh.handlers.Callback(self._on_query, indirect=False)
             opened.declare_queryable(keys.offer(realm, self.id), on_query)

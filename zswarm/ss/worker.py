@@ -126,8 +126,6 @@ def main(pipe: Connection, shared: object) -> None:
                 pipe.send_bytes(b"R" + msgspec.msgpack.encode(evaluator.warm_up(probe=letter == b"P")))
             except (ConfigError, RemoteProtocolError) as error:
                 pipe.send_bytes(b"F" + str(error).encode())
-            except Exception as error:  # a simulator's constructor runs its authors' code; its failure is the problem's
-                pipe.send_bytes(b"F" + f"the simulator cannot be set up: {type(error).__name__}: {error}".encode())
 
 
 class Evaluator:

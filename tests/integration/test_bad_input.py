@@ -1,0 +1,213 @@
+"""Whatever is wrong, the user gets one clear line, the daemon keeps serving, and nothing is lost."""
+
+import os
+import random
+import time
+from pathlib import Path
+
+import plugin
+import pytest
+import zenoh
+from programs import Optimizer, Server, free_port, query, wait_until
+
+from zswarm import session
+
+GARBAGE_S = float(os.environ.get("ZSWARM_GARBAGE_S", "4"))
+SMALL = ["--set", "generations=2", "--set", "optimizer.population=10", "--set", "problem.trials=2"]
+
+
+def only_line(optimizer: Optimizer) -> str:
+    """The one line on stderr that says what is wrong."""
+    text = optimizer.err.read_text()
+    assert "Traceback" not in text
+    lines = [line for line in text.splitlines() if line.startswith("zswarm-ot: ")]
+    assert len(lines) == 1, text
+    return lines[0]
+
+
+@pytest.fixture
+def rough(tmp_path: Path) -> str:
+    folder = tmp_path / "site"
+    folder.mkdir()
+    return plugin.install(folder)
+
+
+def evolve_rough(tmp_path: Path, rough: str, how: str, *options: str) -> Optimizer:
+    file = plugin.experiment(tmp_path, how)
+    return Optimizer(tmp_path, how, ["run", str(file), "--json", "--servers", "local", *options], PYTHONPATH=path(rough))
+
+
+def path(*first: str) -> str:
+    return os.pathsep.join([*first, os.environ.get("PYTHONPATH", "")])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["run", "nothing.toml"], 2, "no such file"),
+        (["run", "emergency-exi"], 2, "did you mean 'emergency-exit'"),
+        (["run", "damaged.toml"], 2, "not TOML"),
+        (["run", "binary.toml"], 2, "not TOML"),
+        (["run", "--set", "optimizer.populatoin=3"], 2, "did you mean 'population'"),
+        (["run", "--set", "problem.simulator=stage"], 2, "unknown simulator 'stage'"),
+        (["run", "--set", "representation.kind=lstm"], 2, "unknown representation 'lstm'"),
+        (["run", "--set", "problem.settings.width=30"], 2, "width must not exceed height"),
+        (["run", "--set", "problem.settings.agents=ten"], 2, "agents: expected int, got str"),
+        (["run", "--servers", "many"], 2, "expected auto, local or a number"),
+        (["run", "--servers", "1", "--connect", "nonsense", "--no-multicast"], 2, "expected endpoints such as"),
+        (["run", "--out", "damaged.toml/runs"], 2, "choose another place with --out"),
+        (["resume", "."], 2, "no run"),
+        (["resume", "damaged-run"], 2, "damaged"),
+        (["evaluate", "damaged.zsc"], 2, "damaged, or no controller"),
+        (["evaluate", "nothing"], 2, "cannot be read"),
+    ],
+)
+def test_a_mistake_is_named_in_one_line(tmp_path: Path, arguments: list[str], code: int, words: str) -> None:
+    (tmp_path / "damaged.toml").write_text("name = ")
+    (tmp_path / "binary.toml").write_bytes(bytes(range(256)))
+    (tmp_path / "damaged.zsc").write_bytes(b"\x81\xa1")
+    (tmp_path / "damaged-run").mkdir()
+    example = Path(__file__).parents[2] / "examples" / "emergency-exit.toml"
+    (tmp_path / "damaged-run" / "experiment.toml").write_text(example.read_text())
+    (tmp_path / "damaged-run" / "run.sqlite").write_bytes(b"SQLite format 3\0" + bytes(range(256)) * 20)
+    optimizer = Optimizer(tmp_path, "ot", arguments)
+    assert optimizer.wait() == code
+    assert words in only_line(optimizer)
+
+
+def test_a_port_in_use_is_named(tmp_path: Path) -> None:
+    first = Server(tmp_path, "first").ready()
+    second = Server(tmp_path, "second", port=int(first.endpoint.rsplit(":", 1)[1]))
+    try:
+        assert second.wait() == 2
+        assert "the port is in use" in second.err.read_text()
+        assert "Traceback" not in second.err.read_text()
+    finally:
+        first.close()
+        second.close()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [("capacity = 'two'", "capacity: expected int"), ("capcity = 2", "did you mean 'capacity'"), ("=", "daemon.toml")],
+)
+def test_a_damaged_daemon_configuration_exits_with_78(tmp_path: Path, text: str, words: str) -> None:
+    (tmp_path / "daemon.toml").write_text(text)
+    server = Server(tmp_path, "ss", options=("--config", "daemon.toml"))
+    assert server.wait() == 78
+    assert words in server.err.read_text()
+
+
+def test_servers_that_do_not_match_are_named_with_the_reason(tmp_path: Path) -> None:
+    server = Server(tmp_path, "ss", options=("--simulators", "minisim")).ready()
+    options = ["--no-multicast", "--connect", server.endpoint]
+    try:
+        optimizer = Optimizer(tmp_path, "ot", ["run", "--servers", "1", *options])
+        assert optimizer.wait() == 4
+        assert "no simulator 'emergency-exit' here; there are minisim" in optimizer.err.read_text()
+        assert "0 of 1 matching servers" in only_line(optimizer)
+        seen = Optimizer(tmp_path, "seen", ["servers", "--wait", "1", "--for", "emergency-exit", "--json", *options])
+        assert seen.wait() == 0
+        assert seen.lines()[0]["mismatch"].startswith("no simulator")
+    finally:
+        server.close()
+
+
+def test_a_server_of_another_protocol_version_is_named(tmp_path: Path) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    opened, _ = session.open_server([endpoint], [], multicast=False)
+    try:
+        _token = opened.liveliness().declare_token("zswarm/v9/default/ss/future-0123abcd/alive")
+        optimizer = Optimizer(tmp_path, "ot", ["run", "--servers", "1", "--no-multicast", "--connect", endpoint])
+        assert optimizer.wait() == 4
+        assert "future-0123abcd is not used: speaks version v9 of the protocol" in optimizer.err.read_text()
+    finally:
+        session.close(opened)
+
+
+def test_a_simulator_that_raises_is_an_outcome_and_named(tmp_path: Path, rough: str) -> None:
+    optimizer = evolve_rough(tmp_path, rough, "raises")
+    optimizer.done()
+    text = optimizer.err.read_text()
+    assert "ZeroDivisionError: the gripper broke" in text
+    assert "Traceback" not in text
+
+
+@pytest.mark.parametrize(("how", "words"), [("hangs", "one trial took longer than 1 s"), ("exits", "ended with code 7")])
+def test_a_simulator_that_hangs_or_exits_pauses_the_run_and_names_the_cause(
+    tmp_path: Path, rough: str, how: str, words: str
+) -> None:
+    optimizer = evolve_rough(tmp_path, rough, how)
+    assert optimizer.wait() == 1
+    assert words in only_line(optimizer)
+    assert "zswarm-ot resume runs/rough" in optimizer.err.read_text()
+
+
+def test_quarantine_counts_a_fault_and_says_so(tmp_path: Path, rough: str) -> None:
+    done = evolve_rough(tmp_path, rough, "exits", "--set", "cluster.on_fault=quarantine", "--set", "generations=1").done()
+    assert done["faulted"] == 10
+    assert query(tmp_path / "runs" / "rough", "SELECT sum(faulted) FROM outcomes") == [(10,)]
+
+
+def test_a_simulator_that_exits_once_changes_nothing(tmp_path: Path, rough: str) -> None:
+    hashes = {evolve_rough(tmp_path, rough, how).done()["history_hash"] for how in ("fine", "exits-once")}
+    assert (tmp_path / "marker").exists()
+    assert len(hashes) == 1
+
+
+def test_a_simulator_that_cannot_be_set_up_is_named(tmp_path: Path, rough: str) -> None:
+    optimizer = evolve_rough(tmp_path, rough, "refuses")
+    assert optimizer.wait() == 2
+    assert "no licence found" in only_line(optimizer)
+
+
+def test_a_plug_in_that_cannot_be_imported_is_named_and_hurts_no_other(tmp_path: Path, rough: str) -> None:
+    broken = Optimizer(tmp_path, "broken", ["run", "--set", "problem.simulator=broken"], PYTHONPATH=path(rough))
+    assert broken.wait() == 2
+    assert "simulator 'broken' cannot be imported: ModuleNotFoundError" in only_line(broken)
+    evolve_rough(tmp_path, rough, "fine").done()
+
+
+def test_a_daemon_survives_bad_simulators_and_serves_the_next_run(tmp_path: Path, rough: str) -> None:
+    server = Server(tmp_path, "ss", PYTHONPATH=path(rough)).ready()
+    options = ["--json", "--no-multicast", "--servers", "1", "--connect", server.endpoint]
+    try:
+        for how in ("exits", "hangs"):
+            bad = Optimizer(tmp_path, how, ["run", str(plugin.experiment(tmp_path, how)), *options], PYTHONPATH=path(rough))
+            assert bad.wait() == 1
+        Optimizer(tmp_path, "good", ["run", *SMALL, *options]).done()
+    finally:
+        server.close()
+
+
+def test_random_bytes_to_every_key_leave_the_daemon_serving(tmp_path: Path) -> None:
+    server = Server(tmp_path, "ss").ready()
+    name = server.events("server_ready")[0]["server"]
+    draw = random.Random(7)  # noqa: S311  garbage, not a secret
+    verbs = ["offer", *(f"ot/someone/some-run/{verb}" for verb in ("reserve", "renew", "evaluate", "cancel", "release", "x", "reserve/y"))]
+    answers = 0
+    opened = session.open_optimizer([server.endpoint], multicast=False)
+    try:
+        wait_until(lambda: list(opened.info.peers_zid()), "the session is connected")
+        tokens = [
+            opened.liveliness().declare_token(f"zswarm/v1/default/ot/{user}/{user}/alive") for user in ("someone", "UPPER", "a_b")
+        ]
+        end = time.monotonic() + GARBAGE_S
+        while time.monotonic() < end:
+            key = f"zswarm/v1/default/ss/{name}/{draw.choice(verbs)}"
+            body = draw.randbytes(draw.choice([0, 1, 16, 300, 20_000]))
+            if draw.random() < 0.3:
+                opened.put(key, body)
+                continue
+            answers += sum(reply.ok is not None for reply in opened.get(key, payload=body, target=zenoh.QueryTarget.ALL, timeout=5.0))
+        assert len(tokens) == 3
+    finally:
+        session.close(opened)
+    try:
+        assert answers > 100, "malformed requests are answered with a refusal"
+        assert 1 < len(server.events("malformed")) < 40, "they are logged, and do not flood the log"
+        options = ["--json", "--no-multicast", "--servers", "1", "--connect", server.endpoint]
+        Optimizer(tmp_path, "next", ["run", *SMALL, *options]).done()
+        assert server.process.poll() is None
+    finally:
+        server.close()
