@@ -33,10 +33,21 @@ def cache_hash() -> str:
 
 def digest(files: Iterable[Path]) -> str:
     """32 hex digits over the shared files, the given ones (name and content) and the libraries' versions."""
-    package = Path(__file__).parent
+    total = _shared().copy()
+    for file in files:
+        _add(total, file)
+    return total.hexdigest()
+
+
+@cache
+def _shared() -> "hashlib.blake2b":
     total = hashlib.blake2b(digest_size=16)
     for library in LIBRARIES:
         total.update(f"{library} {version(library)}\n".encode())
-    for file in [*(package / name for name in SHARED), *files]:
-        total.update(file.name.encode() + hashlib.blake2b(file.read_bytes(), digest_size=16).digest())
-    return total.hexdigest()
+    for name in SHARED:
+        _add(total, Path(__file__).parent / name)
+    return total
+
+
+def _add(total: "hashlib.blake2b", file: Path) -> None:
+    total.update(file.name.encode() + hashlib.blake2b(file.read_bytes(), digest_size=16).digest())

@@ -47,7 +47,7 @@ def command() -> None:
 @command.command()
 @click.argument("name", default=DEFAULT_EXAMPLE, metavar="[EXPERIMENT.toml|EXAMPLE]")
 @click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Set something of the experiment, such as optimizer.population=100; may be repeated.")
-@click.option("--seed", type=click.IntRange(0), help="Seed of the run.")
+@click.option("--seed", type=click.IntRange(0, 2**63 - 2), help="Seed of the run.")
 @_with_cluster_options
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), default=Path("runs"), show_default=True, help="Where the run's folder is made.")
 @json_option
@@ -148,7 +148,7 @@ def check(name: str, overrides: tuple[str, ...], as_json: bool) -> None:
 @command.command()
 @click.argument("path", type=click.Path(path_type=Path), metavar="RUN|CHAMPION.zsc")
 @click.option("--trials", type=click.IntRange(1, 1_000_000), default=100, show_default=True, help="Trials to play.")
-@click.option("--seed", type=click.IntRange(0), help="Seed of the trials: unseen ones by default.")
+@click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="Seed of the trials: unseen ones by default.")
 @json_option
 def evaluate(path: Path, trials: int, seed: int | None, as_json: bool) -> None:
     """Play a run's champion on seeds it was not evolved on."""

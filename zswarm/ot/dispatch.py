@@ -278,6 +278,10 @@ class Dispatch:
         """Servers that evaluate for this run now."""
         return [server.id for server in self.servers.values() if server.phase == Phase.LEASED and server.ready]
 
+    def leased(self) -> int:
+        """Servers that gave this run a lease, with or without a slot yet."""
+        return sum(server.phase == Phase.LEASED for server in self.servers.values())
+
     def preparing(self) -> list[str]:
         """Servers that get ready for this run."""
         return [s.id for s in self.servers.values() if s.phase == Phase.LEASED and s.slots and not s.ready]

@@ -4,20 +4,21 @@ Finished means recorded: outcomes are committed at least every 0.1 s, a generati
 transaction, each synced to the disk. The tables: docs/record.md.
 """
 
+import contextlib
 import fcntl
 import hashlib
 import json
+import math
 import os
 import platform
 import secrets
 import sqlite3
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, Literal, NamedTuple, Self
 
 import msgspec
 import numpy as np
@@ -56,7 +57,7 @@ CREATE VIEW servers AS
 class Controller(msgspec.Struct, frozen=True, kw_only=True, tag="zswarm-controller", tag_field="format"):
     """The file ``champion.zsc``: all that another program needs to run the controller."""
 
-    version: int = 1
+    version: Literal[1] = 1
     simulator: str
     simulator_settings: dict[str, Any]
     representation: str
@@ -101,6 +102,7 @@ class Record:
             "zswarm": zswarm.__version__,
             "run_id": f"{complete.name[:54].strip('-')}-{secrets.token_hex(4)}",
             "version_hash": version_hash,
+            "experiment": _decisive(complete),
             "epoch": 0,
             "created_at": time.time(),
         }
@@ -123,7 +125,7 @@ class Record:
         try:
             database = _open(folder / DATABASE)
             record = cls(folder, database, lock)
-            record._check()
+            record._check(complete)
             record.set_meta("epoch", int(record.meta("epoch")) + 1)
         except sqlite3.DatabaseError as error:
             os.close(lock)
@@ -209,7 +211,7 @@ class Record:
         )
         self._database.execute(
             "INSERT INTO generations VALUES (?, ?, ?, ?, ?, ?)",
-            (generation, time.time(), statistics["best"], statistics["mean"], len(genomes), json.dumps(statistics)),
+            (generation, time.time(), statistics["best"], statistics["mean"], len(genomes), to_json(statistics)),
         )
         self._database.execute("INSERT OR REPLACE INTO optimizer VALUES (0, ?, ?)", (generation, msgspec.msgpack.encode(state)))
         self.flush()
@@ -284,13 +286,18 @@ class Record:
         for (generation,) in self._database.execute("SELECT generation FROM generations ORDER BY generation").fetchall():
             yield generation
 
-    def _check(self) -> None:
+    def _check(self, complete: Experiment) -> None:
         found = self.meta("schema_version")
         if found != SCHEMA_VERSION:
             raise ConfigError(f"{self.folder / DATABASE}: has schema {found}; this program reads schema {SCHEMA_VERSION}")
         state = self._database.execute("PRAGMA quick_check").fetchone()[0]
         if state != "ok":
             raise ConfigError(f"{self.folder / DATABASE}: damaged: {state}")
+        if (began := self.meta("experiment")) != (now := _decisive(complete)):
+            keys = [key for key, value in json.loads(now).items() if json.loads(began).get(key) != value]
+            raise ConfigError(
+                f"{self.folder / EXPERIMENT}: {', '.join(keys)} changed since the run began; only generations and [cluster] may"
+            )
 
     def _begin(self) -> None:
         if not self._database.in_transaction:
@@ -300,6 +307,11 @@ class Record:
         if self._database.in_transaction:
             self._database.execute("COMMIT")
         self._last_commit = time.monotonic()
+
+
+def to_json(values: dict[str, Any]) -> str:
+    """One line; numbers that JSON does not have become null."""
+    return json.dumps({key: None if isinstance(item, float) and not math.isfinite(item) else item for key, item in values.items()})
 
 
 class History:
@@ -420,5 +432,22 @@ def _digest(genomes: Sequence[bytes]) -> bytes:
     return hashlib.blake2b(b"".join(genomes), digest_size=8).digest()
 
 
+def _decisive(complete: Experiment) -> str:
+    """What of an experiment the history depends on."""
+    values = msgspec.to_builtins(complete)
+    return json.dumps({key: value for key, value in values.items() if key not in ("generations", "cluster")}, sort_keys=True)
+
+
 def _machine() -> str:
-    return f"{platform.machine()}, Python {sys.version_info.major}.{sys.version_info.minor}, numpy {version('numpy')}"
+    """What can change the bits of linear algebra."""
+    config: dict[str, Any] = np.show_config(mode="dicts")  # type: ignore[assignment]  # typed as None
+    blas = config["Build Dependencies"]["blas"]
+    return f"{_processor()}, numpy {version('numpy')}, {blas.get('name', 'no BLAS')} {blas.get('version', '')}".strip()
+
+
+def _processor() -> str:
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()

@@ -1,10 +1,10 @@
 """How a run shows itself: a live line on a terminal, plain lines elsewhere, JSON lines on stdout for programs."""
 
-import json
 import sys
 import time
 from typing import Any, Self
 
+from zswarm.ot.record import to_json
 from zswarm.ot.run import Generation, Result
 
 
@@ -108,9 +108,8 @@ def reporter(generations: int, *, as_json: bool) -> PlainReporter:
 
 
 def print_json(value: dict[str, Any]) -> None:
-    """One line on stdout; numbers that JSON does not have become null."""
-    clean = {key: None if isinstance(item, float) and item - item != 0 else item for key, item in value.items()}
-    print(json.dumps(clean), flush=True)
+    """One line on stdout."""
+    print(to_json(value), flush=True)
 
 
 def _summary(result: Result) -> str:

@@ -104,7 +104,7 @@ def run(complete: Experiment, parts: Parts, record: Record, local: LocalServer |
     resumed = record.resumed()
     if resumed.state is not None:
         parts.optimizer.restore(resumed.state)
-    history, improved = record.history(), parts.optimizer.best()[1]
+    history, improved = record.history(), float("-inf")  # so that a resumed run writes its champion anew
     with _cluster(complete, parts, record, local) as cluster:
         if isinstance(complete.cluster.servers, int):
             for note in cluster.wait(complete.cluster.servers, WAIT_FOR_SERVERS_S):
@@ -122,12 +122,12 @@ def run(complete: Experiment, parts: Parts, record: Record, local: LocalServer |
                 else:
                     record.flush()
                 reporter.progress(generation, int(workload.counted.sum()), len(workload.seeds))
-            fitness = np.cumsum(workload.fitness[:, 0].reshape(len(genomes), -1), axis=1)[:, -1]  # in trial order
+            fitness = _total(workload, complete.problem.trials)
             parts.optimizer.tell(fitness)
             history.add(genomes, fitness)
             statistics = parts.optimizer.statistics()
             record.finish(generation, genomes, fitness, statistics, parts.optimizer.state())
-            if parts.optimizer.best()[1] > improved or generation == 0:
+            if parts.optimizer.best()[1] > improved:
                 improved = parts.optimizer.best()[1]
                 record.champion(_controller(complete, parts, record))
             if cluster.dispatch.probe and not record.meta("probe"):
@@ -163,6 +163,11 @@ def _workload(complete: Experiment, simulator: Simulator, genomes: list[bytes], 
     return Workload(genomes, participants, np.tile(seeds, len(genomes)), len(simulator.metrics))
 
 
+def _total(workload: Workload, trials: int) -> np.ndarray:
+    """(candidates,) float64: the sum over a candidate's trials, added in trial order; never -0.0, which SQLite does not keep."""
+    return np.cumsum(workload.fitness[:, 0].reshape(-1, trials), axis=1)[:, -1] + 0.0
+
+
 def _cluster(complete: Experiment, parts: Parts, record: Record, local: LocalServer | None) -> Cluster:
     problem, options = complete.problem, complete.cluster
     who = Who(options.realm, keys.fold(getpass.getuser()), record.meta("run_id"), record.meta("epoch"), secrets.token_bytes(16))
@@ -173,7 +178,7 @@ def _cluster(complete: Experiment, parts: Parts, record: Record, local: LocalSer
         participants=parts.simulator.participants,
         metrics=len(parts.simulator.metrics),
         trial_timeout_s=options.trial_timeout_s,
-        slots=complete.optimizer.settings.get("population", messages.MAX_SLOTS) * problem.trials,
+        slots=min(complete.optimizer.settings.get("population", messages.MAX_SLOTS) * problem.trials, messages.MAX_SLOTS),
         quarantine=options.on_fault == "quarantine",
         probe=record.meta("probe") or b"",
     )

@@ -12,6 +12,8 @@ from zswarm.errors import LocalProtocolError, RemoteProtocolError
 
 VERSION = 1
 ID = re.compile(r"[a-z0-9][a-z0-9-]{0,62}")
+MAX_ID = 63
+MAX_NAME = MAX_ID - 9  # a server's id adds - and 8 hex digits
 ID_RULE = "1 to 63 of a-z, 0-9 and -, not starting with -"
 ROOT = f"zswarm/v{VERSION}"
 
@@ -36,7 +38,7 @@ def is_id(text: str) -> bool:
 
 def fold(text: str) -> str:
     """The nearest id to any text, such as a host or user name; ``x`` where nothing is left."""
-    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")[:54].strip("-") or "x"
+    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")[:MAX_NAME].strip("-") or "x"
 
 
 def new_server_id(name: str) -> str:

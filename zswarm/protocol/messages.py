@@ -41,7 +41,7 @@ class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Requirements(Message, tag="requirements"):
-    """Phase 1: what a run needs; empty texts match every server."""
+    """Phase 1: what a run needs; with no simulator and no representation every server matches."""
 
     simulator: Text = ""
     representation: Text = ""

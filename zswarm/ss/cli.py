@@ -46,9 +46,9 @@ def command(config: Path | None, log_level: str, until_stdin_closes: bool, **giv
             if value not in (None, ())
         }
         options = convert(mapping, Options, str(config or "zswarm-ss"))
-        for kind, text in (("name", options.name or "x"), ("realm", options.realm)):
-            if not keys.is_id(text):
-                raise ConfigError(f"{kind} {text!r}: expected {keys.ID_RULE}")
+        for kind, text, longest in (("name", options.name or "x", keys.MAX_NAME), ("realm", options.realm, keys.MAX_ID)):
+            if not keys.is_id(text) or len(text) > longest:
+                raise ConfigError(f"{kind} {text!r}: expected {keys.ID_RULE} (at most {longest})")
         for name in options.simulators:
             if name not in plugins.names("simulator"):
                 plugins.load("simulator", name)  # raises, and says which there are

@@ -14,16 +14,18 @@ import time
 from collections import deque
 from collections.abc import Callable
 from types import FrameType
+from typing import Annotated
 
 import msgspec
 import structlog
 import zenoh
+from msgspec import Meta
 
 import zswarm
 from zswarm import plugins, session
 from zswarm.errors import RemoteProtocolError
 from zswarm.protocol import codec, keys
-from zswarm.protocol.messages import MAX_MESSAGE, Offer, Refused, Requirements, Reserve
+from zswarm.protocol.messages import MAX_MESSAGE, MAX_TEXT, Offer, Refused, Requirements, Reserve
 from zswarm.ss import slots
 from zswarm.ss.worker import Ready, Worker
 from zswarm.version_hash import version_hash
@@ -31,7 +33,6 @@ from zswarm.version_hash import version_hash
 TICK_S = 0.25
 INBOX = 10_000  # queries that wait; more are dropped unanswered
 SENDERS = 256  # runs that are answered at once
-EXIT_TERMINATED = 143
 
 log = structlog.get_logger()
 
@@ -39,14 +40,14 @@ log = structlog.get_logger()
 class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What a server is told at its start: command line or ``--config`` file."""
 
-    capacity: int = 0  # slots; 0: one per core
+    capacity: Annotated[int, Meta(ge=0, le=65_535)] = 0  # slots; 0: one per core
     name: str = ""  # "": the host's name
     realm: str = "default"
     listen: list[str] = []
     connect: list[str] = []
     multicast: bool = True
     simulators: list[str] = []  # offered; empty: all that are installed
-    drain_s: float = 60.0  # at most, on SIGTERM
+    drain_s: Annotated[float, Meta(ge=0, le=1e6)] = 60.0  # at most, on SIGTERM
 
 
 class Server:
@@ -76,7 +77,12 @@ class Server:
         os.set_blocking(self._woken, False)
         self._queries: dict[int, tuple[zenoh.Query, str]] = {}  # with the run that asked
         self._senders: dict[str, session.Sender] = {}
-        self._signals = 0
+        self._signals: list[int] = []
+        self._hashes = {
+            (simulator, representation): version_hash(simulator, representation)
+            for simulator in self.simulators
+            for representation in offer.representations
+        }  # of the code as it is now, which the slots run; not of what an upgrade puts there later
         self._drain_by = float("inf")
         self._exit: int | None = None
         self._malformed = 0
@@ -126,7 +132,7 @@ class Server:
         self._put(slots.HolderSeen(user, run) if seen else slots.HolderGone(user, run))
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        self._signals += 1
+        self._signals.append(number)
         self._awake()
 
     def _put(self, item: zenoh.Query | slots.Event) -> None:
@@ -169,9 +175,9 @@ class Server:
                 self._handle(slots.Tick(tuple(int(worker.progress[0]) for worker in self.workers)))
 
     def _on_stop_asked(self, token: zenoh.LivelinessToken) -> None:
-        if self.slots.draining and (self._signals > 1 or time.monotonic() > self._drain_by):
-            log.warning("drain_cut_short", signals=self._signals)
-            self._exit = EXIT_TERMINATED
+        if self.slots.draining and (len(self._signals) > 1 or time.monotonic() > self._drain_by):
+            log.warning("drain_cut_short", signals=len(self._signals))
+            self._exit = 128 + self._signals[0]
         elif not self.slots.draining:
             log.info("draining", limit_s=self.options.drain_s)
             self._drain_by = time.monotonic() + self.options.drain_s
@@ -229,7 +235,7 @@ class Server:
                 case slots.Log():
                     log.info(command.event, **command.fields)
                 case slots.Drained():
-                    self._exit = EXIT_TERMINATED
+                    self._exit = 128 + self._signals[0]
 
     # ---- answers
 
@@ -257,12 +263,10 @@ class Server:
         if not simulator and not representation:
             return ""
         if simulator not in self.simulators:
-            return f"no simulator {codec.clean(simulator)!r} here; there are {', '.join(self.simulators)}"
-        if representation not in plugins.names("representation"):
+            return f"no simulator {codec.clean(simulator)!r} here; there are {', '.join(self.simulators)}"[:MAX_TEXT]
+        if (simulator, representation) not in self._hashes:
             return f"no representation {codec.clean(representation)!r} here"
-        if simulator not in plugins.names("simulator"):
-            return f"simulator {simulator!r} is offered but not installed here"
-        if version_hash(simulator, representation) != asked.version_hash:
+        if self._hashes[simulator, representation] != asked.version_hash:
             return f"another version of {simulator}, {representation}, zswarm or numba is installed here"
         return ""
 
