@@ -1,0 +1,231 @@
+"""Experiment files: what fits is read and written back the same, what does not is refused in one clear line."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from zswarm import experiment
+from zswarm.errors import ConfigError, UnknownPlugin
+from zswarm.experiment import Experiment, complete, load, to_toml, with_cluster
+
+SMALL = """
+name = "small"
+seed = 1
+generations = 3
+[problem]
+simulator = "emergency-exit"
+[representation]
+kind = "fully-meshed"
+[optimizer]
+kind = "nnga"
+"""
+EXAMPLES = sorted(experiment.examples_folder().glob("*.toml"))
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "small.toml"
+    path.write_text(SMALL)
+    return path
+
+
+def completed(path: Path, *overrides: str) -> Experiment:
+    return complete(load(path, overrides), path.name)
+
+
+def refusal(call: Any, *arguments: Any) -> str:
+    with pytest.raises(ConfigError) as refused:
+        call(*arguments)
+    assert "\n" not in str(refused.value)
+    return str(refused.value)
+
+
+# ---- what is read -------------------------------------------------------------------------------------------------
+
+
+def test_the_defaults_are_written_out(file: Path) -> None:
+    whole = completed(file)
+    assert (whole.name, whole.seed, whole.generations) == ("small", 1, 3)
+    assert (whole.problem.trials, whole.problem.seeds) == (1, "fixed")
+    assert whole.problem.settings["agents"] == 10
+    assert whole.representation.settings["hidden"] == 2
+    assert whole.optimizer.settings["population"] == 50
+    assert "kind" not in whole.optimizer.settings
+    assert whole.cluster.servers == "auto"
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_every_example_loads_and_is_named_after_its_file(path: Path) -> None:
+    assert completed(path).name == path.stem
+    assert experiment.find(path.stem) == path
+
+
+def test_there_are_examples() -> None:
+    assert {"emergency-exit", "minisim", "stadium"} <= {path.stem for path in EXAMPLES}
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_what_is_written_reads_back_the_same(path: Path, tmp_path: Path) -> None:
+    for number, whole in enumerate((load(path), completed(path), completed(path, 'cluster.connect=["tcp/a:1"]'))):
+        written = tmp_path / f"{number}.toml"
+        written.write_text(to_toml(whole))
+        assert load(written) == whole
+        assert to_toml(load(written)) == to_toml(whole)
+    assert completed(written) == whole, "what is complete stays as it is"
+
+
+def test_an_argument_is_a_file_before_it_is_an_example(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert experiment.find(str(file)) == file
+    monkeypatch.chdir(file.parent)
+    Path("minisim").write_text(SMALL)
+    assert experiment.find("minisim") == Path("minisim")
+
+
+def test_neither_a_file_nor_an_example_is_refused_with_the_nearest(tmp_path: Path) -> None:
+    text = refusal(experiment.find, "minisin")
+    assert text.startswith(
+        "minisin: no such file, and no example of that name (did you mean 'minisim'?); examples are "
+    )
+    assert "stadium" in text
+    assert refusal(experiment.find, str(tmp_path)).startswith(f"{tmp_path}: no such file")
+
+
+# ---- --set --------------------------------------------------------------------------------------------------------
+
+
+def test_an_override_wins_over_the_file_and_makes_tables(file: Path) -> None:
+    whole = load(
+        file,
+        ["seed=7", "problem.settings.agents = 3", "cluster.servers=local", "optimizer.population=20", "seed=8"],
+    )
+    assert whole.seed == 8, "the last one wins"
+    assert whole.problem.settings == {"agents": 3}
+    assert whole.cluster.servers == "local"
+    assert whole.optimizer.settings == {"population": 20}
+
+
+def test_an_override_that_is_no_toml_value_is_a_text(file: Path) -> None:
+    assert load(file, ["name=other-name"]).name == "other-name"
+    assert load(file, ['name="other"']).name == "other"
+    assert load(file, ['cluster.connect=["tcp/host:7467"]']).cluster.connect == ["tcp/host:7467"]
+
+
+@pytest.mark.parametrize(
+    ("override", "text"),
+    [
+        ("seed", "--set seed: expected key=value, such as optimizer.population=100"),
+        ("=3", "--set =3: expected key=value, such as optimizer.population=100"),
+        ("name.x=3", "--set name.x=3: name is no table"),
+        ("name=a=b", "{file}: name: expected 1 to 63 of a-z, 0-9 and -, not starting with -, not 'a=b'"),
+        ("problem.trialz=3", "{file}: problem: unknown key 'trialz' (did you mean 'trials'?); known are: "),
+        ("sed=3", "{file}: unknown key 'sed' (did you mean 'seed'?); known are: name, seed, generations, problem, "),
+    ],
+)
+def test_an_impossible_override_is_refused(file: Path, override: str, text: str) -> None:
+    assert refusal(load, file, [override]).startswith(text.format(file=file))
+
+
+# ---- what is refused ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("override", "text"),
+    [
+        ("seed=-1", "seed: expected int >= 0"),
+        ("seed=9223372036854775807", "seed: expected int <= 9223372036854775806"),
+        ("seed=99999999999999999999999", "seed: expected int <= 9223372036854775806"),
+        ("seed=1.0", "seed: expected int, got float"),
+        ("seed=true", "seed: expected int, got bool"),
+        ("generations=0", "generations: expected int >= 1"),
+        ("name=../escape", "name: expected 1 to 63 of a-z, 0-9 and -, not starting with -, not '../escape'"),
+        ("name=", "name: expected 1 to 63 of a-z, 0-9 and -, not starting with -, not ''"),
+        ("cluster.realm=a/**", "cluster.realm: expected 1 to 63 of a-z, 0-9 and -, not starting with -, not 'a/**'"),
+        ("problem.trials=0", "problem.trials: expected int >= 1"),
+        ("problem.seeds=random", "problem.seeds: invalid enum value 'random'"),
+        ("problem.settings=5", "problem.settings: expected object, got int"),
+        ("cluster.servers=0", "cluster.servers: expected int >= 1"),
+        ("cluster.servers=all", "cluster.servers: invalid enum value 'all'"),
+        ("cluster.trial_timeout_s=nan", "cluster.trial_timeout_s: expected float > 0.0"),
+        ("cluster.trial_timeout_s=inf", "cluster.trial_timeout_s: expected float <= 1000000000.0"),
+        ("cluster.connect=tcp/a:1", "cluster.connect: expected array, got str"),
+        ("cluster.on_fault=ignore", "cluster.on_fault: invalid enum value 'ignore'"),
+        ("representation.kind=3", 'representation: kind: expected the name of one, such as kind = "..."'),
+        ("optimizer=3", "optimizer: expected object, got int"),
+    ],
+)
+def test_an_impossible_value_is_refused_with_file_and_key(file: Path, override: str, text: str) -> None:
+    assert refusal(load, file, [override]) == f"{file}: {text}"
+
+
+@pytest.mark.parametrize(
+    ("override", "text"),
+    [
+        ("optimizer.poplation=3", "optimizer: unknown key 'poplation' (did you mean 'population'?); known are: "),
+        ("optimizer.population=1", "optimizer: population: expected int >= 2"),
+        ("optimizer.elite=nan", "optimizer: elite: expected float >= 0.0"),
+        ("representation.hidden=two", "representation: hidden: expected int, got str"),
+        ("representation.weight_range=inf", "representation: weight_range: expected float <= 1000000.0"),
+        ("problem.settings.steps=1979-05-27", "problem.settings: steps: expected int, got date"),
+        ("problem.settings.agent.x=3", "problem.settings: unknown key 'agent' (did you mean 'agents'?); known are: "),
+    ],
+)
+def test_an_impossible_setting_of_a_part_is_refused(file: Path, override: str, text: str) -> None:
+    assert refusal(completed, file, override).startswith(f"small.toml: {text}")
+
+
+@pytest.mark.parametrize(
+    ("override", "text"),
+    [
+        ("problem.simulator=minisin", "unknown simulator 'minisin' (did you mean 'minisim'?); known are: "),
+        ("representation.kind=meshed", "unknown representation 'meshed' (did you mean 'fully-meshed'?); known are: "),
+        ("optimizer.kind=xyz", "unknown optimizer 'xyz'; known are: "),
+    ],
+)
+def test_an_unknown_part_is_refused_with_what_is_known(file: Path, override: str, text: str) -> None:
+    assert refusal(completed, file, override).startswith(text)
+    with pytest.raises(UnknownPlugin):
+        completed(file, override)
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        (b"name", "not TOML: Expected '=' after a key"),
+        (b"name = 3\nname = 4", "not TOML: Cannot overwrite a value"),
+        (b"\xff\xfe\x00", "not TOML: 'utf-8' codec"),
+        (b"", "object missing required field name"),
+        (SMALL.replace("seed = 1", "").encode(), "object missing required field seed"),
+        (SMALL.replace('kind = "nnga"', "").encode(), "optimizer: kind: expected the name of one"),
+        (SMALL.replace("[problem]", "[[problem]]").encode(), "problem: expected object, got array"),
+        ((SMALL + "[clustr]").encode(), "unknown key 'clustr' (did you mean 'cluster'?); known are: name, seed, "),
+        ((SMALL + "[cluster]\nrelm = 3").encode(), "cluster: unknown key 'relm' (did you mean 'realm'?); known are: "),
+    ],
+)
+def test_a_bad_file_is_refused_in_one_clear_line(tmp_path: Path, content: bytes, text: str) -> None:
+    path = tmp_path / "bad.toml"
+    path.write_bytes(content)
+    assert refusal(load, path).startswith(f"{path}: {text}")
+
+
+def test_a_file_that_cannot_be_read_says_why(tmp_path: Path) -> None:
+    assert refusal(load, tmp_path / "none.toml") == f"{tmp_path}/none.toml: cannot be read: No such file or directory"
+    assert refusal(load, tmp_path) == f"{tmp_path}: cannot be read: Is a directory"
+
+
+# ---- the cluster --------------------------------------------------------------------------------------------------
+
+
+def test_another_cluster_leaves_the_rest_as_it_is(file: Path) -> None:
+    whole = completed(file)
+    changed = with_cluster(whole, {"servers": 3, "realm": "lab"})
+    assert (changed.cluster.servers, changed.cluster.realm) == (3, "lab")
+    assert changed.problem == whole.problem
+    assert refusal(with_cluster, whole, {"realm": "a/b"}).startswith("cluster.realm: expected 1 to 63 of a-z")
+    assert refusal(with_cluster, whole, {"servers": 0}) == "cluster: servers: expected int >= 1"
+
+
+def test_no_number_of_slots_means_one_per_core(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(experiment.os, "cpu_count", lambda: 6)
+    assert experiment.local_slots(load(file)) == 6
+    assert experiment.local_slots(load(file, ["cluster.local_slots=2"])) == 2

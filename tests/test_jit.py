@@ -1,0 +1,133 @@
+"""Compiled code is kept where a change of any code that takes part makes it compile anew."""
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+
+import zswarm
+from zswarm import jit
+from zswarm.version_hash import cache_hash
+
+PACKAGE = Path(zswarm.__file__).parent
+DECIDE = """
+import numpy as np
+from zswarm import jit
+from zswarm.nets.fully_meshed import FullyMeshed, Settings
+
+network = FullyMeshed(Settings(hidden=0, iterations=1, activation="sigmoid"), 1, 1)
+action = np.empty(1, np.float32)
+parameters = network.parameters([bytes(network.genome_bytes)])
+FullyMeshed.step(parameters[0], np.zeros(network.state_size, np.float32), np.zeros(1, np.float32), action)
+print(action[0], sum(FullyMeshed.step.stats.cache_hits.values()), jit.cache_folder())
+"""
+
+
+def run(code: str, tree: Path, cache: Path, **environment: str) -> list[str]:
+    """The words that a program prints, with the package of another tree."""
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tree,
+        env={
+            **os.environ,
+            "PYTHONPATH": str(tree),
+            "ZSWARM_CACHE": str(cache),
+            "ZSWARM_PLAIN": "",
+            "PYTHONDONTWRITEBYTECODE": "1",
+            **environment,
+        },
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split()
+
+
+def test_a_change_in_a_called_file_gives_the_new_result_and_a_new_cache_folder(tmp_path: Path) -> None:
+    """The file of the kernel itself stays as it is: numba's own cache would give the old result."""
+    cache = tmp_path / "cache"
+    shutil.copytree(PACKAGE, tmp_path / "zswarm", ignore=shutil.ignore_patterns("__pycache__", "examples"))
+    callee = tmp_path / "zswarm" / "portable.py"
+    original = callee.read_text()
+
+    result, _, folder = run(DECIDE, tmp_path, cache)
+    assert (result, Path(folder).parent) == ("0.5", cache)
+
+    changed = original.replace("return 1.0 / (1.0 + exp(-x))", "return 1.5 / (1.0 + exp(-x))")
+    assert changed != original
+    callee.write_text(changed)
+    other_result, hits, other_folder = run(DECIDE, tmp_path, cache)
+    assert (other_result, hits) == ("0.75", "0")
+    assert other_folder != folder
+
+    callee.write_text(original)
+    assert run(DECIDE, tmp_path, cache) == ["0.5", "1", folder], "the first folder still serves the first code"
+    assert {path.name for path in cache.iterdir()} == {Path(folder).name, Path(other_folder).name}
+
+
+def test_plain_kernels_need_no_numba(tmp_path: Path) -> None:
+    code = """
+import sys
+from zswarm import plugins
+for kind in ("simulator", "representation"):
+    for name in plugins.names(kind):
+        plugins.load(kind, name)
+print("numba" in sys.modules)
+"""
+    assert run(code, PACKAGE.parent, tmp_path, ZSWARM_PLAIN="1") == ["False"]
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_compiler_uses_the_folder_and_no_vector_library() -> None:
+    done = run(
+        "import zswarm.jit; from numba import config as c; print(c.CACHE_DIR, c.DISABLE_INTEL_SVML, c.USING_SVML)",
+        PACKAGE.parent,
+        jit.cache_folder().parent,
+    )
+    assert done == [str(jit.cache_folder()), "1", "False"]
+
+
+@pytest.fixture
+def choices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+    """The places that are tried, in order, all of this test."""
+    monkeypatch.setenv("ZSWARM_CACHE", str(tmp_path / "own"))
+    monkeypatch.setenv("CACHE_DIRECTORY", str(tmp_path / "systemd"))
+    monkeypatch.setattr(jit.platformdirs, "user_cache_dir", lambda name: str(tmp_path / "home" / name))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    return [tmp_path / "own", tmp_path / "systemd", tmp_path / "home/zswarm", tmp_path / f"zswarm-{os.getuid()}"]
+
+
+def test_a_place_that_cannot_be_written_makes_way_for_the_next(choices: list[Path]) -> None:
+    for choice in choices:
+        folder = jit.cache_folder()
+        assert folder == choice / cache_hash()
+        assert folder.is_dir()
+        shutil.rmtree(choice)
+        choice.write_text("a file, where no folder can be")
+    last = jit.cache_folder()
+    assert last.is_dir()
+    assert last.parent == choices[0].parent
+
+
+def test_a_folder_without_the_right_to_write_is_passed_over(
+    choices: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    allowed = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: "own" not in Path(path).parts and allowed(path, mode))
+    assert jit.cache_folder() == choices[1] / cache_hash()
+
+
+def test_places_that_are_not_named_are_not_tried(choices: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("ZSWARM_CACHE")
+    monkeypatch.setenv("CACHE_DIRECTORY", "")
+    assert jit.cache_folder() == choices[2] / cache_hash()
+
+
+def test_the_folder_is_closed_to_other_users(choices: list[Path]) -> None:
+    """What lies there is run as code."""
+    assert jit.cache_folder().stat().st_mode & 0o077 == 0

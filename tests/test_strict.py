@@ -1,0 +1,66 @@
+"""What does not fit a struct is refused with its key, what was expected, and the nearest known key."""
+
+from typing import Annotated, Any, Literal
+
+import msgspec
+import pytest
+from msgspec import Meta
+
+from zswarm.errors import ConfigError
+from zswarm.strict import convert
+
+
+class Inner(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    depth: Annotated[float, Meta(gt=0, le=10)] = 1.0
+    names: list[str] = []
+
+
+class Outer(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    count: int
+    colour: Literal["red", "green"] = "red"
+    inner: Inner = Inner()
+    free: dict[str, Any] = {}
+    either: Literal["all"] | int = "all"
+
+
+def test_what_fits_is_taken_with_its_defaults() -> None:
+    assert convert({"count": 2, "inner": {"depth": 3}}, Outer, "file") == Outer(count=2, inner=Inner(depth=3.0))
+    assert convert({"count": 2, "free": {"anything": [1, {}]}}, Outer, "file").free == {"anything": [1, {}]}
+    assert convert({"count": 2, "either": 5}, Outer, "file").either == 5
+
+
+@pytest.mark.parametrize(
+    ("mapping", "text"),
+    [
+        ({}, "file: object missing required field count"),
+        ({"count": "2"}, "file: count: expected int, got str"),
+        ({"count": 2.0}, "file: count: expected int, got float"),
+        ({"count": True}, "file: count: expected int, got bool"),
+        ({"count": None}, "file: count: expected int, got null"),
+        ({"count": 2, "colour": "blue"}, "file: colour: invalid enum value 'blue'"),
+        ({"count": 2, "inner": 3}, "file: inner: expected object, got int"),
+        ({"count": 2, "inner": {"depth": 0}}, "file: inner.depth: expected float > 0.0"),
+        ({"count": 2, "inner": {"depth": float("nan")}}, "file: inner.depth: expected float > 0.0"),
+        ({"count": 2, "inner": {"names": ["a", 3]}}, "file: inner.names[1]: expected str, got int"),
+        ({"count": 2, "either": "some"}, "file: either: invalid enum value 'some'"),
+        (
+            {"count": 2, "color": "red"},
+            "file: unknown key 'color' (did you mean 'colour'?); known are: count, colour, inner, free, either",
+        ),
+        ({"count": 2, "xyz": 1}, "file: unknown key 'xyz'; known are: count, colour, inner, free, either"),
+        (
+            {"count": 2, "inner": {"dept": 1}},
+            "file: inner: unknown key 'dept' (did you mean 'depth'?); known are: depth, names",
+        ),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_one_clear_line(mapping: dict[str, Any], text: str) -> None:
+    with pytest.raises(ConfigError) as refusal:
+        convert(mapping, Outer, "file")
+    assert str(refusal.value) == text
+
+
+def test_an_unknown_key_is_named_before_a_missing_one() -> None:
+    """A misspelt key is both; its own name helps more."""
+    with pytest.raises(ConfigError, match="unknown key 'cuont'"):
+        convert({"cuont": 2}, Outer, "file")

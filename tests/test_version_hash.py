@@ -1,0 +1,119 @@
+"""The version hash changes with all code that decides a result, and with nothing else."""
+
+import ast
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from zswarm import plugins, version_hash
+
+PACKAGE = Path(version_hash.__file__).parent
+COMPUTES_NOTHING = {"errors.py", "plugins.py", "strict.py", "version_hash.py"}  # they name, check and refuse
+
+
+def imported(file: Path) -> set[Path]:
+    """The modules of the package that a module imports, whatever those import included."""
+    found: set[Path] = set()
+    waiting = [file]
+    while waiting:
+        for node in ast.walk(ast.parse(waiting.pop().read_text())):
+            names: list[str] = []
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                names = [node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)]
+            for name in names:
+                module = PACKAGE.parent.joinpath(*name.split(".")).with_suffix(".py")
+                if name.startswith("zswarm.") and module.is_file() and module not in found:
+                    found.add(module)
+                    waiting.append(module)
+    return found
+
+
+@pytest.fixture
+def copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of the package that is hashed in its place."""
+    shutil.copytree(PACKAGE, tmp_path / "zswarm", ignore=shutil.ignore_patterns("__pycache__", "examples"))
+    for module in (version_hash, plugins):
+        monkeypatch.setattr(module, "__file__", str(tmp_path / "zswarm" / Path(str(module.__file__)).name))
+    return tmp_path / "zswarm"
+
+
+def fresh() -> tuple[str, str]:
+    """The hash of a problem, and that of all compiled code, not remembered."""
+    uncached = version_hash.version_hash.__wrapped__, version_hash.cache_hash.__wrapped__
+    return uncached[0]("emergency-exit", "fully-meshed"), uncached[1]()
+
+
+def test_a_hash_is_32_hex_digits_and_stays() -> None:
+    first = fresh()
+    assert first == fresh()
+    assert all(re.fullmatch("[0-9a-f]{32}", text) for text in first)
+
+
+def test_another_simulator_has_another_hash() -> None:
+    hashes = {version_hash.version_hash(simulator, "fully-meshed") for simulator in plugins.BUNDLED["simulator"]}
+    assert len(hashes) == len(plugins.BUNDLED["simulator"])
+
+
+@pytest.mark.parametrize("file", [*version_hash.SHARED, "sims/emergency_exit.py", "nets/fully_meshed.py"])
+def test_a_change_in_a_file_that_computes_changes_both_hashes(copy: Path, file: str) -> None:
+    before = fresh()
+    (copy / file).write_text((copy / file).read_text() + "\n")
+    after = fresh()
+    assert before[0] != after[0]
+    assert before[1] != after[1]
+
+
+@pytest.mark.parametrize("file", ["ot/optimizers/nnga.py", "protocol/keys.py", "errors.py"])
+def test_a_change_elsewhere_changes_neither(copy: Path, file: str) -> None:
+    before = fresh()
+    (copy / file).write_text((copy / file).read_text() + "\n")
+    assert fresh() == before
+
+
+def test_a_change_in_another_simulator_empties_the_cache_only(copy: Path) -> None:
+    before = fresh()
+    (copy / "sims/minisim.py").write_text("# changed\n")
+    after = fresh()
+    assert before[0] == after[0]
+    assert before[1] != after[1]
+
+
+def test_a_new_simulator_empties_the_cache_only(copy: Path) -> None:
+    before = fresh()
+    (copy / "sims/new.py").write_text("# new\n")
+    after = fresh()
+    assert before[0] == after[0]
+    assert before[1] != after[1]
+
+
+def test_two_files_that_swap_their_contents_change_the_hash(tmp_path: Path) -> None:
+    one, other = tmp_path / "one.py", tmp_path / "other.py"
+    one.write_text("1")
+    other.write_text("2")
+    before = version_hash.digest([one, other])
+    one.write_text("2")
+    other.write_text("1")
+    assert version_hash.digest([one, other]) != before
+
+
+@pytest.mark.parametrize("library", ["numba", "llvmlite", "numpy", "pymunk"])
+def test_another_version_of_a_library_changes_both_hashes(library: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = fresh()
+    installed = version_hash.version
+    monkeypatch.setattr(version_hash, "version", lambda name: "0.0.1" if name == library else installed(name))
+    after = fresh()
+    assert before[0] != after[0]
+    assert before[1] != after[1]
+
+
+@pytest.mark.parametrize("kind", ["simulator", "representation"])
+def test_every_module_that_computes_for_a_part_is_hashed(kind: plugins.Kind) -> None:
+    shared = {PACKAGE / name for name in version_hash.SHARED}
+    for name in plugins.BUNDLED[kind]:
+        (own,) = plugins.source_files(kind, name)
+        needed = {own} | imported(own) | imported(PACKAGE / "evaluate.py")
+        assert {file for file in needed - shared - {own} if file.name not in COMPUTES_NOTHING} == set()
