@@ -163,7 +163,7 @@ def test_an_impossible_value_is_refused_with_file_and_key(file: Path, override: 
     [
         ("optimizer.poplation=3", "optimizer: unknown key 'poplation' (did you mean 'population'?); known are: "),
         ("optimizer.population=1", "optimizer: population: expected int >= 2"),
-        ("optimizer.elite=nan", "optimizer: elite: expected float >= 0.0"),
+        ("optimizer.random=nan", "optimizer: random: expected float >= 0.0"),
         ("representation.hidden=two", "representation: hidden: expected int, got str"),
         ("representation.weight_range=inf", "representation: weight_range: expected float <= 1000000.0"),
         ("problem.settings.steps=1979-05-27", "problem.settings: steps: expected int, got date"),

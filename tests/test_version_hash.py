@@ -3,6 +3,7 @@
 import ast
 import re
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -32,6 +33,12 @@ def imported(file: Path) -> set[Path]:
     return found
 
 
+@pytest.fixture(autouse=True)
+def clean() -> Iterator[None]:
+    yield
+    forget()
+
+
 @pytest.fixture
 def copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A copy of the package that is hashed in its place."""
@@ -43,8 +50,14 @@ def copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def fresh() -> tuple[str, str]:
     """The hash of a problem, and that of all compiled code, not remembered."""
-    uncached = version_hash.version_hash.__wrapped__, version_hash.cache_hash.__wrapped__
-    return uncached[0]("emergency-exit", "fully-meshed"), uncached[1]()
+    forget()
+    return version_hash.version_hash("emergency-exit", "fully-meshed"), version_hash.cache_hash()
+
+
+def forget() -> None:
+    for remembered in vars(version_hash).values():
+        if hasattr(remembered, "cache_clear"):
+            remembered.cache_clear()
 
 
 def test_a_hash_is_32_hex_digits_and_stays() -> None:
@@ -95,6 +108,7 @@ def test_two_files_that_swap_their_contents_change_the_hash(tmp_path: Path) -> N
     one.write_text("1")
     other.write_text("2")
     before = version_hash.digest([one, other])
+    assert version_hash.digest([one, other]) == before
     one.write_text("2")
     other.write_text("1")
     assert version_hash.digest([one, other]) != before

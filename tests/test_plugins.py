@@ -1,0 +1,145 @@
+"""Parts by name: the bundled tables, what other packages add, and what happens when one of those is broken."""
+
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from zswarm import plugins
+from zswarm.errors import ConfigError, UnknownPlugin
+from zswarm.nets.representation import Representation
+from zswarm.ot.optimizers.optimizer import Optimizer
+from zswarm.sims.simulator import Simulator
+from zswarm.version_hash import cache_hash, version_hash
+
+Install = Callable[..., Path]
+KINDS: dict[plugins.Kind, type] = {"simulator": Simulator, "representation": Representation, "optimizer": Optimizer}
+NOTHING_READ = "raise AssertionError('imported')"
+
+
+@pytest.fixture
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
+    """Install a package for this test: its files, and what it adds to the entry points."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    loaded = set(sys.modules)
+
+    def forget() -> None:
+        for cached in (plugins._installed, version_hash, cache_hash):
+            cached.cache_clear()
+
+    def write(files: dict[str, str], points: str) -> Path:
+        for name, text in files.items():
+            path = tmp_path / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)
+        information = tmp_path / "swarm_extra-1.0.dist-info"
+        information.mkdir()
+        (information / "METADATA").write_text("Metadata-Version: 2.1\nName: swarm-extra\nVersion: 1.0\n")
+        (information / "entry_points.txt").write_text(points)
+        forget()
+        return tmp_path
+
+    yield write
+    for name in set(sys.modules) - loaded:
+        if name.startswith("swarm_extra"):
+            del sys.modules[name]
+    forget()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_bundled_part_is_of_its_kind(kind: plugins.Kind) -> None:
+    assert set(plugins.BUNDLED[kind]) <= set(plugins.names(kind))
+    for name in plugins.BUNDLED[kind]:
+        part = plugins.load(kind, name)
+        assert issubclass(part, KINDS[kind])
+        assert part.settings_type
+        assert part.__doc__, "a data sheet"
+
+
+def test_names_are_sorted() -> None:
+    assert plugins.names("simulator") == sorted(plugins.names("simulator"))
+
+
+def test_a_package_adds_a_part_by_an_entry_point(install: Install) -> None:
+    install({"swarm_extra.py": "class Maze: ..."}, "[zswarm.simulators]\nmaze = swarm_extra:Maze\n")
+    assert "maze" in plugins.names("simulator")
+    assert "maze" not in plugins.names("optimizer")
+    assert plugins.load("simulator", "maze").__name__ == "Maze"
+
+
+def test_listing_and_hashing_import_nothing(install: Install) -> None:
+    install({"swarm_extra.py": NOTHING_READ}, "[zswarm.simulators]\nmaze = swarm_extra:Maze\n")
+    assert "maze" in plugins.names("simulator")
+    assert plugins.source_files("simulator", "maze")
+    assert plugins.plugin_files()
+    assert "swarm_extra" not in sys.modules
+
+
+@pytest.mark.parametrize(
+    ("code", "reason"),
+    [
+        ("raise RuntimeError('no licence')", "RuntimeError: no licence"),
+        ("import module_that_is_not_there", "ModuleNotFoundError: No module named 'module_that_is_not_there'"),
+        ("1 / 0", "ZeroDivisionError: division by zero"),
+        ("def f(:", "SyntaxError: "),
+        ("", "AttributeError: module 'swarm_extra' has no attribute 'Maze'"),
+    ],
+)
+def test_a_plugin_that_cannot_be_imported_is_named_in_one_line(install: Install, code: str, reason: str) -> None:
+    install({"swarm_extra.py": code}, "[zswarm.simulators]\nmaze = swarm_extra:Maze\n")
+    with pytest.raises(UnknownPlugin) as refusal:
+        plugins.load("simulator", "maze")
+    assert str(refusal.value).startswith(f"simulator 'maze' cannot be imported: {reason}")
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_broken_plugin_hurts_nobody_who_does_not_use_it(install: Install) -> None:
+    install({"swarm_extra.py": "raise RuntimeError"}, "[zswarm.simulators]\nmaze = swarm_extra:Maze\n")
+    assert plugins.load("simulator", "minisim")
+    assert version_hash("minisim", "fully-meshed")
+
+
+def test_a_plugin_cannot_take_a_bundled_name(install: Install) -> None:
+    install({"swarm_extra.py": NOTHING_READ}, "[zswarm.simulators]\nminisim = swarm_extra:Other\n")
+    assert plugins.load("simulator", "minisim").__module__ == "zswarm.sims.minisim"
+    assert plugins.source_files("simulator", "minisim")[0].name == "minisim.py"
+
+
+def test_a_module_that_is_gone_is_named(install: Install) -> None:
+    install({}, "[zswarm.simulators]\nmaze = swarm_extra:Maze\n")
+    with pytest.raises(UnknownPlugin, match="simulator 'maze' cannot be imported: ModuleNotFoundError"):
+        plugins.load("simulator", "maze")
+    assert plugins.source_files("simulator", "maze") == []
+
+
+def test_all_files_of_a_plugins_package_are_in_its_hash(install: Install) -> None:
+    files = {"swarm_extra/__init__.py": "", "swarm_extra/maze.py": NOTHING_READ, "swarm_extra/deep/walls.py": "A = 1"}
+    folder = install(files, "[zswarm.simulators]\nmaze = swarm_extra.maze:Maze\n")
+    assert {str(path.relative_to(folder)) for path in plugins.source_files("simulator", "maze")} == set(files)
+    before = version_hash("maze", "fully-meshed"), cache_hash()
+    (folder / "swarm_extra/deep/walls.py").write_text("A = 2")
+    version_hash.cache_clear()
+    cache_hash.cache_clear()
+    assert version_hash("maze", "fully-meshed") != before[0]
+    assert cache_hash() != before[1]
+
+
+def test_an_optimizer_plugin_takes_no_part_in_compiled_code(install: Install) -> None:
+    before = cache_hash()
+    install({"swarm_extra.py": NOTHING_READ}, "[zswarm.optimizers]\nmine = swarm_extra:Mine\n")
+    assert "mine" in plugins.names("optimizer")
+    assert cache_hash() == before
+
+
+def test_an_unknown_name_is_refused_with_the_nearest_and_all_known() -> None:
+    with pytest.raises(ConfigError) as refusal:
+        plugins.load("simulator", "mini-sim")
+    assert str(refusal.value).startswith("unknown simulator 'mini-sim' (did you mean 'minisim'?); known are: ")
+    for name in plugins.names("simulator"):
+        assert name in str(refusal.value)
+
+
+@pytest.mark.parametrize(("word", "answer"), [("optimiser", " (did you mean 'optimizer'?)"), ("xyz", "")])
+def test_the_nearest_word_is_offered_only_where_it_is_near(word: str, answer: str) -> None:
+    assert plugins.nearest(word, ["optimizer", "problem"]) == answer
