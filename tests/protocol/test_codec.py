@@ -1,0 +1,470 @@
+"""Messages come through whole, and any bytes end in a message or in ``RemoteProtocolError``."""
+
+import struct
+import unicodedata
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from zswarm.errors import RemoteProtocolError
+from zswarm.protocol import codec, messages
+from zswarm.protocol.messages import MAX_GENOMES, MAX_MESSAGE, MAX_TEXT, MAX_TRIALS, Evaluate, Outcomes, Part, Reserve
+
+pack = msgspec.msgpack.encode
+SHOWN = st.text(st.characters(categories=("L", "N", "P", "S", "Zs")), max_size=40)  # clean() leaves these as they are
+TOKENS = st.binary(min_size=16, max_size=16)
+COUNTS = st.integers(0, 2**53)
+SECONDS = st.floats(0, 1e9)
+PLAIN = st.recursive(
+    st.one_of(st.booleans(), st.integers(-(2**63), 2**64 - 1), st.floats(allow_nan=False, allow_infinity=False), SHOWN),
+    lambda inner: st.one_of(st.lists(inner, max_size=3), st.dictionaries(SHOWN, inner, max_size=3)),
+    max_leaves=5,
+)
+PARTS = st.builds(Part, SHOWN, st.dictionaries(SHOWN, PLAIN, max_size=3))
+REQUESTS = {
+    messages.Requirements: {"simulator": SHOWN, "representation": SHOWN, "version_hash": SHOWN},
+    Reserve: {
+        "nonce": TOKENS,
+        "epoch": COUNTS,
+        "slots": st.integers(1, messages.MAX_SLOTS),
+        "simulator": PARTS,
+        "representation": PARTS,
+        "version_hash": SHOWN,
+        "trial_timeout_s": st.floats(0, 1e9, exclude_min=True),
+    },
+    messages.Renew: {"lease": TOKENS, "known_ready": st.integers(-1, messages.MAX_SLOTS)},
+    Evaluate: {
+        "lease": TOKENS,
+        "batch": COUNTS,
+        "genomes": st.lists(st.binary(max_size=30), max_size=4),
+        "participants": st.binary(max_size=30),
+        "seeds": st.binary(max_size=30),
+    },
+    messages.Cancel: {"lease": TOKENS, "batches": st.lists(COUNTS, max_size=4)},
+    messages.Release: {"lease": TOKENS},
+}
+REPLIES = {
+    messages.Offer: {
+        **dict.fromkeys(("server", "program", "machine", "mismatch"), SHOWN),
+        **dict.fromkeys(("capacity", "free", "leases"), COUNTS),
+        **dict.fromkeys(("simulators", "representations"), st.lists(SHOWN, max_size=4)),
+    },
+    messages.Lease: {
+        "lease": TOKENS,
+        "state": st.sampled_from(["waiting", "preparing", "ready", "failed"]),
+        **dict.fromkeys(("slots", "ready"), COUNTS),
+        **dict.fromkeys(("lease_s", "trial_s"), SECONDS),
+        "probe": st.binary(max_size=64),
+        "reason": SHOWN,
+    },
+    Outcomes: {
+        "batch": COUNTS,
+        "fitness": st.binary(max_size=30),
+        "metrics": st.binary(max_size=30),
+        "seconds": SECONDS,
+        "error": SHOWN,
+    },
+    messages.Running: {"batch": COUNTS, "done": COUNTS},
+    messages.Fault: {
+        "batch": COUNTS,
+        "kind": st.sampled_from(["crashed", "timeout"]),
+        "trial": COUNTS,
+        "reason": SHOWN,
+    },
+    messages.Refused: {
+        "code": st.sampled_from(["malformed", "lease-lost", "busy", "draining", "mismatch", "cancelled"]),
+        "reason": SHOWN,
+    },
+    messages.Done: {},
+}
+ANY_REQUEST = st.one_of([st.builds(kind, **fields) for kind, fields in REQUESTS.items()])
+ANY_REPLY = st.one_of([st.builds(kind, **fields) for kind, fields in REPLIES.items()])
+
+
+def reserve(**changes: Any) -> Reserve:
+    fields: dict[str, Any] = {
+        "nonce": bytes(16),
+        "epoch": 1,
+        "slots": 2,
+        "simulator": Part("minisim", {}),
+        "representation": Part("fully-meshed", {}),
+        "version_hash": "",
+        "trial_timeout_s": 1.0,
+    }
+    return Reserve(**(fields | changes))
+
+
+def evaluate(**changes: Any) -> Evaluate:
+    fields: dict[str, Any] = {
+        "lease": bytes(16),
+        "batch": 1,
+        "genomes": [b"a", b"b"],
+        "participants": struct.pack("<2I", 0, 1),
+        "seeds": struct.pack("<2Q", 5, 6),
+    }
+    return Evaluate(**(fields | changes))
+
+
+def refusal(body: bytes, decode: Any = codec.decode_request) -> str:
+    with pytest.raises(RemoteProtocolError) as refused:
+        decode(body)
+    return str(refused.value)
+
+
+def changed(message: Any, **changes: Any) -> bytes:
+    """The bytes of a message with fields that no message may have."""
+    return pack(msgspec.to_builtins(message, builtin_types=(bytes,)) | changes)
+
+
+# ---- what comes through -------------------------------------------------------------------------------------------
+
+
+def test_every_message_is_tested() -> None:
+    assert set(REQUESTS) == set(messages.Request.__args__)
+    assert set(REPLIES) == set(messages.Reply.__args__)
+    for kind, fields in (REQUESTS | REPLIES).items():
+        assert set(fields) | {"v"} == set(kind.__struct_fields__)
+
+
+@given(ANY_REQUEST)
+def test_a_request_comes_through_whole(message: messages.Request) -> None:
+    assert codec.decode_request(codec.encode(message)) == message
+
+
+@given(ANY_REPLY)
+def test_a_reply_comes_through_whole(message: messages.Reply) -> None:
+    assert codec.decode_reply(codec.encode(message)) == message
+
+
+@given(ANY_REQUEST, ANY_REPLY)
+def test_requests_are_no_replies_and_replies_no_requests(request: messages.Request, reply: messages.Reply) -> None:
+    refusal(codec.encode(request), codec.decode_reply)
+    refusal(codec.encode(reply), codec.decode_request)
+
+
+def test_a_message_is_a_map_with_type_and_version() -> None:
+    """For programs in other languages: these names and kinds are the protocol."""
+    assert msgspec.msgpack.decode(codec.encode(evaluate())) == {
+        "type": "evaluate",
+        "v": 1,
+        "lease": bytes(16),
+        "batch": 1,
+        "genomes": [b"a", b"b"],
+        "participants": b"\0\0\0\0\x01\0\0\0",
+        "seeds": b"\x05\0\0\0\0\0\0\0\x06\0\0\0\0\0\0\0",
+    }
+    assert msgspec.msgpack.decode(codec.encode(messages.Done())) == {"type": "done", "v": 1}
+
+
+# ---- any bytes ----------------------------------------------------------------------------------------------------
+
+
+def dangerous(text: str) -> set[str]:
+    """Categories of characters in a text that a terminal or a log may act on: control, format, no character."""
+    return {unicodedata.category(character) for character in text} & {"Cc", "Cf", "Cs", "Co", "Cn"}
+
+
+def ends_well(body: bytes) -> None:
+    for decode in (codec.decode_request, codec.decode_reply):
+        try:
+            message = decode(body)
+        except RemoteProtocolError as error:
+            message, text = None, str(error)
+        if message is None:
+            assert not dangerous(text)
+            assert len(text) <= MAX_TEXT + 20
+        else:
+            assert decode(codec.encode(message)) == message
+
+
+@given(st.binary(max_size=200))
+def test_any_bytes_end_in_a_message_or_the_peers_fault(body: bytes) -> None:
+    ends_well(body)
+
+
+@given(st.one_of(ANY_REQUEST, ANY_REPLY), st.integers(0, 10_000), st.binary(max_size=6), st.integers(0, 6))
+def test_a_damaged_message_ends_so_too(message: messages.Message, place: int, bytes_: bytes, lost: int) -> None:
+    body = codec.encode(message)
+    place %= len(body) + 1
+    ends_well(body[:place] + bytes_ + body[place + lost :])
+    ends_well(body[:place])
+
+
+VALUES = st.recursive(
+    st.one_of(st.none(), st.integers(-(2**63), 2**64 - 1), st.floats(), st.text(max_size=8), st.binary(max_size=18)),
+    lambda inner: st.one_of(st.lists(inner, max_size=3), st.dictionaries(st.text(max_size=8), inner, max_size=3)),
+    max_leaves=4,
+)
+
+
+@given(st.one_of(ANY_REQUEST, ANY_REPLY), st.data())
+def test_a_message_with_any_value_in_a_field_ends_so_too(message: messages.Message, data: st.DataObject) -> None:
+    key = data.draw(st.one_of(st.sampled_from(["type", *message.__struct_fields__]), st.text(max_size=6)))
+    ends_well(changed(message, **{key: data.draw(VALUES)}))
+
+
+def test_bytes_after_the_message_are_refused() -> None:
+    assert "trailing" in refusal(codec.encode(evaluate()) + b"\0")
+
+
+def test_a_message_that_is_too_large_is_refused_unread() -> None:
+    body = codec.encode(evaluate(genomes=[bytes(3_000_000)] * 3))
+    assert refusal(body) == f"a message has {len(body)} bytes; at most {MAX_MESSAGE} are taken"
+    assert codec.decode_request(codec.encode(evaluate(genomes=[bytes(3_000_000)] * 2)))
+
+
+# ---- settings -----------------------------------------------------------------------------------------------------
+
+MARK = "a place to put other bytes"
+
+
+def with_settings(raw: bytes, which: str) -> bytes:
+    """A reserve with raw bytes as the value of a setting."""
+    return codec.encode(reserve(**{which: Part("x", {"key": MARK})})).replace(pack(MARK), raw)
+
+
+@pytest.mark.parametrize("which", ["simulator", "representation"])
+@pytest.mark.parametrize(
+    ("raw", "text"),
+    [
+        (b"\xdd\xff\xff\xff\xff", "truncated"),  # headers that promise four thousand million of something
+        (b"\xdf\xff\xff\xff\xff", "truncated"),
+        (b"\xc6\xff\xff\xff\xff", "truncated"),
+        (b"\xdb\xff\xff\xff\xff", "truncated"),
+        (b"\xc9\xff\xff\xff\xff\x05", "truncated"),
+        (b"\x91" * 100_000 + b"\xc0", "recursion depth"),
+        (b"\x81\xa1a" * 100_000 + b"\xc0", "recursion depth"),
+        (pack(float("nan")), "a setting is not finite"),
+        (pack(float("inf")), "a setting is not finite"),
+        (b"\xca" + struct.pack(">f", float("-inf")), "a setting is not finite"),
+        (pack([1, {"a": [float("nan")]}]), "a setting is not finite"),
+        (pack(None), "a setting is of no known type: NoneType"),
+        (pack(b"raw"), "a setting is of no known type: bytes"),
+        (pack(msgspec.msgpack.Ext(5, b"x")), "a setting is of no known type: Ext"),
+        (b"\xd6\xff\0\0\0\0", "a setting is of no known type: datetime"),
+        (pack({1: 2}), "a settings' key is no text, or too long"),
+        (pack({"k" * (MAX_TEXT + 1): 2}), "a settings' key is no text, or too long"),
+        (b"\x81\x91\x01\x01", "a settings' key is no text, or too long"),
+        (b"\x81\x80\x01", "map keys must be hashable"),
+        (b"\xa1\xff", "utf-8"),
+        (b"\xa3\xed\xa0\x80", "utf-8"),
+        (b"\xc1", "malformed"),
+        (b"\xd7\xff" + b"\xff" * 8, "timestamp"),
+    ],
+)
+def test_settings_hold_plain_finite_values_only(which: str, raw: bytes, text: str) -> None:
+    assert text in refusal(with_settings(raw, which))
+
+
+def test_settings_are_nested_eight_deep_at_most() -> None:
+    for depth, fits in ((codec.MAX_DEPTH - 2, True), (codec.MAX_DEPTH - 1, False), (300, False)):
+        for nest in (lambda inner: [inner], lambda inner: {"a": inner}):
+            value: Any = 1
+            for _ in range(depth):
+                value = nest(value)
+            body = codec.encode(reserve(simulator=Part("x", {"key": value})))
+            if fits:
+                assert codec.decode_request(body) == reserve(simulator=Part("x", {"key": value}))
+            else:
+                assert refusal(body) == "settings are nested deeper than 8"
+
+
+# ---- fields -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("message", "changes"),
+    [
+        (reserve(), {"nonce": bytes(15)}),
+        (reserve(), {"nonce": bytes(17)}),
+        (reserve(), {"nonce": "0" * 16}),
+        (reserve(), {"slots": 0}),
+        (reserve(), {"slots": messages.MAX_SLOTS + 1}),
+        (reserve(), {"slots": 1.0}),
+        (reserve(), {"epoch": -1}),
+        (reserve(), {"epoch": 2**53 + 1}),
+        (reserve(), {"trial_timeout_s": 0.0}),
+        (reserve(), {"trial_timeout_s": float("nan")}),
+        (reserve(), {"trial_timeout_s": float("inf")}),
+        (reserve(), {"version_hash": "a" * (MAX_TEXT + 1)}),
+        (reserve(), {"simulator": ["x", {}]}),
+        (reserve(), {"simulator": {"kind": "x"}}),
+        (reserve(), {"simulator": {"kind": "x", "settings": {}, "more": 1}}),
+        (reserve(), {"more": 1}),
+        (evaluate(), {"genomes": [b""] * (MAX_GENOMES + 1)}),
+        (evaluate(), {"genomes": [bytes(messages.MAX_GENOME + 1)]}),
+        (evaluate(), {"batch": True}),
+        (messages.Cancel(lease=bytes(16), batches=[]), {"batches": [0] * (MAX_TRIALS + 1)}),
+        (messages.Renew(lease=bytes(16)), {"known_ready": -2}),
+    ],
+)
+def test_a_field_beyond_its_bounds_is_refused(message: Any, changes: dict[str, Any]) -> None:
+    assert codec.decode_request(changed(message)) == message
+    refusal(changed(message, **changes))
+
+
+def test_nothing_in_a_reply_is_beyond_its_bounds() -> None:
+    lease = messages.Lease(lease=bytes(16), state="ready", slots=1, ready=1, lease_s=60.0)
+    for changes in (
+        {"state": "gone"},
+        {"lease_s": float("nan")},
+        {"lease_s": -1.0},
+        {"probe": bytes(65)},
+        {"trial_s": float("inf")},
+        {"reason": "a" * (MAX_TEXT + 1)},
+    ):
+        refusal(changed(lease, **changes), codec.decode_reply)
+    outcomes = Outcomes(batch=1, fitness=b"", metrics=b"", seconds=1.0)
+    refusal(changed(outcomes, seconds=float("nan")), codec.decode_reply)
+    refusal(changed(messages.Fault(batch=1, kind="crashed", trial=0, reason=""), kind="tired"), codec.decode_reply)
+
+
+@pytest.mark.parametrize("version", [0, 2, 99])
+def test_a_message_of_another_version_is_named_so_whatever_else_it_holds(version: int) -> None:
+    expected = f"the peer speaks version {version} of the protocol, this program version 1"
+    for body in (
+        changed(reserve(), v=version),
+        changed(reserve(), v=version, more=[1, 2]),
+        pack({"v": version}),
+        pack({"type": "invented", "v": version, "x": {}}),
+    ):
+        assert refusal(body) == expected
+        assert refusal(body, codec.decode_reply) == expected
+
+
+def test_a_message_that_says_no_version_is_of_this_one() -> None:
+    assert codec.decode_reply(pack({"type": "done"})) == messages.Done()
+
+
+# ---- texts --------------------------------------------------------------------------------------------------------
+
+DIRTY = "\x1b[31mred\x07\nline\r\x00 \u202eevil\u2066 \x9b \u200b\ufeff \U000e0041"
+
+
+@pytest.mark.parametrize(
+    ("text", "cleaned"),
+    [
+        ("plain text 1", "plain text 1"),
+        ("Grüße, 世界 ∞", "Grüße, 世界 ∞"),
+        ("\x1b[2J", "\\x1b[2J"),
+        ("a\nb\tc\r", "a\\x0ab\\x09c\\x0d"),
+        ("\x9b1m", "\\x9b1m"),
+        ("\u202egpj.exe", "\\x202egpj.exe"),
+        ("\u2066a\u2069", "\\x2066a\\x2069"),
+        ("zero\u200bwidth", "zero\\x200bwidth"),
+        ("\U000e0041", "\\xe0041"),
+        ("\ue000", "\\xe000"),
+        ("", ""),
+    ],
+)
+def test_a_text_is_shown_with_its_dangerous_characters_spelt_out(text: str, cleaned: str) -> None:
+    assert codec.clean(text) == cleaned
+
+
+@given(st.text())
+def test_a_clean_text_holds_no_control_or_format_character_and_stays_clean(text: str) -> None:
+    cleaned = codec.clean(text)
+    assert len(cleaned) <= MAX_TEXT
+    assert not dangerous(cleaned)
+    assert codec.clean(cleaned) == cleaned
+    cleaned.encode()
+
+
+def test_a_long_text_is_cut() -> None:
+    assert codec.clean("x" * 600) == "x" * MAX_TEXT
+    assert len(codec.clean("\x1b" * 500)) == MAX_TEXT
+
+
+@pytest.mark.parametrize("kind", REPLIES)
+def test_every_text_of_a_reply_is_cleaned_where_it_comes_in(kind: type[messages.Message]) -> None:
+    """Each field that takes any text is sent dirty; fields of fixed words cannot be."""
+    plain = {
+        messages.Offer: dict.fromkeys(("capacity", "free", "leases"), 1),
+        messages.Lease: {"lease": bytes(16), "state": "failed", "slots": 0, "ready": 0, "lease_s": 1.0},
+        Outcomes: {"batch": 1, "fitness": b"", "metrics": b"", "seconds": 1.0},
+        messages.Running: {"batch": 1, "done": 1},
+        messages.Fault: {"batch": 1, "kind": "crashed", "trial": 1},
+        messages.Refused: {"code": "busy"},
+        messages.Done: {},
+    }[kind]
+    texts = {name: DIRTY for name, strategy in REPLIES[kind].items() if strategy is SHOWN}
+    lists = {name: [DIRTY] for name in ("simulators", "representations") if name in REPLIES[kind]}
+    received = codec.decode_reply(codec.encode(kind(**plain, **texts, **lists)))
+    for name in texts:
+        assert getattr(received, name) == codec.clean(DIRTY)
+        assert getattr(received, name).isprintable()
+    for name in lists:
+        assert getattr(received, name) == [codec.clean(DIRTY)]
+
+
+# ---- arrays -------------------------------------------------------------------------------------------------------
+
+
+def test_the_arrays_of_a_batch_are_read_in_order() -> None:
+    participants, seeds = codec.trials(evaluate(), 1)
+    assert (participants.tolist(), participants.dtype) == ([[0], [1]], np.int64)
+    assert (seeds.tolist(), seeds.dtype) == ([5, 6], np.uint64)
+    two, _ = codec.trials(evaluate(participants=struct.pack("<4I", 0, 1, 1, 0)), 2)
+    assert two.tolist() == [[0, 1], [1, 0]]
+    _, largest = codec.trials(evaluate(seeds=struct.pack("<2Q", 2**64 - 1, 0)), 1)
+    assert largest.tolist() == [2**64 - 1, 0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"seeds": b""}, f"a batch holds 1 to {MAX_TRIALS} trials, not 0"),
+        ({"seeds": bytes(8 * (MAX_TRIALS + 1))}, f"a batch holds 1 to {MAX_TRIALS} trials, not {MAX_TRIALS + 1}"),
+        ({"seeds": bytes(15)}, "15 bytes are no whole number of <u8"),
+        ({"participants": bytes(7)}, "7 bytes are no whole number of <u4"),
+        ({"participants": bytes(4)}, "2 trials of 1 participants need 2 indices, not 1"),
+        ({"participants": bytes(12)}, "2 trials of 1 participants need 2 indices, not 3"),
+        ({"participants": b""}, "2 trials of 1 participants need 2 indices, not 0"),
+        ({"participants": struct.pack("<2I", 0, 2)}, "participant 2 is not among 2 genomes"),
+        ({"participants": struct.pack("<2I", 0, 2**32 - 1)}, "participant 4294967295 is not among 2 genomes"),
+        ({"genomes": []}, "participant 1 is not among 0 genomes"),
+    ],
+)
+def test_arrays_of_a_batch_that_do_not_fit_are_refused(changes: dict[str, Any], text: str) -> None:
+    with pytest.raises(RemoteProtocolError) as refused:
+        codec.trials(evaluate(**changes), 1)
+    assert str(refused.value) == text
+
+
+def outcomes(fitness: list[float], metrics: list[float]) -> Outcomes:
+    fitness_bytes, metrics_bytes = (np.array(numbers, "<f8").tobytes() for numbers in (fitness, metrics))
+    return Outcomes(batch=1, fitness=fitness_bytes, metrics=metrics_bytes, seconds=0.0)
+
+
+def test_outcomes_are_read_in_order() -> None:
+    fitness, metrics = codec.outcomes(outcomes([1.5, float("nan"), 3, 4], [5, 6, 7, 8, 9, 10]), 2, 2, 3)
+    assert np.array_equal(fitness, [[1.5, np.nan], [3, 4]], equal_nan=True)
+    assert metrics.tolist() == [[5, 6, 7], [8, 9, 10]]
+    fitness, metrics = codec.outcomes(outcomes([1, 2], []), 2, 1, 0)
+    assert fitness.shape == (2, 1)
+    assert metrics.shape == (2, 0)
+
+
+@pytest.mark.parametrize(
+    ("fitness", "metrics"), [([1], [1, 2]), ([1, 2, 3], [1, 2]), ([1, 2], [1]), ([1, 2], [1, 2, 3]), ([], [])]
+)
+def test_outcomes_of_a_wrong_size_are_refused(fitness: list[float], metrics: list[float]) -> None:
+    with pytest.raises(RemoteProtocolError, match="2 trials need 2 fitness numbers and 2 metrics, not"):
+        codec.outcomes(outcomes(fitness, metrics), 2, 1, 1)
+
+
+@pytest.mark.parametrize("infinite", [float("inf"), float("-inf")])
+def test_infinite_outcomes_are_refused(infinite: float) -> None:
+    for fitness, metrics in (([infinite, 0], [0, 0]), ([0, 0], [0, infinite])):
+        with pytest.raises(RemoteProtocolError, match="an outcome is infinite"):
+            codec.outcomes(outcomes(fitness, metrics), 2, 1, 1)
+
+
+def test_outcomes_cut_in_a_number_are_refused() -> None:
+    cut = msgspec.structs.replace(outcomes([1, 2], [3, 4]), fitness=bytes(15))
+    with pytest.raises(RemoteProtocolError, match="15 bytes are no whole number of <f8"):
+        codec.outcomes(cut, 2, 1, 1)
