@@ -10,9 +10,8 @@ import struct
 
 import numpy as np
 
-GAMMA = np.uint64(0x9E3779B97F4A7C15)
-MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
-MIX_2 = np.uint64(0x94D049BB133111EB)
+GAMMA = 0x9E3779B97F4A7C15
+MIX_1, MIX_2 = 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
 MASK_64 = (1 << 64) - 1
 UNIT = 2.0**-53
 
@@ -36,12 +35,12 @@ class Stream:
         """(count,) uint64."""
         x = np.arange(self.position + 1, self.position + count + 1, dtype=np.uint64)
         self.position += count
-        x *= GAMMA
+        x *= np.uint64(GAMMA)
         x += np.uint64(self.seed)
         x ^= x >> np.uint64(30)
-        x *= MIX_1
+        x *= np.uint64(MIX_1)
         x ^= x >> np.uint64(27)
-        x *= MIX_2
+        x *= np.uint64(MIX_2)
         x ^= x >> np.uint64(31)
         return x
 
@@ -54,5 +53,9 @@ class Stream:
         return (((self.words(count) >> np.uint64(32)) * np.uint64(bound)) >> np.uint64(32)).astype(np.int64)
 
     def integer(self, bound: int) -> int:
-        """One integer in 0..bound-1."""
-        return int(self.integers(bound, 1)[0])
+        """One integer in 0..bound-1: what ``integers`` draws, ten times faster for one."""
+        self.position += 1
+        x = (self.seed + self.position * GAMMA) & MASK_64
+        x = ((x ^ (x >> 30)) * MIX_1) & MASK_64
+        x = ((x ^ (x >> 27)) * MIX_2) & MASK_64
+        return (((x ^ (x >> 31)) >> 32) * bound) >> 32

@@ -31,7 +31,7 @@ from zswarm.protocol.messages import (
 
 DEPTH = 2  # batches out per slot: one runs, one waits
 BATCH_S = 0.075  # of work in a batch, by measured time
-SMALLEST_BATCH_S = 0.001  # a message costs a fifth of this
+SMALLEST_BATCH_S = 0.003  # of work: shorter than the way to a server and back, two batches would not keep a slot busy
 RENEW_S = 20.0  # a third of the lease time
 RETRY_S = (0.05, 0.2, 1.0)  # before asking again after an empty answer; then the server is left alone until it is seen again
 ATTEMPTS = 3  # of a trial that ends in a fault

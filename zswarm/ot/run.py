@@ -113,7 +113,8 @@ def run(complete: Experiment, parts: Parts, record: Record, local: LocalServer |
             genomes = parts.optimizer.ask()
             workload = _workload(complete, parts.simulator, genomes, generation)
             record.begin(generation, workload)
-            record.restore(workload)
+            if generation == resumed.generation:
+                record.restore(workload)
             for item in _evaluate(cluster, workload, local, reporter, complete.problem.simulator):
                 if isinstance(item, Counted):
                     record.add(item, workload)

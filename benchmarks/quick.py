@@ -1,0 +1,158 @@
+"""What dispatch costs and how fast whole runs are, on this machine: `make bench`.
+
+- no-op: microseconds per candidate, 400 distinct candidates per generation, through zenoh and the slots' processes;
+- sleep: efficiency with 5 ms of sleep per candidate: ideal time / time;
+- emergency-exit: simulations per second of a whole NNGA run of 50 x 200, everything included but the start.
+
+Medians; nothing else should run meanwhile.
+"""
+
+import contextlib
+import os
+import secrets
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+SLOTS = (1, 2, 4, 8, 16)
+POPULATION = 400
+HIDDEN = 15  # with one input and one output: genomes of 288 float32
+SLEEP_S = 0.005
+NOOP_ROUNDS, SLEEP_ROUNDS = 30, 5
+
+PLUGIN = '''
+import time
+import msgspec
+import numpy as np
+from zswarm.sims.simulator import CompiledSimulator, Outcome, Turn
+
+
+class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    sleep_s: float = 0.0
+
+
+class Sleep(CompiledSimulator):
+    """Sleeps and says 0: a trial that costs nothing but its dispatch."""
+
+    settings_type = Settings
+    inputs, outputs, owners = 1, 1, (0,)
+
+    def reset(self, seed):
+        return Turn((0,), np.zeros((1, 1), np.float32))
+
+    def step(self, actions):
+        return None
+
+    def outcome(self):
+        return Outcome([0.0], [])
+
+    def play(self, step, state_size, parameters, participants, seeds, progress, fitness, metrics):
+        fitness[:] = 0.0
+        if self.settings.sleep_s:
+            for trial in range(len(seeds)):
+                progress[0] = trial
+                time.sleep(self.settings.sleep_s)
+'''
+
+
+def install_plugin(folder: Path) -> None:
+    """Make the simulator known to this process and its children."""
+    (folder / "zswarm_bench.py").write_text(PLUGIN)
+    metadata = folder / "zswarm_bench-1.0.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: zswarm-bench\nVersion: 1.0\n")
+    (metadata / "entry_points.txt").write_text("[zswarm.simulators]\nbench-sleep = zswarm_bench:Sleep\n")
+    sys.path.insert(0, str(folder))
+    os.environ["PYTHONPATH"] = os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])
+
+
+@contextlib.contextmanager
+def cluster(slots: int, sleep_s: float) -> Iterator[object]:
+    """A server of so many slots, and an optimizer that has all of them ready."""
+    from zswarm.ot.cluster import Cluster, Wanted, Who
+    from zswarm.ot.local import LocalServer
+    from zswarm.protocol.messages import Part
+    from zswarm.version_hash import version_hash
+
+    wanted = Wanted(
+        Part("bench-sleep", {"sleep_s": sleep_s}), Part("fully-meshed", {"hidden": HIDDEN}), version_hash("bench-sleep", "fully-meshed"),
+        participants=1, metrics=0, trial_timeout_s=60.0, slots=slots, quarantine=False, probe=b"",
+    )  # fmt: skip
+    who = Who("default", "bench", f"bench-{secrets.token_hex(4)}", 0, secrets.token_bytes(16))
+    with LocalServer(slots, "default") as local, Cluster(who, wanted, connect=[local.endpoint], multicast=False) as opened:
+        for _ in opened.wait(1, 60.0):
+            pass
+        while opened.dispatch.slots() < slots:
+            time.sleep(0.01)
+        yield opened
+
+
+def generation_s(opened: object, size: int) -> float:
+    """Seconds for one generation of distinct candidates."""
+    import numpy as np
+
+    from zswarm.ot.dispatch import Workload
+
+    numbers = (HIDDEN + 1) * (HIDDEN + 3)
+    genomes = [genome.tobytes() for genome in np.random.default_rng().uniform(-2, 2, (size, numbers)).astype("<f4")]
+    workload = Workload(genomes, np.arange(size).reshape(-1, 1), np.zeros(size, np.uint64), 0)
+    begin = time.perf_counter()
+    for _ in opened.evaluate(workload):
+        pass
+    return time.perf_counter() - begin
+
+
+def dispatch() -> None:
+    """The first two tables."""
+    print(f"{'slots':>6} {'no-op, us per candidate':>24} {'sleep 5 ms, efficiency':>24}")
+    for slots in SLOTS:
+        with cluster(slots, 0.0) as opened:
+            times = [generation_s(opened, POPULATION) for _ in range(NOOP_ROUNDS)]
+        with cluster(slots, SLEEP_S) as opened:
+            sleeps = [generation_s(opened, POPULATION) for _ in range(SLEEP_ROUNDS)]
+        ideal = POPULATION * SLEEP_S / slots
+        noop = statistics.median(times[2:]) / POPULATION * 1e6
+        print(f"{slots:>6} {noop:>24.1f} {ideal / statistics.median(sleeps[1:]):>24.3f}", flush=True)
+
+
+def runs() -> None:
+    """The third table; FREVO's numbers are quoted: both cores of an EPYC, whole command without start."""
+    from zswarm import experiment
+    from zswarm.ot import run
+    from zswarm.ot.local import LocalServer
+    from zswarm.ot.record import Record
+
+    class Silent:
+        def say(self, text: str) -> None: ...
+        def progress(self, generation: int, counted: int, trials: int) -> None: ...
+        def generation(self, generation: object) -> None: ...
+
+    print(f"\n{'field':>8} {'simulations/s':>14} {'x FREVO':>8}   (whole run, 50 x 200)")
+    for name, frevo in (("stadium", 838), ("emergency-exit", 12740)):
+        loaded = experiment.load(experiment.find(name), ["cluster.servers=local"])
+        complete = experiment.complete(loaded, name)
+        rates = []
+        for _ in range(3):
+            with tempfile.TemporaryDirectory() as out, LocalServer(experiment.local_slots(loaded), "default") as local:
+                parts = run.build(complete)
+                with Record.create(Path(out), complete, "") as record:
+                    result = run.run(complete, parts, record, local, Silent())
+            rates.append(result.evaluations * complete.problem.trials / result.seconds)
+        rate = statistics.median(rates)
+        print(f"{'stadium' if name == 'stadium' else 'random':>8} {rate:>14.0f} {rate / frevo:>8.1f}", flush=True)
+
+
+def main() -> None:
+    """All of it."""
+    os.environ["ZSWARM_PLAIN"] = "1"  # this process evaluates nothing
+    with tempfile.TemporaryDirectory() as folder:
+        install_plugin(Path(folder))
+        dispatch()
+        runs()
+
+
+if __name__ == "__main__":
+    main()
