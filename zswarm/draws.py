@@ -10,6 +10,8 @@ import struct
 
 import numpy as np
 
+from zswarm.jit import inline
+
 GAMMA = 0x9E3779B97F4A7C15
 MIX_1, MIX_2 = 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
 MASK_64 = (1 << 64) - 1
@@ -59,3 +61,14 @@ class Stream:
         x = ((x ^ (x >> 30)) * MIX_1) & MASK_64
         x = ((x ^ (x >> 27)) * MIX_2) & MASK_64
         return (((x ^ (x >> 31)) >> 32) * bound) >> 32
+
+
+@inline
+def draw_integer(state, bound):  # type: ignore[no-untyped-def]  # compiled
+    """``Stream.integer`` inside a kernel; ``state`` is (1,) uint64, a stream's seed at first."""
+    state[0] += np.uint64(GAMMA)
+    word = state[0]
+    word = (word ^ (word >> np.uint64(30))) * np.uint64(MIX_1)
+    word = (word ^ (word >> np.uint64(27))) * np.uint64(MIX_2)
+    word = word ^ (word >> np.uint64(31))
+    return np.int64(((word >> np.uint64(32)) * np.uint64(bound)) >> np.uint64(32))

@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from zswarm.draws import draw_integer
 from zswarm.errors import ConfigError
 from zswarm.jit import STEP, Step, array, float32, float64, inline, int64, kernel, uint64, void
 from zswarm.sims.simulator import CompiledSimulator, Outcome, Turn
@@ -160,18 +161,6 @@ class Minisim(CompiledSimulator):
 NUMBERS = array(int64)
 TABLE = array(int64, 2)
 GRIDS = array(float32, 2)
-GAMMA, MIX_1, MIX_2 = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
-
-
-@inline
-def draw_below(state, bound):  # type: ignore[no-untyped-def]  # compiled
-    """``Stream.integer`` of zswarm.draws; the state is the stream's seed at first."""
-    state[0] += GAMMA
-    word = state[0]
-    word = (word ^ (word >> np.uint64(30))) * MIX_1
-    word = (word ^ (word >> np.uint64(27))) * MIX_2
-    word = word ^ (word >> np.uint64(31))
-    return np.int64(((word >> np.uint64(32)) * np.uint64(bound)) >> np.uint64(32))
 
 
 @inline
@@ -193,11 +182,11 @@ def start(seed, robots, defenders, stand, game, rules):  # type: ignore[no-untyp
     """Lay out a trial."""
     state = np.empty(1, np.uint64)
     state[0] = seed
-    stand[X] = rules[WIDTH] - 1 - draw_below(state, rules[WIDTH] // 2)
-    stand[Y] = draw_below(state, rules[HEIGHT])
+    stand[X] = rules[WIDTH] - 1 - draw_integer(state, rules[WIDTH] // 2)
+    stand[Y] = draw_integer(state, rules[HEIGHT])
     for robot in range(robots.shape[0]):
         robots[robot, X] = 0
-        robots[robot, Y] = robots[robot, START_Y] = draw_below(state, rules[HEIGHT])
+        robots[robot, Y] = robots[robot, START_Y] = draw_integer(state, rules[HEIGHT])
         robots[robot, CHASED] = 0
     for defender in range(defenders.shape[0]):
         defenders[defender, X], defenders[defender, Y] = stand[X], stand[Y]
