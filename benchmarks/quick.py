@@ -78,11 +78,15 @@ def cluster(slots: int, sleep_s: float) -> Iterator[object]:
     from zswarm.version_hash import version_hash
 
     wanted = Wanted(
-        Part("bench-sleep", {"sleep_s": sleep_s}), Part("fully-meshed", {"hidden": HIDDEN}), version_hash("bench-sleep", "fully-meshed"),
+        Part("bench-sleep", {"sleep_s": sleep_s}), Part("fully-meshed", {"hidden": HIDDEN}),
+        version_hash("bench-sleep", "fully-meshed"),
         participants=1, metrics=0, trial_timeout_s=60.0, slots=slots, quarantine=False, probe=b"",
     )  # fmt: skip
     who = Who("default", "bench", f"bench-{secrets.token_hex(4)}", 0, secrets.token_bytes(16))
-    with LocalServer(slots, "default") as local, Cluster(who, wanted, connect=[local.endpoint], multicast=False) as opened:
+    with (
+        LocalServer(slots, "default") as local,
+        Cluster(who, wanted, connect=[local.endpoint], multicast=False) as opened,
+    ):
         for _ in opened.wait(1, 60.0):
             pass
         while opened.dispatch.slots() < slots:

@@ -86,9 +86,7 @@ def test_every_option_of_the_server_is_documented() -> None:
         assert f"`{field.name}`" in documented, f"docs/commands.md, zswarm-ss: the key {field.name} is missing"
 
 
-@pytest.mark.parametrize(
-    "code", [ot.EXIT_FAILED, ot.EXIT_MISTAKE, ot.EXIT_NO_SERVERS, ot.EXIT_INTERRUPTED, ot.EXIT_TERMINATED]
-)
+@pytest.mark.parametrize("code", [ot.EXIT_FAILED, ot.EXIT_MISTAKE, ot.EXIT_NO_SERVERS, ot.EXIT_INTERRUPTED, ot.EXIT_TERMINATED])
 def test_every_exit_code_of_the_optimizer_is_documented(code: int) -> None:
     """In the table of exit codes."""
     assert f"\n| {code} | " in section("commands.md", "## zswarm-ot")

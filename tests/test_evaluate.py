@@ -167,9 +167,7 @@ def test_observations_of_a_wrong_shape_are_the_trials_error(duel: Duel, network:
 
 
 @pytest.mark.parametrize("pairs", [[[0, 3]], [[-1, 0]], [[0, 2**40]]])
-def test_a_participant_that_is_not_among_the_genomes_is_refused(
-    pairs: list[list[int]], duel: Duel, network: FullyMeshed
-) -> None:
+def test_a_participant_that_is_not_among_the_genomes_is_refused(pairs: list[list[int]], duel: Duel, network: FullyMeshed) -> None:
     with pytest.raises(ValueError, match="a participant is not among the 3 genomes"):
         play(duel, network, pairs, [1])
     assert duel.played == []

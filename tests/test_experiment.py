@@ -84,9 +84,7 @@ def test_an_argument_is_a_file_before_it_is_an_example(file: Path, monkeypatch: 
 
 def test_neither_a_file_nor_an_example_is_refused_with_the_nearest(tmp_path: Path) -> None:
     text = refusal(experiment.find, "minisin")
-    assert text.startswith(
-        "minisin: no such file, and no example of that name (did you mean 'minisim'?); examples are "
-    )
+    assert text.startswith("minisin: no such file, and no example of that name (did you mean 'minisim'?); examples are ")
     assert "stadium" in text
     assert refusal(experiment.find, str(tmp_path)).startswith(f"{tmp_path}: no such file")
 

@@ -114,9 +114,7 @@ def test_a_place_that_cannot_be_written_makes_way_for_the_next(choices: list[Pat
     assert last.parent == choices[0].parent
 
 
-def test_a_folder_without_the_right_to_write_is_passed_over(
-    choices: list[Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_without_the_right_to_write_is_passed_over(choices: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
     allowed = os.access
     monkeypatch.setattr(os, "access", lambda path, mode: "own" not in Path(path).parts and allowed(path, mode))
     assert jit.cache_folder() == choices[1] / cache_hash()

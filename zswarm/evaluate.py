@@ -13,7 +13,7 @@ import numpy as np
 from zswarm import plugins
 from zswarm.errors import ConfigError
 from zswarm.nets.representation import Representation
-from zswarm.sims.simulator import CompiledSimulator, Simulator
+from zswarm.sims.simulator import CompiledSimulator, Simulator, Turn
 from zswarm.strict import convert
 
 MAX_ERROR_TEXT = 300
@@ -45,7 +45,9 @@ def build(
     except Exception as error:  # a plug-in's constructor runs code of its authors
         raise ConfigError(f"simulator {simulator!r} cannot be set up: {type(error).__name__}: {error}") from error
     network = representation_class(
-        convert(representation_settings, representation_class.settings_type, "representation"), built.inputs, built.outputs
+        convert(representation_settings, representation_class.settings_type, "representation"),
+        built.inputs,
+        built.outputs,
     )
     return built, network
 
@@ -80,16 +82,21 @@ def evaluate(
     error = ""
     if isinstance(simulator, CompiledSimulator):
         state_size = representation.state_size
-        simulator.play(
-            representation.step, state_size, parameters, participants, seeds, progress, fitness, metrics
-        )
+        simulator.play(representation.step, state_size, parameters, participants, seeds, progress, fitness, metrics)
     else:
         for trial, seed in enumerate(seeds):
             progress[0] = trial
             if progress[1]:
                 break
             try:
-                play_in_turns(simulator, representation, parameters[participants[trial]], int(seed), fitness[trial], metrics[trial])
+                play_in_turns(
+                    simulator,
+                    representation,
+                    parameters[participants[trial]],
+                    int(seed),
+                    fitness[trial],
+                    metrics[trial],
+                )
             except Exception as raised:  # whatever the code of a simulator raises is this trial's outcome
                 fitness[trial], metrics[trial] = np.nan, np.nan
                 error = error or f"{type(raised).__name__}: {raised}"[:MAX_ERROR_TEXT]
@@ -99,7 +106,12 @@ def evaluate(
 
 
 def play_in_turns(
-    simulator: Simulator, representation: Representation, parameters: np.ndarray, seed: int, fitness: np.ndarray, metrics: np.ndarray
+    simulator: Simulator,
+    representation: Representation,
+    parameters: np.ndarray,
+    seed: int,
+    fitness: np.ndarray,
+    metrics: np.ndarray,
 ) -> None:
     """One trial through the simulator's turns.
 
@@ -110,7 +122,7 @@ def play_in_turns(
     """
     owners = simulator.owners
     states = np.zeros((len(owners), representation.state_size), np.float32)
-    turn = simulator.reset(seed)
+    turn: Turn | None = simulator.reset(seed)
     while turn is not None:
         observations = np.ascontiguousarray(turn.observations, np.float32)
         if observations.shape != (len(turn.agents), simulator.inputs):
@@ -122,4 +134,3 @@ def play_in_turns(
     outcome = simulator.outcome()
     fitness[:] = outcome.fitness
     metrics[:] = outcome.metrics
-

@@ -86,7 +86,9 @@ def find(name: str) -> Path:
     examples = {path.stem: path for path in examples_folder().glob("*.toml")}
     if name in examples:
         return examples[name]
-    raise ConfigError(f"{name}: no such file, and no example of that name{nearest(name, examples)}; examples are {', '.join(sorted(examples))}")
+    raise ConfigError(
+        f"{name}: no such file, and no example of that name{nearest(name, examples)}; examples are {', '.join(sorted(examples))}"
+    )
 
 
 def examples_folder() -> Path:
@@ -180,7 +182,7 @@ def _check(mapping: Mapping[str, Any], where: str) -> Experiment:
 def _part(mapping: Mapping[str, Any], where: str) -> Part:
     kind = mapping.get("kind")
     if not isinstance(kind, str):
-        raise ConfigError(f"{where}: kind: expected the name of one, such as kind = \"...\"")
+        raise ConfigError(f'{where}: kind: expected the name of one, such as kind = "..."')
     return Part(kind=kind, settings={key: value for key, value in mapping.items() if key != "kind"})
 
 

@@ -12,18 +12,16 @@ import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import platformdirs
 
 from zswarm.version_hash import cache_hash
 
-Function = TypeVar("Function", bound=Callable[..., Any])
-
 
 def cache_folder() -> Path:
-    """The first of ``$ZSWARM_CACHE``, systemd's ``$CACHE_DIRECTORY``, the user's cache, the temporary folder that can be written."""
+    """The first that can be written of ``$ZSWARM_CACHE``, systemd's ``$CACHE_DIRECTORY``, the user's and a temporary one."""
     choices = [
         os.environ.get("ZSWARM_CACHE"),
         os.environ.get("CACHE_DIRECTORY"),
@@ -43,6 +41,12 @@ def cache_folder() -> Path:
 
 PLAIN = os.environ.get("ZSWARM_PLAIN", "") == "1"  # kernels stay Python, numba is not imported
 
+uint8: Any
+int32: Any
+int64: Any
+uint64: Any
+float32: Any
+float64: Any
 if PLAIN:
     uint8, int32, int64, uint64 = np.uint8, np.int32, np.int64, np.uint64
     float32, float64 = np.float32, np.float64
@@ -51,7 +55,9 @@ else:
     os.environ["NUMBA_DISABLE_INTEL_SVML"] = "1"  # its functions differ from LLVM's in the last bits
 
     import numba  # the two settings above are read by this import
-    from numba.types import float32, float64, int32, int64, uint8, uint64
+
+    uint8, int32, int64, uint64 = numba.types.uint8, numba.types.int32, numba.types.int64, numba.types.uint64
+    float32, float64 = numba.types.float32, numba.types.float64
 
 
 def void(*arguments: Any) -> Any:
@@ -64,17 +70,17 @@ def array(dtype: Any, dimensions: int = 1) -> Any:
     return None if PLAIN else numba.types.Array(dtype, dimensions, "C")
 
 
-def kernel(signature: Any) -> Callable[[Function], Function]:
+def kernel(signature: Any) -> Any:
     """Compile a function for one signature, strictly: no fast-math, no reordering, division by zero as in numpy."""
     return _as_it_is if PLAIN else numba.njit(signature, cache=True, error_model="numpy")
 
 
-def inline(function: Function) -> Function:
+def inline(function: Any) -> Any:
     """Compile a function into the kernels that call it."""
     return function if PLAIN else numba.njit(function, error_model="numpy", cache=True)
 
 
-def _as_it_is(function: Function) -> Function:
+def _as_it_is(function: Any) -> Any:
     return function
 
 

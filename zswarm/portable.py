@@ -27,7 +27,7 @@ INT_MAX, INT_MIN = 2147483647, -2147483648
 
 
 @inline
-def exp(x):
+def exp(x):  # type: ignore[no-untyped-def]  # compiled
     """e to the power x, float64; 0 below the smallest number, infinity above the largest, NaN for NaN."""
     if x != x:
         return x
@@ -48,13 +48,13 @@ def exp(x):
 
 
 @inline
-def sigmoid(x):
+def sigmoid(x):  # type: ignore[no-untyped-def]  # compiled
     """1 / (1 + exp(-x)), float64."""
     return 1.0 / (1.0 + exp(-x))
 
 
 @inline
-def to_int(x):
+def to_int(x):  # type: ignore[no-untyped-def]  # compiled
     """A number cut to a 32-bit integer as Java does: NaN is 0, beyond the range its nearest end."""
     if x != x:
         return 0

@@ -93,9 +93,12 @@ def _open(config: dict[str, Any]) -> zenoh.Session:
         endpoints = ", ".join(config["listen"]["endpoints"]["peer"] + config["connect"]["endpoints"]["peer"])
         text = str(error)
         if "in use" in text:
-            raise ConfigError(f"{endpoints}: the port is in use; give another with --listen, or none to take the next free") from None
+            raise ConfigError(
+                f"{endpoints}: the port is in use; give another with --listen, or none to take the next free"
+            ) from None
         raise ConfigError(
-            f"cannot open a session on {endpoints or 'this machine'}: expected endpoints such as tcp/192.168.1.5:7467 ({text[:200]})"
+            f"cannot open a session on {endpoints or 'this machine'}: "
+            f"expected endpoints such as tcp/192.168.1.5:7467 ({text[:200]})"
         ) from None
 
 

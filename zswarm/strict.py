@@ -1,4 +1,4 @@
-"""Mappings to structs, strictly: whatever does not fit is refused with the key, what was expected and the nearest key."""
+"""Mappings to structs, strictly: what does not fit is refused with the key, what was expected and the nearest key."""
 
 import re
 from collections.abc import Mapping

@@ -76,9 +76,7 @@ def check_simulator(simulator_class: type[Simulator], settings: Mapping[str, Any
     genomes = network.random(simulator.participants + 2, Stream(1))
     parameters = network.parameters(genomes)
     trials = [(row, seed) for row in range(len(genomes)) for seed in TRIAL_SEEDS]
-    participants = np.array(
-        [[(row + k) % len(genomes) for k in range(simulator.participants)] for row, _ in trials], np.int64
-    )
+    participants = np.array([[(row + k) % len(genomes) for k in range(simulator.participants)] for row, _ in trials], np.int64)
     seeds = np.array([seed for _, seed in trials], np.uint64)
 
     def play(player: Simulator, trial: int) -> bytes:
@@ -111,8 +109,7 @@ def _check_compiled(
     batch = evaluate(simulator, network, genomes, participants, seeds, progress)
     _require(
         progress[0] == len(seeds) - 1,
-        f"{name}.play: progress[0] must be the index of the trial that runs, {len(seeds) - 1} in the last, "
-        f"not {progress[0]}",
+        f"{name}.play: progress[0] must be the index of the trial that runs, {len(seeds) - 1} in the last, not {progress[0]}",
     )
     for trial in range(len(seeds)):
         one = slice(trial, trial + 1)
@@ -141,9 +138,7 @@ class _CheckedSimulator(Simulator):
         _require(len(set(simulator.metrics)) == len(simulator.metrics), f"{name}.metrics: a name stands there twice")
         for what in ("participants", "inputs", "outputs"):
             count = getattr(simulator, what, None)
-            _require(
-                isinstance(count, int) and count >= 1, f"{name}.{what} must be an int of at least 1, not {count!r}"
-            )
+            _require(isinstance(count, int) and count >= 1, f"{name}.{what} must be an int of at least 1, not {count!r}")
         for what, count in (("sensors", simulator.inputs), ("actuators", simulator.outputs)):
             names = getattr(simulator, what)
             _require(len(names) in (0, count), f"{name}.{what} must be empty or {count} names, not {len(names)}")
@@ -172,9 +167,7 @@ class _CheckedSimulator(Simulator):
     def step(self, actions: np.ndarray) -> Turn | None:
         before = actions.copy()
         turn = self.simulator.step(actions)
-        _require(
-            np.array_equal(before, actions, equal_nan=True), f"{self.name}.step must not change the actions it gets"
-        )
+        _require(np.array_equal(before, actions, equal_nan=True), f"{self.name}.step must not change the actions it gets")
         self.turns += 1
         _require(self.turns < MAX_TURNS, f"{self.name}: the trial goes on after {MAX_TURNS} turns")
         return None if turn is None else self._checked(turn, "step")
@@ -235,9 +228,7 @@ def check_representation(
         AssertionError: a rule is broken; the text says which.
     """
     name = representation_class.__name__
-    network = representation_class(
-        convert(settings or {}, representation_class.settings_type, "settings"), inputs, outputs
-    )
+    network = representation_class(convert(settings or {}, representation_class.settings_type, "settings"), inputs, outputs)
     genomes = network.random(6, Stream(1))
     _require(len(genomes) == 6, f"{name}.random(6, ...) must make 6 genomes, not {len(genomes)}")
     _require(network.random(6, Stream(2)) != genomes, f"{name}.random makes the same of another stream")
@@ -256,9 +247,7 @@ def _check_operators(name: str, network: Representation, genomes: list[bytes]) -
     }
     for operator, apply in operators.items():
         children = apply(Stream(3))
-        _require(
-            children == apply(Stream(3)), f"{name}.{operator}: the same stream gives other genomes; draw only from it"
-        )
+        _require(children == apply(Stream(3)), f"{name}.{operator}: the same stream gives other genomes; draw only from it")
         if operator.startswith("mutate"):
             _require(len(children) == len(genomes), f"{name}.{operator}: {len(genomes)} genomes gave {len(children)}")
         for child in children:
@@ -306,8 +295,7 @@ def _check_decisions(name: str, network: Representation, genomes: list[bytes], i
     )
     _require(parameters.flags.c_contiguous, f"{name}.parameters must be C-contiguous")
     _require(
-        np.array_equal(network.parameters(genomes[1:2])[0, : parameters.shape[1]], parameters[1])
-        or network.genome_bytes is None,
+        np.array_equal(network.parameters(genomes[1:2])[0, : parameters.shape[1]], parameters[1]) or network.genome_bytes is None,
         f"{name}.parameters: a genome's row depends on the other genomes",
     )
     step = type(network).step
@@ -328,9 +316,7 @@ def _check_decisions(name: str, network: Representation, genomes: list[bytes], i
 
     decided = [decide(row) for row in parameters]
     again = [decide(row) for row in reversed(parameters)]
-    _require(
-        decided == again[::-1], f"{name}.step: the same parameters and observations decide otherwise the second time"
-    )
+    _require(decided == again[::-1], f"{name}.step: the same parameters and observations decide otherwise the second time")
     _require(
         np.array_equal(kept[0], parameters) and np.array_equal(kept[1], observations),
         f"{name}.step must change only state and output",
@@ -419,9 +405,7 @@ def _check_not_a_number(name: str, optimizer: Optimizer) -> None:
             fitness[::2] = np.nan
         optimizer.tell(fitness)
         best = max(best, float(np.nanmax(fitness, initial=float("-inf"))))
-        _require(
-            optimizer.best()[1] == best, f"{name}.best after NaN fitness must be {best}, not {optimizer.best()[1]}"
-        )
+        _require(optimizer.best()[1] == best, f"{name}.best after NaN fitness must be {best}, not {optimizer.best()[1]}")
         statistics = optimizer.statistics()
         for what in ("best", "mean"):
             _require(what in statistics, f"{name}.statistics: {what} is missing")

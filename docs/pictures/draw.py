@@ -1,6 +1,6 @@
 """Draws docs/pictures/stadium.svg: the paths of the first and the last champion of a run of the example ``stadium``.
 
-    zswarm-ot run stadium --out /tmp/pictures && python docs/pictures/draw.py /tmp/pictures/stadium
+To make it anew: zswarm-ot run stadium --out pictures && python docs/pictures/draw.py pictures/stadium
 """
 
 import sqlite3
@@ -47,11 +47,15 @@ def drawing(trails: list[list[tuple[int, int]]], frame: dict[str, object], title
     ]
     for cells, colour in ((frame["blockades"], "#777"), (frame["exits"], "#2a9d5c")):
         parts += [
-            f'<rect x="{left + x * CELL}" y="{TITLE + y * CELL}" width="{CELL}" height="{CELL}" fill="{colour}"/>' for x, y in cells
+            f'<rect x="{left + x * CELL}" y="{TITLE + y * CELL}" width="{CELL}" height="{CELL}" fill="{colour}"/>'
+            for x, y in cells
         ]
     for trail, inside in zip(trails, frame["inside"], strict=True):
         colour = "#d1495b" if inside else "#3366aa"
-        parts.append(f'<polyline points="{" ".join(map(at, trail))}" fill="none" stroke="{colour}" stroke-opacity="0.35" stroke-width="2"/>')
+        parts.append(
+            f'<polyline points="{" ".join(map(at, trail))}" fill="none" '
+            f'stroke="{colour}" stroke-opacity="0.35" stroke-width="2"/>'
+        )
         x, y = at(trail[-1]).split(",")
         parts.append(f'<circle cx="{x}" cy="{y}" r="4" fill="{colour}"/>')
     return "\n".join(parts)
@@ -62,7 +66,10 @@ def main() -> None:
     run = Path(sys.argv[1])
     complete = load_experiment(run)
     simulator, network = build(
-        complete.problem.simulator, complete.problem.settings, complete.representation.kind, complete.representation.settings
+        complete.problem.simulator,
+        complete.problem.settings,
+        complete.representation.kind,
+        complete.representation.settings,
     )
     database = sqlite3.connect(run / "run.sqlite")
     pick = "SELECT genome, generation, fitness FROM candidates WHERE {} ORDER BY fitness DESC LIMIT 1"

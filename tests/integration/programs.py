@@ -57,12 +57,32 @@ class Program:
 class Server(Program):
     """A ``zswarm-ss``."""
 
-    def __init__(self, folder: Path, name: str, *, capacity: int = 2, port: int = 0, options: tuple[str, ...] = (), **environment: str) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        name: str,
+        *,
+        capacity: int = 2,
+        port: int = 0,
+        options: tuple[str, ...] = (),
+        **environment: str,
+    ) -> None:
         self.endpoint = f"tcp/127.0.0.1:{port or free_port()}"
         super().__init__(
             folder,
             name,
-            ["-m", "zswarm.ss", "--name", name, "--capacity", str(capacity), "--no-multicast", "--listen", self.endpoint, *options],
+            [
+                "-m",
+                "zswarm.ss",
+                "--name",
+                name,
+                "--capacity",
+                str(capacity),
+                "--no-multicast",
+                "--listen",
+                self.endpoint,
+                *options,
+            ],
             **environment,
         )
 

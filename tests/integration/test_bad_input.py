@@ -183,8 +183,11 @@ def test_a_daemon_survives_bad_simulators_and_serves_the_next_run(tmp_path: Path
 def test_random_bytes_to_every_key_leave_the_daemon_serving(tmp_path: Path) -> None:
     server = Server(tmp_path, "ss").ready()
     name = server.events("server_ready")[0]["server"]
-    draw = random.Random(7)  # noqa: S311  garbage, not a secret
-    verbs = ["offer", *(f"ot/someone/some-run/{verb}" for verb in ("reserve", "renew", "evaluate", "cancel", "release", "x", "reserve/y"))]
+    draw = random.Random(7)
+    verbs = [
+        "offer",
+        *(f"ot/someone/some-run/{verb}" for verb in ("reserve", "renew", "evaluate", "cancel", "release", "x", "reserve/y")),
+    ]
     answers = 0
     opened = session.open_optimizer([server.endpoint], multicast=False)
     try:
@@ -199,7 +202,9 @@ def test_random_bytes_to_every_key_leave_the_daemon_serving(tmp_path: Path) -> N
             if draw.random() < 0.3:
                 opened.put(key, body)
                 continue
-            answers += sum(reply.ok is not None for reply in opened.get(key, payload=body, target=zenoh.QueryTarget.ALL, timeout=5.0))
+            answers += sum(
+                reply.ok is not None for reply in opened.get(key, payload=body, target=zenoh.QueryTarget.ALL, timeout=5.0)
+            )
         assert len(tokens) == 3
     finally:
         session.close(opened)

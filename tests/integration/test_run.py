@@ -42,7 +42,12 @@ def run(folder: Path, name: str, *options: str) -> Optimizer:
 
 def remote(*servers: Server, wait: int = 0) -> list[str]:
     """Options that use these servers and no other."""
-    return ["--no-multicast", "--servers", str(wait or len(servers)), *(f"--connect={server.endpoint}" for server in servers)]
+    return [
+        "--no-multicast",
+        "--servers",
+        str(wait or len(servers)),
+        *(f"--connect={server.endpoint}" for server in servers),
+    ]
 
 
 def counted(folder: Path) -> int:

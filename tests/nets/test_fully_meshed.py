@@ -38,9 +38,7 @@ def recorded(net: dict[str, Any]) -> tuple[FullyMeshed, np.ndarray]:
     return built, built.parameters([np.array(table, "<f4").tobytes()])[0]
 
 
-def decide(
-    built: FullyMeshed, parameters: np.ndarray, state: np.ndarray, observations: list[list[float]]
-) -> np.ndarray:
+def decide(built: FullyMeshed, parameters: np.ndarray, state: np.ndarray, observations: list[list[float]]) -> np.ndarray:
     actions = np.empty((len(observations), built.outputs), np.float32)
     for observation, action in zip(np.array(observations, np.float32), actions, strict=True):
         FullyMeshed.step(parameters, state, observation, action)
@@ -293,9 +291,7 @@ def test_crossover_takes_one_block_of_neurons_of_the_father_cut_at_the_end() -> 
         assert (taken == np.arange(start, start + length)).all(), "one block"
         blocks[start, length] = blocks.get((start, length), 0) + 1
     expected = {
-        (start, min(length, 5 - start)): sum(
-            1 for other in range(1, 5) if min(other, 5 - start) == min(length, 5 - start)
-        )
+        (start, min(length, 5 - start)): sum(1 for other in range(1, 5) if min(other, 5 - start) == min(length, 5 - start))
         for start in range(5)
         for length in range(1, 5)
     }

@@ -82,9 +82,7 @@ def test_the_keys_are_those_of_the_protocol() -> None:
 
 
 @given(IDS, IDS, IDS, IDS, st.sampled_from(VERBS))
-def test_a_key_of_a_server_is_taken_apart_as_it_was_built(
-    realm: str, server: str, user: str, run: str, verb: str
-) -> None:
+def test_a_key_of_a_server_is_taken_apart_as_it_was_built(realm: str, server: str, user: str, run: str, verb: str) -> None:
     parsed = keys.parse_server_key(keys.request(realm, server, user, run, verb))
     assert parsed == ServerKey("v1", realm, server, verb, user, run)
     assert keys.parse_server_key(keys.alive(realm, server)) == ServerKey("v1", realm, server, "alive")
@@ -176,9 +174,7 @@ def test_what_is_no_key_of_a_run_is_the_peers_fault(key: str) -> None:
         keys.parse_run_key(key)
 
 
-PARTS = st.lists(
-    st.one_of(st.text(max_size=8), IDS, st.sampled_from(["zswarm", "v1", "ss", "ot", "alive", *VERBS])), max_size=9
-)
+PARTS = st.lists(st.one_of(st.text(max_size=8), IDS, st.sampled_from(["zswarm", "v1", "ss", "ot", "alive", *VERBS])), max_size=9)
 
 
 @given(st.one_of(st.text(), PARTS.map("/".join)))

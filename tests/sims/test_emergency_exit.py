@@ -77,9 +77,7 @@ def controller(built: FullyMeshed, parameters: np.ndarray, agents: int) -> Calla
 
 
 def test_every_recorded_net_ran_on_every_recorded_field() -> None:
-    assert {(run["field"], run["net"]) for run in RECORDED["runs"]} == {
-        (field, net) for field in FIELDS for net in NETS
-    }
+    assert {(run["field"], run["net"]) for run in RECORDED["runs"]} == {(field, net) for field in FIELDS for net in NETS}
 
 
 @pytest.mark.parametrize("run", RECORDED["runs"], ids=lambda run: f"{run['field']}-{run['net']}")
@@ -107,9 +105,7 @@ def test_a_random_field_is_laid_out_as_in_frevo(name: str) -> None:
     simulator = EmergencyExit(Settings(**settings_of(field)))
     rows = simulator._random_fields(np.array([0, SEEDS[name]], np.uint64))
     for cells, what in zip(rows, ("agents", "exits", "blockades"), strict=True):
-        assert [[cell % simulator.stride - 1, cell // simulator.stride - 1] for cell in cells[1].tolist()] == field[
-            what
-        ]
+        assert [[cell % simulator.stride - 1, cell // simulator.stride - 1] for cell in cells[1].tolist()] == field[what]
 
 
 @pytest.mark.parametrize("name", FIELDS)

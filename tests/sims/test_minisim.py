@@ -161,9 +161,7 @@ def test_random_controllers_capture_almost_nothing() -> None:
     outcomes = play(simulator, network, network.random(200, Stream(3)), UNSEEN[:10])
     assert outcomes.metrics[:, 0].mean() < 0.1
     draws = Stream(9)
-    _, captures = play_policy(
-        lambda seen: draws.uniform(0, 1, 2 * len(seen)).reshape(-1, 2).astype(np.float32), UNSEEN[:20]
-    )
+    _, captures = play_policy(lambda seen: draws.uniform(0, 1, 2 * len(seen)).reshape(-1, 2).astype(np.float32), UNSEEN[:20])
     assert captures < 0.1
 
 

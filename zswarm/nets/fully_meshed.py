@@ -60,7 +60,12 @@ def step(parameters, state, observation, output):  # type: ignore[no-untyped-def
         from_inputs[lane], from_inputs[lane + 1], from_inputs[lane + 2], from_inputs[lane + 3] = sum0, sum1, sum2, sum3
     for _ in range(iterations):
         for lane in range(0, padded, LANES):
-            sum0, sum1, sum2, sum3 = from_inputs[lane], from_inputs[lane + 1], from_inputs[lane + 2], from_inputs[lane + 3]
+            sum0, sum1, sum2, sum3 = (
+                from_inputs[lane],
+                from_inputs[lane + 1],
+                from_inputs[lane + 2],
+                from_inputs[lane + 3],
+            )
             for neuron in range(neurons):
                 weights = parameters[HEADER + (observation.shape[0] + neuron) * padded + lane :]
                 value = outputs[neuron]

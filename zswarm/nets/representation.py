@@ -27,7 +27,7 @@ class Representation(ABC):
     """
 
     settings_type: ClassVar[type[msgspec.Struct]]
-    step: ClassVar[Step]
+    step: Step
     state_size: int
     genome_bytes: int | None
 

@@ -10,7 +10,6 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 import click
-import msgspec
 
 from zswarm import experiment
 from zswarm.errors import ConfigError, NoServers, ZswarmError
@@ -24,9 +23,18 @@ DEFAULT_EXAMPLE = "emergency-exit"
 EXIT_FAILED, EXIT_MISTAKE, EXIT_NO_SERVERS, EXIT_INTERRUPTED, EXIT_TERMINATED = 1, 2, 4, 130, 143
 
 cluster_options = [
-    click.option("--servers", metavar="auto|local|N", help="auto: this machine's slots and every server found; local: this machine only; N: wait for N servers."),
+    click.option(
+        "--servers",
+        metavar="auto|local|N",
+        help="auto: this machine's slots and every server found; local: this machine only; N: wait for N servers.",
+    ),
     click.option("--realm", help="Use the servers of this realm."),
-    click.option("--connect", multiple=True, metavar="EP", help="Server or router to dial, such as tcp/192.168.1.5:7467; may be repeated."),
+    click.option(
+        "--connect",
+        multiple=True,
+        metavar="EP",
+        help="Server or router to dial, such as tcp/192.168.1.5:7467; may be repeated.",
+    ),
     click.option("--multicast/--no-multicast", default=None, help="Find servers by multicast.  [default: multicast]"),
 ]
 json_option = click.option("--json", "as_json", is_flag=True, help="JSON on stdout.")
@@ -46,10 +54,22 @@ def command() -> None:
 
 @command.command()
 @click.argument("name", default=DEFAULT_EXAMPLE, metavar="[EXPERIMENT.toml|EXAMPLE]")
-@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Set something of the experiment, such as optimizer.population=100; may be repeated.")
+@click.option(
+    "--set",
+    "overrides",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Set something of the experiment, such as optimizer.population=100; may be repeated.",
+)
 @click.option("--seed", type=click.IntRange(0, 2**63 - 2), help="Seed of the run.")
 @_with_cluster_options
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), default=Path("runs"), show_default=True, help="Where the run's folder is made.")
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("runs"),
+    show_default=True,
+    help="Where the run's folder is made.",
+)
 @json_option
 def run(name: str, overrides: tuple[str, ...], seed: int | None, out: Path, as_json: bool, **cluster: Any) -> None:
     """Evolve a controller; without an argument, the built-in example."""
@@ -173,7 +193,10 @@ def main() -> None:
         click.echo(f"zswarm-ot: {error}", err=True)
         sys.exit(EXIT_MISTAKE)
     except NoServers as error:
-        click.echo(f"zswarm-ot: {error}; start zswarm-ss on the machines, or see which are found with: zswarm-ot servers", err=True)
+        click.echo(
+            f"zswarm-ot: {error}; start zswarm-ss on the machines, or see which are found with: zswarm-ot servers",
+            err=True,
+        )
         sys.exit(EXIT_NO_SERVERS)
     except ZswarmError as error:
         click.echo(f"zswarm-ot: {error}", err=True)
@@ -197,15 +220,16 @@ def _evolve(complete: Experiment, parts: Any, record: "Record", local: "LocalSer
         raise
 
 
-def _terminate(number: int, frame: FrameType | None) -> None:
+def _terminate(_number: int, _frame: FrameType | None) -> None:
     raise SystemExit(EXIT_TERMINATED)
 
 
 def _with_cluster(loaded: Experiment, given: dict[str, Any]) -> Experiment:
     """The experiment with the command line's ``[cluster]`` options."""
-    changes = {key: list(value) if isinstance(value, tuple) else value for key, value in given.items() if value not in (None, ())}
-    if "servers" in changes and changes["servers"] not in ("auto", "local"):
-        text = changes["servers"]
+    changes = {key: value for key, value in given.items() if value not in (None, ())}
+    if "connect" in changes:
+        changes["connect"] = list(changes["connect"])
+    if (text := changes.get("servers", "auto")) not in ("auto", "local"):
         if not text.isdigit() or int(text) < 1:
             raise ConfigError(f"--servers {text}: expected auto, local or a number of servers")
         changes["servers"] = int(text)

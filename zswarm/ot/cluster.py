@@ -62,7 +62,11 @@ class Cluster:
     def __init__(self, who: Who, wanted: Wanted, *, connect: list[str], multicast: bool) -> None:
         self.who, self.wanted = who, wanted
         self.dispatch = Dispatch(
-            wanted.participants, wanted.metrics, wanted_slots=wanted.slots, quarantine=wanted.quarantine, probe=wanted.probe
+            wanted.participants,
+            wanted.metrics,
+            wanted_slots=wanted.slots,
+            quarantine=wanted.quarantine,
+            probe=wanted.probe,
         )  # its thread owns it; others only read single numbers
         self._connect, self._multicast = connect, multicast
         self._inbox: queue.SimpleQueue[dispatch.Event | None] = queue.SimpleQueue()
@@ -76,7 +80,9 @@ class Cluster:
             liveliness = self._session.liveliness()
             self._token = liveliness.declare_token(keys.run_alive(self.who.realm, self.who.user, self.who.run))
             liveliness.declare_subscriber(
-                keys.any_version_alive(self.who.realm), zenoh.handlers.Callback(self._on_token, indirect=False), history=True
+                keys.any_version_alive(self.who.realm),
+                zenoh.handlers.Callback(self._on_token, indirect=False),
+                history=True,
             )
         except BaseException:
             session.close(self._session)
@@ -85,9 +91,7 @@ class Cluster:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self._inbox.put(dispatch.Leave())
         self._inbox.put(None)
         self._thread.join(RELEASE_S)
@@ -294,7 +298,10 @@ def servers(realm: str, *, connect: list[str], multicast: bool, requirements: Re
 
 def _offer(opened: zenoh.Session, realm: str, server: str, requirements: Requirements) -> Found:
     for reply in opened.get(
-        keys.offer(realm, server), target=zenoh.QueryTarget.ALL, timeout=QUERY_S["offer"], payload=codec.encode(requirements)
+        keys.offer(realm, server),
+        target=zenoh.QueryTarget.ALL,
+        timeout=QUERY_S["offer"],
+        payload=codec.encode(requirements),
     ):
         if reply.ok is not None:
             answer = _decode(reply.ok.payload.to_bytes())

@@ -31,7 +31,19 @@ from zswarm.ot.dispatch import Counted, Note, Workload
 
 SCHEMA_VERSION = 1
 COMMIT_S = 0.1
-NETWORK_FILE_SYSTEMS = {"nfs", "nfs4", "cifs", "smb3", "smbfs", "9p", "afs", "ceph", "glusterfs", "lustre", "fuse.sshfs"}
+NETWORK_FILE_SYSTEMS = {
+    "nfs",
+    "nfs4",
+    "cifs",
+    "smb3",
+    "smbfs",
+    "9p",
+    "afs",
+    "ceph",
+    "glusterfs",
+    "lustre",
+    "fuse.sshfs",
+}
 DATABASE, EXPERIMENT, CHAMPION = "run.sqlite", "experiment.toml", "champion.zsc"
 
 SCHEMA = """
@@ -97,7 +109,7 @@ class Record:
         (folder / EXPERIMENT).write_text(experiment.to_toml(complete), encoding="utf-8")
         database = _open(folder / DATABASE)
         database.executescript(SCHEMA)
-        meta = {
+        meta: dict[str, Any] = {
             "schema_version": SCHEMA_VERSION,
             "zswarm": zswarm.__version__,
             "run_id": f"{complete.name[:54].strip('-')}-{secrets.token_hex(4)}",
@@ -129,7 +141,9 @@ class Record:
             record.set_meta("epoch", int(record.meta("epoch")) + 1)
         except sqlite3.DatabaseError as error:
             os.close(lock)
-            raise ConfigError(f"{folder / DATABASE}: damaged: {error}; the experiment can be run anew from {folder / EXPERIMENT}") from None
+            raise ConfigError(
+                f"{folder / DATABASE}: damaged: {error}; the experiment can be run anew from {folder / EXPERIMENT}"
+            ) from None
         except ConfigError:
             os.close(lock)
             raise
@@ -138,9 +152,7 @@ class Record:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self._commit()
         self._database.close()
         os.close(self._lock)
@@ -207,7 +219,10 @@ class Record:
         self._begin()
         self._database.executemany(
             "INSERT INTO candidates VALUES (?, ?, ?, ?)",
-            [(generation, index, genome, value) for index, (genome, value) in enumerate(zip(genomes, fitness.tolist(), strict=True))],
+            [
+                (generation, index, genome, value)
+                for index, (genome, value) in enumerate(zip(genomes, fitness.tolist(), strict=True))
+            ],
         )
         self._database.execute(
             "INSERT INTO generations VALUES (?, ?, ?, ?, ?, ?)",
@@ -274,9 +289,7 @@ class Record:
 
     def requeued(self) -> int:
         """Trials that were sent again, because a server did not answer for them."""
-        return int(
-            self._database.execute("SELECT coalesce(sum(count), 0) FROM events WHERE event = 'requeued'").fetchone()[0]
-        )
+        return int(self._database.execute("SELECT coalesce(sum(count), 0) FROM events WHERE event = 'requeued'").fetchone()[0])
 
     def faulted(self) -> int:
         """Trials that were counted as faults."""
@@ -311,7 +324,9 @@ class Record:
 
 def to_json(values: dict[str, Any]) -> str:
     """One line; numbers that JSON does not have become null."""
-    return json.dumps({key: None if isinstance(item, float) and not math.isfinite(item) else item for key, item in values.items()})
+    return json.dumps(
+        {key: None if isinstance(item, float) and not math.isfinite(item) else item for key, item in values.items()}
+    )
 
 
 class History:
@@ -359,7 +374,7 @@ def load_controller(path: Path) -> Controller:
 
 def runs(parent: Path) -> list[dict[str, Any]]:
     """What is known of each run below a folder, read without disturbing it."""
-    found = []
+    found: list[dict[str, Any]] = []
     for path in sorted(parent.glob(f"*/{DATABASE}")):
         try:
             database = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
@@ -440,7 +455,7 @@ def _decisive(complete: Experiment) -> str:
 
 def _machine() -> str:
     """What can change the bits of linear algebra."""
-    config: dict[str, Any] = np.show_config(mode="dicts")  # type: ignore[assignment]  # typed as None
+    config: Any = np.show_config(mode="dicts")
     blas = config["Build Dependencies"]["blas"]
     return f"{_processor()}, numpy {version('numpy')}, {blas.get('name', 'no BLAS')} {blas.get('version', '')}".strip()
 

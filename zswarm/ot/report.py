@@ -96,7 +96,9 @@ class LiveReporter(PlainReporter):
         rate = (g.evaluations - self._last[1]) / max(1e-9, now - self._last[0])
         servers = f"{g.servers} server{'s' if g.servers != 1 else ''}, {g.slots} slots"
         self._progress.update(
-            self._task, completed=g.generation + 1, text=f"best {g.best:.5g}  mean {g.mean:.5g}  {rate:.0f}/s  {servers}"
+            self._task,
+            completed=g.generation + 1,
+            text=f"best {g.best:.5g}  mean {g.mean:.5g}  {rate:.0f}/s  {servers}",
         )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from zswarm import evaluate, plugins
 from zswarm.draws import derive_seed
-from zswarm.errors import EvaluationError
+from zswarm.errors import ConfigError, EvaluationError
 from zswarm.experiment import Experiment
 from zswarm.nets.representation import Representation
 from zswarm.ot.cluster import Cluster, Wanted, Who
@@ -18,9 +18,9 @@ from zswarm.ot.dispatch import Counted, Note, Workload
 from zswarm.ot.local import LocalServer
 from zswarm.ot.optimizers.optimizer import Optimizer
 from zswarm.ot.record import Controller, Record
-from zswarm.protocol import keys
-from zswarm.protocol import messages
+from zswarm.protocol import keys, messages
 from zswarm.sims.simulator import Simulator
+from zswarm.strict import convert
 from zswarm.version_hash import version_hash
 
 WAIT_FOR_SERVERS_S = 10.0  # for the number of servers asked for
@@ -84,11 +84,11 @@ def build(complete: Experiment) -> Parts:
         problem.simulator, problem.settings, complete.representation.kind, complete.representation.settings
     )
     if simulator.participants != 1:
-        raise evaluate.ConfigError(
+        raise ConfigError(
             f"{problem.simulator} is played by {simulator.participants} participants; a run evolves problems of one"
         )
     loaded = plugins.load("optimizer", complete.optimizer.kind)
-    settings = evaluate.convert(complete.optimizer.settings, loaded.settings_type, "optimizer")
+    settings = convert(complete.optimizer.settings, loaded.settings_type, "optimizer")
     optimizer = loaded(settings, representation, derive_seed(complete.seed, "optimizer"))
     return Parts(simulator, representation, optimizer)
 
@@ -171,7 +171,13 @@ def _total(workload: Workload, trials: int) -> np.ndarray:
 
 def _cluster(complete: Experiment, parts: Parts, record: Record, local: LocalServer | None) -> Cluster:
     problem, options = complete.problem, complete.cluster
-    who = Who(options.realm, keys.fold(getpass.getuser()), record.meta("run_id"), record.meta("epoch"), secrets.token_bytes(16))
+    who = Who(
+        options.realm,
+        keys.fold(getpass.getuser()),
+        record.meta("run_id"),
+        record.meta("epoch"),
+        secrets.token_bytes(16),
+    )
     wanted = Wanted(
         simulator=messages.Part(problem.simulator, problem.settings),
         representation=messages.Part(complete.representation.kind, complete.representation.settings),
@@ -231,9 +237,9 @@ def _tell(note: Note, record: Record, reporter: Reporter, cluster: Cluster, loca
     record.note(note)
     if note.event in TOLD:
         reporter.say(TOLD[note.event].format(server=note.server, text=note.text, count=note.count))
-    if note.event == "server_refused" and local is not None and note.server.startswith("local-"):
-        if not cluster.dispatch.serving():
-            raise EvaluationError(note.text)
+    local_refused = note.event == "server_refused" and local is not None and note.server.startswith("local-")
+    if local_refused and not cluster.dispatch.serving():
+        raise EvaluationError(note.text)
 
 
 def _controller(complete: Experiment, parts: Parts, record: Record) -> Controller:

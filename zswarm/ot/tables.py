@@ -30,7 +30,11 @@ def servers(found: list[Found], realm: str, *, as_json: bool) -> None:
     if as_json:
         for server in found:
             print_json(
-                {"server": server.server, **({} if server.offer is None else _offer(server.offer)), "reason": server.reason}
+                {
+                    "server": server.server,
+                    **({} if server.offer is None else _offer(server.offer)),
+                    "reason": server.reason,
+                }
             )
         return
     if not found:
@@ -43,9 +47,8 @@ def servers(found: list[Found], realm: str, *, as_json: bool) -> None:
         else:
             offer = server.offer
             matches = f"no: {offer.mismatch}" if offer.mismatch else "yes"
-            _row(
-                table, server.server, offer.capacity, offer.free, offer.leases, ", ".join(offer.simulators), offer.program, matches
-            )  # fmt: skip
+            simulators = ", ".join(offer.simulators)
+            _row(table, server.server, offer.capacity, offer.free, offer.leases, simulators, offer.program, matches)
     Console().print(table)
 
 
@@ -111,7 +114,10 @@ def evaluated(controller: Controller, trials: int, seed: int, *, as_json: bool) 
         ConfigError: it does not fit what it names, or its simulator raises.
     """
     simulator, network = evaluate.build(
-        controller.simulator, controller.simulator_settings, controller.representation, controller.representation_settings
+        controller.simulator,
+        controller.simulator_settings,
+        controller.representation,
+        controller.representation_settings,
     )
     seeds = np.array([derive_seed(seed, UNSEEN, trial) for trial in range(trials)], np.uint64)
     participants = np.zeros((trials, simulator.participants), np.int64)
@@ -130,7 +136,9 @@ def evaluated(controller: Controller, trials: int, seed: int, *, as_json: bool) 
     if as_json:
         print_json(values)
         return
-    _print(f"{controller.simulator}, champion of {clean(controller.run)} (fitness {controller.fitness:.6g}), {trials} unseen trials")
+    _print(
+        f"{controller.simulator}, champion of {clean(controller.run)} (fitness {controller.fitness:.6g}), {trials} unseen trials"
+    )
     _print(f"{'fitness':16}mean {values['mean']:.6g}, quartiles {low:.6g} / {median:.6g} / {high:.6g}")
     for name in simulator.metrics:
         _print(f"{name:16}mean {values[name]:.6g}")

@@ -2,7 +2,7 @@
 
 import math
 import unicodedata
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -10,6 +10,8 @@ import numpy as np
 from zswarm.errors import RemoteProtocolError
 from zswarm.protocol import keys, messages
 from zswarm.protocol.messages import MAX_MESSAGE, MAX_TEXT, MAX_TRIALS, Message, Reply, Request
+
+T = TypeVar("T")
 
 MAX_DEPTH = 8  # of settings
 _encoder = msgspec.msgpack.Encoder()
@@ -119,7 +121,7 @@ def clean(text: str) -> str:
     )[:MAX_TEXT]
 
 
-def _decode(body: bytes, decoder: msgspec.msgpack.Decoder[Any]) -> Any:
+def _decode(body: bytes, decoder: msgspec.msgpack.Decoder[T]) -> T:
     if len(body) > MAX_MESSAGE:
         raise RemoteProtocolError(f"a message has {len(body)} bytes; at most {MAX_MESSAGE} are taken")
     try:

@@ -40,7 +40,7 @@ class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 # ---- from the optimizer -------------------------------------------------------------------------------------------
 
 
-class Requirements(Message, tag="requirements"):
+class Requirements(Message, frozen=True, tag="requirements"):
     """Phase 1: what a run needs; with no simulator and no representation every server matches."""
 
     simulator: Text = ""
@@ -48,7 +48,7 @@ class Requirements(Message, tag="requirements"):
     version_hash: Text = ""
 
 
-class Reserve(Message, tag="reserve"):
+class Reserve(Message, frozen=True, tag="reserve"):
     """Phase 2: the right to slots, and all that is needed to evaluate for this run."""
 
     nonce: Token  # the same nonce gets the same lease
@@ -60,14 +60,14 @@ class Reserve(Message, tag="reserve"):
     trial_timeout_s: Annotated[float, Meta(gt=0, le=1e9)]
 
 
-class Renew(Message, tag="renew"):
+class Renew(Message, frozen=True, tag="renew"):
     """Keep a lease, and ask for its state; answered when the state differs from what is known, or after a while."""
 
     lease: Token
     known_ready: Annotated[int, Meta(ge=-1, le=MAX_SLOTS)] = -1  # ready slots the optimizer knows of; -1: answer at once
 
 
-class Evaluate(Message, tag="evaluate"):
+class Evaluate(Message, frozen=True, tag="evaluate"):
     """A batch of trials. Asked again with the same id it attaches to what runs or gets the kept outcomes."""
 
     lease: Token
@@ -77,14 +77,14 @@ class Evaluate(Message, tag="evaluate"):
     seeds: bytes  # (trials,) uint64
 
 
-class Cancel(Message, tag="cancel"):
+class Cancel(Message, frozen=True, tag="cancel"):
     """Stop batches; their queries end with ``Refused``."""
 
     lease: Token
     batches: Annotated[list[BatchId], Meta(max_length=MAX_TRIALS)]
 
 
-class Release(Message, tag="release"):
+class Release(Message, frozen=True, tag="release"):
     """Give a lease back."""
 
     lease: Token
@@ -93,7 +93,7 @@ class Release(Message, tag="release"):
 # ---- from the server ----------------------------------------------------------------------------------------------
 
 
-class Offer(Message, tag="offer"):
+class Offer(Message, frozen=True, tag="offer"):
     """What a server has and can do."""
 
     server: Text
@@ -107,7 +107,7 @@ class Offer(Message, tag="offer"):
     mismatch: Text = ""  # why the requirements are not met; empty: they are
 
 
-class Lease(Message, tag="lease"):
+class Lease(Message, frozen=True, tag="lease"):
     """The state of a lease: ``waiting`` for a slot, ``preparing``, ``ready`` (a slot at least) or ``failed``."""
 
     lease: Token
@@ -120,7 +120,7 @@ class Lease(Message, tag="lease"):
     reason: Text = ""  # of a failure
 
 
-class Outcomes(Message, tag="outcomes"):
+class Outcomes(Message, frozen=True, tag="outcomes"):
     """What the trials of a batch decided."""
 
     batch: BatchId
@@ -130,14 +130,14 @@ class Outcomes(Message, tag="outcomes"):
     error: Text = ""  # what the simulator raised first
 
 
-class Running(Message, tag="running"):
+class Running(Message, frozen=True, tag="running"):
     """The batch still runs: ask again with the same id."""
 
     batch: BatchId
     done: Count  # trials
 
 
-class Fault(Message, tag="fault"):
+class Fault(Message, frozen=True, tag="fault"):
     """The machine or the simulator's process failed at one trial; the others of the batch are without blame."""
 
     batch: BatchId
@@ -146,14 +146,14 @@ class Fault(Message, tag="fault"):
     reason: Text
 
 
-class Refused(Message, tag="refused"):
+class Refused(Message, frozen=True, tag="refused"):
     """The request is not carried out."""
 
     code: Refusal
     reason: Text
 
 
-class Done(Message, tag="done"):
+class Done(Message, frozen=True, tag="done"):
     """Carried out."""
 
 

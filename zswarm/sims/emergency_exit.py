@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import Meta
 
 from zswarm.errors import ConfigError
-from zswarm.jit import FLOATS, STEP, Step, array, float32, float64, inline, int32, int64, kernel, uint64, void
+from zswarm.jit import STEP, Step, array, float32, float64, inline, int32, int64, kernel, uint64, void
 from zswarm.sims.simulator import CompiledSimulator, Outcome, Turn
 
 INPUTS, OUTPUTS = 10, 2
@@ -99,9 +99,7 @@ class EmergencyExit(CompiledSimulator):
                 )
             wanted = settings.agents + settings.exits + settings.blockades
             if wanted > settings.width**2:
-                raise ConfigError(
-                    f"emergency-exit: {wanted} agents, exits and blockades do not fit on {settings.width**2} cells"
-                )
+                raise ConfigError(f"emergency-exit: {wanted} agents, exits and blockades do not fit on {settings.width**2} cells")
         self.stride = self.width + 2  # a ring of blocked cells lies around the field
         self.cells = self.stride * (self.height + 2)
         self.owners = (0,) * self.agents
@@ -137,7 +135,16 @@ class EmergencyExit(CompiledSimulator):
     def outcome(self) -> Outcome:
         """Fitness and metrics of the trial that ended."""
         fitness, metrics = np.zeros(1), np.zeros(2)
-        judge(self._cell, self._inside, self._exit_x, self._exit_y, self._first_all_out, self.settings.steps, fitness, metrics)
+        judge(
+            self._cell,
+            self._inside,
+            self._exit_x,
+            self._exit_y,
+            self._first_all_out,
+            self.settings.steps,
+            fitness,
+            metrics,
+        )
         return Outcome(list(fitness), list(metrics))
 
     def frame(self) -> dict[str, Any]:
@@ -150,9 +157,7 @@ class EmergencyExit(CompiledSimulator):
             "inside": [bool(i) for i in self._inside],
             "exits": [place for place in self._places() if self._nearest(place) == (0, 0)],
             "blockades": [
-                (x, y)
-                for x, y in self._places()
-                if not self._free[(y + 1) * self.stride + x + 1] and (x, y) not in set(here)
+                (x, y) for x, y in self._places() if not self._free[(y + 1) * self.stride + x + 1] and (x, y) not in set(here)
             ],
         }
 
@@ -174,7 +179,8 @@ class EmergencyExit(CompiledSimulator):
         states = np.zeros((self.agents, state_size), np.float32)
         fields = self._fields(distinct)
         play_trials(
-            step, parameters, participants, field_of_trial, *fields, states, self.stride, self.settings.steps, progress, fitness, metrics
+            step, parameters, participants, field_of_trial, *fields, states, self.stride, self.settings.steps,
+            progress, fitness, metrics,
         )  # fmt: skip
 
     def _turn(self) -> Turn:
@@ -329,7 +335,8 @@ def judge(cells, inside, exit_x, exit_y, first_all_out, steps, fitness, metrics)
          array(int64), array(float64, 2), array(float64, 2))
 )  # fmt: skip
 def play_trials(  # type: ignore[no-untyped-def]  # compiled
-    step, parameters, participants, field_of_trial, free, exit_x, exit_y, starts, states, stride, steps, progress, fitness, metrics
+    step, parameters, participants, field_of_trial, free, exit_x, exit_y, starts, states, stride, steps,
+    progress, fitness, metrics,
 ):  # fmt: skip
     """All trials of a batch, see ``CompiledSimulator.play``."""
     agents = starts.shape[1]

@@ -92,9 +92,7 @@ class Minisim(CompiledSimulator):
                 "a defender cannot tag what it does not see"
             )
         if settings.rest == 1 and settings.defenders:
-            raise ConfigError(
-                "minisim: rest 1 keeps the defenders on the flag for ever; give 0 (no rest) or 2 and more"
-            )
+            raise ConfigError("minisim: rest 1 keeps the defenders on the flag for ever; give 0 (no rest) or 2 and more")
         self.owners = (0,) * settings.robots
         self._rules = np.array(msgspec.structs.astuple(settings), np.int64)
 

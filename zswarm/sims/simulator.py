@@ -56,7 +56,7 @@ class Simulator(ABC):
     def __init__(self, settings: msgspec.Struct) -> None:
         self.settings = settings
 
-    def fixed_seeds(self, trials: int) -> Sequence[int] | None:
+    def fixed_seeds(self, trials: int) -> Sequence[int] | None:  # noqa: ARG002  for those that override it
         """The seeds of an experiment's trials where the problem itself fixes them, else None."""
         return None
 

@@ -11,11 +11,20 @@ import click
 @click.option("--capacity", type=click.IntRange(1, 65_535), help="Slots: simulations at the same time.  [default: cores]")
 @click.option("--name", help="Name shown to optimizers.  [default: the host's name]")
 @click.option("--realm", help="Only optimizers of the same realm find this server.  [default: default]")
-@click.option("--listen", multiple=True, metavar="EP", help="Endpoint such as tcp/192.168.1.5:7467; may be repeated.  [default: first free port from 7467]")
+@click.option(
+    "--listen",
+    multiple=True,
+    metavar="EP",
+    help="Endpoint such as tcp/192.168.1.5:7467; may be repeated.  [default: first free port from 7467]",
+)
 @click.option("--connect", multiple=True, metavar="EP", help="Endpoint to dial, such as a router; may be repeated.")
 @click.option("--multicast/--no-multicast", default=None, help="Be found by multicast.  [default: multicast]")
 @click.option("--simulators", metavar="A,B", help="Simulators to offer.  [default: all installed]")
-@click.option("--config", type=click.Path(exists=True, dir_okay=False, path_type=Path), help="TOML file with these options; the command line wins.")
+@click.option(
+    "--config",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="TOML file with these options; the command line wins.",
+)
 @click.option("--log-level", type=click.Choice(["debug", "info", "warning", "error"]), default="info", show_default=True)
 @click.option("--until-stdin-closes", is_flag=True, hidden=True, help="Exit when the program that started this one ends.")
 @click.version_option(package_name="zswarm", prog_name="zswarm-ss")
@@ -46,7 +55,10 @@ def command(config: Path | None, log_level: str, until_stdin_closes: bool, **giv
             if value not in (None, ())
         }
         options = convert(mapping, Options, str(config or "zswarm-ss"))
-        for kind, text, longest in (("name", options.name or "x", keys.MAX_NAME), ("realm", options.realm, keys.MAX_ID)):
+        for kind, text, longest in (
+            ("name", options.name or "x", keys.MAX_NAME),
+            ("realm", options.realm, keys.MAX_ID),
+        ):
             if not keys.is_id(text) or len(text) > longest:
                 raise ConfigError(f"{kind} {text!r}: expected {keys.ID_RULE} (at most {longest})")
         for name in options.simulators:

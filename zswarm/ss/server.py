@@ -94,9 +94,7 @@ class Server:
         realm = self.options.realm
         with contextlib.ExitStack() as stack:
             stack.callback(self._close_workers)
-            opened, endpoints = session.open_server(
-                self.options.listen, self.options.connect, multicast=self.options.multicast
-            )
+            opened, endpoints = session.open_server(self.options.listen, self.options.connect, multicast=self.options.multicast)
             stack.callback(session.close, opened)
             on_query = zenoh.handlers.Callback(self._on_query, indirect=False)
             opened.declare_queryable(keys.offer(realm, self.id), on_query)
@@ -131,7 +129,7 @@ class Server:
         seen = sample.kind == zenoh.SampleKind.PUT
         self._put(slots.HolderSeen(user, run) if seen else slots.HolderGone(user, run))
 
-    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+    def _on_signal(self, number: int, _frame: FrameType | None) -> None:
         self._signals.append(number)
         self._awake()
 
@@ -154,7 +152,9 @@ class Server:
             if self._until_stdin_closes:
                 poll.register(sys.stdin.fileno(), select.POLLIN)
             ticking = self.slots.busy() or self._signals
-            ready = {descriptor for descriptor, _ in poll.poll(max(0.0, next_tick - time.monotonic()) * 1000 if ticking else None)}
+            ready = {
+                descriptor for descriptor, _ in poll.poll(max(0.0, next_tick - time.monotonic()) * 1000 if ticking else None)
+            }
             if self._wake in ready:
                 os.read(self._wake, 4096)
             if self._until_stdin_closes and sys.stdin.fileno() in ready:

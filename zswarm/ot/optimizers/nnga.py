@@ -67,9 +67,7 @@ class NNGA(Optimizer):
     def __init__(self, settings: Settings, representation: Representation, seed: int) -> None:
         super().__init__(settings, representation, seed)
         size = settings.population
-        self.counts = {
-            name: int(size * getattr(settings, name)) for name in ("random", "mutation", "crossover", "renew")
-        }
+        self.counts = {name: int(size * getattr(settings, name)) for name in ("random", "mutation", "crossover", "renew")}
         self.counts["elite"] = size - sum(self.counts.values())
         if self.counts["elite"] < 1:
             raise ConfigError(
@@ -143,9 +141,7 @@ class NNGA(Optimizer):
         made += [Individual(genome, "renew") for genome in self.representation.random(size - len(made), stream)]
         return made
 
-    def _crossovers(
-        self, mothers: list[bytes], fathers: list[bytes], existing: set[bytes], stream: Stream
-    ) -> list[Individual]:
+    def _crossovers(self, mothers: list[bytes], fathers: list[bytes], existing: set[bytes], stream: Stream) -> list[Individual]:
         """Children of a uniform mother and the father most different from her among eleven uniform draws."""
         wanted = self.counts["crossover"]
         children: list[Individual] = []
