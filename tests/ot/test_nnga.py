@@ -424,25 +424,21 @@ def test_statistics_describe_the_whole_population() -> None:
     assert statistics["diversity_deviation"] == pytest.approx(np.std(pairs))
 
 
-def test_it_learns_the_stadium_as_fast_as_frevo() -> None:
-    """Twenty runs of ours against FREVO's twenty: how often ours is ahead, and how diverse the populations are."""
+def test_populations_lose_their_diversity_as_fast_as_frevos() -> None:
+    """In the stadium; the median over runs of the mean distance between two individuals, generation by generation."""
     simulator, network = build("emergency-exit", {"field": "stadium"}, "fully-meshed", {})
-    best, diversity = np.empty((20, 13)), np.empty((20, 13))
-    for seed in range(20):
+    diversity = np.empty((10, 13))
+    for seed in range(10):
         optimizer = NNGA(Settings(), network, seed)
         for generation in range(13):
             genomes = optimizer.ask()
             participants = np.arange(len(genomes))[:, None]
             outcomes = evaluate(simulator, network, genomes, participants, np.zeros(len(genomes), np.uint64))
             optimizer.tell(outcomes.fitness[:, 0])
-            statistics = optimizer.statistics()
-            best[seed, generation], diversity[seed, generation] = statistics["best"], statistics["diversity_mean"]
-    recorded = np.array(CURVES["stadium"]["best_fitness"])
-    for generation in (0, 4, 8, 12):
-        ahead = (best[:, generation, None] > recorded[:, generation]).mean()
-        assert 0.25 < ahead < 0.75, generation
-    medians = np.median(diversity, axis=0)
-    assert np.allclose(medians, CURVES["stadium"]["diversity_avg_median"][:13], rtol=0.08)
+            diversity[seed, generation] = optimizer.statistics()["diversity_mean"]
+    recorded = CURVES["stadium"]["diversity_avg_median"][:13]
+    assert recorded[12] < 0.65 * recorded[0]
+    assert np.allclose(np.median(diversity, axis=0), recorded, rtol=0.08)
 
 
 # ---- the contract -------------------------------------------------------------------------------------------------
