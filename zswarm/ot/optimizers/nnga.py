@@ -135,30 +135,30 @@ class NNGA(Optimizer):
         )
         made += [Individual(genome, "mutation") for genome in mutants]
         interval = self.settings.exchange_interval
-        exchange = self.settings.islands > 1 and interval > 0 and (self.generation - 1) % interval == 0
-        pool = fathers[stream.integer(len(fathers))] if exchange else fathers[index]
-        made += self._crossovers([survivor.genome for survivor in survivors], pool, {m.genome for m in made}, stream)
+        exchange = interval > 0 and (self.generation - 1) % interval == 0
+        islands = fathers if exchange else [fathers[index]]
+        made += self._crossovers([survivor.genome for survivor in survivors], islands, {m.genome for m in made}, stream)
         made += [Individual(genome, "renew") for genome in self.representation.random(size - len(made), stream)]
         return made
 
-    def _crossovers(self, mothers: list[bytes], fathers: list[bytes], existing: set[bytes], stream: Stream) -> list[Individual]:
-        """Children of a uniform mother and the father most different from her among eleven uniform draws."""
-        wanted = self.counts["crossover"]
+    def _crossovers(
+        self, mothers: list[bytes], islands: list[list[bytes]], existing: set[bytes], stream: Stream
+    ) -> list[Individual]:
+        """Children of a uniform mother and the father most different from her among eleven of a uniform island."""
         children: list[Individual] = []
-        if not wanted:
-            return children
-        distances = self.representation.distances(mothers, fathers)
-        attempts = wanted + REPEATS
-        drawn_mothers = stream.integers(len(mothers), attempts)
-        drawn_fathers = stream.integers(len(fathers), attempts * SUITORS).reshape(attempts, SUITORS)
-        for mother, suitors in zip(drawn_mothers, drawn_fathers, strict=True):
-            father = suitors[np.argmax(distances[mother, suitors])]
-            child = self.representation.crossover(mothers[mother], fathers[father], stream)
-            if child in existing:
-                continue
-            existing.add(child)
-            children.append(Individual(child, "crossover"))
-            if len(children) == wanted:
+        distances = [self.representation.distances(mothers, fathers) for fathers in islands]
+        repeats = REPEATS
+        while len(children) < self.counts["crossover"]:
+            mother, island = stream.integer(len(mothers)), stream.integer(len(islands))
+            suitors = stream.integers(len(islands[island]), SUITORS)
+            father = suitors[np.argmax(distances[island][mother, suitors])]  # the first of equals
+            child = self.representation.crossover(mothers[mother], islands[island][father], stream)
+            if child not in existing:
+                existing.add(child)
+                children.append(Individual(child, "crossover"))
+            elif repeats:
+                repeats -= 1
+            else:
                 break
         return children
 
