@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from zswarm.draws import Stream, derive_seed
+from zswarm.draws import Stream, derive_seed, draw_integer
 
 KNOWN = [6457827717110365317, 3203168211198807973, 9817491932198370423, 4593380528125082431, 16408922859458223821]
 MASK = 2**64 - 1
@@ -81,6 +81,18 @@ def test_integers_are_drawn_evenly_and_reach_both_ends() -> None:
 def test_one_integer_is_one_of_many() -> None:
     one_by_one, at_once = Stream(3), Stream(3)
     assert [one_by_one.integer(100) for _ in range(50)] == at_once.integers(100, 50).tolist()
+
+
+@given(st.integers(0, MASK), st.lists(st.integers(1, 2**32 - 1), max_size=10))
+def test_a_kernel_draws_the_integers_of_a_stream(seed: int, bounds: list[int]) -> None:
+    state, plain_state = np.array([seed], np.uint64), np.array([seed], np.uint64)
+    plain = getattr(draw_integer, "py_func", draw_integer)
+    stream = Stream(seed)
+    for bound in bounds:
+        expected = stream.integer(bound)
+        assert draw_integer(state, bound) == expected
+        with np.errstate(over="ignore"):
+            assert plain(plain_state, bound) == expected
 
 
 def test_a_derived_seed_depends_on_every_argument() -> None:

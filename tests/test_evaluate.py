@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from msgspec import Meta
 
+from zswarm import plugins
 from zswarm.draws import Stream
 from zswarm.errors import ConfigError, UnknownPlugin
 from zswarm.evaluate import MAX_ERROR_TEXT, Outcomes, build, evaluate
@@ -236,6 +237,17 @@ def test_what_cannot_be_built_is_the_users_to_mend(arguments: tuple[Any, ...], t
     with pytest.raises(ConfigError, match=text) as refusal:
         build(*arguments)
     assert isinstance(refusal.value, UnknownPlugin) == text.startswith("unknown ")
+
+
+def test_a_simulator_that_cannot_be_set_up_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Broken(Duel):
+        def __init__(self, settings: Settings) -> None:
+            raise OSError(f"no map for {settings.rounds} rounds")
+
+    installed = plugins.load
+    monkeypatch.setattr(plugins, "load", lambda kind, name: Broken if kind == "simulator" else installed(kind, name))
+    with pytest.raises(ConfigError, match="simulator 'broken' cannot be set up: OSError: no map for 3 rounds"):
+        build("broken", {}, "fully-meshed", {})
 
 
 # ---- the check of the contract ------------------------------------------------------------------------------------

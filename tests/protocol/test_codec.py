@@ -146,6 +146,11 @@ def test_requests_are_no_replies_and_replies_no_requests(request: messages.Reque
     refusal(codec.encode(reply), codec.decode_request)
 
 
+def test_a_message_cannot_be_changed() -> None:
+    for kind in REQUESTS | REPLIES:
+        assert kind.__struct_config__.frozen
+
+
 def test_a_message_is_a_map_with_type_and_version() -> None:
     """For programs in other languages: these names and kinds are the protocol."""
     assert msgspec.msgpack.decode(codec.encode(evaluate())) == {
