@@ -257,7 +257,7 @@ def _who_computes(complete: Experiment, local: "LocalServer | None") -> str:
     servers, realm = complete.cluster.servers, complete.cluster.realm
     here = f"{local.slots} slot{'s' if local.slots != 1 else ''} of this machine" if local else ""
     if servers == "local":
-        return f"{complete.name}: {here} compute"
+        return f"{complete.name}: {here}"
     if servers == "auto":
-        return f"{complete.name}: {here} compute, and every server that is found in realm {realm}"
+        return f"{complete.name}: {here}, and every server found in realm {realm}"
     return f"{complete.name}: waiting for {servers} servers in realm {realm}"

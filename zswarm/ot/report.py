@@ -63,14 +63,12 @@ class LiveReporter(PlainReporter):
         from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
         self._progress = Progress(
-            TextColumn("generation {task.completed:.0f}/{task.total:.0f}"),
-            BarColumn(bar_width=None),
+            TextColumn("{task.completed:.0f}/{task.total:.0f}"),
+            BarColumn(bar_width=8),
             TextColumn("{task.fields[text]}"),
-            TextColumn("eta"),
-            TimeRemainingColumn(compact=True),
+            TimeRemainingColumn(compact=True, elapsed_when_finished=True),
             console=Console(stderr=True),
             refresh_per_second=8,
-            expand=True,
         )
         self._task = self._progress.add_task("run", total=generations, text="looking for servers")
         self._last: tuple[float, int] | None = None
@@ -94,12 +92,8 @@ class LiveReporter(PlainReporter):
         if self._last is None:
             self._last = (now, g.evaluations)
         rate = (g.evaluations - self._last[1]) / max(1e-9, now - self._last[0])
-        servers = f"{g.servers} server{'s' if g.servers != 1 else ''}, {g.slots} slots"
-        self._progress.update(
-            self._task,
-            completed=g.generation + 1,
-            text=f"best {g.best:.5g}  mean {g.mean:.5g}  {rate:.0f}/s  {servers}",
-        )
+        text = f"best {g.best:.5g}  mean {g.mean:.5g}  {rate:.0f}/s  {_plural(g.slots, 'slot')} on {_plural(g.servers, 'server')}"
+        self._progress.update(self._task, completed=g.generation + 1, text=text)
 
 
 def reporter(generations: int, *, as_json: bool) -> PlainReporter:
@@ -112,6 +106,10 @@ def reporter(generations: int, *, as_json: bool) -> PlainReporter:
 def print_json(value: dict[str, Any]) -> None:
     """One line on stdout."""
     print(to_json(value), flush=True)
+
+
+def _plural(count: int, noun: str) -> str:
+    return f"{count} {noun}{'s' if count != 1 else ''}"
 
 
 def _summary(result: Result) -> str:

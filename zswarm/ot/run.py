@@ -217,7 +217,7 @@ def _evaluate(
 
 
 TOLD = {
-    "server_joined": "{server} joined with {count} slots",
+    "server_joined": "{server} joined with {slots}",
     "server_left": "{server} left; {text}",
     "server_lost": "{server} is gone",
     "server_back": "{server} is back",
@@ -236,7 +236,8 @@ TOLD = {
 def _tell(note: Note, record: Record, reporter: Reporter, cluster: Cluster, local: LocalServer | None) -> None:
     record.note(note)
     if note.event in TOLD:
-        reporter.say(TOLD[note.event].format(server=note.server, text=note.text, count=note.count))
+        slots = f"{note.count} slot{'s' if note.count != 1 else ''}"
+        reporter.say(TOLD[note.event].format(server=note.server, text=note.text, count=note.count, slots=slots))
     local_refused = note.event == "server_refused" and local is not None and note.server.startswith("local-")
     if local_refused and not cluster.dispatch.serving():
         raise EvaluationError(note.text)

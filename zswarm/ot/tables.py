@@ -70,14 +70,15 @@ def everything(folder: Path, *, as_json: bool) -> None:
     if not runs:
         _print(f"{'runs':16}none in {folder}")
         return
-    table = _table("run", "generations", "best", "candidates", "last at", "history")
+    table = _table("run", "generations", "best", "last at", "history")
     for row in runs:
         if "error" in row:
-            _row(table, row["run"], "", "", "", "", row["error"])
+            _row(table, row["run"], "", "", "", row["error"])
             continue
         at = time.strftime("%Y-%m-%d %H:%M", time.localtime(row["finished_at"])) if row["finished_at"] else ""
         best = "" if row["best"] is None else f"{row['best']:.6g}"
-        _row(table, row["run"], row["generations"], best, row["candidates"], at, row["history_hash"] or "not finished")
+        history = row["history_hash"][:12] if row["history_hash"] else "not finished"
+        _row(table, row["run"], row["generations"], best, at, history)
     Console().print(table)
 
 
@@ -147,7 +148,7 @@ def evaluated(controller: Controller, trials: int, seed: int, *, as_json: bool) 
 def _table(*columns: str) -> Table:
     table = Table(box=box.SIMPLE, pad_edge=False)
     for column in columns:
-        table.add_column(column)
+        table.add_column(column, overflow="fold")
     return table
 
 
