@@ -323,6 +323,18 @@ def test_a_hundred_rejections_are_repeated(wanted: int) -> None:
     assert operators(optimizer).count("crossover") == wanted
 
 
+@pytest.mark.parametrize("size", [10, 50])
+def test_the_hundred_and_first_rejection_ends_crossover(size: int) -> None:
+    """Even where many children are still wanted and the next would be new."""
+    network = Barren()
+    network.barren = REPEATS + 1
+    optimizer = evolved(NNGA(Settings(population=size), network, 1), 1)
+    optimizer.ask()
+    assert len(network.crossed) == 101
+    assert operators(optimizer).count("crossover") == 0
+    assert len(population(optimizer)) == size
+
+
 def test_a_child_like_its_sister_is_rejected() -> None:
     class Twins(Watched):
         def cross(self, mother: bytes, father: bytes, stream: Stream) -> bytes:
@@ -364,6 +376,12 @@ def test_islands_exchange_every_so_often_beginning_with_generation_0() -> None:
 def test_fathers_come_from_all_islands_the_own_included() -> None:
     foreign = foreign_fathers(Settings(population=20, islands=2, exchange_interval=1), 100)
     assert 0.4 < sum(foreign) / (100 * 2 * 6) < 0.6
+
+
+def test_every_child_draws_the_island_of_its_father_anew() -> None:
+    foreign = foreign_fathers(Settings(population=20, islands=2, exchange_interval=1), 30)
+    assert sum(count in (0, 12) for count in foreign) < 3, "of the 12 children some fathers are foreign, others not"
+    assert sum(count in (0, 6, 12) for count in foreign) < 15
 
 
 def test_a_single_island_has_no_one_to_exchange_with() -> None:
