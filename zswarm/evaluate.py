@@ -38,18 +38,21 @@ def build(
     simulator_class = plugins.load("simulator", simulator)
     representation_class = plugins.load("representation", representation)
     configured = convert(settings, simulator_class.settings_type, "problem.settings")
+    built: Simulator = _construct(f"simulator {simulator!r}", simulator_class, configured)
+    network_settings = convert(representation_settings, representation_class.settings_type, "representation")
+    network: Representation = _construct(
+        f"representation {representation!r}", representation_class, network_settings, built.inputs, built.outputs
+    )
+    return built, network
+
+
+def _construct(what: str, loaded: Any, *arguments: Any) -> Any:
     try:
-        built = simulator_class(configured)
+        return loaded(*arguments)
     except ConfigError:
         raise
     except Exception as error:  # a plug-in's constructor runs code of its authors
-        raise ConfigError(f"simulator {simulator!r} cannot be set up: {type(error).__name__}: {error}") from error
-    network = representation_class(
-        convert(representation_settings, representation_class.settings_type, "representation"),
-        built.inputs,
-        built.outputs,
-    )
-    return built, network
+        raise ConfigError(f"{what} cannot be set up: {type(error).__name__}: {error}") from error
 
 
 def evaluate(
@@ -132,5 +135,10 @@ def play_in_turns(
             representation.step(parameters[owners[agent]], states[agent], observations[row], actions[row])
         turn = simulator.step(actions)
     outcome = simulator.outcome()
+    if len(outcome.fitness) != len(fitness) or len(outcome.metrics) != len(metrics):
+        raise ValueError(
+            f"an outcome must have {len(fitness)} fitness numbers and {len(metrics)} metrics, "
+            f"not {len(outcome.fitness)} and {len(outcome.metrics)}"
+        )
     fitness[:] = outcome.fitness
     metrics[:] = outcome.metrics

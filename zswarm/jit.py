@@ -34,9 +34,15 @@ def cache_folder() -> Path:
             folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         except OSError:
             continue
-        if os.access(folder, os.W_OK | os.X_OK):
+        if os.access(folder, os.W_OK | os.X_OK) and _is_ours(folder.parent) and _is_ours(folder):
             return folder
     return Path(tempfile.mkdtemp(prefix="zswarm-"))
+
+
+def _is_ours(folder: Path) -> bool:
+    """Whether nobody else can put files there: what lies in a cache is run."""
+    status = folder.stat()
+    return status.st_uid == os.getuid() and not status.st_mode & 0o022
 
 
 PLAIN = os.environ.get("ZSWARM_PLAIN", "") == "1"  # kernels stay Python, numba is not imported
@@ -50,6 +56,7 @@ float64: Any
 if PLAIN:
     uint8, int32, int64, uint64 = np.uint8, np.int32, np.int64, np.uint64
     float32, float64 = np.float32, np.float64
+    np.seterr(over="ignore")  # kernels count on integers that wrap
 else:
     os.environ["NUMBA_CACHE_DIR"] = str(cache_folder())
     os.environ["NUMBA_DISABLE_INTEL_SVML"] = "1"  # its functions differ from LLVM's in the last bits

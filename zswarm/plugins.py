@@ -55,7 +55,7 @@ def load(kind: Kind, name: str) -> Any:
         raise UnknownPlugin(f"unknown {kind} {name!r}{nearest(name, table)}; known are: {', '.join(names(kind))}")
     try:
         return table[name].load()
-    except Exception as error:  # a plug-in's import runs code of its authors: whatever it raises is named, not ours
+    except (Exception, SystemExit) as error:  # a plug-in's import runs code of its authors: whatever it raises is named, not ours
         if name in BUNDLED[kind]:
             raise
         raise UnknownPlugin(f"{kind} {name!r} cannot be imported: {type(error).__name__}: {error}") from error

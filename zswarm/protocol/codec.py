@@ -14,6 +14,7 @@ from zswarm.protocol.messages import MAX_MESSAGE, MAX_TEXT, MAX_TRIALS, Message,
 T = TypeVar("T")
 
 MAX_DEPTH = 8  # of settings
+UNSAFE = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}  # Unicode categories: controls, formats, line separators, unassigned
 _encoder = msgspec.msgpack.Encoder()
 _requests: msgspec.msgpack.Decoder[Request] = msgspec.msgpack.Decoder(Request)
 _replies: msgspec.msgpack.Decoder[Reply] = msgspec.msgpack.Decoder(Reply)
@@ -116,8 +117,7 @@ def clean(text: str) -> str:
     if text.isascii() and text.isprintable():
         return text[:MAX_TEXT]
     return "".join(
-        character if unicodedata.category(character) not in ("Cc", "Cf", "Cs", "Co", "Cn") else f"\\x{ord(character):02x}"
-        for character in text
+        character if unicodedata.category(character) not in UNSAFE else f"\\x{ord(character):02x}" for character in text
     )[:MAX_TEXT]
 
 

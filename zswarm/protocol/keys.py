@@ -94,6 +94,8 @@ def parse_server_key(key: str) -> ServerKey:
         parsed = ServerKey(version, realm, server, rest[3], rest[1], rest[2])
     else:
         raise RemoteProtocolError("no such request")
+    if not re.fullmatch(r"v[0-9]{1,5}", version):
+        raise RemoteProtocolError("not a version of the protocol")
     if not all(is_id(part) for part in (realm, server, *rest)):
         raise RemoteProtocolError(f"a part of the key is no id ({ID_RULE})")
     return parsed
@@ -106,8 +108,10 @@ def parse_run_key(key: str) -> tuple[str, str]:
         RemoteProtocolError: not such a key.
     """
     parts = key.split("/")
-    if len(parts) != 7 or parts[3] != "ot" or parts[6] != "alive" or not (is_id(parts[4]) and is_id(parts[5])):
+    if len(parts) != 7 or "/".join(parts[:2]) != ROOT or (parts[3], parts[6]) != ("ot", "alive"):
         raise RemoteProtocolError("not a key of a run")
+    if not all(is_id(part) for part in (parts[2], parts[4], parts[5])):
+        raise RemoteProtocolError(f"a part of the key is no id ({ID_RULE})")
     return parts[4], parts[5]
 
 

@@ -19,6 +19,7 @@ INPUTS, OUTPUTS = 10, 2
 NEIGHBOUR_X = np.array([0, 1, 1, 1, 0, -1, -1, -1])
 NEIGHBOUR_Y = np.array([-1, -1, 0, 1, 1, 1, 0, -1])
 FREE, BLOCKED = np.float32(1), np.float32(0)
+HALF, ONE, TWO = np.float32(0.5), np.float32(1), np.float32(2)
 
 STADIUM = """
 ####################
@@ -70,7 +71,8 @@ class EmergencyExit(CompiledSimulator):
 
     Observation: (10,) float32. 0-1: signed dx, dy to the exit nearest by Euclidean distance, in cells, not scaled.
         2-9: the cells N, NE, E, SE, S, SW, W, NW: 1 free, 0 wall, blockade, or an agent still inside; exits are free.
-    Action: (2,) float32 x and y, each o < .25: -1; < .75: 0; < 1.25: +1; beyond: 0. A move onto a blocked cell is none.
+    Action: (2,) float32 x and y, each rounded from 2 o - 1: -1 from o = -.25, 0 from .25, +1 from .75; below -.25 and from 1.25
+        on 0. A move onto a blocked cell is none.
     Turns: one agent at a time, in index order; each sees the moves before it. An agent on an exit is out for good.
     Start: fields are drawn from the trial's seed (the standard generator of Java), or the stadium's 72 agents.
     End: after ``steps`` rounds.
@@ -295,10 +297,11 @@ def observe(cell, free, exit_x, exit_y, stride, observation):  # type: ignore[no
 
 @inline
 def velocity(output):  # type: ignore[no-untyped-def]  # compiled
-    """round(2 o - 1) as Java rounds it; a number that is not -1, 0 or 1, or NaN, means no move."""
-    if output < np.float32(0.25):
-        return -1 if output >= np.float32(-0.25) else 0
-    return 1 if np.float32(0.75) <= output < np.float32(1.25) else 0
+    """round(2 o - 1) as Java's float arithmetic has it; what is not -1, 0 or 1 then, or NaN, means no move."""
+    moved = TWO * output - ONE
+    if moved < -HALF:
+        return -1 if moved >= -ONE - HALF else 0
+    return 1 if HALF <= moved < ONE + HALF else 0
 
 
 @inline

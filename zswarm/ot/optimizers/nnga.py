@@ -38,7 +38,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     population: Annotated[int, Meta(ge=2, le=1_000_000)] = 50
     islands: Annotated[int, Meta(ge=1, le=1_000)] = 1
-    exchange_interval: Annotated[int, Meta(ge=0)] = 10
+    exchange_interval: Annotated[int, Meta(ge=0, le=1_000_000_000)] = 10
     random: Share = 0.10
     mutation: Share = 0.40
     crossover: Share = 0.30

@@ -75,8 +75,8 @@ class Optimizer(ABC):
 
     @abstractmethod
     def best(self) -> tuple[bytes, float]:
-        """The best genome told so far and its fitness; (b"", nan) before the first."""
+        """The best genome told so far and its fitness; (b"", -inf) before the first."""
 
     @abstractmethod
     def statistics(self) -> dict[str, float]:
-        """Numbers about the last generation; ``best`` and ``mean`` at least."""
+        """Numbers about the last generation told; ``best`` and ``mean`` at least."""
