@@ -153,9 +153,16 @@ class Record:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Commit what is whole and let others at the run; a second time nothing."""
+        if self._lock < 0:
+            return
         self._commit()
         self._database.close()
         os.close(self._lock)
+        self._lock = -1
 
     # ---- meta
 
@@ -216,19 +223,24 @@ class Record:
         self, generation: int, genomes: Sequence[bytes], fitness: np.ndarray, statistics: dict[str, float], state: Any
     ) -> None:
         """A generation and the optimizer's state after it, in one transaction."""
+        rows = zip(genomes, fitness.tolist(), strict=True)
         self._begin()
-        self._database.executemany(
-            "INSERT INTO candidates VALUES (?, ?, ?, ?)",
-            [
-                (generation, index, genome, value)
-                for index, (genome, value) in enumerate(zip(genomes, fitness.tolist(), strict=True))
-            ],
-        )
-        self._database.execute(
-            "INSERT INTO generations VALUES (?, ?, ?, ?, ?, ?)",
-            (generation, time.time(), statistics["best"], statistics["mean"], len(genomes), to_json(statistics)),
-        )
-        self._database.execute("INSERT OR REPLACE INTO optimizer VALUES (0, ?, ?)", (generation, msgspec.msgpack.encode(state)))
+        self._database.execute("SAVEPOINT finish")
+        try:
+            self._database.executemany(
+                "INSERT INTO candidates VALUES (?, ?, ?, ?)",
+                [(generation, candidate, genome, value) for candidate, (genome, value) in enumerate(rows)],
+            )
+            self._database.execute(
+                "INSERT INTO generations VALUES (?, ?, ?, ?, ?, ?)",
+                (generation, time.time(), statistics["best"], statistics["mean"], len(genomes), to_json(statistics)),
+            )
+            self._database.execute(
+                "INSERT OR REPLACE INTO optimizer VALUES (0, ?, ?)", (generation, msgspec.msgpack.encode(state))
+            )
+        except BaseException:  # Ctrl-C too: half a generation must not be committed on the way out
+            self._database.execute("ROLLBACK TO finish")
+            raise
         self.flush()
 
     def flush(self) -> None:
