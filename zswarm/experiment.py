@@ -15,7 +15,7 @@ import tomli_w
 from msgspec import Meta
 
 from zswarm import plugins
-from zswarm.errors import ConfigError
+from zswarm.errors import ConfigError, UnknownPlugin
 from zswarm.plugins import nearest
 from zswarm.protocol import keys
 from zswarm.strict import convert
@@ -124,9 +124,9 @@ def complete(experiment: Experiment, where: str) -> Experiment:
     Raises:
         ConfigError: a named part is unknown, or its settings are impossible.
     """
-    simulator = plugins.load("simulator", experiment.problem.simulator)
-    representation = plugins.load("representation", experiment.representation.kind)
-    optimizer = plugins.load("optimizer", experiment.optimizer.kind)
+    simulator = _load("simulator", experiment.problem.simulator, f"{where}: problem.simulator")
+    representation = _load("representation", experiment.representation.kind, f"{where}: representation.kind")
+    optimizer = _load("optimizer", experiment.optimizer.kind, f"{where}: optimizer.kind")
     problem = msgspec.structs.replace(
         experiment.problem, settings=_complete(experiment.problem.settings, simulator, f"{where}: problem.settings")
     )
@@ -184,6 +184,13 @@ def _part(mapping: Mapping[str, Any], where: str) -> Part:
     if not isinstance(kind, str):
         raise ConfigError(f'{where}: kind: expected the name of one, such as kind = "..."')
     return Part(kind=kind, settings={key: value for key, value in mapping.items() if key != "kind"})
+
+
+def _load(kind: plugins.Kind, name: str, where: str) -> Any:
+    try:
+        return plugins.load(kind, name)
+    except UnknownPlugin as error:
+        raise UnknownPlugin(f"{where}: {error}") from error
 
 
 def _complete_part(part: Part, loaded: Any, where: str) -> Part:
