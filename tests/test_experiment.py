@@ -181,7 +181,7 @@ def test_an_impossible_setting_of_a_part_is_refused(file: Path, override: str, t
     ],
 )
 def test_an_unknown_part_is_refused_with_what_is_known(file: Path, override: str, text: str) -> None:
-    assert refusal(completed, file, override).startswith(text)
+    assert refusal(completed, file, override).startswith(f"small.toml: {override.split('=')[0]}: {text}")
     with pytest.raises(UnknownPlugin):
         completed(file, override)
 
