@@ -12,7 +12,7 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from zswarm.errors import RemoteProtocolError
+from zswarm.errors import LocalProtocolError, RemoteProtocolError
 from zswarm.protocol import codec
 from zswarm.protocol.messages import (
     MAX_GENOMES,
@@ -33,7 +33,9 @@ DEPTH = 2  # batches out per slot: one runs, one waits
 BATCH_S = 0.075  # of work in a batch, by measured time
 SMALLEST_BATCH_S = 0.003  # of work: shorter than the way to a server and back, two batches would not keep a slot busy
 RENEW_S = 20.0  # a third of the lease time
-RETRY_S = (0.05, 0.2, 1.0)  # before asking again after an empty answer; then the server is left alone until it is seen again
+RETRY_S = (0.05, 0.2, 1.0)  # before asking again after an empty answer; then the server is put aside
+PAUSE_S = 1.0  # before a server that has no room, or not our lease any more, is asked again
+ASIDE_S = 30.0  # before a server that did not answer is looked at again, unless it is seen again before
 ATTEMPTS = 3  # of a trial that ends in a fault
 
 Verb = Literal["offer", "reserve", "renew", "evaluate", "cancel", "release"]
@@ -156,13 +158,14 @@ class Phase(Enum):
     """How far a server is."""
 
     SEEN = auto()  # its offer was asked
-    IDLE = auto()  # it cannot or does not want to serve; it is looked at again when it is seen again
+    IDLE = auto()  # it left, or cannot or does not want to serve; it is looked at again when it is seen again
+    ASIDE = auto()  # it is looked at again after a time
     RESERVING = auto()
     LEASED = auto()
     LEAVING = auto()  # its token vanished: what it has may still come back
 
 
-class Batch(msgspec.Struct):
+class Batch(msgspec.Struct, eq=False):
     """Trials that a server has."""
 
     id: int
@@ -170,32 +173,39 @@ class Batch(msgspec.Struct):
     empties: int = 0  # empty answers in a row
 
 
-class Server(msgspec.Struct):
+class Server(msgspec.Struct, eq=False):
     """What is known of a server."""
 
     id: str
     phase: Phase = Phase.SEEN
-    lease: bytes = b""
+    lease: bytes = b""  # while LEASED or LEAVING
     capacity: int = 0
     slots: int = 0
     ready: int = 0
     trial_s: float = 0.0  # measured, 0.0: not yet
     last_asked: float = 0.0
     renewing: bool = False
+    paused_until: float = 0.0  # it had no room for a batch
     batches: dict[int, Batch] = {}
+    abandoned: list[int] = []  # batches given elsewhere that it may still have
     empties: int = 0  # in a row, of questions without a batch
+    silent: bool = False  # the user was told so
     counted: int = 0  # trials
 
 
-class Question(msgspec.Struct):
-    """A question that is out."""
+class Question(msgspec.Struct, eq=False):
+    """A question that is out, or asked later."""
 
     server: str
     verb: Verb
+    lease: bytes = b""
     batch: Batch | None = None
 
 
-class Piece(msgspec.Struct):
+ASKED_IN = {"offer": Phase.SEEN, "reserve": Phase.RESERVING, "renew": Phase.LEASED}
+
+
+class Piece(msgspec.Struct, eq=False):
     """Trials that wait, and the servers on which one of them ended in a fault."""
 
     trials: np.ndarray
@@ -236,8 +246,9 @@ class Dispatch:
         self._rest = 0  # trials not counted
         self._waiting: deque[Piece] = deque()
         self._unsent = 0  # trials in _waiting
-        self._faults: dict[int, int] = {}
-        self._later: list[tuple[float, Ask]] = []  # questions to ask at a time
+        self._genome_bytes = 0  # of the largest
+        self._faults: dict[int, list[str]] = {}  # the servers on which a trial ended in one
+        self._later: list[tuple[float, Question]] = []  # to ask at a time
         self._commands: list[Command] = []
 
     def handle(self, event: Event, now: float) -> list[Command]:
@@ -251,13 +262,11 @@ class Dispatch:
             case Answered():
                 self._answered(event, now)
             case Work():
-                self._work(event.workload)
+                self._work(event.workload, now)
             case Tick():
                 self._tick(now)
             case Leave():
-                for server in self.servers.values():
-                    if server.phase in (Phase.LEASED, Phase.LEAVING):
-                        self._ask(server, "release", now, lease=server.lease)
+                self._leave(now)
         self._fill(now)
         return self._commands
 
@@ -289,18 +298,15 @@ class Dispatch:
     # ---- servers
 
     def _seen(self, id_: str, now: float) -> None:
-        server = self.servers.get(id_)
-        if server is None:
-            server = self.servers[id_] = Server(id_)
-        elif server.phase == Phase.LEAVING:
+        server = self.servers.setdefault(id_, Server(id_, Phase.IDLE))
+        if server.phase == Phase.LEAVING:
             server.phase = Phase.LEASED  # the link was cut and is back before its end was noticed
             self._note("server_back", server.id)
+            self._cancel_abandoned(server, now)
             self._renew(server, now)
-            return
-        elif server.phase != Phase.IDLE:
-            return
-        server.phase, server.empties = Phase.SEEN, 0
-        self._ask(server, "offer", now)
+        elif server.phase in (Phase.IDLE, Phase.ASIDE):
+            server.phase, server.empties = Phase.SEEN, 0
+            self._ask(server, "offer", now)
 
     def _gone(self, id_: str) -> None:
         """What a server has out ends by itself: with a reply when it drains, with nothing when it died."""
@@ -311,35 +317,63 @@ class Dispatch:
             self._note("server_left", id_, f"{sum(len(b.trials) for b in server.batches.values())} trials were with it")
             server.phase = Phase.LEAVING
             for batch in [batch for batch in server.batches.values() if batch.empties]:
-                del server.batches[batch.id]  # nobody answered already, and nobody will
-                self._requeue(batch.trials)
-            if not server.batches:
-                self._forget_lease(server, "server_lost", "")
+                self._abandon(server, batch)  # nobody answered already, and nobody will
+            self._forget_if_left(server)
         elif server.phase != Phase.LEAVING:
             server.phase = Phase.IDLE
 
+    def _forget_if_left(self, server: Server) -> None:
+        if server.phase == Phase.LEAVING and not server.batches:
+            self._forget_lease(server, "server_lost", "")
+
     def _forget_lease(self, server: Server, note: str, text: str) -> None:
-        for batch in server.batches.values():
-            self._requeue(batch.trials)
-        server.batches = {}
-        server.phase, server.lease, server.slots, server.ready = Phase.IDLE, b"", 0, 0
+        for batch in list(server.batches.values()):
+            self._abandon(server, batch)
+        server.phase, server.lease, server.slots, server.ready, server.renewing = Phase.IDLE, b"", 0, 0, False
         self._note(note, server.id, text)
+
+    def _abandon(self, server: Server, batch: Batch) -> None:
+        """Give a batch elsewhere that the server may still have."""
+        del server.batches[batch.id]
+        server.abandoned.append(batch.id)
+        self._requeue(batch.trials)
+
+    def _cancel_abandoned(self, server: Server, now: float) -> None:
+        if server.abandoned:
+            self._ask(server, "cancel", now, batches=tuple(server.abandoned))
+            server.abandoned = []
+
+    def _put_aside(self, server: Server, time: float) -> None:
+        """Use a server no more, until a time or until it is seen again."""
+        server.phase = Phase.ASIDE
+        self._later.append((time, Question(server.id, "offer")))
+
+    def _drop(self, server: Server, note: str, text: str, now: float) -> None:
+        """Give a lease back that is of no use."""
+        self._ask(server, "release", now)
+        self._forget_lease(server, note, text)
+
+    def _lost(self, server: Server, reason: str, now: float) -> None:
+        """The server ended the lease."""
+        leaving = server.phase == Phase.LEAVING
+        self._forget_lease(server, "lease_lost", reason)
+        if not leaving:
+            self._put_aside(server, now + PAUSE_S)
 
     def _leased(self, server: Server, lease: Lease, now: float) -> None:
         was_ready = server.ready
         server.lease, server.slots, server.ready = lease.lease, lease.slots, lease.ready
         if lease.state == "failed":
-            self._ask(server, "release", now, lease=lease.lease)
-            self._forget_lease(server, "server_refused", lease.reason)
+            self._drop(server, "server_refused", lease.reason, now)
             return
         if server.phase == Phase.RESERVING:
             server.phase = Phase.LEASED
             self._note("lease_" + lease.state, server.id, count=lease.slots)
+            self._cancel_abandoned(server, now)  # it may be the lease of before
         if lease.probe and not self.probe:
             self.probe = lease.probe
         if lease.probe and lease.probe != self.probe:
-            self._ask(server, "release", now, lease=lease.lease)
-            self._forget_lease(server, "server_differs", "its outcomes of the probe are not those of the other servers")
+            self._drop(server, "server_differs", "its outcomes of the probe are not those of the other servers", now)
             return
         if not server.trial_s:
             server.trial_s = lease.trial_s
@@ -351,7 +385,7 @@ class Dispatch:
     def _renew(self, server: Server, now: float) -> None:
         if not server.renewing:
             server.renewing = True
-            self._ask(server, "renew", now, lease=server.lease, known_ready=server.ready)
+            self._ask(server, "renew", now)
 
     # ---- answers
 
@@ -359,34 +393,39 @@ class Dispatch:
         question = self._questions.pop(event.question, None)
         if question is None:
             return
-        server, reply = self.servers[question.server], event.reply
-        if question.verb == "renew":
-            server.renewing = False
+        server, verb, reply = self.servers[question.server], question.verb, event.reply
         if isinstance(reply, str):
             self._note("malformed", server.id, reply)
             reply = None
         if question.batch is not None:
             self._batch_answered(server, question.batch, reply, now)
             return
-        if reply is None:
-            self._empty(server, question, now)
-            return
-        server.empties = 0
-        match question.verb, reply:
+        if verb == "renew" and question.lease == server.lease:
+            server.renewing = False
+        if server.phase != ASKED_IN.get(verb) or question.lease != server.lease:
+            return  # to a cancel or release, or to what has changed since
+        if reply is not None:
+            server.empties, server.silent = 0, False
+        match verb, reply:
+            case _, None:
+                self._empty(server, verb, now)
             case "offer", Offer():
                 self._offered(server, reply, now)
+            case "reserve" | "renew", Lease():
+                self._leased(server, reply, now)
             case "reserve", Refused(code="lease-lost"):
                 server.phase = Phase.IDLE
-                self._fail(f"{server.id}: {reply.reason}")
+                self._fail(f"{server.id}: {reply.reason}", now)
+            case "renew", Refused(code="lease-lost"):
+                self._lost(server, reply.reason, now)
             case "offer" | "reserve", Refused():
                 server.phase = Phase.IDLE
                 self._note("server_refused", server.id, reply.reason)
-            case "reserve" | "renew", Lease():
-                if server.phase in (Phase.RESERVING, Phase.LEASED):
-                    self._leased(server, reply, now)
-            case "renew", Refused() if server.lease:
-                self._forget_lease(server, "lease_lost", reply.reason)
-                self._seen(server.id, now)
+            case "renew", Refused():
+                self._drop(server, "server_refused", reply.reason, now)
+            case _:
+                self._note("malformed", server.id, f"{type(reply).__name__} is no answer to {verb}")
+                self._empty(server, verb, now)
 
     def _offered(self, server: Server, offer: Offer, now: float) -> None:
         if offer.mismatch:
@@ -396,147 +435,154 @@ class Dispatch:
         server.phase, server.capacity = Phase.RESERVING, offer.capacity
         self._ask(server, "reserve", now)
 
-    def _empty(self, server: Server, question: Question, now: float) -> None:
-        """Nobody answered: the server is not known to the link yet, or left."""
-        if question.verb in ("cancel", "release"):
-            return
-        if server.phase == Phase.LEAVING:
-            self._forget_lease(server, "server_lost", "")
-            return
-        if server.phase == Phase.IDLE:
-            return
+    def _empty(self, server: Server, verb: Verb, now: float) -> None:
+        """Nobody answered: the server is not known to the link yet, or left, or is too busy."""
         if server.empties < len(RETRY_S):
-            ask = Ask(0, server.id, question.verb, lease=server.lease, known_ready=server.ready)
-            self._later.append((now + RETRY_S[server.empties], ask))
+            self._later.append((now + RETRY_S[server.empties], Question(server.id, verb, server.lease)))
             server.empties += 1
         else:
-            self._forget_lease(server, "server_silent", f"no answer to {question.verb}")
+            self._fall_silent(server, verb, now)
+
+    def _fall_silent(self, server: Server, verb: Verb, now: float) -> None:
+        if server.phase == Phase.LEASED or not server.silent:
+            self._forget_lease(server, "server_silent", f"no answer to {verb}")
+        server.silent = True
+        self._put_aside(server, now + ASIDE_S)
 
     def _batch_answered(self, server: Server, batch: Batch, reply: Reply | None, now: float) -> None:
         if server.batches.get(batch.id) is not batch:
             if isinstance(reply, Outcomes):
-                self.late += len(batch.trials)  # it was requeued; whoever is first is counted
+                self.late += len(batch.trials)  # it was given elsewhere, or its workload ended
             return
-        match reply:
-            case Running():
-                batch.empties = 0
-                self._ask_batch(server, batch, now)
-                return
-            case None if server.phase == Phase.LEASED and batch.empties < len(RETRY_S):
-                ask = Ask(0, server.id, "evaluate", lease=server.lease, batch=batch.id, trials=batch.trials)
-                self._later.append((now + RETRY_S[batch.empties], ask))
+        if reply is None and server.phase == Phase.LEASED:
+            if batch.empties < len(RETRY_S):
+                question = Question(server.id, "evaluate", server.lease, batch)
+                self._later.append((now + RETRY_S[batch.empties], question))
                 batch.empties += 1
-                return
-        del server.batches[batch.id]
-        match reply:
-            case Outcomes():
-                self._count(server, batch, reply)
-            case Fault():
-                self._faulted(server, batch, reply)
-            case Refused(code="lease-lost") if server.lease:
-                self._requeue(batch.trials)
-                self._forget_lease(server, "lease_lost", reply.reason)
-                self._seen(server.id, now)
-            case Refused(code="malformed") | Refused(code="mismatch"):
-                self._requeue(batch.trials)
-                self._forget_lease(server, "server_refused", reply.reason)
-            case Refused(code="busy"):
-                self._requeue(batch.trials)
-                server.slots = server.ready = 0
-                self._renew(server, now)
-            case _:
-                self._requeue(batch.trials)
-                if reply is None and server.phase == Phase.LEASED:
-                    self._forget_lease(server, "server_silent", "no answer to evaluate")
-                elif server.phase == Phase.LEAVING and not server.batches:
-                    self._forget_lease(server, "server_lost", "")
-
-    def _count(self, server: Server, batch: Batch, reply: Outcomes) -> None:
-        workload = self._workload
-        if workload is None:
+            else:
+                self._fall_silent(server, "evaluate", now)
             return
+        if reply is None:
+            self._abandon(server, batch)
+        elif isinstance(reply, Running):
+            batch.empties = 0
+            self._ask(server, "evaluate", now, batch=batch)
+        else:
+            del server.batches[batch.id]
+            match reply:
+                case Outcomes():
+                    self._count(server, batch, reply, now)
+                case Fault():
+                    self._faulted(server, batch, reply, now)
+                case Refused():
+                    self._requeue(batch.trials)
+                    self._refused(server, reply, now)
+                case _:
+                    self._requeue(batch.trials)
+                    self._drop(server, "malformed", f"{type(reply).__name__} is no answer to evaluate", now)
+        self._forget_if_left(server)
+
+    def _refused(self, server: Server, refused: Refused, now: float) -> None:
+        """A server refused a batch."""
+        match refused.code:
+            case "busy":
+                server.paused_until = now + PAUSE_S
+                self._later.append((server.paused_until, Question(server.id, "renew", server.lease)))
+            case "draining":
+                self._gone(server.id)  # its token, too, is on the way out
+            case "lease-lost":
+                self._lost(server, refused.reason, now)
+            case "malformed" | "mismatch":
+                self._drop(server, "server_refused", refused.reason, now)
+
+    def _count(self, server: Server, batch: Batch, reply: Outcomes, now: float) -> None:
+        workload = self._workload
+        assert workload is not None  # noqa: S101  the server's batches are of it
         try:
+            if reply.batch != batch.id:
+                raise RemoteProtocolError(f"batch {batch.id} was answered with batch {reply.batch}")
             fitness, metrics = codec.outcomes(reply, len(batch.trials), self._participants, self._metrics)
         except RemoteProtocolError as error:
             self._requeue(batch.trials)
-            self._forget_lease(server, "malformed", str(error))
+            self._drop(server, "malformed", str(error), now)
             return
         measured = reply.seconds / len(batch.trials)
         server.trial_s = measured if not server.trial_s else 0.7 * server.trial_s + 0.3 * measured
-        fresh = ~workload.counted[batch.trials]
-        trials = batch.trials[fresh]
-        self.late += len(batch.trials) - len(trials)
         if reply.error:
             self._note("simulator_raised", server.id, reply.error, int(np.isnan(fitness).any(axis=1).sum()))
-        if not len(trials):
-            return
-        workload.fitness[trials] = np.where(np.isnan(fitness[fresh]), np.nan, fitness[fresh])  # one bit pattern of NaN
-        workload.metrics[trials] = np.where(np.isnan(metrics[fresh]), np.nan, metrics[fresh])
-        server.counted += len(trials)
-        self._mark_counted(trials, server.id, reply.seconds)
+        workload.fitness[batch.trials] = np.where(np.isnan(fitness), np.nan, fitness)  # one bit pattern of NaN
+        workload.metrics[batch.trials] = np.where(np.isnan(metrics), np.nan, metrics)
+        server.counted += len(batch.trials)
+        self._mark_counted(batch.trials, server.id, reply.seconds, now)
 
-    def _mark_counted(self, trials: np.ndarray, server: str, seconds: float) -> None:
+    def _mark_counted(self, trials: np.ndarray, server: str, seconds: float, now: float) -> None:
         workload = self._workload
         assert workload is not None  # noqa: S101  callers have one
+        if workload.counted[trials].any():
+            raise LocalProtocolError("a trial was counted twice")
         workload.counted[trials] = True
         self._rest -= len(trials)
         self._commands.append(Counted(trials, server, seconds))
         if not self._rest:
-            self._put_aside()
+            self._end_workload(now)
             self._commands.append(Complete())
 
-    def _faulted(self, server: Server, batch: Batch, fault: Fault) -> None:
+    def _faulted(self, server: Server, batch: Batch, fault: Fault, now: float) -> None:
         workload = self._workload
+        assert workload is not None  # noqa: S101  the server's batches are of it
         index = min(fault.trial, len(batch.trials) - 1)
         guilty, innocent = batch.trials[index : index + 1], np.delete(batch.trials, index)
         self._requeue(innocent)
         trial = int(guilty[0])
-        if workload is None or workload.counted[trial]:
-            return
-        self._faults[trial] = self._faults.get(trial, 0) + 1
-        self._note("fault", server.id, f"{fault.kind}: {fault.reason} (trial {trial}, attempt {self._faults[trial]})")
-        if self._faults[trial] < ATTEMPTS:
-            self._requeue(guilty, frozenset({server.id}))
+        servers = self._faults.setdefault(trial, [])
+        servers.append(server.id)
+        self._note("fault", server.id, f"{fault.kind}: {fault.reason} (trial {trial}, attempt {len(servers)})")
+        if len(servers) < ATTEMPTS:
+            self._requeue(guilty, frozenset(servers))
         elif self._quarantine:
             workload.faulted[trial] = True
-            self._mark_counted(guilty, "", 0.0)
+            self._mark_counted(guilty, "", 0.0, now)
         else:
-            self._fail(f"a trial ended in a fault {ATTEMPTS} times, last on {server.id}: {fault.kind}: {fault.reason}")
+            text = f"a trial ended in a fault {ATTEMPTS} times, last on {server.id}: {fault.kind}: {fault.reason}"
+            self._fail(text, now)
 
-    def _fail(self, reason: str) -> None:
-        self._put_aside()
+    def _fail(self, reason: str, now: float) -> None:
+        self._end_workload(now)
         self._commands.append(Failed(reason))
 
-    def _put_aside(self) -> None:
-        """The workload ended: cancel what is still out of it."""
+    # ---- work
+
+    def _work(self, workload: Workload, now: float) -> None:
+        self._end_workload(now)
+        trials = np.flatnonzero(~workload.counted)
+        if not len(trials):
+            self._commands.append(Complete())
+            return
+        self._workload = workload
+        self._genome_bytes = max(map(len, workload.genomes))
+        self._rest = self._unsent = len(trials)
+        self._waiting.append(Piece(trials))
+
+    def _end_workload(self, now: float) -> None:
+        """Forget what waits, and cancel what is still out."""
         self._workload = None
         self._waiting.clear()
         self._unsent = 0
         self._faults.clear()
         for server in self.servers.values():
             if server.batches:
-                number = self._next_number()
-                self._questions[number] = Question(server.id, "cancel")
-                self._commands.append(Ask(number, server.id, "cancel", server.lease, batches=tuple(server.batches)))
+                self._ask(server, "cancel", now, batches=tuple(server.batches))
                 server.batches = {}
+                self._forget_if_left(server)
 
-    # ---- work
-
-    def _work(self, workload: Workload) -> None:
-        self._workload = workload
-        self._faults = {}
-        trials = np.flatnonzero(~workload.counted)
-        self._rest = len(trials)
-        self._waiting = deque([Piece(trials)]) if len(trials) else deque()
-        self._unsent = len(trials)
-        if not len(trials):
-            self._workload = None
-            self._commands.append(Complete())
+    def _leave(self, now: float) -> None:
+        self._end_workload(now)
+        for server in self.servers.values():
+            if server.lease:
+                self._ask(server, "release", now)
+            server.phase, server.lease = Phase.IDLE, b""
 
     def _requeue(self, trials: np.ndarray, avoid: frozenset[str] = frozenset()) -> None:
-        if self._workload is None:
-            return
-        trials = trials[~self._workload.counted[trials]]
         if len(trials):
             self.requeued += len(trials)
             self._unsent += len(trials)
@@ -547,81 +593,88 @@ class Dispatch:
         """Keep servers with two batches per slot: first one for every slot of all, then the second."""
         if self._workload is None or not self._unsent:
             return
-        serving = [server for server in self.servers.values() if server.phase == Phase.LEASED and server.ready]
-        slots = sum(server.ready for server in serving)
+        serving = [
+            server
+            for server in self.servers.values()
+            if server.phase == Phase.LEASED and server.ready and server.paused_until <= now
+        ]
+        slots, ids = sum(server.ready for server in serving), {server.id for server in serving}
         for depth in range(1, DEPTH + 1):
             for server in serving:
                 while self._unsent and len(server.batches) < depth * server.ready:
-                    trials = self._take(server, slots, [s.id for s in serving])
+                    trials = self._take(server, slots, ids)
                     if trials is None:
                         break
                     batch = Batch(self._next_number(), trials)
                     server.batches[batch.id] = batch
-                    self._ask_batch(server, batch, now)
+                    self._ask(server, "evaluate", now, batch=batch)
 
-    def _take(self, server: Server, slots: int, serving: list[str]) -> np.ndarray | None:
+    def _take(self, server: Server, slots: int, serving: set[str]) -> np.ndarray | None:
         """Trials for one batch on a server, or None when all that wait should go elsewhere."""
-        for piece in self._waiting:
-            if server.id not in piece.avoid or piece.avoid.issuperset(serving):
-                break
-        else:
+        fitting = (
+            index
+            for index, piece in enumerate(self._waiting)
+            if server.id not in piece.avoid or piece.avoid.issuperset(serving)
+        )
+        index = next(fitting, None)
+        if index is None:
             return None
+        piece = self._waiting[index]
         size = min(self._size(server, slots), len(piece.trials))
-        taken, rest = piece.trials[:size], piece.trials[size:]
-        if len(rest):
-            piece.trials = rest
-        else:
-            self._waiting.remove(piece)
+        taken, piece.trials = piece.trials[:size], piece.trials[size:]
+        if not len(piece.trials):
+            del self._waiting[index]
         self._unsent -= size
         return taken
 
     def _size(self, server: Server, slots: int) -> int:
         if not server.trial_s:
             return 1
-        assert self._workload is not None  # noqa: S101  callers have one
         share = self._unsent / (2 * slots * DEPTH)
         smallest, largest = SMALLEST_BATCH_S / server.trial_s, BATCH_S / server.trial_s
-        genome = max(1, len(self._workload.genomes[0]))
-        fits = min(MAX_TRIALS, MAX_GENOMES // self._participants, MAX_MESSAGE // 2 // (genome * self._participants + 16))
+        trial_bytes = (self._genome_bytes + 16) * self._participants + 16
+        fits = min(MAX_TRIALS, MAX_GENOMES // self._participants, MAX_MESSAGE // 2 // trial_bytes)
         return int(max(1, min(max(share, smallest), largest, fits)))
 
     # ---- questions
 
-    def _ask_batch(self, server: Server, batch: Batch, now: float) -> None:
-        self._ask(server, "evaluate", now, lease=server.lease, batch=batch)
-
-    def _ask(
-        self, server: Server, verb: Verb, now: float, *, lease: bytes = b"", batch: Batch | None = None, known_ready: int = -1
-    ) -> None:
+    def _ask(self, server: Server, verb: Verb, now: float, *, batch: Batch | None = None, batches: tuple[int, ...] = ()) -> None:
         number = self._next_number()
         server.last_asked = now
-        self._questions[number] = Question(server.id, verb, batch)
+        self._questions[number] = Question(server.id, verb, server.lease, batch)
         self._commands.append(
             Ask(
                 number,
                 server.id,
                 verb,
-                lease,
+                server.lease,
                 batch.id if batch else 0,
                 batch.trials if batch else None,
-                known_ready,
+                server.ready,
+                batches,
             )
         )
 
     def _tick(self, now: float) -> None:
-        due = [ask for time, ask in self._later if time <= now]
-        self._later = [(time, ask) for time, ask in self._later if time > now]
-        for ask in due:
-            server = self.servers[ask.server]
-            batch = server.batches.get(ask.batch) if ask.verb == "evaluate" else None
-            if server.phase == Phase.IDLE or (ask.verb == "evaluate" and batch is None):
+        due = [question for time, question in self._later if time <= now]
+        self._later = [(time, question) for time, question in self._later if time > now]
+        for question in due:
+            server, batch = self.servers[question.server], question.batch
+            if question.lease != server.lease:
                 continue
-            if ask.verb == "renew":
+            if question.verb == "offer" and server.phase == Phase.ASIDE:
+                server.phase, server.empties = Phase.SEEN, 0
+            if batch is not None:
+                if server.batches.get(batch.id) is batch:
+                    self._ask(server, "evaluate", now, batch=batch)
+            elif server.phase != ASKED_IN[question.verb]:
+                continue
+            elif question.verb == "renew":
                 self._renew(server, now)
             else:
-                self._ask(server, ask.verb, now, lease=server.lease, batch=batch)
+                self._ask(server, question.verb, now)
         for server in self.servers.values():
-            if server.phase == Phase.LEASED and now - server.last_asked >= RENEW_S:
+            if server.phase == Phase.LEASED and server.last_asked + RENEW_S <= now:
                 self._renew(server, now)
 
     def _next_number(self) -> int:

@@ -1,13 +1,15 @@
 """Slots, leases and batches of a server: a pure state machine. Events and the time go in, commands come out.
 
-A lease holds slots for one run. Free slots go to the leases that want more, in the order the leases were made. A slot is
-prepared once for its lease's problem; the first compiles, and the others are prepared when it is ready, so that they find
-the compiled code. A lease holds one batch running and one waiting per slot, and keeps outcomes for a run that asks again.
+A lease holds slots for one run. Free slots go to the leases that want more, in the order the leases were made; a lease
+that takes over another one takes its place. A slot is prepared once for its lease's problem; the first compiles, and the
+others are prepared when it is ready, so that they find the compiled code. A lease holds one batch running and one waiting
+per slot, and outcomes are kept for a run that asks again. Every query is answered once.
 """
 
 from collections import OrderedDict, deque
 from collections.abc import Callable
 from enum import Enum, auto
+from typing import Literal
 
 import msgspec
 
@@ -38,6 +40,8 @@ GRACE_S = 30.0  # after the holder's token vanished
 HOLD_QUERY_S = 30.0  # a batch that runs longer is answered "running"
 HOLD_RENEWAL_S = 10.0
 STOP_S = 2.0  # a batch told to stop that goes on longer is killed
+PREPARE_S = 600.0  # a preparation that goes on longer is killed
+PREPARE_ATTEMPTS = 3  # of a slot whose process ends while it is prepared
 KEPT_BYTES = 64 << 20  # of outcomes, per server
 EPOCHS = 10_000  # runs whose highest epoch is remembered
 
@@ -179,7 +183,7 @@ class SlotState(Enum):
     STOPPING = auto()  # its lease ended; its batch or preparation goes on a little
 
 
-class Batch(msgspec.Struct):
+class Batch(msgspec.Struct, eq=False):
     """Work of a lease that is not finished."""
 
     id: int
@@ -189,7 +193,7 @@ class Batch(msgspec.Struct):
     cancelled: bool = False
 
 
-class Slot(msgspec.Struct):
+class Slot(msgspec.Struct, eq=False):
     """Room for one evaluation."""
 
     index: int
@@ -198,21 +202,23 @@ class Slot(msgspec.Struct):
     setup: Reserve | None = None  # what its process is prepared for
     batch: Batch | None = None
     trial: int = -1
-    since: float = 0.0  # in this trial, or stopping, since then
+    since: float = 0.0  # in this trial, preparing or stopping since then
+    deaths: int = 0  # while it was prepared for this lease, in a row
 
 
-class Held(msgspec.Struct):
+class Held(msgspec.Struct, eq=False):
     """A lease."""
 
     token: bytes
     user: str
     run: str
     setup: Reserve
+    place: int  # in the line for free slots
+    wanted: int  # slots
     last_message: float
     gone_since: float | None = None
     slots: list[Slot] = []
     waiting: deque[Batch] = msgspec.field(default_factory=deque)
-    finished: OrderedDict[int, bytes] = msgspec.field(default_factory=OrderedDict)
     renewals: list[tuple[Query, int, float]] = []  # query, ready slots known, since
     probe: bytes = b""
     trial_s: float = 0.0
@@ -246,7 +252,9 @@ class Slots:
         self._offer = offer
         self._mismatch = mismatch
         self._new_token = new_token
+        self._places = 0
         self._epochs: OrderedDict[tuple[str, str], int] = OrderedDict()
+        self._kept: OrderedDict[tuple[bytes, int], bytes] = OrderedDict()  # by lease and batch, the oldest first
         self._kept_bytes = 0
         self._commands: list[Command] = []
 
@@ -273,6 +281,8 @@ class Slots:
             case Drain():
                 self._drain()
         if self.draining and not any(slot.state == SlotState.BUSY for slot in self.slots):
+            for lease in self.leases.values():
+                self._answer_renewals(lease, now, hold=False)
             self._do(Drained())
         return self._commands
 
@@ -293,9 +303,7 @@ class Slots:
                 mismatch = "draining" if self.draining else self._mismatch(message)
                 self._answer(
                     query,
-                    msgspec.structs.replace(
-                        self._offer, free=self.free(), leases=len(self.leases), mismatch=mismatch
-                    ),
+                    msgspec.structs.replace(self._offer, free=self.free(), leases=len(self.leases), mismatch=mismatch),
                 )
             case Reserve():
                 self._reserve(event, message, now)
@@ -320,15 +328,13 @@ class Slots:
 
     def _reserve(self, event: Asked, message: Reserve, now: float) -> None:
         holder = (event.user, event.run)
-        for lease in self.leases.values():
-            if (lease.user, lease.run) == holder and lease.setup.nonce == message.nonce:
-                lease.last_message, lease.gone_since = now, None
-                self._answer(event.query, self._lease(lease))
-                return
+        old = next((held for held in self.leases.values() if (held.user, held.run) == holder), None)
+        if old is not None and old.setup.nonce == message.nonce:
+            old.last_message, old.gone_since = now, None
+            self._answer(event.query, self._lease(old))
+            return
         highest = self._epochs.get(holder, -1)
-        if message.epoch < highest or (
-            message.epoch == highest and any((held.user, held.run) == holder for held in self.leases.values())
-        ):
+        if message.epoch < highest or (message.epoch == highest and old is not None):
             self._refuse(event.query, "lease-lost", f"the run was taken over: its epoch is {highest}, not {message.epoch}")
             return
         if self.draining:
@@ -337,20 +343,22 @@ class Slots:
         if mismatch := self._mismatch(message):
             self._refuse(event.query, "mismatch", mismatch)
             return
-        for lease in [held for held in self.leases.values() if (held.user, held.run) == holder]:
-            self._end(lease, "taken-over", now)
         self._epochs[holder] = message.epoch
         self._epochs.move_to_end(holder)
         while len(self._epochs) > EPOCHS:
             self._epochs.popitem(last=False)
-        lease = Held(self._new_token(), event.user, event.run, message, now)
+        self._places += 1
+        place = self._places if old is None else old.place
+        lease = Held(self._new_token(), event.user, event.run, message, place, message.slots, now)
         self.leases[lease.token] = lease
         self._log("lease_granted", user=lease.user, run=lease.run, wanted=message.slots, free=self.free())
+        if old is not None:
+            self._end(old, "taken-over", now)
         self._assign(now)
         self._answer(event.query, self._lease(lease))
 
     def _evaluate(self, lease: Held, message: Evaluate, event: Asked, now: float) -> None:
-        kept = lease.finished.get(message.batch)
+        kept = self._kept.get((lease.token, message.batch))
         if kept is not None:
             self._do(Answer(event.query, kept))
             return
@@ -361,9 +369,12 @@ class Slots:
                     self._refuse(batch.query, "cancelled", "asked again")
                 batch.query, batch.since = event.query, now
                 return
+        going_on = sum(not batch.cancelled for batch in running)
         if self.draining:
             self._refuse(event.query, "draining", "the server is draining")
-        elif len(running) + len(lease.waiting) >= 2 * len(lease.slots):
+        elif lease.failure:
+            self._refuse(event.query, "mismatch", lease.failure)
+        elif going_on + len(lease.waiting) >= 2 * len(lease.slots):
             self._refuse(event.query, "busy", f"{len(lease.slots)} slots take {2 * len(lease.slots)} batches at once")
         else:
             lease.waiting.append(Batch(message.batch, event.body, event.query, now))
@@ -383,20 +394,19 @@ class Slots:
 
     def _assign(self, now: float) -> None:
         """Give free slots to the leases that want more, prefering slots that are prepared already."""
-        for lease in self.leases.values():
+        for lease in sorted(self.leases.values(), key=lambda lease: lease.place):
             if lease.failure or self.draining:
                 continue
             free = [slot for slot in self.slots if slot.state == SlotState.FREE]
             free.sort(key=lambda slot: not _same_problem(slot.setup, lease.setup))
-            for slot in free[: max(0, lease.setup.slots - len(lease.slots))]:
-                slot.lease = lease
+            for slot in free[: max(0, lease.wanted - len(lease.slots))]:
+                slot.state, slot.lease, slot.deaths = SlotState.ASSIGNED, lease, 0
                 lease.slots.append(slot)
-                slot.state = SlotState.ASSIGNED
-            self._prepare(lease)
+            self._prepare(lease, now)
             self._start(lease, now)
             self._answer_renewals(lease, now)
 
-    def _prepare(self, lease: Held) -> None:
+    def _prepare(self, lease: Held, now: float) -> None:
         preparing = any(slot.state == SlotState.PREPARING for slot in lease.slots)
         for slot in lease.slots:
             if slot.state != SlotState.ASSIGNED:
@@ -404,7 +414,8 @@ class Slots:
             if lease.probe and _same_problem(slot.setup, lease.setup):
                 slot.state = SlotState.READY
             elif lease.probe or not preparing:
-                slot.state, slot.setup, preparing = SlotState.PREPARING, lease.setup, True
+                slot.state, slot.since, preparing = SlotState.PREPARING, now, True
+                slot.setup = lease.setup
                 self._do(Prepare(slot.index, lease.setup, probe=not lease.probe))
 
     def _prepared(self, slot: Slot, event: Prepared, now: float) -> None:
@@ -412,11 +423,11 @@ class Slots:
         if lease is None:
             self._release(slot, now)
             return
-        slot.state = SlotState.READY
+        slot.state, slot.deaths = SlotState.READY, 0
         if not lease.probe:
             lease.probe, lease.trial_s = event.probe, event.trial_s
             self._log("lease_ready", user=lease.user, run=lease.run, trial_s=event.trial_s)
-        self._prepare(lease)
+        self._prepare(lease, now)
         self._start(lease, now)
         self._answer_renewals(lease, now)
 
@@ -462,24 +473,30 @@ class Slots:
     def _died(self, slot: Slot, kind: str, trial: int, reason: str, now: float) -> None:
         """The slot's process ended, or was killed, and a new one is there, prepared for nothing."""
         lease, batch = slot.lease, slot.batch
-        was_preparing = slot.state == SlotState.PREPARING
         slot.batch, slot.setup = None, None
         if lease is None:
             self._release(slot, now)
             return
         self._log("slot_died", slot=slot.index, kind=kind, trial=trial, reason=reason)
-        if was_preparing:
-            self._unprepared(slot, f"the simulator's process ended while it was prepared: {reason}", now)
-            return
         if batch is not None and batch.cancelled:
             self._refuse(batch.query, "cancelled", "cancelled")
         elif batch is not None:
-            fault = Fault(batch=batch.id, kind="timeout" if kind == "timeout" else "crashed", trial=trial, reason=reason)
+            code: Literal["crashed", "timeout"] = "timeout" if kind == "timeout" else "crashed"
+            fault = Fault(batch=batch.id, kind=code, trial=trial, reason=reason[:MAX_TEXT])
             self._keep(lease, batch.id, codec.encode(fault))
             if batch.query is not None:
                 self._answer(batch.query, fault)
+        slot.deaths += slot.state == SlotState.PREPARING
         slot.state = SlotState.ASSIGNED
-        self._prepare(lease)
+        if slot.deaths < PREPARE_ATTEMPTS:
+            self._prepare(lease, now)
+        elif lease.probe and len(lease.slots) > 1:  # as when the machine has memory for the others only: do without it
+            lease.slots.remove(slot)
+            lease.wanted = len(lease.slots)
+            self._release(slot, now)
+        else:
+            self._unprepared(slot, f"the simulator's process ended while it was prepared: {reason}", now)
+        self._answer_renewals(lease, now)
 
     def _release(self, slot: Slot, now: float) -> None:
         """A slot has done with its ended lease."""
@@ -491,7 +508,8 @@ class Slots:
     def _end(self, lease: Held, why: str, now: float) -> None:
         self._log("lease_" + why.replace("-", "_"), user=lease.user, run=lease.run)
         del self.leases[lease.token]
-        self._kept_bytes -= sum(map(len, lease.finished.values()))
+        for key in [key for key in self._kept if key[0] == lease.token]:
+            self._kept_bytes -= len(self._kept.pop(key))
         self._let_go(lease, "lease-lost", f"the lease was {why.replace('-', ' ')}", now)
         for query, _, _ in lease.renewals:
             self._refuse(query, "lease-lost", f"the lease was {why.replace('-', ' ')}")
@@ -529,9 +547,12 @@ class Slots:
             for batch in lease.waiting:
                 self._hold(batch, 0, now)
         for slot in self.slots:
-            if slot.state == SlotState.STOPPING and slot.batch is not None and now - slot.since > STOP_S:
+            if slot.state == SlotState.STOPPING and now - slot.since > (STOP_S if slot.batch else PREPARE_S):
                 self._do(Kill(slot.index))
                 self._died(slot, "stopped", slot.trial, "told to stop", now)
+            elif slot.state == SlotState.PREPARING and now - slot.since > PREPARE_S:
+                self._do(Kill(slot.index))
+                self._unprepared(slot, f"the simulator was not prepared within {PREPARE_S:g} s", now)
             elif slot.state == SlotState.BUSY and slot.batch is not None and slot.lease is not None:
                 self._watch(slot, slot.batch, slot.lease.setup.trial_timeout_s, trials[slot.index], now)
 
@@ -558,20 +579,20 @@ class Slots:
     # ---- answers
 
     def _keep(self, lease: Held, batch: int, reply: bytes) -> None:
-        lease.finished[batch] = reply
+        self._kept[lease.token, batch] = reply
         self._kept_bytes += len(reply)
-        while self._kept_bytes > KEPT_BYTES and len(lease.finished) > 1:
-            _, dropped = lease.finished.popitem(last=False)
+        while self._kept_bytes > KEPT_BYTES and len(self._kept) > 1:
+            _, dropped = self._kept.popitem(last=False)
             self._kept_bytes -= len(dropped)
 
-    def _answer_renewals(self, lease: Held, now: float) -> None:
-        held = lease.renewals
-        lease.renewals = []
+    def _answer_renewals(self, lease: Held, now: float, *, hold: bool = True) -> None:
+        """Answer the held renewals that know another state, or were held for long."""
+        held, lease.renewals = lease.renewals, []
         for query, known, since in held:
-            if known == -1 or known != lease.ready() or lease.failure or now - since > HOLD_RENEWAL_S:
-                self._answer(query, self._lease(lease))
-            else:
+            if hold and known == lease.ready() and not lease.failure and now - since <= HOLD_RENEWAL_S:
                 lease.renewals.append((query, known, since))
+            else:
+                self._answer(query, self._lease(lease))
 
     def _lease(self, lease: Held) -> Lease:
         ready = lease.ready()
