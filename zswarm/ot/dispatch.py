@@ -249,6 +249,11 @@ class Dispatch:
         self._genome_bytes = 0  # of the largest
         self._faults: dict[int, list[str]] = {}  # the servers on which a trial ended in one
         self._later: list[tuple[float, Question]] = []  # to ask at a time
+        self._renewal = float("inf")  # no renewal is due before
+        self._changed = False  # who serves, or what waits
+        self._serving: dict[str, Server] = {}
+        self._slots = 0  # of them
+        self._hungry: Server | None = None  # the one that has just answered
         self._commands: list[Command] = []
 
     def handle(self, event: Event, now: float) -> list[Command]:
@@ -267,17 +272,18 @@ class Dispatch:
                 self._tick(now)
             case Leave():
                 self._leave(now)
+        if not (isinstance(event, Answered) and isinstance(event.reply, Outcomes)):  # of these there are thousands a second
+            self._changed = True
+            self._renewal = min(
+                (s.last_asked + RENEW_S for s in self.servers.values() if s.phase == Phase.LEASED and not s.renewing),
+                default=float("inf"),
+            )
         self._fill(now)
         return self._commands
 
     def next_time(self) -> float:
         """When the next Tick is due."""
-        renewals = [
-            server.last_asked + RENEW_S
-            for server in self.servers.values()
-            if server.phase == Phase.LEASED and not server.renewing
-        ]
-        return min([*renewals, *(time for time, _ in self._later)], default=float("inf"))
+        return min([self._renewal, *(time for time, _ in self._later)])
 
     def slots(self) -> int:
         """Slots that evaluate for this run now."""
@@ -330,6 +336,7 @@ class Dispatch:
         for batch in list(server.batches.values()):
             self._abandon(server, batch)
         server.phase, server.lease, server.slots, server.ready, server.renewing = Phase.IDLE, b"", 0, 0, False
+        self._changed = True
         self._note(note, server.id, text)
 
     def _abandon(self, server: Server, batch: Batch) -> None:
@@ -513,6 +520,7 @@ class Dispatch:
         workload.fitness[batch.trials] = np.where(np.isnan(fitness), np.nan, fitness)  # one bit pattern of NaN
         workload.metrics[batch.trials] = np.where(np.isnan(metrics), np.nan, metrics)
         server.counted += len(batch.trials)
+        self._hungry = server
         self._mark_counted(batch.trials, server.id, reply.seconds, now)
 
     def _mark_counted(self, trials: np.ndarray, server: str, seconds: float, now: float) -> None:
@@ -584,6 +592,7 @@ class Dispatch:
 
     def _requeue(self, trials: np.ndarray, avoid: frozenset[str] = frozenset()) -> None:
         if len(trials):
+            self._changed = True
             self.requeued += len(trials)
             self._unsent += len(trials)
             self._waiting.appendleft(Piece(trials, avoid))
@@ -591,46 +600,52 @@ class Dispatch:
 
     def _fill(self, now: float) -> None:
         """Keep servers with two batches per slot: first one for every slot of all, then the second."""
+        hungry, self._hungry = self._hungry, None
         if self._workload is None or not self._unsent:
             return
-        serving = [
-            server
-            for server in self.servers.values()
-            if server.phase == Phase.LEASED and server.ready and server.paused_until <= now
-        ]
-        slots, ids = sum(server.ready for server in serving), {server.id for server in serving}
+        if self._changed:
+            self._changed = False
+            self._serving = {
+                server.id: server
+                for server in self.servers.values()
+                if server.phase == Phase.LEASED and server.ready and server.paused_until <= now
+            }
+            self._slots = sum(server.ready for server in self._serving.values())
+            servers = list(self._serving.values())
+        else:
+            servers = [hungry] if hungry is not None and hungry.id in self._serving else []
         for depth in range(1, DEPTH + 1):
-            for server in serving:
+            for server in servers:
                 while self._unsent and len(server.batches) < depth * server.ready:
-                    trials = self._take(server, slots, ids)
+                    trials = self._take(server)
                     if trials is None:
                         break
                     batch = Batch(self._next_number(), trials)
                     server.batches[batch.id] = batch
                     self._ask(server, "evaluate", now, batch=batch)
 
-    def _take(self, server: Server, slots: int, serving: set[str]) -> np.ndarray | None:
+    def _take(self, server: Server) -> np.ndarray | None:
         """Trials for one batch on a server, or None when all that wait should go elsewhere."""
         fitting = (
             index
             for index, piece in enumerate(self._waiting)
-            if server.id not in piece.avoid or piece.avoid.issuperset(serving)
+            if server.id not in piece.avoid or piece.avoid.issuperset(self._serving)
         )
         index = next(fitting, None)
         if index is None:
             return None
         piece = self._waiting[index]
-        size = min(self._size(server, slots), len(piece.trials))
+        size = min(self._size(server), len(piece.trials))
         taken, piece.trials = piece.trials[:size], piece.trials[size:]
         if not len(piece.trials):
             del self._waiting[index]
         self._unsent -= size
         return taken
 
-    def _size(self, server: Server, slots: int) -> int:
+    def _size(self, server: Server) -> int:
         if not server.trial_s:
             return 1
-        share = self._unsent / (2 * slots * DEPTH)
+        share = self._unsent / (2 * self._slots * DEPTH)
         smallest, largest = SMALLEST_BATCH_S / server.trial_s, BATCH_S / server.trial_s
         trial_bytes = (self._genome_bytes + 16) * self._participants + 16
         fits = min(MAX_TRIALS, MAX_GENOMES // self._participants, MAX_MESSAGE // 2 // trial_bytes)
