@@ -1,0 +1,768 @@
+"""The slot table: events and plain times in, commands out."""
+
+import itertools
+
+import pytest
+
+from zswarm.errors import LocalProtocolError
+from zswarm.protocol import codec
+from zswarm.protocol.messages import (
+    Cancel,
+    Done,
+    Evaluate,
+    Fault,
+    Lease,
+    Offer,
+    Outcomes,
+    Part,
+    Refused,
+    Release,
+    Renew,
+    Reply,
+    Request,
+    Requirements,
+    Reserve,
+    Running,
+)
+from zswarm.ss import slots
+from zswarm.ss.slots import (
+    Answer,
+    Asked,
+    Died,
+    Drain,
+    Drained,
+    Event,
+    Finished,
+    HolderGone,
+    HolderSeen,
+    Kill,
+    Prepare,
+    Prepared,
+    Run,
+    Slots,
+    Stop,
+    Tick,
+    Unprepared,
+)
+
+OFFER = Offer(server="ss", program="0", machine="m", capacity=2, free=0, leases=0, simulators=[], representations=[])
+PROBE = b"digest"
+TIMEOUT_S = 10.0  # of a trial
+
+
+class Server:
+    """A slot table with a clock, that collects what happens to queries and slots."""
+
+    def __init__(self, capacity: int = 2, mismatch: str = "") -> None:
+        tokens = itertools.count(1)
+        self.slots = Slots(capacity, OFFER, lambda _: mismatch, lambda: next(tokens).to_bytes(16, "big"))
+        self.now = 100.0
+        self.commands: list[object] = []  # of the last event, without answers and logs
+        self.answers: dict[int, Reply] = {}
+        self.queries = itertools.count(1)
+        self.trials = [0] * capacity
+
+    def feed(self, event: Event) -> list[object]:
+        """The commands for slots."""
+        self.commands = []
+        for command in self.slots.handle(event, self.now):
+            if isinstance(command, Answer):
+                assert command.query not in self.answers, "a query is answered twice"
+                self.answers[command.query] = codec.decode_reply(command.body)
+            elif not isinstance(command, slots.Log):
+                self.commands.append(command)
+        return self.commands
+
+    def ask(self, message: Request, run: str = "a") -> int:
+        """The number of the query."""
+        query = next(self.queries)
+        self.feed(Asked(query, "user", run, message, codec.encode(message)))
+        return query
+
+    def asked(self, message: Request, run: str = "a") -> Reply:
+        """The answer that comes at once."""
+        return self.answers[self.ask(message, run)]
+
+    def reserve(self, run: str = "a", **fields: object) -> Lease:
+        answer = self.asked(reserve(**fields), run)
+        assert isinstance(answer, Lease)
+        return answer
+
+    def ready(self, run: str = "a", **fields: object) -> bytes:
+        """The token of a lease whose slots are all prepared."""
+        lease = self.reserve(run, **fields)
+        for slot in self.slots.leases[lease.lease].slots:
+            self.feed(Prepared(slot.index, PROBE, 0.5))
+        return lease.lease
+
+    def evaluate(self, lease: bytes, *batches: int, run: str = "a") -> list[int]:
+        return [self.ask(evaluate(lease, batch), run) for batch in batches]
+
+    def finish(self, slot: int, batch: int) -> list[object]:
+        return self.feed(Finished(slot, codec.encode(outcomes(batch))))
+
+    def wait(self, seconds: float, every: float = 0.25) -> list[object]:
+        """Let time pass, with ticks; the commands of all of them."""
+        commands: list[object] = []
+        for _ in range(round(seconds / every)):
+            self.now += every
+            commands += self.feed(Tick(tuple(self.trials)))
+        return commands
+
+    def states(self) -> list[str]:
+        return [slot.state.name for slot in self.slots.slots]
+
+
+def reserve(nonce: int = 1, epoch: int = 0, slots: int = 100, simulator: str = "minisim") -> Reserve:
+    return Reserve(
+        nonce=nonce.to_bytes(16, "big"), epoch=epoch, slots=slots, simulator=Part(simulator, {}),
+        representation=Part("fully-meshed", {}), version_hash="", trial_timeout_s=TIMEOUT_S,
+    )  # fmt: skip
+
+
+def evaluate(lease: bytes, batch: int) -> Evaluate:
+    return Evaluate(lease=lease, batch=batch, genomes=[b"g"], participants=b"\0" * 4, seeds=b"\0" * 8)
+
+
+def run(slot: int, lease: bytes, batch: int) -> Run:
+    return Run(slot, codec.encode(evaluate(lease, batch)))
+
+
+def outcomes(batch: int) -> Outcomes:
+    return Outcomes(batch=batch, fitness=b"\0" * 8, metrics=b"", seconds=0.5)
+
+
+def code(answer: object) -> str:
+    return answer.code if isinstance(answer, Refused) else f"no refusal: {answer}"
+
+
+# ---- leases and their slots ---------------------------------------------------------------------------------------
+
+
+def test_an_offer_tells_what_is_free() -> None:
+    server = Server()
+    server.reserve(slots=1)
+    offer = server.asked(Requirements(), "b")
+    assert isinstance(offer, Offer)
+    assert (offer.capacity, offer.free, offer.leases, offer.mismatch) == (2, 1, 1, "")
+
+
+def test_a_mismatch_is_told_in_the_offer_and_refused_in_the_reserve() -> None:
+    server = Server(mismatch="another version")
+    offer = server.asked(Requirements())
+    assert isinstance(offer, Offer)
+    assert offer.mismatch == "another version"
+    assert code(server.asked(reserve())) == "mismatch"
+    assert not server.slots.busy()
+
+
+def test_the_first_slot_plays_the_probe_and_the_others_are_prepared_after_it() -> None:
+    """So one compiles, and the others find the compiled code."""
+    server = Server(3)
+    assert server.reserve().state == "preparing"
+    assert server.commands == [Prepare(0, reserve(), probe=True)]
+    assert server.feed(Prepared(0, PROBE, 0.5)) == [Prepare(1, reserve(), probe=False), Prepare(2, reserve(), probe=False)]
+    server.feed(Prepared(2, b"", 0.0))
+    lease = server.reserve()
+    assert (lease.state, lease.slots, lease.ready, lease.probe, lease.trial_s) == ("ready", 3, 2, PROBE, 0.5)
+
+
+def test_a_lease_gets_no_more_slots_than_it_wants() -> None:
+    server = Server(3)
+    assert server.reserve(slots=2).slots == 2
+    assert server.reserve("b", slots=2).slots == 1
+
+
+def test_the_same_nonce_gets_the_same_lease() -> None:
+    server = Server()
+    first = server.reserve(nonce=7)
+    assert server.reserve(nonce=7) == first
+    assert len(server.slots.leases) == 1
+
+
+def test_a_run_waits_for_slots_until_another_one_releases_them() -> None:
+    server = Server()
+    first = server.ready("a")
+    waiting = server.reserve("b")
+    assert (waiting.state, waiting.slots) == ("waiting", 0)
+    assert server.asked(Release(lease=first), "a") == Done()
+    assert server.commands == [Prepare(0, reserve(), probe=True)]
+    assert server.reserve("b").slots == 2
+
+
+def test_free_slots_go_to_leases_in_the_order_the_leases_were_made() -> None:
+    server = Server(2)
+    first = server.ready("a")
+    server.reserve("b", slots=1)
+    server.reserve("c")
+    server.reserve("d")
+    server.ask(Release(lease=first), "a")
+    assert [server.reserve(run).slots for run in "bcd"] == [1, 1, 0]
+
+
+def test_a_slot_prepared_for_the_same_problem_is_ready_at_once() -> None:
+    server = Server(3)
+    first = server.ready("a", slots=2)
+    server.ready("b", slots=1)
+    server.ask(reserve(slots=3), "c")
+    server.ask(Release(lease=first), "a")
+    assert server.commands == [Prepare(0, reserve(slots=3), probe=True)]  # its probe is not known yet
+    assert server.feed(Prepared(0, PROBE, 0.5)) == []
+    assert server.reserve("c").ready == 2
+
+
+def test_a_slot_prepared_for_another_problem_is_prepared_anew() -> None:
+    server = Server(2)
+    first = server.ready("a", simulator="other")
+    server.ask(reserve(), "b")
+    server.ask(Release(lease=first), "a")
+    assert server.feed(Prepared(0, PROBE, 0.5)) == [Prepare(1, reserve(), probe=False)]
+
+
+def test_a_slot_released_while_it_is_prepared_is_free_when_that_ended() -> None:
+    server = Server(1)
+    lease = server.reserve("a").lease
+    server.ask(reserve(simulator="other"), "b")
+    server.ask(Release(lease=lease), "a")
+    assert (server.commands, server.states()) == ([], ["STOPPING"])
+    assert server.feed(Prepared(0, PROBE, 0.5)) == [Prepare(0, reserve(simulator="other"), probe=True)]
+
+
+@pytest.mark.parametrize("event", [Unprepared(0, "no"), Died(0, 0, "killed"), Prepared(0, PROBE, 0.5)])
+def test_however_a_preparation_ends_after_the_release_the_slot_is_free(event: Event) -> None:
+    server = Server(1)
+    server.ask(Release(lease=server.reserve().lease))
+    server.feed(event)
+    assert server.states() == ["FREE"]
+    assert not server.slots.busy()
+
+
+def test_a_slot_released_while_it_computes_is_told_to_stop_and_killed_after_two_seconds() -> None:
+    server = Server(1)
+    lease = server.ready()
+    (query,) = server.evaluate(lease, 1)
+    server.ask(Release(lease=lease))
+    assert server.commands == [Stop(0)]
+    assert code(server.answers[query]) == "lease-lost"
+    assert server.wait(2.0) == []
+    assert server.wait(0.25) == [Kill(0)]
+    assert server.states() == ["FREE"]
+
+
+def test_a_slot_that_stops_in_time_is_not_killed_and_stays_prepared() -> None:
+    server = Server(2)
+    lease = server.ready("a", slots=1)
+    server.ready("b", slots=2)
+    server.evaluate(lease, 1)
+    server.ask(Release(lease=lease))
+    assert server.finish(0, 1) == []
+    assert server.reserve("b").ready == 2
+    assert server.wait(5.0) == []
+
+
+def test_a_lease_ends_a_minute_after_the_last_message() -> None:
+    server = Server()
+    lease = server.ready()
+    server.wait(59.0)
+    server.asked(Renew(lease=lease))
+    server.wait(59.0)
+    server.reserve()
+    server.wait(60.0)
+    assert server.slots.leases
+    server.wait(0.25)
+    assert not server.slots.leases
+    assert not server.slots.busy()
+    assert code(server.asked(Renew(lease=lease))) == "lease-lost"
+
+
+def test_an_expired_lease_answers_the_batches_that_run_and_wait() -> None:
+    server = Server(1)
+    queries = server.evaluate(server.ready(), 1, 2)
+    server.feed(HolderGone("user", "a"))
+    for server.trials[0] in range(3):
+        server.wait(10.0)
+    assert not set(queries) & set(server.answers)
+    assert server.wait(0.25) == [Stop(0)]
+    assert [code(server.answers[query]) for query in queries] == ["lease-lost", "lease-lost"]
+
+
+def test_a_lease_ends_half_a_minute_after_its_holders_token_vanished() -> None:
+    server = Server()
+    server.reserve()
+    server.feed(HolderGone("user", "a"))
+    server.wait(30.0)
+    assert server.slots.leases
+    server.wait(0.25)
+    assert not server.slots.leases
+
+
+@pytest.mark.parametrize("sign", ["token", "message"])
+def test_a_sign_of_the_holder_keeps_the_lease(sign: str) -> None:
+    server = Server()
+    lease = server.reserve().lease
+    server.feed(HolderGone("user", "a"))
+    server.wait(29.0)
+    if sign == "token":
+        server.feed(HolderSeen("user", "a"))
+    else:
+        server.ask(Renew(lease=lease))
+    server.wait(5.0)
+    assert server.slots.leases
+
+
+def test_the_token_of_another_run_says_nothing() -> None:
+    server = Server()
+    server.reserve()
+    server.feed(HolderGone("user", "b"))
+    server.feed(HolderGone("somebody", "a"))
+    server.wait(31.0)
+    assert server.slots.leases
+
+
+@pytest.mark.parametrize(
+    "message", [Renew, Release, lambda lease: evaluate(lease, 1), lambda lease: Cancel(lease=lease, batches=[])]
+)
+def test_a_lease_is_of_use_to_its_own_run_only(message: object) -> None:
+    server = Server()
+    lease = server.ready("a")
+    request = message(lease=lease)  # type: ignore[operator]
+    assert code(server.asked(request, "b")) == "lease-lost"
+    assert server.commands == []
+
+
+# ---- epochs -------------------------------------------------------------------------------------------------------
+
+
+def test_a_higher_epoch_takes_the_slots_over() -> None:
+    server = Server()
+    old = server.ready(nonce=1, epoch=0)
+    queries = [*server.evaluate(old, 1, 2, 3), server.ask(Renew(lease=old, known_ready=2))]
+    lease = server.reserve(nonce=2, epoch=1)
+    assert lease.lease != old
+    assert server.commands == [Stop(0), Stop(1)]
+    assert [code(server.answers[query]) for query in queries] == ["lease-lost"] * 4
+    assert server.finish(0, 1) == [Prepare(0, reserve(nonce=2, epoch=1), probe=True)]
+    assert code(server.asked(Renew(lease=old))) == "lease-lost"
+    server.finish(1, 2)
+    assert server.reserve(nonce=2, epoch=1).slots == 2
+
+
+def test_who_takes_over_does_not_queue_behind_those_who_waited_meanwhile() -> None:
+    server = Server()
+    server.ready("a", nonce=1, epoch=0)
+    server.reserve("b")
+    assert server.reserve("a", nonce=2, epoch=1).slots == 2
+    assert server.reserve("b").slots == 0
+
+
+@pytest.mark.parametrize("epoch", [2, 3])
+def test_a_lower_epoch_or_the_same_one_anew_is_refused(epoch: int) -> None:
+    server = Server()
+    lease = server.reserve(nonce=1, epoch=3)
+    assert code(server.asked(reserve(nonce=2, epoch=epoch))) == "lease-lost"
+    assert server.reserve(nonce=1, epoch=3) == lease
+
+
+def test_a_lower_epoch_is_refused_after_the_lease_ended_and_the_same_one_is_not() -> None:
+    server = Server()
+    server.ask(Release(lease=server.ready(nonce=1, epoch=3)))
+    assert code(server.asked(reserve(nonce=2, epoch=2))) == "lease-lost"
+    assert server.reserve(nonce=3, epoch=3).slots == 2
+
+
+def test_epochs_of_different_runs_and_users_are_apart() -> None:
+    server = Server()
+    server.reserve("a", slots=1, epoch=5)
+    assert server.reserve("b", epoch=0).slots == 1
+
+
+def test_so_many_epochs_are_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(slots, "EPOCHS", 2)
+    server = Server()
+    for name in ("a", "b", "c"):
+        server.ask(Release(lease=server.reserve(name, epoch=9).lease), name)
+    assert code(server.asked(reserve(epoch=8), "b")) == "lease-lost"
+    assert isinstance(server.asked(reserve(epoch=8), "a"), Lease)
+
+
+# ---- renewals -----------------------------------------------------------------------------------------------------
+
+
+def test_a_renewal_is_answered_when_another_number_of_slots_is_ready() -> None:
+    server = Server()
+    lease = server.reserve().lease
+    query = server.ask(Renew(lease=lease, known_ready=0))
+    server.wait(5.0)
+    assert query not in server.answers
+    server.feed(Prepared(0, PROBE, 0.5))
+    answer = server.answers[query]
+    assert isinstance(answer, Lease)
+    assert (answer.state, answer.ready) == ("ready", 1)
+
+
+def test_a_renewal_is_answered_when_a_slot_is_not_ready_any_more() -> None:
+    server = Server(1)
+    query = server.ask(Renew(lease=server.ready(), known_ready=1))
+    server.feed(Died(0, 0, "killed"))
+    answer = server.answers[query]
+    assert isinstance(answer, Lease)
+    assert (answer.state, answer.ready) == ("preparing", 0)
+
+
+def test_a_renewal_is_held_for_ten_seconds_at_most_and_not_without_knowledge() -> None:
+    server = Server()
+    lease = server.ready()
+    query = server.ask(Renew(lease=lease, known_ready=2))
+    server.wait(10.0)
+    assert query not in server.answers
+    server.wait(0.25)
+    assert query in server.answers
+    assert isinstance(server.asked(Renew(lease=lease)), Lease)
+
+
+# ---- batches ------------------------------------------------------------------------------------------------------
+
+
+def test_one_batch_runs_and_one_waits_per_slot() -> None:
+    server = Server()
+    lease = server.ready()
+    queries = []
+    for batch, commands in ((1, [run(0, lease, 1)]), (2, [run(1, lease, 2)]), (3, []), (4, [])):
+        queries += server.evaluate(lease, batch)
+        assert server.commands == commands
+    assert code(server.asked(evaluate(lease, 5))) == "busy"
+    assert server.finish(1, 2) == [run(1, lease, 3)]
+    assert server.answers[queries[1]] == outcomes(2)
+    assert not {queries[0], queries[2], queries[3]} & set(server.answers)
+
+
+def test_batches_wait_for_slots_that_are_prepared() -> None:
+    server = Server(1)
+    lease = server.reserve().lease
+    server.evaluate(lease, 1)
+    assert server.commands == []
+    assert server.feed(Prepared(0, PROBE, 0.5)) == [run(0, lease, 1)]
+
+
+def test_a_lease_without_slots_takes_no_batch() -> None:
+    server = Server()
+    server.ready("a")
+    lease = server.reserve("b").lease
+    assert code(server.asked(evaluate(lease, 1), "b")) == "busy"
+
+
+def test_a_finished_batch_asked_again_is_answered_with_what_was_kept() -> None:
+    server = Server()
+    lease = server.ready()
+    server.evaluate(lease, 1)
+    server.finish(0, 1)
+    assert server.asked(evaluate(lease, 1)) == outcomes(1)
+    assert server.commands == []
+
+
+@pytest.mark.parametrize("ahead", [0, 1])
+def test_a_batch_asked_again_is_computed_once_and_the_last_query_gets_its_outcome(ahead: int) -> None:
+    """Running (nothing ahead) or waiting (one batch ahead)."""
+    server = Server(1)
+    lease = server.ready()
+    server.evaluate(lease, *range(ahead))
+    first, second = server.evaluate(lease, 7, 7)
+    assert code(server.answers[first]) == "cancelled"
+    if ahead:
+        assert server.finish(0, 0) == [run(0, lease, 7)]
+    else:
+        assert server.commands == []
+    assert server.finish(0, 7) == []
+    assert server.answers[second] == outcomes(7)
+
+
+def test_a_long_batch_is_answered_running_whether_it_runs_or_waits_and_can_be_asked_again() -> None:
+    server = Server(1)
+    lease = server.ready()
+    queries = server.evaluate(lease, 1, 2)
+    for trial in range(4):
+        server.trials = [trial]
+        server.wait(7.5)
+    assert not set(queries) & set(server.answers)
+    server.wait(0.25)
+    assert [server.answers[query] for query in queries] == [Running(batch=1, done=3), Running(batch=2, done=0)]
+    again = server.evaluate(lease, 1, 2)
+    server.finish(0, 1)
+    server.finish(0, 2)
+    assert [server.answers[query] for query in again] == [outcomes(1), outcomes(2)]
+
+
+def test_the_outcome_of_a_batch_nobody_asks_for_is_kept() -> None:
+    server = Server(1)
+    lease = server.ready()
+    server.evaluate(lease, 1)
+    for trial in range(5):
+        server.trials = [trial]
+        server.wait(7.0)
+    server.finish(0, 1)
+    assert server.asked(evaluate(lease, 1)) == outcomes(1)
+
+
+def test_outcomes_are_kept_up_to_a_number_of_bytes_the_oldest_dropped_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    size = len(codec.encode(outcomes(1)))
+    monkeypatch.setattr(slots, "KEPT_BYTES", 2 * size)
+    server = Server(2)
+    first, second = server.ready("a", slots=1), server.ready("b", slots=1)
+    server.evaluate(first, 1)
+    server.finish(0, 1)
+    for batch in (2, 3):
+        server.evaluate(second, batch, run="b")
+        server.finish(1, batch)
+    assert server.asked(evaluate(second, 2), "b") == outcomes(2)
+    assert server.asked(evaluate(second, 3), "b") == outcomes(3)
+    server.evaluate(first, 1)
+    assert server.commands == [run(0, first, 1)]
+
+
+def test_an_ended_lease_leaves_nothing_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(slots, "KEPT_BYTES", 2 * len(codec.encode(outcomes(1))))
+    server = Server(2)
+    first, second = server.ready("a", slots=1), server.ready("b", slots=1)
+    server.evaluate(first, 1)
+    server.finish(0, 1)
+    server.ask(Release(lease=first), "a")
+    for batch in (1, 2):
+        server.evaluate(second, batch, run="b")
+        server.finish(1, batch)
+    assert server.asked(evaluate(second, 1), "b") == outcomes(1)
+
+
+def test_a_slot_that_finishes_what_it_was_not_given_is_a_bug() -> None:
+    server = Server()
+    server.ready()
+    with pytest.raises(LocalProtocolError):
+        server.finish(0, 1)
+
+
+# ---- cancelling ---------------------------------------------------------------------------------------------------
+
+
+def test_a_cancelled_batch_that_waits_is_refused_at_once() -> None:
+    server = Server(1)
+    lease = server.ready()
+    queries = server.evaluate(lease, 1, 2)
+    assert server.asked(Cancel(lease=lease, batches=[2, 99])) == Done()
+    assert code(server.answers[queries[1]]) == "cancelled"
+    assert server.commands == []
+    assert server.finish(0, 1) == []
+
+
+def test_a_cancelled_batch_that_runs_is_stopped_and_its_outcome_is_worth_nothing() -> None:
+    server = Server(1)
+    lease = server.ready()
+    queries = server.evaluate(lease, 1, 2)
+    server.ask(Cancel(lease=lease, batches=[1]))
+    assert server.commands == [Stop(0)]
+    server.ask(Cancel(lease=lease, batches=[1]))
+    assert server.commands == []
+    assert server.finish(0, 1) == [run(0, lease, 2)]
+    assert code(server.answers[queries[0]]) == "cancelled"
+    server.finish(0, 2)
+    server.evaluate(lease, 1)
+    assert server.commands == [run(0, lease, 1)], "what was cut short must not be kept"
+
+
+def test_a_cancelled_batch_that_goes_on_is_killed_and_blamed_on_nobody() -> None:
+    server = Server(1)
+    lease = server.ready()
+    queries = server.evaluate(lease, 1, 2)
+    server.wait(5.0)
+    server.ask(Cancel(lease=lease, batches=[1]))
+    assert server.wait(2.0) == []
+    assert server.wait(0.25) == [Kill(0), Prepare(0, reserve(), probe=False)]
+    assert code(server.answers[queries[0]]) == "cancelled"
+    assert server.feed(Prepared(0, b"", 0.0)) == [run(0, lease, 2)]
+
+
+def test_a_process_that_dies_with_a_cancelled_batch_is_no_fault() -> None:
+    server = Server(1)
+    lease = server.ready()
+    (query,) = server.evaluate(lease, 1)
+    server.ask(Cancel(lease=lease, batches=[1]))
+    assert server.feed(Died(0, 0, "crash")) == [Prepare(0, reserve(), probe=False)]
+    assert code(server.answers[query]) == "cancelled"
+
+
+def test_cancelled_batches_that_still_run_take_no_room_from_new_ones() -> None:
+    server = Server(1)
+    lease = server.ready()
+    server.evaluate(lease, 1, 2)
+    server.ask(Cancel(lease=lease, batches=[1, 2]))
+    queries = server.evaluate(lease, 3, 4)
+    assert not set(queries) & set(server.answers)
+    assert code(server.asked(evaluate(lease, 5))) == "busy"
+    assert server.finish(0, 1) == [run(0, lease, 3)]
+
+
+# ---- faults -------------------------------------------------------------------------------------------------------
+
+
+def test_a_process_that_dies_blames_one_trial_and_is_prepared_anew() -> None:
+    server = Server(1)
+    lease = server.ready()
+    queries = server.evaluate(lease, 1, 2)
+    assert server.feed(Died(0, 3, "killed by signal 11")) == [Prepare(0, reserve(), probe=False)]
+    fault = Fault(batch=1, kind="crashed", trial=3, reason="killed by signal 11")
+    assert server.answers[queries[0]] == fault
+    assert server.asked(evaluate(lease, 1)) == fault
+    assert server.feed(Prepared(0, b"", 0.0)) == [run(0, lease, 2)]
+
+
+def test_a_trial_that_takes_too_long_is_killed_and_blamed() -> None:
+    server = Server(1)
+    lease = server.ready()
+    (query,) = server.evaluate(lease, 1)
+    for server.trials[0] in range(2):
+        assert server.wait(TIMEOUT_S) == []
+    assert server.wait(0.5) == [Kill(0), Prepare(0, reserve(), probe=False)]
+    answer = server.answers[query]
+    assert isinstance(answer, Fault)
+    assert (answer.batch, answer.kind, answer.trial) == (1, "timeout", 1)
+
+
+def test_an_idle_slot_whose_process_dies_is_prepared_anew() -> None:
+    server = Server(1)
+    lease = server.ready()
+    assert server.feed(Died(0, 0, "killed")) == [Prepare(0, reserve(), probe=False)]
+    server.evaluate(lease, 1)
+    assert server.feed(Prepared(0, b"", 0.0)) == [run(0, lease, 1)]
+
+
+def test_a_free_slot_whose_process_died_is_not_taken_for_prepared() -> None:
+    server = Server(2)
+    first = server.ready("a", slots=1)
+    server.ready("b", slots=2)
+    server.ask(reserve(slots=2), "c")
+    server.ask(Release(lease=first), "a")
+    assert server.reserve("b").ready == 2
+    server.feed(Died(0, 0, "killed"))
+    assert server.reserve("b").ready == 1
+
+
+def test_a_problem_that_cannot_be_prepared_fails_the_lease_and_frees_its_slots() -> None:
+    server = Server()
+    lease = server.reserve("a").lease
+    server.ask(reserve(simulator="other"), "b")
+    queries = [*server.evaluate(lease, 1), server.ask(Renew(lease=lease, known_ready=0))]
+    assert server.feed(Unprepared(0, "no such map")) == [Prepare(0, reserve(simulator="other"), probe=True)]
+    assert code(server.answers[queries[0]]) == "mismatch"
+    renewed = server.answers[queries[1]]
+    assert isinstance(renewed, Lease)
+    assert (renewed.state, renewed.reason, renewed.slots) == ("failed", "no such map", 0)
+    assert server.asked(evaluate(lease, 2)) == Refused(code="mismatch", reason="no such map")
+    assert isinstance(server.asked(Renew(lease=lease, known_ready=0)), Lease), "a failed lease holds no renewal"
+    assert server.asked(Release(lease=lease)) == Done()
+
+
+def test_a_process_that_dies_while_it_is_prepared_is_tried_three_times() -> None:
+    server = Server()
+    server.reserve()
+    for _ in range(2):
+        assert server.feed(Died(0, 0, "killed")) == [Prepare(0, reserve(), probe=True)]
+    assert server.feed(Died(0, 0, "killed")) == []
+    lease = server.reserve()
+    assert lease.state == "failed"
+    assert "killed" in lease.reason
+    assert server.states() == ["FREE", "FREE"]
+
+
+def test_a_slot_that_cannot_be_prepared_is_given_up_while_the_others_go_on() -> None:
+    server = Server()
+    lease = server.reserve().lease
+    server.feed(Prepared(0, PROBE, 0.5))
+    (query,) = server.evaluate(lease, 1)
+    for _ in range(2):
+        assert server.feed(Died(1, 0, "no memory")) == [Prepare(1, reserve(), probe=False)]
+    assert server.feed(Died(1, 0, "no memory")) == []
+    assert server.states() == ["BUSY", "FREE"]
+    server.finish(0, 1)
+    assert server.answers[query] == outcomes(1)
+    assert server.reserve().slots == 1
+
+
+def test_deaths_of_a_slot_that_was_ready_between_do_not_add_up() -> None:
+    server = Server(1)
+    server.ready()
+    for _ in range(5):
+        assert server.feed(Died(0, 0, "killed")) == [Prepare(0, reserve(), probe=False)]
+        server.feed(Died(0, 0, "killed"))
+        server.feed(Prepared(0, b"", 0.0))
+    assert server.reserve().state == "ready"
+
+
+@pytest.mark.parametrize("released", [False, True])
+def test_a_preparation_that_does_not_end_is_killed(released: bool) -> None:
+    server = Server(1)
+    lease = server.reserve().lease
+    server.ask(Renew(lease=lease, known_ready=0))
+    if released:
+        server.ask(Release(lease=lease))
+    for _ in range(20):
+        server.ask(Renew(lease=lease, known_ready=0))
+        assert server.wait(slots.PREPARE_S / 20) == []
+    assert server.wait(0.25) == [Kill(0)]
+    assert server.states() == ["FREE"]
+    assert released or server.reserve().state == "failed"
+
+
+# ---- draining -----------------------------------------------------------------------------------------------------
+
+
+def test_a_server_with_nothing_to_do_drains_at_once() -> None:
+    server = Server()
+    server.ready()
+    assert server.feed(Drain()) == [Drained()]
+
+
+def test_draining_finishes_what_runs_and_answers_all_that_is_asked() -> None:
+    server = Server(1)
+    lease = server.ready()
+    running, waiting = server.evaluate(lease, 1, 2)
+    renewal = server.ask(Renew(lease=lease, known_ready=1))
+    assert server.feed(Drain()) == []
+    assert code(server.answers[waiting]) == "draining"
+    assert code(server.asked(evaluate(lease, 3))) == "draining"
+    assert code(server.asked(reserve(), "b")) == "draining"
+    offer = server.asked(Requirements(), "b")
+    assert isinstance(offer, Offer)
+    assert offer.mismatch == "draining"
+    assert not {running, renewal} & set(server.answers)
+    assert server.finish(0, 1) == [Drained()]
+    assert server.answers[running] == outcomes(1)
+    assert isinstance(server.answers[renewal], Lease)
+    assert server.asked(evaluate(lease, 1)) == outcomes(1)
+    assert isinstance(server.asked(Renew(lease=lease, known_ready=1)), Lease)
+
+
+def test_a_running_batch_can_be_asked_again_while_the_server_drains() -> None:
+    server = Server(1)
+    lease = server.ready()
+    server.evaluate(lease, 1)
+    server.feed(Drain())
+    (query,) = server.evaluate(lease, 1)
+    server.finish(0, 1)
+    assert server.answers[query] == outcomes(1)
+
+
+def test_a_process_that_dies_ends_the_draining_too() -> None:
+    server = Server(1)
+    (query,) = server.evaluate(server.ready(), 1)
+    server.feed(Drain())
+    assert Drained() in server.feed(Died(0, 0, "crash"))
+    assert isinstance(server.answers[query], Fault)
+
+
+def test_slots_that_get_free_while_the_server_drains_go_to_nobody() -> None:
+    server = Server(2)
+    first, second = server.ready("a", slots=1), server.ready("b", slots=1)
+    server.reserve("c")
+    server.evaluate(first, 1)
+    server.feed(Drain())
+    server.ask(Release(lease=second), "b")
+    assert server.commands == []
+    assert server.reserve("c").slots == 0
