@@ -1,0 +1,791 @@
+"""Dispatch: events and plain times in, commands out."""
+
+import numpy as np
+import pytest
+
+from zswarm.ot import dispatch
+from zswarm.ot.dispatch import (
+    ASIDE_S,
+    PAUSE_S,
+    RENEW_S,
+    RETRY_S,
+    Answered,
+    Ask,
+    Command,
+    Complete,
+    Counted,
+    Dispatch,
+    Event,
+    Failed,
+    Gone,
+    Leave,
+    Note,
+    Seen,
+    Tick,
+    Work,
+    Workload,
+)
+from zswarm.protocol.messages import Done, Fault, Lease, Offer, Outcomes, Refused, Reply, Running
+
+PROBE = b"digest"
+NAN = float("nan")
+
+
+class Optimizer:
+    """A dispatch with a clock, that collects what it asks and tells."""
+
+    def __init__(self, **options: object) -> None:
+        self.dispatch = Dispatch(1, 0, **{"wanted_slots": 100, "quarantine": False} | options)  # type: ignore[arg-type]
+        self.now = 100.0
+        self.commands: list[Command] = []  # of the last event
+        self.asked: dict[tuple[str, str], Ask] = {}  # the last one of a server and verb
+        self.counted: list[int] = []
+
+    def feed(self, event: Event) -> list[Ask]:
+        """What is asked now."""
+        self.commands = self.dispatch.handle(event, self.now)
+        for command in self.commands:
+            if isinstance(command, Ask):
+                self.asked[command.server, command.verb] = command
+            elif isinstance(command, Counted):
+                self.counted += command.trials.tolist()
+        return [command for command in self.commands if isinstance(command, Ask)]
+
+    def notes(self, event: str) -> list[Note]:
+        return [command for command in self.commands if isinstance(command, Note) and command.event == event]
+
+    def answer(self, ask: Ask, reply: Reply | str | None) -> list[Ask]:
+        return self.feed(Answered(ask.question, reply))
+
+    def wait(self, seconds: float) -> list[Ask]:
+        """Let time pass, with a tick whenever one is wanted; what is asked then."""
+        asks, end = [], self.now + seconds
+        for _ in range(1000):
+            if self.dispatch.next_time() > end:
+                self.now = end
+                return asks
+            self.now = max(self.now, self.dispatch.next_time())
+            asks += self.feed(Tick())
+        raise AssertionError("a loop without delay")
+
+    def join(self, *servers: str, slots: int = 1, trial_s: float = 1.0) -> None:
+        """Servers appear and are ready."""
+        for server in servers:
+            (ask,) = self.feed(Seen(server))
+            (ask,) = self.answer(ask, offer(slots))
+            self.answer(ask, lease(server, slots, trial_s=trial_s))
+
+    def work(self, trials: int, genome: bytes = b"g") -> list[Ask]:
+        return self.feed(Work(Workload([genome], np.zeros((trials, 1), int), np.arange(trials).astype(np.uint64), 0)))
+
+    @property
+    def workload(self) -> Workload:
+        assert self.dispatch._workload is not None
+        return self.dispatch._workload
+
+
+def offer(capacity: int = 1, mismatch: str = "") -> Offer:
+    return Offer(
+        server="", program="", machine="", capacity=capacity, free=0, leases=0, simulators=[], representations=[],
+        mismatch=mismatch,
+    )  # fmt: skip
+
+
+def lease(server: str, ready: int, *, state: str = "ready", slots: int = 0, number: int = 0, **fields: object) -> Lease:
+    token = f"{server}-{number}".encode().ljust(16)
+    fields = {"probe": PROBE if ready else b"", "trial_s": 1.0} | fields
+    return Lease(lease=token, state=state, slots=max(slots, ready), ready=ready, lease_s=60.0, **fields)  # type: ignore[arg-type]
+
+
+def outcomes(ask: Ask, *fitness: float, seconds: float = 1.0) -> Outcomes:
+    assert ask.trials is not None
+    numbers = np.array(fitness or ask.trials, "<f8")
+    return Outcomes(batch=ask.batch, fitness=numbers.tobytes(), metrics=b"", seconds=seconds * len(ask.trials))
+
+
+def fault(ask: Ask, trial: int = 0) -> Fault:
+    return Fault(batch=ask.batch, kind="crashed", trial=trial, reason="killed")
+
+
+def trials(asks: list[Ask]) -> list[int]:
+    """Of all the batches among them."""
+    return sorted(trial for ask in asks if ask.trials is not None for trial in ask.trials.tolist())
+
+
+def verbs(asks: list[Ask]) -> list[tuple[str, str]]:
+    return [(ask.server, ask.verb) for ask in asks]
+
+
+# ---- servers that come --------------------------------------------------------------------------------------------
+
+
+def test_a_server_is_asked_for_its_offer_then_reserved_then_given_work() -> None:
+    optimizer = Optimizer()
+    optimizer.work(10)
+    (ask,) = optimizer.feed(Seen("a"))
+    assert (ask.server, ask.verb) == ("a", "offer")
+    (ask,) = optimizer.answer(ask, offer())
+    assert (ask.server, ask.verb, ask.lease) == ("a", "reserve", b"")
+    asks = optimizer.answer(ask, lease("a", 1))
+    assert verbs(asks) == [("a", "evaluate")] * 2
+    assert asks[0].lease == lease("a", 1).lease
+    assert optimizer.dispatch.serving() == ["a"]
+
+
+def test_a_server_is_asked_once_however_often_it_is_seen() -> None:
+    optimizer = Optimizer()
+    optimizer.feed(Seen("a"))
+    assert optimizer.feed(Seen("a")) == []
+    optimizer.answer(optimizer.asked["a", "offer"], offer())
+    assert optimizer.feed(Seen("a")) == []
+    optimizer.answer(optimizer.asked["a", "reserve"], lease("a", 1))
+    assert optimizer.feed(Seen("a")) == []
+
+
+def test_a_server_that_prepares_is_renewed_until_all_slots_are_ready() -> None:
+    optimizer = Optimizer()
+    optimizer.work(10)
+    (ask,) = optimizer.feed(Seen("a"))
+    (ask,) = optimizer.answer(ask, offer(2))
+    (ask,) = optimizer.answer(ask, lease("a", 0, state="preparing", slots=2))
+    assert (ask.verb, ask.known_ready) == ("renew", 0)
+    assert (optimizer.dispatch.leased(), optimizer.dispatch.preparing(), optimizer.dispatch.slots()) == (1, ["a"], 0)
+    asks = optimizer.answer(ask, lease("a", 1, slots=2))
+    assert verbs(asks) == [("a", "renew"), ("a", "evaluate"), ("a", "evaluate")]
+    assert asks[0].known_ready == 1
+    assert optimizer.notes("server_joined") == [Note("server_joined", "a", "", 1)]
+    assert verbs(optimizer.answer(asks[0], lease("a", 2))) == [("a", "evaluate")] * 2
+    assert (optimizer.dispatch.preparing(), optimizer.dispatch.slots()) == ([], 2)
+
+
+def test_no_more_slots_are_waited_for_than_are_wanted() -> None:
+    optimizer = Optimizer(wanted_slots=1)
+    optimizer.join("a")
+    (ask,) = optimizer.feed(Seen("b"))
+    (ask,) = optimizer.answer(ask, offer(8))
+    assert optimizer.answer(ask, lease("b", 1)) == []
+
+
+def test_a_server_that_does_not_match_is_looked_at_again_when_it_is_seen_again() -> None:
+    optimizer = Optimizer()
+    (ask,) = optimizer.feed(Seen("a"))
+    assert optimizer.answer(ask, offer(mismatch="no such simulator")) == []
+    assert optimizer.notes("server_mismatch")[0].text == "no such simulator"
+    assert optimizer.wait(1000.0) == []
+    optimizer.feed(Gone("a"))
+    assert verbs(optimizer.feed(Seen("a"))) == [("a", "offer")]
+
+
+@pytest.mark.parametrize("code", ["malformed", "mismatch", "draining"])
+def test_a_server_that_refuses_to_be_reserved_is_not_used(code: str) -> None:
+    optimizer = Optimizer()
+    (ask,) = optimizer.feed(Seen("a"))
+    (ask,) = optimizer.answer(ask, offer())
+    assert optimizer.answer(ask, Refused(code=code, reason="no")) == []  # type: ignore[arg-type]
+    assert optimizer.notes("server_refused")[0].text == "no"
+    assert optimizer.wait(1000.0) == []
+
+
+def test_a_lease_that_cannot_be_prepared_is_given_back() -> None:
+    optimizer = Optimizer()
+    (ask,) = optimizer.feed(Seen("a"))
+    (ask,) = optimizer.answer(ask, offer())
+    (renewal,) = optimizer.answer(ask, lease("a", 0, state="preparing", slots=1))
+    (release,) = optimizer.answer(renewal, lease("a", 0, state="failed", reason="no such map"))
+    assert (release.verb, release.lease) == ("release", lease("a", 0).lease)
+    assert optimizer.notes("server_refused")[0].text == "no such map"
+    assert optimizer.answer(release, Done()) == []
+    assert optimizer.wait(1000.0) == []
+
+
+def test_a_server_whose_probe_differs_is_released_and_not_used() -> None:
+    optimizer = Optimizer()
+    optimizer.work(10)
+    optimizer.join("a")
+    assert optimizer.dispatch.probe == PROBE
+    (ask,) = optimizer.feed(Seen("b"))
+    (ask,) = optimizer.answer(ask, offer())
+    assert verbs(optimizer.answer(ask, lease("b", 1, probe=b"another"))) == [("b", "release")]
+    assert [note.server for note in optimizer.notes("server_differs")] == ["b"]
+    assert optimizer.dispatch.serving() == ["a"]
+
+
+def test_the_probe_of_the_record_holds_for_the_first_server_too() -> None:
+    optimizer = Optimizer(probe=b"recorded")
+    optimizer.join("a")
+    assert optimizer.dispatch.serving() == []
+    assert optimizer.dispatch.probe == b"recorded"
+
+
+def test_a_run_that_was_taken_over_fails() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a")
+    optimizer.work(5)
+    (ask,) = optimizer.feed(Seen("b"))
+    (ask,) = optimizer.answer(ask, offer())
+    asks = optimizer.answer(ask, Refused(code="lease-lost", reason="taken over"))
+    assert verbs(asks) == [("a", "cancel")]
+    assert Failed("b: taken over") in optimizer.commands
+
+
+# ---- leases that last and end -------------------------------------------------------------------------------------
+
+
+def test_a_lease_is_renewed_when_nothing_was_asked_for_a_while() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a")
+    assert optimizer.dispatch.next_time() == optimizer.now + RENEW_S
+    assert verbs(optimizer.wait(RENEW_S)) == [("a", "renew")]
+    assert optimizer.dispatch.next_time() == float("inf")
+    optimizer.answer(optimizer.asked["a", "renew"], lease("a", 1))
+    assert verbs(optimizer.wait(RENEW_S)) == [("a", "renew")]
+
+
+def test_work_that_is_asked_puts_the_renewal_off() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a")
+    optimizer.wait(RENEW_S - 1.0)
+    assert len(optimizer.work(1)) == 1
+    assert optimizer.wait(RENEW_S - 1.0) == []
+    assert verbs(optimizer.wait(1.0)) == [("a", "renew")]
+
+
+@pytest.mark.parametrize("verb", ["renew", "evaluate"])
+def test_a_lost_lease_is_reserved_anew_after_a_pause_and_its_trials_go_elsewhere(verb: str) -> None:
+    optimizer = Optimizer()
+    optimizer.join("a", "b")
+    asks = optimizer.work(4)
+    lost = next(ask for ask in asks if ask.server == "a")
+    optimizer.wait(RENEW_S)
+    if verb == "renew":
+        lost = optimizer.asked["a", "renew"]
+    optimizer.answer(lost, Refused(code="lease-lost", reason="expired"))
+    assert optimizer.notes("lease_lost")
+    assert optimizer.dispatch.serving() == ["b"]
+    assert verbs(optimizer.wait(PAUSE_S)) == [("a", "offer")]
+    (ask,) = optimizer.answer(optimizer.asked["a", "offer"], offer())
+    asks = optimizer.answer(ask, lease("a", 1, number=1))
+    assert [ask.lease for ask in asks if ask.verb == "evaluate"] == [lease("a", 1, number=1).lease] * 2
+    assert trials(asks) == trials([ask for ask in asks if ask.server == "a"])
+
+
+def test_what_is_answered_to_a_lost_lease_does_not_touch_the_next_one() -> None:
+    """The renewal of the first lease is refused after the second was got; and does not keep the second's from being sent."""
+    optimizer = Optimizer()
+    optimizer.work(10)
+    optimizer.join("a")
+    optimizer.wait(RENEW_S)
+    renewal, batch = optimizer.asked["a", "renew"], optimizer.asked["a", "evaluate"]
+    optimizer.answer(batch, Refused(code="lease-lost", reason="expired"))
+    optimizer.wait(PAUSE_S)
+    (ask,) = optimizer.answer(optimizer.asked["a", "offer"], offer(2))
+    asks = optimizer.answer(ask, lease("a", 1, number=1))
+    assert ("a", "renew") in verbs(asks)
+    assert optimizer.answer(renewal, Refused(code="lease-lost", reason="expired")) == []
+    assert optimizer.dispatch.serving() == ["a"]
+
+
+def test_a_renewal_refused_for_another_reason_ends_the_use_of_the_server() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a")
+    optimizer.wait(RENEW_S)
+    asks = optimizer.answer(optimizer.asked["a", "renew"], Refused(code="malformed", reason="?"))
+    assert verbs(asks) == [("a", "release")]
+    assert optimizer.wait(1000.0) == []
+
+
+def test_leaving_releases_all_leases_and_asks_nothing_more() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a", "b")
+    (out,) = optimizer.work(1)
+    asks = optimizer.feed(Leave())
+    assert sorted(verbs(asks)) == [("a", "cancel"), ("a", "release"), ("b", "release")]
+    assert [ask.lease for ask in asks if ask.verb == "release"] == [lease("a", 1).lease, lease("b", 1).lease]
+    assert optimizer.answer(out, Refused(code="lease-lost", reason="released")) == []
+    assert optimizer.wait(1000.0) == []
+
+
+# ---- silence ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("verb", ["offer", "reserve", "renew"])
+def test_what_nobody_answers_is_asked_again_then_the_server_is_put_aside(verb: str) -> None:
+    optimizer = Optimizer()
+    optimizer.feed(Seen("a"))
+    if verb != "offer":
+        optimizer.answer(optimizer.asked["a", "offer"], offer())
+    if verb == "renew":
+        optimizer.answer(optimizer.asked["a", "reserve"], lease("a", 0, state="waiting"))
+    for pause in RETRY_S:
+        assert optimizer.answer(optimizer.asked["a", verb], None) == []
+        assert optimizer.wait(pause - 0.01) == []
+        assert verbs(optimizer.wait(0.01)) == [("a", verb)]
+    assert optimizer.answer(optimizer.asked["a", verb], None) == []
+    assert optimizer.notes("server_silent")[0].text == f"no answer to {verb}"
+    assert optimizer.dispatch.leased() == 0
+    assert verbs(optimizer.wait(ASIDE_S)) == [("a", "offer")]
+
+
+def test_a_server_that_stays_silent_is_told_once_and_looked_at_again_and_again() -> None:
+    optimizer = Optimizer()
+    optimizer.feed(Seen("a"))
+    told = 0
+    for _ in range(3 * (len(RETRY_S) + 1)):
+        optimizer.answer(optimizer.asked["a", "offer"], None)
+        told += len(optimizer.notes("server_silent"))
+        optimizer.wait(ASIDE_S)
+    assert told == 1
+    assert verbs(optimizer.answer(optimizer.asked["a", "offer"], offer())) == [("a", "reserve")]
+
+
+def test_a_server_put_aside_is_looked_at_when_it_is_seen_and_not_when_it_is_gone() -> None:
+    for event, asked in ((Seen("a"), [("a", "offer")]), (Gone("a"), [])):
+        optimizer = Optimizer()
+        optimizer.feed(Seen("a"))
+        for _ in range(len(RETRY_S) + 1):
+            optimizer.answer(optimizer.asked["a", "offer"], None)
+            optimizer.wait(1.0)
+        assert verbs(optimizer.feed(event)) == asked
+        if isinstance(event, Gone):
+            assert optimizer.wait(1000.0) == []
+
+
+def test_a_text_that_is_no_message_counts_as_no_answer() -> None:
+    optimizer = Optimizer()
+    (ask,) = optimizer.feed(Seen("a"))
+    optimizer.answer(ask, "not a message")
+    assert optimizer.notes("malformed")[0].text == "not a message"
+    assert verbs(optimizer.wait(RETRY_S[0])) == [("a", "offer")]
+
+
+def test_an_answer_of_another_kind_counts_as_no_answer() -> None:
+    optimizer = Optimizer()
+    (ask,) = optimizer.feed(Seen("a"))
+    assert optimizer.answer(ask, Done()) == []
+    assert optimizer.notes("malformed")
+    assert verbs(optimizer.wait(RETRY_S[0])) == [("a", "offer")]
+
+
+def test_a_batch_nobody_answers_is_asked_again_with_the_same_id() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a")
+    (ask,) = optimizer.work(1)
+    for pause in RETRY_S:
+        assert optimizer.answer(ask, None) == []
+        (again,) = optimizer.wait(pause)
+        assert (again.batch, again.question != ask.question) == (ask.batch, True)
+        ask = again
+    optimizer.answer(ask, outcomes(ask))
+    assert optimizer.counted == [0]
+    assert optimizer.dispatch.requeued == 0
+
+
+def test_a_batch_nobody_answers_again_and_again_goes_elsewhere() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a")
+    first, second = optimizer.work(2)
+    optimizer.join("b")
+    for _ in RETRY_S:
+        optimizer.answer(first, None)
+        (first,) = optimizer.wait(1.0)
+    asks = optimizer.answer(first, None)
+    assert verbs(asks) == [("b", "evaluate")] * 2
+    assert trials(asks) == [0, 1]
+    assert optimizer.notes("server_silent")
+    optimizer.answer(second, outcomes(second))
+    assert optimizer.counted == []
+    assert optimizer.dispatch.late == 1
+
+
+def test_a_running_batch_is_asked_again_at_once_and_its_empty_answers_are_forgotten() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a")
+    (ask,) = optimizer.work(1)
+    batch = ask.batch
+    for _ in range(3 * len(RETRY_S)):
+        optimizer.answer(ask, None)
+        (ask,) = optimizer.wait(1.0)
+        (ask,) = optimizer.answer(ask, Running(batch=batch, done=0))
+        assert (ask.verb, ask.batch) == ("evaluate", batch)
+
+
+# ---- servers that go ----------------------------------------------------------------------------------------------
+
+
+def test_what_a_vanished_server_had_goes_elsewhere_as_its_queries_end() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a")
+    first, second = optimizer.work(2)
+    optimizer.join("b")
+    assert optimizer.feed(Gone("a")) == []
+    assert optimizer.notes("server_left")[0].text == "2 trials were with it"
+    assert trials(optimizer.answer(first, None)) == [0]
+    assert trials(optimizer.answer(second, None)) == [1]
+    assert optimizer.notes("server_lost")
+    assert optimizer.dispatch.requeued == 2
+
+
+def test_what_ended_empty_before_the_token_vanished_goes_elsewhere_when_it_does() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a")
+    (ask,) = optimizer.work(1)
+    optimizer.join("b")
+    optimizer.answer(ask, None)
+    (again,) = optimizer.feed(Gone("a"))
+    assert (again.server, again.batch != ask.batch) == ("b", True)
+    assert optimizer.notes("server_lost")
+    assert optimizer.wait(5.0) == []
+
+
+def test_a_draining_server_still_answers_what_it_computes() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a")
+    first, second = optimizer.work(4)[:2]
+    assert optimizer.answer(second, Refused(code="draining", reason="")) == []
+    assert optimizer.dispatch.serving() == [], "or it would be asked and refuse in a loop until its token vanishes"
+    optimizer.feed(Gone("a"))
+    optimizer.answer(first, outcomes(first))
+    assert optimizer.counted == [0]
+    assert optimizer.notes("server_lost")
+    optimizer.join("b", slots=2)
+    assert optimizer.asked["b", "evaluate"]
+    assert optimizer.dispatch.requeued == 1
+
+
+def test_a_server_that_leaves_idle_is_forgotten_and_asked_anew_when_it_is_back() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a")
+    optimizer.feed(Gone("a"))
+    assert optimizer.notes("server_lost")
+    assert optimizer.dispatch.leased() == 0
+    assert verbs(optimizer.feed(Seen("a"))) == [("a", "offer")]
+
+
+def test_a_server_that_is_back_before_its_queries_ended_goes_on() -> None:
+    """Batches that had gone elsewhere are cancelled there; the others are asked for again."""
+    optimizer = Optimizer()
+    optimizer.join("a")
+    first, second = optimizer.work(2)
+    optimizer.feed(Gone("a"))
+    optimizer.answer(first, None)
+    cancel, renew, evaluate = optimizer.feed(Seen("a"))
+    assert (cancel.verb, cancel.batches) == ("cancel", (first.batch,))
+    assert (renew.verb, renew.lease) == ("renew", first.lease)
+    assert (evaluate.verb, trials([evaluate])) == ("evaluate", [0])
+    optimizer.answer(second, None)
+    (again,) = optimizer.wait(RETRY_S[0])
+    assert again.batch == second.batch
+
+
+def test_batches_left_on_a_server_are_cancelled_when_its_lease_is_got_again() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a")
+    left = optimizer.work(2)
+    optimizer.feed(Gone("a"))
+    for ask in left:
+        optimizer.answer(ask, None)
+    optimizer.join("a")
+    assert optimizer.asked["a", "cancel"].batches == tuple(ask.batch for ask in left)
+    assert optimizer.asked["a", "cancel"].question < optimizer.asked["a", "evaluate"].question
+    optimizer.feed(Gone("a"))
+    optimizer.feed(Seen("a"))
+    assert optimizer.asked["a", "cancel"].batches == tuple(ask.batch for ask in left), "once"
+
+
+@pytest.mark.parametrize("phase", ["offer", "reserve"])
+def test_an_answer_of_before_a_server_left_is_not_taken_for_one_of_now(phase: str) -> None:
+    optimizer = Optimizer()
+    (ask,) = optimizer.feed(Seen("a"))
+    reply: Reply = offer()
+    if phase == "reserve":
+        (ask,) = optimizer.answer(ask, offer())
+        reply = lease("a", 1)
+    optimizer.feed(Gone("a"))
+    assert optimizer.answer(ask, reply) == []
+    assert optimizer.dispatch.leased() == 0
+    assert verbs(optimizer.feed(Seen("a"))) == [("a", "offer")]
+
+
+def test_the_end_of_a_server_nobody_knows_is_nothing() -> None:
+    optimizer = Optimizer()
+    assert optimizer.feed(Gone("a")) == []
+    assert optimizer.commands == []
+
+
+# ---- refusals of batches ------------------------------------------------------------------------------------------
+
+
+def test_a_busy_server_is_paused_and_then_asked_what_it_has() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a")
+    (ask,) = optimizer.work(1)
+    for _ in range(3):
+        assert optimizer.answer(ask, Refused(code="busy", reason="")) == []
+        assert optimizer.wait(PAUSE_S - 0.01) == []
+        asks = optimizer.wait(0.02)
+        assert sorted(verbs(asks)) == [("a", "evaluate"), ("a", "renew")]
+        assert optimizer.answer(optimizer.asked["a", "renew"], lease("a", 1)) == []
+        assert not optimizer.notes("server_joined")
+        ask = optimizer.asked["a", "evaluate"]
+
+
+def test_what_a_busy_server_refused_goes_to_another_at_once() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a")
+    (ask,) = optimizer.work(1)
+    optimizer.join("b")
+    assert verbs(optimizer.answer(ask, Refused(code="busy", reason=""))) == [("b", "evaluate")]
+
+
+@pytest.mark.parametrize("code", ["malformed", "mismatch"])
+def test_a_server_that_cannot_take_our_batches_is_released_and_not_used(code: str) -> None:
+    optimizer = Optimizer()
+    optimizer.join("a")
+    first, _ = optimizer.work(2)
+    optimizer.join("b")
+    asks = optimizer.answer(first, Refused(code=code, reason="no"))  # type: ignore[arg-type]
+    assert verbs(asks) == [("a", "release"), ("b", "evaluate"), ("b", "evaluate")]
+    assert trials(asks) == [0, 1]
+    assert optimizer.notes("server_refused")[0].text == "no"
+
+
+def wrong_batch(ask: Ask) -> Reply:
+    return Outcomes(batch=ask.batch + 1, fitness=b"\0" * 8, metrics=b"", seconds=1.0)
+
+
+def wrong_size(ask: Ask) -> Reply:
+    return outcomes(ask, 1.0, 2.0)
+
+
+def wrong_kind(ask: Ask) -> Reply:
+    return Done()
+
+
+def infinite(ask: Ask) -> Reply:
+    return outcomes(ask, float("inf"))
+
+
+@pytest.mark.parametrize("reply", [wrong_batch, wrong_size, wrong_kind, infinite])
+def test_a_server_that_answers_a_batch_with_nonsense_is_released_and_not_used(reply: object) -> None:
+    optimizer = Optimizer()
+    optimizer.join("a")
+    (ask,) = optimizer.work(1)
+    optimizer.join("b")
+    asks = optimizer.answer(ask, reply(ask))  # type: ignore[operator]
+    assert verbs(asks) == [("a", "release"), ("b", "evaluate")]
+    assert optimizer.notes("malformed")
+    assert optimizer.counted == []
+
+
+# ---- batches ------------------------------------------------------------------------------------------------------
+
+
+def test_every_slot_gets_a_batch_before_any_gets_a_second() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a", "b", slots=2)
+    asks = optimizer.work(6)
+    assert [ask.server for ask in asks] == ["a", "a", "b", "b", "a", "a"]
+    assert all(len(ask.trials) == 1 for ask in asks)  # type: ignore[arg-type]
+
+
+def test_two_batches_are_out_per_slot_and_an_answer_brings_the_next() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a", "b")
+    asks = optimizer.work(20)
+    assert verbs(asks) == [("a", "evaluate"), ("b", "evaluate")] * 2
+    assert verbs(optimizer.answer(asks[1], outcomes(asks[1]))) == [("b", "evaluate")]
+
+
+def test_batches_are_of_75_ms_and_shrink_towards_the_end_but_not_below_3_ms() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a", trial_s=0.001)
+    asks = optimizer.work(1000)
+    sizes = []
+    while asks:
+        ask = asks.pop(0)
+        sizes.append(len(ask.trials))  # type: ignore[arg-type]
+        asks += optimizer.answer(ask, outcomes(ask, seconds=0.001))
+    assert sizes[0] == 75
+    assert sizes == sorted(sizes[:-1], reverse=True) + sizes[-1:]
+    assert sizes[-2] == 3
+    assert sum(sizes) == 1000
+
+
+def test_trials_of_unknown_length_go_one_by_one() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a", trial_s=0.0)
+    assert [len(ask.trials) for ask in optimizer.work(1000)] == [1, 1]  # type: ignore[arg-type]
+
+
+def test_a_batch_fits_into_a_message_whatever_genome_is_the_largest() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a", trial_s=1e-6)
+    genomes = [b"small", *[b"x" * 1_000_000] * 99]
+    (first, _) = optimizer.feed(Work(Workload(genomes, np.arange(100).reshape(-1, 1), np.zeros(100, np.uint64), 0)))
+    sent, _, _ = optimizer.workload.batch(first.trials)  # type: ignore[arg-type]
+    assert sum(map(len, sent)) < 8 << 20
+
+
+def test_a_batch_holds_the_genomes_its_trials_need_and_indices_into_these() -> None:
+    workload = Workload([b"a", b"b", b"c", b"d"], np.array([[0, 3], [3, 2], [2, 2]]), np.array([7, 8, 9], np.uint64), 0)
+    genomes, participants, seeds = workload.batch(np.array([1, 2]))
+    assert (genomes, participants.tolist(), seeds.tolist()) == ([b"c", b"d"], [[1, 0], [0, 0]], [8, 9])
+
+
+# ---- counting -----------------------------------------------------------------------------------------------------
+
+
+def test_outcomes_come_to_their_place_in_whatever_order() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a", "b")
+    asks = optimizer.work(4)
+    workload = optimizer.workload
+    for ask, fitness in zip(reversed(asks), (1.5, NAN, 3.5, 4.5), strict=True):
+        assert Complete() not in optimizer.commands
+        optimizer.answer(ask, outcomes(ask, fitness))
+    assert Complete() in optimizer.commands
+    placed = [ask.trials[0] for ask in reversed(asks)]  # type: ignore[index]
+    assert np.array_equal(workload.fitness[placed, 0], [1.5, NAN, 3.5, 4.5], equal_nan=True)
+    assert workload.counted.all()
+    assert not workload.faulted.any()
+
+
+def test_every_nan_is_the_same_nan() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a")
+    (ask,) = optimizer.work(1)
+    workload = optimizer.workload
+    negative = Outcomes(batch=ask.batch, fitness=b"\1\0\0\0\0\0\xff\xff", metrics=b"", seconds=1.0)
+    optimizer.answer(ask, negative)
+    assert workload.fitness.tobytes() == np.array(NAN).tobytes()
+
+
+def test_an_answer_that_comes_twice_counts_once() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a")
+    first = optimizer.work(3)[0]
+    optimizer.answer(first, outcomes(first))
+    assert optimizer.answer(first, outcomes(first)) == []
+    assert optimizer.counted == [0]
+
+
+def test_what_was_counted_before_is_not_evaluated() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a", slots=4)
+    workload = Workload([b"g"], np.zeros((4, 1), int), np.zeros(4, np.uint64), 0)
+    workload.counted[[0, 2]] = True
+    assert trials(optimizer.feed(Work(workload))) == [1, 3]
+
+
+def test_a_workload_with_nothing_to_evaluate_is_complete() -> None:
+    optimizer = Optimizer()
+    optimizer.work(0)
+    assert optimizer.commands == [Complete()]
+
+
+def test_outcomes_of_an_earlier_workload_are_late() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a")
+    old = optimizer.work(4)
+    cancel, *new = optimizer.work(4)
+    assert (cancel.verb, cancel.batches) == ("cancel", tuple(ask.batch for ask in old))
+    for ask in old:
+        assert optimizer.answer(ask, outcomes(ask, 99.0)) == []
+    assert optimizer.counted == []
+    assert optimizer.dispatch.late == 2
+    optimizer.answer(new[0], outcomes(new[0]))
+    assert optimizer.counted == [0]
+
+
+def test_the_second_workload_starts_right_after_the_first() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a")
+    for _ in range(3):
+        (ask,) = optimizer.work(1)
+        assert optimizer.answer(ask, outcomes(ask)) == []
+        assert optimizer.commands[-1] == Complete()
+    assert optimizer.dispatch.requeued == optimizer.dispatch.late == 0
+
+
+# ---- faults -------------------------------------------------------------------------------------------------------
+
+
+def test_a_fault_blames_one_trial_and_the_others_are_sent_again() -> None:
+    optimizer = Optimizer(quarantine=True)
+    optimizer.join("a", trial_s=0.01)
+    asks = optimizer.work(40)
+    workload = optimizer.workload
+    poison = 5
+    while asks:
+        ask = asks.pop(0)
+        assert ask.trials is not None
+        if poison in ask.trials:
+            asks += optimizer.answer(ask, fault(ask, ask.trials.tolist().index(poison)))
+        else:
+            asks += optimizer.answer(ask, outcomes(ask, seconds=0.01))
+    assert sorted(optimizer.counted) == list(range(40))
+    assert np.flatnonzero(workload.faulted).tolist() == [poison]
+    assert np.flatnonzero(np.isnan(workload.fitness)).tolist() == [poison]
+
+
+def test_a_fault_is_tried_on_servers_where_it_did_not_happen() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a", "b", "c")
+    asks, where = optimizer.work(1), []
+    while asks:
+        where.append(asks[0].server)
+        asks = optimizer.answer(asks[0], fault(asks[0]))
+    assert sorted(where) == ["a", "b", "c"]
+    assert any(isinstance(command, Failed) for command in optimizer.commands)
+
+
+def test_a_fault_is_tried_on_the_same_server_where_there_is_no_other() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a")
+    (ask,) = optimizer.work(1)
+    for _ in range(dispatch.ATTEMPTS - 1):
+        (ask,) = optimizer.answer(ask, fault(ask))
+        assert ask.server == "a"
+    assert optimizer.answer(ask, fault(ask)) == []
+    (failed,) = [command for command in optimizer.commands if isinstance(command, Failed)]
+    assert "3 times, last on a: crashed: killed" in failed.reason
+
+
+def test_a_trial_that_should_go_elsewhere_does_not_hold_up_the_others() -> None:
+    """It waits for a place on the other server; what comes after it in the line does not."""
+    optimizer = Optimizer()
+    optimizer.join("a", "b")
+    asks = optimizer.work(50)
+    on_a = [ask for ask in asks if ask.server == "a"]
+    (next_on_a,) = optimizer.answer(on_a[0], fault(on_a[0]))
+    assert next_on_a.server == "a"
+    assert trials([next_on_a]) != trials([on_a[0]])
+    on_b = next(ask for ask in asks if ask.server == "b")
+    assert trials(optimizer.answer(on_b, outcomes(on_b))) == trials([on_a[0]])
+
+
+def test_when_a_run_fails_what_is_out_is_cancelled() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a")
+    first, second = optimizer.work(2)
+    for _ in range(dispatch.ATTEMPTS):
+        asks = optimizer.answer(first, fault(first))
+        first = asks[0]
+    assert verbs(asks) == [("a", "cancel")]
+    assert asks[0].batches == (second.batch,)
+    assert optimizer.answer(second, outcomes(second)) == []
+
+
+def test_a_fault_of_a_batch_that_went_elsewhere_blames_nobody() -> None:
+    optimizer = Optimizer(quarantine=True)
+    optimizer.join("a")
+    (ask,) = optimizer.work(1)
+    for _ in range(2 * dispatch.ATTEMPTS):
+        optimizer.feed(Gone("a"))
+        optimizer.answer(ask, None)
+        stale = ask
+        optimizer.join("a")
+        ask = optimizer.asked["a", "evaluate"]
+        assert optimizer.answer(stale, fault(stale)) == []
+    assert optimizer.counted == []
+    assert not optimizer.workload.faulted.any()
