@@ -89,7 +89,7 @@ def cluster(slots: int, sleep_s: float) -> Iterator[object]:
     ):
         for _ in opened.wait(1, 60.0):
             pass
-        while opened.dispatch.slots() < slots:
+        while opened.standing.slots < slots:
             time.sleep(0.01)
         yield opened
 

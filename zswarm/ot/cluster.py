@@ -18,7 +18,7 @@ from zswarm.errors import EvaluationError, NoServers, RemoteProtocolError
 from zswarm.ot import dispatch
 from zswarm.ot.dispatch import Ask, Complete, Counted, Dispatch, Failed, Note, Workload
 from zswarm.protocol import codec, keys, messages
-from zswarm.protocol.messages import Message, Offer, Part, Requirements, Reserve
+from zswarm.protocol.messages import Message, Offer, Outcomes, Part, Requirements, Reserve
 
 FLUSH_S = 0.1  # a waiting caller gets a None this often
 QUERY_S = {"offer": 3.0, "reserve": 10.0, "renew": 25.0, "evaluate": 60.0, "cancel": 3.0, "release": 3.0}
@@ -50,6 +50,16 @@ class Who(NamedTuple):
     nonce: bytes
 
 
+class Standing(NamedTuple):
+    """How a run stands with its servers."""
+
+    serving: list[str]  # servers with a slot ready
+    preparing: list[str]  # servers that get their first one ready
+    leased: int  # servers that gave a lease
+    slots: int  # ready ones
+    probe: bytes  # digest of the probe's outcomes, once known
+
+
 class Stopped(NamedTuple):
     """The thread ended by an error."""
 
@@ -61,13 +71,14 @@ class Cluster:
 
     def __init__(self, who: Who, wanted: Wanted, *, connect: list[str], multicast: bool) -> None:
         self.who, self.wanted = who, wanted
-        self.dispatch = Dispatch(
+        self.standing = Standing([], [], 0, 0, wanted.probe)  # the last one that its thread told
+        self._dispatch = Dispatch(
             wanted.participants,
             wanted.metrics,
             wanted_slots=wanted.slots,
             quarantine=wanted.quarantine,
             probe=wanted.probe,
-        )  # its thread owns it; others only read single numbers
+        )
         self._connect, self._multicast = connect, multicast
         self._inbox: queue.SimpleQueue[dispatch.Event | None] = queue.SimpleQueue()
         self._outbox: queue.SimpleQueue[Counted | Note | Complete | Failed | Stopped] = queue.SimpleQueue()
@@ -122,7 +133,7 @@ class Cluster:
             NoServers: not in time.
         """
         deadline = time.monotonic() + timeout_s
-        while (leased := self.dispatch.leased()) < servers:
+        while (leased := self.standing.leased) < servers:
             left = deadline - time.monotonic()
             if left <= 0:
                 raise NoServers(f"{leased} of {servers} matching servers were found in {timeout_s:g} s")
@@ -161,7 +172,7 @@ class Cluster:
     def _work(self) -> None:
         try:
             while True:
-                wait = self.dispatch.next_time() - time.monotonic()
+                wait = self._dispatch.next_time() - time.monotonic()
                 try:
                     event = self._inbox.get(timeout=max(0.0, wait)) if wait < 3600 else self._inbox.get()
                 except queue.Empty:
@@ -170,13 +181,20 @@ class Cluster:
                     return
                 if isinstance(event, dispatch.Work):
                     self._workload = event.workload
-                for command in self.dispatch.handle(event, time.monotonic()):
+                commands = self._dispatch.handle(event, time.monotonic())
+                if not (isinstance(event, dispatch.Answered) and isinstance(event.reply, Outcomes)):
+                    self.standing = self._standing()  # before the caller is told why
+                for command in commands:
                     if isinstance(command, Ask):
                         self._ask(command)
                     else:
                         self._outbox.put(command)
         except BaseException as error:  # a bug: the caller's thread raises it
             self._outbox.put(Stopped(error))
+
+    def _standing(self) -> Standing:
+        state = self._dispatch
+        return Standing(state.serving(), state.preparing(), state.leased(), state.slots(), state.probe)
 
     def _ask(self, ask: Ask) -> None:
         question, verb = ask.question, ask.verb

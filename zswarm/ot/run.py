@@ -104,7 +104,8 @@ def run(complete: Experiment, parts: Parts, record: Record, local: LocalServer |
     resumed = record.resumed()
     if resumed.state is not None:
         parts.optimizer.restore(resumed.state)
-    history, improved = record.history(), float("-inf")  # so that a resumed run writes its champion anew
+        _keep_champion(complete, parts, record)  # the end may have come between a generation and its champion
+    history, improved = record.history(), parts.optimizer.best()[1]
     with _cluster(complete, parts, record, local) as cluster:
         if isinstance(complete.cluster.servers, int):
             for note in cluster.wait(complete.cluster.servers, WAIT_FOR_SERVERS_S):
@@ -130,13 +131,13 @@ def run(complete: Experiment, parts: Parts, record: Record, local: LocalServer |
             record.finish(generation, genomes, fitness, statistics, parts.optimizer.state())
             if parts.optimizer.best()[1] > improved:
                 improved = parts.optimizer.best()[1]
-                record.champion(_controller(complete, parts, record))
-            if cluster.dispatch.probe and not record.meta("probe"):
-                record.set_meta("probe", cluster.dispatch.probe)
+                _keep_champion(complete, parts, record)
+            if cluster.standing.probe and not record.meta("probe"):
+                record.set_meta("probe", cluster.standing.probe)
             reporter.generation(
                 Generation(
                     generation, statistics["best"], statistics["mean"], record.evaluations(),
-                    len(cluster.dispatch.serving()), cluster.dispatch.slots(),
+                    len(cluster.standing.serving), cluster.standing.slots,
                 )
             )  # fmt: skip
     record.set_meta("history_hash", history.hex())
@@ -204,11 +205,11 @@ def _evaluate(
     for item in cluster.evaluate(workload):
         yield item
         idle = time.monotonic() - last_served
-        if cluster.dispatch.serving():
+        if cluster.standing.serving:
             last_served, told = time.monotonic(), ""
         elif local is not None and (words := local.ended()):
             raise EvaluationError(f"the slots of this machine ended: {words}")
-        elif (preparing := cluster.dispatch.preparing()) and idle > PREPARING_S and not told:
+        elif (preparing := cluster.standing.preparing) and idle > PREPARING_S and not told:
             told = f"{', '.join(preparing)}: compiling {problem}; done once for this version of zswarm"
             reporter.say(told)
         elif not preparing and idle > PAUSE_S and not told:
@@ -239,13 +240,15 @@ def _tell(note: Note, record: Record, reporter: Reporter, cluster: Cluster, loca
         slots = f"{note.count} slot{'s' if note.count != 1 else ''}"
         reporter.say(TOLD[note.event].format(server=note.server, text=note.text, count=note.count, slots=slots))
     local_refused = note.event == "server_refused" and local is not None and note.server.startswith("local-")
-    if local_refused and not cluster.dispatch.serving():
+    if local_refused and not cluster.standing.serving:
         raise EvaluationError(note.text)
 
 
-def _controller(complete: Experiment, parts: Parts, record: Record) -> Controller:
+def _keep_champion(complete: Experiment, parts: Parts, record: Record) -> None:
     genome, fitness = parts.optimizer.best()
-    return Controller(
+    if not genome:
+        return  # no candidate was evaluated without a fault yet
+    champion = Controller(
         simulator=complete.problem.simulator,
         simulator_settings=complete.problem.settings,
         representation=complete.representation.kind,
@@ -258,3 +261,4 @@ def _controller(complete: Experiment, parts: Parts, record: Record) -> Controlle
         fitness=fitness,
         run=record.meta("run_id"),
     )
+    record.champion(champion)
