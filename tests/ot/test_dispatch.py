@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from zswarm.errors import LocalProtocolError
 from zswarm.ot import dispatch
 from zswarm.ot.dispatch import (
     ASIDE_S,
@@ -148,6 +149,7 @@ def test_a_server_that_prepares_is_renewed_until_all_slots_are_ready() -> None:
     (ask,) = optimizer.feed(Seen("a"))
     (ask,) = optimizer.answer(ask, offer(2))
     (ask,) = optimizer.answer(ask, lease("a", 0, state="preparing", slots=2))
+    assert optimizer.notes("lease_preparing")
     assert (ask.verb, ask.known_ready) == ("renew", 0)
     assert (optimizer.dispatch.leased(), optimizer.dispatch.preparing(), optimizer.dispatch.slots()) == (1, ["a"], 0)
     asks = optimizer.answer(ask, lease("a", 1, slots=2))
@@ -155,6 +157,7 @@ def test_a_server_that_prepares_is_renewed_until_all_slots_are_ready() -> None:
     assert asks[0].known_ready == 1
     assert optimizer.notes("server_joined") == [Note("server_joined", "a", "", 1)]
     assert verbs(optimizer.answer(asks[0], lease("a", 2))) == [("a", "evaluate")] * 2
+    assert optimizer.commands == [command for command in optimizer.commands if isinstance(command, Ask)], "told once"
     assert (optimizer.dispatch.preparing(), optimizer.dispatch.slots()) == ([], 2)
 
 
@@ -172,7 +175,6 @@ def test_a_server_that_does_not_match_is_looked_at_again_when_it_is_seen_again()
     assert optimizer.answer(ask, offer(mismatch="no such simulator")) == []
     assert optimizer.notes("server_mismatch")[0].text == "no such simulator"
     assert optimizer.wait(1000.0) == []
-    optimizer.feed(Gone("a"))
     assert verbs(optimizer.feed(Seen("a"))) == [("a", "offer")]
 
 
@@ -184,6 +186,7 @@ def test_a_server_that_refuses_to_be_reserved_is_not_used(code: str) -> None:
     assert optimizer.answer(ask, Refused(code=code, reason="no")) == []  # type: ignore[arg-type]
     assert optimizer.notes("server_refused")[0].text == "no"
     assert optimizer.wait(1000.0) == []
+    assert verbs(optimizer.feed(Seen("a"))) == [("a", "offer")]
 
 
 def test_a_lease_that_cannot_be_prepared_is_given_back() -> None:
@@ -241,6 +244,17 @@ def test_a_lease_is_renewed_when_nothing_was_asked_for_a_while() -> None:
     assert verbs(optimizer.wait(RENEW_S)) == [("a", "renew")]
 
 
+def test_a_renewal_is_not_asked_twice_whatever_else_is_answered() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a")
+    optimizer.work(1)
+    optimizer.wait(RENEW_S)
+    (cancel, _) = optimizer.work(1)
+    optimizer.answer(cancel, Done())
+    optimizer.now += 2 * RENEW_S
+    assert optimizer.feed(Tick()) == []
+
+
 def test_work_that_is_asked_puts_the_renewal_off() -> None:
     optimizer = Optimizer()
     optimizer.join("a")
@@ -294,10 +308,20 @@ def test_a_renewal_refused_for_another_reason_ends_the_use_of_the_server() -> No
     assert optimizer.wait(1000.0) == []
 
 
+def test_a_lease_that_ends_while_its_server_leaves_is_not_asked_for_again() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a")
+    (ask,) = optimizer.work(1)
+    optimizer.feed(Gone("a"))
+    assert optimizer.answer(ask, Refused(code="lease-lost", reason="expired")) == []
+    assert optimizer.wait(1000.0) == []
+
+
 def test_leaving_releases_all_leases_and_asks_nothing_more() -> None:
     optimizer = Optimizer()
     optimizer.join("a", "b")
     (out,) = optimizer.work(1)
+    optimizer.feed(Seen("c"))
     asks = optimizer.feed(Leave())
     assert sorted(verbs(asks)) == [("a", "cancel"), ("a", "release"), ("b", "release")]
     assert [ask.lease for ask in asks if ask.verb == "release"] == [lease("a", 1).lease, lease("b", 1).lease]
@@ -324,6 +348,17 @@ def test_what_nobody_answers_is_asked_again_then_the_server_is_put_aside(verb: s
     assert optimizer.notes("server_silent")[0].text == f"no answer to {verb}"
     assert optimizer.dispatch.leased() == 0
     assert verbs(optimizer.wait(ASIDE_S)) == [("a", "offer")]
+
+
+def test_an_answer_gives_a_server_all_its_attempts_back() -> None:
+    optimizer = Optimizer()
+    optimizer.feed(Seen("a"))
+    for verb, reply in (("offer", offer()), ("reserve", lease("a", 0, state="waiting"))):
+        for pause in RETRY_S:
+            optimizer.answer(optimizer.asked["a", verb], None)
+            assert verbs(optimizer.wait(pause)) == [("a", verb)]
+        optimizer.answer(optimizer.asked["a", verb], reply)
+    assert optimizer.dispatch.leased() == 1
 
 
 def test_a_server_that_stays_silent_is_told_once_and_looked_at_again_and_again() -> None:
@@ -366,12 +401,13 @@ def test_an_answer_of_another_kind_counts_as_no_answer() -> None:
     assert verbs(optimizer.wait(RETRY_S[0])) == [("a", "offer")]
 
 
-def test_a_batch_nobody_answers_is_asked_again_with_the_same_id() -> None:
+@pytest.mark.parametrize("answer", [None, "not a message"])
+def test_a_batch_nobody_answers_is_asked_again_with_the_same_id(answer: str | None) -> None:
     optimizer = Optimizer()
     optimizer.join("a")
     (ask,) = optimizer.work(1)
     for pause in RETRY_S:
-        assert optimizer.answer(ask, None) == []
+        assert optimizer.answer(ask, answer) == []
         (again,) = optimizer.wait(pause)
         assert (again.batch, again.question != ask.question) == (ask.batch, True)
         ask = again
@@ -420,6 +456,7 @@ def test_what_a_vanished_server_had_goes_elsewhere_as_its_queries_end() -> None:
     assert optimizer.feed(Gone("a")) == []
     assert optimizer.notes("server_left")[0].text == "2 trials were with it"
     assert trials(optimizer.answer(first, None)) == [0]
+    assert optimizer.notes("requeued") == [Note("requeued", count=1)]
     assert trials(optimizer.answer(second, None)) == [1]
     assert optimizer.notes("server_lost")
     assert optimizer.dispatch.requeued == 2
@@ -472,6 +509,7 @@ def test_a_server_that_is_back_before_its_queries_ended_goes_on() -> None:
     assert (cancel.verb, cancel.batches) == ("cancel", (first.batch,))
     assert (renew.verb, renew.lease) == ("renew", first.lease)
     assert (evaluate.verb, trials([evaluate])) == ("evaluate", [0])
+    assert optimizer.notes("server_back")
     optimizer.answer(second, None)
     (again,) = optimizer.wait(RETRY_S[0])
     assert again.batch == second.batch
@@ -485,11 +523,12 @@ def test_batches_left_on_a_server_are_cancelled_when_its_lease_is_got_again() ->
     for ask in left:
         optimizer.answer(ask, None)
     optimizer.join("a")
-    assert optimizer.asked["a", "cancel"].batches == tuple(ask.batch for ask in left)
-    assert optimizer.asked["a", "cancel"].question < optimizer.asked["a", "evaluate"].question
+    cancel = optimizer.asked.pop(("a", "cancel"))
+    assert cancel.batches == tuple(ask.batch for ask in left)
+    assert cancel.question < optimizer.asked["a", "evaluate"].question
     optimizer.feed(Gone("a"))
-    optimizer.feed(Seen("a"))
-    assert optimizer.asked["a", "cancel"].batches == tuple(ask.batch for ask in left), "once"
+    assert ("a", "renew") in verbs(optimizer.feed(Seen("a")))
+    assert ("a", "cancel") not in optimizer.asked, "once is enough"
 
 
 @pytest.mark.parametrize("phase", ["offer", "reserve"])
@@ -501,6 +540,7 @@ def test_an_answer_of_before_a_server_left_is_not_taken_for_one_of_now(phase: st
         (ask,) = optimizer.answer(ask, offer())
         reply = lease("a", 1)
     optimizer.feed(Gone("a"))
+    assert optimizer.commands == []
     assert optimizer.answer(ask, reply) == []
     assert optimizer.dispatch.leased() == 0
     assert verbs(optimizer.feed(Seen("a"))) == [("a", "offer")]
@@ -611,6 +651,20 @@ def test_batches_are_of_75_ms_and_shrink_towards_the_end_but_not_below_3_ms() ->
     assert sum(sizes) == 1000
 
 
+def test_the_time_of_a_trial_is_measured_and_not_what_the_probe_took() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a", trial_s=0.0075)
+    asks = optimizer.work(1000)
+    assert len(asks[0].trials) == 10  # type: ignore[arg-type]
+    for _ in range(30):
+        asks += optimizer.answer(asks[0], outcomes(asks.pop(0), seconds=0.015))
+    assert len(asks[0].trials) == 5  # type: ignore[arg-type]
+    optimizer.wait(RENEW_S)
+    optimizer.answer(optimizer.asked["a", "renew"], lease("a", 1, trial_s=0.0075))
+    (ask,) = optimizer.answer(asks[0], outcomes(asks[0], seconds=0.015))
+    assert len(ask.trials) == 5  # type: ignore[arg-type]
+
+
 def test_trials_of_unknown_length_go_one_by_one() -> None:
     optimizer = Optimizer()
     optimizer.join("a", trial_s=0.0)
@@ -658,6 +712,28 @@ def test_every_nan_is_the_same_nan() -> None:
     negative = Outcomes(batch=ask.batch, fitness=b"\1\0\0\0\0\0\xff\xff", metrics=b"", seconds=1.0)
     optimizer.answer(ask, negative)
     assert workload.fitness.tobytes() == np.array(NAN).tobytes()
+
+
+def test_metrics_come_to_their_place_and_what_a_simulator_raised_is_told() -> None:
+    optimizer = Optimizer()
+    optimizer.dispatch = Dispatch(1, 2, wanted_slots=1, quarantine=False)
+    optimizer.join("a")
+    workload = Workload([b"g"], np.zeros((1, 1), int), np.zeros(1, np.uint64), 2)
+    (ask,) = optimizer.feed(Work(workload))
+    numbers = np.array([NAN, 4.0, NAN], "<f8").tobytes()
+    optimizer.answer(ask, Outcomes(batch=ask.batch, fitness=numbers[:8], metrics=numbers[8:], seconds=1.0, error="ValueError: x"))
+    assert np.array_equal(workload.metrics, [[4.0, NAN]], equal_nan=True)
+    assert optimizer.notes("simulator_raised") == [Note("simulator_raised", "a", "ValueError: x", 1)]
+    assert optimizer.counted == [0]
+
+
+def test_to_count_a_trial_twice_is_a_bug() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a")
+    (ask,) = optimizer.work(1)
+    optimizer.workload.counted[0] = True
+    with pytest.raises(LocalProtocolError):
+        optimizer.answer(ask, outcomes(ask))
 
 
 def test_an_answer_that_comes_twice_counts_once() -> None:
@@ -743,9 +819,10 @@ def test_a_fault_is_tried_on_the_same_server_where_there_is_no_other() -> None:
     optimizer = Optimizer()
     optimizer.join("a")
     (ask,) = optimizer.work(1)
-    for _ in range(dispatch.ATTEMPTS - 1):
+    for attempt in range(1, dispatch.ATTEMPTS):
         (ask,) = optimizer.answer(ask, fault(ask))
         assert ask.server == "a"
+        assert optimizer.notes("fault")[0].text == f"crashed: killed (trial 0, attempt {attempt})"
     assert optimizer.answer(ask, fault(ask)) == []
     (failed,) = [command for command in optimizer.commands if isinstance(command, Failed)]
     assert "3 times, last on a: crashed: killed" in failed.reason
@@ -776,6 +853,29 @@ def test_when_a_run_fails_what_is_out_is_cancelled() -> None:
     assert optimizer.answer(second, outcomes(second)) == []
 
 
+def test_when_a_run_fails_a_server_that_left_is_forgotten() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a", "b")
+    asks = optimizer.work(2)
+    gone, failing = sorted(asks, key=lambda ask: ask.server)
+    optimizer.feed(Gone("a"))
+    for _ in range(dispatch.ATTEMPTS):
+        failing = (optimizer.answer(failing, fault(failing)) or [failing])[0]
+    assert optimizer.notes("server_lost")
+    assert optimizer.answer(gone, None) == []
+    assert verbs(optimizer.feed(Seen("a"))) == [("a", "offer")]
+
+
+def test_every_workload_has_its_own_attempts() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a")
+    for _ in range(dispatch.ATTEMPTS):
+        (ask,) = optimizer.work(1)
+        (ask,) = optimizer.answer(ask, fault(ask))
+        optimizer.answer(ask, outcomes(ask))
+        assert Complete() in optimizer.commands
+
+
 def test_a_fault_of_a_batch_that_went_elsewhere_blames_nobody() -> None:
     optimizer = Optimizer(quarantine=True)
     optimizer.join("a")
@@ -789,3 +889,4 @@ def test_a_fault_of_a_batch_that_went_elsewhere_blames_nobody() -> None:
         assert optimizer.answer(stale, fault(stale)) == []
     assert optimizer.counted == []
     assert not optimizer.workload.faulted.any()
+    assert optimizer.dispatch.late == 0

@@ -60,6 +60,7 @@ class Server:
         self.commands: list[object] = []  # of the last event, without answers and logs
         self.answers: dict[int, Reply] = {}
         self.queries = itertools.count(1)
+        self.open: set[int] = set()
         self.trials = [0] * capacity
 
     def feed(self, event: Event) -> list[object]:
@@ -67,7 +68,8 @@ class Server:
         self.commands = []
         for command in self.slots.handle(event, self.now):
             if isinstance(command, Answer):
-                assert command.query not in self.answers, "a query is answered twice"
+                assert command.query in self.open, "nobody waits for this answer"
+                self.open.remove(command.query)
                 self.answers[command.query] = codec.decode_reply(command.body)
             elif not isinstance(command, slots.Log):
                 self.commands.append(command)
@@ -76,6 +78,7 @@ class Server:
     def ask(self, message: Request, run: str = "a") -> int:
         """The number of the query."""
         query = next(self.queries)
+        self.open.add(query)
         self.feed(Asked(query, "user", run, message, codec.encode(message)))
         return query
 
@@ -209,6 +212,50 @@ def test_a_slot_prepared_for_the_same_problem_is_ready_at_once() -> None:
     assert server.commands == [Prepare(0, reserve(slots=3), probe=True)]  # its probe is not known yet
     assert server.feed(Prepared(0, PROBE, 0.5)) == []
     assert server.reserve("c").ready == 2
+
+
+def test_a_lease_gets_the_slots_that_are_prepared_for_its_problem_first() -> None:
+    server = Server(3)
+    first = server.ready("a", slots=1, simulator="other")
+    second = server.ready("b", slots=1)
+    third = server.ready("c", slots=1, simulator="other")
+    for lease, name in ((first, "a"), (second, "b"), (third, "c")):
+        server.ask(Release(lease=lease), name)
+    server.ask(reserve(slots=1), "d")
+    assert server.commands == [Prepare(1, reserve(slots=1), probe=True)]
+
+
+def test_a_slot_that_is_ready_at_once_is_told_and_takes_what_waits() -> None:
+    server = Server(2)
+    first = server.ready("a", slots=1)
+    second = server.ready("b", slots=2)
+    server.evaluate(second, 1, 2, run="b")
+    renewal = server.ask(Renew(lease=second, known_ready=1), "b")
+    server.ask(Release(lease=first), "a")
+    assert server.commands == [run(0, second, 2)]
+    answer = server.answers[renewal]
+    assert isinstance(answer, Lease)
+    assert answer.ready == 2
+
+
+def test_a_slot_that_could_not_be_prepared_is_not_taken_for_prepared() -> None:
+    server = Server(2)
+    server.reserve("a", slots=1)
+    server.reserve("b", slots=2)
+    server.feed(Prepared(1, PROBE, 0.5))
+    assert server.feed(Unprepared(0, "no memory")) == [Prepare(0, reserve(slots=2), probe=False)]
+
+
+def test_a_server_needs_ticks_while_a_lease_is_held_or_a_slot_stops() -> None:
+    server = Server(1)
+    assert not server.slots.busy()
+    lease = server.ready()
+    assert server.slots.busy()
+    server.evaluate(lease, 1)
+    server.ask(Release(lease=lease))
+    assert server.slots.busy()
+    server.finish(0, 1)
+    assert not server.slots.busy()
 
 
 def test_a_slot_prepared_for_another_problem_is_prepared_anew() -> None:
@@ -379,10 +426,10 @@ def test_epochs_of_different_runs_and_users_are_apart() -> None:
 def test_so_many_epochs_are_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(slots, "EPOCHS", 2)
     server = Server()
-    for name in ("a", "b", "c"):
+    for name in ("a", "b", "a", "c"):
         server.ask(Release(lease=server.reserve(name, epoch=9).lease), name)
-    assert code(server.asked(reserve(epoch=8), "b")) == "lease-lost"
-    assert isinstance(server.asked(reserve(epoch=8), "a"), Lease)
+    assert code(server.asked(reserve(epoch=8), "a")) == "lease-lost"
+    assert isinstance(server.asked(reserve(epoch=8), "b"), Lease)
 
 
 # ---- renewals -----------------------------------------------------------------------------------------------------
@@ -683,6 +730,14 @@ def test_a_slot_that_cannot_be_prepared_is_given_up_while_the_others_go_on() -> 
     server.finish(0, 1)
     assert server.answers[query] == outcomes(1)
     assert server.reserve().slots == 1
+
+
+def test_the_last_slot_of_a_lease_is_not_given_up() -> None:
+    server = Server(1)
+    server.ready()
+    for _ in range(4):
+        server.feed(Died(0, 0, "no memory"))
+    assert server.reserve().state == "failed"
 
 
 def test_deaths_of_a_slot_that_was_ready_between_do_not_add_up() -> None:

@@ -190,7 +190,6 @@ class Server(msgspec.Struct, eq=False):
     abandoned: list[int] = []  # batches given elsewhere that it may still have
     empties: int = 0  # in a row, of questions without a batch
     silent: bool = False  # the user was told so
-    counted: int = 0  # trials
 
 
 class Question(msgspec.Struct, eq=False):
@@ -336,7 +335,6 @@ class Dispatch:
         for batch in list(server.batches.values()):
             self._abandon(server, batch)
         server.phase, server.lease, server.slots, server.ready, server.renewing = Phase.IDLE, b"", 0, 0, False
-        self._changed = True
         self._note(note, server.id, text)
 
     def _abandon(self, server: Server, batch: Batch) -> None:
@@ -519,11 +517,10 @@ class Dispatch:
             self._note("simulator_raised", server.id, reply.error, int(np.isnan(fitness).any(axis=1).sum()))
         workload.fitness[batch.trials] = np.where(np.isnan(fitness), np.nan, fitness)  # one bit pattern of NaN
         workload.metrics[batch.trials] = np.where(np.isnan(metrics), np.nan, metrics)
-        server.counted += len(batch.trials)
         self._hungry = server
-        self._mark_counted(batch.trials, server.id, reply.seconds, now)
+        self._mark_counted(batch.trials, server.id, reply.seconds)
 
-    def _mark_counted(self, trials: np.ndarray, server: str, seconds: float, now: float) -> None:
+    def _mark_counted(self, trials: np.ndarray, server: str, seconds: float) -> None:
         workload = self._workload
         assert workload is not None  # noqa: S101  callers have one
         if workload.counted[trials].any():
@@ -532,7 +529,7 @@ class Dispatch:
         self._rest -= len(trials)
         self._commands.append(Counted(trials, server, seconds))
         if not self._rest:
-            self._end_workload(now)
+            self._workload = None
             self._commands.append(Complete())
 
     def _faulted(self, server: Server, batch: Batch, fault: Fault, now: float) -> None:
@@ -549,7 +546,7 @@ class Dispatch:
             self._requeue(guilty, frozenset(servers))
         elif self._quarantine:
             workload.faulted[trial] = True
-            self._mark_counted(guilty, "", 0.0, now)
+            self._mark_counted(guilty, "", 0.0)
         else:
             text = f"a trial ended in a fault {ATTEMPTS} times, last on {server.id}: {fault.kind}: {fault.reason}"
             self._fail(text, now)

@@ -365,8 +365,7 @@ class Slots:
         running = [slot.batch for slot in lease.slots if slot.batch is not None]
         for batch in [*running, *lease.waiting]:
             if batch.id == message.batch:
-                if batch.query is not None:
-                    self._refuse(batch.query, "cancelled", "asked again")
+                self._refuse(batch.query, "cancelled", "asked again")
                 batch.query, batch.since = event.query, now
                 return
         going_on = sum(not batch.cancelled for batch in running)
@@ -561,10 +560,10 @@ class Slots:
             if now - slot.since > STOP_S:
                 self._do(Kill(slot.index))
                 self._died(slot, "stopped", trial, "told to stop", now)
-        elif trial != slot.trial:
+            return
+        if trial != slot.trial:
             slot.trial, slot.since = trial, now
-            self._hold(batch, trial, now)
-        elif now - slot.since > timeout_s:
+        if now - slot.since > timeout_s:
             self._do(Kill(slot.index))
             self._died(slot, "timeout", trial, f"one trial took longer than {timeout_s:g} s", now)
         else:
