@@ -271,7 +271,7 @@ class Dispatch:
                 self._tick(now)
             case Leave():
                 self._leave(now)
-        if not (isinstance(event, Answered) and isinstance(event.reply, Outcomes)):  # of these there are thousands a second
+        if not (isinstance(event, Answered) and isinstance(event.reply, Outcomes)):  # which come by the thousand a second
             self._changed = True
             self._renewal = min(
                 (s.last_asked + RENEW_S for s in self.servers.values() if s.phase == Phase.LEASED and not s.renewing),
@@ -284,21 +284,23 @@ class Dispatch:
         """When the next Tick is due."""
         return min([self._renewal, *(time for time, _ in self._later)])
 
+    # These four may be called by any thread; list() takes a copy that no other thread changes.
+
     def slots(self) -> int:
         """Slots that evaluate for this run now."""
-        return sum(server.ready for server in self.servers.values() if server.phase == Phase.LEASED)
+        return sum(server.ready for server in list(self.servers.values()) if server.phase == Phase.LEASED)
 
     def serving(self) -> list[str]:
         """Servers that evaluate for this run now."""
-        return [server.id for server in self.servers.values() if server.phase == Phase.LEASED and server.ready]
+        return [server.id for server in list(self.servers.values()) if server.phase == Phase.LEASED and server.ready]
 
     def leased(self) -> int:
         """Servers that gave this run a lease, with or without a slot yet."""
-        return sum(server.phase == Phase.LEASED for server in self.servers.values())
+        return sum(server.phase == Phase.LEASED for server in list(self.servers.values()))
 
     def preparing(self) -> list[str]:
         """Servers that get ready for this run."""
-        return [s.id for s in self.servers.values() if s.phase == Phase.LEASED and s.slots and not s.ready]
+        return [s.id for s in list(self.servers.values()) if s.phase == Phase.LEASED and s.slots and not s.ready]
 
     # ---- servers
 
