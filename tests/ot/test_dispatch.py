@@ -698,6 +698,7 @@ def test_outcomes_come_to_their_place_in_whatever_order() -> None:
         assert Complete() not in optimizer.commands
         optimizer.answer(ask, outcomes(ask, fitness))
     assert Complete() in optimizer.commands
+    assert not optimizer.notes("simulator_raised")
     placed = [ask.trials[0] for ask in reversed(asks)]  # type: ignore[index]
     assert np.array_equal(workload.fitness[placed, 0], [1.5, NAN, 3.5, 4.5], equal_nan=True)
     assert workload.counted.all()
@@ -877,16 +878,10 @@ def test_every_workload_has_its_own_attempts() -> None:
 
 
 def test_a_fault_of_a_batch_that_went_elsewhere_blames_nobody() -> None:
-    optimizer = Optimizer(quarantine=True)
+    optimizer = Optimizer()
     optimizer.join("a")
-    (ask,) = optimizer.work(1)
-    for _ in range(2 * dispatch.ATTEMPTS):
-        optimizer.feed(Gone("a"))
-        optimizer.answer(ask, None)
-        stale = ask
-        optimizer.join("a")
-        ask = optimizer.asked["a", "evaluate"]
-        assert optimizer.answer(stale, fault(stale)) == []
-    assert optimizer.counted == []
-    assert not optimizer.workload.faulted.any()
+    first, second = optimizer.work(2)
+    optimizer.answer(first, Refused(code="lease-lost", reason="expired"))
+    assert optimizer.answer(second, fault(second)) == []
+    assert optimizer.commands == []
     assert optimizer.dispatch.late == 0
