@@ -33,17 +33,5 @@ class RemoteProtocolError(ProtocolError):
     """A peer broke it."""
 
 
-class LeaseLost(ZswarmError):
-    """The right to a server's slots ended: expired, taken over, or the server left."""
-
-
 class EvaluationError(ZswarmError):
     """Trials could not be evaluated: a fault of machines or programs, never of a candidate's behaviour."""
-
-
-class SimulatorCrashed(EvaluationError):
-    """The process that ran a trial ended."""
-
-
-class EvaluationTimeout(EvaluationError):
-    """A trial took longer than the experiment allows."""
