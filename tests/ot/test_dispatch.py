@@ -253,6 +253,10 @@ def test_a_renewal_is_not_asked_twice_whatever_else_is_answered() -> None:
     optimizer.answer(cancel, Done())
     optimizer.now += 2 * RENEW_S
     assert optimizer.feed(Tick()) == []
+    optimizer.answer(optimizer.asked["a", "renew"], None)
+    assert verbs(optimizer.wait(RETRY_S[0])) == [("a", "renew")]
+    optimizer.now += 2 * RENEW_S
+    assert optimizer.feed(Tick()) == []
 
 
 def test_work_that_is_asked_puts_the_renewal_off() -> None:
@@ -414,6 +418,15 @@ def test_a_batch_nobody_answers_is_asked_again_with_the_same_id(answer: str | No
     optimizer.answer(ask, outcomes(ask))
     assert optimizer.counted == [0]
     assert optimizer.dispatch.requeued == 0
+
+
+def test_a_batch_of_an_earlier_workload_is_not_asked_again() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a")
+    (ask,) = optimizer.work(1)
+    optimizer.answer(ask, None)
+    optimizer.work(1)
+    assert optimizer.wait(RETRY_S[0]) == []
 
 
 def test_a_batch_nobody_answers_again_and_again_goes_elsewhere() -> None:
@@ -608,9 +621,8 @@ def infinite(ask: Ask) -> Reply:
 @pytest.mark.parametrize("reply", [wrong_batch, wrong_size, wrong_kind, infinite])
 def test_a_server_that_answers_a_batch_with_nonsense_is_released_and_not_used(reply: object) -> None:
     optimizer = Optimizer()
-    optimizer.join("a")
+    optimizer.join("a", "b")
     (ask,) = optimizer.work(1)
-    optimizer.join("b")
     asks = optimizer.answer(ask, reply(ask))  # type: ignore[operator]
     assert verbs(asks) == [("a", "release"), ("b", "evaluate")]
     assert optimizer.notes("malformed")

@@ -620,6 +620,7 @@ def test_a_cancelled_batch_that_goes_on_is_killed_and_blamed_on_nobody() -> None
     queries = server.evaluate(lease, 1, 2)
     server.wait(5.0)
     server.ask(Cancel(lease=lease, batches=[1]))
+    server.trials = [7]
     assert server.wait(2.0) == []
     assert server.wait(0.25) == [Kill(0), Prepare(0, reserve(), probe=False)]
     assert code(server.answers[queries[0]]) == "cancelled"
@@ -670,6 +671,16 @@ def test_a_trial_that_takes_too_long_is_killed_and_blamed() -> None:
     answer = server.answers[query]
     assert isinstance(answer, Fault)
     assert (answer.batch, answer.kind, answer.trial) == (1, "timeout", 1)
+
+
+def test_a_fault_of_a_batch_nobody_asks_for_is_kept() -> None:
+    server = Server(1)
+    lease = server.ready()
+    server.evaluate(lease, 1)
+    for server.trials[0] in range(4):
+        server.wait(8.0)
+    server.feed(Died(0, 3, "crash"))
+    assert isinstance(server.asked(evaluate(lease, 1)), Fault)
 
 
 def test_an_idle_slot_whose_process_dies_is_prepared_anew() -> None:

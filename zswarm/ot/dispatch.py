@@ -674,19 +674,16 @@ class Dispatch:
         self._later = [(time, question) for time, question in self._later if time > now]
         for question in due:
             server, batch = self.servers[question.server], question.batch
-            if question.lease != server.lease:
-                continue
             if question.verb == "offer" and server.phase == Phase.ASIDE:
                 server.phase, server.empties = Phase.SEEN, 0
             if batch is not None:
                 if server.batches.get(batch.id) is batch:
                     self._ask(server, "evaluate", now, batch=batch)
-            elif server.phase != ASKED_IN[question.verb]:
-                continue
-            elif question.verb == "renew":
-                self._renew(server, now)
-            else:
-                self._ask(server, question.verb, now)
+            elif server.phase == ASKED_IN[question.verb]:
+                if question.verb == "renew":
+                    self._renew(server, now)
+                else:
+                    self._ask(server, question.verb, now)
         for server in self.servers.values():
             if server.phase == Phase.LEASED and server.last_asked + RENEW_S <= now:
                 self._renew(server, now)
