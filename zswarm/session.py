@@ -91,7 +91,7 @@ def _open(config: dict[str, Any]) -> zenoh.Session:
         return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
     except zenoh.ZError as error:
         endpoints = ", ".join(config["listen"]["endpoints"]["peer"] + config["connect"]["endpoints"]["peer"])
-        text = str(error)
+        text = str(error).split(" at /")[0]  # what follows are places in zenoh's own source
         if "in use" in text:
             raise ConfigError(
                 f"{endpoints}: the port is in use; give another with --listen, or none to take the next free"

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import signal
+import sqlite3
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -118,7 +119,15 @@ def resume(folder: Path, as_json: bool, **cluster: Any) -> None:
 @click.option("--realm", default="default", show_default=True, help="Realm to look in.")
 @click.option("--connect", multiple=True, metavar="EP", help="Server or router to dial; may be repeated.")
 @click.option("--multicast/--no-multicast", default=True, help="Find servers by multicast.  [default: multicast]")
-@click.option("--wait", "wait_s", default=3.0, show_default=True, metavar="SECONDS", help="How long to look.")
+@click.option(
+    "--wait",
+    "wait_s",
+    type=click.FloatRange(0.1, 3600.0),
+    default=3.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="How long to look.",
+)
 @click.option("--for", "name", metavar="EXPERIMENT", help="Say which servers match this experiment, and why others do not.")
 @json_option
 def servers(realm: str, connect: tuple[str, ...], multicast: bool, wait_s: float, name: str | None, as_json: bool) -> None:
@@ -199,7 +208,7 @@ def main() -> None:
             err=True,
         )
         sys.exit(EXIT_NO_SERVERS)
-    except ZswarmError as error:
+    except (ZswarmError, sqlite3.Error, OSError) as error:  # the last two: a full disk, a folder that was deleted
         click.echo(f"zswarm-ot: {error}", err=True)
         sys.exit(EXIT_FAILED)
 
@@ -216,7 +225,7 @@ def _evolve(complete: Experiment, parts: Any, record: "Record", local: "LocalSer
                 reporter.say(f"{record.folder} is on a network file system: the record is kept without a write-ahead log there")
             result = runs.run(complete, parts, record, local, reporter)
         reporter.done(result)
-    except (KeyboardInterrupt, SystemExit, ZswarmError):
+    except (KeyboardInterrupt, SystemExit, ZswarmError, sqlite3.Error, OSError):
         click.echo(f"stopped; nothing is lost. Go on with: zswarm-ot resume {record.folder}", err=True)
         raise
 

@@ -22,6 +22,7 @@ from zswarm.ot.report import print_json
 from zswarm.ot.run import Parts
 from zswarm.protocol.codec import clean
 
+CHUNK = 500  # trials
 UNSEEN = "unseen"  # purpose of the seeds that evolution never uses
 
 
@@ -122,17 +123,21 @@ def evaluated(controller: Controller, trials: int, seed: int, *, as_json: bool) 
     )
     seeds = np.array([derive_seed(seed, UNSEEN, trial) for trial in range(trials)], np.uint64)
     participants = np.zeros((trials, simulator.participants), np.int64)
-    try:
-        outcomes = evaluate.evaluate(simulator, network, [controller.genome], participants, seeds)
-    except ValueError as error:
-        raise ConfigError(f"the champion does not fit its network: {error}") from None
-    if outcomes.error:
-        raise ConfigError(f"the simulator raised: {outcomes.error}")
-    fitness = outcomes.fitness[:, 0]
+    parts = []
+    for begin in range(0, trials, CHUNK):  # Ctrl-C is heard between two
+        part = slice(begin, begin + CHUNK)
+        try:
+            parts.append(evaluate.evaluate(simulator, network, [controller.genome], participants[part], seeds[part]))
+        except ValueError as error:
+            raise ConfigError(f"the champion does not fit its network: {error}") from None
+        if parts[-1].error:
+            raise ConfigError(f"the simulator raised: {parts[-1].error}")
+    fitness = np.concatenate([outcomes.fitness[:, 0] for outcomes in parts])
+    metrics = np.concatenate([outcomes.metrics for outcomes in parts])
     low, median, high = np.percentile(fitness, (25, 50, 75))
     values = {
         "trials": trials, "mean": float(fitness.mean()), "q25": float(low), "median": float(median), "q75": float(high),
-        **{name: float(outcomes.metrics[:, i].mean()) for i, name in enumerate(simulator.metrics)},
+        **{name: float(metrics[:, i].mean()) for i, name in enumerate(simulator.metrics)},
     }  # fmt: skip
     if as_json:
         print_json(values)

@@ -108,6 +108,8 @@ class Worker:
 def main(pipe: Connection, shared: object) -> None:
     """The child: prepare and evaluate until the pipe closes."""
     _end_with_parent()
+    # Python hands every child the end of the pipe that keeps the fork server alive: it must end with the server alone.
+    os.close(multiprocessing.forkserver._forkserver._forkserver_alive_fd)  # type: ignore[attr-defined]  # private
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # the server decides when a slot ends
     progress = np.frombuffer(shared, np.int64)  # type: ignore[call-overload]  # a ctypes array is a buffer
