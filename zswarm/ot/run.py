@@ -225,7 +225,7 @@ TOLD = {
     "server_mismatch": "{server} is not used: {text}",
     "server_refused": "{server} refused: {text}",
     "server_differs": "{server} is not used: {text}",
-    "server_silent": "{server} is not used any more: {text}",
+    "server_silent": "{server} does not answer ({text}); it is asked again in a while",
     "lease_lost": "{server}: {text}; reserving anew",
     "lease_waiting": "{server} is busy for others: waiting for a slot",
     "fault": "{server}: {text}",
