@@ -325,4 +325,6 @@ def test_impossible_settings_are_refused_in_one_clear_line(settings: dict[str, A
 
 
 def test_a_full_room_can_be_played() -> None:
-    play({"width": 4, "height": 4, "agents": 10, "exits": 1, "blockades": 5}, NETS[3], [0, 1])
+    outcomes = play({"width": 4, "height": 4, "agents": 10, "exits": 1, "blockades": 5}, NETS[3], [0, 1])
+    assert np.isfinite(outcomes.fitness).all()
+    assert (outcomes.fitness <= 1.0).all()

@@ -768,7 +768,7 @@ def test_a_preparation_that_does_not_end_is_killed(released: bool) -> None:
     server.ask(Renew(lease=lease, known_ready=0))
     if released:
         server.ask(Release(lease=lease))
-    limit_s = slots.PREPARE_S + (0 if released else slots.PROBE_TRIALS * reserve().trial_timeout_s)
+    limit_s = slots.PREPARE_S + (0 if released else slots.PROBE_GENOMES * slots.PROBE_SEEDS * reserve().trial_timeout_s)
     for _ in range(20):
         server.ask(Renew(lease=lease, known_ready=0))
         assert server.wait(limit_s / 20) == []

@@ -14,6 +14,7 @@ MAX_GENOME = 4_000_000  # bytes
 MAX_TRIALS = 65_536  # in one batch
 MAX_TEXT = 500  # characters
 MAX_SLOTS = 65_535
+PROBE_GENOMES, PROBE_SEEDS = 4, 2  # the trials that every server plays for its digest: each genome on each seed
 
 Text = Annotated[str, Meta(max_length=MAX_TEXT)]
 Token = Annotated[bytes, Meta(min_length=16, max_length=16)]

@@ -17,6 +17,8 @@ from zswarm.errors import LocalProtocolError
 from zswarm.protocol import codec
 from zswarm.protocol.messages import (
     MAX_TEXT,
+    PROBE_GENOMES,
+    PROBE_SEEDS,
     Cancel,
     Done,
     Evaluate,
@@ -41,7 +43,6 @@ HOLD_QUERY_S = 30.0  # a batch that runs longer is answered "running"
 HOLD_RENEWAL_S = 10.0
 STOP_S = 2.0  # a batch told to stop that goes on longer is killed
 PREPARE_S = 60.0  # to compile; a preparation may take this and the time of the probe's trials
-PROBE_TRIALS = 8
 PREPARE_ATTEMPTS = 3  # of a slot whose process ends while it is prepared
 KEPT_BYTES = 64 << 20  # of outcomes, per server
 EPOCHS = 10_000  # runs whose highest epoch is remembered
@@ -551,7 +552,7 @@ class Slots:
                 self._do(Kill(slot.index))
                 self._died(slot, "stopped", slot.trial, "told to stop", now)
             elif slot.state == SlotState.PREPARING and slot.lease is not None:
-                limit_s = PREPARE_S + PROBE_TRIALS * slot.lease.setup.trial_timeout_s
+                limit_s = PREPARE_S + PROBE_GENOMES * PROBE_SEEDS * slot.lease.setup.trial_timeout_s
                 if now - slot.since > limit_s:
                     self._do(Kill(slot.index))
                     self._unprepared(slot, f"the simulator's first trials took longer than {limit_s:g} s", now)

@@ -22,9 +22,17 @@ import numpy as np
 
 from zswarm.errors import ConfigError, RemoteProtocolError
 from zswarm.protocol import codec
-from zswarm.protocol.messages import MAX_TEXT, Evaluate, Message, Outcomes, Refused, Reserve
+from zswarm.protocol.messages import (
+    MAX_TEXT,
+    PROBE_GENOMES,
+    PROBE_SEEDS,
+    Evaluate,
+    Message,
+    Outcomes,
+    Refused,
+    Reserve,
+)
 
-PROBE_GENOMES, PROBE_SEEDS = 4, 2
 PRELOADED = ["zswarm.ss.worker", "zswarm.evaluate"]
 PR_SET_PDEATHSIG = 1
 
