@@ -4,13 +4,26 @@ BIN := .venv/bin
 READY := .venv/ready
 TESTS ?= -n auto
 
-.PHONY: run test lint format bench clean
+KILLS ?= 200
+
+.PHONY: run test chaos faults kills lint format bench scale soak clean
 
 run: $(READY)
 	$(BIN)/zswarm-ot run $(ARGS)
 
 test: $(READY)
 	$(BIN)/python -m pytest $(TESTS) $(ARGS)
+
+chaos: $(READY)
+	cd tests && ../$(BIN)/python -m chaos $(if $(SEED),--seed $(SEED)) $(if $(SECONDS),--seconds $(SECONDS))
+
+# Real faults with real programs. They wait for timeouts most of the time, so twice as many run at once as there are cores.
+faults: $(READY)
+	$(BIN)/python -m pytest -n $$((2 * $$(nproc))) -m faults $(ARGS)
+
+# So many kills during one run.
+kills: $(READY)
+	KILLS=$(KILLS) $(BIN)/python -m pytest -s -m faults tests/integration/test_kills.py $(ARGS)
 
 lint: $(READY)
 	$(BIN)/ruff check .
@@ -23,6 +36,12 @@ format: $(READY)
 
 bench: $(READY)
 	$(BIN)/python benchmarks/quick.py
+
+scale: $(READY)
+	$(BIN)/python benchmarks/scale.py $(ARGS)
+
+soak: $(READY)
+	$(BIN)/python benchmarks/soak.py $(ARGS)
 
 clean:
 	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache

@@ -98,7 +98,7 @@ def generation_s(opened: object, size: int) -> float:
     """Seconds for one generation of distinct candidates."""
     import numpy as np
 
-    from zswarm.ot.dispatch import Workload
+    from zswarm.ot.workload import Workload
 
     numbers = (HIDDEN + 1) * (HIDDEN + 3)
     genomes = [genome.tobytes() for genome in np.random.default_rng().uniform(-2, 2, (size, numbers)).astype("<f4")]

@@ -10,9 +10,10 @@ import click
 import msgspec
 import pytest
 
-from zswarm import experiment, plugins
+from zswarm import experiment, plugins, router
 from zswarm.ot import cli as ot
 from zswarm.ot import record
+from zswarm.ot.controller import Controller
 from zswarm.protocol import codec, messages
 from zswarm.ss import cli as ss
 from zswarm.ss.server import Options
@@ -76,14 +77,19 @@ def test_no_command_is_documented_that_is_not_there() -> None:
     assert set(re.findall(r"^### (.*)$", section("commands.md", "## zswarm-ot"), re.M)) == set(ot.command.commands)
 
 
-def test_every_option_of_the_server_is_documented() -> None:
+@pytest.mark.parametrize(
+    ("program", "command", "keys"),
+    [("zswarm-ss", ss.command, Options), ("zswarm-router", router.command, router.Options)],
+    ids=["zswarm-ss", "zswarm-router"],
+)
+def test_every_option_of_a_daemon_is_documented(program: str, command: click.Command, keys: type[msgspec.Struct]) -> None:
     """On the command line and in its --config file."""
-    documented = section("commands.md", "## zswarm-ss")
-    for option in options(ss.command):
+    documented = section("commands.md", f"## {program}")
+    for option in options(command):
         for spelling in [*option.opts, *option.secondary_opts]:
-            assert f"`{spelling}`" in documented, f"docs/commands.md, zswarm-ss: {spelling} is missing"
-    for field in fields(Options):
-        assert f"`{field.name}`" in documented, f"docs/commands.md, zswarm-ss: the key {field.name} is missing"
+            assert f"`{spelling}`" in documented, f"docs/commands.md, {program}: {spelling} is missing"
+    for field in fields(keys):
+        assert f"`{field.name}`" in documented, f"docs/commands.md, {program}: the key {field.name} is missing"
 
 
 @pytest.mark.parametrize("code", [ot.EXIT_FAILED, ot.EXIT_MISTAKE, ot.EXIT_NO_SERVERS, ot.EXIT_INTERRUPTED, ot.EXIT_TERMINATED])
@@ -223,7 +229,7 @@ def test_the_queries_of_the_record_fit_its_schema() -> None:
 
 def test_every_field_of_a_champion_is_documented() -> None:
     """In the order they are written, the format first."""
-    names = [field.name for field in fields(record.Controller)]
+    names = [field.name for field in fields(Controller)]
     assert list(rows("record.md", "## champion.zsc")) == ["format", *names]
 
 
@@ -250,3 +256,23 @@ def test_the_example_simulator_keeps_the_contract(tmp_path: Path, monkeypatch: p
     loaded = experiment.load(tmp_path / "patrol.toml")
     assert loaded.problem.simulator == "patrol"
     assert f"{loaded.problem.simulator} = " in blocks["pyproject.toml"]
+
+
+def faults() -> list[list[str]]:
+    """The cells of every fault."""
+    lines = [line for line in text("faults.md").splitlines() if line.startswith("| ")]
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    return [row for row in cells if row[0] not in ("fault", "---")]
+
+
+@pytest.mark.parametrize("row", faults(), ids=lambda row: row[0])
+def test_every_fault_has_its_test(row: list[str]) -> None:
+    assert len(row) == 5
+    if row[4] == "the same test":
+        return
+    files = [DOCS / path for path in re.findall(r"\]\(([^)]+)\)", row[4])]
+    names = re.findall(r"`(test_\w+)`", row[4])
+    source = "".join(file.read_text() for file in files)
+    assert names
+    for name in names:
+        assert f"\ndef {name}(" in source

@@ -147,6 +147,11 @@ def test_an_impossible_override_is_refused(file: Path, override: str, text: str)
         ("cluster.trial_timeout_s=nan", "cluster.trial_timeout_s: expected float > 0.0"),
         ("cluster.trial_timeout_s=inf", "cluster.trial_timeout_s: expected float <= 1000000000.0"),
         ("cluster.connect=tcp/a:1", "cluster.connect: expected array, got str"),
+        (
+            "cluster.connect=['tcp/a']",
+            "cluster.connect: expected endpoints such as tcp/192.168.1.5:7467, not 'tcp/a': "
+            "HOST:PORT must follow the protocol, an IPv6 address in brackets",
+        ),
         ("cluster.on_fault=ignore", "cluster.on_fault: invalid enum value 'ignore'"),
         ("representation.kind=3", 'representation: kind: expected the name of one, such as kind = "..."'),
         ("optimizer=3", "optimizer: expected object, got int"),
@@ -221,6 +226,14 @@ def test_another_cluster_leaves_the_rest_as_it_is(file: Path) -> None:
     assert changed.problem == whole.problem
     assert refusal(with_cluster, whole, {"realm": "a/b"}).startswith("cluster.realm: expected 1 to 63 of a-z")
     assert refusal(with_cluster, whole, {"servers": 0}) == "cluster: servers: expected int >= 1"
+    assert refusal(with_cluster, whole, {"connect": ["lab"]}).startswith("cluster.connect: expected endpoints such as")
+
+
+def test_a_router_to_go_through_must_be_named_where_multicast_finds_none(file: Path) -> None:
+    whole = load(file, ["cluster.through_router=true"])
+    assert with_cluster(whole, {}).cluster.through_router
+    assert with_cluster(whole, {"multicast": False, "connect": ["tcp/lab:7466"]}).cluster.through_router
+    assert "--connect tcp/ROUTER:7466" in refusal(with_cluster, whole, {"multicast": False})
 
 
 def test_no_number_of_slots_means_one_per_core(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:

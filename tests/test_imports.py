@@ -20,22 +20,23 @@ MODULES = {
     for path in sorted(PACKAGE.rglob("*.py"))
     if path.stem != "__init__" and "examples" not in path.parts
 }
-LEAVES = {"draws", "errors", "jit", "log", "plugins", "portable", "strict", "version_hash"}
+LEAVES = {"draws", "endpoint", "errors", "jit", "log", "plugins", "portable", "strict", "version_hash"}
 MAY_IMPORT = {
     "leaf": {"leaf"},
     "protocol": {"errors", "protocol"},
     "nets": {"leaf", "nets"},
     "sims": {"leaf", "sims"},
-    "evaluate": {"leaf", "nets", "sims"},
+    "evaluate": {"leaf", "protocol", "nets", "sims"},
     "experiment": {"leaf", "protocol"},
     "session": {"leaf"},
+    "router": {"leaf", "session"},
     "ot.optimizers": {"leaf", "nets", "ot.optimizers"},
     "ot": {"leaf", "protocol", "nets", "sims", "evaluate", "experiment", "session", "ot", "ot.optimizers"},
     "ss": {"leaf", "protocol", "evaluate", "session", "ss"},
     "testing": {"leaf", "nets", "sims", "evaluate", "ot.optimizers"},
 }
 ONLY_IN = {
-    "zenoh": {"session", "ot.cluster", "ss.server", "ros.over_zenoh"},
+    "zenoh": {"session", "ot.cluster", "ot.discovery", "ss.server", "ros.over_zenoh"},
     "numba": {"jit"},
     "pickle": set(),
     "marshal": set(),

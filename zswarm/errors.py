@@ -21,6 +21,10 @@ class NoServers(ZswarmError):
     """No server that matches the experiment answered in time."""
 
 
+class NoRouter(NoServers):
+    """No router through which servers could be reached answered in time."""
+
+
 class ProtocolError(ZswarmError):
     """A rule of the wire protocol was broken."""
 

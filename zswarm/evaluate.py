@@ -2,17 +2,21 @@
 
 The same code runs in a server's slots and in the optimizer's own tools. What a simulator decides is an outcome: fitness
 and metrics, or NaN where it raised or returned a number that is not finite (always the same NaN). A process that ends or
-hangs is a fault and shows outside.
+hangs is a fault and shows outside, as does a lack of memory.
 """
 
+import hashlib
+import time
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from zswarm import plugins
+from zswarm.draws import Stream, derive_seed
 from zswarm.errors import ConfigError
 from zswarm.nets.representation import Representation
+from zswarm.protocol.messages import PROBE_GENOMES, PROBE_SEEDS
 from zswarm.sims.simulator import CompiledSimulator, Simulator, Turn
 from zswarm.strict import convert
 
@@ -27,6 +31,13 @@ class Outcomes(NamedTuple):
     error: str  # what the simulator raised first, or ""
 
 
+class Probe(NamedTuple):
+    """What a machine makes of the trials that all play."""
+
+    digest: bytes  # of the outcomes
+    trial_s: float  # time of one of the trials
+
+
 def build(
     simulator: str, settings: Mapping[str, Any], representation: str, representation_settings: Mapping[str, Any]
 ) -> tuple[Simulator, Representation]:
@@ -34,6 +45,7 @@ def build(
 
     Raises:
         ConfigError: unknown name or impossible settings, or the simulator refused them.
+        MemoryError: there is not enough for it.
     """
     simulator_class = plugins.load("simulator", simulator)
     representation_class = plugins.load("representation", representation)
@@ -49,7 +61,7 @@ def build(
 def _construct(what: str, loaded: Any, *arguments: Any) -> Any:
     try:
         return loaded(*arguments)
-    except ConfigError:
+    except (ConfigError, MemoryError):
         raise
     except Exception as error:  # a plug-in's constructor runs code of its authors
         raise ConfigError(f"{what} cannot be set up: {type(error).__name__}: {error}") from error
@@ -73,6 +85,7 @@ def evaluate(
 
     Raises:
         ValueError: a genome does not fit the network, or a shape or index does not fit.
+        MemoryError: there is not enough for the trial that ``progress[0]`` names.
     """
     if participants.shape != (len(seeds), simulator.participants):
         raise ValueError(f"participants must be ({len(seeds)}, {simulator.participants}), not {participants.shape}")
@@ -100,12 +113,47 @@ def evaluate(
                     fitness[trial],
                     metrics[trial],
                 )
+            except MemoryError:
+                raise  # the machine's limit, not the simulator's decision
             except Exception as raised:  # whatever the code of a simulator raises is this trial's outcome
                 fitness[trial], metrics[trial] = np.nan, np.nan
                 error = error or f"{type(raised).__name__}: {raised}"[:MAX_ERROR_TEXT]
     fitness[~np.isfinite(fitness)] = np.nan
     metrics[~np.isfinite(metrics)] = np.nan
     return Outcomes(fitness, metrics, error)
+
+
+def warm_up(simulator: Simulator, representation: Representation) -> None:
+    """Compile or load all that a trial needs."""
+    genomes, participants, seeds = _probe_trials(simulator, representation)
+    evaluate(simulator, representation, genomes, participants[:1], seeds[:1])
+
+
+def probe(simulator: Simulator, representation: Representation) -> Probe:
+    """Play the trials that every machine plays, to compare: four random genomes, each on two seeds. Warms up, too."""
+    genomes, participants, seeds = _probe_trials(simulator, representation)
+    first = evaluate(simulator, representation, genomes, participants[:1], seeds[:1])
+    begin = time.perf_counter()
+    rest = evaluate(simulator, representation, genomes, participants[1:], seeds[1:])
+    elapsed = time.perf_counter() - begin
+    digest = hashlib.blake2b(digest_size=16)
+    for outcomes in (first, rest):
+        digest.update(outcomes.fitness.astype("<f8").tobytes() + outcomes.metrics.astype("<f8").tobytes())
+    return Probe(digest.digest(), elapsed / (len(seeds) - 1))
+
+
+def _probe_trials(simulator: Simulator, representation: Representation) -> tuple[list[bytes], np.ndarray, np.ndarray]:
+    """Genomes, participants and seeds."""
+    genomes = representation.random(PROBE_GENOMES, Stream(derive_seed(0, "probe")))
+    participants = np.array(
+        [
+            [(genome + i) % PROBE_GENOMES for i in range(simulator.participants)]
+            for genome in range(PROBE_GENOMES)
+            for _ in range(PROBE_SEEDS)
+        ]
+    )
+    seeds = np.array([derive_seed(0, "probe", trial % PROBE_SEEDS) for trial in range(len(participants))], np.uint64)
+    return genomes, participants, seeds
 
 
 def play_in_turns(

@@ -5,7 +5,6 @@ default out. ``[cluster]`` takes no part in the history.
 """
 
 import os
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -14,11 +13,12 @@ import msgspec
 import tomli_w
 from msgspec import Meta
 
-from zswarm import plugins
+from zswarm import endpoint, plugins
 from zswarm.errors import ConfigError, UnknownPlugin
 from zswarm.plugins import nearest
 from zswarm.protocol import keys
-from zswarm.strict import convert
+from zswarm.protocol.messages import MIN_MEMORY_MB, Megabytes
+from zswarm.strict import convert, parse, read
 
 Positive = Annotated[int, Meta(ge=1, le=1_000_000_000)]
 
@@ -46,9 +46,16 @@ class Cluster(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     servers: Literal["auto", "local"] | Positive = "auto"
     connect: list[str] = []
     multicast: bool = True
+    through_router: bool = False  # all of the servers' messages go through a router of ``connect``
     local_slots: Annotated[int, Meta(ge=0, le=65_535)] = 0  # 0: one per core
     trial_timeout_s: Annotated[float, Meta(gt=0, le=1e9)] = 300.0
+    trial_memory_mb: Megabytes = 0  # of a slot's process; 0: what each server gives
     on_fault: Literal["pause", "quarantine"] = "pause"
+    verify: Annotated[float, Meta(ge=0, le=1)] = 0.0  # share of the trials that a second server evaluates, too
+
+    def __post_init__(self) -> None:
+        if 0 < self.trial_memory_mb < MIN_MEMORY_MB:
+            raise ValueError(f"trial_memory_mb: expected 0 or at least {MIN_MEMORY_MB}, not {self.trial_memory_mb}")
 
 
 class Experiment(msgspec.Struct, frozen=True, kw_only=True):
@@ -107,12 +114,7 @@ def load(path: Path, overrides: Sequence[str] = ()) -> Experiment:
     Raises:
         ConfigError: the file cannot be read, is no TOML, or something in it is unknown or impossible.
     """
-    try:
-        mapping = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: not TOML: {error}") from None
+    mapping = read(path)
     for override in overrides:
         _override(mapping, override)
     return _check(mapping, str(path))
@@ -142,11 +144,13 @@ def with_cluster(experiment: Experiment, changes: Mapping[str, Any]) -> Experime
     """The experiment with other ``[cluster]`` values.
 
     Raises:
-        ConfigError: an impossible value.
+        ConfigError: an impossible value, or values that do not go together.
     """
     cluster = convert({**msgspec.to_builtins(experiment.cluster), **changes}, Cluster, "cluster")
-    if not keys.is_id(cluster.realm):
-        raise ConfigError(f"cluster.realm: expected {keys.ID_RULE}, not {cluster.realm!r}")
+    _check_ids({"cluster.realm": cluster.realm}, "")
+    endpoint.check(cluster.connect, "cluster.connect")
+    if cluster.through_router and not cluster.connect and not cluster.multicast:
+        raise ConfigError("cluster.through_router: name the router in cluster.connect (--connect tcp/ROUTER:7466)")
     return msgspec.structs.replace(experiment, cluster=cluster)
 
 
@@ -165,9 +169,8 @@ def local_slots(experiment: Experiment) -> int:
 
 def _check(mapping: Mapping[str, Any], where: str) -> Experiment:
     file = convert(mapping, _File, where)
-    for key, text in (("name", file.name), ("cluster.realm", file.cluster.realm)):
-        if not keys.is_id(text):
-            raise ConfigError(f"{where}: {key}: expected {keys.ID_RULE}, not {text!r}")
+    _check_ids({"name": file.name, "cluster.realm": file.cluster.realm}, f"{where}: ")
+    endpoint.check(file.cluster.connect, f"{where}: cluster.connect")
     return Experiment(
         name=file.name,
         seed=file.seed,
@@ -177,6 +180,12 @@ def _check(mapping: Mapping[str, Any], where: str) -> Experiment:
         optimizer=_part(file.optimizer, f"{where}: optimizer"),
         cluster=file.cluster,
     )
+
+
+def _check_ids(texts: Mapping[str, str], where: str) -> None:
+    for key, text in texts.items():
+        if not keys.is_id(text):
+            raise ConfigError(f"{where}{key}: expected {keys.ID_RULE}, not {text!r}")
 
 
 def _part(mapping: Mapping[str, Any], where: str) -> Part:
@@ -207,8 +216,8 @@ def _override(mapping: dict[str, Any], override: str) -> None:
     if not equals or not path.strip():
         raise ConfigError(f"--set {override}: expected key=value, such as optimizer.population=100")
     try:
-        value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+        value = parse(f"value = {text}")["value"]
+    except ValueError:
         value = text
     *tables, key = path.strip().split(".")
     for table in tables:

@@ -1,28 +1,39 @@
 """The one place that builds a zenoh configuration and opens a session, and the thread that sends.
 
-Star topology: a server listens and dials nobody, an optimizer dials the servers it finds. Why each value is as it is:
-docs/architecture.md, "The link".
+Star topology: a server listens and dials nobody, an optimizer dials the servers it finds; or both dial a router. Why each
+value is as it is: docs/architecture.md, "The link".
 """
 
+import fcntl
 import json
 import os
 import queue
 import resource
+import socket
+import struct
+import sys
 import threading
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import zenoh
 
-from zswarm.errors import ConfigError
+from zswarm import endpoint
+from zswarm.errors import ConfigError, NoRouter
 
 SCOUTING_GROUP = "224.0.0.225:7467"  # our own: on zenoh's default group every ROS 2 robot of the lab would join in
 PORT = 7467
 PORTS = 100  # tried from PORT on when none is given
+ROUTER = "tcp/0.0.0.0:7466"  # where a router listens by default
 LINK_TIMEOUT_S = 8
-WAIT_BEFORE_CLOSE_S = 120  # zenoh closes a link on which one message takes longer; its default of 5 s ends slow links
+WAIT_BEFORE_CLOSE_S = 60  # zenoh closes a link on which one message takes longer; its default of 5 s ends slow links
+SENDING_THREADS = 64  # of zenoh: a link that ends while a message hangs in it takes one until that is given up
 OPEN_FILES = 8192
 QUEUE = 10_000  # calls waiting in one sender
+SIOCGIFFLAGS, SIOCGIFADDR = 0x8913, 0x8915  # Linux: of an interface by its name
+IFF_UP, IFF_LOOPBACK, IFF_RUNNING, IFF_MULTICAST = 0x1, 0x8, 0x40, 0x1000
+
+Mode = Literal["peer", "client", "router"]
 
 
 def open_server(listen: Sequence[str], connect: Sequence[str], *, multicast: bool) -> tuple[zenoh.Session, list[str]]:
@@ -32,11 +43,11 @@ def open_server(listen: Sequence[str], connect: Sequence[str], *, multicast: boo
         ConfigError: an endpoint cannot be listened on, or is none.
     """
     if listen:
-        return _open(_config(listen, connect, multicast=multicast, dial=False)), list(listen)
+        return _open("peer", listen, connect, multicast=multicast), list(listen)
     for port in range(PORT, PORT + PORTS):
-        endpoint = f"tcp/0.0.0.0:{port}"
+        listen = [f"tcp/0.0.0.0:{port}"]
         try:
-            return _open(_config([endpoint], connect, multicast=multicast, dial=False)), [endpoint]
+            return _open("peer", listen, connect, multicast=multicast), listen
         except ConfigError as error:
             last = error
     raise last
@@ -48,24 +59,105 @@ def open_optimizer(connect: Sequence[str], *, multicast: bool) -> zenoh.Session:
     Raises:
         ConfigError: an endpoint is none.
     """
-    return _open(_config([], connect, multicast=multicast, dial=True))
+    return _open("peer", [], connect, multicast=multicast, dial=True)
 
 
-def _config(listen: Sequence[str], connect: Sequence[str], *, multicast: bool, dial: bool) -> dict[str, Any]:
-    found: list[str] = ["peer", "router"] if dial else []
+def open_through_router(connect: Sequence[str], *, multicast: bool, timeout_s: float = 2.0) -> zenoh.Session:
+    """A session with one link, to a router that carries everything; it looks for one again whenever it lost it.
+
+    Args:
+        connect: routers, of which the first that answers is taken; empty: multicast finds one.
+        timeout_s: opening waits as long for a router.
+
+    Raises:
+        ConfigError: an endpoint is none.
+        NoRouter: none answered in time.
+    """
+    return _open("client", [], connect, multicast=multicast, timeout_ms=int(timeout_s * 1000))
+
+
+def open_router(listen: Sequence[str], *, multicast: bool) -> zenoh.Session:
+    """A session that introduces those who dial it to each other, and carries what clients send.
+
+    Raises:
+        ConfigError: an endpoint cannot be listened on, or is none.
+    """
+    return _open("router", listen, [], multicast=multicast)
+
+
+def multicast_fault() -> str:
+    """Why nobody finds this machine by multicast, nor is found from here; "" where that is possible.
+
+    Zenoh scouts on every interface that is up, has an address and can multicast, but for loopback. It needs no route.
+    """
+    try:
+        interfaces = socket.if_nameindex()
+    except OSError as error:  # such as netlink forbidden by systemd's RestrictAddressFamilies
+        return f"the network interfaces cannot be listed ({error.strerror})"
+    group = socket.inet_aton(SCOUTING_GROUP.partition(":")[0])
+    fault = "no network interface is up that has an IPv4 address and multicast"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        for index, name in interfaces:
+            if sys.platform == "linux" and not _scouts(probe, name):
+                continue
+            try:
+                probe.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, struct.pack("=4s4si", group, bytes(4), index))
+            except OSError as error:
+                fault = f"{name} cannot join the group {SCOUTING_GROUP} ({error.strerror})"
+            else:
+                return ""
+    return fault
+
+
+def _scouts(probe: socket.socket, interface: str) -> bool:
+    request = struct.pack("=16s24x", interface.encode()[:15])
+    try:
+        flags = struct.unpack_from("=16xH", fcntl.ioctl(probe, SIOCGIFFLAGS, request))[0]
+        fcntl.ioctl(probe, SIOCGIFADDR, request)
+    except OSError:
+        return False  # it has no address
+    return bool(flags & IFF_UP and flags & IFF_RUNNING and flags & IFF_MULTICAST and not flags & IFF_LOOPBACK)
+
+
+def _open(
+    mode: Mode, listen: Sequence[str], connect: Sequence[str], *, multicast: bool, dial: bool = False, timeout_ms: int = -1
+) -> zenoh.Session:
+    endpoint.check(listen, "listen")
+    endpoint.check(connect, "connect")
+    _raise_file_limit()
+    os.environ.setdefault("ZENOH_RUNTIME", f"(tx: (worker_threads: {SENDING_THREADS}))")  # read when the first session opens
+    config = _config(mode, listen, connect, multicast=multicast, dial=dial, timeout_ms=timeout_ms)
+    try:
+        return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
+    except zenoh.ZError as error:
+        if mode == "client":
+            raise NoRouter(f"no router answers at {', '.join(connect) or 'any address that multicast finds'}") from None
+        text = str(error).split(" at /")[0]  # what follows are places in zenoh's own source
+        if "in use" in text:
+            raise ConfigError(f"{', '.join(listen)}: the port is in use; give another with --listen") from None
+        where = ", ".join([*listen, *connect])
+        raise ConfigError(f"cannot open a session on {where or 'this machine'}: {text[:200]}") from None
+
+
+def _config(
+    mode: Mode, listen: Sequence[str], connect: Sequence[str], *, multicast: bool, dial: bool, timeout_ms: int
+) -> dict[str, Any]:
+    """The whole configuration; ``dial``: dial servers and routers that are found."""
+    found = ["router"] if mode == "client" else ["peer", "router"] if dial else []
     return {
-        "mode": "peer",
-        "listen": {"endpoints": {"peer": list(listen)}},
+        "mode": mode,
+        "listen": {"endpoints": {mode: list(listen)}},
         "connect": {
-            "endpoints": {"peer": list(connect)},
-            "timeout_ms": {"peer": -1},  # keep trying in the background
-            "exit_on_failure": {"peer": False},
+            "endpoints": {mode: list(connect)},
+            "timeout_ms": {mode: timeout_ms},  # -1: keep trying in the background; a client would wait in open for ever
+            "exit_on_failure": {mode: False},
             "retry": {"period_init_ms": 20, "period_max_ms": 2000, "period_increase_factor": 1.5},
         },
         "scouting": {
             "delay": 500,
-            "multicast": {"enabled": multicast, "address": SCOUTING_GROUP, "autoconnect": {"peer": found}},
-            "gossip": {"enabled": True, "multihop": False, "autoconnect": {"peer": found}},
+            **({"timeout": timeout_ms} if timeout_ms > 0 else {}),
+            "multicast": {"enabled": multicast, "address": SCOUTING_GROUP, "autoconnect": {mode: found}},
+            "gossip": {"enabled": True, "multihop": False, "target": {"peer": ["router"]}, "autoconnect": {mode: found}},
         },
         "open": {"return_conditions": {"connect_scouted": False}},
         "transport": {
@@ -83,23 +175,6 @@ def _config(listen: Sequence[str], connect: Sequence[str], *, multicast: bool, d
         },
         "adminspace": {"enabled": False},
     }
-
-
-def _open(config: dict[str, Any]) -> zenoh.Session:
-    _raise_file_limit()
-    try:
-        return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
-    except zenoh.ZError as error:
-        endpoints = ", ".join(config["listen"]["endpoints"]["peer"] + config["connect"]["endpoints"]["peer"])
-        text = str(error).split(" at /")[0]  # what follows are places in zenoh's own source
-        if "in use" in text:
-            raise ConfigError(
-                f"{endpoints}: the port is in use; give another with --listen, or none to take the next free"
-            ) from None
-        raise ConfigError(
-            f"cannot open a session on {endpoints or 'this machine'}: "
-            f"expected endpoints such as tcp/192.168.1.5:7467 ({text[:200]})"
-        ) from None
 
 
 def _raise_file_limit() -> None:

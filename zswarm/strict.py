@@ -1,7 +1,14 @@
-"""Mappings to structs, strictly: what does not fit is refused with the key, what was expected and the nearest key."""
+"""TOML files to mappings and these to structs, strictly: what does not fit is refused in one line that says why.
 
+And mappings to JSON that strict readers take.
+"""
+
+import json
+import math
 import re
+import tomllib
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
@@ -12,8 +19,34 @@ from zswarm.plugins import nearest
 T = TypeVar("T", bound=msgspec.Struct)
 
 
+def read(path: Path) -> dict[str, Any]:
+    """What a TOML file says.
+
+    Raises:
+        ConfigError: it cannot be read, or is no TOML.
+    """
+    try:
+        return parse(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    except ValueError as error:
+        raise ConfigError(f"{path}: not TOML: {error}") from None
+
+
+def parse(text: str) -> dict[str, Any]:
+    """What a TOML text says.
+
+    Raises:
+        ValueError: it is no TOML, is nested too deep, or has a number of thousands of digits.
+    """
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ValueError("nested too deep") from None
+
+
 def convert(mapping: Mapping[str, Any], struct: type[T], where: str) -> T:
-    """A struct from a mapping, nested structs included.
+    """A struct from a mapping: unknown keys are refused with the nearest known one, nested structs included.
 
     Args:
         where: put before a key in an error, such as ``experiment.toml: problem``.
@@ -26,6 +59,13 @@ def convert(mapping: Mapping[str, Any], struct: type[T], where: str) -> T:
         return msgspec.convert(mapping, struct, strict=True)
     except msgspec.ValidationError as error:
         raise ConfigError(f"{where}: {_plain(str(error))}") from None
+
+
+def to_json(values: Mapping[str, Any]) -> str:
+    """One line; numbers that JSON does not have become null."""
+    return json.dumps(
+        {key: None if isinstance(item, float) and not math.isfinite(item) else item for key, item in values.items()}
+    )
 
 
 def _refuse_unknown(mapping: Mapping[str, Any], struct: type[msgspec.Struct], where: str) -> None:

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 SOURCE = '''
+import ctypes
 import os
 import time
 from pathlib import Path
@@ -15,8 +16,14 @@ from zswarm.sims.simulator import Outcome, Simulator, Turn
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    how: Literal["fine", "raises", "hangs", "exits", "exits-once", "refuses"] = "fine"
+    how: Literal[
+        "fine", "raises", "hangs", "exits", "exits-once", "segfault", "segfault-once", "leaks", "hoards", "refuses", "too-large",
+        "slow",
+    ] = "fine"
     marker: str = ""
+
+
+left_behind = []
 
 
 class Rough(Simulator):
@@ -29,11 +36,19 @@ class Rough(Simulator):
         super().__init__(settings)
         if settings.how == "refuses":
             raise RuntimeError("no licence found")
+        if settings.how == "too-large":
+            self.map = bytearray(600 << 20)
 
     def fixed_seeds(self, trials):
         return range(trials)
 
     def reset(self, seed):
+        # A broken machine: ROUGH_WRONG is about the trials of a run, or about the probe, whose seeds are large.
+        self.wrong = os.environ.get("ROUGH_WRONG") == ("trials" if seed < 1000 else "probe")
+        if self.settings.how == "slow":
+            time.sleep(0.02)
+        if self.settings.how == "leaks":
+            left_behind.append(bytearray(20 << 20))
         if seed == 1:
             if self.settings.how == "raises":
                 raise ZeroDivisionError("the gripper broke")
@@ -41,8 +56,14 @@ class Rough(Simulator):
                 time.sleep(3600)
             if self.settings.how == "exits":
                 os._exit(7)
-            if self.settings.how == "exits-once" and not Path(self.settings.marker).exists():
+            if self.settings.how == "segfault":
+                ctypes.string_at(0)
+            if self.settings.how == "hoards":
+                bytearray(600 << 20)
+            if self.settings.how.endswith("-once") and not Path(self.settings.marker).exists():
                 Path(self.settings.marker).touch()
+                if self.settings.how == "segfault-once":
+                    ctypes.string_at(0)
                 os._exit(7)
         return Turn((0,), np.full((1, 1), seed, np.float32))
 
@@ -51,7 +72,7 @@ class Rough(Simulator):
         return None
 
     def outcome(self):
-        return Outcome([self.action], [])
+        return Outcome([self.action + self.wrong], [])
 '''
 
 EXPERIMENT = """
@@ -71,6 +92,7 @@ kind = "nnga"
 population = 10
 [cluster]
 trial_timeout_s = 1.0
+trial_memory_mb = 512
 """
 
 

@@ -8,9 +8,9 @@ import sqlite3
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 DEADLINE_S = 60.0
 
@@ -32,18 +32,22 @@ def wait_until(condition: Callable[[], Any], what: str, deadline_s: float = DEAD
 
 
 class Program:
-    """A process with its output in files."""
+    """A process with its output in files; ``inside`` is put before its command, such as that of a ``lab.Host``."""
 
-    def __init__(self, folder: Path, name: str, arguments: list[str], **environment: str) -> None:
+    def __init__(self, folder: Path, name: str, arguments: list[str], inside: Sequence[str] = (), **environment: str) -> None:
         self.out, self.err = folder / f"{name}.out", folder / f"{name}.err"
         with self.out.open("wb") as out, self.err.open("wb") as err:
             self.process = subprocess.Popen(
-                [sys.executable, *arguments], stdin=subprocess.DEVNULL, stdout=out, stderr=err, cwd=folder,
+                [*inside, sys.executable, *arguments], stdin=subprocess.DEVNULL, stdout=out, stderr=err, cwd=folder,
                 env=os.environ | environment,
             )  # fmt: skip
 
     def kill(self, number: int = signal.SIGKILL) -> None:
         self.process.send_signal(number)
+
+    def events(self, event: str) -> list[dict[str, Any]]:
+        lines = (json.loads(line) for line in self.err.read_text().splitlines() if line.startswith("{") and line.endswith("}"))
+        return [line for line in lines if line["event"] == event]
 
     def wait(self) -> int:
         return self.process.wait(DEADLINE_S)
@@ -65,9 +69,11 @@ class Server(Program):
         capacity: int = 2,
         port: int = 0,
         options: tuple[str, ...] = (),
+        address: str = "127.0.0.1",
+        inside: Sequence[str] = (),
         **environment: str,
     ) -> None:
-        self.endpoint = f"tcp/127.0.0.1:{port or free_port()}"
+        self.endpoint = f"tcp/{address}:{port or free_port()}"
         super().__init__(
             folder,
             name,
@@ -83,24 +89,29 @@ class Server(Program):
                 self.endpoint,
                 *options,
             ],
+            inside,
             **environment,
         )
-
-    def events(self, event: str) -> list[dict[str, Any]]:
-        lines = (json.loads(line) for line in self.err.read_text().splitlines() if line.startswith("{") and line.endswith("}"))
-        return [line for line in lines if line["event"] == event]
 
     def ready(self) -> "Server":
         wait_until(lambda: self.events("server_ready") or self.process.poll() is not None, f"{self.err} says server_ready")
         assert self.process.poll() is None, self.err.read_text()
         return self
 
+    def fork_server(self) -> int:
+        """The process that its slots are forked from; 0 while there is none."""
+        return next((child for child in children(self.process.pid) if "forkserver" in command_line(child)), 0)
+
+    def workers(self) -> list[int]:
+        """The processes of its slots."""
+        return children(self.fork_server())
+
 
 class Optimizer(Program):
     """A ``zswarm-ot``."""
 
-    def __init__(self, folder: Path, name: str, arguments: list[str], **environment: str) -> None:
-        super().__init__(folder, name, ["-m", "zswarm.ot", *arguments], **environment)
+    def __init__(self, folder: Path, name: str, arguments: list[str], inside: Sequence[str] = (), **environment: str) -> None:
+        super().__init__(folder, name, ["-m", "zswarm.ot", *arguments], inside, **environment)
 
     def lines(self) -> list[dict[str, Any]]:
         return [json.loads(line) for line in self.out.read_text().splitlines() if line.endswith("}")]
@@ -123,3 +134,35 @@ def query(run: Path, sql: str) -> list[tuple[Any, ...]]:
             database.close()
     except sqlite3.OperationalError:
         return []
+
+
+class Status(NamedTuple):
+    """What the kernel says of a process."""
+
+    state: str  # R runs, S sleeps, T is stopped, Z has ended
+    parent: int
+    ticks: int  # of processor time
+
+
+def status(process: int) -> Status | None:
+    """None when it is gone."""
+    try:
+        text = Path(f"/proc/{process}/stat").read_text()
+    except (FileNotFoundError, ProcessLookupError):
+        return None
+    fields = text.rpartition(") ")[2].split()
+    return Status(fields[0], int(fields[1]), int(fields[11]) + int(fields[12]))
+
+
+def command_line(process: int) -> str:
+    """Nothing when it is gone."""
+    try:
+        return Path(f"/proc/{process}/cmdline").read_text(errors="replace")
+    except (FileNotFoundError, ProcessLookupError):
+        return ""
+
+
+def children(process: int) -> list[int]:
+    """Processes that a process started and that have not ended."""
+    everybody = [(int(path.name), status(int(path.name))) for path in Path("/proc").iterdir() if path.name.isdigit()]
+    return [number for number, found in everybody if found and found.parent == process and found.state != "Z"]

@@ -1,10 +1,13 @@
 """Whatever is wrong, the user gets one clear line, the daemon keeps serving, and nothing is lost."""
 
+import contextlib
 import os
 import random
+import signal
 import time
 from pathlib import Path
 
+import numpy as np
 import plugin
 import pytest
 import zenoh
@@ -55,6 +58,8 @@ def path(*first: str) -> str:
         (["run", "--set", "problem.settings.agents=ten"], 2, "agents: expected int, got str"),
         (["run", "--servers", "many"], 2, "expected auto, local or a number"),
         (["run", "--servers", "1", "--connect", "nonsense", "--no-multicast"], 2, "expected endpoints such as"),
+        (["run", "--through-router", "--no-multicast"], 2, "name the router in cluster.connect"),
+        (["servers", "--connect", "tcp/lab:http"], 2, "the port must be a number"),
         (["run", "--out", "damaged.toml/runs"], 2, "choose another place with --out"),
         (["resume", "."], 2, "no run"),
         (["resume", "damaged-run"], 2, "damaged"),
@@ -73,6 +78,7 @@ def test_a_mistake_is_named_in_one_line(tmp_path: Path, arguments: list[str], co
     optimizer = Optimizer(tmp_path, "ot", arguments)
     assert optimizer.wait() == code
     assert words in only_line(optimizer)
+    assert not (tmp_path / "runs").exists()
 
 
 def test_a_port_in_use_is_named(tmp_path: Path) -> None:
@@ -89,13 +95,42 @@ def test_a_port_in_use_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [("capacity = 'two'", "capacity: expected int"), ("capcity = 2", "did you mean 'capacity'"), ("=", "daemon.toml")],
+    [
+        ("capacity = 'two'", "capacity: expected int"),
+        ("capcity = 2", "did you mean 'capacity'"),
+        ("=", "daemon.toml"),
+        ("slot_memory_mb = 100", "slot_memory_mb: expected 0 or at least 256, not 100"),
+    ],
 )
 def test_a_damaged_daemon_configuration_exits_with_78(tmp_path: Path, text: str, words: str) -> None:
     (tmp_path / "daemon.toml").write_text(text)
     server = Server(tmp_path, "ss", options=("--config", "daemon.toml"))
     assert server.wait() == 78
     assert words in server.err.read_text()
+
+
+@pytest.mark.parametrize(("name", "words"), [("none.toml", "No such file or directory"), (".", "Is a directory")])
+def test_a_daemon_configuration_that_cannot_be_read_is_named(tmp_path: Path, name: str, words: str) -> None:
+    server = Server(tmp_path, "ss", options=("--config", name))
+    assert server.wait() == 78
+    assert server.err.read_text() == f"zswarm-ss: {name}: cannot be read: {words}\n"
+
+
+def test_a_server_whose_slots_have_too_little_memory_is_named(tmp_path: Path) -> None:
+    server = Server(tmp_path, "ss", options=("--slot-memory", "512")).ready()
+    options = ["--no-multicast", "--connect", server.endpoint, "--set", "cluster.trial_memory_mb=1024"]
+    try:
+        optimizer = Optimizer(tmp_path, "ot", ["run", "--servers", "1", *options])
+        assert optimizer.wait() == 4
+        assert "is not used: a slot here has 512 MB, the run asks for 1024" in optimizer.err.read_text()
+    finally:
+        server.close()
+
+
+def test_more_memory_than_this_machine_has_is_named(tmp_path: Path) -> None:
+    optimizer = Optimizer(tmp_path, "ot", ["run", "--servers", "local", "--set", "cluster.trial_memory_mb=1000000000"])
+    assert optimizer.wait() == 1
+    assert "the run asks for 1000000000" in only_line(optimizer)
 
 
 def test_servers_that_do_not_match_are_named_with_the_reason(tmp_path: Path) -> None:
@@ -133,8 +168,16 @@ def test_a_simulator_that_raises_is_an_outcome_and_named(tmp_path: Path, rough: 
     assert "Traceback" not in text
 
 
-@pytest.mark.parametrize(("how", "words"), [("hangs", "one trial took longer than 1 s"), ("exits", "ended with code 7")])
-def test_a_simulator_that_hangs_or_exits_pauses_the_run_and_names_the_cause(
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        ("hangs", "one trial took longer than 1 s"),
+        ("exits", "ended with code 7"),
+        ("segfault", "was killed by signal 11 (SIGSEGV)"),
+        ("hoards", "memory: it needs more than the 512 MB of cluster.trial_memory_mb: raise that, if servers have more"),
+    ],
+)
+def test_a_simulator_that_ends_its_process_pauses_the_run_and_names_the_cause(
     tmp_path: Path, rough: str, how: str, words: str
 ) -> None:
     optimizer = evolve_rough(tmp_path, rough, how)
@@ -143,16 +186,38 @@ def test_a_simulator_that_hangs_or_exits_pauses_the_run_and_names_the_cause(
     assert "zswarm-ot resume runs/rough" in optimizer.err.read_text()
 
 
-def test_quarantine_counts_a_fault_and_says_so(tmp_path: Path, rough: str) -> None:
-    done = evolve_rough(tmp_path, rough, "exits", "--set", "cluster.on_fault=quarantine", "--set", "generations=1").done()
-    assert done["faulted"] == 10
-    assert query(tmp_path / "runs" / "rough", "SELECT sum(faulted) FROM outcomes") == [(10,)]
+@pytest.mark.parametrize("how", ["exits", "segfault", "hoards"])
+def test_quarantine_counts_the_guilty_trials_and_no_other(tmp_path: Path, rough: str, how: str) -> None:
+    """The second trial of each of four candidates; the others of their batches are evaluated."""
+    small = ["--set", "cluster.on_fault=quarantine", "--set", "generations=1", "--set", "optimizer.population=4"]
+    assert evolve_rough(tmp_path, rough, how, *small).done()["faulted"] == 4
+    guilty, innocent = [], []
+    for trials, fitness, faulted in query(tmp_path / "runs" / "rough", "SELECT trials, fitness, faulted FROM outcomes"):
+        rows = list(zip(np.frombuffer(trials, "<u4"), np.frombuffer(fitness, "<f8"), strict=True))
+        (guilty if faulted else innocent).extend(rows)
+    assert sorted(trial for trial, _ in guilty) == list(range(1, 12, 3))
+    assert all(np.isnan(value) for _, value in guilty)
+    assert sorted(trial for trial, _ in innocent) == [trial for trial in range(12) if trial % 3 != 1]
+    assert not any(np.isnan(value) for _, value in innocent)
 
 
-def test_a_simulator_that_exits_once_changes_nothing(tmp_path: Path, rough: str) -> None:
-    hashes = {evolve_rough(tmp_path, rough, how).done()["history_hash"] for how in ("fine", "exits-once")}
-    assert (tmp_path / "marker").exists()
+def test_a_simulator_that_ends_its_process_once_or_leaks_changes_nothing(tmp_path: Path, rough: str) -> None:
+    """72 trials leave 20 MB behind each, where 512 are allowed: nobody is blamed."""
+    hashes = set()
+    for how in ("fine", "exits-once", "segfault-once", "leaks"):
+        done = evolve_rough(tmp_path, rough, how).done()
+        hashes.add(done["history_hash"])
+        assert (tmp_path / "marker").exists() == (how in ("exits-once", "segfault-once"))
+        (tmp_path / "marker").unlink(missing_ok=True)
     assert len(hashes) == 1
+    assert done["requeued"] == 0
+    assert query(tmp_path / "runs" / "rough-4", "SELECT count(*) FROM events WHERE event = 'fault'") == [(0,)]
+
+
+def test_a_simulator_that_needs_too_much_memory_from_the_start_is_named(tmp_path: Path, rough: str) -> None:
+    optimizer = evolve_rough(tmp_path, rough, "too-large")
+    assert optimizer.wait() == 1
+    assert "it needs more than the 512 MB of cluster.trial_memory_mb" in only_line(optimizer)
 
 
 def test_a_simulator_that_cannot_be_set_up_is_named(tmp_path: Path, rough: str) -> None:
@@ -178,6 +243,37 @@ def test_a_daemon_survives_bad_simulators_and_serves_the_next_run(tmp_path: Path
         Optimizer(tmp_path, "good", ["run", *SMALL, *options]).done()
     finally:
         server.close()
+
+
+def test_slots_that_die_at_their_start_again_and_again_leave_the_daemon_serving(tmp_path: Path) -> None:
+    """As when the machine has no memory left: they are started anew, more and more slowly, until it works."""
+    server = Server(tmp_path, "ss", capacity=1).ready()
+    options = ["--json", "--no-multicast", "--servers", "1", "--connect", server.endpoint]
+
+    def kill_slots() -> bool:
+        for slot in slots_of(server.process.pid):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(slot, signal.SIGKILL)
+        return len(server.events("slot_pauses")) >= 4
+
+    try:
+        wait_until(kill_slots, "four pauses")
+        pauses = [event["seconds"] for event in server.events("slot_pauses")]
+        assert sorted(pauses) == pauses
+        assert server.events("slot_pauses")[0]["reason"] == "was killed by signal 9 (the machine may have run out of memory)"
+        Optimizer(tmp_path, "next", ["run", *SMALL, *options]).done()
+        assert server.process.poll() is None
+    finally:
+        server.close()
+
+
+def slots_of(server: int) -> list[int]:
+    """Processes of the slots: children of the fork server, which is a child of the server."""
+
+    def children(of: int) -> list[int]:
+        return [int(child) for child in Path(f"/proc/{of}/task/{of}/children").read_text().split()]
+
+    return [slot for child in children(server) for slot in children(child)]
 
 
 def test_random_bytes_to_every_key_leave_the_daemon_serving(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from programs import Optimizer, Server, query, wait_until
+from promise import check_run
 
 # A trial takes some milliseconds, a run some seconds: long enough to disturb it.
 EXPERIMENT = """
@@ -62,7 +63,8 @@ def test_a_killed_server_and_a_late_one_leave_the_history_as_it_is(tmp_path: Pat
     optimizer = run(tmp_path, "ot", *remote(*servers, late, wait=3))
     programs = [*servers, optimizer]
     try:
-        wait_until(lambda: counted(tmp_path) > 100, "some trials are counted")
+        of_second = "SELECT 1 FROM outcomes WHERE server LIKE 'ss-1-%'"
+        wait_until(lambda: query(tmp_path / "runs" / "disturbed", of_second), "the second server works")
         servers[1].kill()
         programs.append(Server(tmp_path, "late", port=int(late.endpoint.rsplit(":", 1)[1])))
         done = optimizer.done()
@@ -76,6 +78,7 @@ def test_a_killed_server_and_a_late_one_leave_the_history_as_it_is(tmp_path: Pat
     assert query(record, "SELECT sum(count) > 0 FROM events WHERE event = 'requeued'") == [(1,)]
     assert sum(trials for server, trials in shares.items() if server.startswith("late-")) > 0
     assert sum(shares.values()) == TRIALS
+    assert check_run(record).history_hash == undisturbed
 
 
 def test_a_killed_optimizer_goes_on_and_repeats_nothing(tmp_path: Path, undisturbed: str) -> None:
@@ -94,6 +97,7 @@ def test_a_killed_optimizer_goes_on_and_repeats_nothing(tmp_path: Path, undistur
     assert 1200 < before < TRIALS
     assert counted(tmp_path) == TRIALS, "a recorded trial was evaluated again"
     assert len(taken_over) == 1, "the slots were not taken over at once"
+    assert check_run(tmp_path / "runs" / "disturbed").history_hash == undisturbed
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
@@ -107,6 +111,7 @@ def test_a_stopped_optimizer_says_how_to_go_on(tmp_path: Path, undisturbed: str,
     done = Optimizer(tmp_path, "resumed", ["resume", "runs/disturbed", "--json", "--servers", "local"]).done()
     assert done["history_hash"] == undisturbed
     assert counted(tmp_path) == TRIALS
+    assert check_run(tmp_path / "runs" / "disturbed").history_hash == undisturbed
 
 
 def test_two_optimizers_of_one_user_share_the_servers_and_both_finish(tmp_path: Path, undisturbed: str) -> None:
@@ -121,6 +126,29 @@ def test_two_optimizers_of_one_user_share_the_servers_and_both_finish(tmp_path: 
         for program in (*servers, *optimizers):
             program.close()
     assert hashes == [undisturbed, undisturbed]
+    assert [check_run(folder / "runs" / "disturbed").history_hash for folder in folders] == hashes
+
+
+def test_runs_that_wait_for_a_slot_get_it_in_the_order_in_which_they_came(tmp_path: Path, undisturbed: str) -> None:
+    server = Server(tmp_path, "ss", capacity=1).ready()
+    short = ["--set", "generations=1"]
+    folders = [tmp_path / name for name in ("first", "second", "third")]
+    optimizers: list[Optimizer] = []
+    try:
+        for number, folder in enumerate(folders):
+            folder.mkdir()
+            optimizers.append(run(folder, "ot", *remote(server), *([] if number == 0 else short)))
+            wait_until(lambda number=number: len(server.events("lease_granted")) > number, "it has a lease")
+        optimizers[0].kill(signal.SIGINT)
+        assert optimizers[0].wait() == 130
+        for optimizer in optimizers[1:]:
+            optimizer.done()
+    finally:
+        for program in (server, *optimizers):
+            program.close()
+    spans = [query(folder / "runs" / "disturbed", "SELECT min(at), max(at) FROM outcomes")[0] for folder in folders]
+    assert spans[0][1] < spans[1][0], "the second run had a slot before the first gave it back"
+    assert spans[1][1] < spans[2][0], "the third run was served before the second"
 
 
 def test_a_drained_server_finishes_what_runs_and_exits(tmp_path: Path, undisturbed: str) -> None:
@@ -136,6 +164,7 @@ def test_a_drained_server_finishes_what_runs_and_exits(tmp_path: Path, undisturb
     finally:
         for program in (*servers, optimizer):
             program.close()
+    assert check_run(tmp_path / "runs" / "disturbed").history_hash == undisturbed
 
 
 def test_fresh_seeds_and_local_slots_give_the_same_for_any_number_of_slots(tmp_path: Path) -> None:
@@ -144,4 +173,5 @@ def test_fresh_seeds_and_local_slots_give_the_same_for_any_number_of_slots(tmp_p
     for slots in (1, 3):
         options = [*small, "--set", f"cluster.local_slots={slots}", "--out", f"out-{slots}"]
         hashes.add(run(tmp_path, f"slots-{slots}", *options).done()["history_hash"])
+        check_run(tmp_path / f"out-{slots}" / "disturbed")
     assert len(hashes) == 1

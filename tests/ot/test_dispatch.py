@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from dispatching import NAN, PROBE, Optimizer, fault, lease, offer, outcomes, trials, verbs
 
 from zswarm.errors import LocalProtocolError
 from zswarm.ot import dispatch
@@ -10,13 +11,9 @@ from zswarm.ot.dispatch import (
     PAUSE_S,
     RENEW_S,
     RETRY_S,
-    Answered,
     Ask,
-    Command,
     Complete,
-    Counted,
     Dispatch,
-    Event,
     Failed,
     Gone,
     Leave,
@@ -24,98 +21,9 @@ from zswarm.ot.dispatch import (
     Seen,
     Tick,
     Work,
-    Workload,
 )
-from zswarm.protocol.messages import Done, Fault, Lease, Offer, Outcomes, Refused, Reply, Running
-
-PROBE = b"digest"
-NAN = float("nan")
-
-
-class Optimizer:
-    """A dispatch with a clock, that collects what it asks and tells."""
-
-    def __init__(self, **options: object) -> None:
-        self.dispatch = Dispatch(1, 0, **{"wanted_slots": 100, "quarantine": False} | options)  # type: ignore[arg-type]
-        self.now = 100.0
-        self.commands: list[Command] = []  # of the last event
-        self.asked: dict[tuple[str, str], Ask] = {}  # the last one of a server and verb
-        self.counted: list[int] = []
-
-    def feed(self, event: Event) -> list[Ask]:
-        """What is asked now."""
-        self.commands = self.dispatch.handle(event, self.now)
-        for command in self.commands:
-            if isinstance(command, Ask):
-                self.asked[command.server, command.verb] = command
-            elif isinstance(command, Counted):
-                self.counted += command.trials.tolist()
-        return [command for command in self.commands if isinstance(command, Ask)]
-
-    def notes(self, event: str) -> list[Note]:
-        return [command for command in self.commands if isinstance(command, Note) and command.event == event]
-
-    def answer(self, ask: Ask, reply: Reply | str | None) -> list[Ask]:
-        return self.feed(Answered(ask.question, reply))
-
-    def wait(self, seconds: float) -> list[Ask]:
-        """Let time pass, with a tick whenever one is wanted; what is asked then."""
-        asks, end = [], self.now + seconds
-        for _ in range(1000):
-            if self.dispatch.next_time() > end:
-                self.now = end
-                return asks
-            self.now = max(self.now, self.dispatch.next_time())
-            asks += self.feed(Tick())
-        raise AssertionError("a loop without delay")
-
-    def join(self, *servers: str, slots: int = 1, trial_s: float = 1.0) -> None:
-        """Servers appear and are ready."""
-        for server in servers:
-            (ask,) = self.feed(Seen(server))
-            (ask,) = self.answer(ask, offer(slots))
-            self.answer(ask, lease(server, slots, trial_s=trial_s))
-
-    def work(self, trials: int, genome: bytes = b"g") -> list[Ask]:
-        return self.feed(Work(Workload([genome], np.zeros((trials, 1), int), np.arange(trials).astype(np.uint64), 0)))
-
-    @property
-    def workload(self) -> Workload:
-        assert self.dispatch._workload is not None
-        return self.dispatch._workload
-
-
-def offer(capacity: int = 1, mismatch: str = "") -> Offer:
-    return Offer(
-        server="", program="", machine="", capacity=capacity, free=0, leases=0, simulators=[], representations=[],
-        mismatch=mismatch,
-    )  # fmt: skip
-
-
-def lease(server: str, ready: int, *, state: str = "ready", slots: int = 0, number: int = 0, **fields: object) -> Lease:
-    token = f"{server}-{number}".encode().ljust(16)
-    fields = {"probe": PROBE if ready else b"", "trial_s": 1.0} | fields
-    return Lease(lease=token, state=state, slots=max(slots, ready), ready=ready, lease_s=60.0, **fields)  # type: ignore[arg-type]
-
-
-def outcomes(ask: Ask, *fitness: float, seconds: float = 1.0) -> Outcomes:
-    assert ask.trials is not None
-    numbers = np.array(fitness or ask.trials, "<f8")
-    return Outcomes(batch=ask.batch, fitness=numbers.tobytes(), metrics=b"", seconds=seconds * len(ask.trials))
-
-
-def fault(ask: Ask, trial: int = 0) -> Fault:
-    return Fault(batch=ask.batch, kind="crashed", trial=trial, reason="killed")
-
-
-def trials(asks: list[Ask]) -> list[int]:
-    """Of all the batches among them."""
-    return sorted(trial for ask in asks if ask.trials is not None for trial in ask.trials.tolist())
-
-
-def verbs(asks: list[Ask]) -> list[tuple[str, str]]:
-    return [(ask.server, ask.verb) for ask in asks]
-
+from zswarm.ot.workload import Workload
+from zswarm.protocol.messages import Done, Outcomes, Refused, Reply, Running
 
 # ---- servers that come --------------------------------------------------------------------------------------------
 
@@ -512,36 +420,75 @@ def test_a_server_that_leaves_idle_is_forgotten_and_asked_anew_when_it_is_back()
 
 
 def test_a_server_that_is_back_before_its_queries_ended_goes_on() -> None:
-    """Batches that had gone elsewhere are cancelled there; the others are asked for again."""
+    """What it was left with is asked for again, under its old number."""
     optimizer = Optimizer()
     optimizer.join("a")
     first, second = optimizer.work(2)
     optimizer.feed(Gone("a"))
     optimizer.answer(first, None)
-    cancel, renew, evaluate = optimizer.feed(Seen("a"))
-    assert (cancel.verb, cancel.batches) == ("cancel", (first.batch,))
+    evaluate, renew = optimizer.feed(Seen("a"))
+    assert (evaluate.verb, evaluate.batch, trials([evaluate])) == ("evaluate", first.batch, [0])
     assert (renew.verb, renew.lease) == ("renew", first.lease)
-    assert (evaluate.verb, trials([evaluate])) == ("evaluate", [0])
     assert optimizer.notes("server_back")
     optimizer.answer(second, None)
     (again,) = optimizer.wait(RETRY_S[0])
     assert again.batch == second.batch
 
 
-def test_batches_left_on_a_server_are_cancelled_when_its_lease_is_got_again() -> None:
+def left_alone(*, elsewhere: bool) -> tuple[Optimizer, list[Ask]]:
+    """An optimizer whose link to server a was cut with two batches there; whether b took them meanwhile."""
     optimizer = Optimizer()
     optimizer.join("a")
     left = optimizer.work(2)
     optimizer.feed(Gone("a"))
     for ask in left:
         optimizer.answer(ask, None)
+    if elsewhere:
+        optimizer.join("b")
+    optimizer.asked.clear()
+    return optimizer, left
+
+
+def test_batches_left_on_a_server_are_asked_for_again_when_its_lease_is_got_again() -> None:
+    """They run once: under the same number a server attaches to what runs, or gives what it kept."""
+    optimizer, left = left_alone(elsewhere=False)
+    (ask,) = optimizer.feed(Seen("a"))
+    (ask,) = optimizer.answer(ask, offer())
+    asks = optimizer.answer(ask, lease("a", 1))
+    assert sorted((ask.verb, ask.batch, trials([ask])) for ask in asks) == sorted(
+        ("evaluate", ask.batch, trials([ask])) for ask in left
+    )
+    for ask in asks:
+        optimizer.answer(ask, outcomes(ask))
+    assert sorted(optimizer.counted) == trials(left)
+    assert Complete() in optimizer.commands
+
+
+def test_batches_left_on_a_server_are_cancelled_there_when_others_took_them() -> None:
+    optimizer, left = left_alone(elsewhere=True)
     optimizer.join("a")
-    cancel = optimizer.asked.pop(("a", "cancel"))
-    assert cancel.batches == tuple(ask.batch for ask in left)
-    assert cancel.question < optimizer.asked["a", "evaluate"].question
+    assert sorted(optimizer.asked["a", "cancel"].batches) == sorted(ask.batch for ask in left)
+    optimizer.asked.clear()
     optimizer.feed(Gone("a"))
-    assert ("a", "renew") in verbs(optimizer.feed(Seen("a")))
+    assert verbs(optimizer.feed(Seen("a"))) == [("a", "offer")]
     assert ("a", "cancel") not in optimizer.asked, "once is enough"
+
+
+def test_batches_left_on_a_server_are_given_out_anew_when_its_lease_has_ended() -> None:
+    optimizer, left = left_alone(elsewhere=False)
+    (ask,) = optimizer.feed(Seen("a"))
+    (ask,) = optimizer.answer(ask, offer())
+    asks = optimizer.answer(ask, lease("a", 1, number=1))
+    assert verbs(asks) == [("a", "evaluate")] * 2
+    assert trials(asks) == [0, 1]
+    assert not {ask.batch for ask in asks} & {ask.batch for ask in left}
+
+
+def test_batches_left_on_a_server_are_cancelled_when_their_workload_ended() -> None:
+    optimizer, left = left_alone(elsewhere=False)
+    optimizer.work(1)
+    optimizer.join("a")
+    assert sorted(optimizer.asked["a", "cancel"].batches) == sorted(ask.batch for ask in left)
 
 
 @pytest.mark.parametrize("phase", ["offer", "reserve"])
@@ -590,13 +537,23 @@ def test_what_a_busy_server_refused_goes_to_another_at_once() -> None:
     assert verbs(optimizer.answer(ask, Refused(code="busy", reason=""))) == [("b", "evaluate")]
 
 
-@pytest.mark.parametrize("code", ["malformed", "mismatch"])
-def test_a_server_that_cannot_take_our_batches_is_released_and_not_used(code: str) -> None:
+def test_a_batch_that_every_server_refuses_ends_the_run_with_the_reason() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a", "b", "c")
+    (ask,) = optimizer.work(1)
+    for _ in range(2):
+        (ask,) = optimizer.answer(ask, Refused(code="malformed", reason="a genome has 3 bytes"))
+    assert optimizer.answer(ask, Refused(code="malformed", reason="a genome has 3 bytes")) == []
+    (failed,) = [command for command in optimizer.commands if isinstance(command, Failed)]
+    assert failed.reason.endswith("on c: refused: a genome has 3 bytes")
+
+
+def test_a_server_that_cannot_take_our_batches_is_released_and_not_used() -> None:
     optimizer = Optimizer()
     optimizer.join("a")
     first, _ = optimizer.work(2)
     optimizer.join("b")
-    asks = optimizer.answer(first, Refused(code=code, reason="no"))  # type: ignore[arg-type]
+    asks = optimizer.answer(first, Refused(code="mismatch", reason="no"))
     assert verbs(asks) == [("a", "release"), ("b", "evaluate"), ("b", "evaluate")]
     assert trials(asks) == [0, 1]
     assert optimizer.notes("server_refused")[0].text == "no"

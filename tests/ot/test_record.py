@@ -1,8 +1,11 @@
 """The record: what is finished is there, whatever happens."""
 
+import errno
 import hashlib
+import os
 import sqlite3
 import struct
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,10 +15,39 @@ import pytest
 
 from zswarm import experiment
 from zswarm.errors import ConfigError
-from zswarm.ot.dispatch import Counted, Note, Workload
-from zswarm.ot.record import Controller, History, Record, load_controller, load_experiment, on_network, runs
+from zswarm.ot import database as database_module
+from zswarm.ot import record as record_module
+from zswarm.ot.controller import Controller, load_controller
+from zswarm.ot.dispatch import Counted, Note
+from zswarm.ot.history import History
+from zswarm.ot.listing import runs
+from zswarm.ot.record import Record, load_experiment
+from zswarm.ot.workload import Workload
 
 STATISTICS = {"best": 1.0, "mean": float("-inf")}
+CHAMPION = Controller(
+    simulator="emergency-exit", simulator_settings={"steps": 5}, representation="fully-meshed",
+    representation_settings={}, inputs=10, outputs=2, sensors=["n"], actuators=["vx"], genome=b"\0" * 240,
+    fitness=-1.0, run="emergency-exit-0123abcd",
+)  # fmt: skip
+SCHEMA_1 = """
+CREATE TABLE meta (key TEXT PRIMARY KEY, value) WITHOUT ROWID;
+CREATE TABLE generations (
+    generation INTEGER PRIMARY KEY, finished_at REAL NOT NULL, best REAL, mean REAL, evaluations INTEGER NOT NULL,
+    statistics TEXT NOT NULL);
+CREATE TABLE candidates (
+    generation INTEGER NOT NULL, candidate INTEGER NOT NULL, genome BLOB NOT NULL, fitness REAL,
+    PRIMARY KEY (generation, candidate)) WITHOUT ROWID;
+CREATE TABLE outcomes (
+    id INTEGER PRIMARY KEY, generation INTEGER NOT NULL, asked BLOB NOT NULL, count INTEGER NOT NULL, trials BLOB NOT NULL,
+    fitness BLOB NOT NULL, metrics BLOB NOT NULL, faulted INTEGER NOT NULL, server TEXT NOT NULL, seconds REAL NOT NULL,
+    at REAL NOT NULL);
+CREATE TABLE events (at REAL NOT NULL, generation INTEGER, event TEXT NOT NULL, server TEXT, text TEXT, count INTEGER);
+CREATE TABLE optimizer (id INTEGER PRIMARY KEY CHECK (id = 0), generation INTEGER NOT NULL, state BLOB NOT NULL);
+CREATE VIEW servers AS
+    SELECT server, sum(count) AS trials, sum(seconds) AS seconds, min(at) AS first_at, max(at) AS last_at
+    FROM outcomes WHERE server <> '' GROUP BY server;
+"""
 
 
 @pytest.fixture
@@ -39,6 +71,36 @@ def count(work: Workload, trials: list[int], fitness: float) -> Counted:
     indices = np.array(trials)
     work.fitness[indices], work.metrics[indices], work.counted[indices] = fitness, fitness + 1, True
     return Counted(indices, "lab-01", 0.5)
+
+
+def query(folder: Path, sql: str) -> list[tuple[object, ...]]:
+    """Rows as another program sees them."""
+    database = sqlite3.connect(f"file:{folder / 'run.sqlite'}?mode=ro", uri=True)
+    try:
+        return database.execute(sql).fetchall()
+    finally:
+        database.close()
+
+
+def as_schema_1(folder: Path) -> None:
+    """What zswarm of schema 1 would have recorded."""
+    new, old = folder / "run.sqlite", folder / "old.sqlite"
+    database = sqlite3.connect(old)
+    database.executescript(SCHEMA_1)
+    database.execute("ATTACH ? AS new", (str(new),))
+    for table in ("meta", "generations", "candidates", "events", "optimizer"):
+        database.execute(f"INSERT INTO {table} SELECT * FROM new.{table}")  # noqa: S608  our own names
+    database.execute(
+        "INSERT INTO outcomes SELECT id, generation, asked, count, trials, fitness, metrics, faulted, server, seconds, at "
+        "FROM new.outcomes"
+    )
+    database.execute("UPDATE meta SET value = 1 WHERE key = 'schema_version'")
+    database.commit()
+    database.close()
+    new.unlink()
+    for side in ("-wal", "-shm"):
+        (folder / f"run.sqlite{side}").unlink(missing_ok=True)
+    old.rename(new)
 
 
 def test_the_same_name_gets_a_folder_of_its_own(tmp_path: Path, record: Record, complete: experiment.Experiment) -> None:
@@ -153,37 +215,256 @@ def test_an_edited_experiment_is_refused_unless_it_changes_nothing_told(record: 
         Record.open(record.folder)
 
 
-def test_another_schema_is_refused(record: Record) -> None:
+def test_a_newer_schema_is_refused_with_the_zswarm_that_is_needed(record: Record) -> None:
     record.set_meta("schema_version", 99)
+    record.set_meta("zswarm", "7.0")
     record.close()
-    with pytest.raises(ConfigError, match="has schema 99; this program reads schema 1"):
+    words = r"has schema 99, of zswarm 7\.0; .* up to 2: go on with the zswarm that made it, or a newer one"
+    with pytest.raises(ConfigError, match=words):
         Record.open(record.folder)
 
 
+def test_a_run_of_schema_1_is_brought_to_schema_2_with_all_it_holds(record: Record, tmp_path: Path) -> None:
+    work = workload()
+    record.begin(0, work)
+    record.add(count(work, [0, 1, 2], -1.5), work)
+    record.finish(0, work.genomes, np.full(3, -1.5), STATISTICS, {"at": 0})
+    history = record.history().hex()
+    record.close()
+    as_schema_1(record.folder)
+    assert runs(tmp_path)[0]["generations"] == 1, "list reads the old schema"
+    with Record.open(record.folder)[0] as resumed:
+        assert (resumed.meta("schema_version"), resumed.meta("epoch")) == (2, 1)
+        assert resumed.history().hex() == history
+        assert resumed.resumed() == (1, {"at": 0})
+        resumed.begin(1, work)
+        resumed.add(count(work, [1], 0.5), work)
+    assert query(record.folder, "SELECT id, count, doubtful FROM outcomes") == [(1, 3, 0), (2, 1, 0)]
+    with Record.open(record.folder)[0] as again:
+        assert again.meta("epoch") == 2
+
+
+def test_a_migration_that_is_interrupted_leaves_the_old_schema(record: Record, monkeypatch: pytest.MonkeyPatch) -> None:
+    record.close()
+    as_schema_1(record.folder)
+    monkeypatch.setattr(record_module, "SET_META", "INSERT INTO nowhere VALUES (?, ?)")
+    with pytest.raises(ConfigError, match="no such table: nowhere"):
+        Record.open(record.folder)
+    assert query(record.folder, "SELECT value FROM meta WHERE key = 'schema_version'") == [(1,)]
+    assert not query(record.folder, "SELECT 1 FROM pragma_table_info('outcomes') WHERE name = 'doubtful'")
+    monkeypatch.undo()
+    Record.open(record.folder)[0].close()
+
+
+def test_what_a_server_computed_wrong_is_forgotten_or_marked(record: Record) -> None:
+    """Its outcomes of the generation that runs are evaluated again; earlier ones stay, as doubtful."""
+    work = workload()
+    record.begin(0, work)
+    record.add(count(work, [0, 1], 1.0), work)
+    record.add(Counted(np.array([2]), "lab-02", 0.5), work)
+    record.begin(1, work)
+    record.add(count(work, [0], 1.0), work)
+    record.add(Counted(np.array([1]), "lab-02", 0.5), work)
+    record.retract("lab-01")
+    again = workload()
+    assert record.restore(again) == 1
+    assert again.counted.tolist() == [False, True, False]
+    record.close()
+    rows = query(record.folder, "SELECT generation, server, doubtful FROM outcomes ORDER BY id")
+    assert rows == [(0, "lab-01", 1), (0, "lab-02", 0), (1, "lab-02", 0)]
+    with Record.open(record.folder)[0] as resumed:
+        resumed.retract("lab-02")
+        assert resumed.evaluations() == 0, "before any generation is begun again"
+    assert query(record.folder, "SELECT server FROM outcomes WHERE generation = 0") == [("lab-01",)]
+
+
+def test_restored_outcomes_are_known_by_their_server(record: Record) -> None:
+    """A server found to compute wrong after a resume loses those of before it, too."""
+    work = workload()
+    record.begin(0, work)
+    record.add(count(work, [2], 1.0), work)
+    again = workload()
+    record.restore(again)
+    assert again.source.tolist() == ["", "", "lab-01"]
+
+
+def test_more_generations_after_the_end_take_the_hash_away_until_they_are_done(record: Record) -> None:
+    record.set_meta("history_hash", "0" * 32)
+    record.close()
+    file = record.folder / "experiment.toml"
+    file.write_text(file.read_text().replace("generations = 200", "generations = 1", 1))
+    database = sqlite3.connect(record.folder / "run.sqlite")
+    database.execute("INSERT INTO generations VALUES (0, 1.0, 1.0, 1.0, 3, '{}')")
+    database.commit()
+    database.close()
+    with Record.open(record.folder)[0] as told_again:
+        assert told_again.meta("history_hash") == "0" * 32
+    file.write_text(file.read_text().replace("generations = 1", "generations = 2", 1))
+    with Record.open(record.folder)[0] as longer:
+        assert longer.meta("history_hash") is None
+
+
+# ---- the disk
+
+
+class Disk:
+    """Of a record: how many pages the database may have, and what the record says of it."""
+
+    def __init__(self, record: Record, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.lines: list[str] = []
+        self.waits = 0
+        self._connection = record._database._connection
+        self._room_after = 0
+        record.say = self.lines.append
+        monkeypatch.setattr(database_module, "COMMIT_S", 0.0)
+        monkeypatch.setattr(database_module, "RETRY_S", 0.0)
+        monkeypatch.setattr(time, "sleep", self._sleep)
+
+    def fill(self, waits: int = 0) -> None:
+        """SQLite says that the disk is full, until somebody waited so often."""
+        self._room_after = self.waits + waits
+        self._connection.execute("PRAGMA max_page_count = 1")  # no more than there are
+
+    def make_room(self) -> None:
+        self._connection.execute("PRAGMA max_page_count = 1000000")
+
+    def _sleep(self, _seconds: float) -> None:
+        self.waits += 1
+        assert self.waits < 100, "waited for ever"
+        if self.waits == self._room_after:
+            self.make_room()
+
+
+@pytest.fixture
+def disk(record: Record, monkeypatch: pytest.MonkeyPatch) -> Disk:
+    return Disk(record, monkeypatch)
+
+
+def add_many(record: Record, rows: int) -> None:
+    """More than the pages that are there can take."""
+    work = workload(250)
+    record.begin(0, work)
+    for _ in range(rows):
+        record.add(count(work, list(range(250)), 1.0), work)
+
+
+def test_outcomes_that_a_full_disk_does_not_take_are_written_when_there_is_room(record: Record, disk: Disk) -> None:
+    disk.fill()
+    add_many(record, 5)
+    assert disk.lines == [f"the disk of {record.folder} is full: waiting for room; nothing is lost"]
+    assert query(record.folder, "SELECT count(*) FROM outcomes") == [(0,)], "half of what belongs together was written"
+    assert disk.waits == 0, "a generation that runs goes on"
+    disk.make_room()
+    record.flush()
+    assert disk.lines[1:] == [f"the disk of {record.folder} takes data again: going on"]
+    assert query(record.folder, "SELECT id, count FROM outcomes") == [(id_, 250) for id_ in range(1, 6)]
+    disk.fill()
+    add_many(record, 5)
+    assert len(disk.lines) == 3, "the next time is told again"
+    disk.make_room()
+    record.close()
+    assert query(record.folder, "SELECT event FROM events") == [("disk_waited",)]
+    assert len(disk.lines) == 3, "nothing to say when all was written"
+
+
+def test_a_generation_ends_when_it_is_on_the_disk(record: Record, disk: Disk) -> None:
+    disk.fill(waits=3)
+    record.finish(0, [b"genome" * 5000], np.array([1.0]), STATISTICS, {"at": 0})
+    assert disk.waits == 3
+    assert query(record.folder, "SELECT generation FROM generations") == [(0,)]
+    assert [line.rpartition(":")[0].split()[-1] for line in disk.lines] == ["full", "again"]
+
+
+def test_a_run_stopped_on_a_full_disk_says_what_is_evaluated_again(record: Record, disk: Disk) -> None:
+    disk.fill()
+    add_many(record, 5)
+    record.close()
+    assert disk.lines[1:] == [f"{record.folder} cannot be written (database or disk is full): resume evaluates 1250 trials again"]
+    with Record.open(record.folder)[0] as resumed:
+        assert resumed.meta("epoch") == 1
+
+
+def test_the_champion_waits_for_the_disk_too(record: Record, disk: Disk, monkeypatch: pytest.MonkeyPatch) -> None:
+    record.champion(CHAMPION)
+    fsync, failures = os.fsync, iter(range(2))
+
+    def failing(file: int) -> None:
+        if next(failures, None) is not None:
+            assert load_controller(record.folder) == CHAMPION, "the one before is whole"
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        fsync(file)
+
+    monkeypatch.setattr(os, "fsync", failing)
+    better = msgspec.structs.replace(CHAMPION, fitness=2.0)
+    record.champion(better)
+    assert load_controller(record.folder) == better
+    assert disk.waits == 2
+
+
+def test_what_a_record_writes_may_be_written_twice(record: Record, disk: Disk, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A commit said that it failed, after the data were on the disk."""
+    transact = database_module.transact
+
+    def done_and_failed(*arguments: object) -> None:
+        transact(*arguments)  # type: ignore[arg-type]
+        monkeypatch.undo()
+        error = sqlite3.OperationalError("disk I/O error")
+        error.sqlite_errorcode = sqlite3.SQLITE_IOERR_FSYNC
+        raise error
+
+    monkeypatch.setattr(database_module, "transact", done_and_failed)
+    work = workload()
+    record.begin(0, work)
+    record.add(count(work, [0, 1, 2], 1.0), work)
+    record.note(Note("requeued", count=7))
+    record.finish(0, work.genomes, np.ones(3), STATISTICS, {})
+    assert query(record.folder, "SELECT id, count FROM outcomes") == [(1, 3)]
+    assert record.requeued() == 7
+    assert record.evaluations() == 3
+    assert len(disk.lines) == 2
+
+
+def test_a_folder_that_is_moved_away_ends_the_run(record: Record, tmp_path: Path) -> None:
+    """SQLite would go on writing to it; a resume at the old place would not find it."""
+    record.folder.rename(tmp_path / "moved")
+    with pytest.raises(ConfigError, match="moved, removed or unmounted while the run went on"):
+        record.set_meta("probe", b"x")
+    with pytest.raises(ConfigError, match="moved, removed"):
+        record.close()
+    Record.open(tmp_path / "moved")[0].close()
+
+
+def test_a_folder_that_cannot_be_filled_is_not_left_behind(
+    tmp_path: Path, complete: experiment.Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(file: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(ConfigError, match="cannot be written: No space left on device; choose another place with --out"):
+        Record.create(tmp_path, complete, "hash")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_record_is_there_as_a_whole_or_not_at_all(
+    tmp_path: Path, complete: experiment.Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A program killed while it makes the folder leaves no half-made record."""
+    replace, seen = Path.replace, []
+
+    def replacing(self: Path, target: Path) -> Path:
+        if target.name == "run.sqlite":
+            assert not target.exists()
+            seen.append(sqlite3.connect(self).execute("SELECT count(*) FROM meta").fetchone()[0])
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", replacing)
+    with Record.create(tmp_path, complete, "hash") as record:
+        assert seen == [8]
+        assert sorted(path.name for path in record.folder.glob("*.part")) == []
+
+
 def test_a_champion_is_read_back_whole(record: Record) -> None:
-    champion = Controller(
-        simulator="emergency-exit", simulator_settings={"steps": 5}, representation="fully-meshed",
-        representation_settings={}, inputs=10, outputs=2, sensors=["n"], actuators=["vx"], genome=b"\0" * 240,
-        fitness=-1.0, run=record.meta("run_id"),
-    )  # fmt: skip
-    record.champion(champion)
-    assert load_controller(record.folder) == champion
-    assert load_controller(record.folder / "champion.zsc") == champion
-
-
-def test_runs_are_listed_with_the_damaged_ones_named(tmp_path: Path, record: Record) -> None:
-    (tmp_path / "damaged").mkdir()
-    (tmp_path / "damaged" / "run.sqlite").write_bytes(b"no database at all, but long enough to be looked at" * 20)
-    listed = {Path(row["run"]).name: row for row in runs(tmp_path)}
-    assert "damaged" in listed["damaged"]["error"]
-    assert listed["emergency-exit"]["generations"] == 0
-
-
-def test_a_network_file_system_is_known_by_its_mount(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    mounts = "/dev/vda / ext4 rw 0 0\nserver:/home {} nfs4 rw 0 0\n"
-    read = Path.read_text
-    monkeypatch.setattr(
-        Path, "read_text", lambda self: mounts.format(tmp_path) if str(self) == "/proc/self/mounts" else read(self)
-    )
-    assert on_network(tmp_path / "run.sqlite")
-    assert not on_network(Path("/somewhere/else"))
+    record.champion(CHAMPION)
+    assert load_controller(record.folder) == CHAMPION
+    assert load_controller(record.folder / "champion.zsc") == CHAMPION

@@ -1,5 +1,6 @@
 """Messages come through whole, and any bytes end in a message or in ``RemoteProtocolError``."""
 
+import json
 import struct
 import unicodedata
 from typing import Any
@@ -7,13 +8,18 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given
+import structlog
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from zswarm.errors import RemoteProtocolError
-from zswarm.protocol import codec, messages
+from zswarm.ot import tables
+from zswarm.ot.discovery import Found, Survey
+from zswarm.ot.dispatch import Answered, Ask, Dispatch, Gone, Note, Seen
+from zswarm.protocol import codec, keys, messages
 from zswarm.protocol.messages import MAX_GENOMES, MAX_MESSAGE, MAX_TEXT, MAX_TRIALS, Evaluate, Outcomes, Part, Reserve
 
+FUZZ = settings(derandomize=True, max_examples=500)  # the same every time, and short
 pack = msgspec.msgpack.encode
 SHOWN = st.text(st.characters(categories=("L", "N", "P", "S", "Zs")), max_size=40)  # clean() leaves these as they are
 TOKENS = st.binary(min_size=16, max_size=16)
@@ -26,7 +32,10 @@ PLAIN = st.recursive(
 )
 PARTS = st.builds(Part, SHOWN, st.dictionaries(SHOWN, PLAIN, max_size=3))
 REQUESTS = {
-    messages.Requirements: {"simulator": SHOWN, "representation": SHOWN, "version_hash": SHOWN},
+    messages.Requirements: {
+        **dict.fromkeys(("simulator", "representation", "version_hash"), SHOWN),
+        "trial_memory_mb": st.integers(0, 2**40),
+    },
     Reserve: {
         "nonce": TOKENS,
         "epoch": COUNTS,
@@ -35,6 +44,7 @@ REQUESTS = {
         "representation": PARTS,
         "version_hash": SHOWN,
         "trial_timeout_s": st.floats(0, 1e9, exclude_min=True),
+        "trial_memory_mb": st.integers(0, 2**40),
     },
     messages.Renew: {"lease": TOKENS, "known_ready": st.integers(-1, messages.MAX_SLOTS)},
     Evaluate: {
@@ -71,7 +81,7 @@ REPLIES = {
     messages.Running: {"batch": COUNTS, "done": COUNTS},
     messages.Fault: {
         "batch": COUNTS,
-        "kind": st.sampled_from(["crashed", "timeout"]),
+        "kind": st.sampled_from(["crashed", "timeout", "memory"]),
         "trial": COUNTS,
         "reason": SHOWN,
     },
@@ -173,6 +183,11 @@ def dangerous(text: str) -> set[str]:
     return {unicodedata.category(character) for character in text} & {"Cc", "Cf", "Cs", "Co", "Cn"}
 
 
+def shown_safely(text: str) -> None:
+    assert not dangerous(text)
+    assert len(text) <= MAX_TEXT + 20
+
+
 def ends_well(body: bytes) -> None:
     for decode in (codec.decode_request, codec.decode_reply):
         try:
@@ -180,23 +195,69 @@ def ends_well(body: bytes) -> None:
         except RemoteProtocolError as error:
             message, text = None, str(error)
         if message is None:
-            assert not dangerous(text)
-            assert len(text) <= MAX_TEXT + 20
+            shown_safely(text)
         else:
             assert decode(codec.encode(message)) == message
 
 
+@FUZZ
 @given(st.binary(max_size=200))
 def test_any_bytes_end_in_a_message_or_the_peers_fault(body: bytes) -> None:
     ends_well(body)
 
 
-@given(st.one_of(ANY_REQUEST, ANY_REPLY), st.integers(0, 10_000), st.binary(max_size=6), st.integers(0, 6))
-def test_a_damaged_message_ends_so_too(message: messages.Message, place: int, bytes_: bytes, lost: int) -> None:
-    body = codec.encode(message)
-    place %= len(body) + 1
-    ends_well(body[:place] + bytes_ + body[place + lost :])
-    ends_well(body[:place])
+HOSTILE = [
+    *(bytes([header]) + b"\xff\xff\xff\xff" for header in (0xC6, 0xC9, 0xDB, 0xDD, 0xDF)),  # four thousand million of it
+    *(b"\xdc\xff\xff", b"\xde\xff\xff", b"\xd9\xff", b"\xc4\xff"),
+    *(b"\x91" * 3000, b"\x81\xa1a" * 3000, b"\x81" * 3000),
+    *(pack(number) for number in (2**64 - 1, -(2**63), 2**53 + 1, float("nan"), float("inf"), -0.0, 1e308)),
+    *(
+        b"\xd3" + b"\xff" * 8,
+        b"\xcf" + b"\xff" * 8,
+        b"\xcb\x7f\xf8" + bytes(6),
+        b"\xca\x7f\xc0\0\0",
+        b"\xc7\x0c\xff" + b"\xff" * 12,
+    ),
+    *(
+        pack(None),
+        pack(True),
+        pack(""),
+        pack(b""),
+        pack([]),
+        pack({}),
+        pack("\x1b]0;x\x07"),
+        b"\xa1\xff",
+        b"\xa3\xed\xa0\x80",
+        b"\xc1",
+    ),
+]
+
+
+@st.composite
+def damaged(draw: st.DrawFn, message: st.SearchStrategy[messages.Message]) -> bytes:
+    """A message's bytes with bits flipped, cut, with foreign bytes in it, or with a key that comes twice."""
+    body = bytearray(codec.encode(draw(message)))
+    for _ in range(draw(st.integers(1, 3))):
+        place = draw(st.integers(0, len(body)))
+        match draw(st.sampled_from(["flip", "cut", "other", "put", "twice"])):
+            case "flip" if place < len(body):
+                body[place] ^= 1 << draw(st.integers(0, 7))
+            case "cut":
+                del body[place:]
+            case "other":
+                body[place : place + draw(st.integers(0, 6))] = draw(st.binary(max_size=6))
+            case "put":
+                body[place : place + draw(st.integers(0, 9))] = draw(st.sampled_from(HOSTILE))
+            case "twice" if body and 0x80 <= body[0] < 0x8F:
+                body[0] += 1
+                body += pack(draw(st.sampled_from(["type", "v", "lease", "batch", "simulator"]))) + draw(st.sampled_from(HOSTILE))
+    return bytes(body)
+
+
+@FUZZ
+@given(damaged(st.one_of(ANY_REQUEST, ANY_REPLY)))
+def test_a_damaged_message_ends_so_too(body: bytes) -> None:
+    ends_well(body)
 
 
 VALUES = st.recursive(
@@ -206,6 +267,7 @@ VALUES = st.recursive(
 )
 
 
+@FUZZ
 @given(st.one_of(ANY_REQUEST, ANY_REPLY), st.data())
 def test_a_message_with_any_value_in_a_field_ends_so_too(message: messages.Message, data: st.DataObject) -> None:
     key = data.draw(st.one_of(st.sampled_from(["type", *message.__struct_fields__]), st.text(max_size=6)))
@@ -220,6 +282,54 @@ def test_a_message_that_is_too_large_is_refused_unread() -> None:
     body = codec.encode(evaluate(genomes=[bytes(3_000_000)] * 3))
     assert refusal(body) == f"a message has {len(body)} bytes; at most {MAX_MESSAGE} are taken"
     assert codec.decode_request(codec.encode(evaluate(genomes=[bytes(3_000_000)] * 2)))
+
+
+# ---- what comes to a server ---------------------------------------------------------------------------------------
+
+PARTS_OF_KEYS = st.sampled_from(
+    ["zswarm", "v1", "v2", "default", "ss", "lab-1", "ot", "ada", "run-1", "", "*", "**", "$*", "..", "A"]
+)
+KEYS = st.one_of(
+    st.just(keys.offer("default", "lab-1")),
+    st.sampled_from([keys.request("default", "lab-1", "ada", "run-1", verb) for verb in keys.RunRequest]),
+    st.lists(PARTS_OF_KEYS, min_size=5, max_size=10).map("/".join),
+    st.text(max_size=40),
+)
+
+
+def comes_in_well(key: str, body: bytes) -> None:
+    try:
+        parts, message = codec.decode_query(key, body)
+    except RemoteProtocolError as error:
+        shown_safely(str(error))
+        return
+    assert all(keys.is_id(part) for part in (parts.realm, parts.server, parts.verb))
+    if isinstance(message, messages.Requirements):
+        assert parts.verb == "offer"
+    else:
+        assert parts.verb == type(message).__struct_config__.tag
+        assert keys.is_id(parts.user)
+        assert keys.is_id(parts.run)
+
+
+@FUZZ
+@given(KEYS, st.one_of(st.binary(max_size=100), ANY_REQUEST.map(codec.encode), damaged(ANY_REQUEST)))
+def test_any_key_with_any_bytes_is_a_request_or_the_peers_fault(key: str, body: bytes) -> None:
+    comes_in_well(key, body)
+
+
+@FUZZ
+@given(ANY_REQUEST, st.data())
+def test_a_message_under_its_own_key_comes_in_and_under_another_does_not(message: messages.Request, data: st.DataObject) -> None:
+    tag = str(type(message).__struct_config__.tag)
+    urls = {verb: keys.request("default", "lab-1", "ada", "run-1", verb) for verb in keys.RunRequest}
+    urls["requirements"] = keys.offer("default", "lab-1")
+    parts, received = codec.decode_query(urls.pop(tag), codec.encode(message))
+    assert received == message
+    assert (parts.user, parts.run) == (("", "") if tag == "requirements" else ("ada", "run-1"))
+    other = data.draw(st.sampled_from(sorted(urls.values())))
+    with pytest.raises(RemoteProtocolError, match="was sent to"):
+        codec.decode_query(other, codec.encode(message))
 
 
 # ---- settings -----------------------------------------------------------------------------------------------------
@@ -295,6 +405,8 @@ def test_settings_are_nested_eight_deep_at_most() -> None:
         (reserve(), {"trial_timeout_s": 0.0}),
         (reserve(), {"trial_timeout_s": float("nan")}),
         (reserve(), {"trial_timeout_s": float("inf")}),
+        (reserve(), {"trial_memory_mb": -1}),
+        (reserve(), {"trial_memory_mb": 2**40 + 1}),
         (reserve(), {"version_hash": "a" * (MAX_TEXT + 1)}),
         (reserve(), {"simulator": ["x", {}]}),
         (reserve(), {"simulator": {"kind": "x"}}),
@@ -384,8 +496,96 @@ def test_a_long_text_is_cut() -> None:
     assert len(codec.clean("\x1b" * 500)) == MAX_TEXT
 
 
+NASTY = [
+    DIRTY,
+    "\x1b]0;title\x07\x1b[2J\x1b[31m",
+    "\x9b31m\x9d8;;http://x\x9c",
+    "\u202egnp.exe\u2066\u200f",
+    "two\nlines\r\n\x0bof\x0c\x85text\u2028and\u2029more",
+    "nul\0 in it",
+    "x" * MAX_TEXT,
+    "\u202e" * MAX_TEXT,
+    "[red]no[/red][link=file:///etc/passwd]",
+    "=cmd()|' /C calc'!A0",
+    '<script>alert(1)</script> & "quoted" {braces} %s %(x)s',
+    "\U000e0041\ufeff\ue000\ufffe\U0010ffff",
+    "e\u0301" * 20,
+]
+
+
+def lines_of_a_log(text: str) -> list[str]:
+    """What a log shows of a text, in both forms."""
+    event = {"event": "malformed", "reason": text}
+    return [
+        str(structlog.processors.JSONRenderer()(None, "info", dict(event))),
+        str(structlog.dev.ConsoleRenderer(colors=False)(None, "info", dict(event))),
+    ]
+
+
+@pytest.mark.parametrize("text", NASTY)
+def test_a_nasty_text_is_harmless_in_a_log(text: str) -> None:
+    in_json, on_a_terminal = lines_of_a_log(codec.clean(text))
+    assert json.loads(in_json)["reason"] == codec.clean(text)
+    for line in (in_json, on_a_terminal):
+        assert len(line.splitlines()) == 1
+        assert not dangerous(line)
+
+
+@pytest.mark.parametrize("text", NASTY)
+def test_a_nasty_text_is_harmless_in_a_table(text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """As it came through the wire; brackets are no markup."""
+    offer = messages.Offer(
+        server=text, program=text, machine=text, capacity=1, free=1, leases=0, simulators=[text], representations=[text],
+        mismatch=text,
+    )  # fmt: skip
+    received = codec.decode_reply(codec.encode(offer))
+    assert isinstance(received, messages.Offer)
+    survey = Survey([Found("lab-1", received), Found("lab-2", None, codec.clean(text))], {}, [])
+    tables.servers(survey, "default", through_router=False, as_json=False)
+    shown = capsys.readouterr().out
+    assert not dangerous(shown.replace("\n", ""))
+    for character in "[=<{":
+        assert shown.count(character) >= 2 * text.count(character)
+
+
+@pytest.mark.parametrize("text", NASTY)
+def test_a_nasty_text_is_harmless_in_a_note(text: str) -> None:
+    """What the user is told and the record keeps of a server's texts."""
+    state = Dispatch(1, 0, wanted_slots=1, quarantine=False)
+    offer = messages.Offer(
+        server="lab-1", program="", machine="", capacity=1, free=1, leases=0, simulators=[], representations=[], mismatch=text
+    )
+    for reply in (offer, messages.Refused(code="mismatch", reason=text)):
+        state.handle(Gone("lab-1"), 0.0)
+        (ask,) = (command for command in state.handle(Seen("lab-1"), 0.0) if isinstance(command, Ask))
+        (note,) = state.handle(Answered(ask.question, codec.decode_reply(codec.encode(reply))), 0.0)
+        assert isinstance(note, Note)
+        assert note.text == codec.clean(text)
+        assert not dangerous(note.text)
+
+
+def test_a_lone_surrogate_cannot_come_in_and_is_spelt_out_in_our_own_texts() -> None:
+    assert codec.clean("a\ud800") == "a\\xd800"
+    body = pack({"type": "refused", "code": "busy", "reason": "?"}).replace(b"\xa1?", b"\xa3\xed\xa0\x80")
+    assert "utf-8" in refusal(body, codec.decode_reply)
+
+
+@pytest.mark.parametrize("text", NASTY)
+@pytest.mark.parametrize("kind", [messages.Requirements, Reserve])
+def test_every_name_in_a_request_is_cleaned_where_it_comes_in(kind: type[messages.Request], text: str) -> None:
+    if kind is Reserve:
+        message: messages.Request = reserve(simulator=Part(text, {}), representation=Part(text, {}), version_hash=text)
+    else:
+        message = messages.Requirements(simulator=text, representation=text, version_hash=text)
+    received = codec.decode_request(codec.encode(message))
+    for name in ("simulator", "representation", "version_hash"):
+        value = getattr(received, name)
+        assert (value.kind if isinstance(value, Part) else value) == codec.clean(text)
+
+
+@pytest.mark.parametrize("text", NASTY)
 @pytest.mark.parametrize("kind", REPLIES)
-def test_every_text_of_a_reply_is_cleaned_where_it_comes_in(kind: type[messages.Message]) -> None:
+def test_every_text_of_a_reply_is_cleaned_where_it_comes_in(kind: type[messages.Message], text: str) -> None:
     """Each field that takes any text is sent dirty; fields of fixed words cannot be."""
     plain = {
         messages.Offer: dict.fromkeys(("capacity", "free", "leases"), 1),
@@ -396,17 +596,62 @@ def test_every_text_of_a_reply_is_cleaned_where_it_comes_in(kind: type[messages.
         messages.Refused: {"code": "busy"},
         messages.Done: {},
     }[kind]
-    texts = {name: DIRTY for name, strategy in REPLIES[kind].items() if strategy is SHOWN}
-    lists = {name: [DIRTY] for name in ("simulators", "representations") if name in REPLIES[kind]}
+    texts = {name: text for name, strategy in REPLIES[kind].items() if strategy is SHOWN}
+    lists = {name: [text] for name in ("simulators", "representations") if name in REPLIES[kind]}
     received = codec.decode_reply(codec.encode(kind(**plain, **texts, **lists)))
     for name in texts:
-        assert getattr(received, name) == codec.clean(DIRTY)
+        assert getattr(received, name) == codec.clean(text)
         assert getattr(received, name).isprintable()
     for name in lists:
-        assert getattr(received, name) == [codec.clean(DIRTY)]
+        assert getattr(received, name) == [codec.clean(text)]
 
 
 # ---- arrays -------------------------------------------------------------------------------------------------------
+
+
+@FUZZ
+@given(st.binary(max_size=70), st.binary(max_size=70), st.integers(0, 4), st.integers(1, 3))
+def test_any_arrays_of_a_batch_are_in_shape_or_the_peers_fault(seeds: bytes, participants: bytes, genomes: int, k: int) -> None:
+    batch = evaluate(seeds=seeds, participants=participants, genomes=[b""] * genomes)
+    try:
+        who, drawn = codec.trials(batch, k)
+    except RemoteProtocolError as error:
+        shown_safely(str(error))
+        return
+    assert who.shape == (len(drawn), k)
+    assert 0 <= who.min() <= who.max() < genomes
+    assert drawn.tobytes() == seeds
+
+
+@FUZZ
+@given(
+    st.lists(st.one_of(st.floats(), st.sampled_from([float("nan"), float("inf"), -0.0])), max_size=8),
+    st.binary(max_size=40),
+    st.integers(0, 3),
+    st.integers(0, 2),
+    st.integers(0, 2),
+)
+def test_any_outcomes_are_in_shape_and_not_infinite_or_the_peers_fault(
+    fitness: list[float], metrics: bytes, count: int, k: int, m: int
+) -> None:
+    reply = Outcomes(batch=1, fitness=np.array(fitness, "<f8").tobytes(), metrics=metrics, seconds=0.0)
+    try:
+        told, measured = codec.outcomes(reply, count, k, m)
+    except RemoteProtocolError as error:
+        shown_safely(str(error))
+        return
+    assert (told.shape, measured.shape) == ((count, k), (count, m))
+    assert not np.isinf(told).any()
+    assert not np.isinf(measured).any()
+
+
+@FUZZ
+@given(st.binary(max_size=40), st.sampled_from(["<u4", "<u8", "<f4", "<f8"]))
+def test_any_bytes_are_numbers_or_the_peers_fault(raw: bytes, dtype: str) -> None:
+    try:
+        assert codec.array(raw, dtype).tobytes() == raw
+    except RemoteProtocolError:
+        assert len(raw) % np.dtype(dtype).itemsize
 
 
 def test_the_arrays_of_a_batch_are_read_in_order() -> None:

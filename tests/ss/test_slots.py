@@ -32,6 +32,7 @@ from zswarm.ss.slots import (
     Drain,
     Drained,
     Event,
+    Exhausted,
     Finished,
     HolderGone,
     HolderSeen,
@@ -116,10 +117,11 @@ class Server:
         return [slot.state.name for slot in self.slots.slots]
 
 
-def reserve(nonce: int = 1, epoch: int = 0, slots: int = 100, simulator: str = "minisim") -> Reserve:
+def reserve(nonce: int = 1, epoch: int = 0, slots: int = 100, simulator: str = "minisim", memory_mb: int = 0) -> Reserve:
     return Reserve(
         nonce=nonce.to_bytes(16, "big"), epoch=epoch, slots=slots, simulator=Part(simulator, {}),
         representation=Part("fully-meshed", {}), version_hash="", trial_timeout_s=TIMEOUT_S,
+        trial_memory_mb=memory_mb,
     )  # fmt: skip
 
 
@@ -127,8 +129,8 @@ def evaluate(lease: bytes, batch: int) -> Evaluate:
     return Evaluate(lease=lease, batch=batch, genomes=[b"g"], participants=b"\0" * 4, seeds=b"\0" * 8)
 
 
-def run(slot: int, lease: bytes, batch: int) -> Run:
-    return Run(slot, codec.encode(evaluate(lease, batch)))
+def run(slot: int, lease: bytes, batch: int, first: int = 0, alone: int = -1) -> Run:
+    return Run(slot, codec.encode(evaluate(lease, batch)), first, alone)
 
 
 def outcomes(batch: int) -> Outcomes:
@@ -256,6 +258,15 @@ def test_a_server_needs_ticks_while_a_lease_is_held_or_a_slot_stops() -> None:
     assert server.slots.busy()
     server.finish(0, 1)
     assert not server.slots.busy()
+
+
+def test_a_slot_prepared_with_another_limit_of_memory_is_prepared_anew() -> None:
+    server = Server(1)
+    server.ask(Release(lease=server.ready("a", memory_mb=512)), "a")
+    server.ready("b", memory_mb=512)
+    server.ask(reserve(memory_mb=1024, slots=1), "c")
+    server.ask(Release(lease=next(iter(server.slots.leases))), "b")
+    assert server.commands == [Prepare(0, reserve(memory_mb=1024, slots=1), probe=True)]
 
 
 def test_a_slot_prepared_for_another_problem_is_prepared_anew() -> None:
@@ -777,6 +788,147 @@ def test_a_preparation_that_does_not_end_is_killed(released: bool) -> None:
     assert released or server.reserve().state == "failed"
 
 
+# ---- memory -------------------------------------------------------------------------------------------------------
+
+
+def some(first: int, end: int) -> Outcomes:
+    """Outcomes of some trials of batch 1, which took a second each; trial 2 raised."""
+    return Outcomes(
+        batch=1, fitness=bytes(range(first, end)), metrics=bytes(range(end, first, -1)), seconds=float(end - first),
+        error="no way" if first <= 2 < end else "",
+    )  # fmt: skip
+
+
+def test_a_trial_that_takes_all_memory_is_blamed() -> None:
+    server = Server(1)
+    lease = server.ready()
+    (query,) = server.evaluate(lease, 1)
+    assert server.feed(Died(0, 4, "more than 512 MB", "memory")) == [Prepare(0, reserve(), probe=False)]
+    assert server.answers[query] == Fault(batch=1, kind="memory", trial=4, reason="more than 512 MB")
+
+
+def test_a_worn_process_is_replaced_before_the_next_batch_and_nobody_is_blamed() -> None:
+    server = Server(1)
+    lease = server.ready()
+    queries = server.evaluate(lease, 1, 2)
+    renewal = server.ask(Renew(lease=lease, known_ready=1))
+    assert server.feed(Finished(0, codec.encode(outcomes(1)), worn=True)) == [Kill(0), Prepare(0, reserve(), probe=False)]
+    assert server.answers[queries[0]] == outcomes(1)
+    answer = server.answers[renewal]
+    assert isinstance(answer, Lease)
+    assert answer.ready == 0
+    assert server.feed(Prepared(0, b"", 0.0)) == [run(0, lease, 2)]
+
+
+def test_another_slot_goes_on_while_a_worn_one_is_replaced() -> None:
+    server = Server(2)
+    lease = server.ready()
+    server.evaluate(lease, 1, 2, 3, 4)
+    assert server.feed(Finished(0, codec.encode(outcomes(1)), worn=True)) == [Kill(0), Prepare(0, reserve(), probe=False)]
+    assert server.finish(1, 2) == [run(1, lease, 3)]
+
+
+def test_a_worn_process_of_an_ended_lease_is_not_taken_for_prepared() -> None:
+    server = Server(2)
+    lease = server.ready("a", slots=1)
+    server.ready("b", slots=2)
+    server.evaluate(lease, 1)
+    server.ask(Release(lease=lease))
+    assert server.feed(Finished(0, codec.encode(outcomes(1)), worn=True)) == [
+        Kill(0),
+        Prepare(0, reserve(slots=2), probe=False),
+    ]
+
+
+def test_a_batch_that_its_process_has_no_memory_for_goes_on_where_it_stopped_and_is_answered_whole() -> None:
+    server = Server(1)
+    lease = server.ready()
+    query, second = server.evaluate(lease, 1, 2)
+    assert server.feed(Exhausted(0, some(0, 0), 0, alone=5)) == [Kill(0), Prepare(0, reserve(), probe=False)]
+    assert server.feed(Prepared(0, b"", 0.0)) == [run(0, lease, 1, first=0, alone=5)], "before the batch that waits"
+    server.feed(Exhausted(0, some(0, 5), 5, alone=5))
+    assert server.feed(Prepared(0, b"", 0.0)) == [run(0, lease, 1, first=5, alone=5)]
+    assert not {query, second} & set(server.answers)
+    assert server.feed(Finished(0, codec.encode(some(5, 8)))) == [run(0, lease, 2)]
+    whole = Outcomes(
+        batch=1, fitness=bytes(range(8)), metrics=bytes([5, 4, 3, 2, 1, 8, 7, 6]), seconds=8.0, error="no way"
+    )  # fmt: skip
+    assert server.answers[query] == whole
+    assert server.asked(evaluate(lease, 1)) == whole
+
+
+def test_another_slot_that_is_ready_goes_on_with_it() -> None:
+    server = Server(2)
+    lease = server.ready()
+    server.evaluate(lease, 1)
+    assert server.feed(Exhausted(0, some(0, 2), 2, alone=-1)) == [
+        Kill(0),
+        Prepare(0, reserve(), probe=False),
+        run(1, lease, 1, first=2),
+    ]
+
+
+def test_the_trials_before_are_counted_when_the_rest_of_a_batch_ends_in_a_fault_or_is_refused() -> None:
+    server = Server(1)
+    lease = server.ready()
+    (query,) = server.evaluate(lease, 1)
+    server.feed(Exhausted(0, some(0, 2), 2, alone=2))
+    server.feed(Prepared(0, b"", 0.0))
+    server.feed(Died(0, 2, "more than 512 MB", "memory"))
+    answer = server.answers[query]
+    assert isinstance(answer, Fault)
+    assert answer.trial == 2
+    (query,) = server.evaluate(lease, 2)
+    server.feed(Prepared(0, b"", 0.0))
+    server.feed(Exhausted(0, some(0, 2), 2, alone=2))
+    server.feed(Prepared(0, b"", 0.0))
+    refused = Refused(code="malformed", reason="it does not fit")
+    server.feed(Finished(0, codec.encode(refused)))
+    assert server.answers[query] == refused
+
+
+@pytest.mark.parametrize(("end", "why"), [("cancel", "cancelled"), ("release", "lease-lost"), ("drain", "draining")])
+def test_a_batch_that_ended_meanwhile_does_not_go_on(end: str, why: str) -> None:
+    server = Server(1)
+    lease = server.ready()
+    (query,) = server.evaluate(lease, 1)
+    match end:
+        case "cancel":
+            server.ask(Cancel(lease=lease, batches=[1]))
+        case "release":
+            server.ask(Release(lease=lease))
+        case "drain":
+            server.feed(Drain())
+    commands = server.feed(Exhausted(0, some(0, 2), 2, alone=-1))
+    assert commands[0] == Kill(0)
+    assert code(server.answers[query]) == why
+    assert (Drained() in commands) == (end == "drain")
+    if end == "cancel":
+        assert server.feed(Prepared(0, b"", 0.0)) == []
+
+
+def test_a_batch_that_goes_on_is_held_like_one_that_waits() -> None:
+    server = Server(1)
+    lease = server.ready()
+    (query,) = server.evaluate(lease, 1)
+    server.feed(Exhausted(0, some(0, 2), 2, alone=-1))
+    server.wait(30.0)
+    assert query not in server.answers
+    server.wait(0.25)
+    assert server.answers[query] == Running(batch=1, done=2)
+    (again,) = server.evaluate(lease, 1)
+    server.feed(Prepared(0, b"", 0.0))
+    server.feed(Finished(0, codec.encode(some(2, 4))))
+    assert isinstance(server.answers[again], Outcomes)
+
+
+def test_a_slot_that_is_exhausted_by_what_it_was_not_given_is_a_bug() -> None:
+    server = Server(1)
+    server.ready()
+    with pytest.raises(LocalProtocolError):
+        server.feed(Exhausted(0, some(0, 1), 1, alone=-1))
+
+
 # ---- draining -----------------------------------------------------------------------------------------------------
 
 
@@ -833,3 +985,32 @@ def test_slots_that_get_free_while_the_server_drains_go_to_nobody() -> None:
     server.ask(Release(lease=second), "b")
     assert server.commands == []
     assert server.reserve("c").slots == 0
+
+
+def test_a_server_that_stood_still_blames_no_trial() -> None:
+    """A laptop that slept, a stopped process: its workers stood still as well, and get their time."""
+    server = Server(1)
+    lease = server.ready()
+    server.evaluate(lease, 1)
+    server.wait(TIMEOUT_S - 1.0)
+    server.now += 50.0
+    server.ask(Renew(lease=lease, known_ready=0))
+    assert server.wait(0.75) == []
+    assert server.wait(0.75)[0] == Kill(0)
+
+
+def test_outcomes_are_kept_for_two_minutes() -> None:
+    """A run asks again when a query's time is up; for longer a server would only gather memory."""
+    server = Server(1)
+    lease = server.ready()
+    for batch in (1, 2):
+        server.evaluate(lease, batch)
+        server.finish(0, batch)
+        for _ in range(3):
+            server.wait(slots.KEPT_S / 3)
+            server.ask(Renew(lease=lease))
+    server.evaluate(lease, 3)
+    server.finish(0, 3)
+    assert server.asked(evaluate(lease, 3)) == outcomes(3)
+    query = server.ask(evaluate(lease, 1))
+    assert query in server.open, "the first one is computed again"

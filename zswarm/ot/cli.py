@@ -37,6 +37,11 @@ cluster_options = [
         help="Server or router to dial, such as tcp/192.168.1.5:7467; may be repeated.",
     ),
     click.option("--multicast/--no-multicast", default=None, help="Find servers by multicast.  [default: multicast]"),
+    click.option(
+        "--through-router/--no-through-router",
+        default=None,
+        help="Reach all servers through a router: one named by --connect, or found by multicast.",
+    ),
 ]
 json_option = click.option("--json", "as_json", is_flag=True, help="JSON on stdout.")
 
@@ -119,6 +124,7 @@ def resume(folder: Path, as_json: bool, **cluster: Any) -> None:
 @click.option("--realm", default="default", show_default=True, help="Realm to look in.")
 @click.option("--connect", multiple=True, metavar="EP", help="Server or router to dial; may be repeated.")
 @click.option("--multicast/--no-multicast", default=True, help="Find servers by multicast.  [default: multicast]")
+@click.option("--through-router", is_flag=True, help="Look through a router: one named by --connect, or found by multicast.")
 @click.option(
     "--wait",
     "wait_s",
@@ -130,23 +136,40 @@ def resume(folder: Path, as_json: bool, **cluster: Any) -> None:
 )
 @click.option("--for", "name", metavar="EXPERIMENT", help="Say which servers match this experiment, and why others do not.")
 @json_option
-def servers(realm: str, connect: tuple[str, ...], multicast: bool, wait_s: float, name: str | None, as_json: bool) -> None:
-    """Show the servers of the network."""
-    from zswarm.ot import cluster, tables
+def servers(
+    realm: str, connect: tuple[str, ...], multicast: bool, through_router: bool, wait_s: float, name: str | None, as_json: bool
+) -> None:
+    """Show the servers of the network, or why none is found."""
+    from zswarm import endpoint
+    from zswarm.ot import discovery, tables
+    from zswarm.protocol import keys
     from zswarm.protocol.messages import Requirements
     from zswarm.version_hash import version_hash
 
+    if not keys.is_id(realm):
+        raise ConfigError(f"--realm: expected {keys.ID_RULE}, not {realm!r}")
+    endpoint.check(connect, "--connect")
     requirements = Requirements()
     if name:
         loaded = experiment.load(experiment.find(name))
         simulator, representation = loaded.problem.simulator, loaded.representation.kind
         experiment.complete(loaded, name)
         requirements = Requirements(
-            simulator=simulator, representation=representation, version_hash=version_hash(simulator, representation)
+            simulator=simulator,
+            representation=representation,
+            version_hash=version_hash(simulator, representation),
+            trial_memory_mb=loaded.cluster.trial_memory_mb,
         )
-    found = cluster.servers(realm, connect=list(connect), multicast=multicast, requirements=requirements, wait_s=wait_s)
-    tables.servers(found, realm, as_json=as_json)
-    if not found:
+    survey = discovery.survey(
+        realm,
+        connect=list(connect),
+        multicast=multicast,
+        through_router=through_router,
+        requirements=requirements,
+        wait_s=wait_s,
+    )
+    tables.servers(survey, realm, through_router=through_router, experiment_name=name or "", as_json=as_json)
+    if not survey.servers:
         sys.exit(EXIT_NO_SERVERS)
 
 
@@ -182,7 +205,7 @@ def check(name: str, overrides: tuple[str, ...], as_json: bool) -> None:
 def evaluate(path: Path, trials: int, seed: int | None, as_json: bool) -> None:
     """Play a run's champion on seeds it was not evolved on."""
     from zswarm.ot import tables
-    from zswarm.ot.record import load_controller
+    from zswarm.ot.controller import load_controller
 
     tables.evaluated(load_controller(path), trials, seed or 0, as_json=as_json)
 
@@ -226,6 +249,7 @@ def _evolve(complete: Experiment, parts: Any, record: "Record", local: "LocalSer
             result = runs.run(complete, parts, record, local, reporter)
         reporter.done(result)
     except (KeyboardInterrupt, SystemExit, ZswarmError, sqlite3.Error, OSError):
+        record.close()
         click.echo(f"stopped; nothing is lost. Go on with: zswarm-ot resume {record.folder}", err=True)
         raise
 

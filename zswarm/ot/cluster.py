@@ -10,20 +10,35 @@ from collections.abc import Iterator
 from types import TracebackType
 from typing import NamedTuple, Self
 
-import msgspec
 import zenoh
 
 from zswarm import session
-from zswarm.errors import EvaluationError, NoServers, RemoteProtocolError
-from zswarm.ot import dispatch
-from zswarm.ot.dispatch import Ask, Complete, Counted, Dispatch, Failed, Note, Workload
+from zswarm.errors import EvaluationError, NoRouter, NoServers, RemoteProtocolError
+from zswarm.ot import discovery, dispatch
+from zswarm.ot.dispatch import (
+    Ask,
+    Complete,
+    Counted,
+    Dispatch,
+    Disputed,
+    Failed,
+    Note,
+    ProbeDisputed,
+    ProbeSettled,
+    Retracted,
+    Settled,
+)
+from zswarm.ot.workload import Workload
 from zswarm.protocol import codec, keys, messages
-from zswarm.protocol.messages import Message, Offer, Outcomes, Part, Requirements, Reserve
+from zswarm.protocol.messages import Message, Outcomes, Part, Requirements, Reserve
 
 FLUSH_S = 0.1  # a waiting caller gets a None this often
-QUERY_S = {"offer": 3.0, "reserve": 10.0, "renew": 25.0, "evaluate": 60.0, "cancel": 3.0, "release": 3.0}
+FLUSH_S = 0.1  # a waiting caller gets a None this often
+TOLD_AT_ONCE = 100  # things for the caller that are kept back at most while more events wait
+QUERY_S = {"offer": discovery.OFFER_S, "reserve": 10.0, "renew": 25.0, "evaluate": 60.0, "cancel": 3.0, "release": 3.0}
 CONTROL = zenoh.Priority.INTERACTIVE_HIGH  # overtakes batches on the way
 RELEASE_S = 2.0  # at most, on leaving
+ALONE_S = 5.0  # with this machine's slots only, before it is found out where the servers in ``connect`` are
 
 
 class Wanted(NamedTuple):
@@ -35,8 +50,10 @@ class Wanted(NamedTuple):
     participants: int
     metrics: int
     trial_timeout_s: float
+    trial_memory_mb: int
     slots: int
     quarantine: bool
+    verify: float
     probe: bytes
 
 
@@ -66,10 +83,28 @@ class Stopped(NamedTuple):
     error: BaseException
 
 
-class Cluster:
-    """All servers that evaluate for one run, from entering to leaving."""
+Item = Counted | Note | Disputed | ProbeDisputed | Retracted
 
-    def __init__(self, who: Who, wanted: Wanted, *, connect: list[str], multicast: bool) -> None:
+
+class Cluster:
+    """All servers that evaluate for one run, from entering to leaving.
+
+    Args:
+        connect: servers and routers to dial; with ``through_router`` routers only.
+        through_router: one of these carries all messages but those of this machine's slots.
+        local: where this machine's slots are dialled; "": there are none.
+    """
+
+    def __init__(
+        self,
+        who: Who,
+        wanted: Wanted,
+        *,
+        connect: list[str],
+        multicast: bool,
+        through_router: bool = False,
+        local: str = "",
+    ) -> None:
         self.who, self.wanted = who, wanted
         self.standing = Standing([], [], 0, 0, wanted.probe)  # the last one that its thread told
         self._dispatch = Dispatch(
@@ -78,26 +113,32 @@ class Cluster:
             wanted_slots=wanted.slots,
             quarantine=wanted.quarantine,
             probe=wanted.probe,
+            verify=wanted.verify,
         )
-        self._connect, self._multicast = connect, multicast
+        self._connect, self._multicast, self._through_router, self._local = connect, multicast, through_router, local
+        self._sessions: list[zenoh.Session] = []
+        self._tokens: list[zenoh.LivelinessToken] = []
+        self._home: dict[str, zenoh.Session] = {}  # the session that saw a server; written before the server is Seen
+        self._leaving = threading.Event()
+        self._alone = threading.Timer(ALONE_S, self._on_alone)
+        self._alone.daemon = True
         self._inbox: queue.SimpleQueue[dispatch.Event | None] = queue.SimpleQueue()
-        self._outbox: queue.SimpleQueue[Counted | Note | Complete | Failed | Stopped] = queue.SimpleQueue()
+        self._outbox: queue.SimpleQueue[Item | Complete | Failed | Stopped] = queue.SimpleQueue()
         self._senders: dict[str, session.Sender] = {}
         self._workload: Workload | None = None
 
     def __enter__(self) -> Self:
-        self._session = session.open_optimizer(self._connect, multicast=self._multicast)
+        direct = [*([] if self._through_router else self._connect), *([self._local] if self._local else [])]
         try:
-            liveliness = self._session.liveliness()
-            self._token = liveliness.declare_token(keys.run_alive(self.who.realm, self.who.user, self.who.run))
-            liveliness.declare_subscriber(
-                keys.any_version_alive(self.who.realm),
-                zenoh.handlers.Callback(self._on_token, indirect=False),
-                history=True,
-            )
+            if direct or not self._through_router:
+                self._watch(session.open_optimizer(direct, multicast=self._multicast and not self._through_router))
         except BaseException:
-            session.close(self._session)
+            self._close()
             raise
+        if self._through_router:
+            threading.Thread(target=self._open_through_router, name="router", daemon=True).start()
+        if self._local and self._connect:
+            self._alone.start()
         self._thread = threading.Thread(target=self._work, name="dispatch", daemon=True)
         self._thread.start()
         return self
@@ -107,14 +148,51 @@ class Cluster:
         self._inbox.put(None)
         self._thread.join(RELEASE_S)
         deadline = time.monotonic() + RELEASE_S
-        for sender in self._senders.values():
+        for sender in list(self._senders.values()):
             sender.close(max(0.0, deadline - time.monotonic()))
-        session.close(self._session)
+        self._close()
+
+    def _open_through_router(self) -> None:
+        """Opening waits for a router; the run goes on meanwhile."""
+        while not self._leaving.wait(FLUSH_S):
+            try:
+                opened = session.open_through_router(self._connect, multicast=self._multicast)
+            except NoRouter:
+                continue
+            if self._leaving.is_set():
+                session.close(opened)
+            else:
+                self._watch(opened)
+            return
+
+    def _watch(self, opened: zenoh.Session) -> None:
+        self._sessions.append(opened)
+        liveliness = opened.liveliness()
+        self._tokens.append(liveliness.declare_token(keys.run_alive(self.who.realm, self.who.user, self.who.run)))
+
+        def on_token(sample: zenoh.Sample) -> None:
+            self._on_token(opened, sample)
+
+        liveliness.declare_subscriber(
+            keys.any_version_alive(self.who.realm), zenoh.handlers.Callback(on_token, indirect=False), history=True
+        )
+
+    def _on_alone(self) -> None:
+        if all(server.startswith("local-") for server in list(self._home)):
+            self.diagnose()
+
+    def _close(self) -> None:
+        self._leaving.set()
+        self._alone.cancel()
+        for opened in self._sessions:
+            session.close(opened)
 
     # ---- the caller's thread
 
-    def evaluate(self, workload: Workload) -> Iterator[Counted | Note | None]:
+    def evaluate(self, workload: Workload) -> Iterator[Item | None]:
         """Evaluate what is not counted yet; yields what is counted and what happens, and None when nothing does for 0.1 s.
+
+        A Disputed or ProbeDisputed wants a call of ``settle``.
 
         Raises:
             EvaluationError: a trial faults again and again, or the run was taken over.
@@ -126,22 +204,52 @@ class Cluster:
                 return
             yield item
 
-    def wait(self, servers: int, timeout_s: float) -> Iterator[Note]:
-        """Wait until so many servers match and gave a lease, busy ones included; yields what happens.
+    def settle(self, settled: Settled | ProbeSettled) -> None:
+        """Tell what this machine computes."""
+        self._inbox.put(settled)
+
+    def wait(self, servers: int, timeout_s: float) -> Iterator[Item]:
+        """Wait until so many servers match and gave a lease, busy ones included; yields what happens, as ``evaluate`` does.
 
         Raises:
             NoServers: not in time.
         """
         deadline = time.monotonic() + timeout_s
+        look_at = deadline - timeout_s / 2
         while (leased := self.standing.leased) < servers:
+            if time.monotonic() > look_at:
+                look_at = deadline
+                self.diagnose()
             left = deadline - time.monotonic()
             if left <= 0:
                 raise NoServers(f"{leased} of {servers} matching servers were found in {timeout_s:g} s")
             item = self._next(min(left, FLUSH_S))
-            if isinstance(item, Note):
+            if item is not None and not isinstance(item, Complete):
                 yield item
 
-    def _next(self, timeout_s: float) -> Counted | Note | Complete | None:
+    def rest(self) -> Iterator[Item]:
+        """What happened that was not yielded yet."""
+        while (item := self._next(0.0)) is not None:
+            if not isinstance(item, Complete):
+                yield item
+
+    def diagnose(self) -> None:
+        """Have it found out why servers are not there; what is found comes as notes, some seconds later."""
+
+        def look() -> None:
+            for line in discovery.diagnose(
+                self.who.realm,
+                list(self._sessions),
+                connect=self._connect,
+                multicast=self._multicast,
+                through_router=self._through_router,
+                known=list(self._home),
+            ):
+                self._outbox.put(Note("diagnosis", "", line))
+
+        threading.Thread(target=look, name="diagnosis", daemon=True).start()
+
+    def _next(self, timeout_s: float) -> Item | Complete | None:
         try:
             item = self._outbox.get(timeout=timeout_s)
         except queue.Empty:
@@ -154,7 +262,7 @@ class Cluster:
 
     # ---- zenoh's threads
 
-    def _on_token(self, sample: zenoh.Sample) -> None:
+    def _on_token(self, opened: zenoh.Session, sample: zenoh.Sample) -> None:
         try:
             key = keys.parse_server_key(str(sample.key_expr))
         except RemoteProtocolError:
@@ -165,13 +273,22 @@ class Cluster:
                 self._outbox.put(Note("server_mismatch", key.server, text))
             return
         seen = sample.kind == zenoh.SampleKind.PUT
+        self._home[key.server] = opened
         self._inbox.put(dispatch.Seen(key.server) if seen else dispatch.Gone(key.server))
 
     # ---- the owner's thread
 
     def _work(self) -> None:
+        told: list[Item | Complete | Failed] = []  # for the caller, once the standing is of after them
+        changed = False
         try:
             while True:
+                if self._inbox.empty() or len(told) >= TOLD_AT_ONCE:  # a look at all servers, not for every event
+                    if changed:
+                        self.standing, changed = self._standing(), False
+                    for item in told:
+                        self._outbox.put(item)
+                    told.clear()
                 wait = self._dispatch.next_time() - time.monotonic()
                 try:
                     event = self._inbox.get(timeout=max(0.0, wait)) if wait < 3600 else self._inbox.get()
@@ -182,15 +299,22 @@ class Cluster:
                 if isinstance(event, dispatch.Work):
                     self._workload = event.workload
                 commands = self._dispatch.handle(event, time.monotonic())
-                if not (isinstance(event, dispatch.Answered) and isinstance(event.reply, Outcomes)):
-                    self.standing = self._standing()  # before the caller is told why
+                changed |= not (isinstance(event, dispatch.Answered) and isinstance(event.reply, Outcomes))
                 for command in commands:
                     if isinstance(command, Ask):
                         self._ask(command)
                     else:
-                        self._outbox.put(command)
+                        told.append(command)
+                if isinstance(event, dispatch.Gone) or any(isinstance(c, Note) and c.event == "server_lost" for c in commands):
+                    self._hang_up()
         except BaseException as error:  # a bug: the caller's thread raises it
-            self._outbox.put(Stopped(error))
+            for last in (*told, Stopped(error)):
+                self._outbox.put(last)
+
+    def _hang_up(self) -> None:
+        """End the senders of servers that left: one that is restarted is another server."""
+        for server in [server for server in self._senders if self._dispatch.servers[server].phase == dispatch.Phase.IDLE]:
+            self._senders.pop(server).close()
 
     def _standing(self) -> Standing:
         state = self._dispatch
@@ -203,18 +327,21 @@ class Cluster:
         else:
             key = keys.request(self.who.realm, ask.server, self.who.user, self.who.run, verb)
         body = codec.encode(self._message(ask))
-        replies: list[bytes] = []
+        answered = False
 
-        def on_reply(reply: zenoh.Reply) -> None:
-            if reply.ok is not None:
-                replies.append(reply.ok.payload.to_bytes())
+        def on_reply(reply: zenoh.Reply) -> None:  # not the end: zenoh waits for that of every link on which it may be answered
+            nonlocal answered
+            if reply.ok is not None and not answered:
+                answered = True
+                self._inbox.put(dispatch.Answered(question, _decode(reply.ok.payload.to_bytes())))
 
         def on_end() -> None:
-            self._inbox.put(dispatch.Answered(question, _decode(replies[0]) if replies else None))
+            if not answered:
+                self._inbox.put(dispatch.Answered(question, None))
 
         def send() -> None:
             try:
-                self._session.get(
+                self._home[ask.server].get(
                     key,
                     zenoh.handlers.Callback(on_reply, on_end, indirect=False),
                     target=zenoh.QueryTarget.ALL,
@@ -240,6 +367,7 @@ class Cluster:
                     simulator=wanted.simulator.kind,
                     representation=wanted.representation.kind,
                     version_hash=wanted.version_hash,
+                    trial_memory_mb=wanted.trial_memory_mb,
                 )
             case "reserve":
                 return Reserve(
@@ -250,6 +378,7 @@ class Cluster:
                     representation=wanted.representation,
                     version_hash=wanted.version_hash,
                     trial_timeout_s=wanted.trial_timeout_s,
+                    trial_memory_mb=wanted.trial_memory_mb,
                 )
             case "renew":
                 return messages.Renew(lease=ask.lease, known_ready=ask.known_ready)
@@ -273,57 +402,3 @@ def _decode(body: bytes) -> messages.Reply | str:
         return codec.decode_reply(body)
     except RemoteProtocolError as error:
         return str(error)
-
-
-class Found(msgspec.Struct, frozen=True):
-    """A server, or why nothing is known of it."""
-
-    server: str
-    offer: Offer | None
-    reason: str = ""
-
-
-def servers(realm: str, *, connect: list[str], multicast: bool, requirements: Requirements, wait_s: float) -> list[Found]:
-    """All servers of a realm that show up within a time, with their offers."""
-    tokens: queue.SimpleQueue[str] = queue.SimpleQueue()
-
-    def on_token(sample: zenoh.Sample) -> None:
-        if sample.kind == zenoh.SampleKind.PUT:
-            tokens.put(str(sample.key_expr))
-
-    found: dict[str, Found] = {}
-    opened = session.open_optimizer(connect, multicast=multicast)
-    try:
-        opened.liveliness().declare_subscriber(
-            keys.any_version_alive(realm), zenoh.handlers.Callback(on_token, indirect=False), history=True
-        )
-        deadline = time.monotonic() + wait_s
-        while (left := deadline - time.monotonic()) > 0:
-            try:
-                key = keys.parse_server_key(tokens.get(timeout=left))
-            except queue.Empty:
-                break
-            except RemoteProtocolError:
-                continue
-            if key.version != f"v{keys.VERSION}":
-                found[key.server] = Found(key.server, None, f"speaks version {key.version} of the protocol")
-            else:
-                found[key.server] = _offer(opened, realm, key.server, requirements)
-    finally:
-        session.close(opened)
-    return [found[server] for server in sorted(found)]
-
-
-def _offer(opened: zenoh.Session, realm: str, server: str, requirements: Requirements) -> Found:
-    for reply in opened.get(
-        keys.offer(realm, server),
-        target=zenoh.QueryTarget.ALL,
-        timeout=QUERY_S["offer"],
-        payload=codec.encode(requirements),
-    ):
-        if reply.ok is not None:
-            answer = _decode(reply.ok.payload.to_bytes())
-            if isinstance(answer, Offer):
-                return Found(server, answer)
-            return Found(server, None, answer if isinstance(answer, str) else str(getattr(answer, "reason", "")))
-    return Found(server, None, "does not answer")

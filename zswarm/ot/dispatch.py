@@ -2,7 +2,8 @@
 
 A server is seen, asked for its offer, reserved, prepared, and then kept with two batches per slot. A batch is as large as
 50-100 ms of measured work, and shrinks towards the end of a workload. Every trial is counted once: a result that comes a
-second time is dropped, and what a server did not answer goes elsewhere.
+second time is dropped, and what a server did not answer goes elsewhere, or is asked for again when the server is back first.
+A share of the trials may be evaluated a second time elsewhere; a server that computes other bits is used no more.
 """
 
 from collections import deque
@@ -13,6 +14,8 @@ import msgspec
 import numpy as np
 
 from zswarm.errors import LocalProtocolError, RemoteProtocolError
+from zswarm.ot.verification import Checks
+from zswarm.ot.workload import Workload, one_nan
 from zswarm.protocol import codec
 from zswarm.protocol.messages import (
     MAX_GENOMES,
@@ -37,6 +40,9 @@ RETRY_S = (0.05, 0.2, 1.0)  # before asking again after an empty answer; then th
 PAUSE_S = 1.0  # before a server that has no room, or not our lease any more, is asked again
 ASIDE_S = 30.0  # before a server that did not answer is looked at again, unless it is seen again before
 ATTEMPTS = 3  # of a trial that ends in a fault
+BLAMED = 3  # trials that end in a fault on a server and in an outcome elsewhere: so many, and this share of what it did,
+BLAMED_SHARE = 0.01  # and the server is put aside
+FAULTY_S = 600.0
 
 Verb = Literal["offer", "reserve", "renew", "evaluate", "cancel", "release"]
 
@@ -66,7 +72,21 @@ class Answered(msgspec.Struct, frozen=True):
 class Work(msgspec.Struct, frozen=True):
     """Evaluate this."""
 
-    workload: "Workload"
+    workload: Workload
+
+
+class Settled(msgspec.Struct, frozen=True):
+    """What a disputed trial's outcome is, by the optimizer's own machine."""
+
+    trial: int
+    fitness: np.ndarray  # (participants,) float64
+    metrics: np.ndarray  # (metrics,) float64
+
+
+class ProbeSettled(msgspec.Struct, frozen=True):
+    """What the digest of the probe's outcomes is, by the optimizer's own machine."""
+
+    digest: bytes
 
 
 class Tick(msgspec.Struct, frozen=True):
@@ -77,7 +97,7 @@ class Leave(msgspec.Struct, frozen=True):
     """Give all leases back."""
 
 
-Event = Seen | Gone | Answered | Work | Tick | Leave
+Event = Seen | Gone | Answered | Work | Settled | ProbeSettled | Tick | Leave
 
 
 # ---- commands -----------------------------------------------------------------------------------------------------
@@ -104,6 +124,22 @@ class Counted(msgspec.Struct, frozen=True):
     seconds: float
 
 
+class Disputed(msgspec.Struct, frozen=True):
+    """Two servers computed different outcomes of a trial: answered by Settled."""
+
+    trial: int
+
+
+class ProbeDisputed(msgspec.Struct, frozen=True):
+    """Two servers have different digests of the probe's outcomes: answered by ProbeSettled."""
+
+
+class Retracted(msgspec.Struct, frozen=True):
+    """What a server counted for in this workload is counted no more: it computes wrong."""
+
+    server: str
+
+
 class Complete(msgspec.Struct, frozen=True):
     """All trials of the workload are counted."""
 
@@ -123,35 +159,10 @@ class Note(msgspec.Struct, frozen=True):
     count: int = 0
 
 
-Command = Ask | Counted | Complete | Failed | Note
+Command = Ask | Counted | Disputed | ProbeDisputed | Retracted | Complete | Failed | Note
 
 
 # ---- state --------------------------------------------------------------------------------------------------------
-
-
-class Workload:
-    """Genomes and trials to evaluate, and their outcomes as they come."""
-
-    def __init__(self, genomes: list[bytes], participants: np.ndarray, seeds: np.ndarray, metrics: int) -> None:
-        """Start with nothing counted.
-
-        Args:
-            participants: (trials, k) integers, indices into genomes.
-            seeds: (trials,) uint64.
-            metrics: numbers a trial reports beside fitness.
-        """
-        self.genomes = genomes
-        self.participants = participants
-        self.seeds = seeds
-        self.fitness = np.full(participants.shape, np.nan)
-        self.metrics = np.full((len(seeds), metrics), np.nan)
-        self.counted = np.zeros(len(seeds), bool)
-        self.faulted = np.zeros(len(seeds), bool)
-
-    def batch(self, trials: np.ndarray) -> tuple[list[bytes], np.ndarray, np.ndarray]:
-        """The genomes that some trials need, their participants as indices into these, and their seeds."""
-        used, participants = np.unique(self.participants[trials], return_inverse=True)
-        return [self.genomes[i] for i in used], participants.reshape(len(trials), -1), self.seeds[trials]
 
 
 class Phase(Enum):
@@ -163,6 +174,7 @@ class Phase(Enum):
     RESERVING = auto()
     LEASED = auto()
     LEAVING = auto()  # its token vanished: what it has may still come back
+    BARRED = auto()  # it computes wrong: never used again
 
 
 class Batch(msgspec.Struct, eq=False):
@@ -170,6 +182,8 @@ class Batch(msgspec.Struct, eq=False):
 
     id: int
     trials: np.ndarray
+    avoid: frozenset[str] = frozenset()  # servers on which a trial of it ended in a fault
+    check: bool = False  # its trials are counted: evaluated a second time, to compare
     empties: int = 0  # empty answers in a row
 
 
@@ -179,6 +193,8 @@ class Server(msgspec.Struct, eq=False):
     id: str
     phase: Phase = Phase.SEEN
     lease: bytes = b""  # while LEASED or LEAVING
+    probe: bytes = b""  # digest of its outcomes of the probe
+    former: bytes = b""  # the lease that was left to itself
     capacity: int = 0
     slots: int = 0
     ready: int = 0
@@ -187,7 +203,10 @@ class Server(msgspec.Struct, eq=False):
     renewing: bool = False
     paused_until: float = 0.0  # it had no room for a batch
     batches: dict[int, Batch] = {}
-    abandoned: list[int] = []  # batches given elsewhere that it may still have
+    abandoned: list[int] = []  # batches of its lease that it may still have and that nobody wants any more
+    counted: int = 0  # trials
+    blamed: int = 0  # trials that ended in a fault here and in an outcome elsewhere
+    faulty: bool = False  # put aside for that
     empties: int = 0  # in a row, of questions without a batch
     silent: bool = False  # the user was told so
 
@@ -205,10 +224,11 @@ ASKED_IN = {"offer": Phase.SEEN, "reserve": Phase.RESERVING, "renew": Phase.LEAS
 
 
 class Piece(msgspec.Struct, eq=False):
-    """Trials that wait, and the servers on which one of them ended in a fault."""
+    """Trials that wait."""
 
     trials: np.ndarray
-    avoid: frozenset[str] = frozenset()
+    avoid: frozenset[str] = frozenset()  # servers on which one of them ended in a fault
+    left: tuple[str, int] | None = None  # the server that was left with them, and their batch there; it stays in one piece
 
 
 class Dispatch:
@@ -222,6 +242,7 @@ class Dispatch:
         wanted_slots: int,
         quarantine: bool,
         probe: bytes = b"",
+        verify: float = 0.0,
     ) -> None:
         """Start with no server known.
 
@@ -229,10 +250,13 @@ class Dispatch:
             participants, metrics: numbers per trial, of the simulator.
             wanted_slots: to reserve on every server.
             quarantine: count a trial that faults again and again as NaN, instead of stopping.
-            probe: digest of the probe's outcomes that servers must have; b"": the first server's.
+            probe: digest of the probe's outcomes that servers have; b"": the first server's. On the first difference the
+                optimizer's own machine decides.
+            verify: share of the trials to evaluate on a second server, too.
         """
         self.servers: dict[str, Server] = {}
         self.probe = probe
+        self._probe_disputed = self._probe_settled = False
         self.requeued = 0  # trials sent again after they were out
         self.late = 0  # results that were counted before
         self._participants = participants
@@ -247,6 +271,8 @@ class Dispatch:
         self._unsent = 0  # trials in _waiting
         self._genome_bytes = 0  # of the largest
         self._faults: dict[int, list[str]] = {}  # the servers on which a trial ended in one
+        self._checks = Checks(verify)
+        self._alone = False  # the user was told that there is no second server
         self._later: list[tuple[float, Question]] = []  # to ask at a time
         self._renewal = float("inf")  # no renewal is due before
         self._changed = False  # who serves, or what waits
@@ -267,16 +293,14 @@ class Dispatch:
                 self._answered(event, now)
             case Work():
                 self._work(event.workload, now)
+            case Settled():
+                self._settled(event, now)
+            case ProbeSettled():
+                self._settle_probe(event.digest, now)
             case Tick():
                 self._tick(now)
             case Leave():
                 self._leave(now)
-        if not (isinstance(event, Answered) and isinstance(event.reply, Outcomes)):  # which come by the thousand a second
-            self._changed = True
-            self._renewal = min(
-                (s.last_asked + RENEW_S for s in self.servers.values() if s.phase == Phase.LEASED and not s.renewing),
-                default=float("inf"),
-            )
         self._fill(now)
         return self._commands
 
@@ -308,8 +332,9 @@ class Dispatch:
         server = self.servers.setdefault(id_, Server(id_, Phase.IDLE))
         if server.phase == Phase.LEAVING:
             server.phase = Phase.LEASED  # the link was cut and is back before its end was noticed
+            self._changed = True
             self._note("server_back", server.id)
-            self._cancel_abandoned(server, now)
+            self._return_to(server, now)
             self._renew(server, now)
         elif server.phase in (Phase.IDLE, Phase.ASIDE):
             server.phase, server.empties = Phase.SEEN, 0
@@ -323,32 +348,56 @@ class Dispatch:
         if server.phase == Phase.LEASED:
             self._note("server_left", id_, f"{sum(len(b.trials) for b in server.batches.values())} trials were with it")
             server.phase = Phase.LEAVING
+            self._changed = True
             for batch in [batch for batch in server.batches.values() if batch.empties]:
                 self._abandon(server, batch)  # nobody answered already, and nobody will
             self._forget_if_left(server)
-        elif server.phase != Phase.LEAVING:
+        elif server.phase not in (Phase.LEAVING, Phase.BARRED):
             server.phase = Phase.IDLE
 
     def _forget_if_left(self, server: Server) -> None:
         if server.phase == Phase.LEAVING and not server.batches:
             self._forget_lease(server, "server_lost", "")
 
-    def _forget_lease(self, server: Server, note: str, text: str) -> None:
+    def _forget_lease(self, server: Server, note: str, text: str, *, ended: bool = False) -> None:
+        """Do without a lease; one that has not ended is gone back to when the server is there again in time."""
         for batch in list(server.batches.values()):
             self._abandon(server, batch)
+        self._changed = True
+        server.former = server.lease or server.former
+        if ended:
+            self._end_former(server)
         server.phase, server.lease, server.slots, server.ready, server.renewing = Phase.IDLE, b"", 0, 0, False
         self._note(note, server.id, text)
 
     def _abandon(self, server: Server, batch: Batch) -> None:
-        """Give a batch elsewhere that the server may still have."""
+        """Give a batch elsewhere that the server may still have; it is the server's again if that is back before."""
         del server.batches[batch.id]
-        server.abandoned.append(batch.id)
-        self._requeue(batch.trials)
+        if batch.check:
+            server.abandoned.append(batch.id)
+            self._give_back(batch)
+        else:
+            self._requeue(batch.trials, batch.avoid, (server.id, batch.id))
 
-    def _cancel_abandoned(self, server: Server, now: float) -> None:
+    def _return_to(self, server: Server, now: float) -> None:
+        """The lease of before stands: ask for what it has and still is wanted, and cancel the rest."""
+        for piece in [piece for piece in self._waiting if piece.left and piece.left[0] == server.id]:
+            assert piece.left is not None  # noqa: S101  chosen so
+            self._waiting.remove(piece)
+            self._unsent -= len(piece.trials)
+            batch = Batch(piece.left[1], piece.trials, piece.avoid)
+            server.batches[batch.id] = batch
+            self._ask(server, "evaluate", now, batch=batch)
         if server.abandoned:
             self._ask(server, "cancel", now, batches=tuple(server.abandoned))
             server.abandoned = []
+
+    def _end_former(self, server: Server) -> None:
+        """The lease of before has ended, and with it what the server had."""
+        server.former, server.abandoned = b"", []
+        for piece in self._waiting:
+            if piece.left and piece.left[0] == server.id:
+                piece.left = None
 
     def _put_aside(self, server: Server, time: float) -> None:
         """Use a server no more, until a time or until it is seen again."""
@@ -358,12 +407,12 @@ class Dispatch:
     def _drop(self, server: Server, note: str, text: str, now: float) -> None:
         """Give a lease back that is of no use."""
         self._ask(server, "release", now)
-        self._forget_lease(server, note, text)
+        self._forget_lease(server, note, text, ended=True)
 
     def _lost(self, server: Server, reason: str, now: float) -> None:
         """The server ended the lease."""
         leaving = server.phase == Phase.LEAVING
-        self._forget_lease(server, "lease_lost", reason)
+        self._forget_lease(server, "lease_lost", reason, ended=True)
         if not leaving:
             self._put_aside(server, now + PAUSE_S)
 
@@ -376,18 +425,25 @@ class Dispatch:
         if server.phase == Phase.RESERVING:
             server.phase = Phase.LEASED
             self._note("lease_" + lease.state, server.id, count=lease.slots)
-            self._cancel_abandoned(server, now)  # it may be the lease of before
-        if lease.probe and not self.probe:
-            self.probe = lease.probe
-        if lease.probe and lease.probe != self.probe:
-            self._drop(server, "server_differs", "its outcomes of the probe are not those of the other servers", now)
-            return
+            if lease.lease == server.former:
+                self._return_to(server, now)
+            self._end_former(server)
+        if lease.probe:
+            server.probe, self.probe = lease.probe, self.probe or lease.probe
+            if server.probe != self.probe:
+                self._differs(server, now)
+                return
         if not server.trial_s:
             server.trial_s = lease.trial_s
+        self._changed |= lease.ready != was_ready
+        self._renew_by(server.last_asked + RENEW_S)
         if lease.ready and not was_ready:
             self._note("server_joined", server.id, count=lease.ready)
         if server.ready < min(self._wanted, server.capacity):
             self._renew(server, now)  # held by the server until more slots are ready
+
+    def _renew_by(self, time: float) -> None:
+        self._renewal = min(self._renewal, time)
 
     def _renew(self, server: Server, now: float) -> None:
         if not server.renewing:
@@ -409,6 +465,7 @@ class Dispatch:
             return
         if verb == "renew" and question.lease == server.lease:
             server.renewing = False
+            self._renew_by(server.last_asked + RENEW_S)
         if server.phase != ASKED_IN.get(verb) or question.lease != server.lease:
             return  # to a cancel or release, or to what has changed since
         if reply is not None:
@@ -461,6 +518,7 @@ class Dispatch:
             if isinstance(reply, Outcomes):
                 self.late += len(batch.trials)  # it was given elsewhere, or its workload ended
             return
+        self._hungry = server
         if reply is None and server.phase == Phase.LEASED:
             if batch.empties < len(RETRY_S):
                 question = Question(server.id, "evaluate", server.lease, batch)
@@ -480,12 +538,14 @@ class Dispatch:
                 case Outcomes():
                     self._count(server, batch, reply, now)
                 case Fault():
-                    self._faulted(server, batch, reply, now)
+                    self._faulted(server, batch, reply.trial, f"{reply.kind}: {reply.reason}", now)
+                case Refused(code="malformed"):
+                    self._faulted(server, batch, 0, f"refused: {reply.reason}", now)
                 case Refused():
-                    self._requeue(batch.trials)
+                    self._give_back(batch)
                     self._refused(server, reply, now)
                 case _:
-                    self._requeue(batch.trials)
+                    self._give_back(batch)
                     self._drop(server, "malformed", f"{type(reply).__name__} is no answer to evaluate", now)
         self._forget_if_left(server)
 
@@ -499,7 +559,7 @@ class Dispatch:
                 self._gone(server.id)  # its token, too, is on the way out
             case "lease-lost":
                 self._lost(server, refused.reason, now)
-            case "malformed" | "mismatch":
+            case "mismatch":
                 self._drop(server, "server_refused", refused.reason, now)
 
     def _count(self, server: Server, batch: Batch, reply: Outcomes, now: float) -> None:
@@ -510,48 +570,148 @@ class Dispatch:
                 raise RemoteProtocolError(f"batch {batch.id} was answered with batch {reply.batch}")
             fitness, metrics = codec.outcomes(reply, len(batch.trials), self._participants, self._metrics)
         except RemoteProtocolError as error:
-            self._requeue(batch.trials)
+            self._give_back(batch)
             self._drop(server, "malformed", str(error), now)
             return
         measured = reply.seconds / len(batch.trials)
         server.trial_s = measured if not server.trial_s else 0.7 * server.trial_s + 0.3 * measured
         if reply.error:
             self._note("simulator_raised", server.id, reply.error, int(np.isnan(fitness).any(axis=1).sum()))
-        workload.fitness[batch.trials] = np.where(np.isnan(fitness), np.nan, fitness)  # one bit pattern of NaN
-        workload.metrics[batch.trials] = np.where(np.isnan(metrics), np.nan, metrics)
-        self._hungry = server
+        fitness, metrics = one_nan(fitness), one_nan(metrics)
+        if batch.check:
+            self._compare(server, batch.trials, fitness, metrics)
+            return
+        workload.fitness[batch.trials], workload.metrics[batch.trials] = fitness, metrics
+        server.counted += len(batch.trials)
+        self._choose_checks(batch.trials)
         self._mark_counted(batch.trials, server.id, reply.seconds)
+        if self._faults:
+            self._clear_of_blame(batch.trials, server, now)
 
     def _mark_counted(self, trials: np.ndarray, server: str, seconds: float) -> None:
         workload = self._workload
         assert workload is not None  # noqa: S101  callers have one
         if workload.counted[trials].any():
             raise LocalProtocolError("a trial was counted twice")
-        workload.counted[trials] = True
+        workload.counted[trials], workload.source[trials] = True, server
         self._rest -= len(trials)
         self._commands.append(Counted(trials, server, seconds))
-        if not self._rest:
+        self._complete_if_done()
+
+    def _complete_if_done(self) -> None:
+        if self._workload is not None and not self._rest and not self._checks.open:
             self._workload = None
             self._commands.append(Complete())
 
-    def _faulted(self, server: Server, batch: Batch, fault: Fault, now: float) -> None:
+    # ---- faults
+
+    def _faulted(self, server: Server, batch: Batch, index: int, text: str, now: float) -> None:
         workload = self._workload
         assert workload is not None  # noqa: S101  the server's batches are of it
-        index = min(fault.trial, len(batch.trials) - 1)
+        index = min(index, len(batch.trials) - 1)
         guilty, innocent = batch.trials[index : index + 1], np.delete(batch.trials, index)
-        self._requeue(innocent)
+        self._give_back(Batch(batch.id, innocent, batch.avoid, batch.check))
         trial = int(guilty[0])
+        if batch.check:
+            self._note("fault", server.id, f"{text} (trial {trial}, when it was verified)")
+            self._checks.drop([trial])
+            self._blame(server, now)
+            self._complete_if_done()
+            return
         servers = self._faults.setdefault(trial, [])
         servers.append(server.id)
-        self._note("fault", server.id, f"{fault.kind}: {fault.reason} (trial {trial}, attempt {len(servers)})")
+        self._note("fault", server.id, f"{text} (trial {trial}, attempt {len(servers)})")
         if len(servers) < ATTEMPTS:
             self._requeue(guilty, frozenset(servers))
         elif self._quarantine:
             workload.faulted[trial] = True
             self._mark_counted(guilty, "", 0.0)
         else:
-            text = f"a trial ended in a fault {ATTEMPTS} times, last on {server.id}: {fault.kind}: {fault.reason}"
-            self._fail(text, now)
+            self._fail(f"a trial ended in a fault {ATTEMPTS} times, last on {server.id}: {text}", now)
+
+    def _clear_of_blame(self, trials: np.ndarray, by: Server, now: float) -> None:
+        """Trials that ended in faults ended in outcomes elsewhere: the machines were guilty."""
+        for trial in trials:
+            for id_ in set(self._faults.get(int(trial), [])) - {by.id}:
+                self._blame(self.servers[id_], now)
+
+    def _blame(self, server: Server, now: float) -> None:
+        server.blamed += 1
+        too_many = server.blamed >= max(BLAMED, BLAMED_SHARE * server.counted)
+        if too_many and server.phase == Phase.LEASED and set(self.serving()) - {server.id}:
+            self._drop(server, "server_faulty", f"{server.blamed} trials that failed on it did not fail elsewhere", now)
+            server.blamed, server.counted, server.faulty = 0, 0, True
+            self._put_aside(server, now + FAULTY_S)
+
+    def _recall_faulty(self, now: float) -> None:
+        """A server that fails at times is better than none."""
+        for server in self.servers.values():
+            if server.phase == Phase.ASIDE and server.faulty:
+                server.faulty = False
+                self._put_aside(server, now + PAUSE_S)
+
+    # ---- verification
+
+    def _choose_checks(self, trials: np.ndarray) -> None:
+        self._checks.choose(trials)
+        self._changed |= bool(self._checks.waiting)  # others may be idle
+
+    def _compare(self, server: Server, trials: np.ndarray, fitness: np.ndarray, metrics: np.ndarray) -> None:
+        workload = self._workload
+        assert workload is not None  # noqa: S101  the server's batches are of it
+        disputed = self._checks.compare(server.id, trials, fitness, metrics, workload)
+        self._commands += [Disputed(trial) for trial in disputed]
+        self._complete_if_done()
+
+    def _settled(self, event: Settled, now: float) -> None:
+        for id_ in self._checks.settle(event.trial, event.fitness, event.metrics):
+            server = self.servers.setdefault(id_, Server(id_, Phase.IDLE))  # one of before a resume may be gone
+            if server.phase != Phase.BARRED:
+                self._bar(server, f"its outcome of trial {event.trial} is wrong", now)
+        self._complete_if_done()
+
+    def _differs(self, server: Server, now: float) -> None:
+        if self._probe_settled:
+            self._bar(server, "its outcomes of the probe are wrong", now)
+            return
+        text = "its outcomes of the probe are not those of other servers; this machine decides who is right"
+        self._drop(server, "server_differs", text, now)
+        self._put_aside(server, now + ASIDE_S)
+        if not self._probe_disputed:
+            self._probe_disputed = True
+            self._commands.append(ProbeDisputed())
+
+    def _settle_probe(self, digest: bytes, now: float) -> None:
+        self.probe, self._probe_settled = digest, True
+        for server in list(self.servers.values()):
+            if server.probe and server.probe != digest and server.phase != Phase.BARRED:
+                self._bar(server, "its outcomes of the probe are wrong", now)
+            elif server.probe == digest and server.phase == Phase.ASIDE:
+                self._put_aside(server, now)  # it was right: ask it at once
+
+    def _bar(self, server: Server, text: str, now: float) -> None:
+        """Use a server never again, and evaluate again what it counted for."""
+        if server.lease:
+            self._ask(server, "release", now)
+        self._commands.append(Retracted(server.id))  # before it is told: the record may end between the two
+        self._forget_lease(server, "server_wrong", text, ended=True)
+        server.phase = Phase.BARRED
+        if self._workload is not None:
+            trials = self._workload.retract(server.id)
+            self._checks.drop(trials.tolist())
+            self._rest += len(trials)
+            self._requeue(trials)
+
+    def _do_without_checks(self) -> None:
+        """Trials are counted unverified when there is no second server."""
+        workload = self._workload
+        assert workload is not None  # noqa: S101  callers have one
+        lonely = self._checks.lonely(set(self._serving), workload)
+        if lonely and not self._alone:
+            self._note("unverified", text="no second server is there to verify with")
+        self._alone = bool(lonely)
+        self._checks.drop(lonely)
+        self._complete_if_done()
 
     def _fail(self, reason: str, now: float) -> None:
         self._end_workload(now)
@@ -561,21 +721,25 @@ class Dispatch:
 
     def _work(self, workload: Workload, now: float) -> None:
         self._end_workload(now)
-        trials = np.flatnonzero(~workload.counted)
-        if not len(trials):
-            self._commands.append(Complete())
-            return
-        self._workload = workload
+        self._workload, self._changed = workload, True
         self._genome_bytes = max(map(len, workload.genomes))
+        trials = np.flatnonzero(~workload.counted)
         self._rest = self._unsent = len(trials)
-        self._waiting.append(Piece(trials))
+        if len(trials):
+            self._waiting.append(Piece(trials))
+        self._choose_checks(np.flatnonzero(workload.source != ""))  # restored: counted, and perhaps not verified
+        self._complete_if_done()
 
     def _end_workload(self, now: float) -> None:
         """Forget what waits, and cancel what is still out."""
+        for piece in self._waiting:
+            if piece.left:
+                self.servers[piece.left[0]].abandoned.append(piece.left[1])
         self._workload = None
         self._waiting.clear()
         self._unsent = 0
         self._faults.clear()
+        self._checks.clear()
         for server in self.servers.values():
             if server.batches:
                 self._ask(server, "cancel", now, batches=tuple(server.batches))
@@ -589,18 +753,26 @@ class Dispatch:
                 self._ask(server, "release", now)
             server.phase, server.lease = Phase.IDLE, b""
 
-    def _requeue(self, trials: np.ndarray, avoid: frozenset[str] = frozenset()) -> None:
+    def _give_back(self, batch: Batch) -> None:
+        """A batch, or what is left of it, that its server does not have any more."""
+        if batch.check:
+            self._changed = True
+            self._checks.give_back(batch.trials)
+        else:
+            self._requeue(batch.trials, batch.avoid)
+
+    def _requeue(self, trials: np.ndarray, avoid: frozenset[str] = frozenset(), left: tuple[str, int] | None = None) -> None:
         if len(trials):
             self._changed = True
             self.requeued += len(trials)
             self._unsent += len(trials)
-            self._waiting.appendleft(Piece(trials, avoid))
+            self._waiting.appendleft(Piece(trials, avoid, left))
             self._note("requeued", count=len(trials))
 
     def _fill(self, now: float) -> None:
         """Keep servers with two batches per slot: first one for every slot of all, then the second."""
         hungry, self._hungry = self._hungry, None
-        if self._workload is None or not self._unsent:
+        if self._workload is None or not (self._unsent or self._checks.waiting):
             return
         if self._changed:
             self._changed = False
@@ -610,21 +782,26 @@ class Dispatch:
                 if server.phase == Phase.LEASED and server.ready and server.paused_until <= now
             }
             self._slots = sum(server.ready for server in self._serving.values())
+            if not self._serving:
+                self._recall_faulty(now)
             servers = list(self._serving.values())
         else:
             servers = [hungry] if hungry is not None and hungry.id in self._serving else []
         for depth in range(1, DEPTH + 1):
             for server in servers:
-                while self._unsent and len(server.batches) < depth * server.ready:
-                    trials = self._take(server)
-                    if trials is None:
+                while len(server.batches) < depth * server.ready:
+                    batch = self._take(server)
+                    if batch is None:
                         break
-                    batch = Batch(self._next_number(), trials)
                     server.batches[batch.id] = batch
                     self._ask(server, "evaluate", now, batch=batch)
+        if self._checks.waiting and not self._rest:
+            self._do_without_checks()
 
-    def _take(self, server: Server) -> np.ndarray | None:
-        """Trials for one batch on a server, or None when all that wait should go elsewhere."""
+    def _take(self, server: Server) -> Batch | None:
+        """A batch for a server, or None when all that waits should go elsewhere; trials to verify come last."""
+        workload = self._workload
+        assert workload is not None  # noqa: S101  the caller has one
         fitting = (
             index
             for index, piece in enumerate(self._waiting)
@@ -632,14 +809,17 @@ class Dispatch:
         )
         index = next(fitting, None)
         if index is None:
-            return None
+            checks = self._checks.take(server.id, self._size(server), workload) if self._checks.waiting else None
+            return Batch(self._next_number(), checks, check=True) if checks is not None else None
         piece = self._waiting[index]
-        size = min(self._size(server), len(piece.trials))
+        size = len(piece.trials) if piece.left else min(self._size(server), len(piece.trials))
         taken, piece.trials = piece.trials[:size], piece.trials[size:]
         if not len(piece.trials):
             del self._waiting[index]
+        if piece.left:
+            self.servers[piece.left[0]].abandoned.append(piece.left[1])
         self._unsent -= size
-        return taken
+        return Batch(self._next_number(), taken, piece.avoid)
 
     def _size(self, server: Server) -> int:
         if not server.trial_s:
@@ -655,6 +835,7 @@ class Dispatch:
     def _ask(self, server: Server, verb: Verb, now: float, *, batch: Batch | None = None, batches: tuple[int, ...] = ()) -> None:
         number = self._next_number()
         server.last_asked = now
+        self._renew_by(now + RENEW_S)
         self._questions[number] = Question(server.id, verb, server.lease, batch)
         self._commands.append(
             Ask(
@@ -672,6 +853,7 @@ class Dispatch:
     def _tick(self, now: float) -> None:
         due = [question for time, question in self._later if time <= now]
         self._later = [(time, question) for time, question in self._later if time > now]
+        self._changed |= bool(due)  # a pause may have ended
         for question in due:
             server, batch = self.servers[question.server], question.batch
             if question.verb == "offer" and server.phase == Phase.ASIDE:
@@ -687,6 +869,10 @@ class Dispatch:
         for server in self.servers.values():
             if server.phase == Phase.LEASED and server.last_asked + RENEW_S <= now:
                 self._renew(server, now)
+        self._renewal = min(
+            (s.last_asked + RENEW_S for s in self.servers.values() if s.phase == Phase.LEASED and not s.renewing),
+            default=float("inf"),
+        )
 
     def _next_number(self) -> int:
         self._next += 1

@@ -1,24 +1,27 @@
 """What a run leaves on disk: a folder with the complete experiment, the record in SQLite, and the champion.
 
 Finished means recorded: outcomes are committed at least every 0.1 s, a generation with the optimizer's state in one
-transaction, each synced to the disk. The tables: docs/record.md.
+transaction before the next begins, each synced to the disk. What a full disk does not take waits in memory. The tables:
+docs/record.md.
 """
 
 import contextlib
 import fcntl
 import hashlib
+import itertools
 import json
-import math
 import os
 import platform
 import secrets
+import shutil
 import sqlite3
+import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import msgspec
 import numpy as np
@@ -27,25 +30,16 @@ import zswarm
 from zswarm import experiment
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
-from zswarm.ot.dispatch import Counted, Note, Workload
+from zswarm.ot.controller import CHAMPION, Controller
+from zswarm.ot.database import Database, Statement, connect, in_words, on_network, passing, sync, transact, write_whole
+from zswarm.ot.dispatch import Counted, Note
+from zswarm.ot.history import History
+from zswarm.ot.workload import Workload
+from zswarm.strict import to_json
 
-SCHEMA_VERSION = 1
-COMMIT_S = 0.1
-NETWORK_FILE_SYSTEMS = {
-    "nfs",
-    "nfs4",
-    "cifs",
-    "smb3",
-    "smbfs",
-    "9p",
-    "afs",
-    "ceph",
-    "glusterfs",
-    "lustre",
-    "fuse.sshfs",
-}
-DATABASE, EXPERIMENT, CHAMPION = "run.sqlite", "experiment.toml", "champion.zsc"
-
+SCHEMA_VERSION = 2
+MIGRATIONS = {1: "ALTER TABLE outcomes ADD COLUMN doubtful INTEGER NOT NULL DEFAULT 0"}  # from a version to the next
+DATABASE, EXPERIMENT = "run.sqlite", "experiment.toml"
 SCHEMA = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value) WITHOUT ROWID;
 CREATE TABLE generations (
@@ -57,30 +51,19 @@ CREATE TABLE candidates (
 CREATE TABLE outcomes (
     id INTEGER PRIMARY KEY, generation INTEGER NOT NULL, asked BLOB NOT NULL, count INTEGER NOT NULL, trials BLOB NOT NULL,
     fitness BLOB NOT NULL, metrics BLOB NOT NULL, faulted INTEGER NOT NULL, server TEXT NOT NULL, seconds REAL NOT NULL,
-    at REAL NOT NULL);
+    at REAL NOT NULL, doubtful INTEGER NOT NULL DEFAULT 0);
 CREATE TABLE events (at REAL NOT NULL, generation INTEGER, event TEXT NOT NULL, server TEXT, text TEXT, count INTEGER);
 CREATE TABLE optimizer (id INTEGER PRIMARY KEY CHECK (id = 0), generation INTEGER NOT NULL, state BLOB NOT NULL);
 CREATE VIEW servers AS
     SELECT server, sum(count) AS trials, sum(seconds) AS seconds, min(at) AS first_at, max(at) AS last_at
     FROM outcomes WHERE server <> '' GROUP BY server;
 """
-
-
-class Controller(msgspec.Struct, frozen=True, kw_only=True, tag="zswarm-controller", tag_field="format"):
-    """The file ``champion.zsc``: all that another program needs to run the controller."""
-
-    version: Literal[1] = 1
-    simulator: str
-    simulator_settings: dict[str, Any]
-    representation: str
-    representation_settings: dict[str, Any]
-    inputs: int
-    outputs: int
-    sensors: list[str]
-    actuators: list[str]
-    genome: bytes
-    fitness: float
-    run: str
+SET_META = "INSERT OR REPLACE INTO meta VALUES (?, ?)"
+ADD_OUTCOMES = "INSERT OR REPLACE INTO outcomes VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
+ADD_EVENT = "INSERT OR REPLACE INTO events (rowid, at, generation, event, server, text, count) VALUES (?, ?, ?, ?, ?, ?, ?)"
+ADD_CANDIDATE = "INSERT OR REPLACE INTO candidates VALUES (?, ?, ?, ?)"
+ADD_GENERATION = "INSERT OR REPLACE INTO generations VALUES (?, ?, ?, ?, ?, ?)"
+SET_OPTIMIZER = "INSERT OR REPLACE INTO optimizer VALUES (0, ?, ?)"
 
 
 class Resumed(NamedTuple):
@@ -93,22 +76,23 @@ class Resumed(NamedTuple):
 class Record:
     """The folder of one run, open for writing; one program at a time."""
 
-    def __init__(self, folder: Path, database: sqlite3.Connection, lock: int) -> None:
+    def __init__(self, folder: Path, connection: sqlite3.Connection, lock: int) -> None:
         self.folder = folder
-        self._database, self._lock = database, lock
+        self.say: Callable[[str], None] = _to_stderr  # a line for the user
         self.on_network = on_network(folder)
-        self._last_commit = time.monotonic()
+        self._database, self._lock = Database(folder / DATABASE, connection, self._tell), lock
+        self._outcomes = itertools.count(_first_free(connection, "outcomes"))
+        self._events = itertools.count(_first_free(connection, "events"))
         self._generation: int | None = None
         self._asked = b""
 
     @classmethod
     def create(cls, parent: Path, complete: Experiment, version_hash: str) -> Self:
-        """A new folder ``parent/name``, or ``name-2`` and so on where that exists."""
-        folder = _new_folder(parent, complete.name)
-        lock = _lock(folder)
-        (folder / EXPERIMENT).write_text(experiment.to_toml(complete), encoding="utf-8")
-        database = _open(folder / DATABASE)
-        database.executescript(SCHEMA)
+        """A new folder ``parent/name``, or ``name-2`` and so on where that exists.
+
+        Raises:
+            ConfigError: it cannot be written.
+        """
         meta: dict[str, Any] = {
             "schema_version": SCHEMA_VERSION,
             "zswarm": zswarm.__version__,
@@ -117,36 +101,46 @@ class Record:
             "experiment": _decisive(complete),
             "epoch": 0,
             "created_at": time.time(),
+            "machine": _machine(),
         }
-        database.execute("BEGIN")
-        database.executemany("INSERT INTO meta VALUES (?, ?)", meta.items())
-        database.execute("COMMIT")
-        record = cls(folder, database, lock)
-        record.set_meta("machine", _machine())
+        with contextlib.ExitStack() as undo:
+            folder = _new_folder(parent, complete.name)
+            undo.callback(shutil.rmtree, folder, ignore_errors=True)
+            lock = _lock(folder)
+            undo.callback(os.close, lock)
+            try:
+                write_whole(folder / EXPERIMENT, experiment.to_toml(complete).encode())
+                _create(folder / DATABASE, meta)
+                record = cls(folder, connect(folder / DATABASE), lock)
+            except (sqlite3.OperationalError, OSError) as error:
+                raise ConfigError(f"{folder}: cannot be written: {in_words(error)}; choose another place with --out") from None
+            undo.pop_all()
         return record
 
     @classmethod
     def open(cls, folder: Path) -> tuple[Self, Experiment]:
-        """An existing run, to go on with; its epoch is raised.
+        """An existing run, to go on with; its epoch is raised, an older schema brought to this one.
 
         Raises:
-            ConfigError: no run, damaged, of another schema, or in use.
+            ConfigError: no run, damaged, of a newer schema, in use, or not to be written.
         """
         complete = load_experiment(folder)
-        lock = _lock(folder)
-        try:
-            database = _open(folder / DATABASE)
-            record = cls(folder, database, lock)
-            record._check(complete)
-            record.set_meta("epoch", int(record.meta("epoch")) + 1)
-        except sqlite3.DatabaseError as error:
-            os.close(lock)
-            raise ConfigError(
-                f"{folder / DATABASE}: damaged: {error}; the experiment can be run anew from {folder / EXPERIMENT}"
-            ) from None
-        except ConfigError:
-            os.close(lock)
-            raise
+        with contextlib.ExitStack() as undo:
+            lock = _lock(folder)
+            undo.callback(os.close, lock)
+            try:
+                connection = connect(folder / DATABASE)
+                undo.callback(connection.close)
+                _check(folder, connection, complete)
+                _raise_epoch(connection, complete)
+                record = cls(folder, connection, lock)
+            except sqlite3.DatabaseError as error:
+                if passing(error, folder):
+                    raise ConfigError(f"{folder}: cannot be written: {in_words(error)}") from None
+                raise ConfigError(
+                    f"{folder / DATABASE}: damaged: {error}; the experiment can be run anew from {folder / EXPERIMENT}"
+                ) from None
+            undo.pop_all()
         return record, complete
 
     def __enter__(self) -> Self:
@@ -156,26 +150,31 @@ class Record:
         self.close()
 
     def close(self) -> None:
-        """Commit what is whole and let others at the run; a second time nothing."""
+        """Commit what is whole, if the disk takes it, and let others at the run; a second time nothing."""
         if self._lock < 0:
             return
-        self._commit()
-        self._database.close()
-        os.close(self._lock)
-        self._lock = -1
+        try:
+            self._database.commit()
+        except (sqlite3.OperationalError, OSError) as error:
+            if not passing(error, self.folder):
+                raise
+            lost = sum(values[3] for sql, values in self._database.unwritten if sql == ADD_OUTCOMES)  # their column count
+            self.say(f"{self.folder} cannot be written ({in_words(error)}): resume evaluates {lost} trials again")
+        finally:
+            self._database.close()
+            os.close(self._lock)
+            self._lock = -1
 
     # ---- meta
 
     def meta(self, key: str) -> Any:
         """A value, None where there is none."""
-        row = self._database.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
-        return row[0] if row else None
+        rows = self._database.rows("SELECT value FROM meta WHERE key = ?", key)
+        return rows[0][0] if rows else None
 
     def set_meta(self, key: str, value: Any) -> None:
         """Set a value, synced."""
-        self._begin()
-        self._database.execute("INSERT OR REPLACE INTO meta VALUES (?, ?)", (key, value))
-        self._commit()
+        self._database.settle((SET_META, (key, value)))
 
     def machine_changed(self) -> str:
         """What the run was made with, if that is not this machine's; "" if it is."""
@@ -188,79 +187,69 @@ class Record:
         """The outcomes that follow belong to this generation."""
         self._generation, self._asked = generation, _digest(workload.genomes)
 
+    def end(self) -> None:
+        """All generations are finished; what follows belongs to none."""
+        self._generation = None
+
     def add(self, counted: Counted, workload: Workload) -> None:
         """Outcomes as they come."""
         trials = counted.trials
-        self._begin()
-        self._database.execute(
-            "INSERT INTO outcomes (generation, asked, count, trials, fitness, metrics, faulted, server, seconds, at) "
-            "VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
-            (
-                self._generation,
-                self._asked,
-                len(trials),
-                trials.astype("<u4").tobytes(),
-                workload.fitness[trials].astype("<f8").tobytes(),
-                workload.metrics[trials].astype("<f8").tobytes(),
-                int(workload.faulted[trials].sum()),
-                counted.server,
-                counted.seconds,
-                time.time(),
-            ),
+        values = (
+            next(self._outcomes),
+            self._generation,
+            self._asked,
+            len(trials),
+            trials.astype("<u4").tobytes(),
+            workload.fitness[trials].astype("<f8").tobytes(),
+            workload.metrics[trials].astype("<f8").tobytes(),
+            int(workload.faulted[trials].sum()),
+            counted.server,
+            counted.seconds,
+            time.time(),
+            0,
         )
-        self.flush()
+        self._database.write((ADD_OUTCOMES, values))
+
+    def retract(self, server: str) -> None:
+        """A server computes wrong: forget its outcomes of the begun generation, mark those of earlier ones as doubtful."""
+        begun = self.resumed().generation if self._generation is None else self._generation
+        self._database.write(
+            ("DELETE FROM outcomes WHERE generation = ? AND server = ?", (begun, server)),
+            ("UPDATE outcomes SET doubtful = 1 WHERE generation < ? AND server = ?", (begun, server)),
+        )
 
     def note(self, note: Note) -> None:
         """Something that happened."""
-        self._begin()
-        self._database.execute(
-            "INSERT INTO events VALUES (?, ?, ?, ?, ?, ?)",
-            (time.time(), self._generation, note.event, note.server, note.text, note.count),
-        )
-        self.flush()
+        values = (next(self._events), time.time(), self._generation, note.event, note.server, note.text, note.count)
+        self._database.write((ADD_EVENT, values))
 
     def finish(
         self, generation: int, genomes: Sequence[bytes], fitness: np.ndarray, statistics: dict[str, float], state: Any
     ) -> None:
-        """A generation and the optimizer's state after it, in one transaction."""
+        """A generation and the optimizer's state after it, in one transaction; waits until the disk has it."""
         rows = zip(genomes, fitness.tolist(), strict=True)
-        self._begin()
-        self._database.execute("SAVEPOINT finish")
-        try:
-            self._database.executemany(
-                "INSERT INTO candidates VALUES (?, ?, ?, ?)",
-                [(generation, candidate, genome, value) for candidate, (genome, value) in enumerate(rows)],
-            )
-            self._database.execute(
-                "INSERT INTO generations VALUES (?, ?, ?, ?, ?, ?)",
-                (generation, time.time(), statistics["best"], statistics["mean"], len(genomes), to_json(statistics)),
-            )
-            self._database.execute(
-                "INSERT OR REPLACE INTO optimizer VALUES (0, ?, ?)", (generation, msgspec.msgpack.encode(state))
-            )
-        except BaseException:  # Ctrl-C too: half a generation must not be committed on the way out
-            self._database.execute("ROLLBACK TO finish")
-            raise
-        self.flush()
+        best, mean = statistics["best"], statistics["mean"]
+        whole: list[Statement] = [
+            (ADD_CANDIDATE, (generation, candidate, genome, value)) for candidate, (genome, value) in enumerate(rows)
+        ]
+        whole.append((ADD_GENERATION, (generation, time.time(), best, mean, len(genomes), to_json(statistics))))
+        whole.append((SET_OPTIMIZER, (generation, msgspec.msgpack.encode(state))))
+        self._database.settle(*whole)
 
     def flush(self) -> None:
-        """Commit if the last commit is 0.1 s ago."""
-        if time.monotonic() - self._last_commit >= COMMIT_S:
-            self._commit()
+        """Commit if the last commit is 0.1 s ago; what the disk does not take now waits."""
+        self._database.flush()
 
     def champion(self, controller: Controller) -> None:
         """Write the champion, whole or not at all."""
-        path = self.folder / CHAMPION
-        part = path.with_suffix(".part")
-        part.write_bytes(msgspec.msgpack.encode(controller))
-        part.replace(path)
+        self._database.insist(lambda: write_whole(self.folder / CHAMPION, msgspec.msgpack.encode(controller)))
 
     # ---- reading back
 
     def resumed(self) -> Resumed:
         """Where to go on."""
-        row = self._database.execute("SELECT generation, state FROM optimizer").fetchone()
-        return Resumed(row[0] + 1, msgspec.msgpack.decode(row[1])) if row else Resumed(0, None)
+        rows = self._database.rows("SELECT generation, state FROM optimizer")
+        return Resumed(rows[0][0] + 1, msgspec.msgpack.decode(rows[0][1])) if rows else Resumed(0, None)
 
     def restore(self, workload: Workload) -> int:
         """Put the recorded outcomes of the begun generation into a workload; how many trials.
@@ -269,8 +258,8 @@ class Record:
             ConfigError: they are of other candidates: the code of the optimizer or representation was changed.
         """
         restored = 0
-        for asked, trials, fitness, metrics, faulted in self._database.execute(
-            "SELECT asked, trials, fitness, metrics, faulted FROM outcomes WHERE generation = ?", (self._generation,)
+        for asked, trials, fitness, metrics, faulted, server in self._database.rows(
+            "SELECT asked, trials, fitness, metrics, faulted, server FROM outcomes WHERE generation = ?", self._generation
         ):
             if asked != self._asked:
                 raise ConfigError(
@@ -280,82 +269,42 @@ class Record:
             indices = np.frombuffer(trials, "<u4").astype(np.int64)
             workload.fitness[indices] = np.frombuffer(fitness, "<f8").reshape(len(indices), -1)
             workload.metrics[indices] = np.frombuffer(metrics, "<f8").reshape(len(indices), workload.metrics.shape[1])
-            workload.counted[indices] = True
+            workload.counted[indices], workload.source[indices] = True, server
             workload.faulted[indices] = bool(faulted)  # faulted trials are counted one by one
             restored += len(indices)
         return restored
 
-    def history(self) -> "History":
+    def history(self) -> History:
         """The hash of all that was told so far."""
         history = History()
-        for generation in self._generations():
-            rows = self._database.execute(
-                "SELECT genome, fitness FROM candidates WHERE generation = ? ORDER BY candidate", (generation,)
-            ).fetchall()
+        for (generation,) in self._database.rows("SELECT generation FROM generations ORDER BY generation"):
+            rows = self._database.rows(
+                "SELECT genome, fitness FROM candidates WHERE generation = ? ORDER BY candidate", generation
+            )
             history.add([row[0] for row in rows], np.array([np.nan if row[1] is None else row[1] for row in rows]))
         return history
 
     def evaluations(self) -> int:
         """Candidates of the finished generations."""
-        return int(self._database.execute("SELECT coalesce(sum(evaluations), 0) FROM generations").fetchone()[0])
+        return int(self._database.rows("SELECT coalesce(sum(evaluations), 0) FROM generations")[0][0])
 
     def requeued(self) -> int:
         """Trials that were sent again, because a server did not answer for them."""
-        return int(self._database.execute("SELECT coalesce(sum(count), 0) FROM events WHERE event = 'requeued'").fetchone()[0])
+        return int(self._database.rows("SELECT coalesce(sum(count), 0) FROM events WHERE event = 'requeued'")[0][0])
 
     def faulted(self) -> int:
         """Trials that were counted as faults."""
-        return int(self._database.execute("SELECT coalesce(sum(faulted), 0) FROM outcomes").fetchone()[0])
+        return int(self._database.rows("SELECT coalesce(sum(faulted), 0) FROM outcomes")[0][0])
 
-    def _generations(self) -> Iterator[int]:
-        for (generation,) in self._database.execute("SELECT generation FROM generations ORDER BY generation").fetchall():
-            yield generation
+    def doubtful(self) -> int:
+        """Trials of earlier generations whose server was later proved to compute wrong."""
+        return int(self._database.rows("SELECT coalesce(sum(count), 0) FROM outcomes WHERE doubtful")[0][0])
 
-    def _check(self, complete: Experiment) -> None:
-        found = self.meta("schema_version")
-        if found != SCHEMA_VERSION:
-            raise ConfigError(f"{self.folder / DATABASE}: has schema {found}; this program reads schema {SCHEMA_VERSION}")
-        state = self._database.execute("PRAGMA quick_check").fetchone()[0]
-        if state != "ok":
-            raise ConfigError(f"{self.folder / DATABASE}: damaged: {state}")
-        if (began := self.meta("experiment")) != (now := _decisive(complete)):
-            keys = [key for key, value in json.loads(now).items() if json.loads(began).get(key) != value]
-            raise ConfigError(
-                f"{self.folder / EXPERIMENT}: {', '.join(keys)} changed since the run began; only generations and [cluster] may"
-            )
-
-    def _begin(self) -> None:
-        if not self._database.in_transaction:
-            self._database.execute("BEGIN IMMEDIATE")
-
-    def _commit(self) -> None:
-        if self._database.in_transaction:
-            self._database.execute("COMMIT")
-        self._last_commit = time.monotonic()
-
-
-def to_json(values: dict[str, Any]) -> str:
-    """One line; numbers that JSON does not have become null."""
-    return json.dumps(
-        {key: None if isinstance(item, float) and not math.isfinite(item) else item for key, item in values.items()}
-    )
-
-
-class History:
-    """The history hash: BLAKE2b over each generation's genomes and the numbers told (little-endian float64)."""
-
-    def __init__(self) -> None:
-        self._total = hashlib.blake2b(digest_size=16)
-
-    def add(self, genomes: Sequence[bytes], fitness: np.ndarray) -> None:
-        """The next generation."""
-        for genome in genomes:
-            self._total.update(genome)
-        self._total.update(fitness.astype("<f8").tobytes())
-
-    def hex(self) -> str:
-        """32 hex digits."""
-        return self._total.hexdigest()
+    def _tell(self, line: str, waited_s: float | None) -> None:
+        """The disk takes nothing, or data again after so long."""
+        self.say(line)
+        if waited_s is not None:
+            self.note(Note("disk_waited", count=round(waited_s)))
 
 
 def load_experiment(folder: Path) -> Experiment:
@@ -367,46 +316,6 @@ def load_experiment(folder: Path) -> Experiment:
     if not folder.is_dir() or not (folder / EXPERIMENT).is_file() or not (folder / DATABASE).is_file():
         raise ConfigError(f"{folder}: no run; expected a folder with {EXPERIMENT} and {DATABASE}, such as runs/emergency-exit")
     return experiment.complete(experiment.load(folder / EXPERIMENT), str(folder / EXPERIMENT))
-
-
-def load_controller(path: Path) -> Controller:
-    """A champion's file, or that of a run's folder.
-
-    Raises:
-        ConfigError: missing or damaged.
-    """
-    file = path / CHAMPION if path.is_dir() else path
-    try:
-        return msgspec.msgpack.decode(file.read_bytes(), type=Controller)
-    except OSError as error:
-        raise ConfigError(f"{file}: cannot be read: {error.strerror}; expected a run's folder or its {CHAMPION}") from None
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{file}: damaged, or no controller: {error}") from None
-
-
-def runs(parent: Path) -> list[dict[str, Any]]:
-    """What is known of each run below a folder, read without disturbing it."""
-    found: list[dict[str, Any]] = []
-    for path in sorted(parent.glob(f"*/{DATABASE}")):
-        try:
-            database = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
-            row = database.execute("SELECT count(*), max(best), sum(evaluations), max(finished_at) FROM generations").fetchone()
-            status = database.execute("SELECT value FROM meta WHERE key = 'history_hash'").fetchone()
-            database.close()
-        except sqlite3.DatabaseError as error:
-            found.append({"run": str(path.parent), "error": f"damaged: {error}"})
-            continue
-        found.append(
-            {
-                "run": str(path.parent),
-                "generations": row[0],
-                "best": row[1],
-                "candidates": row[2] or 0,
-                "finished_at": row[3],
-                "history_hash": status[0] if status else None,
-            }
-        )
-    return found
 
 
 def _new_folder(parent: Path, name: str) -> Path:
@@ -435,24 +344,54 @@ def _lock(folder: Path) -> int:
     return lock
 
 
-def _open(path: Path) -> sqlite3.Connection:
-    database = sqlite3.connect(path, isolation_level=None, timeout=10.0)
-    if on_network(path):
-        database.execute("PRAGMA journal_mode = DELETE")  # WAL needs memory shared between all that open the file
-    else:
-        database.execute("PRAGMA journal_mode = WAL")
-    database.execute("PRAGMA synchronous = FULL")
-    return database
-
-
-def on_network(path: Path) -> bool:
-    """Whether a path lies on a network file system (where Linux tells)."""
+def _create(path: Path, meta: dict[str, Any]) -> None:
+    """A new record, there as a whole or not at all."""
+    part = path.with_suffix(".part")
+    connection = sqlite3.connect(part, isolation_level=None)
     try:
-        mounts = [line.split() for line in Path("/proc/self/mounts").read_text().splitlines()]
-    except OSError:
-        return False
-    inside = [mount for mount in mounts if path.resolve().is_relative_to(mount[1])]
-    return bool(inside) and max(inside, key=lambda mount: len(mount[1]))[2] in NETWORK_FILE_SYSTEMS
+        connection.executescript(f"BEGIN; {SCHEMA} COMMIT")
+        transact(connection, [(SET_META, item) for item in meta.items()])
+    finally:
+        connection.close()
+    part.replace(path)
+    sync(path.parent)
+
+
+def _check(folder: Path, connection: sqlite3.Connection, complete: Experiment) -> None:
+    meta = dict(connection.execute("SELECT key, value FROM meta").fetchall())
+    found = meta.get("schema_version")
+    if found != SCHEMA_VERSION and found not in MIGRATIONS:
+        raise ConfigError(
+            f"{folder / DATABASE}: has schema {found}, of zswarm {meta.get('zswarm')}; this zswarm {zswarm.__version__} knows "
+            f"schemas up to {SCHEMA_VERSION}: go on with the zswarm that made it, or a newer one"
+        )
+    state = connection.execute("PRAGMA quick_check").fetchone()[0]
+    if state != "ok":
+        raise ConfigError(f"{folder / DATABASE}: damaged: {state}")
+    if (began := meta["experiment"]) != (now := _decisive(complete)):
+        keys = [key for key, value in json.loads(now).items() if json.loads(began).get(key) != value]
+        raise ConfigError(
+            f"{folder / EXPERIMENT}: {', '.join(keys)} changed since the run began; only generations and [cluster] may"
+        )
+
+
+def _raise_epoch(connection: sqlite3.Connection, complete: Experiment) -> None:
+    """For a program that goes on; with it come the schema of this one, and no hash of fewer generations."""
+    meta = dict(connection.execute("SELECT key, value FROM meta").fetchall())
+    finished = connection.execute("SELECT count(*) FROM generations").fetchone()[0]
+    changes: list[Statement] = [(MIGRATIONS[version], ()) for version in range(meta["schema_version"], SCHEMA_VERSION)]
+    changes += [(SET_META, ("schema_version", SCHEMA_VERSION)), (SET_META, ("epoch", int(meta["epoch"]) + 1))]
+    if finished < complete.generations:
+        changes.append(("DELETE FROM meta WHERE key = 'history_hash'", ()))
+    transact(connection, changes)
+
+
+def _first_free(connection: sqlite3.Connection, table: str) -> int:
+    return int(connection.execute(f"SELECT coalesce(max(rowid), 0) + 1 FROM {table}").fetchone()[0])  # noqa: S608  our own name
+
+
+def _to_stderr(text: str) -> None:
+    sys.stderr.write(text + "\n")
 
 
 def _digest(genomes: Sequence[bytes]) -> bytes:

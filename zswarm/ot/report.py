@@ -1,11 +1,14 @@
 """How a run shows itself: a live line on a terminal, plain lines elsewhere, JSON lines on stdout for programs."""
 
+import contextlib
+import errno
 import sys
 import time
+from collections.abc import Iterator
 from typing import Any, Self
 
-from zswarm.ot.record import to_json
 from zswarm.ot.run import Generation, Result
+from zswarm.strict import to_json
 
 
 class PlainReporter:
@@ -24,7 +27,8 @@ class PlainReporter:
 
     def say(self, text: str) -> None:
         """See ``Reporter``."""
-        print(text, file=sys.stderr, flush=True)
+        with _patience():
+            print(text, file=sys.stderr, flush=True)
 
     def progress(self, generation: int, counted: int, trials: int) -> None:
         """Too much for lines."""
@@ -39,7 +43,8 @@ class PlainReporter:
 
     def done(self, result: Result) -> None:
         """The run ended."""
-        print(_summary(result))
+        with _patience():
+            print(_summary(result), flush=True)
 
 
 class JsonReporter(PlainReporter):
@@ -105,7 +110,18 @@ def reporter(generations: int, *, as_json: bool) -> PlainReporter:
 
 def print_json(value: dict[str, Any]) -> None:
     """One line on stdout."""
-    print(to_json(value), flush=True)
+    with _patience():
+        print(to_json(value), flush=True)
+
+
+@contextlib.contextmanager
+def _patience() -> Iterator[None]:
+    """A full disk that output goes to stops no run: the stream writes with a later line what its buffer could keep."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
 
 
 def _plural(count: int, noun: str) -> str:
@@ -114,9 +130,10 @@ def _plural(count: int, noun: str) -> str:
 
 def _summary(result: Result) -> str:
     faulted = f"faulted: {result.faulted} trials, " if result.faulted else ""
+    doubtful = f"doubtful: {result.doubtful} trials of a server that computes wrong, " if result.doubtful else ""
     return (
         f"best fitness {result.best:.6g} after {result.generations} generations, {result.evaluations} evaluations "
         f"({result.requeued} trials sent again), {result.seconds:.1f} s\n"
-        f"history {faulted}{result.history_hash}\n"
+        f"history {faulted}{doubtful}{result.history_hash}\n"
         f"run     {result.run}"
     )

@@ -13,11 +13,13 @@ from zswarm.draws import derive_seed
 from zswarm.errors import ConfigError, EvaluationError
 from zswarm.experiment import Experiment
 from zswarm.nets.representation import Representation
-from zswarm.ot.cluster import Cluster, Wanted, Who
-from zswarm.ot.dispatch import Counted, Note, Workload
+from zswarm.ot.cluster import Cluster, Item, Wanted, Who
+from zswarm.ot.controller import Controller
+from zswarm.ot.dispatch import Counted, Disputed, Note, ProbeDisputed, ProbeSettled, Retracted, Settled
 from zswarm.ot.local import LocalServer
 from zswarm.ot.optimizers.optimizer import Optimizer
-from zswarm.ot.record import Controller, Record
+from zswarm.ot.record import Record
+from zswarm.ot.workload import Workload
 from zswarm.protocol import keys, messages
 from zswarm.sims.simulator import Simulator
 from zswarm.strict import convert
@@ -50,6 +52,7 @@ class Result(NamedTuple):
     history_hash: str
     seconds: float
     faulted: int
+    doubtful: int  # trials of a server that was later proved to compute wrong
 
 
 class Reporter(Protocol):
@@ -71,6 +74,17 @@ class Parts(NamedTuple):
     simulator: Simulator
     representation: Representation
     optimizer: Optimizer
+
+
+class Course(NamedTuple):
+    """A run under way."""
+
+    complete: Experiment
+    parts: Parts
+    record: Record
+    local: LocalServer | None
+    reporter: Reporter
+    cluster: Cluster
 
 
 def build(complete: Experiment) -> Parts:
@@ -101,28 +115,25 @@ def run(complete: Experiment, parts: Parts, record: Record, local: LocalServer |
         NoServers: the number of servers asked for was not there in time.
     """
     begin = time.monotonic()
+    record.say = reporter.say
     resumed = record.resumed()
     if resumed.state is not None:
         parts.optimizer.restore(resumed.state)
         _keep_champion(complete, parts, record)  # the end may have come between a generation and its champion
     history, improved = record.history(), parts.optimizer.best()[1]
     with _cluster(complete, parts, record, local) as cluster:
+        course = Course(complete, parts, record, local, reporter, cluster)
         if isinstance(complete.cluster.servers, int):
-            for note in cluster.wait(complete.cluster.servers, WAIT_FOR_SERVERS_S):
-                _tell(note, record, reporter, cluster, local)
+            for early in cluster.wait(complete.cluster.servers, WAIT_FOR_SERVERS_S):
+                _take(early, course)
         for generation in range(resumed.generation, complete.generations):
             genomes = parts.optimizer.ask()
             workload = _workload(complete, parts.simulator, genomes, generation)
             record.begin(generation, workload)
             if generation == resumed.generation:
                 record.restore(workload)
-            for item in _evaluate(cluster, workload, local, reporter, complete.problem.simulator):
-                if isinstance(item, Counted):
-                    record.add(item, workload)
-                elif isinstance(item, Note):
-                    _tell(item, record, reporter, cluster, local)
-                else:
-                    record.flush()
+            for item in _evaluate(workload, course):
+                _take(item, course, workload)
                 reporter.progress(generation, int(workload.counted.sum()), len(workload.seeds))
             fitness = _total(workload, complete.problem.trials)
             parts.optimizer.tell(fitness)
@@ -140,10 +151,13 @@ def run(complete: Experiment, parts: Parts, record: Record, local: LocalServer |
                     len(cluster.standing.serving), cluster.standing.slots,
                 )
             )  # fmt: skip
+        record.end()
+        for late in cluster.rest():
+            _take(late, course)
     record.set_meta("history_hash", history.hex())
     return Result(
         str(record.folder), complete.generations, improved, record.evaluations(), record.requeued(), history.hex(),
-        round(time.monotonic() - begin, 3), record.faulted(),
+        round(time.monotonic() - begin, 3), record.faulted(), record.doubtful(),
     )  # fmt: skip
 
 
@@ -186,21 +200,45 @@ def _cluster(complete: Experiment, parts: Parts, record: Record, local: LocalSer
         participants=parts.simulator.participants,
         metrics=len(parts.simulator.metrics),
         trial_timeout_s=options.trial_timeout_s,
+        trial_memory_mb=options.trial_memory_mb,
         slots=min(complete.optimizer.settings.get("population", messages.MAX_SLOTS) * problem.trials, messages.MAX_SLOTS),
         quarantine=options.on_fault == "quarantine",
+        verify=options.verify,
         probe=record.meta("probe") or b"",
     )
     only_local = options.servers == "local"
-    connect = [] if only_local else list(options.connect)
-    if local is not None:
-        connect.append(local.endpoint)
-    return Cluster(who, wanted, connect=connect, multicast=options.multicast and not only_local)
+    return Cluster(
+        who,
+        wanted,
+        connect=[] if only_local else options.connect,
+        multicast=options.multicast and not only_local,
+        through_router=options.through_router and not only_local,
+        local=local.endpoint if local is not None else "",
+    )
 
 
-def _evaluate(
-    cluster: Cluster, workload: Workload, local: LocalServer | None, reporter: Reporter, problem: str
-) -> Iterator[Counted | Note | None]:
+def _take(item: Item | None, course: Course, workload: Workload | None = None) -> None:
+    """Do what something that happened asks for; outcomes and disputes are of the workload."""
+    record, simulator, representation = course.record, course.parts.simulator, course.parts.representation
+    match item:
+        case Counted() if workload is not None:
+            record.add(item, workload)
+        case Disputed() if workload is not None:
+            outcomes = evaluate.evaluate(simulator, representation, *workload.batch(np.array([item.trial])))
+            course.cluster.settle(Settled(item.trial, outcomes.fitness[0], outcomes.metrics[0]))
+        case ProbeDisputed():
+            course.cluster.settle(ProbeSettled(evaluate.probe(simulator, representation).digest))
+        case Retracted():
+            record.retract(item.server)
+        case Note():
+            _tell(item, course)
+        case None:
+            record.flush()
+
+
+def _evaluate(workload: Workload, course: Course) -> Iterator[Item | None]:
     """``cluster.evaluate``, watching that somebody computes."""
+    cluster, local, reporter, problem = course.cluster, course.local, course.reporter, course.complete.problem.simulator
     last_served, told = time.monotonic(), ""
     for item in cluster.evaluate(workload):
         yield item
@@ -215,9 +253,12 @@ def _evaluate(
         elif not preparing and idle > PAUSE_S and not told:
             told = "no server computes now: waiting for one (Ctrl-C stops; nothing is lost)"
             reporter.say(told)
+            if local is None:
+                cluster.diagnose()
 
 
 TOLD = {
+    "diagnosis": "{text}",
     "server_joined": "{server} joined with {slots}",
     "server_left": "{server} left; {text}",
     "server_lost": "{server} is gone",
@@ -225,6 +266,10 @@ TOLD = {
     "server_mismatch": "{server} is not used: {text}",
     "server_refused": "{server} refused: {text}",
     "server_differs": "{server} is not used: {text}",
+    "server_faulty": "{server} is put aside for ten minutes: {text}",
+    "server_wrong": "{server} is used no more: {text}; what it did in this generation is evaluated again, "
+    "and marked as doubtful in earlier ones",
+    "unverified": "trials are counted unverified: {text}",
     "server_silent": "{server} does not answer ({text}); it is asked again in a while",
     "lease_lost": "{server}: {text}; reserving anew",
     "lease_waiting": "{server} is busy for others: waiting for a slot",
@@ -234,12 +279,13 @@ TOLD = {
 }
 
 
-def _tell(note: Note, record: Record, reporter: Reporter, cluster: Cluster, local: LocalServer | None) -> None:
+def _tell(note: Note, course: Course) -> None:
+    record, reporter, cluster, local = course.record, course.reporter, course.cluster, course.local
     record.note(note)
     if note.event in TOLD:
         slots = f"{note.count} slot{'s' if note.count != 1 else ''}"
         reporter.say(TOLD[note.event].format(server=note.server, text=note.text, count=note.count, slots=slots))
-    local_refused = note.event == "server_refused" and local is not None and note.server.startswith("local-")
+    local_refused = note.event in ("server_refused", "server_mismatch") and local is not None and note.server.startswith("local-")
     if local_refused and not cluster.standing.serving:
         raise EvaluationError(note.text)
 

@@ -1,5 +1,6 @@
 """What the commands that only look print: a table for people, or JSON."""
 
+import textwrap
 import time
 from pathlib import Path
 from typing import Any
@@ -11,46 +12,74 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from zswarm import evaluate, experiment, plugins
+from zswarm import __version__, evaluate, experiment, plugins
 from zswarm.draws import derive_seed
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
-from zswarm.ot import record
-from zswarm.ot.cluster import Found
-from zswarm.ot.record import Controller
+from zswarm.ot import listing
+from zswarm.ot.controller import Controller
+from zswarm.ot.discovery import Found, Survey
 from zswarm.ot.report import print_json
 from zswarm.ot.run import Parts
 from zswarm.protocol.codec import clean
 
 CHUNK = 500  # trials
+NAME_WIDTH = 40  # of a server: with the other columns it fits into 80
+NUMBERS = ("slots", "free", "runs", "generations", "best")  # columns
 UNSEEN = "unseen"  # purpose of the seeds that evolution never uses
 
 
-def servers(found: list[Found], realm: str, *, as_json: bool) -> None:
-    """Servers with what they have, or why they cannot be used."""
-    if as_json:
-        for server in found:
-            print_json(
-                {
-                    "server": server.server,
-                    **({} if server.offer is None else _offer(server.offer)),
-                    "reason": server.reason,
-                }
-            )
-        return
-    if not found:
-        _print(f"no server in realm {realm}; start zswarm-ss on the machines, or name one with --connect tcp/HOST:7467")
-        return
-    table = _table("server", "slots", "free", "runs", "simulators", "zswarm", "matches")
+def servers(survey: Survey, realm: str, *, through_router: bool, experiment_name: str = "", as_json: bool) -> None:
+    """Servers with what they have, and why one is of no use; or why there are none.
+
+    Args:
+        experiment_name: the experiment that the servers were asked about; "": about none.
+    """
+    for server in survey.servers if as_json else []:
+        offer = {} if server.offer is None else _offer(server.offer)
+        print_json({"server": server.server, **offer, "address": server.address, "reason": server.reason})
+    if survey.servers and not as_json:
+        _server_table(survey.servers, realm, through_router=through_router, experiment_name=experiment_name)
+    if not survey.servers:
+        _print(f"no server found in realm {realm}", stderr=as_json)
+        for finding in survey.findings:
+            _paragraph(f"- {finding}", stderr=as_json)
+    elif survey.elsewhere:
+        others = ", ".join(f"{name} ({count})" for name, count in survey.elsewhere.items())
+        _paragraph(f"servers of other realms, seen with --realm: {others}", stderr=as_json)
+
+
+def _server_table(found: list[Found], realm: str, *, through_router: bool, experiment_name: str) -> None:
+    offers = [server.offer for server in found if server.offer is not None]
+    slots, free = sum(offer.capacity for offer in offers), sum(offer.free for offer in offers)
+    _print(f"realm {realm}: {len(found)} server{'s' if len(found) != 1 else ''}, {slots} slots, {free} free\n")
+    columns = ("server", "slots", "free", "runs", "zswarm", *(["matches"] if experiment_name else []))
+    table = _table(*columns, box=None, padding=(0, 2, 0, 0))
+    reasons: dict[str, list[str]] = {}
+    simulators: dict[str, list[str]] = {}
     for server in found:
+        address = server.address or ("through the router" if through_router else "")
+        name = "\n".join(textwrap.wrap(server.server, NAME_WIDTH) + [f"  {address}"] * bool(address))
         if server.offer is None:
-            _row(table, server.server, "", "", "", "", "", f"no: {server.reason}")
-        else:
-            offer = server.offer
-            matches = f"no: {offer.mismatch}" if offer.mismatch else "yes"
-            simulators = ", ".join(offer.simulators)
-            _row(table, server.server, offer.capacity, offer.free, offer.leases, simulators, offer.program, matches)
+            _row(table, name, "", "", "", "", *(["no"] if experiment_name else []))
+            reasons.setdefault(server.reason, []).append(server.server)
+            continue
+        offer = server.offer
+        matches = ["no" if offer.mismatch else "yes"] if experiment_name else []
+        _row(table, name, offer.capacity, offer.free, offer.leases, offer.program, *matches)
+        simulators.setdefault(", ".join(offer.simulators), []).append(server.server)
+        if offer.mismatch:
+            versions = f" (that is zswarm {offer.program}, this is {__version__})" if offer.program != __version__ else ""
+            reasons.setdefault(offer.mismatch + versions, []).append(server.server)
     Console().print(table)
+    _print("")
+    of_experiment = f" for {experiment_name}" if experiment_name else ""
+    for reason, names in reasons.items():
+        _paragraph(f"not used{of_experiment}: {', '.join(names)}: {reason}")
+    if not experiment_name:
+        for names_of_simulators, names in simulators.items():
+            where = "" if len(simulators) == 1 else f" on {', '.join(names)}"
+            _paragraph(f"simulators{where}: {names_of_simulators}")
 
 
 def _offer(offer: Any) -> dict[str, Any]:
@@ -60,7 +89,7 @@ def _offer(offer: Any) -> dict[str, Any]:
 
 def everything(folder: Path, *, as_json: bool) -> None:
     """Runs, examples and parts."""
-    runs = record.runs(folder)
+    runs = listing.runs(folder)
     parts = {kind: plugins.names(kind) for kind in ("simulator", "representation", "optimizer")}
     examples = sorted(path.stem for path in experiment.examples_folder().glob("*.toml"))
     if as_json:
@@ -150,10 +179,10 @@ def evaluated(controller: Controller, trials: int, seed: int, *, as_json: bool) 
         _print(f"{name:16}mean {values[name]:.6g}")
 
 
-def _table(*columns: str) -> Table:
-    table = Table(box=box.SIMPLE, pad_edge=False)
+def _table(*columns: str, box: box.Box | None = box.SIMPLE, padding: tuple[int, int, int, int] = (0, 1, 0, 1)) -> Table:
+    table = Table(box=box, padding=padding, pad_edge=False)
     for column in columns:
-        table.add_column(column, overflow="fold")
+        table.add_column(column, overflow="fold", justify="right" if column in NUMBERS else "left")
     return table
 
 
@@ -161,5 +190,13 @@ def _row(table: Table, *cells: object) -> None:
     table.add_row(*(Text(str(cell)) for cell in cells))  # as Text: a cell's brackets are no markup
 
 
-def _print(text: object) -> None:
-    Console().print(Text(str(text)), soft_wrap=True)
+def _print(text: object, *, stderr: bool = False) -> None:
+    Console(stderr=stderr).print(Text(str(text)), soft_wrap=True)
+
+
+def _paragraph(text: str, *, stderr: bool = False) -> None:
+    """Lines of the terminal's width, the second and later ones indented; names are not broken."""
+    lines = textwrap.wrap(
+        text, Console(stderr=stderr).width, subsequent_indent="  ", break_on_hyphens=False, break_long_words=False
+    )
+    _print("\n".join(lines), stderr=stderr)

@@ -33,16 +33,34 @@ def encode(message: Message) -> bytes:
 
 
 def decode_request(body: bytes) -> Request:
-    """A message from an optimizer.
+    """A message from an optimizer; its names are safe to show.
 
     Raises:
         RemoteProtocolError: malformed, too large, of another version, or holding what no message may hold.
     """
     message = _decode(body, _requests)
-    if isinstance(message, messages.Reserve):
-        _check_plain(message.simulator.settings, MAX_DEPTH)
-        _check_plain(message.representation.settings, MAX_DEPTH)
+    match message:
+        case messages.Requirements():
+            texts = {name: clean(getattr(message, name)) for name in ("simulator", "representation", "version_hash")}
+            return msgspec.structs.replace(message, **texts)
+        case messages.Reserve():
+            parts = {name: _part(getattr(message, name)) for name in ("simulator", "representation")}
+            return msgspec.structs.replace(message, **parts, version_hash=clean(message.version_hash))
     return message
+
+
+def decode_query(key: str, body: bytes) -> tuple[keys.ServerKey, Request]:
+    """What came to a server under a key: the key's parts, and the message.
+
+    Raises:
+        RemoteProtocolError: as ``decode_request``, or the key is none of a server's or another message's.
+    """
+    parts = keys.parse_server_key(key)
+    message = decode_request(body)
+    verb = "offer" if isinstance(message, messages.Requirements) else type(message).__name__.lower()
+    if parts.verb != verb:
+        raise RemoteProtocolError(f"a {type(message).__name__} was sent to {parts.verb}")
+    return parts, message
 
 
 def decode_reply(body: bytes) -> Reply:
@@ -138,6 +156,11 @@ def _explain(body: bytes, error: Exception) -> str:
     if version != keys.VERSION:
         return f"the peer speaks version {version} of the protocol, this program version {keys.VERSION}"
     return clean(str(error))
+
+
+def _part(part: messages.Part) -> messages.Part:
+    _check_plain(part.settings, MAX_DEPTH)
+    return messages.Part(clean(part.kind), part.settings)
 
 
 def _check_plain(value: Any, depth: int) -> None:

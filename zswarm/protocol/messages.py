@@ -14,14 +14,17 @@ MAX_GENOME = 4_000_000  # bytes
 MAX_TRIALS = 65_536  # in one batch
 MAX_TEXT = 500  # characters
 MAX_SLOTS = 65_535
+MIN_MEMORY_MB = 256  # that a run may ask for or a server give, per slot: less does not hold a compiler
 PROBE_GENOMES, PROBE_SEEDS = 4, 2  # the trials that every server plays for its digest: each genome on each seed
 
 Text = Annotated[str, Meta(max_length=MAX_TEXT)]
 Token = Annotated[bytes, Meta(min_length=16, max_length=16)]
 Count = Annotated[int, Meta(ge=0, le=2**53)]
 Seconds = Annotated[float, Meta(ge=0, le=1e9)]
+Megabytes = Annotated[int, Meta(ge=0, le=2**40)]  # of 2^20 bytes
 BatchId = Count
 State = Literal["waiting", "preparing", "ready", "failed"]
+FaultKind = Literal["crashed", "timeout", "memory"]
 Refusal = Literal["malformed", "lease-lost", "busy", "draining", "mismatch", "cancelled"]
 
 
@@ -47,6 +50,7 @@ class Requirements(Message, frozen=True, tag="requirements"):
     simulator: Text = ""
     representation: Text = ""
     version_hash: Text = ""
+    trial_memory_mb: Megabytes = 0  # see Reserve
 
 
 class Reserve(Message, frozen=True, tag="reserve"):
@@ -59,6 +63,7 @@ class Reserve(Message, frozen=True, tag="reserve"):
     representation: Part
     version_hash: Text
     trial_timeout_s: Annotated[float, Meta(gt=0, le=1e9)]
+    trial_memory_mb: Megabytes = 0  # that a slot's process may take; 0: what the server gives
 
 
 class Renew(Message, frozen=True, tag="renew"):
@@ -142,7 +147,7 @@ class Fault(Message, frozen=True, tag="fault"):
     """The machine or the simulator's process failed at one trial; the others of the batch are without blame."""
 
     batch: BatchId
-    kind: Literal["crashed", "timeout"]
+    kind: FaultKind
     trial: Count
     reason: Text
 

@@ -21,8 +21,15 @@ import click
 @click.option("--multicast/--no-multicast", default=None, help="Be found by multicast.  [default: multicast]")
 @click.option("--simulators", metavar="A,B", help="Simulators to offer.  [default: all installed]")
 @click.option(
+    "--slot-memory",
+    "slot_memory_mb",
+    type=int,
+    metavar="MB",
+    help="Memory that the process of a slot may take.  [default: 80 % of the machine's, divided by the slots]",
+)
+@click.option(
     "--config",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    type=click.Path(path_type=Path),
     help="TOML file with these options; the command line wins.",
 )
 @click.option("--log-level", type=click.Choice(["debug", "info", "warning", "error"]), default="info", show_default=True)
@@ -37,17 +44,15 @@ def command(config: Path | None, log_level: str, until_stdin_closes: bool, **giv
     from zswarm.ss import worker
 
     worker.start_fork_server()  # it loads numba while this program goes on
-    import tomllib
-
     from zswarm import log, plugins
     from zswarm.errors import ConfigError
     from zswarm.protocol import keys
     from zswarm.ss.server import Options, Server
-    from zswarm.strict import convert
+    from zswarm.strict import convert, read
 
     log.set_up(log_level)
     try:
-        mapping: dict[str, Any] = tomllib.loads(config.read_text()) if config else {}
+        mapping = read(config) if config else {}
         convert(mapping, Options, str(config))  # what is wrong in the file is wrong even where the command line overrides it
         mapping |= {
             key: (value.split(",") if key == "simulators" else list(value) if isinstance(value, tuple) else value)
@@ -65,9 +70,8 @@ def command(config: Path | None, log_level: str, until_stdin_closes: bool, **giv
             if name not in plugins.names("simulator"):
                 plugins.load("simulator", name)  # raises, and says which there are
         code = Server(options, until_stdin_closes=until_stdin_closes).run()
-    except (ConfigError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        where = f"{config}: " if config and not isinstance(error, ConfigError) else ""
-        click.echo(f"zswarm-ss: {where}{error}", err=True)
+    except ConfigError as error:
+        click.echo(f"zswarm-ss: {error}", err=True)
         sys.exit(78 if config else 2)
     sys.exit(code)
 

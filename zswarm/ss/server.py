@@ -4,6 +4,7 @@ Life: start the workers, open the session, declare what can be asked, declare th
 """
 
 import contextlib
+import math
 import os
 import platform
 import secrets
@@ -25,9 +26,9 @@ import zswarm
 from zswarm import plugins, session
 from zswarm.errors import RemoteProtocolError
 from zswarm.protocol import codec, keys
-from zswarm.protocol.messages import MAX_MESSAGE, MAX_TEXT, Offer, Refused, Requirements, Reserve
-from zswarm.ss import slots
-from zswarm.ss.worker import Ready, Worker
+from zswarm.protocol.messages import MAX_TEXT, MIN_MEMORY_MB, Megabytes, Offer, Refused, Requirements, Reserve
+from zswarm.ss import memory, slots
+from zswarm.ss.worker import Ready, Rest, Worker
 from zswarm.version_hash import version_hash
 
 TICK_S = 0.25
@@ -47,7 +48,12 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     connect: list[str] = []
     multicast: bool = True
     simulators: list[str] = []  # offered; empty: all that are installed
+    slot_memory_mb: Megabytes = 0  # of a slot's process; 0: its share of the machine's memory
     drain_s: Annotated[float, Meta(ge=0, le=1e6)] = 60.0  # at most, on SIGTERM
+
+    def __post_init__(self) -> None:
+        if 0 < self.slot_memory_mb < MIN_MEMORY_MB:
+            raise ValueError(f"slot_memory_mb: expected 0 or at least {MIN_MEMORY_MB}, not {self.slot_memory_mb}")
 
 
 class Server:
@@ -69,7 +75,9 @@ class Server:
             representations=plugins.names("representation"),
         )
         self.slots = slots.Slots(capacity, offer, self._mismatch, lambda: secrets.token_bytes(16))
-        self.workers = [Worker() for _ in range(capacity)]
+        self.slot_memory_mb = options.slot_memory_mb or memory.per_slot_mb(capacity)
+        self.workers = [Worker(self.slot_memory_mb) for _ in range(capacity)]
+        self._start_workers()
         self._until_stdin_closes = until_stdin_closes
         self._inbox: deque[zenoh.Query | slots.Event] = deque()
         self._wake, self._woken = os.pipe()
@@ -96,6 +104,8 @@ class Server:
             stack.callback(self._close_workers)
             opened, endpoints = session.open_server(self.options.listen, self.options.connect, multicast=self.options.multicast)
             stack.callback(session.close, opened)
+            if self.options.multicast and (fault := session.multicast_fault()):
+                log.warning("multicast_unavailable", reason=fault, listen=endpoints)  # optimizers need --connect then
             on_query = zenoh.handlers.Callback(self._on_query, indirect=False)
             opened.declare_queryable(keys.offer(realm, self.id), on_query)
             opened.declare_queryable(keys.requests(realm, self.id), on_query)
@@ -105,7 +115,7 @@ class Server:
             token = opened.liveliness().declare_token(keys.alive(realm, self.id))
             log.info(
                 "server_ready", server=self.id, capacity=len(self.workers), realm=realm, listen=endpoints,
-                simulators=self.simulators, program=zswarm.__version__,
+                simulators=self.simulators, slot_memory_mb=self.slot_memory_mb, program=zswarm.__version__,
             )  # fmt: skip
             self._loop(token)
             for sender in self._senders.values():
@@ -146,33 +156,37 @@ class Server:
     def _loop(self, token: zenoh.LivelinessToken) -> None:
         next_tick = time.monotonic()
         while self._exit is None:
+            self._start_workers()
+            workers = {worker.pipe.fileno(): index for index, worker in enumerate(self.workers) if worker.pipe is not None}
             poll = select.poll()
-            for descriptor in (self._wake, *(worker.pipe.fileno() for worker in self.workers)):
+            for descriptor in (self._wake, *workers):
                 poll.register(descriptor, select.POLLIN)
             if self._until_stdin_closes:
                 poll.register(sys.stdin.fileno(), select.POLLIN)
-            ticking = self.slots.busy() or self._signals
-            ready = {
-                descriptor for descriptor, _ in poll.poll(max(0.0, next_tick - time.monotonic()) * 1000 if ticking else None)
-            }
+            next_start = min(worker.start_at for worker in self.workers)
+            until = min(next_tick, next_start) if self.slots.busy() or self._signals else next_start
+            wait = None if math.isinf(until) else max(0.0, until - time.monotonic()) * 1000
+            ready = [descriptor for descriptor, _ in poll.poll(wait)]
             if self._wake in ready:
                 os.read(self._wake, 4096)
             if self._until_stdin_closes and sys.stdin.fileno() in ready:
                 self._exit = 0
             if self._signals:
                 self._on_stop_asked(token)
-            for index, worker in enumerate(self.workers):
-                if worker.pipe.fileno() in ready:
-                    self._handle(self._from_worker(index, worker))
+            for descriptor in ready:
+                if descriptor in workers:
+                    self._handle(self._from_worker(workers[descriptor]))
             for _ in range(len(self._inbox)):
                 item = self._inbox.popleft()
                 if isinstance(item, zenoh.Query):
                     self._from_run(item)
                 else:
                     self._handle(item)
+                    if isinstance(item, slots.HolderGone) and (sender := self._senders.pop(f"{item.user}/{item.run}", None)):
+                        sender.close()  # or a server would gather a thread for every run
             if time.monotonic() >= next_tick:
                 next_tick = time.monotonic() + TICK_S
-                self._handle(slots.Tick(tuple(int(worker.progress[0]) for worker in self.workers)))
+                self._handle(slots.Tick(tuple(worker.trial() for worker in self.workers)))
 
     def _on_stop_asked(self, token: zenoh.LivelinessToken) -> None:
         if self.slots.draining and (len(self._signals) > 1 or time.monotonic() > self._drain_by):
@@ -185,39 +199,46 @@ class Server:
             self._handle(slots.Drain())
 
     def _from_run(self, query: zenoh.Query) -> None:
-        who = "offer"
+        body = query.payload.to_bytes() if query.payload is not None else b""
         try:
-            key = keys.parse_server_key(str(query.key_expr))
-            who = f"{key.user}/{key.run}"
-            size = len(query.payload) if query.payload is not None else 0
-            if size > MAX_MESSAGE:
-                raise RemoteProtocolError(f"a message has {size} bytes; at most {MAX_MESSAGE} are taken")
-            body = query.payload.to_bytes() if query.payload is not None else b""
-            message = codec.decode_request(body)
-            if key.verb != ("offer" if isinstance(message, Requirements) else type(message).__name__.lower()):
-                raise RemoteProtocolError(f"a {type(message).__name__} was sent to {key.verb}")
+            key, message = codec.decode_query(str(query.key_expr), body)
         except RemoteProtocolError as error:
-            self._log_malformed(who, error)
-            self._send(query, who, codec.encode(Refused(code="malformed", reason=str(error))))
+            self._log_malformed(str(query.key_expr), error)
+            self._send(query, "malformed", codec.encode(Refused(code="malformed", reason=str(error))))
             return
         number = id(query)
-        self._queries[number] = (query, who)
+        self._queries[number] = (query, f"{key.user}/{key.run}")
         self._handle(slots.Asked(number, key.user, key.run, message, body))
 
-    def _from_worker(self, index: int, worker: Worker) -> slots.Event:
+    def _start_workers(self) -> None:
+        now = time.monotonic()
+        for index, worker in enumerate(self.workers):
+            if worker.start_at <= now and (reason := worker.start()):
+                self._log_pause(index, worker, reason)
+
+    def _from_worker(self, index: int) -> slots.Event:
+        worker = self.workers[index]
         try:
             letter, body = worker.receive()
         except (EOFError, OSError):
-            trial = max(0, int(worker.progress[0]))
-            return slots.Died(index, trial, f"the slot's process was {worker.exit_reason()}")
+            trial, reason = worker.trial(), worker.exit_reason()
+            self._log_pause(index, worker, reason)
+            return slots.Died(index, trial, f"the slot's process {reason}")
         match letter:
             case b"R":
                 ready = msgspec.msgpack.decode(body, type=Ready)
                 return slots.Prepared(index, ready.probe, ready.trial_s)
             case b"F":
-                return slots.Unprepared(index, codec.clean(body.decode()))
+                return slots.Unprepared(index, codec.clean(body.decode(errors="replace")))
+            case b"X":
+                rest = msgspec.msgpack.decode(body, type=Rest)
+                return slots.Exhausted(index, rest.part, rest.done, rest.alone)
+            case b"M":
+                trial = worker.trial()
+                worker.kill()
+                return slots.Died(index, trial, body.decode(), "memory")
             case _:
-                return slots.Finished(index, body)
+                return slots.Finished(index, body, worn=letter == b"W")
 
     def _handle(self, event: slots.Event) -> None:
         for command in self.slots.handle(event, time.monotonic()):
@@ -227,11 +248,11 @@ class Server:
                 case slots.Prepare():
                     self.workers[command.slot].prepare(command.setup, probe=command.probe)
                 case slots.Run():
-                    self.workers[command.slot].evaluate(command.body)
+                    self.workers[command.slot].evaluate(command.body, command.first, command.alone)
                 case slots.Stop():
                     self.workers[command.slot].stop()
                 case slots.Kill():
-                    self.workers[command.slot].restart()
+                    self.workers[command.slot].kill()
                 case slots.Log():
                     log.info(command.event, **command.fields)
                 case slots.Drained():
@@ -249,11 +270,15 @@ class Server:
             log.warning("answer_dropped", run=who)
             query.drop()
 
-    def _log_malformed(self, who: str, error: RemoteProtocolError) -> None:
+    def _log_pause(self, slot: int, worker: Worker, reason: str) -> None:
+        if (pause := worker.start_at - time.monotonic()) > 0:
+            log.warning("slot_pauses", slot=slot, reason=reason, seconds=round(pause, 1))
+
+    def _log_malformed(self, key: str, error: RemoteProtocolError) -> None:
         """The 1st, 2nd, 4th, 8th ... of them: a flood must not fill the disk."""
         self._malformed += 1
         if self._malformed & (self._malformed - 1) == 0:
-            log.warning("malformed", run=codec.clean(who), reason=str(error), count=self._malformed)
+            log.warning("malformed", key=codec.clean(key), reason=str(error), count=self._malformed)
 
     def _mismatch(self, asked: Requirements | Reserve) -> str:
         if isinstance(asked, Reserve):
@@ -263,11 +288,13 @@ class Server:
         if not simulator and not representation:
             return ""
         if simulator not in self.simulators:
-            return f"no simulator {codec.clean(simulator)!r} here; there are {', '.join(self.simulators)}"[:MAX_TEXT]
+            return f"no simulator {simulator!r} here; there are {', '.join(self.simulators)}"[:MAX_TEXT]
         if (simulator, representation) not in self._hashes:
-            return f"no representation {codec.clean(representation)!r} here"
+            return f"no representation {representation!r} here"
         if self._hashes[simulator, representation] != asked.version_hash:
             return f"another version of {simulator}, {representation}, zswarm or numba is installed here"
+        if asked.trial_memory_mb > self.slot_memory_mb:
+            return f"a slot here has {self.slot_memory_mb} MB, the run asks for {asked.trial_memory_mb}"
         return ""
 
     def _close_workers(self) -> None:

@@ -3,7 +3,8 @@
 A lease holds slots for one run. Free slots go to the leases that want more, in the order the leases were made; a lease
 that takes over another one takes its place. A slot is prepared once for its lease's problem; the first compiles, and the
 others are prepared when it is ready, so that they find the compiled code. A lease holds one batch running and one waiting
-per slot, and outcomes are kept for a run that asks again. Every query is answered once.
+per slot, and outcomes are kept for a run that asks again. A process that has little memory left is replaced by a new one.
+Every query is answered once.
 """
 
 from collections import OrderedDict, deque
@@ -23,9 +24,11 @@ from zswarm.protocol.messages import (
     Done,
     Evaluate,
     Fault,
+    FaultKind,
     Lease,
     Message,
     Offer,
+    Outcomes,
     Refusal,
     Refused,
     Release,
@@ -43,8 +46,10 @@ HOLD_QUERY_S = 30.0  # a batch that runs longer is answered "running"
 HOLD_RENEWAL_S = 10.0
 STOP_S = 2.0  # a batch told to stop that goes on longer is killed
 PREPARE_S = 60.0  # to compile; a preparation may take this and the time of the probe's trials
+STALL_S = 2.0  # without an event although slots work: the server itself stood still, and that is no slot's fault
 PREPARE_ATTEMPTS = 3  # of a slot whose process ends while it is prepared
 KEPT_BYTES = 64 << 20  # of outcomes, per server
+KEPT_S = 120.0  # of outcomes: a run asks again when a query's time, 60 s, is up
 EPOCHS = 10_000  # runs whose highest epoch is remembered
 
 Query = int  # stands for a query to answer
@@ -97,6 +102,16 @@ class Finished(msgspec.Struct, frozen=True):
 
     slot: int
     reply: bytes
+    worn: bool = False  # its process has little memory left
+
+
+class Exhausted(msgspec.Struct, frozen=True):
+    """A slot's process has no memory left for the rest of its batch, though no single trial is to blame yet."""
+
+    slot: int
+    part: Outcomes  # of the trials that it finished
+    done: int  # trials of the batch that are finished, with those of the processes before
+    alone: int  # the trial to be played by itself, to see whether it is to blame; -1: none
 
 
 class Died(msgspec.Struct, frozen=True):
@@ -105,6 +120,7 @@ class Died(msgspec.Struct, frozen=True):
     slot: int
     trial: int
     reason: str
+    kind: FaultKind = "crashed"
 
 
 class Tick(msgspec.Struct, frozen=True):
@@ -117,7 +133,7 @@ class Drain(msgspec.Struct, frozen=True):
     """Finish what runs and take nothing new."""
 
 
-Event = Asked | HolderSeen | HolderGone | Prepared | Unprepared | Finished | Died | Tick | Drain
+Event = Asked | HolderSeen | HolderGone | Prepared | Unprepared | Finished | Exhausted | Died | Tick | Drain
 
 
 # ---- commands -----------------------------------------------------------------------------------------------------
@@ -139,10 +155,12 @@ class Prepare(msgspec.Struct, frozen=True):
 
 
 class Run(msgspec.Struct, frozen=True):
-    """Evaluate a batch in a slot; answered by Finished or Died."""
+    """Evaluate a batch in a slot; answered by Finished, Exhausted or Died."""
 
     slot: int
     body: bytes
+    first: int = 0  # trial to begin with
+    alone: int = -1  # trial to play by itself
 
 
 class Stop(msgspec.Struct, frozen=True):
@@ -193,6 +211,9 @@ class Batch(msgspec.Struct, eq=False):
     query: Query | None
     since: float  # when the query came
     cancelled: bool = False
+    done: int = 0  # trials, by processes that ran out of memory
+    alone: int = -1  # the trial to play by itself
+    parts: list[Outcomes] = []  # of these trials
 
 
 class Slot(msgspec.Struct, eq=False):
@@ -256,13 +277,18 @@ class Slots:
         self._new_token = new_token
         self._places = 0
         self._epochs: OrderedDict[tuple[str, str], int] = OrderedDict()
-        self._kept: OrderedDict[tuple[bytes, int], bytes] = OrderedDict()  # by lease and batch, the oldest first
+        self._kept: OrderedDict[tuple[bytes, int], tuple[bytes, float]] = OrderedDict()  # by lease and batch, the oldest first
         self._kept_bytes = 0
+        self._last_event = 0.0
         self._commands: list[Command] = []
 
     def handle(self, event: Event, now: float) -> list[Command]:
         """Take an event at a time (seconds, monotonic); give the commands to carry out, in order."""
         self._commands = []
+        stalled, self._last_event = now - self._last_event, now
+        if stalled > STALL_S:
+            for slot in self.slots:
+                slot.since = min(slot.since + stalled, now)
         match event:
             case Asked():
                 self._asked(event, now)
@@ -275,9 +301,11 @@ class Slots:
             case Unprepared():
                 self._unprepared(self.slots[event.slot], event.reason, now)
             case Finished():
-                self._finished(self.slots[event.slot], event.reply, now)
+                self._finished(self.slots[event.slot], event, now)
+            case Exhausted():
+                self._exhausted(self.slots[event.slot], event, now)
             case Died():
-                self._died(self.slots[event.slot], "crashed", event.trial, event.reason, now)
+                self._died(self.slots[event.slot], event.kind, event.trial, event.reason, now)
             case Tick():
                 self._tick(event.trials, now)
             case Drain():
@@ -362,7 +390,7 @@ class Slots:
     def _evaluate(self, lease: Held, message: Evaluate, event: Asked, now: float) -> None:
         kept = self._kept.get((lease.token, message.batch))
         if kept is not None:
-            self._do(Answer(event.query, kept))
+            self._do(Answer(event.query, kept[0]))
             return
         running = [slot.batch for slot in lease.slots if slot.batch is not None]
         for batch in [*running, *lease.waiting]:
@@ -452,26 +480,60 @@ class Slots:
             if slot.state == SlotState.READY:
                 slot.batch = lease.waiting.popleft()
                 slot.state, slot.trial, slot.since = SlotState.BUSY, -1, now
-                self._do(Run(slot.index, slot.batch.body))
+                self._do(Run(slot.index, slot.batch.body, slot.batch.done, slot.batch.alone))
 
-    def _finished(self, slot: Slot, reply: bytes, now: float) -> None:
+    def _finished(self, slot: Slot, event: Finished, now: float) -> None:
         lease, batch = slot.lease, slot.batch
         slot.batch = None
+        if event.worn:
+            self._renew_process(slot)
         if lease is None:
             self._release(slot, now)
             return
         if batch is None:
             raise LocalProtocolError(f"slot {slot.index} finished a batch it does not have")
-        slot.state = SlotState.READY
+        slot.state = SlotState.ASSIGNED if event.worn else SlotState.READY
         if batch.cancelled:
             self._refuse(batch.query, "cancelled", "cancelled")
         else:
-            self._keep(lease, batch.id, reply)
+            reply = _joined(batch.parts, event.reply)
+            self._keep(lease, batch.id, reply, now)
             if batch.query is not None:
                 self._do(Answer(batch.query, reply))
+        if event.worn:
+            self._prepare(lease, now)
+            self._answer_renewals(lease, now)
         self._start(lease, now)
 
-    def _died(self, slot: Slot, kind: str, trial: int, reason: str, now: float) -> None:
+    def _exhausted(self, slot: Slot, event: Exhausted, now: float) -> None:
+        """The batch goes on in whatever slot is ready first; this one gets a new process."""
+        lease, batch = slot.lease, slot.batch
+        slot.batch = None
+        self._renew_process(slot)
+        if lease is None:
+            self._release(slot, now)
+            return
+        if batch is None:
+            raise LocalProtocolError(f"slot {slot.index} ran out of memory for a batch it does not have")
+        slot.state = SlotState.ASSIGNED
+        if batch.cancelled:
+            self._refuse(batch.query, "cancelled", "cancelled")
+        elif self.draining:
+            self._refuse(batch.query, "draining", "the server is draining")
+        else:
+            batch.done, batch.alone = event.done, event.alone
+            batch.parts = [*batch.parts, event.part]
+            lease.waiting.appendleft(batch)
+        self._prepare(lease, now)
+        self._start(lease, now)
+        self._answer_renewals(lease, now)
+
+    def _renew_process(self, slot: Slot) -> None:
+        self._log("slot_worn", slot=slot.index)
+        self._do(Kill(slot.index))
+        slot.setup = None
+
+    def _died(self, slot: Slot, kind: FaultKind | Literal["stopped"], trial: int, reason: str, now: float) -> None:
         """The slot's process ended, or was killed, and a new one is there, prepared for nothing."""
         lease, batch = slot.lease, slot.batch
         slot.batch, slot.setup = None, None
@@ -482,9 +544,8 @@ class Slots:
         if batch is not None and batch.cancelled:
             self._refuse(batch.query, "cancelled", "cancelled")
         elif batch is not None:
-            code: Literal["crashed", "timeout"] = "timeout" if kind == "timeout" else "crashed"
-            fault = Fault(batch=batch.id, kind=code, trial=trial, reason=reason[:MAX_TEXT])
-            self._keep(lease, batch.id, codec.encode(fault))
+            fault = Fault(batch=batch.id, kind="crashed" if kind == "stopped" else kind, trial=trial, reason=reason[:MAX_TEXT])
+            self._keep(lease, batch.id, codec.encode(fault), now)
             if batch.query is not None:
                 self._answer(batch.query, fault)
         slot.deaths += slot.state == SlotState.PREPARING
@@ -510,7 +571,7 @@ class Slots:
         self._log("lease_" + why.replace("-", "_"), user=lease.user, run=lease.run)
         del self.leases[lease.token]
         for key in [key for key in self._kept if key[0] == lease.token]:
-            self._kept_bytes -= len(self._kept.pop(key))
+            self._kept_bytes -= len(self._kept.pop(key)[0])
         self._let_go(lease, "lease-lost", f"the lease was {why.replace('-', ' ')}", now)
         for query, _, _ in lease.renewals:
             self._refuse(query, "lease-lost", f"the lease was {why.replace('-', ' ')}")
@@ -546,7 +607,7 @@ class Slots:
                 continue
             self._answer_renewals(lease, now)
             for batch in lease.waiting:
-                self._hold(batch, 0, now)
+                self._hold(batch, batch.done, now)
         for slot in self.slots:
             if slot.state == SlotState.STOPPING and now - slot.since > (STOP_S if slot.batch else PREPARE_S):
                 self._do(Kill(slot.index))
@@ -581,12 +642,15 @@ class Slots:
 
     # ---- answers
 
-    def _keep(self, lease: Held, batch: int, reply: bytes) -> None:
-        self._kept[lease.token, batch] = reply
+    def _keep(self, lease: Held, batch: int, reply: bytes, now: float) -> None:
+        self._kept[lease.token, batch] = (reply, now)
         self._kept_bytes += len(reply)
-        while self._kept_bytes > KEPT_BYTES and len(self._kept) > 1:
-            _, dropped = self._kept.popitem(last=False)
+        while len(self._kept) > 1 and (self._kept_bytes > KEPT_BYTES or self._oldest_kept() < now - KEPT_S):
+            _, (dropped, _) = self._kept.popitem(last=False)
             self._kept_bytes -= len(dropped)
+
+    def _oldest_kept(self) -> float:
+        return next(iter(self._kept.values()))[1]
 
     def _answer_renewals(self, lease: Held, now: float, *, hold: bool = True) -> None:
         """Answer the held renewals that know another state, or were held for long."""
@@ -626,8 +690,28 @@ class Slots:
 
 
 def _same_problem(left: Reserve | None, right: Reserve) -> bool:
-    return left is not None and (left.simulator, left.representation, left.version_hash) == (
+    return left is not None and (left.simulator, left.representation, left.version_hash, left.trial_memory_mb) == (
         right.simulator,
         right.representation,
         right.version_hash,
+        right.trial_memory_mb,
+    )
+
+
+def _joined(parts: list[Outcomes], last: bytes) -> bytes:
+    """The answer to a batch that several processes played, each some trials; the last one's where it is no outcomes."""
+    if not parts:
+        return last
+    rest = codec.decode_reply(last)
+    if not isinstance(rest, Outcomes):
+        return last
+    pieces = [*parts, rest]
+    return codec.encode(
+        Outcomes(
+            batch=rest.batch,
+            fitness=b"".join(piece.fitness for piece in pieces),
+            metrics=b"".join(piece.metrics for piece in pieces),
+            seconds=sum(piece.seconds for piece in pieces),
+            error=next((piece.error for piece in pieces if piece.error), ""),
+        )
     )

@@ -1,14 +1,15 @@
 """One child process per slot: the parent's end (``Worker``) and the child's (``main``).
 
 Children are forked from a fork server that has numba loaded and never touched zenoh. A frame on the pipe is one letter and
-a body: ``P`` prepare with the probe, ``Q`` prepare without, ``E`` evaluate; back come ``R`` ready, ``F`` failed, ``O`` done.
-A child ends when its pipe closes, and is killed when the fork server ends.
+a body: ``P`` prepare with the probe, ``Q`` prepare without, ``E`` evaluate; back come ``R`` ready, ``F`` failed, ``O`` done,
+``W`` done and worn (little memory is left), ``X`` exhausted (no memory is left for the rest of the batch), and ``M`` (one trial,
+or preparing, took all memory). A child ends when its pipe closes, and is killed when the fork server ends.
 """
 
 import contextlib
 import ctypes
 import gc
-import hashlib
+import math
 import multiprocessing
 import multiprocessing.forkserver
 import os
@@ -16,25 +17,24 @@ import signal
 import sys
 import time
 from multiprocessing.connection import Connection
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
 
 from zswarm.errors import ConfigError, RemoteProtocolError
 from zswarm.protocol import codec
-from zswarm.protocol.messages import (
-    MAX_TEXT,
-    PROBE_GENOMES,
-    PROBE_SEEDS,
-    Evaluate,
-    Message,
-    Outcomes,
-    Refused,
-    Reserve,
-)
+from zswarm.protocol.messages import Evaluate, Outcomes, Refused, Reserve
+from zswarm.ss import memory
+
+if TYPE_CHECKING:
+    from zswarm.evaluate import Outcomes as Played
 
 PRELOADED = ["zswarm.ss.worker", "zswarm.evaluate"]
 PR_SET_PDEATHSIG = 1
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")  # a slot is one; a BLAS takes 40 MB for each
+TRIAL, STOP, FIRST, ALONE = range(4)  # of the shared numbers
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.2, 10.0  # before a process that died early again is started anew
 
 _context = multiprocessing.get_context("forkserver")
 
@@ -46,39 +46,81 @@ class Ready(msgspec.Struct):
     trial_s: float
 
 
+class Rest(msgspec.Struct):
+    """Where a batch goes on that its process has no memory for, and what that process finished of it."""
+
+    done: int
+    alone: int
+    part: Outcomes
+
+
+class OutOfMemoryError(Exception):
+    """One trial took all the memory there is for a slot."""
+
+
 def start_fork_server() -> None:
     """Start the process that slots are forked from; before zenoh opens and before slow imports, which it does meanwhile."""
+    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
     _context.set_forkserver_preload(PRELOADED)
     multiprocessing.forkserver.ensure_running()
 
 
 class Worker:
-    """The parent's end of a slot's process."""
+    """The parent's end of a slot's process.
 
-    def __init__(self) -> None:
-        self._shared = _context.RawArray("q", 2)
-        self.progress = np.frombuffer(self._shared, np.int64)  # [0] the trial it is at, [1] stop
-        self._start()
+    Attributes:
+        pipe: to it; None while it is not there.
+        start_at: when to call ``start``, by the monotonic clock; infinite while it is there.
+    """
 
-    def _start(self) -> None:
-        self.progress[:] = 0
-        self.pipe, child_end = _context.Pipe()
-        self.process = _context.Process(target=main, args=(child_end, self._shared), daemon=True)
-        self.process.start()
-        child_end.close()
+    def __init__(self, memory_mb: int) -> None:
+        self._memory_mb = memory_mb
+        self._shared = _context.RawArray("q", 4)  # trial and stop (see evaluate.py), where these begin, a trial to play alone
+        self._progress = np.frombuffer(self._shared, np.int64)
+        self._process: multiprocessing.context.ForkServerProcess | None = None
+        self._prepared = False
+        self._held = b""  # a frame for the process that is to be started
+        self._early_deaths = 0  # in a row: before it answered anything
+        self.pipe: Connection | None = None
+        self.start_at = 0.0
+
+    def start(self) -> str:
+        """Start the process; why it could not be, or ""."""
+        self._progress[:] = 0
+        pipe, child_end = _context.Pipe()
+        process = _context.Process(target=main, args=(child_end, self._shared, self._memory_mb), daemon=True)
+        try:
+            process.start()
+        except (OSError, EOFError) as error:  # the machine has no process or memory left, or the fork server ended
+            pipe.close()
+            self._died_early()
+            return f"it could not be started: {type(error).__name__}: {error}"
+        finally:
+            child_end.close()
+        self._process, self.pipe, self.start_at = process, pipe, math.inf
+        if self._held:
+            self._send(self._held[:1], self._held[1:])
+        return ""
+
+    def trial(self) -> int:
+        """The trial that it is at."""
+        return max(0, int(self._progress[TRIAL] + self._progress[FIRST]))
 
     def prepare(self, setup: Reserve, *, probe: bool) -> None:
-        """Have it build and warm up a problem."""
+        """Have it build and warm up a problem; a process that had another one before makes room for a new process."""
+        if self._prepared:
+            self.kill()
+        self._prepared = True
         self._send(b"P" if probe else b"Q", codec.encode(setup))
 
-    def evaluate(self, body: bytes) -> None:
-        """Have it evaluate an encoded batch."""
-        self.progress[:] = 0
+    def evaluate(self, body: bytes, first: int, alone: int) -> None:
+        """Have it evaluate an encoded batch from a trial on, one trial (or -1: none) by itself."""
+        self._progress[:] = 0, 0, first, alone
         self._send(b"E", body)
 
     def stop(self) -> None:
         """Have its batch end before the next trial."""
-        self.progress[1] = 1
+        self._progress[STOP] = 1
 
     def receive(self) -> tuple[bytes, bytes]:
         """Letter and body of its next answer.
@@ -86,36 +128,62 @@ class Worker:
         Raises:
             EOFError, OSError: the process ended.
         """
+        assert self.pipe is not None  # noqa: S101  the loop polls pipes that are there
         frame = self.pipe.recv_bytes()
+        self._early_deaths = 0
         return frame[:1], frame[1:]
 
-    def restart(self) -> str:
-        """Kill it, whatever it does, and start a new one; how the old one ended."""
-        self.process.kill()
-        self.process.join()
-        code = self.process.exitcode
-        self.pipe.close()
-        self._start()
-        return f"killed by signal {-code}" if code is not None and code < 0 else f"ended with code {code}"
+    def kill(self) -> None:
+        """End it, whatever it does; a new one is due at once, unless one was to be waited for already."""
+        self._held = b""
+        if self.pipe is not None:
+            self.close()
+            self.start_at = 0.0
 
     def exit_reason(self) -> str:
-        """How a process that ended by itself ended; it is replaced."""
-        self.process.join(1.0)
-        return self.restart()
+        """How a process that ended by itself ended. A new one is due at once; after a while if it dies early again."""
+        assert self._process is not None  # noqa: S101  it was there to end
+        self._process.join(1.0)
+        code = self._process.exitcode
+        self.close()
+        self._died_early()
+        return _ending(code)
 
     def close(self) -> None:
-        """End it."""
-        self.pipe.close()
-        self.process.kill()
+        """End it for good."""
+        if self.pipe is not None and self._process is not None:
+            self.pipe.close()
+            self._process.kill()
+            self._process.join()
+            self.pipe, self._prepared = None, False
+
+    def _died_early(self) -> None:
+        self._early_deaths += 1
+        pause = 0.0 if self._early_deaths < 2 else min(FIRST_PAUSE_S * 2.0 ** (self._early_deaths - 2), LONGEST_PAUSE_S)
+        self.start_at = time.monotonic() + pause
 
     def _send(self, letter: bytes, body: bytes) -> None:
+        if self.pipe is None:
+            self._held = letter + body
+            return
+        self._held = b""
         with contextlib.suppress(OSError):  # it ended; its closed pipe tells the loop
             self.pipe.send_bytes(letter + body)
 
 
-def main(pipe: Connection, shared: object) -> None:
-    """The child: prepare and evaluate until the pipe closes."""
+def _ending(code: int | None) -> str:
+    if code is None or code >= 0:
+        return f"ended with code {code}" if code is not None else "closed its pipe"
+    if -code == signal.SIGKILL:
+        return "was killed by signal 9 (the machine may have run out of memory)"
+    names = {number.value: f" ({number.name})" for number in signal.Signals}
+    return f"was killed by signal {-code}{names.get(-code, '')}"
+
+
+def main(pipe: Connection, shared: object, memory_mb: int) -> None:
+    """The child: prepare and evaluate until the pipe closes, with so much memory if a run does not ask for less."""
     _end_with_parent()
+    memory.go_first()
     # Python hands every child the end of the pipe that keeps the fork server alive: it must end with the server alone.
     os.close(multiprocessing.forkserver._forkserver._forkserver_alive_fd)  # type: ignore[attr-defined]  # private
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -123,74 +191,119 @@ def main(pipe: Connection, shared: object) -> None:
     progress = np.frombuffer(shared, np.int64)  # type: ignore[call-overload]  # a ctypes array is a buffer
     gc.freeze()
     evaluator = None
+    too_much = b""
     with contextlib.suppress(EOFError, OSError):
         while True:
             frame = pipe.recv_bytes()
             letter, body = frame[:1], frame[1:]
-            if letter == b"E":
-                assert evaluator is not None  # noqa: S101  the slot table prepares before it runs
-                pipe.send_bytes(b"O" + codec.encode(evaluator.evaluate(body, progress)))
-                continue
             try:
-                evaluator = Evaluator(codec.decode_request(body))  # type: ignore[arg-type]  # prepare carries a Reserve
+                if letter == b"E":
+                    assert evaluator is not None  # noqa: S101  the slot table prepares before it runs
+                    pipe.send_bytes(b"".join(evaluator.evaluate(body, progress)))
+                    continue
+                setup = codec.decode_request(body)
+                assert isinstance(setup, Reserve)  # noqa: S101  that is what prepare sends
+                too_much = _too_much(setup.trial_memory_mb, memory_mb).encode()
+                evaluator = Evaluator(setup, setup.trial_memory_mb or memory_mb)
                 pipe.send_bytes(b"R" + msgspec.msgpack.encode(evaluator.warm_up(probe=letter == b"P")))
+            except (MemoryError, OutOfMemoryError):
+                memory.lift()
+                pipe.send_bytes(b"M" + too_much)
             except (ConfigError, RemoteProtocolError) as error:
-                pipe.send_bytes(b"F" + str(error).encode())
+                pipe.send_bytes(b"F" + str(error).encode(errors="backslashreplace"))
+
+
+def _too_much(asked_mb: int, memory_mb: int) -> str:
+    if asked_mb:
+        return f"it needs more than the {asked_mb} MB of cluster.trial_memory_mb: raise that, if servers have more"
+    return f"it needs more than the {memory_mb} MB of a slot: raise slot_memory_mb of the server, or run it with fewer slots"
 
 
 class Evaluator:
-    """A problem built in this process."""
+    """A problem built in this process, which takes so much memory and no more."""
 
-    def __init__(self, setup: Reserve) -> None:
+    def __init__(self, setup: Reserve, limit_mb: int) -> None:
         from zswarm import evaluate  # numba comes with it: only here, never in the server's own process
 
-        self._evaluate = evaluate.evaluate
+        memory.restrict(limit_mb)
+        self._limit = limit_mb << 20
+        self._ready = 0  # bytes taken when it was warmed up
+        self._evaluate = evaluate
         self.simulator, self.representation = evaluate.build(
             setup.simulator.kind, setup.simulator.settings, setup.representation.kind, setup.representation.settings
         )
 
     def warm_up(self, *, probe: bool) -> Ready:
-        """Compile or load all that a trial needs; the digest of the probe's outcomes and the time of one of its trials.
-
-        The probe is the same everywhere: four random genomes, each on two seeds. Without it one trial is played.
-        """
-        from zswarm.draws import Stream, derive_seed
-
-        genomes = self.representation.random(PROBE_GENOMES, Stream(derive_seed(0, "probe")))
-        k = self.simulator.participants
-        participants = np.array(
-            [[(genome + i) % PROBE_GENOMES for i in range(k)] for genome in range(PROBE_GENOMES) for _ in range(PROBE_SEEDS)]
-        )
-        seeds = np.array([derive_seed(0, "probe", trial % PROBE_SEEDS) for trial in range(len(participants))], np.uint64)
-        first = self._evaluate(self.simulator, self.representation, genomes, participants[:1], seeds[:1])
+        """Compile or load all that a trial needs, and play the probe if told."""
         if not probe:
-            return Ready(b"", 0.0)
-        begin = time.perf_counter()
-        rest = self._evaluate(self.simulator, self.representation, genomes, participants[1:], seeds[1:])
-        elapsed = time.perf_counter() - begin
-        digest = hashlib.blake2b(digest_size=16)
-        for outcomes in (first, rest):
-            digest.update(outcomes.fitness.astype("<f8").tobytes() + outcomes.metrics.astype("<f8").tobytes())
-        return Ready(digest.digest(), elapsed / (len(participants) - 1))
+            self._evaluate.warm_up(self.simulator, self.representation)
+            ready = Ready(b"", 0.0)
+        else:
+            ready = Ready(*self._evaluate.probe(self.simulator, self.representation))
+        self._ready = memory.used()
+        return ready
 
-    def evaluate(self, body: bytes, progress: np.ndarray) -> Message:
-        """The answer to a batch."""
+    def evaluate(self, body: bytes, progress: np.ndarray) -> tuple[bytes, bytes]:
+        """Letter and body of the answer to a batch.
+
+        Raises:
+            OutOfMemoryError: the trial that ``progress`` names took all memory, though half of it was there when it began.
+        """
         begin = time.perf_counter()
         try:
             batch = codec.decode_request(body)
             if not isinstance(batch, Evaluate):
                 raise RemoteProtocolError("not a batch")
-            participants, seeds = codec.trials(batch, self.simulator.participants)
-            outcomes = self._evaluate(self.simulator, self.representation, batch.genomes, participants, seeds, progress)
+            done, alone, pieces = self._play(batch, progress)
         except (ValueError, RemoteProtocolError) as error:
-            return Refused(code="malformed", reason=str(error)[:MAX_TEXT])
-        return Outcomes(
+            return b"O", codec.encode(Refused(code="malformed", reason=codec.clean(str(error))))
+        outcomes = Outcomes(
             batch=batch.batch,
-            fitness=outcomes.fitness.astype("<f8", copy=False).tobytes(),
-            metrics=outcomes.metrics.astype("<f8", copy=False).tobytes(),
+            fitness=b"".join(piece.fitness.astype("<f8", copy=False).tobytes() for piece in pieces),
+            metrics=b"".join(piece.metrics.astype("<f8", copy=False).tobytes() for piece in pieces),
             seconds=time.perf_counter() - begin,
-            error=codec.clean(outcomes.error),
+            error=next((codec.clean(piece.error) for piece in pieces if piece.error), ""),
         )
+        if done * 8 < len(batch.seeds):
+            return b"X", msgspec.msgpack.encode(Rest(done, alone, outcomes))
+        return b"W" if self._worn() else b"O", codec.encode(outcomes)
+
+    def _play(self, batch: Evaluate, progress: np.ndarray) -> tuple[int, int, list["Played"]]:
+        """Trials done, the trial to play alone next (-1: none), and the outcomes of those that this process played.
+
+        All trials that are left are played at once. When memory runs out among them, a new process plays those before the one
+        it ran out at, then that one alone, so that it is known whether that one is to blame or what was left behind by others.
+        """
+        participants, seeds = codec.trials(batch, self.simulator.participants)
+        done, alone = int(progress[FIRST]), int(progress[ALONE])
+        pieces: list[Played] = []
+        for end in sorted({alone, alone + 1, len(seeds)}):
+            if end <= done:
+                continue
+            if pieces and self._worn():
+                return done, alone, pieces
+            progress[TRIAL], progress[FIRST] = 0, done
+            part = slice(done, end)
+            try:
+                pieces.append(
+                    self._evaluate.evaluate(
+                        self.simulator, self.representation, batch.genomes, participants[part], seeds[part], progress[:FIRST]
+                    )
+                )
+            except MemoryError:
+                memory.lift()  # there must be enough to say so
+                if end - done == 1:
+                    raise OutOfMemoryError from None
+                return done, done + int(progress[TRIAL]), pieces
+            done = end
+        return done, -1, pieces
+
+    def _worn(self) -> bool:
+        """Whether more than half of what was left when it was ready is taken now."""
+        if memory.used() <= (self._ready + self._limit) // 2:
+            return False
+        gc.collect()
+        return memory.used() > (self._ready + self._limit) // 2
 
 
 def _end_with_parent() -> None:

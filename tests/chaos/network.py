@@ -1,0 +1,102 @@
+"""A link between a server and an optimizer, which breaks in the ways that links do."""
+
+from typing import TYPE_CHECKING, Literal
+
+from zswarm.ot import dispatch
+from zswarm.protocol import codec, messages
+from zswarm.ss import slots
+
+from .world import World
+
+if TYPE_CHECKING:
+    from .optimizer import Optimizer
+    from .server import Server
+
+QUERY_S = {"offer": 3.0, "reserve": 10.0, "renew": 25.0, "evaluate": 60.0, "cancel": 3.0, "release": 3.0}
+SLOW_S = 8.0
+
+# Queries end empty on a link that is down or mute, and by their timeout where it is deaf. The optimizer notices by the token
+# that it is down, the server that it is down or deaf. A slow one is only slow.
+State = Literal["up", "down", "mute", "deaf", "slow"]
+
+
+class Link:
+    """The way between two programs."""
+
+    def __init__(self, world: World, server: "Server", optimizer: "Optimizer") -> None:
+        self.world, self.server, self.optimizer = world, server, optimizer
+        self.state: State = "up"
+        self.breaks = 0  # what is on the way then is lost
+        self.open: dict[int, str] = {}  # questions
+        server.links[f"{optimizer.run} {optimizer.epoch}"] = optimizer.links[server.id] = self
+        self._meet()
+
+    def _meet(self) -> None:
+        """Each sees the other's token."""
+        if not self.server.slots.draining:
+            self._travel(lambda: self.optimizer.handle(dispatch.Seen(self.server.id)))
+        self._travel(lambda: self.server.handle(slots.HolderSeen("user", self.optimizer.run)))
+
+    def _travel(self, call: "object") -> None:
+        world, breaks = self.world, self.breaks
+
+        def arrive() -> None:
+            if breaks == self.breaks:
+                call()  # type: ignore[operator]
+
+        if self.state == "slow":
+            world.at(SLOW_S * world.random.random(), arrive)
+        else:
+            world.soon(arrive)
+
+    def set(self, state: State) -> None:
+        """Break the link, or mend it; what is on the way is lost."""
+        world = self.world
+        if self.server.ended:
+            state = "down"
+        if state in ("up", "slow") and self.state in ("up", "slow"):
+            self.state = state
+            return
+        world.tell(self.server.id, self.optimizer.run, "link is", state)
+        self.state, self.breaks = state, self.breaks + 1
+        if state in ("up", "slow"):
+            if not self.optimizer.ended:
+                self._meet()
+            return
+        if state in ("down", "deaf"):
+            world.soon(lambda: self.server.handle(slots.HolderGone("user", self.optimizer.run)))
+        if state == "down":
+            world.soon(lambda: self.optimizer.handle(dispatch.Gone(self.server.id)))
+        if state in ("down", "mute"):
+            delay = world.random.choice([0.001, 0.01, 5.0])
+            for question in list(self.open):
+                world.at(delay, lambda question=question: self._arrive(question, None))
+
+    def undeclare(self) -> None:
+        """The server's token goes."""
+        self._travel(lambda: self.optimizer.handle(dispatch.Gone(self.server.id)))
+
+    def ask(self, question: int, verb: str, message: messages.Request) -> None:
+        """From the optimizer to the server."""
+        world = self.world
+        self.open[question] = verb
+        world.at(QUERY_S[verb], lambda: self._arrive(question, None))
+        if self.state in ("down", "mute") or world.chance(world.failing):
+            world.soon(lambda: self._arrive(question, None))
+        elif self.state in ("up", "slow"):
+            self._travel(lambda: self.server.receive(self, question, message))
+
+    def answer(self, question: int, body: bytes) -> None:
+        """From the server to the optimizer."""
+        world = self.world
+        reply: messages.Reply | str | None = codec.decode_reply(body)
+        if world.chance(world.failing):
+            reply = world.random.choice([None, "not a message"])
+        if self.state in ("up", "slow"):
+            self._travel(lambda: self._arrive(question, reply))
+        if world.chance(world.failing):
+            world.at(1.0, lambda: self.optimizer.handle(dispatch.Answered(question, reply)))  # once more
+
+    def _arrive(self, question: int, reply: messages.Reply | str | None) -> None:
+        if self.open.pop(question, None) is not None:
+            self.optimizer.handle(dispatch.Answered(question, reply))

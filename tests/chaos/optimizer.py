@@ -1,0 +1,213 @@
+"""An optimizer: the real dispatch, a run of some generations, and what it has recorded."""
+
+import copy
+
+import numpy as np
+
+from zswarm.ot import dispatch
+from zswarm.ot.dispatch import Dispatch
+from zswarm.ot.history import History
+from zswarm.ot.workload import Workload
+from zswarm.protocol import messages
+
+from .network import Link
+from .problem import Experiment, outcome
+from .server import LIAR, PROBE, TRIAL_TIMEOUT_S, WRONG
+from .world import Node, World
+
+COMMIT_S = 0.1
+
+
+class Journal:
+    """What a run has recorded: finished generations, and the outcomes of the one that runs."""
+
+    def __init__(self) -> None:
+        self.finished: list[tuple[list[bytes], np.ndarray]] = []
+        self.doubtful = False  # a server may have computed wrong that could not be found out in time
+        self.counted: list[tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray, str]] = []
+
+    def survives(self, now: float) -> "Journal":
+        """What is on the disk after a crash: all but the last tenth of a second."""
+        left = Journal()
+        left.doubtful = self.doubtful
+        left.finished = list(self.finished)
+        left.counted = [row for row in self.counted if row[0] < now - COMMIT_S]
+        return copy.deepcopy(left)
+
+    def history(self) -> str:
+        """The history hash."""
+        history = History()
+        for genomes, fitness in self.finished:
+            history.add(genomes, fitness)
+        return history.hex()
+
+
+class Optimizer(Node):
+    """One program that runs, or goes on with, an experiment."""
+
+    def __init__(
+        self, world: World, experiment: Experiment, *, verify: float, epoch: int = 0, journal: Journal | None = None
+    ) -> None:
+        super().__init__(world)
+        self.experiment, self.run, self.epoch, self.verify = experiment, experiment.name, epoch, verify
+        self.nonce = world.random.randbytes(16)
+        self.journal = journal or Journal()
+        self.links: dict[str, Link] = {}  # by server
+        self.left = False  # it is done
+        self.superseded = False  # another one goes on with its run
+        self.progressed_at = self.unserved_at = world.now
+        self._verified, self._missed = 0, False
+        self.dispatch = Dispatch(1, 1, wanted_slots=world.random.choice([1, 2, 100]), quarantine=True, verify=verify)
+        self.workload: Workload
+        self._wake_at = float("inf")
+        world.soon(self._next_generation)
+
+    def _next_generation(self) -> None:
+        if self.ended:
+            return
+        if len(self.journal.finished) == self.experiment.generations:
+            self._leave()
+            return
+        before = self.journal.finished[-1][1] if self.journal.finished else None
+        self.workload = self.experiment.workload(before)
+        for _, trials, fitness, metrics, faulted, server in self.journal.counted:
+            self.workload.fitness[trials], self.workload.metrics[trials] = fitness, metrics
+            self.workload.counted[trials], self.workload.faulted[trials] = True, faulted
+            self.workload.source[trials] = server
+        self._once = [1] * len(self.workload.seeds)
+        self.handle(dispatch.Work(self.workload))
+
+    def handle(self, event: dispatch.Event) -> None:
+        """Give the dispatch an event, and carry out what it says."""
+        if self.frozen:
+            self.when_awake(lambda: self.handle(event))
+            return
+        if self.ended:
+            return
+        world = self.world
+        if not isinstance(event, dispatch.Tick):
+            world.tell(self.run, self.epoch, "Work" if isinstance(event, dispatch.Work) else event)
+        for command in self.dispatch.handle(event, self.clock()):
+            match command:
+                case dispatch.Ask():
+                    self.links[command.server].ask(command.question, command.verb, self._message(command))
+                case dispatch.Counted():
+                    self._record(command)
+                case dispatch.Disputed():
+                    trial, (index,) = command.trial, self.workload.participants[command.trial]
+                    truth = np.array([outcome((self.workload.genomes[index], int(self.workload.seeds[trial])))])
+                    world.at(0.5, lambda trial=trial, truth=truth: self.handle(dispatch.Settled(trial, truth, truth)))
+                case dispatch.ProbeDisputed():
+                    world.at(2.0, lambda: self.handle(dispatch.ProbeSettled(PROBE)))
+                case dispatch.Retracted():
+                    self.journal.doubtful |= bool(self.journal.finished)  # earlier generations were told what it computed
+                    self.journal.counted = [row for row in self.journal.counted if row[-1] != command.server]
+                case dispatch.Complete():
+                    self._finish()
+                case dispatch.Failed():
+                    if "taken over" not in command.reason or not self.superseded:
+                        world.fail(f"{self.run} failed: {command.reason}")
+                    self.end()
+                case dispatch.Note():
+                    self._missed |= command.event == "unverified" or "when it was verified" in command.text
+        if not self.dispatch.slots():
+            self.unserved_at = world.now
+        if self.dispatch._checks.verified > self._verified:
+            self._verified, self.progressed_at = self.dispatch._checks.verified, world.now
+        self._check()
+        self._set_alarm()
+
+    def _set_alarm(self) -> None:
+        wanted = self.dispatch.next_time()
+        if wanted < self._wake_at:
+            self._wake_at = wanted
+            self.world.at(max(0.0, wanted - self.clock()), self._tick)
+
+    def _tick(self) -> None:
+        self._wake_at = float("inf")
+        self.handle(dispatch.Tick())
+
+    def _record(self, counted: dispatch.Counted) -> None:
+        rows = [row[1] for row in self.journal.counted]
+        if rows and np.isin(counted.trials, np.concatenate(rows)).any():
+            self.world.fail("a trial was counted twice")
+        load, trials = self.workload, counted.trials
+        row = load.fitness[trials].copy(), load.metrics[trials].copy(), load.faulted[trials].copy()
+        self.journal.counted.append((self.world.now, trials, *row, counted.server))
+        self.progressed_at = self.world.now
+
+    def _finish(self) -> None:
+        """A generation ended: it must be what an undisturbed run has."""
+        world, load = self.world, self.workload
+        fitness, poison = self.experiment.expected(load)
+        if not load.counted.all():
+            world.fail("a trial is not counted")
+        if sum(len(row[1]) for row in self.journal.counted) != len(fitness):
+            world.fail("the record does not have every trial once")
+        wrong = {server for server in set(load.source) if server.endswith(WRONG)}
+        if self.dispatch._probe_settled and any(server.probe for server in self.dispatch.servers.values() if server.id in wrong):
+            world.fail(f"{wrong}: computes wrong, is known to, and was counted for")
+        lied = self._missed and any(server.endswith(LIAR) for server in load.source)
+        self.journal.doubtful |= bool(wrong) or lied
+        if not self.journal.doubtful:
+            for name, array in (("fitness", load.fitness), ("metric", load.metrics)):
+                if not np.array_equal(array[:, 0], fitness, equal_nan=True):
+                    world.fail(f"a {name} is wrong")
+        if not np.array_equal(load.faulted, poison):
+            world.fail("a trial is blamed for another's fault, or not for its own")
+        self.journal.finished.append((load.genomes, self.experiment.fitness(load.fitness[:, 0])))
+        self.journal.counted = []
+        world.at(0.0, lambda: self.when_awake(self._next_generation))
+
+    def _leave(self) -> None:
+        self.handle(dispatch.Leave())
+        self.left = True
+        self.world.at(0.1, self.end)
+
+    def end(self) -> None:
+        """It ends or crashes; its token vanishes."""
+        self.ended, self.frozen = True, False
+        for link in self.links.values():
+            link.set("down")
+
+    def resume(self) -> "Optimizer":
+        """Another one that goes on with what is recorded, whether this one ended or not."""
+        self.superseded = True
+        journal = self.journal.survives(self.world.now)
+        return Optimizer(self.world, self.experiment, verify=self.verify, epoch=self.epoch + 1, journal=journal)
+
+    def _check(self) -> None:
+        """Every trial is in one place."""
+        state = self.dispatch
+        if state._workload is not None:
+            out = [batch for server in state.servers.values() for batch in server.batches.values() if not batch.check]
+            places = [piece.trials for piece in state._waiting] + [batch.trials for batch in out]
+            places.append(np.flatnonzero(state._workload.counted))
+            if np.bincount(np.concatenate(places), minlength=len(state._workload.seeds)).tolist() != self._once:
+                self.world.fail(f"{self.run}: a trial is lost, or in two places")
+        for server in state.servers.values():
+            if server.batches and server.phase.name not in ("LEASED", "LEAVING"):
+                self.world.fail(f"{server.id} has batches")
+
+    def _message(self, ask: dispatch.Ask) -> messages.Request:
+        match ask.verb:
+            case "offer":
+                return messages.Requirements()
+            case "reserve":
+                return messages.Reserve(
+                    nonce=self.nonce, epoch=self.epoch, slots=self.dispatch._wanted, version_hash="",
+                    simulator=messages.Part(self.run, {}), representation=messages.Part("", {}),
+                    trial_timeout_s=TRIAL_TIMEOUT_S,
+                )  # fmt: skip
+            case "renew":
+                return messages.Renew(lease=ask.lease, known_ready=ask.known_ready)
+            case "cancel":
+                return messages.Cancel(lease=ask.lease, batches=list(ask.batches))
+            case "release":
+                return messages.Release(lease=ask.lease)
+        assert ask.trials is not None
+        genomes, participants, seeds = self.workload.batch(ask.trials)
+        return messages.Evaluate(
+            lease=ask.lease, batch=ask.batch, genomes=genomes,
+            participants=participants.astype("<u4").tobytes(), seeds=seeds.astype("<u8").tobytes(),
+        )  # fmt: skip

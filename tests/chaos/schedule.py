@@ -1,0 +1,202 @@
+"""One seeded schedule: who is there, which faults happen to whom and when, and what must have come of it."""
+
+import itertools
+
+from zswarm.errors import ZswarmError
+
+from .network import Link
+from .optimizer import Optimizer
+from .problem import Experiment, Trial
+from .server import DEATHS, Server
+from .world import BOUND_S, CALM_S, CHAOS_S, END_S, World
+
+LINK_TIMEOUT_S = 8.0
+LASTS_S = [0.1, 0.1, 3.0, 20.0, 70.0]  # faults
+FAULTS = [
+    *("down", "mute", "deaf", "slow"),  # a server's link
+    *("crash", "drain", "worker", "worker", "freeze", "jump"),  # a server
+    *("end", "takeover", "stop", "leap"),  # an optimizer
+]
+
+
+class Lab:
+    """A world with servers and runs."""
+
+    def __init__(self, seed: int) -> None:
+        self.world = World(seed)
+        draw = self.world.random
+        self.servers: list[Server] = []
+        self.optimizers: list[Optimizer] = []
+        self._deaths: dict[Trial, int] = {}
+        self._numbers = itertools.count()
+        self.alone = draw.random() < 0.15  # one server that never ends, for one run: nothing is ever run twice
+        self.liar = not self.alone and draw.random() < 0.15  # one server computes some trials wrong, and all are verified
+        if self.alone:
+            self.add_server(sound=True).alone = True
+            self._add_run("run-1")
+            return
+        self.add_server(sound=self.liar)
+        for _ in range(draw.randint(1 if self.liar else 0, 3)):
+            self.world.at(draw.choice([0.0, 5.0]), self.add_server)
+        if self.liar:
+            self.add_server(sound=True, lies=0.3)
+        for run in ["run-1", "run-2", "run-3"][: draw.randint(1, 3)]:
+            self._add_run(run)
+
+    def add_server(self, *, sound: bool = False, lies: float = 0.0) -> Server:
+        """A server starts."""
+        server = Server(self.world, next(self._numbers), self._deaths, sound=sound, lies=lies)
+        self.servers.append(server)
+        for optimizer in self.optimizers:
+            if not optimizer.ended:
+                Link(self.world, server, optimizer)
+        return server
+
+    def _add_run(self, name: str) -> None:
+        draw = self.world.random
+        experiment = Experiment(
+            name, draw.getrandbits(32), generations=draw.randint(1, 3), population=draw.randint(2, 8), trials=draw.randint(1, 5)
+        )
+        verify = 1.0 if self.liar else draw.choice([0.0, 0.0, 0.2])
+        self.add_optimizer(Optimizer(self.world, experiment, verify=verify))
+
+    def add_optimizer(self, optimizer: Optimizer) -> None:
+        """An optimizer starts."""
+        self.optimizers.append(optimizer)
+        for server in self.servers:
+            if not server.ended:
+                Link(self.world, server, optimizer)
+
+    # ---- faults
+
+    def fail_something(self) -> None:
+        """One fault, and another one later."""
+        world, draw = self.world, self.world.random
+        if world.now > CHAOS_S:
+            return
+        world.at(draw.expovariate(0.3), self.fail_something)
+        server = draw.choice([server for server in self.servers if not server.ended] or self.servers)
+        optimizer = draw.choice([optimizer for optimizer in self.optimizers if not optimizer.ended] or self.optimizers)
+        fault, lasts_s = draw.choice(FAULTS), draw.choice(LASTS_S)
+        if self.alone and fault in ("crash", "drain", "end", "takeover", "jump"):
+            return
+        world.tell("FAULT", fault, server.id, optimizer.run, optimizer.epoch, f"{lasts_s} s")
+        if fault in ("end", "takeover", "stop", "leap"):
+            self._fail_optimizer(fault, optimizer, lasts_s)
+        elif not server.ended:
+            self._fail_server(fault, server, lasts_s)
+
+    def _fail_server(self, fault: str, server: Server, lasts_s: float) -> None:
+        world = self.world
+        match fault:
+            case "down" | "mute" | "deaf" | "slow":
+                for link in list(server.links.values()):
+                    link.set(fault)
+                    world.at(lasts_s, lambda link=link: link.set("up"))
+            case "crash":
+                server.end()
+                world.at(world.random.uniform(0.1, 5.0), self.add_server)
+            case "drain" if not server.slots.draining:
+                server.drain()
+            case "worker":
+                self._kill_worker(server)
+            case "freeze" if not server.frozen:
+                self._freeze(server, list(server.links.values()), lasts_s)
+            case "jump":
+                server.offset += world.random.choice([1.0, 30.0, 3600.0])
+
+    def _kill_worker(self, server: Server) -> None:
+        worker = self.world.random.choice(server.workers)
+        trial = worker.progress()
+        if worker.since is None or not worker.trials:
+            return
+        deaths = self._deaths.get(worker.trials[trial - worker.first], 0)
+        if deaths < DEATHS:
+            self._deaths[worker.trials[trial - worker.first]] = deaths + 1
+            worker.die()
+
+    def _fail_optimizer(self, fault: str, optimizer: Optimizer, lasts_s: float) -> None:
+        world = self.world
+        if optimizer.ended:
+            return
+        match fault:
+            case "end" if not optimizer.superseded:
+                optimizer.end()
+                world.at(world.random.uniform(0.1, 40.0), lambda: self.add_optimizer(optimizer.resume()))
+            case "takeover" if not optimizer.superseded:
+                self.add_optimizer(optimizer.resume())
+            case "stop" if not optimizer.frozen:
+                self._freeze(optimizer, list(optimizer.links.values()), lasts_s)
+            case "leap":
+                optimizer.offset += world.random.choice([1.0, 30.0, 3600.0])
+
+    def _freeze(self, node: Server | Optimizer, links: list[Link], lasts_s: float) -> None:
+        """SIGSTOP, and later SIGCONT: after the link timeout the others take it for gone."""
+        node.frozen = True
+        if lasts_s > LINK_TIMEOUT_S:
+            for link in links:
+                self.world.at(LINK_TIMEOUT_S, lambda link=link: link.set("down"))
+
+        def go_on() -> None:
+            node.wake()
+            for link in links:
+                link.set("up")
+
+        self.world.at(lasts_s, go_on)
+
+    # ---- what must have come of it
+
+    def play(self) -> None:
+        """Let everything happen.
+
+        Raises:
+            AssertionError: a rule was broken.
+        """
+        world = self.world
+        world.at(1.0, self.fail_something)
+        world.run(CALM_S, self._done)
+        for link in [link for server in self.servers for link in server.links.values()]:
+            link.set("up")
+        if not any(server.good() for server in self.servers):
+            self.add_server(sound=True)
+        world.run(world.now + BOUND_S, self._done)
+        standing = self._standing()
+        undone = not all(optimizer.left for optimizer in standing)
+        if undone and all(optimizer.progressed_at < world.now - BOUND_S for optimizer in standing):
+            world.fail("no run goes on")
+        for optimizer in self._standing():
+            if not optimizer.left and max(optimizer.progressed_at, optimizer.unserved_at) < world.now - BOUND_S:
+                world.fail(f"{optimizer.run} has slots and does not go on")
+        world.run(END_S, self._done)
+        world.run(world.now + 120.0)
+        for optimizer in self._standing():
+            if not optimizer.left:
+                world.fail(f"{optimizer.run} is not done")
+            if not optimizer.journal.doubtful and optimizer.journal.history() != optimizer.experiment.undisturbed():
+                world.fail(f"{optimizer.run}: another history than that of an undisturbed run")
+        for server in self.servers:
+            if not server.ended:
+                if server.pending:
+                    world.fail(f"{server.id} left queries unanswered")
+                if server.slots.busy() or server.slots._kept_bytes or server.slots.free() != len(server.workers):
+                    world.fail(f"{server.id} leaks a lease or a slot")
+
+    def _standing(self) -> list[Optimizer]:
+        return [optimizer for optimizer in self.optimizers if not optimizer.superseded]
+
+    def _done(self) -> bool:
+        return all(optimizer.left or (optimizer.superseded and optimizer.ended) for optimizer in self.optimizers)
+
+
+def play(seed: int) -> World:
+    """Play the schedule of a seed.
+
+    Raises:
+        AssertionError: a rule was broken.
+    """
+    lab = Lab(seed)
+    try:
+        lab.play()
+    except ZswarmError as error:
+        lab.world.fail(repr(error))
+    return lab.world

@@ -1,0 +1,351 @@
+"""A run on disks that fill up, fail, turn read-only or lose what was written last: it goes on to the same history."""
+
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from programs import Optimizer, Server, query, wait_until
+from promise import check_prefix, check_run
+
+from zswarm.ot.record import Record
+
+pytestmark = pytest.mark.faults
+
+EXPERIMENT = """
+name = "on-disk"
+seed = 4
+generations = 4
+[problem]
+simulator = "emergency-exit"
+trials = 20
+[problem.settings]
+steps = 2000
+agents = 20
+[representation]
+kind = "fully-meshed"
+[optimizer]
+kind = "nnga"
+population = 40
+[cluster]
+servers = "local"
+local_slots = 2
+multicast = false
+"""
+COUNTED = "SELECT coalesce(sum(count), 0) FROM outcomes"
+ROWS = "SELECT id, generation, trials, fitness, server, at FROM outcomes ORDER BY id"
+KILLS = 15
+SNAPSHOTS = 8
+
+Mount = Callable[..., Path]
+STARTED: list[Optimizer] = []
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the experiment's run on a good disk."""
+    folder = tmp_path_factory.mktemp("undisturbed")
+    run(folder).done()
+    return folder / "runs" / "on-disk"
+
+
+@pytest.fixture
+def mount(tmp_path: Path) -> Iterator[Mount]:
+    """Mounts a file system below the test's folder; what is mounted is unmounted at the end."""
+    mounted: list[Path] = []
+
+    def mounting(name: str, *how: str) -> Path:
+        place = tmp_path / name
+        place.mkdir(exist_ok=True)
+        done = subprocess.run(["mount", *how, str(place)], capture_output=True, text=True, check=False)
+        if done.returncode:
+            pytest.skip(f"mounting is not permitted here: {done.stderr.strip()}")
+        mounted.append(place)
+        return place
+
+    yield mounting
+    for place in mounted:
+        subprocess.run(["umount", "--lazy", str(place)], capture_output=True, check=False)
+
+
+@pytest.fixture(autouse=True)
+def ended() -> Iterator[None]:
+    """No program outlives its test."""
+    yield
+    while STARTED:
+        STARTED.pop().close()
+
+
+def run(folder: Path, *options: str, name: str = "run") -> Optimizer:
+    (folder / "experiment.toml").write_text(EXPERIMENT)
+    return start(folder, name, "run", "experiment.toml", "--json", *options)
+
+
+def resume(folder: Path, at: Path, *options: str, name: str = "resumed") -> Optimizer:
+    return start(folder, name, "resume", str(at), "--json", *options)
+
+
+def start(folder: Path, name: str, *arguments: str) -> Optimizer:
+    STARTED.append(Optimizer(folder, name, list(arguments)))
+    return STARTED[-1]
+
+
+def counted(at: Path) -> int:
+    rows = query(at, COUNTED)
+    return int(rows[0][0]) if rows else 0
+
+
+def said(optimizer: Optimizer, words: str) -> int:
+    """Lines on stderr with these words."""
+    return sum(words in line for line in optimizer.err.read_text().splitlines())
+
+
+def fill(folder: Path) -> Path:
+    """A file that takes all the room there is."""
+    ballast = folder / "ballast"
+    with ballast.open("ab", buffering=0) as file:
+        for size in (65_536, 4096, 1):
+            try:
+                while True:
+                    file.write(bytes(size))
+            except OSError:
+                continue
+    return ballast
+
+
+def wait_until_said(optimizer: Optimizer, words: str, times: int = 1) -> None:
+    wait_until(
+        lambda: said(optimizer, words) >= times or optimizer.process.poll() is not None,
+        f"{optimizer.err} says {words!r} {times} times",
+    )
+    assert said(optimizer, words) == times, optimizer.err.read_text()
+
+
+def tmpfs(mount: Mount) -> Path:
+    return mount("disk", "-t", "tmpfs", "-o", "size=16m", "tmpfs")
+
+
+# ---- full
+
+
+def test_a_run_waits_for_room_and_goes_on_by_itself(tmp_path: Path, undisturbed: Path, mount: Mount) -> None:
+    """Twice; nothing is evaluated again, and the server keeps the lease."""
+    disk, whole = tmpfs(mount), check_run(undisturbed)
+    server = Server(tmp_path, "ss")
+    optimizer = run(tmp_path, "--out", "disk", "--servers", "1", f"--connect={server.endpoint}")
+    at = disk / "on-disk"
+    try:
+        for episode in (1, 2):
+            before = counted(at)
+            wait_until(lambda before=before: counted(at) > before + 100, "some trials are counted")
+            ballast = fill(disk)
+            wait_until_said(optimizer, "the disk of disk/on-disk is full: waiting for room; nothing is lost", episode)
+            stuck = counted(at)
+            ballast.unlink()
+            wait_until_said(optimizer, "the disk of disk/on-disk takes data again: going on", episode)
+            wait_until(lambda stuck=stuck: counted(at) > stuck, "what waited is recorded")
+        done = optimizer.done()
+        leases = server.events("lease_granted")
+    finally:
+        server.close()
+    facts = check_run(at)
+    assert done["history_hash"] == whole.history_hash == facts.history_hash
+    assert (done["requeued"], len(leases)) == (0, 1), "the run lost its server while it waited"
+    assert query(at, "SELECT count(*) FROM events WHERE event = 'disk_waited'") == [(2,)]
+    assert said(optimizer, "is full") == 2, "one line for each time"
+
+
+def test_a_run_that_waits_for_room_can_be_stopped_and_resumed(tmp_path: Path, undisturbed: Path, mount: Mount) -> None:
+    disk = tmpfs(mount)
+    optimizer = run(tmp_path, "--out", "disk")
+    at = disk / "on-disk"
+    wait_until(lambda: counted(at) > 100, "some trials are counted")
+    ballast = fill(disk)
+    wait_until_said(optimizer, "waiting for room")
+    optimizer.kill(signal.SIGINT)
+    assert optimizer.wait() == 130
+    assert said(optimizer, "Go on with: zswarm-ot resume disk/on-disk") == 1
+    assert said(optimizer, "Traceback") == 0
+    fill(disk)  # closing the record may have made room
+    resumed = resume(tmp_path, at, name="too-early")
+    wait_until(lambda: said(resumed, "full"), "it is refused, or waits where the log has some room left")
+    if waits := said(resumed, "waiting for room"):
+        resumed.kill(signal.SIGINT)
+    assert resumed.wait() == (130 if waits else 2), resumed.err.read_text()
+    assert said(resumed, "Traceback") == 0
+    another = run(tmp_path, "--out", "disk", name="another")
+    assert another.wait() == 2, another.err.read_text()
+    assert said(another, "No space left on device; choose another place with --out") == 1
+    assert [path.name for path in disk.iterdir() if path.is_dir()] == ["on-disk"], "a folder was left behind"
+    ballast.unlink()
+    rows = query(at, ROWS)
+    assert resume(tmp_path, at).done()["history_hash"] == check_run(undisturbed).history_hash
+    assert query(at, ROWS)[: len(rows)] == rows
+    check_run(at)
+
+
+# ---- failing
+
+
+def test_a_run_survives_writes_that_fail(tmp_path: Path, undisturbed: Path) -> None:
+    """The system refuses to write past some size of a file, which SQLite calls an I/O error; then it does not any more."""
+    optimizer = run(tmp_path)
+    at, small = tmp_path / "runs" / "on-disk", 30_000
+    log = at / "run.sqlite-wal"
+    wait_until(lambda: log.is_file() and log.stat().st_size > 2 * small, "the log is larger than files may get")
+    _, most = resource.prlimit(optimizer.process.pid, resource.RLIMIT_FSIZE)
+    resource.prlimit(optimizer.process.pid, resource.RLIMIT_FSIZE, (small, most))
+    wait_until_said(optimizer, "the disk of runs/on-disk does not take what is written: trying again; nothing is lost")
+    resource.prlimit(optimizer.process.pid, resource.RLIMIT_FSIZE, (most, most))
+    wait_until_said(optimizer, "takes data again: going on")
+    assert optimizer.done()["history_hash"] == check_run(undisturbed).history_hash
+    check_run(at)
+
+
+def test_a_disk_that_turns_read_only_for_ever_loses_nothing_that_was_recorded(
+    tmp_path: Path, undisturbed: Path, mount: Mount
+) -> None:
+    """As ext4 does when the device fails: what waits is told and evaluated again after the repair."""
+    image = tmp_path / "image"
+    with image.open("wb") as file:
+        file.truncate(16 << 20)
+    if shutil.which("mkfs.ext4") is None:
+        pytest.skip("mkfs.ext4 is not here: install e2fsprogs")
+    subprocess.run(["mkfs.ext4", "-q", str(image)], check=True, capture_output=True)
+    disk = mount("disk", "-o", "loop", str(image))
+    optimizer = run(tmp_path, "--out", "disk")
+    at = disk / "on-disk"
+    wait_until(lambda: counted(at) > 100, "some trials are counted")
+    subprocess.run(["mount", "-o", "remount,abort", str(disk)], check=True, capture_output=True)
+    wait_until_said(optimizer, "; nothing is lost")  # newer kernels do not call it read-only
+    rows = query(at, ROWS)
+    optimizer.kill(signal.SIGINT)
+    assert optimizer.wait() == 130
+    assert said(optimizer, "trials again") == 1
+    assert said(optimizer, "Go on with: zswarm-ot resume disk/on-disk") == 1
+    subprocess.run(["umount", str(disk)], check=True)
+    mount("disk", "-o", "loop", str(image))
+    assert len(rows) > 0
+    assert query(at, ROWS)[: len(rows)] == rows, "recorded outcomes are gone"
+    assert resume(tmp_path, at).done()["history_hash"] == check_run(undisturbed).history_hash
+    check_run(at)
+
+
+# ---- read-only
+
+
+def test_a_read_only_folder_is_read_and_not_written(tmp_path: Path, undisturbed: Path, mount: Mount) -> None:
+    """A finished run, a killed one with its log, and that without the log's index, as a copy leaves it."""
+    disk = tmpfs(mount)
+    shutil.copytree(undisturbed, disk / "finished")
+    killed = run(tmp_path, "--out", "disk")
+    wait_until(lambda: query(disk / "on-disk", "SELECT 1 FROM generations"), "a generation is finished")
+    killed.kill()
+    killed.wait()
+    shutil.copytree(disk / "on-disk", disk / "copied", ignore=shutil.ignore_patterns("*-shm"))
+    generations = len(query(disk / "on-disk", "SELECT 1 FROM generations"))
+    subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
+
+    listed = start(tmp_path, "list", "list", "disk", "--json")
+    assert listed.wait() == 0, listed.err.read_text()
+    rows = {Path(row["run"]).name: row for row in listed.lines()[0]["runs"]}
+    assert rows["finished"]["history_hash"] == check_run(undisturbed).history_hash
+    assert [rows[name].get("generations") for name in ("on-disk", "copied", "finished")] == [generations, generations, 4], rows
+    evaluated = start(tmp_path, "evaluate", "evaluate", "disk/finished", "--trials", "2", "--json")
+    assert evaluated.wait() == 0, evaluated.err.read_text()
+    assert evaluated.lines()[0]["trials"] == 2
+
+    for name, arguments, words in (
+        ("run", ["run", "experiment.toml", "--out", "disk"], "cannot be made: Read-only file system; choose another place"),
+        ("resume", ["resume", "disk/on-disk"], "disk/on-disk: cannot be written: Read-only file system"),
+    ):
+        refused = start(tmp_path, f"refused-{name}", *arguments)
+        assert refused.wait() == 2
+        lines = refused.err.read_text().splitlines()
+        assert len(lines) == 1, lines
+        assert words in lines[0]
+
+
+# ---- killed
+
+
+def wait_for_a_moment(optimizer: Optimizer, at: Path, until: int, seconds: float) -> None:
+    """More trials are counted, or a time is over."""
+    end = time.monotonic() + seconds
+    wait_until(
+        lambda: counted(at) > until or time.monotonic() > end or optimizer.process.poll() is not None, "a moment to kill at"
+    )
+
+
+def test_a_run_killed_again_and_again_ends_as_if_it_never_was(tmp_path: Path, undisturbed: Path) -> None:
+    """At seeded random moments, from before the folder is there to the last generation."""
+    draw, at = random.Random(11), tmp_path / "runs" / "on-disk"
+    total = counted(undisturbed)
+    server = Server(tmp_path, "ss").ready()
+    remote = ["--servers", "1", f"--connect={server.endpoint}"]
+    kept: list[tuple[object, ...]] = []
+    try:
+        for kill in range(KILLS):
+            first = not (at / "run.sqlite").exists()
+            options = (*remote, "--out", "runs")
+            optimizer = run(tmp_path, *options, name=f"{kill}") if first else resume(tmp_path, at, *remote, name=f"{kill}")
+            if first:  # a folder that is not there yet is no run, and the next one gets a name of its own
+                shutil.rmtree(at, ignore_errors=True)
+            until = min(total - 1, len(kept) and counted(at)) + draw.randrange(total // KILLS)
+            wait_for_a_moment(optimizer, at, until, draw.uniform(0.2, 2.5))
+            optimizer.kill()
+            assert optimizer.wait() in (0, -signal.SIGKILL), optimizer.err.read_text()
+            rows = query(at, ROWS)
+            assert rows[: len(kept)] == kept, "what was recorded changed or is gone"
+            kept = rows
+        assert 0 < counted(at) <= total
+        done = resume(tmp_path, at, *remote).done()
+    finally:
+        server.close()
+    facts = check_run(at)
+    assert query(at, ROWS)[: len(kept)] == kept
+    assert counted(at) == total, "a recorded trial was evaluated again"
+    assert done["history_hash"] == facts.history_hash == check_run(undisturbed).history_hash
+    assert query(at, "SELECT value > 3 FROM meta WHERE key = 'epoch'") == [(1,)]
+
+
+def test_a_log_cut_anywhere_is_the_beginning_of_the_run(tmp_path: Path, undisturbed: Path) -> None:
+    """Copies of the files while the run writes, the log cut at a random length: what a power cut leaves, and worse."""
+    draw, at = random.Random(12), tmp_path / "runs" / "on-disk"
+    optimizer = run(tmp_path)
+    copies: list[Path] = []
+    size = 0
+    for number in range(SNAPSHOTS):
+        wait_until(lambda number=number: counted(at) > number * 250, "more trials are counted")
+        optimizer.kill(signal.SIGSTOP)
+        content = {name: (at / name).read_bytes() for name in ("experiment.toml", "run.sqlite", "run.sqlite-wal")}
+        optimizer.kill(signal.SIGCONT)
+        size = size or len(content["run.sqlite"])
+        if len(content["run.sqlite"]) != size:
+            break  # the log was carried over: no power cut takes away from it what is in the database
+        for cut in (len(content["run.sqlite-wal"]), *(draw.randrange(len(content["run.sqlite-wal"])) for _ in range(3))):
+            copy = tmp_path / "copies" / str(len(copies))
+            copy.mkdir(parents=True)
+            for name, held in content.items():
+                (copy / name).write_bytes(held[:cut] if name == "run.sqlite-wal" else held)
+            copies.append(copy)
+    done = optimizer.done()
+    whole = check_run(at)
+    assert done["history_hash"] == whole.history_hash == check_run(undisturbed).history_hash
+    assert len(copies) >= 4 * 3
+    lengths = []
+    for copy in copies:
+        facts = check_run(copy, sample=3)
+        check_prefix(facts, whole)
+        assert facts.rows == whole.rows[: len(facts.rows)]
+        lengths.append(len(facts.rows))
+        Record.open(copy)[0].close()
+    assert len(set(lengths)) > len(copies) // 4, "the cuts made no difference"
+    longest = copies[lengths.index(max(lengths))]
+    assert resume(tmp_path, longest).done()["history_hash"] == whole.history_hash
+    check_run(longest)

@@ -1,0 +1,172 @@
+"""Links that are cut, reset, slow or stuck: the run goes on, and the history is that of an undisturbed run."""
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from lab import Lab
+from paced import Scene, Size, Undisturbed, play_undisturbed, query
+from programs import Optimizer, wait_until
+from proxy import Proxy
+
+from zswarm.session import LINK_TIMEOUT_S
+
+pytestmark = pytest.mark.faults
+
+LARGE = Size(generations=1, population=10, trials=4, hidden=200)  # a genome has 164,000 bytes
+HUGE = Size(generations=1, population=60, trials=1, hidden=500, compiled=True)  # a genome has 1 MB, a batch 4 MB
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Undisturbed:
+    return play_undisturbed(tmp_path_factory.mktemp("undisturbed"), Size())
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Iterator[Scene]:
+    with Scene(tmp_path, Size()) as scene:
+        yield scene
+
+
+def wait_for(seconds: float) -> None:
+    """The length of a fault, where that is what it is about."""
+    end = time.monotonic() + seconds
+    wait_until(lambda: time.monotonic() >= end, "time passes", seconds + 1.0)
+
+
+@pytest.mark.parametrize("servers", [1, 2])
+def test_a_link_that_is_cut_for_less_than_the_link_timeout_costs_nothing(
+    scene: Scene, undisturbed: Undisturbed, servers: int
+) -> None:
+    with Lab() as lab:
+        network = lab.network()
+        hosts = [lab.host(network) for _ in range(servers)]
+        desk = lab.host(network)
+        paced = [scene.server(f"ss-{i}", address=host.address, inside=host.inside) for i, host in enumerate(hosts)]
+        _, pace = paced[0]
+        pace.arm()
+        optimizer = scene.optimizer(*(server.endpoint for server, _ in paced), inside=desk.inside)
+        pace.held()
+        hosts[0].cut()
+        pace.let_go()
+        wait_for(3.0)
+        hosts[0].mend()
+        done = optimizer.done()
+        scene.check(done, undisturbed)
+        assert done["requeued"] == 0
+        assert not scene.events("server_left")
+        assert sum(len(pace.played()) for _, pace in paced) == undisturbed.trials, "a trial was played twice"
+
+
+def test_a_link_that_is_cut_for_longer_leaves_the_work_to_the_other_server(scene: Scene, undisturbed: Undisturbed) -> None:
+    with Lab() as lab:
+        network = lab.network()
+        near, far, desk = (lab.host(network) for _ in range(3))
+        victim, pace = scene.server("victim", address=far.address, inside=far.inside)
+        other, others_pace = scene.server("other", address=near.address, inside=near.inside)
+        pace.arm()
+        others_pace.arm()  # so that work is left for when the victim is back
+        others_pace.set(0.1)
+        optimizer = scene.optimizer(victim.endpoint, other.endpoint, inside=desk.inside)
+        pace.held()
+        others_pace.held()
+        far.cut()
+        wait_until(lambda: scene.events("server_left", "victim"), "the server is taken for gone")
+        pace.let_go()
+        others_pace.let_go()
+        scene.wait_for_more("other")
+        others_pace.arm()
+        others_pace.held()
+        far.mend()
+        scene.wait_for_more("victim")
+        others_pace.let_go()
+        scene.check(optimizer.done(), undisturbed)
+
+
+@pytest.mark.parametrize("when_back", ["finished", "at it"])
+def test_what_the_only_server_had_is_neither_lost_nor_played_twice_when_its_link_is_back(
+    scene: Scene, undisturbed: Undisturbed, when_back: str
+) -> None:
+    with Lab() as lab:
+        network = lab.network()
+        host, desk = lab.host(network), lab.host(network)
+        server, pace = scene.server("ss", address=host.address, inside=host.inside)
+        pace.arm()
+        optimizer = scene.optimizer(server.endpoint, inside=desk.inside)
+        pace.held()
+        host.cut()
+        wait_until(lambda: scene.events("server_left"), "the server is taken for gone")
+        out = int(scene.events("server_left")[0].split()[0])
+        if when_back == "finished":
+            pace.let_go()
+            wait_until(lambda: len(pace.played()) == out, "the server has played what it had")
+        host.mend()
+        wait_until(lambda: scene.events("server_back") or scene.events("lease_ready"), "the server is there again")
+        pace.let_go()
+        scene.check(optimizer.done(), undisturbed)
+        assert len(pace.played()) == undisturbed.trials, "a trial was played twice"
+        assert len(server.events("lease_granted")) == 1, "the lease outlived the cut"
+
+
+def test_what_the_only_server_had_is_not_played_twice_when_its_link_was_reset(scene: Scene, undisturbed: Undisturbed) -> None:
+    server, pace = scene.server("ss")
+    pace.arm()
+    with Proxy(server.endpoint) as link:
+        optimizer = scene.optimizer(link.endpoint)
+        pace.held()
+        link.reset()
+        wait_until(lambda: link.connections == 2, "the optimizer dials again")
+        pace.let_go()
+        scene.check(optimizer.done(), undisturbed)
+    assert len(pace.played()) == undisturbed.trials, "a trial was played twice"
+    assert len(server.events("lease_granted")) == 1, "the lease outlived the reset"
+
+
+def test_a_link_of_20_kilobytes_a_second_is_slow_and_stays(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    undisturbed = play_undisturbed(tmp_path_factory.mktemp("undisturbed"), LARGE)
+    with Scene(tmp_path, LARGE) as scene:
+        far, _ = scene.server("far")
+        near, _ = scene.server("near")
+        with Proxy(far.endpoint, rate=20_000) as link:
+            # The small buffer makes a send last as long as the link needs, as it does for larger messages.
+            optimizer = scene.optimizer(f"{link.endpoint}#so_sndbuf=16384", near.endpoint)
+            done = optimizer.done()
+            scene.check(done, undisturbed)
+            order = [name.partition("-")[0] for (name,) in query(scene.run, "SELECT server FROM outcomes ORDER BY id")]
+            assert "near" in order[: order.index("far")], "the slow link kept the other server waiting"
+            assert link.connections == 1
+            assert link.there > 2 * 164_000, "two batches went over the slow link"
+            assert done["requeued"] == 0
+            assert not scene.events("server_left")
+            assert not scene.events("server_silent")
+
+
+def test_four_megabytes_to_a_stopped_server_do_not_hold_up_the_others(tmp_path: Path) -> None:
+    """Nor do they when the link times out on both sides; what hangs is given elsewhere later (``test_long_faults.py``)."""
+    with Scene(tmp_path, HUGE) as scene:
+        hang_a_batch(scene)
+        assert not scene.events("server_left", "other")
+        assert not scene.counted("victim")
+
+
+def hang_a_batch(scene: Scene) -> Optimizer:
+    """Stop a server while 4 MB go out to it; another one counts before and after the link timeouts of both sides."""
+    victim, _ = scene.server("victim")
+    other, pace = scene.server("other")
+    pace.arm()
+    link = scene.enter(Proxy(victim.endpoint, rate=1_000_000))
+    optimizer = scene.optimizer(f"{link.endpoint}#so_sndbuf=16384", other.endpoint)
+    pace.held()
+    wait_until(lambda: link.there > 500_000, "a batch is on the way")
+    scene.stop(victim.process.pid)
+    pace.set(0.2)
+    for seconds in (0.0, 2.5 * LINK_TIMEOUT_S):
+        wait_for(seconds)
+        pace.let_go()
+        scene.wait_for_more("other")
+        pace.arm()
+        pace.held()
+    assert link.there < 4_000_000, "the batch still hangs"
+    pace.let_go()
+    return optimizer

@@ -1,0 +1,172 @@
+"""SIGKILL and SIGSTOP of everything that runs, in the middle of a batch: the history is that of an undisturbed run."""
+
+import os
+import shutil
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from paced import Scene, Size, Undisturbed, play_undisturbed
+from programs import status, wait_until
+
+pytestmark = pytest.mark.faults
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Undisturbed:
+    return play_undisturbed(tmp_path_factory.mktemp("undisturbed"), Size())
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Iterator[Scene]:
+    with Scene(tmp_path, Size()) as scene:
+        yield scene
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_what_a_killed_or_stopped_server_had_goes_elsewhere(scene: Scene, undisturbed: Undisturbed, number: int) -> None:
+    victim, pace = scene.server("victim")
+    other, _ = scene.server("other")
+    pace.arm()
+    optimizer = scene.optimizer(victim.endpoint, other.endpoint)
+    pace.held()
+    if number == signal.SIGKILL:
+        victim.kill()
+    else:
+        scene.stop(victim.process.pid)
+    done = optimizer.done()
+    scene.check(done, undisturbed)
+    assert done["requeued"] > 0
+    assert len(scene.events("server_left", "victim")) == 1
+    assert not scene.events("fault"), "the server is to blame, no trial is"
+    assert "victim-" in optimizer.err.read_text()
+
+
+def test_a_stopped_server_that_goes_on_is_used_again(scene: Scene, undisturbed: Undisturbed) -> None:
+    victim, pace = scene.server("victim")
+    other, others_pace = scene.server("other")
+    pace.arm()
+    others_pace.arm()  # so that work is left for when the victim is back
+    optimizer = scene.optimizer(victim.endpoint, other.endpoint)
+    pace.held()
+    others_pace.held()
+    scene.stop(victim.process.pid)
+    wait_until(lambda: scene.events("server_left", "victim"), "the stopped server is taken for gone")
+    scene.go_on(victim.process.pid)
+    pace.let_go()
+    scene.wait_for_more("victim")
+    others_pace.let_go()
+    scene.check(optimizer.done(), undisturbed)
+    assert victim.process.poll() is None
+
+
+def test_a_killed_slot_costs_one_trial_an_attempt(scene: Scene, undisturbed: Undisturbed) -> None:
+    server, pace = scene.server("ss", capacity=2)
+    pace.arm()
+    optimizer = scene.optimizer(server.endpoint)
+    held = pace.held()
+    os.kill(held, signal.SIGKILL)
+    pace.let_go()
+    scene.check(optimizer.done(), undisturbed)
+    faults = scene.events("fault")
+    assert len(faults) == 1
+    assert faults[0].startswith("crashed: the slot's process was killed by signal 9 (")
+    assert faults[0].endswith(", attempt 1)")
+    assert len(server.workers()) == 2, "the slot has a new process"
+
+
+def test_a_stopped_slot_is_killed_at_the_trials_timeout_and_blames_one_trial(scene: Scene, undisturbed: Undisturbed) -> None:
+    scene.size = scene.size._replace(trial_timeout_s=3.0)
+    server, pace = scene.server("ss", capacity=2)
+    pace.arm()
+    optimizer = scene.optimizer(server.endpoint)
+    held = pace.held()
+    scene.stop(held)
+    pace.let_go()
+    scene.check(optimizer.done(), undisturbed)
+    assert status(held) is None, "a stopped process was left behind"
+    faults = scene.events("fault")
+    assert len(faults) == 1
+    assert faults[0].startswith("timeout: one trial took longer than 3 s (trial ")
+    assert [event["kind"] for event in server.events("slot_died")] == ["timeout"]
+
+
+def test_a_slot_that_was_stopped_for_less_than_the_timeout_costs_nothing(scene: Scene, undisturbed: Undisturbed) -> None:
+    server, pace = scene.server("ss", capacity=2)
+    pace.arm()
+    optimizer = scene.optimizer(server.endpoint)
+    held = pace.held()
+    scene.stop(held)
+    pace.let_go()
+    scene.wait_for_more(more=5)  # of the other slot
+    scene.go_on(held)
+    done = optimizer.done()
+    scene.check(done, undisturbed)
+    assert done["requeued"] == 0
+    assert len(pace.played()) == undisturbed.trials, "a trial was played twice"
+
+
+def test_a_killed_fork_server_takes_its_slots_along_and_all_are_replaced(scene: Scene, undisturbed: Undisturbed) -> None:
+    server, pace = scene.server("ss", capacity=2)
+    pace.arm()
+    optimizer = scene.optimizer(server.endpoint)
+    pace.held()
+    before, workers = server.fork_server(), server.workers()
+    os.kill(before, signal.SIGKILL)
+    pace.let_go()
+    scene.check(optimizer.done(), undisturbed)
+    assert server.fork_server() != before
+    assert len(server.workers()) == 2
+    assert not any(map(status, workers))
+    assert 1 <= len(scene.events("fault")) <= 2, "one trial of each slot that had a batch"
+    assert len(server.events("server_ready")) == 1
+    assert server.process.poll() is None
+
+
+def test_a_stopped_fork_server_is_missed_only_when_a_slot_needs_a_process(scene: Scene, undisturbed: Undisturbed) -> None:
+    server, pace = scene.server("ss")
+    other, others_pace = scene.server("other")
+    pace.set(0.1)
+    pace.arm()
+    others_pace.arm()
+    optimizer = scene.optimizer(server.endpoint, other.endpoint)
+    pace.held()
+    others_pace.held()
+    forking = server.fork_server()
+    scene.stop(forking)
+    pace.let_go()
+    scene.wait_for_more("ss")  # without it
+    pace.arm()
+    os.kill(pace.held(), signal.SIGKILL)
+    pace.let_go()
+    others_pace.let_go()
+    scene.wait_for_more("other", 5)
+    scene.go_on(forking)
+    scene.check(optimizer.done(), undisturbed)
+    assert len(scene.events("fault", "ss")) == 1
+    assert server.process.poll() is None
+
+
+def test_a_copy_that_is_resumed_takes_over_from_a_stopped_optimizer(scene: Scene, undisturbed: Undisturbed) -> None:
+    """The stopped one goes on later: it ends with one line, and its record is as good as before."""
+    server, pace = scene.server("ss", capacity=2)
+    old = scene.optimizer(server.endpoint)
+    wait_until(lambda: scene.counted() > 30, "some trials are counted")
+    pace.arm()
+    pace.held()
+    scene.stop(old.process.pid)
+    kept = scene.counted()
+    shutil.copytree(scene.folder / "runs", scene.folder / "copied")
+    pace.let_go()
+    copied = scene.folder / "copied" / "paced"
+    scene.check(scene.optimizer(server.endpoint, resume=copied).done(), undisturbed, copied)
+    assert len(server.events("lease_taken_over")) == 1
+    scene.go_on(old.process.pid)
+    assert old.wait() == 1
+    *_, last = old.err.read_text().splitlines()
+    assert last.startswith("zswarm-ot: ss-")
+    assert last.endswith("the run was taken over: its epoch is 1, not 0")
+    assert "Traceback" not in old.err.read_text()
+    assert kept <= scene.counted() < undisturbed.trials
+    scene.check(scene.optimizer(server.endpoint, resume=scene.run).done(), undisturbed)

@@ -1,0 +1,104 @@
+"""What a slot gets of a machine's memory, and what its process sets for itself."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from zswarm.ss import memory
+
+MACHINE_MB = os.sysconf("SC_PHYS_PAGES") * memory.PAGE >> 20
+MB = 1 << 20
+
+
+def groups(folder: Path, monkeypatch: pytest.MonkeyPatch, membership: str, limits: dict[str, str]) -> None:
+    """Control groups as the kernel shows them, in files."""
+    (folder / "membership").write_text(membership)
+    for path, limit in limits.items():
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+        (folder / path).write_text(limit + "\n")
+    monkeypatch.setattr(memory, "CGROUPS", folder)
+    monkeypatch.setattr(memory, "MEMBERSHIP", folder / "membership")
+
+
+@pytest.mark.parametrize(
+    ("membership", "limits"),
+    [
+        ("0::/system.slice/ss.service\n", {"system.slice/ss.service/memory.max": str(4000 * MB)}),
+        ("0::/a/b\n", {"a/b/memory.max": "max", "a/memory.max": str(4000 * MB)}),
+        ("0::/\n", {"memory.max": str(4000 * MB)}),
+        ("0::/gone/in/a/container\n", {"memory.max": str(4000 * MB)}),
+        ("9:name=systemd:/x\n4:cpu,memory:/a\n0::/\n", {"memory/a/memory.limit_in_bytes": str(4000 * MB)}),
+        ("4:memory:/gone\n", {"memory/memory.limit_in_bytes": str(4000 * MB)}),
+    ],
+)
+def test_a_slot_gets_its_share_of_what_the_control_group_has(
+    membership: str, limits: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    groups(tmp_path, monkeypatch, membership, limits)
+    assert memory.per_slot_mb(2) == min(4000, MACHINE_MB) * 8 // 10 // 2
+    assert memory.per_slot_mb(1000) == 512
+
+
+@pytest.mark.parametrize("membership", ["0::/\n", "", "4:memory:/a\n"])
+def test_a_slot_gets_its_share_of_the_machine_where_no_group_has_less(
+    membership: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    groups(tmp_path, monkeypatch, membership, {"memory.max": "max", "memory/memory.limit_in_bytes": str(2**63 - 4096)})
+    assert abs(memory.per_slot_mb(1) - MACHINE_MB * 8 // 10) <= 1
+    (tmp_path / "membership").unlink()
+    assert abs(memory.per_slot_mb(1) - MACHINE_MB * 8 // 10) <= 1
+
+
+def in_a_child(what: str) -> None:
+    """Run code in a fresh process, which may change its limits, and has no freed memory to use again."""
+    code = f"from pathlib import Path\nfrom zswarm.ss import memory\nMB = {MB}\n{what}"
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+
+
+def test_a_limit_holds_and_can_be_lifted() -> None:
+    in_a_child(
+        """
+taken = memory.used()
+assert taken > MB
+memory.restrict((taken >> 20) + 50)
+small = bytearray(20 * MB)
+assert memory.used() >= taken + 20 * MB
+try:
+    bytearray(60 * MB)
+except MemoryError:
+    pass
+else:
+    raise AssertionError("no limit")
+memory.lift()
+bytearray(60 * MB)
+"""
+    )
+
+
+def test_what_a_sandbox_refuses_is_done_without() -> None:
+    in_a_child(
+        """
+def refuse(*_):
+    raise PermissionError
+memory.resource.setrlimit = refuse
+memory.OOM_SCORE = Path("/proc/version")
+memory.restrict(1)
+memory.lift()
+memory.go_first()
+"""
+    )
+
+
+def test_the_kernel_is_to_end_a_slot_first_and_no_core_is_written() -> None:
+    in_a_child(
+        """
+before = int(memory.OOM_SCORE.read_text())
+memory.go_first()
+assert int(memory.OOM_SCORE.read_text()) == min(1000, before + 500)
+assert memory.resource.getrlimit(memory.resource.RLIMIT_CORE) == (0, 0)
+"""
+    )

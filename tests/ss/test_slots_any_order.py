@@ -1,0 +1,244 @@
+"""Any valid requests in any order, from any run, while processes end, wear out and hang: only typed answers, each once.
+
+A seed decides everything. One that fails is replayed by its number, with what happened last in the assertion's text.
+"""
+
+import random
+from collections import Counter, deque
+from typing import Any
+
+from zswarm.protocol import codec, messages
+from zswarm.protocol.messages import Done, Evaluate, Fault, Lease, Offer, Outcomes, Part, Refused, Reserve, Running
+from zswarm.ss import slots
+from zswarm.ss.slots import Slots, SlotState
+
+SEEDS = 60
+STEPS = 400
+ANSWERS: dict[type[messages.Request], tuple[tuple[type[messages.Reply], ...], set[str]]] = {  # with the codes of refusals
+    messages.Requirements: ((Offer,), set()),
+    Reserve: ((Lease,), {"lease-lost", "draining", "mismatch"}),
+    messages.Renew: ((Lease,), {"lease-lost"}),
+    Evaluate: ((Outcomes, Running, Fault), {"lease-lost", "busy", "draining", "mismatch", "cancelled"}),
+    messages.Cancel: ((Done,), {"lease-lost"}),
+    messages.Release: ((Done,), {"lease-lost"}),
+}
+TRIALS = 6  # in every batch
+RUNS = [("ada", "one"), ("ada", "two"), ("bob", "one")]
+UNKNOWN = b"no such lease..."
+WORK: dict[str, Any] = {"genomes": [b""], "participants": bytes(4 * TRIALS), "seeds": bytes(8 * TRIALS)}
+
+
+def outcomes(first: int, end: int) -> Outcomes:
+    """Of some trials; each is known by its fitness."""
+    return Outcomes(batch=0, fitness=b"".join(bytes([trial] * 8) for trial in range(first, end)), metrics=b"", seconds=1.0)
+
+
+class Process:
+    """What a slot's process does, by the commands it got."""
+
+    def __init__(self) -> None:
+        self.does = ""  # "prepare", "evaluate", or nothing
+        self.prepared = ""  # the problem
+        self.worn = False
+        self.first, self.alone = 0, -1
+
+    def end(self) -> None:
+        self.does, self.prepared, self.worn = "", "", False
+
+
+class Server:
+    """The slot table, and what happens to it."""
+
+    def __init__(self, seed: int) -> None:
+        self.random = random.Random(seed)
+        self.now, self.queries, self.drained = 0.0, 0, False
+        self.open: dict[int, messages.Request] = {}
+        self.tokens = [UNKNOWN]
+        self.trial = 0
+        self.seen: Counter[str] = Counter()
+        self.trace: deque[str] = deque(maxlen=30)
+        capacity = self.random.randint(1, 3)
+        self.processes = [Process() for _ in range(capacity)]
+        offer = Offer(server="s", program="", machine="", capacity=capacity, free=0, leases=0, simulators=[], representations=[])
+        self.slots = Slots(capacity, offer, self._mismatch, self._token)
+
+    def _mismatch(self, asked: messages.Requirements | Reserve) -> str:
+        return "not here" if isinstance(asked, Reserve) and asked.simulator.kind == "unknown" else ""
+
+    def _token(self) -> bytes:
+        self.tokens.append(f"{len(self.tokens):16}".encode())
+        return self.tokens[-1]
+
+    def feed(self, event: slots.Event) -> None:
+        self.trace.append(f"{self.now:8.2f} {event}"[:300])
+        for command in self.slots.handle(event, self.now):
+            self.seen[type(command).__name__] += 1
+            match command:
+                case slots.Answer():
+                    self._answered(self.open.pop(command.query), codec.decode_reply(command.body))
+                case slots.Prepare():
+                    process = self.processes[command.slot]
+                    assert not process.does, "a slot that works is prepared"
+                    assert not process.worn, "a worn process is prepared"
+                    process.does, process.prepared = "prepare", ""
+                case slots.Run():
+                    process = self.processes[command.slot]
+                    assert process.prepared, "a slot that is not prepared is given a batch"
+                    assert not process.worn, "a worn process is given a batch"
+                    assert not process.does, "a slot that works is given a batch"
+                    process.does, process.first, process.alone = "evaluate", command.first, command.alone
+                    assert 0 <= command.first < TRIALS
+                    assert -1 <= command.alone < TRIALS
+                    self.seen["goes on"] += command.first > 0
+                case slots.Kill():
+                    self.processes[command.slot].end()
+                case slots.Drained():
+                    self.drained = True
+                    assert not self.open, "it drained with queries unanswered"
+
+    def _answered(self, request: messages.Request, reply: messages.Reply) -> None:
+        kinds, codes = ANSWERS[type(request)]
+        assert isinstance(reply, kinds) or (isinstance(reply, Refused) and reply.code in codes), f"{reply} to {request}"
+        self.seen[reply.code if isinstance(reply, Refused) else type(reply).__name__] += 1
+        if isinstance(reply, Outcomes):
+            assert reply.fitness == outcomes(0, TRIALS).fitness, "a trial's outcome is missing, twice or at a wrong place"
+
+    def ask(self, who: tuple[str, str], message: messages.Request) -> None:
+        self.queries += 1
+        self.open[self.queries] = message
+        self.feed(slots.Asked(self.queries, *who, message, codec.encode(message)))
+
+    # ---- what may happen
+
+    def step(self) -> None:
+        steps = {
+            self.reserve: 6, self.evaluate: 12, self.ask_of_a_lease: 3, self.process_tells: 16, self.time_passes: 6,
+            self.token_of_a_run: 1,
+        }  # fmt: skip
+        self.random.choices([*steps], [*steps.values()])[0]()
+
+    def reserve(self) -> None:
+        draw = self.random.choice
+        message = Reserve(
+            nonce=bytes([draw([0, 0, 0, 1])] * 16), epoch=draw([0] * 9 + [1, 2]), slots=draw([1, 2, 100]),
+            simulator=Part(draw(["a", "a", "a", "b", "unknown"]), {}), representation=Part("n", {}), version_hash="",
+            trial_timeout_s=5.0, trial_memory_mb=draw([0, 0, 0, 512]),
+        )  # fmt: skip
+        self.ask(draw(RUNS), message)
+
+    def evaluate(self) -> None:
+        """What a run that behaves asks most; some ids come again."""
+        if self.slots.leases:
+            held = self.random.choice([*self.slots.leases.values()])
+            batch = self.random.choice([self.queries, self.queries, max(0, self.queries - 3)])
+            self.ask((held.user, held.run), Evaluate(lease=held.token, batch=batch, **WORK))
+
+    def ask_of_a_lease(self) -> None:
+        """Of one that is there, or was; sometimes of another run's, or none that ever was."""
+        lease = self.random.choice([UNKNOWN, *self.tokens[-3:], *self.slots.leases, *self.slots.leases])
+        held = self.slots.leases.get(lease)
+        who = (held.user, held.run) if held is not None and self.random.random() < 0.8 else self.random.choice(RUNS)
+        batches = [self.random.randint(max(0, self.queries - 6), self.queries) for _ in range(3)]
+        message: messages.Request = self.random.choice(
+            [
+                messages.Requirements(),
+                Evaluate(lease=lease, batch=batches[0], **WORK),
+                *[messages.Renew(lease=lease, known_ready=self.random.randint(-1, 3))] * 2,
+                *[messages.Cancel(lease=lease, batches=batches)] * 2,
+                messages.Release(lease=lease),
+            ]
+        )
+        self.ask(who, message)
+
+    def token_of_a_run(self) -> None:
+        who = self.random.choice(RUNS)
+        self.feed(self.random.choice([slots.HolderSeen(*who), slots.HolderGone(*who)]))
+
+    def process_tells(self) -> None:
+        """One that works, most times; any may die."""
+        working = [slot for slot, process in enumerate(self.processes) if process.does]
+        slot = self.random.choice(working or range(len(self.processes)))
+        if self.random.random() < 0.02:
+            slot = self.random.randrange(len(self.processes))
+        process = self.processes[slot]
+        does, process.does = process.does, ""
+        how = self.random.choices(["well", "worn", "exhausted", "badly", "dies", "memory"], [60, 10, 20, 1, 3, 3])[0]
+        if how in ("dies", "memory") and (does or self.random.random() < 0.1):
+            process.end()
+            self.feed(slots.Died(slot, 1, "it ended", "memory" if how == "memory" and does else "crashed"))
+        elif does == "prepare" and how == "badly":
+            self.feed(slots.Unprepared(slot, "it does not fit"))
+        elif does == "prepare":
+            process.prepared = "a problem"
+            self.feed(slots.Prepared(slot, b"digest", 0.1))
+        elif does == "evaluate" and how == "exhausted":
+            process.worn = True
+            done = self.random.randint(process.first, TRIALS - 1)
+            alone = self.random.choice([-1, *range(done, TRIALS)])
+            self.feed(slots.Exhausted(slot, outcomes(process.first, done), done, alone))
+        elif does == "evaluate":
+            process.worn = how == "worn"
+            self.feed(slots.Finished(slot, codec.encode(outcomes(process.first, TRIALS)), worn=process.worn))
+
+    def time_passes(self) -> None:
+        """Mostly as the clock ticks; sometimes the server stood still, or a trial hangs."""
+        self.trial = self.random.randrange(TRIALS)
+        for _ in range(self.random.choices([1, 4], [8, 2])[0]):
+            self.tick(self.random.choices([0.25, 1.5, 31.0, 70.0], [60, 20, 1, 1])[0])
+
+    def tick(self, seconds: float) -> None:
+        self.now += seconds
+        if not self.drained:
+            self.feed(slots.Tick((self.trial,) * len(self.processes)))
+
+    # ---- what always holds
+
+    def check(self) -> None:
+        held = [slot for lease in self.slots.leases.values() for slot in lease.slots]
+        assert len(held) == len(set(held)), "a slot belongs to two leases"
+        for slot, process in zip(self.slots.slots, self.processes, strict=True):
+            assert (slot in held) == (slot.state not in (SlotState.FREE, SlotState.STOPPING))
+            works = slot.state in (SlotState.BUSY, SlotState.PREPARING, SlotState.STOPPING)
+            assert works == bool(process.does), f"slot {slot.index} is {slot.state}, its process does {process.does!r}"
+            assert slot.state not in (SlotState.READY, SlotState.BUSY) or process.prepared
+            assert process.prepared or slot.setup is None or process.does, "a fresh process is taken for prepared"
+        assert self.slots._kept_bytes == sum(len(reply) for reply, _ in self.slots._kept.values())
+        assert {lease for lease, _ in self.slots._kept} <= set(self.slots.leases)
+        for lease in self.slots.leases.values():
+            idle = any(slot.state == SlotState.READY for slot in lease.slots)
+            assert not (idle and lease.waiting), "a batch waits beside a slot that is ready"
+            assert not lease.slots or any(slot.state != SlotState.ASSIGNED for slot in lease.slots), "nobody prepares a slot"
+        waiting = [batch for lease in self.slots.leases.values() for batch in lease.waiting]
+        running = [slot.batch for slot in self.slots.slots if slot.batch is not None]
+        renewals = {query for lease in self.slots.leases.values() for query, _, _ in lease.renewals}
+        assert set(self.open) <= {batch.query for batch in [*waiting, *running]} | renewals, "a query is forgotten"
+
+
+def play(seed: int) -> Server:
+    server = Server(seed)
+    try:
+        for _ in range(STEPS):
+            server.step()
+            server.check()
+        if seed % 2:
+            server.feed(slots.Drain())
+            for _ in range(100):
+                if not server.drained:
+                    server.step()
+        for _ in range(300):
+            server.tick(1.5)
+        if not server.drained:
+            assert not server.open, "a query was never answered"
+            assert not server.slots.busy(), "a lease or a slot leaks"
+            assert not server.slots._kept
+        assert server.drained or not seed % 2
+    except (AssertionError, KeyError) as error:
+        raise AssertionError(f"seed {seed}: {error!r}; what happened last:\n" + "\n".join(server.trace)) from error
+    return server
+
+
+def test_whatever_is_asked_in_any_order_is_answered_once_and_nothing_leaks() -> None:
+    seen = sum((play(seed).seen for seed in range(SEEDS)), Counter())
+    every = {"Outcomes", "Running", "Fault", "Lease", "Offer", "Done", "lease-lost", "busy", "mismatch", "cancelled", "draining"}
+    assert {what for what in every if not seen[what]} == set(), "too little happens"
+    assert seen["goes on"] > 100

@@ -1,0 +1,184 @@
+"""A slot's process and the parent's end of it: real processes."""
+
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from zswarm import plugins
+from zswarm.draws import Stream
+from zswarm.evaluate import build
+from zswarm.protocol import codec
+from zswarm.protocol.messages import MIN_MEMORY_MB, Evaluate, Outcomes, Part, Reserve
+from zswarm.ss import worker
+from zswarm.ss.worker import LONGEST_PAUSE_S, Ready, Worker
+
+ANSWER_S = 120.0  # a compiler may be at work
+
+
+@pytest.fixture
+def new_worker() -> Iterator[Callable[..., Worker]]:
+    worker.start_fork_server()
+    made: list[Worker] = []
+
+    def new(memory_mb: int = 1024) -> Worker:
+        made.append(Worker(memory_mb))
+        assert made[-1].start() == ""
+        return made[-1]
+
+    yield new
+    for one in made:
+        one.close()
+
+
+def reserve(simulator: str = "minisim", representation: str = "fully-meshed", trial_memory_mb: int = 0) -> Reserve:
+    return Reserve(
+        nonce=bytes(16), epoch=0, slots=1, simulator=Part(simulator, {}), representation=Part(representation, {}),
+        version_hash="", trial_timeout_s=1.0, trial_memory_mb=trial_memory_mb,
+    )  # fmt: skip
+
+
+def answer(of: Worker) -> tuple[bytes, bytes]:
+    assert of.pipe is not None
+    assert of.pipe.poll(ANSWER_S)
+    return of.receive()
+
+
+def pid(of: Worker) -> int:
+    assert of._process is not None
+    assert of._process.pid is not None
+    return of._process.pid
+
+
+def limit(of: Worker, name: str) -> str:
+    lines = Path(f"/proc/{pid(of)}/limits").read_text().splitlines()
+    return next(line for line in lines if line.startswith(name)).removeprefix(name).split()[0]
+
+
+@pytest.mark.parametrize("representation", plugins.BUNDLED["representation"])
+@pytest.mark.parametrize("simulator", plugins.BUNDLED["simulator"])
+def test_bundled_parts_work_with_the_least_memory_that_may_be_asked_for(
+    simulator: str, representation: str, new_worker: Callable[..., Worker]
+) -> None:
+    slot = new_worker()
+    slot.prepare(reserve(simulator, representation, MIN_MEMORY_MB), probe=True)
+    letter, body = answer(slot)
+    assert letter == b"R", body
+    assert len(msgspec.msgpack.decode(body, type=Ready).probe) == 16
+    assert limit(slot, "Max data size") == str(MIN_MEMORY_MB << 20)
+    assert limit(slot, "Max core file size") == "0"
+    assert int(Path(f"/proc/{pid(slot)}/oom_score_adj").read_text()) >= 500
+    network = build(simulator, {}, representation, {})[1]
+    genomes = network.random(3, Stream(1))
+    batch = Evaluate(lease=bytes(16), batch=5, genomes=genomes, participants=np.arange(3, dtype="<u4").tobytes(), seeds=bytes(24))
+    replies = []
+    for first, alone in ((0, -1), (0, 1), (1, 2)):
+        slot.evaluate(codec.encode(batch), first, alone)
+        letter, body = answer(slot)
+        assert letter == b"O"
+        reply = codec.decode_reply(body)
+        assert isinstance(reply, Outcomes)
+        replies.append(reply)
+    whole, split, rest = (reply.fitness for reply in replies)
+    assert len(whole) == 3 * 8
+    assert split == whole, "a trial that is played by itself decides the same"
+    assert rest == whole[8:]
+    assert slot.trial() == 2
+
+
+def test_a_process_gets_what_the_server_gives_when_the_run_asks_for_nothing(new_worker: Callable[..., Worker]) -> None:
+    slot = new_worker(700)
+    slot.prepare(reserve(), probe=False)
+    assert answer(slot)[0] == b"R"
+    assert limit(slot, "Max data size") == str(700 << 20)
+
+
+def test_a_process_is_prepared_once(new_worker: Callable[..., Worker]) -> None:
+    """What a problem left behind takes no memory from the next one."""
+    slot = new_worker()
+    slot.prepare(reserve(), probe=False)
+    answer(slot)
+    first = pid(slot)
+    slot.prepare(reserve("emergency-exit"), probe=False)
+    assert (slot.pipe, slot.start_at) == (None, 0.0)
+    assert slot.start() == ""
+    assert answer(slot)[0] == b"R"
+    assert pid(slot) != first
+
+
+@pytest.mark.parametrize(
+    ("number", "words"),
+    [
+        (signal.SIGKILL, "was killed by signal 9 (the machine may have run out of memory)"),
+        (signal.SIGSEGV, "was killed by signal 11 (SIGSEGV)"),
+        (signal.SIGRTMIN + 3, f"was killed by signal {signal.SIGRTMIN + 3}"),
+    ],
+)
+def test_how_a_process_ended_is_told(number: int, words: str, new_worker: Callable[..., Worker]) -> None:
+    slot = new_worker()
+    os.kill(pid(slot), number)
+    with pytest.raises((EOFError, OSError)):
+        answer(slot)
+    assert slot.exit_reason() == words
+
+
+def test_a_process_that_dies_at_its_start_again_and_again_is_started_after_growing_pauses(
+    new_worker: Callable[..., Worker],
+) -> None:
+    slot = new_worker()
+    pauses = []
+    for _ in range(12):
+        os.kill(pid(slot), signal.SIGKILL)
+        slot.exit_reason()
+        pauses.append(slot.start_at - time.monotonic())
+        slot.start()
+    assert pauses[0] <= 0.0, "the first time at once"
+    assert sorted(pauses[:7]) == pauses[:7]
+    assert LONGEST_PAUSE_S / 2 < pauses[-1] <= LONGEST_PAUSE_S
+    slot.prepare(reserve(), probe=False)
+    assert answer(slot)[0] == b"R"
+    os.kill(pid(slot), signal.SIGKILL)
+    slot.exit_reason()
+    assert slot.start_at <= time.monotonic(), "one that answered is replaced at once"
+
+
+def test_what_is_sent_while_no_process_is_there_waits_for_it_unless_it_is_killed(new_worker: Callable[..., Worker]) -> None:
+    slot = new_worker()
+    os.kill(pid(slot), signal.SIGKILL)
+    slot.exit_reason()
+    slot.prepare(reserve("nothing-of-this-name"), probe=True)
+    slot.kill()
+    slot.prepare(reserve(), probe=True)
+    slot.start()
+    assert answer(slot)[0] == b"R"
+
+
+def test_a_process_that_cannot_be_started_is_told_and_tried_again(
+    new_worker: Callable[..., Worker], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slot = new_worker()
+    slot.kill()
+    with monkeypatch.context() as patch:
+        patch.setattr(worker._context, "Process", Unborn)
+        assert "could not be started: BlockingIOError" in slot.start()
+        assert "could not be started" in slot.start()
+        assert slot.pipe is None
+        assert slot.start_at > time.monotonic()
+    assert slot.start() == ""
+    slot.prepare(reserve(), probe=False)
+    assert answer(slot)[0] == b"R"
+
+
+class Unborn:
+    """A process where there is no room for one."""
+
+    def __init__(self, **_: object) -> None:
+        pass
+
+    def start(self) -> None:
+        raise BlockingIOError("no more processes")

@@ -1,0 +1,108 @@
+"""Sessions on loopback: who sees whom, what is refused, and what is waited for."""
+
+import socket
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from zswarm import endpoint, session
+from zswarm.errors import ConfigError, NoRouter
+
+ALIVE = "zswarm/v1/default/ss/somebody-01234567/alive"
+
+
+@pytest.fixture
+def opened() -> Iterator[Callable[[zenoh.Session], zenoh.Session]]:
+    """Closes what is given to it."""
+    sessions: list[zenoh.Session] = []
+
+    def keep(one: zenoh.Session) -> zenoh.Session:
+        sessions.append(one)
+        return one
+
+    yield keep
+    for one in sessions:
+        session.close(one)
+
+
+def free(protocol: str = "tcp") -> str:
+    """An endpoint on loopback that nobody uses."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"{protocol}/127.0.0.1:{probe.getsockname()[1]}"
+
+
+def sees(one: zenoh.Session) -> bool:
+    """Whether a session comes to see the token."""
+    end = time.monotonic() + 60.0
+    while time.monotonic() < end:
+        if any(reply.ok is not None for reply in one.liveliness().get(ALIVE, timeout=2.0)):
+            return True
+        time.sleep(0.02)
+    return False
+
+
+@pytest.mark.parametrize("protocol", ["tcp", "udp", "ws"])
+def test_a_server_listens_where_it_is_told(opened: Callable[..., zenoh.Session], protocol: str) -> None:
+    place = free(protocol)
+    listening, endpoints = session.open_server([place], [], multicast=False)
+    opened(listening)
+    assert endpoints == [place]
+    _token = listening.liveliness().declare_token(ALIVE)
+    assert sees(opened(session.open_optimizer([place], multicast=False)))
+
+
+def test_a_socket_file_is_a_place_to_listen(opened: Callable[..., zenoh.Session], tmp_path: Path) -> None:
+    place = f"{endpoint.SOCKET_FILE}/{tmp_path / 'socket'}"
+    server = opened(session.open_server([place], [], multicast=False)[0])
+    _token = server.liveliness().declare_token(ALIVE)
+    assert sees(opened(session.open_optimizer([place], multicast=False)))
+
+
+@pytest.mark.parametrize(
+    ("open_", "words"),
+    [
+        (lambda: session.open_server(["nonsense"], [], multicast=False), "listen: expected endpoints"),
+        (lambda: session.open_server(["tcp/127.0.0.1:0"], ["nonsense"], multicast=False), "connect: expected endpoints"),
+        (lambda: session.open_optimizer(["nonsense"], multicast=False), "connect: expected endpoints"),
+        (lambda: session.open_through_router(["nonsense"], multicast=False), "connect: expected endpoints"),
+        (lambda: session.open_router(["nonsense"], multicast=False), "listen: expected endpoints"),
+        (lambda: session.open_router(["tls/127.0.0.1:17620"], multicast=False), "Missing TLS private key"),
+        (lambda: session.open_router(["tcp/192.0.2.1:17621"], multicast=False), "Cannot assign requested address"),
+    ],
+)
+def test_an_endpoint_that_cannot_be_used_is_refused_in_one_line(open_: Callable[[], object], words: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        open_()
+    assert words in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_taken_port_is_refused_or_passed_over(opened: Callable[..., zenoh.Session]) -> None:
+    first = session.open_server([], [], multicast=False)
+    opened(first[0])
+    second = session.open_server([], [], multicast=False)
+    opened(second[0])
+    assert first[1] != second[1]
+    with pytest.raises(ConfigError, match="the port is in use"):
+        session.open_server(first[1], [], multicast=False)
+
+
+def test_a_session_through_a_router_that_is_not_there_fails_in_time() -> None:
+    place = free()
+    with pytest.raises(NoRouter, match=f"no router answers at {place}"):
+        session.open_through_router([place], multicast=False, timeout_s=0.3)
+
+
+def test_a_router_carries_what_is_between_two_sessions(opened: Callable[..., zenoh.Session]) -> None:
+    place = free()
+    opened(session.open_router([place], multicast=False))
+    server = opened(session.open_server([free()], [place], multicast=False)[0])
+    _token = server.liveliness().declare_token(ALIVE)
+    client = opened(session.open_through_router([place], multicast=False))
+    assert sees(client)
+    assert list(client.info.peers_zid()) == [], "nothing goes direct"
+    assert [str(link.dst) for link in client.info.links()] == [place]
