@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/ready
-TESTS ?= -n auto
+TESTS ?= -n $$((2 * $$(nproc)))  # many tests wait for programs
 
 KILLS ?= 200
 
@@ -17,9 +17,9 @@ test: $(READY)
 chaos: $(READY)
 	cd tests && ../$(BIN)/python -m chaos $(if $(SEED),--seed $(SEED)) $(if $(SECONDS),--seconds $(SECONDS))
 
-# Real faults with real programs. They wait for timeouts most of the time, so twice as many run at once as there are cores.
+# Real faults with real programs; they wait for timeouts most of the time.
 faults: $(READY)
-	$(BIN)/python -m pytest -n $$((2 * $$(nproc))) -m faults $(ARGS)
+	$(BIN)/python -m pytest $(TESTS) -m faults $(ARGS)
 
 # So many kills during one run.
 kills: $(READY)

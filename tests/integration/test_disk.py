@@ -1,9 +1,11 @@
 """A run on disks that fill up, fail, turn read-only or lose what was written last: it goes on to the same history."""
 
+import contextlib
 import random
 import resource
 import shutil
 import signal
+import sqlite3
 import subprocess
 import time
 from collections.abc import Callable, Iterator
@@ -171,13 +173,21 @@ def test_a_run_that_waits_for_room_can_be_stopped_and_resumed(tmp_path: Path, un
     assert optimizer.wait() == 130
     assert said(optimizer, "Go on with: zswarm-ot resume disk/on-disk") == 1
     assert said(optimizer, "Traceback") == 0
-    fill(disk)  # closing the record may have made room
-    resumed = resume(tmp_path, at, name="too-early")
-    wait_until(lambda: said(resumed, "full"), "it is refused, or waits where the log has some room left")
-    if waits := said(resumed, "waiting for room"):
-        resumed.kill(signal.SIGINT)
-    assert resumed.wait() == (130 if waits else 2), resumed.err.read_text()
-    assert said(resumed, "Traceback") == 0
+    for log in ("as it was left", "carried over, so that even its index needs room"):
+        if log != "as it was left":
+            ballast.unlink()
+            with contextlib.closing(sqlite3.connect(at / "run.sqlite")) as database:
+                database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        fill(disk)  # closing the record may have made room
+        resumed = resume(tmp_path, at, name="too-early")
+        wait_until(
+            lambda resumed=resumed: resumed.process.poll() is not None or said(resumed, "waiting for room"),
+            "it is refused, or waits where the log has some room left",
+        )
+        if waits := said(resumed, "waiting for room"):
+            resumed.kill(signal.SIGINT)
+        assert resumed.wait() == (130 if waits else 2), resumed.err.read_text()
+        assert waits or resumed.err.read_text() == f"zswarm-ot: {at}: cannot be written: No space left on device\n", log
     another = run(tmp_path, "--out", "disk", name="another")
     assert another.wait() == 2, another.err.read_text()
     assert said(another, "No space left on device; choose another place with --out") == 1

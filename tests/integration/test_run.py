@@ -16,7 +16,7 @@ generations = 4
 simulator = "emergency-exit"
 trials = 20
 [problem.settings]
-steps = 3000
+steps = 1500
 agents = 20
 [representation]
 kind = "fully-meshed"

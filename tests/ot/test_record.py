@@ -379,7 +379,7 @@ def test_a_run_stopped_on_a_full_disk_says_what_is_evaluated_again(record: Recor
     disk.fill()
     add_many(record, 5)
     record.close()
-    assert disk.lines[1:] == [f"{record.folder} cannot be written (database or disk is full): resume evaluates 1250 trials again"]
+    assert disk.lines[1:] == [f"{record.folder} cannot be written (No space left on device): resume evaluates 1250 trials again"]
     with Record.open(record.folder)[0] as resumed:
         assert resumed.meta("epoch") == 1
 

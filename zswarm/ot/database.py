@@ -39,6 +39,8 @@ WAITING_FOR = {
     "locked": "is locked by another program: waiting for its end",
 }
 
+SYSTEM_WORDS = {"full": os.strerror(errno.ENOSPC), "read-only": os.strerror(errno.EROFS)}
+
 T = TypeVar("T")
 Statement = tuple[str, tuple[Any, ...]]
 
@@ -188,14 +190,19 @@ def passing(error: BaseException, folder: Path) -> str:
     elif isinstance(error, OSError):
         why = PASSING_SYSTEM.get(error.errno or 0, "")
     with contextlib.suppress(OSError):
-        if why == "failing" and os.statvfs(folder).f_flag & os.ST_RDONLY:
+        disk = os.statvfs(folder)
+        if why == "failing" and disk.f_flag & os.ST_RDONLY:
             return "read-only"
+        if why == "failing" and not disk.f_bavail:  # SQLite does not say so of the log's index
+            return "full"
     return why
 
 
-def in_words(error: BaseException) -> str:
-    """An error of the disk, without numbers and paths."""
-    return error.strerror or str(error) if isinstance(error, OSError) else str(error)
+def in_words(error: BaseException, folder: Path) -> str:
+    """An error of the disk that holds a folder, without numbers and paths."""
+    if isinstance(error, OSError):
+        return error.strerror or str(error)
+    return SYSTEM_WORDS.get(passing(error, folder)) or str(error)
 
 
 def on_network(path: Path) -> bool:

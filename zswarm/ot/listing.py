@@ -24,7 +24,7 @@ def runs(parent: Path) -> list[dict[str, Any]]:
                 status = database.execute("SELECT value FROM meta WHERE key = 'history_hash'").fetchone()
         except (sqlite3.DatabaseError, OSError) as error:
             what = "cannot be read" if passing(error, path.parent) else "damaged"
-            found.append({"run": str(path.parent), "error": f"{what}: {in_words(error)}"})
+            found.append({"run": str(path.parent), "error": f"{what}: {in_words(error, path.parent)}"})
             continue
         found.append(
             {

@@ -113,7 +113,7 @@ class Record:
                 _create(folder / DATABASE, meta)
                 record = cls(folder, connect(folder / DATABASE), lock)
             except (sqlite3.OperationalError, OSError) as error:
-                raise ConfigError(f"{folder}: cannot be written: {in_words(error)}; choose another place with --out") from None
+                raise ConfigError(f"{folder}: cannot be written: {in_words(error, parent)}; choose another place with --out") from None
             undo.pop_all()
         return record
 
@@ -136,7 +136,7 @@ class Record:
                 record = cls(folder, connection, lock)
             except sqlite3.DatabaseError as error:
                 if passing(error, folder):
-                    raise ConfigError(f"{folder}: cannot be written: {in_words(error)}") from None
+                    raise ConfigError(f"{folder}: cannot be written: {in_words(error, folder)}") from None
                 raise ConfigError(
                     f"{folder / DATABASE}: damaged: {error}; the experiment can be run anew from {folder / EXPERIMENT}"
                 ) from None
@@ -159,7 +159,7 @@ class Record:
             if not passing(error, self.folder):
                 raise
             lost = sum(values[3] for sql, values in self._database.unwritten if sql == ADD_OUTCOMES)  # their column count
-            self.say(f"{self.folder} cannot be written ({in_words(error)}): resume evaluates {lost} trials again")
+            self.say(f"{self.folder} cannot be written ({in_words(error, self.folder)}): resume evaluates {lost} trials again")
         finally:
             self._database.close()
             os.close(self._lock)
