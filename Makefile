@@ -38,7 +38,7 @@ bench: $(READY)
 	$(BIN)/python benchmarks/quick.py
 
 scale: $(READY)
-	$(BIN)/python benchmarks/scale.py $(ARGS)
+	cd benchmarks && ../$(BIN)/python -m scale $(ARGS)
 
 soak: $(READY)
 	$(BIN)/python benchmarks/soak.py $(ARGS)

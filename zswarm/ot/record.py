@@ -113,7 +113,8 @@ class Record:
                 _create(folder / DATABASE, meta)
                 record = cls(folder, connect(folder / DATABASE), lock)
             except (sqlite3.OperationalError, OSError) as error:
-                raise ConfigError(f"{folder}: cannot be written: {in_words(error, parent)}; choose another place with --out") from None
+                why = in_words(error, parent)
+                raise ConfigError(f"{folder}: cannot be written: {why}; choose another place with --out") from None
             undo.pop_all()
         return record
 

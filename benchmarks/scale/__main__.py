@@ -1,0 +1,68 @@
+"""Many servers, one optimizer, on one machine: `make scale`, or `make scale ARGS=--quick`.
+
+The servers are true to the protocol: each has its own zenoh session on its own loopback port, the slot table, keys, codec
+and liveliness token of `zswarm-ss`. Only evaluating is pretended: a batch is finished when its trials' time has passed, and
+fitness is a number drawn from genome and seed. Many servers share a process and its loop. The optimizer is the `Cluster`
+that `zswarm-ot run` uses, in a process of its own.
+
+Printed, as tables for docs/benchmarks.md: how long discovery and handshake take, how many messages, what both sides use;
+how much of the slots' time generations use; what is lost in tails, when slots wait for the last trials of a generation, and
+what starting those twice would win. The charts go to benchmarks/scale.png.
+"""
+
+import argparse
+import statistics
+from pathlib import Path
+
+from scale.farm import running
+from scale.ideal import Schedule, schedule
+from scale.life import live
+from scale.pretended import Times, work
+from scale.report import Results, draw, print_tables
+
+TAILS = {
+    "all alike": Times(0.5),
+    "0.5 to 1.5 times the mean": Times(0.5, "uniform"),
+    "heavy tail, the trial's own": Times(0.5, "heavy"),
+    "heavy tail, the machine's": Times(0.5, "heavy", "execution"),
+    "one server 10 times slower": Times(0.5, slow=10.0),
+}
+
+
+LOADS = [(1.0, 10, 16, 1024), (0.1, 50, 16, 64), (4.0, 5, 256, 1024)]  # s of a trial, trials per slot, from and up to servers
+
+
+def measure(*, quick: bool) -> Results:
+    """All sizes."""
+    results = Results({}, {}, {}, {})
+    for size in (16, 64) if quick else (16, 64, 256, 1024):
+        with running(size) as servers:
+            results.opened[size] = servers.mb
+            runs = [live(servers, Times(), 0) for _ in range(1 if quick else 3)]
+            results.found[size] = runs
+            for mean_s, per_slot, smallest, largest in LOADS[:1] if quick else LOADS:
+                if smallest <= size <= largest:
+                    run = live(servers, Times(mean_s), 1 if quick else 2, per_slot)
+                    if run.uses:
+                        results.used[size, mean_s] = run
+            if size == (16 if quick else 64):
+                for name, times in TAILS.items():
+                    run = live(servers, times, 1 if quick else 3)
+                    schedules = [schedule(times, work(g, run.uses[g].evaluations), size) for g in range(len(run.uses))]
+                    results.tails[name] = run, Schedule(*(statistics.mean(each) for each in zip(*schedules, strict=True)))
+    return results
+
+
+def main() -> None:
+    """Measure, print, draw."""
+    parser = argparse.ArgumentParser(description="How zswarm scales, on this machine.")
+    parser.add_argument("--quick", action="store_true", help="a small version, for looking whether it works")
+    parser.add_argument("--chart", type=Path, default=Path(__file__).parent.with_suffix(".png"), help="where the charts go")
+    options = parser.parse_args()
+    results = measure(quick=options.quick)
+    print_tables(results)
+    draw(results, options.chart)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,268 @@
+"""Servers that are true to the protocol, many in a process and its loop; only evaluating is pretended."""
+
+import contextlib
+import heapq
+import itertools
+import multiprocessing
+import os
+import secrets
+import select
+import time
+from collections import Counter, deque
+from collections.abc import Iterator
+from multiprocessing.connection import Connection
+from typing import Any
+
+import msgspec
+import zenoh
+from usage import usage
+
+from scale.pretended import CAPACITY, Times, draws, durations, salt, speed
+from zswarm import session
+from zswarm.protocol import codec, keys, messages
+from zswarm.ss import slots
+
+REALM = "scale"
+TICK_S = 1.0
+SERVERS_PER_PROCESS = 128
+
+spawn = multiprocessing.get_context("spawn")
+
+
+class Kind(msgspec.Struct):
+    """What a message says of its kind."""
+
+    type: str
+
+
+_kind = msgspec.msgpack.Decoder(Kind)
+
+
+class Server:
+    """One of them, without a loop of its own."""
+
+    def __init__(self, index: int, endpoint: str, farm: "Farm") -> None:
+        self.index = index
+        self.id = keys.new_server_id(f"s{index}")
+        self.queries: dict[int, zenoh.Query] = {}
+        self.turns = [0] * CAPACITY  # a slot's timer counts when it is of the slot's last turn
+        self.running = [(0.0, 0.0)] * CAPACITY  # since when, and seconds of work
+        self.clear()
+        offer = messages.Offer(
+            server=self.id, program="scale", machine="none", capacity=CAPACITY, free=CAPACITY, leases=0,
+            simulators=["pretended"], representations=["none"],
+        )  # fmt: skip
+        self.slots = slots.Slots(CAPACITY, offer, lambda _: "", lambda: secrets.token_bytes(16))
+        self.session, _ = session.open_server([endpoint], [], multicast=False)
+        on_query = zenoh.handlers.Callback(lambda query: farm.put(self, query), indirect=False)
+        self.session.declare_queryable(keys.offer(REALM, self.id), on_query)
+        self.session.declare_queryable(keys.requests(REALM, self.id), on_query)
+        self.session.liveliness().declare_subscriber(
+            keys.run_alive(REALM, "*", "*"),
+            zenoh.handlers.Callback(lambda sample: farm.put(self, _holder(sample)), indirect=False),
+            history=True,
+        )
+        self.token = self.session.liveliness().declare_token(keys.alive(REALM, self.id))
+
+    def clear(self) -> None:
+        """Forget what was measured."""
+        self.received: Counter[str] = Counter()
+        self.sent: Counter[str] = Counter()
+        self.bytes = [0, 0]  # received, sent; of payload
+        self.when: dict[str, float] = {}  # the first offered, leased, all ready
+        self.ran: list[tuple[int, float, float, float]] = []  # slot, from, to, seconds of work
+
+
+def _holder(sample: zenoh.Sample) -> slots.Event:
+    user, run = keys.parse_run_key(str(sample.key_expr))
+    return slots.HolderSeen(user, run) if sample.kind == zenoh.SampleKind.PUT else slots.HolderGone(user, run)
+
+
+class Farm:
+    """The servers of one process and their loop; a pipe tells it what to do."""
+
+    def __init__(self, pipe: Connection) -> None:
+        self.pipe = pipe
+        self.servers: list[Server] = []
+        self._inbox: deque[tuple[Server, zenoh.Query | slots.Event]] = deque()
+        self._wake, self._woken = os.pipe()
+        os.set_blocking(self._wake, False)
+        os.set_blocking(self._woken, False)
+        self._cpu: list[tuple[float, float]] = []  # when, seconds used
+        self._timers: list[tuple[float, int, Server, int, int, slots.Event]] = []
+        self._count = itertools.count()
+
+    def put(self, server: Server, item: zenoh.Query | slots.Event) -> None:
+        """From zenoh's threads."""
+        self._inbox.append((server, item))
+        with contextlib.suppress(BlockingIOError):
+            os.write(self._woken, b"!")
+
+    def run(self, first: int, endpoints: list[str]) -> None:
+        """Open the servers and serve until told to stop."""
+        before = usage(os.getpid()).rss_mb
+        begin = time.monotonic()
+        self.servers = [Server(first + index, endpoint, self) for index, endpoint in enumerate(endpoints)]
+        self.pipe.send((time.monotonic() - begin, usage(os.getpid()).rss_mb - before))
+        poll = select.poll()
+        poll.register(self._wake, select.POLLIN)
+        poll.register(self.pipe, select.POLLIN)
+        next_tick = time.monotonic()
+        while True:
+            until = min(next_tick, self._timers[0][0] if self._timers else next_tick)
+            ready = {descriptor for descriptor, _ in poll.poll(max(0.0, until - time.monotonic()) * 1000)}
+            if self.pipe.fileno() in ready and not self._told(self.pipe.recv()):
+                break
+            if self._wake in ready:
+                os.read(self._wake, 65536)
+            for _ in range(len(self._inbox)):
+                server, item = self._inbox.popleft()
+                if isinstance(item, zenoh.Query):
+                    self._asked(server, item)
+                else:
+                    self._handle(server, item)
+            now = time.monotonic()
+            while self._timers and self._timers[0][0] <= now:
+                _, _, server, slot, turn, event = heapq.heappop(self._timers)
+                if turn == server.turns[slot]:
+                    self._slot_done(server, slot, event)
+            if now >= next_tick:
+                next_tick = now + TICK_S
+                self._cpu.append((now, time.process_time()))
+                for server in self.servers:
+                    if server.slots.busy():
+                        self._handle(server, slots.Tick((0,) * CAPACITY))
+        for server in self.servers:
+            session.close(server.session)
+
+    def _told(self, word: str) -> bool:
+        match word:
+            case "clear":
+                for server in self.servers:
+                    server.clear()
+                self._cpu = [(time.monotonic(), time.process_time())]
+                self.pipe.send(sum(len(server.slots.leases) for server in self.servers))
+            case "report":
+                self.pipe.send(self._report())
+        return word != "stop"
+
+    def _report(self) -> dict[str, Any]:
+        return {
+            "cpu": [*self._cpu, (time.monotonic(), time.process_time())],
+            "received": [server.received for server in self.servers],
+            "sent": [server.sent for server in self.servers],
+            "bytes": [server.bytes for server in self.servers],
+            "when": [server.when for server in self.servers],
+            "ran": [(server.index * CAPACITY + slot, *rest) for server in self.servers for slot, *rest in server.ran],
+        }
+
+    def _asked(self, server: Server, query: zenoh.Query) -> None:
+        key = keys.parse_server_key(str(query.key_expr))
+        body = query.payload.to_bytes()
+        server.received[key.verb] += 1
+        server.bytes[0] += len(body)
+        server.queries[id(query)] = query
+        self._handle(server, slots.Asked(id(query), key.user, key.run, codec.decode_request(body), body))
+
+    def _handle(self, server: Server, event: slots.Event) -> None:
+        now = time.monotonic()
+        for command in server.slots.handle(event, now):
+            match command:
+                case slots.Answer():
+                    self._answer(server, command, now)
+                case slots.Prepare():
+                    self._later(server, command.slot, now, slots.Prepared(command.slot, b"scale" if command.probe else b"", 0.0))
+                case slots.Run():
+                    self._run(server, command, now)
+                case slots.Stop() | slots.Kill():
+                    server.turns[command.slot] += 1
+                    if isinstance(command, slots.Stop):
+                        refused = codec.encode(messages.Refused(code="cancelled", reason="cancelled"))
+                        self._later(server, command.slot, now, slots.Finished(command.slot, refused))
+
+    def _run(self, server: Server, command: slots.Run, now: float) -> None:
+        batch = codec.decode_request(command.body)
+        participants, seeds = codec.trials(batch, 1)
+        times = msgspec.convert(server.slots.slots[command.slot].setup.simulator.settings, Times)
+        taken = durations(times, draws(batch.genomes, participants, seeds, salt(times, server.index)))
+        seconds = float(taken.sum()) / speed(times, server.index)
+        outcomes = messages.Outcomes(
+            batch=batch.batch,
+            fitness=draws(batch.genomes, participants, seeds).tobytes(),
+            metrics=b"",
+            seconds=seconds,
+        )
+        server.running[command.slot] = (now, seconds)
+        self._later(server, command.slot, now + seconds, slots.Finished(command.slot, codec.encode(outcomes)))
+
+    def _later(self, server: Server, slot: int, when: float, event: slots.Event) -> None:
+        heapq.heappush(self._timers, (when, next(self._count), server, slot, server.turns[slot], event))
+
+    def _slot_done(self, server: Server, slot: int, event: slots.Event) -> None:
+        if isinstance(event, slots.Finished):
+            begin, seconds = server.running[slot]
+            server.ran.append((slot, begin, time.monotonic(), seconds))
+        self._handle(server, event)
+
+    def _answer(self, server: Server, answer: slots.Answer, now: float) -> None:
+        query = server.queries.pop(answer.query)
+        kind = _kind.decode(answer.body).type
+        server.sent[kind] += 1
+        server.bytes[1] += len(answer.body)
+        if kind in ("offer", "lease"):
+            ready = sum(lease.ready() for lease in server.slots.leases.values())
+            for what in (kind, *(["ready"] if ready == CAPACITY else [])):
+                server.when.setdefault(what, now)
+        with contextlib.suppress(zenoh.ZError):  # the optimizer left
+            query.reply(query.key_expr, answer.body)
+        query.drop()
+
+
+def farm(pipe: Connection, first: int, endpoints: list[str]) -> None:
+    """A process of servers."""
+    os.environ["ZENOH_RUNTIME"] = "(tx: (worker_threads: 1))"  # a server of its own has a process of its own
+    Farm(pipe).run(first, endpoints)
+
+
+class Servers:
+    """Processes of servers."""
+
+    def __init__(self, count: int) -> None:
+        net = f"127.{secrets.randbelow(253) + 1}"  # two benchmarks at a time do not meet
+        self.endpoints = [f"tcp/{net}.{i // 128}.1:{20000 + i % 128}" for i in range(count)]
+        self.pipes: list[Connection] = []
+        self.processes = []
+        for first in range(0, count, SERVERS_PER_PROCESS):
+            pipe, end = spawn.Pipe()
+            process = spawn.Process(target=farm, args=(end, first, self.endpoints[first : first + SERVERS_PER_PROCESS]))
+            process.start()
+            end.close()
+            self.pipes.append(pipe)
+            self.processes.append(process)
+        opened = [pipe.recv() for pipe in self.pipes]
+        self.open_s, self.mb = max(s for s, _ in opened), sum(mb for _, mb in opened) / count
+
+    def ask(self, word: str) -> list[Any]:
+        """Every process's answer."""
+        for pipe in self.pipes:
+            pipe.send(word)
+        return [pipe.recv() for pipe in self.pipes]
+
+    def close(self) -> None:
+        """End them."""
+        for pipe in self.pipes:
+            pipe.send("stop")
+        for process in self.processes:
+            process.join(30.0)
+            if process.is_alive():
+                process.kill()
+
+
+@contextlib.contextmanager
+def running(count: int) -> Iterator[Servers]:
+    """So many servers."""
+    servers = Servers(count)
+    try:
+        yield servers
+    finally:
+        servers.close()
