@@ -28,11 +28,11 @@ from zswarm.ot.dispatch import (
     Retracted,
     Settled,
 )
+from zswarm.ot.newcomers import Newcomers
 from zswarm.ot.workload import Workload
 from zswarm.protocol import codec, keys, messages
 from zswarm.protocol.messages import Message, Outcomes, Part, Requirements, Reserve
 
-FLUSH_S = 0.1  # a waiting caller gets a None this often
 FLUSH_S = 0.1  # a waiting caller gets a None this often
 TOLD_AT_ONCE = 100  # things for the caller that are kept back at most while more events wait
 QUERY_S = {"offer": discovery.OFFER_S, "reserve": 10.0, "renew": 25.0, "evaluate": 60.0, "cancel": 3.0, "release": 3.0}
@@ -123,6 +123,7 @@ class Cluster:
         self._alone = threading.Timer(ALONE_S, self._on_alone)
         self._alone.daemon = True
         self._inbox: queue.SimpleQueue[dispatch.Event | None] = queue.SimpleQueue()
+        self._newcomers = Newcomers[str]()
         self._outbox: queue.SimpleQueue[Item | Complete | Failed | Stopped] = queue.SimpleQueue()
         self._senders: dict[str, session.Sender] = {}
         self._workload: Workload | None = None
@@ -289,27 +290,42 @@ class Cluster:
                     for item in told:
                         self._outbox.put(item)
                     told.clear()
-                wait = self._dispatch.next_time() - time.monotonic()
-                try:
-                    event = self._inbox.get(timeout=max(0.0, wait)) if wait < 3600 else self._inbox.get()
-                except queue.Empty:
-                    event = dispatch.Tick()
-                if event is None:
-                    return
-                if isinstance(event, dispatch.Work):
-                    self._workload = event.workload
-                commands = self._dispatch.handle(event, time.monotonic())
-                changed |= not (isinstance(event, dispatch.Answered) and isinstance(event.reply, Outcomes))
-                for command in commands:
-                    if isinstance(command, Ask):
-                        self._ask(command)
-                    else:
-                        told.append(command)
-                if isinstance(event, dispatch.Gone) or any(isinstance(c, Note) and c.event == "server_lost" for c in commands):
-                    self._hang_up()
+                for event in self._take():
+                    if event is None:
+                        return
+                    if isinstance(event, dispatch.Work):
+                        self._workload = event.workload
+                    commands = self._dispatch.handle(event, time.monotonic())
+                    changed |= not (isinstance(event, dispatch.Answered) and isinstance(event.reply, Outcomes))
+                    for command in commands:
+                        if isinstance(command, Ask):
+                            self._ask(command)
+                        else:
+                            told.append(command)
+                    lost = any(isinstance(command, Note) and command.event == "server_lost" for command in commands)
+                    if lost or isinstance(event, dispatch.Gone):
+                        self._hang_up()
         except BaseException as error:  # a bug: the caller's thread raises it
             for last in (*told, Stopped(error)):
                 self._outbox.put(last)
+
+    def _take(self) -> list[dispatch.Event | None]:
+        """The next events; a Tick when it is time for one."""
+        now = time.monotonic()
+        if new := self._newcomers.take(now):
+            return [dispatch.Seen(server) for server in new]
+        tick_at = self._dispatch.next_time()
+        wait = min(tick_at, self._newcomers.due) - now
+        try:
+            event = self._inbox.get(timeout=max(0.0, wait)) if wait < 3600 else self._inbox.get()
+        except queue.Empty:
+            return [dispatch.Tick()] if time.monotonic() >= tick_at else []
+        if isinstance(event, dispatch.Seen):
+            self._newcomers.add(event.server, time.monotonic())
+            return []
+        if isinstance(event, dispatch.Gone):
+            self._newcomers.remove(event.server)
+        return [event]
 
     def _hang_up(self) -> None:
         """End the senders of servers that left: one that is restarted is another server."""

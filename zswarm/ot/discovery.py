@@ -16,6 +16,7 @@ import zenoh
 from zswarm import endpoint, session
 from zswarm.endpoint import Endpoint
 from zswarm.errors import NoRouter, RemoteProtocolError
+from zswarm.ot.newcomers import Newcomers
 from zswarm.protocol import codec, keys
 from zswarm.protocol.keys import ServerKey
 from zswarm.protocol.messages import Offer, Requirements
@@ -77,14 +78,18 @@ def _ask_all(
 
     opened.liveliness().declare_subscriber(keys.ANY_ALIVE, zenoh.handlers.Callback(on_token, indirect=False), history=True)
     tokens: set[ServerKey] = set()
+    newcomers = Newcomers[str]()
     found: dict[str, Found] = {}
     asked = 0
     deadline = time.monotonic() + wait_s
-    while (left := deadline - time.monotonic()) > 0 or len(found) < asked:
+    while (now := time.monotonic()) < deadline or len(found) < asked:
+        for server in newcomers.take(now):
+            _ask(opened, realm, server, requirements, inbox)
+        until = min(deadline if now < deadline else now + 2 * OFFER_S, newcomers.due)
         try:
-            item = inbox.get(timeout=left if left > 0 else 2 * OFFER_S)
+            item = inbox.get(timeout=max(0.0, until - now))
         except queue.Empty:
-            if left <= 0:
+            if until > deadline and until != newcomers.due:
                 break
             continue
         if isinstance(item, Found):
@@ -94,7 +99,7 @@ def _ask_all(
             if item.realm == realm:
                 asked += 1
                 if item.version == f"v{keys.VERSION}":
-                    _ask(opened, realm, item.server, requirements, inbox)
+                    newcomers.add(item.server, time.monotonic())
                 else:
                     inbox.put(Found(item.server, None, _other_version(item)))
     return tokens, found
