@@ -20,7 +20,7 @@ MODULES = {
     for path in sorted(PACKAGE.rglob("*.py"))
     if path.stem != "__init__" and "examples" not in path.parts
 }
-LEAVES = {"draws", "endpoint", "errors", "jit", "log", "plugins", "portable", "strict", "version_hash"}
+LEAVES = {"draws", "endpoint", "errors", "files", "jit", "log", "plugins", "portable", "strict", "version_hash"}
 MAY_IMPORT = {
     "leaf": {"leaf"},
     "protocol": {"errors", "protocol"},
@@ -30,6 +30,7 @@ MAY_IMPORT = {
     "experiment": {"leaf", "protocol"},
     "session": {"leaf"},
     "router": {"leaf", "session"},
+    "security": {"leaf", "protocol", "security"},
     "ot.optimizers": {"leaf", "nets", "ot.optimizers"},
     "ot": {"leaf", "protocol", "nets", "sims", "evaluate", "experiment", "session", "ot", "ot.optimizers"},
     "ss": {"leaf", "protocol", "evaluate", "session", "ss"},
@@ -38,6 +39,7 @@ MAY_IMPORT = {
 ONLY_IN = {
     "zenoh": {"session", "ot.cluster", "ot.discovery", "ss.server", "ros.over_zenoh"},
     "numba": {"jit"},
+    "cryptography": {"security.authority", "security.certificates", "security.bundle", "security.install"},
     "pickle": set(),
     "marshal": set(),
     "shelve": set(),

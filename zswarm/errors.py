@@ -13,6 +13,10 @@ class ConfigError(ZswarmError):
     """A file, option or name that the user gave cannot be used; the text says what was expected."""
 
 
+class KeysError(ConfigError):
+    """Keys, or a file that holds some, cannot be used; the text says why, and what to do."""
+
+
 class UnknownPlugin(ConfigError):
     """No simulator, representation or optimizer of that name is installed."""
 

@@ -1,6 +1,6 @@
 """TOML files to mappings and these to structs, strictly: what does not fit is refused in one line that says why.
 
-And mappings to JSON that strict readers take.
+JSON to structs likewise, and mappings to JSON that strict readers take.
 """
 
 import json
@@ -59,6 +59,21 @@ def convert(mapping: Mapping[str, Any], struct: type[T], where: str) -> T:
         return msgspec.convert(mapping, struct, strict=True)
     except msgspec.ValidationError as error:
         raise ConfigError(f"{where}: {_plain(str(error))}") from None
+
+
+def from_json(body: bytes, struct: type[T], where: str) -> T:
+    """A struct from JSON, as ``convert``.
+
+    Raises:
+        ConfigError: no JSON, no object, or as ``convert``.
+    """
+    try:
+        mapping = msgspec.json.decode(body)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        raise ConfigError(f"{where}: not JSON") from None
+    if not isinstance(mapping, dict):
+        raise ConfigError(f"{where}: not a JSON object")
+    return convert(mapping, struct, where)
 
 
 def to_json(values: Mapping[str, Any]) -> str:

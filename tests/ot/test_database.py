@@ -11,7 +11,8 @@ import pytest
 
 from zswarm.errors import ConfigError
 from zswarm.ot import database as database_module
-from zswarm.ot.database import Database, connect, on_network, write_whole
+from zswarm.files import write_whole
+from zswarm.ot.database import Database, connect, on_network
 
 ADD = "INSERT OR REPLACE INTO words VALUES (?, ?)"
 LONG = "x" * 20_000  # more than a page

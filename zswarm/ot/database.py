@@ -1,4 +1,4 @@
-"""A SQLite file that is written in whole transactions and waits for a disk that takes nothing; other files likewise."""
+"""A SQLite file that is written in whole transactions and waits for a disk that takes nothing."""
 
 import contextlib
 import errno
@@ -160,26 +160,6 @@ def transact(connection: sqlite3.Connection, statements: Iterable[Statement]) ->
             with contextlib.suppress(sqlite3.Error):
                 connection.execute("ROLLBACK")
         raise
-
-
-def write_whole(path: Path, content: bytes) -> None:
-    """A file is there with all its content, on the disk, or as it was before."""
-    part = path.with_suffix(".part")
-    with part.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    part.replace(path)
-    sync(path.parent)
-
-
-def sync(folder: Path) -> None:
-    """What was renamed in a folder is on the disk."""
-    opened = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(opened)
-    finally:
-        os.close(opened)
 
 
 def passing(error: BaseException, folder: Path) -> str:

@@ -1,0 +1,35 @@
+"""Files that are on the disk with all their content, or as they were before."""
+
+import os
+from pathlib import Path
+
+
+def write_whole(path: Path, content: bytes, mode: int = 0o666, owner: tuple[int, int] | None = None) -> None:
+    """A file is there with all its content, on the disk, or as it was before.
+
+    Args:
+        path: its name with the suffix ``.part`` is used meanwhile.
+        content: all of it.
+        mode: permissions, less the umask; nobody else could read it for a moment.
+        owner: numbers of user and group; None: who runs the program.
+    """
+    part = path.with_suffix(".part")
+    part.unlink(missing_ok=True)
+    opened = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
+    with os.fdopen(opened, "wb") as file:
+        if owner is not None:
+            os.fchown(opened, *owner)
+        file.write(content)
+        file.flush()
+        os.fsync(opened)
+    part.replace(path)
+    sync(path.parent)
+
+
+def sync(folder: Path) -> None:
+    """What was renamed in a folder is on the disk."""
+    opened = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(opened)
+    finally:
+        os.close(opened)

@@ -1,0 +1,1 @@
+"""Keys: who is let in (docs/keys.md)."""

@@ -1,0 +1,5 @@
+"""``python -m zswarm.security`` is ``zswarm-keys``."""
+
+from zswarm.security.cli import main
+
+main()
