@@ -1,7 +1,10 @@
 """Files that are on the disk with all their content, or as they were before."""
 
 import os
+from collections.abc import Collection
 from pathlib import Path
+
+from zswarm.errors import ConfigError
 
 
 def write_whole(path: Path, content: bytes, mode: int = 0o666, owner: tuple[int, int] | None = None) -> None:
@@ -33,3 +36,25 @@ def sync(folder: Path) -> None:
         os.fsync(opened)
     finally:
         os.close(opened)
+
+
+def make_private(folder: Path, names: Collection[str], owner: tuple[int, int] | None = None) -> None:
+    """A folder that only its owner may enter, for files of these names.
+
+    Args:
+        folder: made where it is missing, as those above it.
+        names: with the suffix ``.part`` too.
+        owner: numbers of user and group; None: who runs the program.
+
+    Raises:
+        ConfigError: it holds other files: it is somebody else's, and stays as it is.
+        OSError: it cannot be made.
+    """
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    folder.mkdir(mode=0o700, exist_ok=True)
+    known = {*names, *(str(Path(name).with_suffix(".part")) for name in names)}
+    if other := sorted(set(os.listdir(folder)) - known):
+        raise ConfigError(f"{folder}: expected a folder for keys alone, and it holds {other[0]!r}")
+    folder.chmod(0o700)
+    if owner is not None:
+        os.chown(folder, *owner)

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from zswarm.errors import ConfigError
-from zswarm.ot import database as database_module
 from zswarm.files import write_whole
+from zswarm.ot import database as database_module
 from zswarm.ot.database import Database, connect, on_network
 
 ADD = "INSERT OR REPLACE INTO words VALUES (?, ?)"

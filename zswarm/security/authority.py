@@ -21,7 +21,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from zswarm.errors import ConfigError, KeysError
-from zswarm.files import write_whole
+from zswarm.files import make_private, write_whole
 from zswarm.plugins import nearest
 from zswarm.protocol import keys
 from zswarm.security import certificates, keyring
@@ -71,7 +71,7 @@ class Request(NamedTuple):
 
 
 class Authority:
-    """Opened for one program at a time: ``with Authority.open(folder) as authority``."""
+    """Opened by one program at a time: ``with Authority(folder) as authority``."""
 
     def __init__(self, folder: Path, *, now: datetime | None = None) -> None:
         if not (folder / certificates.KEY).exists():
@@ -103,11 +103,10 @@ class Authority:
             now: for tests.
 
         Raises:
-            KeysError: there is one already.
+            ConfigError: there is one already, or the folder holds other files.
             OSError: the folder cannot be written.
         """
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        folder.chmod(0o700)
+        make_private(folder, (certificates.KEY, certificates.AUTHORITY, LEDGER))
         with _locked(folder):
             if (folder / certificates.KEY).exists():
                 raise KeysError(
@@ -196,15 +195,11 @@ class Authority:
         """
         for whose in wanted:
             self.check_free(whose)
-        holders = list(wanted)
-        names = [alternative_names(whose, wanted[whose]) for whose in holders]
-        made = [certificates.new_key() for _ in holders]
-        return self._issue(
-            [Request(whose, sans, key.public_key()) for whose, sans, key in zip(holders, names, made, strict=True)],
-            [certificates.key_pem(key).decode() for key in made],
-            days,
-            [""] * len(holders),
-        )
+        asked = []
+        for whose, addresses in wanted.items():
+            key = certificates.new_key()
+            asked.append((Request(whose, alternative_names(whose, addresses), key.public_key()), key))
+        return self._issue(asked, days)
 
     def sign(self, request: Request, days: int) -> Bundle:
         """A certificate for a key that never left its machine; one that it had before is renewed.
@@ -212,11 +207,11 @@ class Authority:
         Raises:
             KeysError: the name was given before, to another key.
         """
-        public = certificates.public_pem(request.public_key)
         before = self._of(request.holder.name)
-        if before is None or before.revoked_at or (before.common_name, before.public_key) != (request.holder.common_name, public):
+        same = (request.holder.common_name, certificates.public_pem(request.public_key), None)
+        if before is None or (before.common_name, before.public_key, before.revoked_at) != same:
             self.check_free(request.holder)
-        return self._issue([request], [""], days, [public])[0]
+        return self._issue([(request, None)], days)[0]
 
     def renew(self, names: Sequence[str], days: int) -> list[Bundle]:
         """New certificates of the same names and addresses, with new keys except for those that never left their machine.
@@ -224,22 +219,14 @@ class Authority:
         Raises:
             KeysError: an unknown name, or a revoked one.
         """
-        requests, secrets, public_keys = [], [], []
+        asked: list[tuple[Request, ec.EllipticCurvePrivateKey | None]] = []
         for before in [self.known(name) for name in names]:
             if before.revoked_at:
                 raise KeysError(f"{before.holder} was revoked on {before.revoked_at:%Y-%m-%d}: issue keys under another name")
-            if before.public_key:
-                public = serialization.load_pem_public_key(before.public_key.encode())
-                secrets.append("")
-            else:
-                key = certificates.new_key()
-                public = key.public_key()
-                secrets.append(certificates.key_pem(key).decode())
-            if not isinstance(public, ec.EllipticCurvePublicKey):
-                raise KeysError(f"{self.folder / LEDGER}: the public key of {before.holder} is none of ours: damaged")
-            requests.append(Request(before.holder, before.names, public))
-            public_keys.append(before.public_key)
-        return self._issue(requests, secrets, days, public_keys)
+            key = None if before.public_key else certificates.new_key()
+            public = key.public_key() if key else certificates.read_public(before.public_key, f"{self.folder / LEDGER}")
+            asked.append((Request(before.holder, before.names, public), key))
+        return self._issue(asked, days)
 
     def revoke(self, names: Sequence[str]) -> None:
         """They are members no more.
@@ -261,18 +248,19 @@ class Authority:
             ]
         )
 
-    def _issue(self, requests: list[Request], secrets: list[str], days: int, public_keys: list[str]) -> list[Bundle]:
+    def _issue(self, asked: Sequence[tuple[Request, ec.EllipticCurvePrivateKey | None]], days: int) -> list[Bundle]:
+        """Sign; without a key it is on its machine already."""
         end = min(self._now + timedelta(days=days), self.certificate.not_valid_after_utc)
-        signed = [self._certificate(request, end) for request in requests]
+        signed = [self._certificate(request, end) for request, _ in asked]
         entries = [
             Issued(
                 common_name=request.holder.common_name,
                 serial=f"{certificate.serial_number:x}",
                 names=request.names,
                 not_after=certificate.not_valid_after_utc,
-                public_key=public,
+                public_key="" if key else certificates.public_pem(request.public_key),
             )
-            for request, certificate, public in zip(requests, signed, public_keys, strict=True)
+            for (request, key), certificate in zip(asked, signed, strict=True)
         ]
         self._write([*self.ledger.issued, *entries])  # first: whatever was signed is known
         members = self.members()
@@ -280,10 +268,10 @@ class Authority:
             Bundle(
                 authority=self._pem,
                 certificate=certificate.public_bytes(serialization.Encoding.PEM).decode(),
-                key=secret,
+                key=certificates.key_pem(key).decode() if key else "",
                 members=members,
             )
-            for certificate, secret in zip(signed, secrets, strict=True)
+            for (_, key), certificate in zip(asked, signed, strict=True)
         ]
 
     def _certificate(self, request: Request, end: datetime) -> x509.Certificate:

@@ -95,6 +95,21 @@ def public_pem(key: ec.EllipticCurvePublicKey) -> str:
     return key.public_bytes(serialization.Encoding.PEM, serialization.PublicFormat.SubjectPublicKeyInfo).decode()
 
 
+def read_public(pem: str, where: str) -> ec.EllipticCurvePublicKey:
+    """A public key.
+
+    Raises:
+        KeysError: it is none.
+    """
+    try:
+        key = serialization.load_pem_public_key(pem.encode())
+    except UNREADABLE:
+        raise KeysError(f"{where}: no public key in PEM: damaged") from None
+    if not isinstance(key, ec.EllipticCurvePublicKey) or not is_ours(key):
+        raise KeysError(f"{where}: the key is not EC P-256: zswarm-keys did not make it")
+    return key
+
+
 def is_ours(key: object) -> bool:
     """Whether a public key is EC P-256."""
     return isinstance(key, ec.EllipticCurvePublicKey) and isinstance(key.curve, CURVE)

@@ -145,8 +145,7 @@ def issue(
             authority.check_free(whose)
         _check_out(out, [whose.name for whose in wanted], force=force)
         bundles = authority.issue(wanted, days)
-        files = _write(out, list(wanted), bundles)
-        _tell_files(authority, list(wanted), files, out, as_json=as_json, members_changed=True)
+        _hand_out(authority, list(wanted), bundles, out, as_json=as_json)
 
 
 @command.command()
@@ -188,6 +187,7 @@ def request(
     whose = new_holder(role, user or name or keys.fold(_host()))
     target = install.folder_for(role, given)
     file = out / f"{whose.name}{REQUEST_SUFFIX}"
+    _check_out(out, [], force=force)
     asked = install.request(whose, list(addresses), target, force=force)
     write_whole(file, asked)
     _say(f"A key for {whose} waits in {target}. It never leaves this machine.")
@@ -214,9 +214,7 @@ def sign(file: Path, days: int, out: Path, folder: Path | None, yes: bool, force
             raise KeysError("nothing was signed")
         number = authority.ledger.number
         bundle = authority.sign(asked, days)
-        files = _write(out, [asked.holder], [bundle])
-        changed = authority.ledger.number != number
-        _tell_files(authority, [asked.holder], files, out, as_json=as_json, members_changed=changed)
+        _hand_out(authority, [asked.holder], [bundle], out, with_members=authority.ledger.number != number, as_json=as_json)
 
 
 @command.command()
@@ -253,8 +251,7 @@ def renew(names: tuple[str, ...], days: int, out: Path, folder: Path | None, for
         holders = [authority.known(name).holder for name in names]
         _check_out(out, names, force=force)
         bundles = authority.renew(names, days)
-        files = _write(out, holders, bundles)
-        _tell_files(authority, holders, files, out, as_json=as_json, members_changed=False)
+        _hand_out(authority, holders, bundles, out, with_members=False, as_json=as_json)
 
 
 @command.command()
@@ -269,7 +266,9 @@ def revoke(names: tuple[str, ...], out: Path, folder: Path | None, as_json: bool
         holders = [authority.known(name).holder for name in names]
         _check_out(out, [], force=True)
         authority.revoke(names)
-        _tell_files(authority, holders, [], out, as_json=as_json, members_changed=True)
+        if not as_json:
+            _say(f"Revoked: {', '.join(str(whose) for whose in holders)}. Servers refuse them once they have the new list.")
+        _hand_out(authority, holders, [], out, as_json=as_json)
 
 
 def main() -> None:
@@ -324,46 +323,45 @@ def _check_out(out: Path, names: Sequence[str], *, force: bool) -> None:
             raise KeysError(f"{out / name}.zkeys is there already; --force replaces it")
 
 
-def _write(out: Path, holders: Sequence[Holder], bundles: Sequence["Bundle"]) -> list[Path]:
+def _hand_out(
+    authority: "Authority",
+    holders: Sequence[Holder],
+    bundles: Sequence["Bundle"],
+    out: Path,
+    *,
+    with_members: bool = True,
+    as_json: bool,
+) -> None:
+    """Write the holders' files and the list of members, and tell where to bring them."""
     from zswarm.security import bundle
 
-    files = [out / f"{whose.name}{bundle.SUFFIX}" for whose in holders]
+    files = [out / f"{whose.name}{bundle.SUFFIX}" for whose in holders] if bundles else []
     for file, content in zip(files, bundles, strict=True):
         bundle.write(file, content)
-    return files
-
-
-def _tell_files(
-    authority: "Authority", holders: Sequence[Holder], files: Sequence[Path], out: Path, *, as_json: bool, members_changed: bool
-) -> None:
-    """What was written, the list of members included, and where to bring it."""
-    from zswarm.security import bundle
-
-    list_file = out / bundle.MEMBERS_FILE
-    if members_changed:
-        bundle.write(list_file, authority.list_of_members())
-    number = authority.ledger.number
+    members = out / bundle.MEMBERS_FILE if with_members else None
+    if members:
+        bundle.write(members, authority.list_of_members())
     if as_json:
         _print_json(
             {
                 "holders": [whose.common_name for whose in holders],
                 "files": [str(file) for file in files],
-                "members": str(list_file) if members_changed else None,
-                "number": number,
+                "members": members and str(members),
+                "number": authority.ledger.number,
                 "fingerprint": authority.fingerprint,
             }
         )
         return
     for whose, file in zip(holders, files, strict=False):
         _say(f"{file}: {whose}. There: {'' if whose.role == 'ot' else 'sudo '}zswarm-keys join {file.name}")
+    if any(content.key for content in bundles):
+        _say("Each of these files holds a key: bring it there by scp or a USB stick, and let nobody else read it.")
     if files:
-        _say(f"Each file holds a key unless it was asked for: bring it by scp or USB stick. Fingerprint: {authority.fingerprint}")
-    else:
-        _say(f"Revoked: {', '.join(str(whose) for whose in holders)}")
-    if members_changed:
+        _say(f"Fingerprint, to be compared there: {authority.fingerprint}")
+    if members:
         _say(
-            f"{list_file}: list {number} of who is let in. Machines that have keys already need it:"
-            " zswarm-keys join members.zkeys, then reload"
+            f"{members}: list {authority.ledger.number} of who is let in. Every machine that has keys already needs it:"
+            f" zswarm-keys join {members.name}, then reload."
         )
 
 
@@ -404,8 +402,13 @@ def _join(checked: "Checked", whose: Holder, file: Path, name: str | None, given
     if not yes and not click.confirm(f"Is that the fingerprint you were told, and shall they be installed in {folder}?"):
         raise KeysError("nothing was installed")
     members = install.install(checked, folder, force=force)
-    file.unlink()
-    _say(f"Installed in {folder}; {file} was removed. List {members.number} of members.")
+    _say(f"Installed in {folder}, with list {members.number} of members.")
+    try:
+        file.unlink()
+    except OSError as error:
+        _say(f"warning: {file} cannot be removed ({error.strerror}): do it yourself, for it may hold the key", err=True)
+    else:
+        _say(f"{file} was removed.")
     _say(f"Next: {EFFECT[whose.role]}")
 
 

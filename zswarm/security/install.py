@@ -8,13 +8,14 @@ import msgspec
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from zswarm.errors import ConfigError, KeysError
-from zswarm.files import write_whole
+from zswarm.files import make_private, write_whole
 from zswarm.security import authority, certificates, keyring
 from zswarm.security.bundle import Checked
 from zswarm.security.members import Holder, Members, Role, SignedMembers
 from zswarm.strict import from_json
 
 WAITING = "request.pem"  # a key whose certificate was asked for
+FILES = (certificates.AUTHORITY, certificates.CERTIFICATE, certificates.KEY, certificates.MEMBERS, WAITING)
 SERVICE_USER = "zswarm"
 
 
@@ -42,7 +43,7 @@ def install(checked: Checked, folder: Path, *, force: bool) -> Members:
         force: replace the keys of another authority or holder.
 
     Raises:
-        KeysError: others are installed, or there is no key for the certificate.
+        ConfigError: others are installed, there is no key for the certificate, or its holder was revoked since.
         OSError: the folder cannot be written.
     """
     identity, certificate = checked.identity, checked.certificate
@@ -57,8 +58,9 @@ def install(checked: Checked, folder: Path, *, force: bool) -> Members:
             " join on the machine, as the user, where zswarm-keys request was run"
         )
     before = _members(folder, checked.authority)
-    owner = _make(folder, identity.holder.role)
     members = before if before and before.members.number > checked.members.number else checked.bundle.members
+    keyring.check_member(identity.holder, members.members, f"{folder}/{certificates.MEMBERS}")
+    owner = _make(folder, identity.holder.role)
     write_whole(folder / certificates.KEY, certificates.key_pem(key), 0o600, owner)
     write_whole(folder / certificates.CERTIFICATE, checked.bundle.certificate.encode(), 0o644, owner)
     write_whole(folder / certificates.AUTHORITY, checked.bundle.authority.encode(), 0o644, owner)
@@ -101,7 +103,7 @@ def request(whose: Holder, addresses: list[str], folder: Path, *, force: bool) -
         force: forget a key that waits already.
 
     Raises:
-        KeysError: one waits, or an address is none.
+        ConfigError: one waits, or an address is none.
         OSError: the folder cannot be written.
     """
     if (folder / WAITING).exists() and not force:
@@ -122,11 +124,7 @@ def _make(folder: Path, role: Role) -> tuple[int, int] | None:
             owner = (user.pw_uid, user.pw_gid)
         except KeyError:
             pass  # the service does not run on this machine, or not as this user
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    folder.mkdir(mode=0o700, exist_ok=True)
-    folder.chmod(0o700)
-    if owner is not None:
-        os.chown(folder, *owner)
+    make_private(folder, FILES, owner)
     return owner
 
 
