@@ -88,7 +88,7 @@ def test_a_name_that_is_no_id_is_refused_even_signed(
 ) -> None:
     members = msgspec.structs.replace(pair[0].members.members, users=[name])
     signed = msgspec.structs.replace(pair[0].members, members=members)
-    assert "expected a bundle of zswarm-keys, whole" in refusal(
+    assert "no bundle of zswarm-keys, or not whole" in refusal(
         tmp_path / "x.zkeys", msgspec.structs.replace(pair[0], members=signed)
     )
 

@@ -57,8 +57,8 @@ def read(path: Path) -> Checked:
     body = keyring.read(path)
     try:
         bundle = from_json(body, Bundle, str(path))
-    except ConfigError as error:
-        raise KeysError(f"{error}: expected a bundle of zswarm-keys, whole") from None
+    except ConfigError:  # it would quote what it found, which may be a key
+        raise KeysError(f"{path}: no bundle of zswarm-keys, or not whole") from None
     where = f"{path}: "
     authority = certificates.read_certificate(bundle.authority.encode(), where + certificates.AUTHORITY)
     certificates.check_authority(authority, where + certificates.AUTHORITY)

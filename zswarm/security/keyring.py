@@ -87,8 +87,8 @@ def load(folder: Path, role: str = "") -> Keyring:
         raise KeysError(f"{folder}: these are the keys of {holder}; {PROGRAMS[role]} needs those of a {IN_WORDS[role]}")
     try:
         signed = from_json(members_json, SignedMembers, where + certificates.MEMBERS)
-    except ConfigError as error:
-        raise KeysError(f"{error}: damaged, or another file") from None
+    except ConfigError:
+        raise KeysError(f"{where}{certificates.MEMBERS}: no list of members: damaged, or another file") from None
     members = certificates.check_members(signed, authority, where + certificates.MEMBERS)
     check_member(holder, members, where + certificates.MEMBERS)
     return Keyring(
