@@ -20,7 +20,28 @@ MODULES = {
     for path in sorted(PACKAGE.rglob("*.py"))
     if path.stem != "__init__" and "examples" not in path.parts
 }
+LEAVES = {"draws", "endpoint", "errors", "files", "jit", "log", "notify", "plugins", "portable", "strict", "version_hash"}
+MAY_IMPORT``.
+"""
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import zswarm
+
+PACKAGE = Path(zswarm.__file__).parent
+MODULES = {
+    ".".join(path.relative_to(PACKAGE).with_suffix("").parts): path
+    for path in sorted(PACKAGE.rglob("*.py"))
+    if path.stem != "__init__" and "examples" not in path.parts
+}
 LEAVES = {"draws", "endpoint", "errors", "files", "jit", "log", "plugins", "portable", "strict", "version_hash"}
+LEAVES = {"draws", "endpoint", "errors", "jit", "log", "notify", "plugins", "portable", "strict", "version_hash"}
 MAY_IMPORT = {
     "leaf": {"leaf"},
     "protocol": {"errors", "protocol"},
@@ -40,6 +61,7 @@ ONLY_IN = {
     "zenoh": {"session", "ot.cluster", "ot.discovery", "ss.server", "ros.over_zenoh"},
     "numba": {"jit"},
     "cryptography": {"security.authority", "security.certificates", "security.bundle", "security.install"},
+    "prometheus_client": {"ss.metrics"},
     "pickle": set(),
     "marshal": set(),
     "shelve": set(),

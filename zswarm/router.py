@@ -11,7 +11,7 @@ import msgspec
 import structlog
 
 import zswarm
-from zswarm import log, session
+from zswarm import log, notify, session
 from zswarm.errors import ConfigError
 from zswarm.strict import convert
 
@@ -75,6 +75,7 @@ def serve(options: Options) -> int:
         ConfigError: an endpoint cannot be listened on, or is none.
     """
     logger = structlog.get_logger()
+    told = notify.Notify()
     listen = options.listen or [session.ROUTER]
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM, signal.SIGINT})  # before zenoh's threads, which inherit it
     if options.multicast and (fault := session.multicast_fault()):
@@ -82,7 +83,9 @@ def serve(options: Options) -> int:
     opened = session.open_router(listen, multicast=options.multicast)
     try:
         logger.info("router_ready", listen=listen, multicast=options.multicast, program=zswarm.__version__)
+        told.ready()
         number = signal.sigwait({signal.SIGTERM, signal.SIGINT})
+        told.stopping()
     finally:
         session.close(opened)
     logger.info("router_stopped")

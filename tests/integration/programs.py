@@ -39,7 +39,7 @@ class Program:
         with self.out.open("wb") as out, self.err.open("wb") as err:
             self.process = subprocess.Popen(
                 [*inside, sys.executable, *arguments], stdin=subprocess.DEVNULL, stdout=out, stderr=err, cwd=folder,
-                env=os.environ | environment,
+                env=os.environ | {"RUNTIME_DIRECTORY": str(folder)} | environment,
             )  # fmt: skip
 
     def kill(self, number: int = signal.SIGKILL) -> None:

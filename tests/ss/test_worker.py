@@ -1,5 +1,8 @@
 """A slot's process and the parent's end of it: real processes."""
 
+import math
+import multiprocessing.connection
+import multiprocessing.forkserver
 import os
 import signal
 import time
@@ -28,7 +31,7 @@ def new_worker() -> Iterator[Callable[..., Worker]]:
 
     def new(memory_mb: int = 1024) -> Worker:
         made.append(Worker(memory_mb))
-        assert made[-1].start() == ""
+        start(made[-1])
         return made[-1]
 
     yield new
@@ -41,6 +44,14 @@ def reserve(simulator: str = "minisim", representation: str = "fully-meshed", tr
         nonce=bytes(16), epoch=0, slots=1, simulator=Part(simulator, {}), representation=Part(representation, {}),
         version_hash="", trial_timeout_s=1.0, trial_memory_mb=trial_memory_mb,
     )  # fmt: skip
+
+
+def start(slot: Worker) -> None:
+    """Wait until its process is here."""
+    slot.start()
+    assert not slot.here
+    assert answer(slot) == (b"H", b"")
+    assert slot.here
 
 
 def answer(of: Worker) -> tuple[bytes, bytes]:
@@ -106,7 +117,7 @@ def test_a_process_is_prepared_once(new_worker: Callable[..., Worker]) -> None:
     first = pid(slot)
     slot.prepare(reserve("emergency-exit"), probe=False)
     assert (slot.pipe, slot.start_at) == (None, 0.0)
-    assert slot.start() == ""
+    start(slot)
     assert answer(slot)[0] == b"R"
     assert pid(slot) != first
 
@@ -136,7 +147,7 @@ def test_a_process_that_dies_at_its_start_again_and_again_is_started_after_growi
         os.kill(pid(slot), signal.SIGKILL)
         slot.exit_reason()
         pauses.append(slot.start_at - time.monotonic())
-        slot.start()
+        start(slot)
     assert pauses[0] <= 0.0, "the first time at once"
     assert sorted(pauses[:7]) == pauses[:7]
     assert LONGEST_PAUSE_S / 2 < pauses[-1] <= LONGEST_PAUSE_S
@@ -154,7 +165,7 @@ def test_what_is_sent_while_no_process_is_there_waits_for_it_unless_it_is_killed
     slot.prepare(reserve("nothing-of-this-name"), probe=True)
     slot.kill()
     slot.prepare(reserve(), probe=True)
-    slot.start()
+    start(slot)
     assert answer(slot)[0] == b"R"
 
 
@@ -165,11 +176,14 @@ def test_a_process_that_cannot_be_started_is_told_and_tried_again(
     slot.kill()
     with monkeypatch.context() as patch:
         patch.setattr(worker._context, "Process", Unborn)
-        assert "could not be started: BlockingIOError" in slot.start()
-        assert "could not be started" in slot.start()
+        for _ in range(2):
+            slot.start()
+            letter, reason = answer(slot)
+            assert letter == b"N"
+            assert b"could not be started: BlockingIOError" in reason
         assert slot.pipe is None
-        assert slot.start_at > time.monotonic()
-    assert slot.start() == ""
+        assert slot.pauses(time.monotonic())
+    start(slot)
     slot.prepare(reserve(), probe=False)
     assert answer(slot)[0] == b"R"
 
@@ -182,3 +196,47 @@ class Unborn:
 
     def start(self) -> None:
         raise BlockingIOError("no more processes")
+
+
+def test_a_fork_server_that_stands_still_holds_nobody_up(new_worker: Callable[..., Worker]) -> None:
+    """A killed process is waited for by its sentinel, a new one by its pipe; what is missed is told."""
+    slot, fresh = new_worker(), Worker(1024)
+    process = slot._process
+    forking = multiprocessing.forkserver._forkserver._forkserver_pid  # type: ignore[attr-defined]  # private
+    os.kill(forking, signal.SIGSTOP)
+    try:
+        begin = time.monotonic()
+        slot.kill()
+        fresh.start()
+        fresh.prepare(reserve(), probe=False)
+        assert time.monotonic() - begin < 2.0
+        assert slot.leaving is process
+        assert math.isinf(slot.start_at), "the one before it is not gone"
+        slot.look()
+        now = time.monotonic() + 60.0
+        assert slot.missed(now, 30.0) == "its killed process does not go away"
+        assert fresh.missed(now, 30.0) == "the fork server does not start its process"
+        assert (slot.missed(now, 90.0), fresh.missed(now, 90.0)) == ("", "")
+    finally:
+        os.kill(forking, signal.SIGCONT)
+    assert slot.leaving is not None
+    assert multiprocessing.connection.wait([slot.leaving.sentinel], ANSWER_S)
+    slot.look()
+    start(slot)
+    assert answer(fresh)[0] == b"H"
+    assert answer(fresh)[0] == b"R"
+    assert (slot.missed(now, 30.0), fresh.missed(now, 30.0)) == ("", "")
+    fresh.close()
+
+
+def test_a_process_that_is_killed_before_it_started_ends_by_itself(new_worker: Callable[..., Worker]) -> None:
+    slot = new_worker()
+    slot.kill()
+    slot.start()
+    early = slot._process
+    assert early is not None
+    slot.kill()
+    start(slot)
+    assert slot._process is not early
+    early.join(ANSWER_S)
+    assert early.exitcode is not None

@@ -1,13 +1,14 @@
 """The command ``zswarm-ss``: parses and calls. Slots' processes import this file, so it imports little."""
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import click
 
 
-@click.command(context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(invoke_without_command=True, context_settings={"help_option_names": ["-h", "--help"]})
 @click.option("--capacity", type=click.IntRange(1, 65_535), help="Slots: simulations at the same time.  [default: cores]")
 @click.option("--name", help="Name shown to optimizers.  [default: the host's name]")
 @click.option("--realm", help="Only optimizers of the same realm find this server.  [default: default]")
@@ -28,6 +29,12 @@ import click
     help="Memory that the process of a slot may take.  [default: 80 % of the machine's, divided by the slots]",
 )
 @click.option(
+    "--metrics",
+    type=click.IntRange(1, 65_535),
+    metavar="PORT",
+    help="Serve metrics for Prometheus on this port of 127.0.0.1.  [default: none]",
+)
+@click.option(
     "--config",
     type=click.Path(path_type=Path),
     help="TOML file with these options; the command line wins.",
@@ -41,6 +48,8 @@ def command(config: Path | None, log_level: str, until_stdin_closes: bool, **giv
     Optimizers (zswarm-ot run) find this server by themselves. SIGTERM or Ctrl-C finishes what runs and exits; a second one
     exits at once.
     """
+    if click.get_current_context().invoked_subcommand is not None:
+        return
     from zswarm.ss import worker
 
     worker.start_fork_server()  # it loads numba while this program goes on
@@ -74,6 +83,39 @@ def command(config: Path | None, log_level: str, until_stdin_closes: bool, **giv
         click.echo(f"zswarm-ss: {error}", err=True)
         sys.exit(78 if config else 2)
     sys.exit(code)
+
+
+name_option = click.option("--name", default="", help="Of the daemon, or its id; where several run on this machine.")
+
+
+@command.command()
+@name_option
+@click.option("--json", "as_json", is_flag=True, help="One JSON object a line on stdout.")
+def status(name: str, as_json: bool) -> None:
+    """Show the daemons of this machine: slots, leases, trials, faults."""
+    from zswarm.ss import status
+
+    _try(lambda: status.show(name, as_json=as_json))
+
+
+@command.command()
+@name_option
+@click.option("--wait", is_flag=True, help="Wait until it ended.")
+def drain(name: str, wait: bool) -> None:
+    """Have the daemon of this machine finish what runs, take nothing new, and end; for its own user and root."""
+    from zswarm.ss import status
+
+    _try(lambda: status.drain(name, wait=wait))
+
+
+def _try(call: Callable[[], None]) -> None:
+    from zswarm.errors import ZswarmError
+
+    try:
+        call()
+    except ZswarmError as error:
+        click.echo(f"zswarm-ss: {error}", err=True)
+        sys.exit(1)
 
 
 def main() -> None:

@@ -15,7 +15,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from types import FrameType
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 import structlog
@@ -23,17 +23,22 @@ import zenoh
 from msgspec import Meta
 
 import zswarm
-from zswarm import plugins, session
+from zswarm import notify, plugins, session
 from zswarm.errors import RemoteProtocolError
 from zswarm.protocol import codec, keys
 from zswarm.protocol.messages import MAX_TEXT, MIN_MEMORY_MB, Megabytes, Offer, Refused, Requirements, Reserve
-from zswarm.ss import memory, slots
+from zswarm.ss import control, memory, slots, view
 from zswarm.ss.worker import Ready, Rest, Worker
 from zswarm.version_hash import version_hash
+
+if TYPE_CHECKING:
+    from zswarm.ss.metrics import Metrics
 
 TICK_S = 0.25
 INBOX = 10_000  # queries that wait; more are dropped unanswered
 SENDERS = 256  # runs that are answered at once
+MISSED_S = 30.0  # a slot's process that should be there for longer is named; sooner where systemd's watchdog is shorter
+SHOW_EVERY_S = 1.0  # at most, to systemd and Prometheus
 
 log = structlog.get_logger()
 
@@ -50,6 +55,7 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     simulators: list[str] = []  # offered; empty: all that are installed
     slot_memory_mb: Megabytes = 0  # of a slot's process; 0: its share of the machine's memory
     drain_s: Annotated[float, Meta(ge=0, le=1e6)] = 60.0  # at most, on SIGTERM
+    metrics: Annotated[int, Meta(ge=0, le=65_535)] = 0  # port for Prometheus on this machine; 0: none
 
     def __post_init__(self) -> None:
         if 0 < self.slot_memory_mb < MIN_MEMORY_MB:
@@ -94,6 +100,16 @@ class Server:
         self._drain_by = float("inf")
         self._exit: int | None = None
         self._malformed = 0
+        self._started_at, self._rate = time.time(), view.Rate(time.monotonic())
+        self._endpoints: list[str] = []
+        self._notify = notify.Notify({} if until_stdin_closes else os.environ)
+        self._control: control.Control | None = None
+        self._metrics: Metrics | None = None
+        self._drain_asked = self._warm = False
+        self._show_at = math.inf  # there is something new to show to systemd and Prometheus
+        self._shown_at = -math.inf
+        self._missed: dict[int, str] = {}  # slots whose process is missed, with the reason
+        self._missed_s = min(MISSED_S, self._notify.watchdog_s)
 
     def run(self) -> int:
         """Serve until told to stop; the program's exit code."""
@@ -102,6 +118,7 @@ class Server:
         realm = self.options.realm
         with contextlib.ExitStack() as stack:
             stack.callback(self._close_workers)
+            self._open_local(stack)
             opened, endpoints = session.open_server(self.options.listen, self.options.connect, multicast=self.options.multicast)
             stack.callback(session.close, opened)
             if self.options.multicast and (fault := session.multicast_fault()):
@@ -113,6 +130,7 @@ class Server:
                 keys.run_alive(realm, "*", "*"), zenoh.handlers.Callback(self._on_run, indirect=False), history=True
             )
             token = opened.liveliness().declare_token(keys.alive(realm, self.id))
+            self._endpoints = endpoints
             log.info(
                 "server_ready", server=self.id, capacity=len(self.workers), realm=realm, listen=endpoints,
                 simulators=self.simulators, slot_memory_mb=self.slot_memory_mb, program=zswarm.__version__,
@@ -159,23 +177,31 @@ class Server:
             self._start_workers()
             workers = {worker.pipe.fileno(): index for index, worker in enumerate(self.workers) if worker.pipe is not None}
             poll = select.poll()
-            for descriptor in (self._wake, *workers):
+            leaving = [worker.leaving.sentinel for worker in self.workers if worker.leaving is not None]
+            for descriptor in (self._wake, *workers, *leaving):
                 poll.register(descriptor, select.POLLIN)
+            if self._control is not None:
+                for descriptor, flags in self._control.wants().items():
+                    poll.register(descriptor, flags)
             if self._until_stdin_closes:
                 poll.register(sys.stdin.fileno(), select.POLLIN)
             next_start = min(worker.start_at for worker in self.workers)
-            until = min(next_tick, next_start) if self.slots.busy() or self._signals else next_start
+            until = min(next_start, self._look_at())
+            if self.slots.busy() or self.slots.draining or self._signals:
+                until = min(until, next_tick)
             wait = None if math.isinf(until) else max(0.0, until - time.monotonic()) * 1000
             ready = [descriptor for descriptor, _ in poll.poll(wait)]
             if self._wake in ready:
                 os.read(self._wake, 4096)
             if self._until_stdin_closes and sys.stdin.fileno() in ready:
                 self._exit = 0
-            if self._signals:
+            if self._control is not None:
+                self._control.serve(ready)
+            if self._signals or self._drain_asked:
                 self._on_stop_asked(token)
             for descriptor in ready:
-                if descriptor in workers:
-                    self._handle(self._from_worker(workers[descriptor]))
+                if descriptor in workers and (event := self._from_worker(workers[descriptor])) is not None:
+                    self._handle(event)
             for _ in range(len(self._inbox)):
                 item = self._inbox.popleft()
                 if isinstance(item, zenoh.Query):
@@ -187,16 +213,21 @@ class Server:
             if time.monotonic() >= next_tick:
                 next_tick = time.monotonic() + TICK_S
                 self._handle(slots.Tick(tuple(worker.trial() for worker in self.workers)))
+            self._look(time.monotonic(), new=bool(ready))
 
     def _on_stop_asked(self, token: zenoh.LivelinessToken) -> None:
         if self.slots.draining and (len(self._signals) > 1 or time.monotonic() > self._drain_by):
             log.warning("drain_cut_short", signals=len(self._signals))
-            self._exit = 128 + self._signals[0]
+            self._exit = self._code()
         elif not self.slots.draining:
             log.info("draining", limit_s=self.options.drain_s)
+            self._notify.stopping()
             self._drain_by = time.monotonic() + self.options.drain_s
             token.undeclare()
             self._handle(slots.Drain())
+
+    def _code(self) -> int:
+        return 128 + self._signals[0] if self._signals else 0
 
     def _from_run(self, query: zenoh.Query) -> None:
         body = query.payload.to_bytes() if query.payload is not None else b""
@@ -212,11 +243,11 @@ class Server:
 
     def _start_workers(self) -> None:
         now = time.monotonic()
-        for index, worker in enumerate(self.workers):
-            if worker.start_at <= now and (reason := worker.start()):
-                self._log_pause(index, worker, reason)
+        for worker in self.workers:
+            if worker.start_at <= now:
+                worker.start()
 
-    def _from_worker(self, index: int) -> slots.Event:
+    def _from_worker(self, index: int) -> slots.Event | None:
         worker = self.workers[index]
         try:
             letter, body = worker.receive()
@@ -225,6 +256,11 @@ class Server:
             self._log_pause(index, worker, reason)
             return slots.Died(index, trial, f"the slot's process {reason}")
         match letter:
+            case b"H":
+                return None
+            case b"N":
+                self._log_pause(index, worker, body.decode())
+                return None
             case b"R":
                 ready = msgspec.msgpack.decode(body, type=Ready)
                 return slots.Prepared(index, ready.probe, ready.trial_s)
@@ -238,7 +274,7 @@ class Server:
                 worker.kill()
                 return slots.Died(index, trial, body.decode(), "memory")
             case _:
-                return slots.Finished(index, body, worn=letter == b"W")
+                return slots.Finished(index, body, worn=letter == b"W", played=letter != b"B")
 
     def _handle(self, event: slots.Event) -> None:
         for command in self.slots.handle(event, time.monotonic()):
@@ -256,7 +292,109 @@ class Server:
                 case slots.Log():
                     log.info(command.event, **command.fields)
                 case slots.Drained():
-                    self._exit = 128 + self._signals[0]
+                    self._exit = self._code()
+
+    # ---- what it shows of itself on this machine
+
+    def _open_local(self, stack: contextlib.ExitStack) -> None:
+        """The control socket, and the port for Prometheus.
+
+        Raises:
+            ConfigError: the port cannot be had.
+        """
+        if self.options.metrics:
+            from zswarm.ss.metrics import Metrics
+
+            self._metrics = Metrics(self.options.metrics, self._view(time.monotonic()))
+            stack.callback(self._metrics.close)
+        if not self._until_stdin_closes:
+            try:
+                self._control = control.Control(self.id, self._on_question)
+                stack.callback(self._control.close)
+            except OSError as error:
+                log.warning("control_unavailable", path=str(error.filename), reason=error.strerror)
+
+    def _on_question(self, question: control.Question) -> msgspec.Struct:
+        if question.ask == "status":
+            return self._view(time.monotonic())
+        self._drain_asked = True
+        return control.Draining(self.id)
+
+    def _look_at(self) -> float:
+        """When to look at what nobody tells the loop."""
+        next_missed = min(
+            (worker.missed_from(self._missed_s) for slot, worker in enumerate(self.workers) if slot not in self._missed),
+            default=math.inf,
+        )
+        return min(
+            next_missed,
+            math.inf if self._missed else self._notify.feed_at(),
+            max(self._show_at, self._shown_at + SHOW_EVERY_S),
+            math.inf if self._control is None else self._control.until(),
+        )
+
+    def _look(self, now: float, *, new: bool) -> None:
+        """See to the watchdog, which is fed as long as this loop and all slots get on, and show what is new."""
+        for worker in self.workers:
+            worker.look()
+        self._rate.take(self.slots.trials, now)
+        self._name_missed(now)
+        if not self._missed:
+            self._notify.feed()
+        if self.slots.draining:
+            self._notify.extend()
+        if not self._warm and all(worker.here or worker.pauses(now) for worker in self.workers):
+            self._warm = any(worker.here for worker in self.workers)
+            if self._warm:
+                self._notify.ready()
+        if new and (self._metrics is not None or self._notify.listens):
+            self._show_at = min(self._show_at, now)
+        if now >= max(self._show_at, self._shown_at + SHOW_EVERY_S):
+            shown = self._view(now)
+            self._notify.status(shown.line())
+            if self._metrics is not None:
+                self._metrics.view = shown
+            self._shown_at, self._show_at = now, now if shown.trials_per_s else math.inf
+
+    def _name_missed(self, now: float) -> None:
+        missed = {slot: reason for slot, worker in enumerate(self.workers) if (reason := worker.missed(now, self._missed_s))}
+        if newly := missed.keys() - self._missed.keys():
+            log.error(
+                "slots_missed", slots=sorted(newly), reason=missed[min(newly)], seconds=round(self._missed_s, 1),
+                watchdog="not fed" if math.isfinite(self._notify.watchdog_s) else "none",
+            )  # fmt: skip
+        if back := self._missed.keys() - missed.keys():
+            log.info("slots_back", slots=sorted(back))
+        self._missed = missed
+
+    def _view(self, now: float) -> view.View:
+        leases = self.slots.leases.values()
+        return view.View(
+            server=self.id,
+            program=zswarm.__version__,
+            pid=os.getpid(),
+            realm=self.options.realm,
+            listen=self._endpoints,
+            since=self._started_at,
+            warm=self._warm,
+            draining=self.slots.draining,
+            slots=view.slot_states(self.slots, self.workers, now),
+            leases=[
+                view.LeaseView(
+                    lease.user, lease.run, lease.setup.simulator.kind, len(lease.slots), lease.trials, now - lease.since
+                )
+                for lease in leases
+            ],
+            trials=self.slots.trials,
+            trials_per_s=self._rate.take(self.slots.trials, now),
+            busy_s=self.slots.seconds,
+            faults=dict(self.slots.faults),
+            malformed=self._malformed,
+            waiting_batches=sum(len(lease.waiting) for lease in leases),
+            waiting_queries=len(self._inbox),
+            slot_memory_mb=self.slot_memory_mb,
+            missed=[view.Missed(slot, reason) for slot, reason in self._missed.items()],
+        )
 
     # ---- answers
 

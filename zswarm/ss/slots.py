@@ -7,7 +7,7 @@ per slot, and outcomes are kept for a run that asks again. A process that has li
 Every query is answered once.
 """
 
-from collections import OrderedDict, deque
+from collections import Counter, OrderedDict, deque
 from collections.abc import Callable
 from enum import Enum, auto
 from typing import Literal
@@ -103,6 +103,7 @@ class Finished(msgspec.Struct, frozen=True):
     slot: int
     reply: bytes
     worn: bool = False  # its process has little memory left
+    played: bool = True  # the reply is outcomes
 
 
 class Exhausted(msgspec.Struct, frozen=True):
@@ -210,6 +211,8 @@ class Batch(msgspec.Struct, eq=False):
     body: bytes
     query: Query | None
     since: float  # when the query came
+    trials: int
+    begun: float = 0.0  # in its slot
     cancelled: bool = False
     done: int = 0  # trials, by processes that ran out of memory
     alone: int = -1  # the trial to play by itself
@@ -239,6 +242,8 @@ class Held(msgspec.Struct, eq=False):
     place: int  # in the line for free slots
     wanted: int  # slots
     last_message: float
+    since: float
+    trials: int = 0  # whose outcomes are there
     gone_since: float | None = None
     slots: list[Slot] = []
     waiting: deque[Batch] = msgspec.field(default_factory=deque)
@@ -253,7 +258,13 @@ class Held(msgspec.Struct, eq=False):
 
 
 class Slots:
-    """The state machine; ``handle`` is its only entry."""
+    """The state machine; ``handle`` is its only entry.
+
+    Attributes:
+        trials: whose outcomes are there, of all leases so far.
+        seconds: that slots spent on batches.
+        faults: how many slots' processes died or were killed, by kind; ``stopped``: told to stop, they did not.
+    """
 
     def __init__(
         self,
@@ -272,6 +283,9 @@ class Slots:
         self.slots = [Slot(index) for index in range(capacity)]
         self.leases: dict[bytes, Held] = {}
         self.draining = False
+        self.trials = 0
+        self.seconds = 0.0
+        self.faults: Counter[str] = Counter()
         self._offer = offer
         self._mismatch = mismatch
         self._new_token = new_token
@@ -379,7 +393,7 @@ class Slots:
             self._epochs.popitem(last=False)
         self._places += 1
         place = self._places if old is None else old.place
-        lease = Held(self._new_token(), event.user, event.run, message, place, message.slots, now)
+        lease = Held(self._new_token(), event.user, event.run, message, place, message.slots, now, now)
         self.leases[lease.token] = lease
         self._log("lease_granted", user=lease.user, run=lease.run, wanted=message.slots, free=self.free())
         if old is not None:
@@ -406,7 +420,7 @@ class Slots:
         elif going_on + len(lease.waiting) >= 2 * len(lease.slots):
             self._refuse(event.query, "busy", f"{len(lease.slots)} slots take {2 * len(lease.slots)} batches at once")
         else:
-            lease.waiting.append(Batch(message.batch, event.body, event.query, now))
+            lease.waiting.append(Batch(message.batch, event.body, event.query, now, len(message.seeds) // 8))
             self._start(lease, now)
 
     def _cancel(self, lease: Held, ids: set[int], now: float) -> None:
@@ -479,12 +493,11 @@ class Slots:
                 return
             if slot.state == SlotState.READY:
                 slot.batch = lease.waiting.popleft()
-                slot.state, slot.trial, slot.since = SlotState.BUSY, -1, now
+                slot.state, slot.trial, slot.since, slot.batch.begun = SlotState.BUSY, -1, now, now
                 self._do(Run(slot.index, slot.batch.body, slot.batch.done, slot.batch.alone))
 
     def _finished(self, slot: Slot, event: Finished, now: float) -> None:
-        lease, batch = slot.lease, slot.batch
-        slot.batch = None
+        lease, batch = slot.lease, self._leave_batch(slot, now)
         if event.worn:
             self._renew_process(slot)
         if lease is None:
@@ -497,6 +510,9 @@ class Slots:
             self._refuse(batch.query, "cancelled", "cancelled")
         else:
             reply = _joined(batch.parts, event.reply)
+            if event.played:
+                lease.trials += batch.trials
+                self.trials += batch.trials
             self._keep(lease, batch.id, reply, now)
             if batch.query is not None:
                 self._do(Answer(batch.query, reply))
@@ -507,8 +523,7 @@ class Slots:
 
     def _exhausted(self, slot: Slot, event: Exhausted, now: float) -> None:
         """The batch goes on in whatever slot is ready first; this one gets a new process."""
-        lease, batch = slot.lease, slot.batch
-        slot.batch = None
+        lease, batch = slot.lease, self._leave_batch(slot, now)
         self._renew_process(slot)
         if lease is None:
             self._release(slot, now)
@@ -528,6 +543,12 @@ class Slots:
         self._start(lease, now)
         self._answer_renewals(lease, now)
 
+    def _leave_batch(self, slot: Slot, now: float) -> Batch | None:
+        batch, slot.batch = slot.batch, None
+        if batch is not None:
+            self.seconds += now - batch.begun
+        return batch
+
     def _renew_process(self, slot: Slot) -> None:
         self._log("slot_worn", slot=slot.index)
         self._do(Kill(slot.index))
@@ -535,8 +556,9 @@ class Slots:
 
     def _died(self, slot: Slot, kind: FaultKind | Literal["stopped"], trial: int, reason: str, now: float) -> None:
         """The slot's process ended, or was killed, and a new one is there, prepared for nothing."""
-        lease, batch = slot.lease, slot.batch
-        slot.batch, slot.setup = None, None
+        lease, batch = slot.lease, self._leave_batch(slot, now)
+        slot.setup = None
+        self.faults[kind] += 1
         if lease is None:
             self._release(slot, now)
             return

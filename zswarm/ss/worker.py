@@ -1,21 +1,30 @@
 """One child process per slot: the parent's end (``Worker``) and the child's (``main``).
 
 Children are forked from a fork server that has numba loaded and never touched zenoh. A frame on the pipe is one letter and
-a body: ``P`` prepare with the probe, ``Q`` prepare without, ``E`` evaluate; back come ``R`` ready, ``F`` failed, ``O`` done,
-``W`` done and worn (little memory is left), ``X`` exhausted (no memory is left for the rest of the batch), and ``M`` (one trial,
-or preparing, took all memory). A child ends when its pipe closes, and is killed when the fork server ends.
+a body: ``P`` prepare with the probe, ``Q`` prepare without, ``E`` evaluate; back come ``H`` here (once, when the process is
+warm), ``R`` ready, ``F`` failed, ``O`` done, ``B`` done but no batch, ``W`` done and worn (little memory is left), ``X``
+exhausted (no memory is left for the rest of the batch), and ``M`` (one trial, or preparing, took all memory). A child ends when
+its pipe closes, and is killed when the fork server ends.
+
+The fork server starts processes and reports how they ended; while it stands still it does neither. So a thread asks it for
+processes, and what was killed is waited for no longer than a moment: the caller never hangs.
 """
 
 import contextlib
 import ctypes
+import functools
 import gc
+import importlib
 import math
 import multiprocessing
 import multiprocessing.forkserver
 import os
+import queue
 import signal
 import sys
+import threading
 import time
+from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING
 
@@ -35,6 +44,8 @@ PR_SET_PDEATHSIG = 1
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")  # a slot is one; a BLAS takes 40 MB for each
 TRIAL, STOP, FIRST, ALONE = range(4)  # of the shared numbers
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.2, 10.0  # before a process that died early again is started anew
+GOING_S = 0.2  # a killed process is waited for, before others go on
+ENDING_S = 1.0  # the word on how a process ended is waited for
 
 _context = multiprocessing.get_context("forkserver")
 
@@ -69,8 +80,9 @@ class Worker:
     """The parent's end of a slot's process.
 
     Attributes:
-        pipe: to it; None while it is not there.
-        start_at: when to call ``start``, by the monotonic clock; infinite while it is there.
+        pipe: to it; None while none was asked for.
+        here: it is there and warm: numba is loaded, and it said so.
+        leaving: the one before it, which was killed and is not gone yet; ``look`` when its ``sentinel`` can be read.
     """
 
     def __init__(self, memory_mb: int) -> None:
@@ -78,29 +90,55 @@ class Worker:
         self._shared = _context.RawArray("q", 4)  # trial and stop (see evaluate.py), where these begin, a trial to play alone
         self._progress = np.frombuffer(self._shared, np.int64)
         self._process: multiprocessing.context.ForkServerProcess | None = None
+        self._unborn: list[str] = []  # why it could not be started, from the thread that tried
         self._prepared = False
-        self._held = b""  # a frame for the process that is to be started
+        self._held = b""  # a frame for the process that is to come
         self._early_deaths = 0  # in a row: before it answered anything
+        self._start_at = 0.0
+        self._missed_since = math.inf
         self.pipe: Connection | None = None
-        self.start_at = 0.0
+        self.here = False
+        self.leaving: multiprocessing.context.ForkServerProcess | None = None
 
-    def start(self) -> str:
-        """Start the process; why it could not be, or ""."""
+    @property
+    def start_at(self) -> float:
+        """When to call ``start``, by the monotonic clock; infinite while it is there or the one before it is."""
+        return math.inf if self.leaving is not None else self._start_at
+
+    def start(self) -> None:
+        """Ask for the process: it says that it is here, or ``receive`` says that it could not be started."""
         self._progress[:] = 0
-        pipe, child_end = _context.Pipe()
-        process = _context.Process(target=main, args=(child_end, self._shared, self._memory_mb), daemon=True)
-        try:
-            process.start()
-        except (OSError, EOFError) as error:  # the machine has no process or memory left, or the fork server ended
-            pipe.close()
-            self._died_early()
-            return f"it could not be started: {type(error).__name__}: {error}"
-        finally:
-            child_end.close()
-        self._process, self.pipe, self.start_at = process, pipe, math.inf
-        if self._held:
-            self._send(self._held[:1], self._held[1:])
-        return ""
+        self.pipe, child_end = _context.Pipe()
+        self._process = _context.Process(target=main, args=(child_end, self._shared, self._memory_mb), daemon=True)
+        self._unborn = []
+        self._start_at = math.inf
+        self._missed_since = min(self._missed_since, time.monotonic())
+        _starter().put(functools.partial(_start, self._process, child_end, self._unborn))
+
+    def look(self) -> None:
+        """See whether the killed process is gone."""
+        if self.leaving is not None and self.leaving.exitcode is not None:
+            self.leaving = None
+            if self._start_at > time.monotonic():
+                self._missed_since = math.inf
+
+    def pauses(self, now: float) -> bool:
+        """Whether nothing is asked for yet, because one after the other died."""
+        return self.pipe is None and self.leaving is None and self._start_at > now
+
+    def missed(self, now: float, for_s: float) -> str:
+        """What is wrong with a process that should be there for so many seconds and is not, or ""."""
+        if now < self.missed_from(for_s):
+            return ""
+        if self.leaving is not None:
+            return "its killed process does not go away"
+        if self._process is None or self._process.pid is None:
+            return "the fork server does not start its process"
+        return "its process started and does not answer"
+
+    def missed_from(self, for_s: float) -> float:
+        """When ``missed`` will say so if nothing changes; infinite while nothing is waited for."""
+        return self._missed_since + for_s
 
     def trial(self) -> int:
         """The trial that it is at."""
@@ -123,14 +161,27 @@ class Worker:
         self._progress[STOP] = 1
 
     def receive(self) -> tuple[bytes, bytes]:
-        """Letter and body of its next answer.
+        """Letter and body of what it says next; ``N`` and why when it could not be started, which is due again after a while.
 
         Raises:
             EOFError, OSError: the process ended.
         """
         assert self.pipe is not None  # noqa: S101  the loop polls pipes that are there
-        frame = self.pipe.recv_bytes()
-        self._early_deaths = 0
+        try:
+            frame = self.pipe.recv_bytes()
+        except (EOFError, OSError):
+            if not self._unborn:
+                raise
+            self.pipe.close()
+            self.pipe = None
+            self._died_early()
+            return b"N", self._unborn[0].encode(errors="backslashreplace")
+        if frame[:1] == b"H":
+            self.here, self._missed_since = True, math.inf
+            if self._held:
+                self._send(self._held[:1], self._held[1:])
+        else:
+            self._early_deaths = 0
         return frame[:1], frame[1:]
 
     def kill(self) -> None:
@@ -138,37 +189,68 @@ class Worker:
         self._held = b""
         if self.pipe is not None:
             self.close()
-            self.start_at = 0.0
+            self._start_at = 0.0
 
     def exit_reason(self) -> str:
         """How a process that ended by itself ended. A new one is due at once; after a while if it dies early again."""
         assert self._process is not None  # noqa: S101  it was there to end
-        self._process.join(1.0)
+        self._held = b""
+        self._process.join(ENDING_S)
         code = self._process.exitcode
-        self.close()
         self._died_early()
+        self.close()
         return _ending(code)
 
     def close(self) -> None:
-        """End it for good."""
-        if self.pipe is not None and self._process is not None:
-            self.pipe.close()
+        """End it for good. One that was asked for and did not start yet ends when it finds its pipe closed."""
+        if self.pipe is None or self._process is None:
+            return
+        self.pipe.close()
+        self.pipe, self.here, self._prepared = None, False, False
+        if self._process.pid is not None:
             self._process.kill()
-            self._process.join()
-            self.pipe, self._prepared = None, False
+            self._process.join(GOING_S)
+            if self._process.exitcode is None:
+                self.leaving = self._process
+                self._missed_since = min(self._missed_since, time.monotonic())
 
     def _died_early(self) -> None:
         self._early_deaths += 1
         pause = 0.0 if self._early_deaths < 2 else min(FIRST_PAUSE_S * 2.0 ** (self._early_deaths - 2), LONGEST_PAUSE_S)
-        self.start_at = time.monotonic() + pause
+        self._start_at = time.monotonic() + pause
+        self._missed_since = math.inf
 
     def _send(self, letter: bytes, body: bytes) -> None:
-        if self.pipe is None:
+        if self.pipe is None or not self.here:
             self._held = letter + body
             return
         self._held = b""
         with contextlib.suppress(OSError):  # it ended; its closed pipe tells the loop
             self.pipe.send_bytes(letter + body)
+
+
+@functools.cache
+def _starter() -> queue.SimpleQueue[Callable[[], None]]:
+    """What one thread does, one after the other: ask for processes, which takes as long as the fork server wants."""
+    waiting: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+
+    def work() -> None:
+        while True:
+            waiting.get()()
+
+    threading.Thread(target=work, name="starter", daemon=True).start()
+    return waiting
+
+
+def _start(process: multiprocessing.context.ForkServerProcess, child_end: Connection, unborn: list[str]) -> None:
+    try:
+        process.start()
+        # What Python gathers here it looks at whenever a process starts, and waits for at the program's end.
+        multiprocessing.process._children.discard(process)  # type: ignore[attr-defined]  # private
+    except (OSError, EOFError) as error:  # the machine has no process or memory left, or the fork server ended
+        unborn.append(f"it could not be started: {type(error).__name__}: {error}")
+    finally:
+        child_end.close()  # which tells the loop when there is no process
 
 
 def _ending(code: int | None) -> str:
@@ -189,10 +271,12 @@ def main(pipe: Connection, shared: object, memory_mb: int) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # the server decides when a slot ends
     progress = np.frombuffer(shared, np.int64)  # type: ignore[call-overload]  # a ctypes array is a buffer
+    importlib.import_module(PRELOADED[1])  # there already where the fork server could load it
     gc.freeze()
     evaluator = None
     too_much = b""
     with contextlib.suppress(EOFError, OSError):
+        pipe.send_bytes(b"H")
         while True:
             frame = pipe.recv_bytes()
             letter, body = frame[:1], frame[1:]
@@ -256,7 +340,7 @@ class Evaluator:
                 raise RemoteProtocolError("not a batch")
             done, alone, pieces = self._play(batch, progress)
         except (ValueError, RemoteProtocolError) as error:
-            return b"O", codec.encode(Refused(code="malformed", reason=codec.clean(str(error))))
+            return b"B", codec.encode(Refused(code="malformed", reason=codec.clean(str(error))))
         outcomes = Outcomes(
             batch=batch.batch,
             fitness=b"".join(piece.fitness.astype("<f8", copy=False).tobytes() for piece in pieces),
