@@ -72,8 +72,9 @@ def install_plugin(folder: Path) -> None:
 @contextlib.contextmanager
 def cluster(slots: int, sleep_s: float) -> Iterator[object]:
     """A server of so many slots, and an optimizer that has all of them ready."""
-    from zswarm.ot.cluster import Cluster, Wanted, Who
+    from zswarm.ot.cluster import Cluster
     from zswarm.ot.local import LocalServer
+    from zswarm.ot.requests import Wanted, Who
     from zswarm.protocol.messages import Part
     from zswarm.version_hash import version_hash
 

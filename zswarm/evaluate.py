@@ -63,7 +63,7 @@ def _construct(what: str, loaded: Any, *arguments: Any) -> Any:
         return loaded(*arguments)
     except (ConfigError, MemoryError):
         raise
-    except Exception as error:  # a plug-in's constructor runs code of its authors
+    except Exception as error:  # a plug-in's constructor may raise anything
         raise ConfigError(f"{what} cannot be set up: {type(error).__name__}: {error}") from error
 
 

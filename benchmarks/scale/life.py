@@ -14,8 +14,9 @@ from usage import usage
 
 from scale.farm import REALM, Servers, spawn
 from scale.pretended import CAPACITY, TRIALS, Times, draws, durations, speed, work
-from zswarm.ot.cluster import Cluster, Wanted, Who
+from zswarm.ot.cluster import Cluster
 from zswarm.ot.dispatch import Counted, Note
+from zswarm.ot.requests import Wanted, Who
 from zswarm.ot.workload import Workload
 from zswarm.protocol import messages
 

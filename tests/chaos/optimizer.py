@@ -7,7 +7,7 @@ import numpy as np
 from zswarm.ot import dispatch
 from zswarm.ot.dispatch import Dispatch
 from zswarm.ot.history import History
-from zswarm.ot.workload import Workload
+from zswarm.ot.requests import Wanted, Who, request
 from zswarm.protocol import messages
 
 from .network import Link
@@ -42,7 +42,7 @@ class Journal:
         return history.hex()
 
 
-class Optimizer(Node):
+class Optimizer(Node[dispatch.Event]):
     """One program that runs, or goes on with, an experiment."""
 
     def __init__(
@@ -50,15 +50,19 @@ class Optimizer(Node):
     ) -> None:
         super().__init__(world)
         self.experiment, self.run, self.epoch, self.verify = experiment, experiment.name, epoch, verify
-        self.nonce = world.random.randbytes(16)
+        self.who = Who("lab", "user", self.run, epoch, world.random.randbytes(16))
         self.journal = journal or Journal()
         self.links: dict[str, Link] = {}  # by server
         self.left = False  # it is done
         self.superseded = False  # another one goes on with its run
         self.progressed_at = self.unserved_at = world.now
         self._verified, self._missed = 0, False
-        self.dispatch = Dispatch(1, 1, wanted_slots=world.random.choice([1, 2, 100]), quarantine=True, verify=verify)
-        self.workload: Workload
+        self.wanted = Wanted(
+            messages.Part(self.run, {}), messages.Part("", {}), "", 1, 1, TRIAL_TIMEOUT_S, trial_memory_mb=0,
+            slots=world.random.choice([1, 2, 100]), quarantine=True, verify=verify, probe=b"",
+        )  # fmt: skip
+        self.dispatch = Dispatch(1, 1, wanted_slots=self.wanted.slots, quarantine=True, verify=verify)
+        self.workload = experiment.workload(None)  # the one that runs
         self._wake_at = float("inf")
         world.soon(self._next_generation)
 
@@ -77,20 +81,16 @@ class Optimizer(Node):
         self._once = [1] * len(self.workload.seeds)
         self.handle(dispatch.Work(self.workload))
 
-    def handle(self, event: dispatch.Event) -> None:
+    def react(self, event: dispatch.Event) -> None:
         """Give the dispatch an event, and carry out what it says."""
-        if self.frozen:
-            self.when_awake(lambda: self.handle(event))
-            return
-        if self.ended:
-            return
         world = self.world
         if not isinstance(event, dispatch.Tick):
             world.tell(self.run, self.epoch, "Work" if isinstance(event, dispatch.Work) else event)
         for command in self.dispatch.handle(event, self.clock()):
             match command:
                 case dispatch.Ask():
-                    self.links[command.server].ask(command.question, command.verb, self._message(command))
+                    message = request(command, self.who, self.wanted, self.workload)
+                    self.links[command.server].ask(command.question, command.verb, message)
                 case dispatch.Counted():
                     self._record(command)
                 case dispatch.Disputed():
@@ -188,26 +188,3 @@ class Optimizer(Node):
         for server in state.servers.values():
             if server.batches and server.phase.name not in ("LEASED", "LEAVING"):
                 self.world.fail(f"{server.id} has batches")
-
-    def _message(self, ask: dispatch.Ask) -> messages.Request:
-        match ask.verb:
-            case "offer":
-                return messages.Requirements()
-            case "reserve":
-                return messages.Reserve(
-                    nonce=self.nonce, epoch=self.epoch, slots=self.dispatch._wanted, version_hash="",
-                    simulator=messages.Part(self.run, {}), representation=messages.Part("", {}),
-                    trial_timeout_s=TRIAL_TIMEOUT_S,
-                )  # fmt: skip
-            case "renew":
-                return messages.Renew(lease=ask.lease, known_ready=ask.known_ready)
-            case "cancel":
-                return messages.Cancel(lease=ask.lease, batches=list(ask.batches))
-            case "release":
-                return messages.Release(lease=ask.lease)
-        assert ask.trials is not None
-        genomes, participants, seeds = self.workload.batch(ask.trials)
-        return messages.Evaluate(
-            lease=ask.lease, batch=ask.batch, genomes=genomes,
-            participants=participants.astype("<u4").tobytes(), seeds=seeds.astype("<u8").tobytes(),
-        )  # fmt: skip

@@ -19,7 +19,7 @@ WRONG, LIAR = "-wrong", "-liar"  # ends of the ids of servers that are
 DEATHS = 2  # of a worker by chance at one trial: one fewer than would put it in quarantine
 
 
-class Server(Node):
+class Server(Node[slots.Event]):
     """A server of the simulated world."""
 
     def __init__(self, world: World, number: int, deaths: dict[Trial, int], *, sound: bool, lies: float) -> None:
@@ -59,17 +59,12 @@ class Server(Node):
         query = next(self._queries)
         self.pending[query] = (link, question)
         token = getattr(message, "lease", b"")
-        if token in self.slots.leases and self.slots.leases[token].setup.nonce != link.optimizer.nonce:
+        if token in self.slots.leases and self.slots.leases[token].setup.nonce != link.optimizer.who.nonce:
             self.world.fail(f"{self.id}: a lease is used by two")
         self.handle(slots.Asked(query, "user", link.optimizer.run, message, codec.encode(message)))
 
-    def handle(self, event: slots.Event) -> None:
+    def react(self, event: slots.Event) -> None:
         """Give the slot table an event, and carry out what it says."""
-        if self.frozen:
-            self.when_awake(lambda: self.handle(event))
-            return
-        if self.ended:
-            return
         world = self.world
         if not isinstance(event, slots.Tick):
             world.tell(self.id, getattr(event, "message", event))

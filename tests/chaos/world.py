@@ -5,7 +5,9 @@ import itertools
 import random
 from collections import deque
 from collections.abc import Callable
-from typing import NoReturn
+from typing import Generic, NoReturn, TypeVar
+
+E = TypeVar("E")  # what may happen to a program
 
 CHAOS_S = 60.0  # faults begin before
 CALM_S = 160.0  # by then the last fault has ended
@@ -61,7 +63,7 @@ class World:
             self.now = until
 
 
-class Node:
+class Node(Generic[E]):
     """A program with a clock of its own, which may jump, and that may be stopped for a while (SIGSTOP)."""
 
     def __init__(self, world: World) -> None:
@@ -74,6 +76,17 @@ class Node:
     def clock(self) -> float:
         """The time that it reads."""
         return self.world.now + self.offset
+
+    def handle(self, event: E) -> None:
+        """Have it react to an event, now or when it goes on; one that ended does not."""
+        if self.frozen:
+            self.when_awake(lambda: self.handle(event))
+        elif not self.ended:
+            self.react(event)
+
+    def react(self, event: E) -> None:
+        """Give the state machine an event, and carry out what it says."""
+        raise NotImplementedError
 
     def when_awake(self, call: Callable[[], None]) -> None:
         """Call it now, or when the program goes on."""

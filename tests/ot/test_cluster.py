@@ -10,7 +10,8 @@ import zenoh
 
 from zswarm import session
 from zswarm.ot import cluster
-from zswarm.ot.cluster import Cluster, Wanted, Who
+from zswarm.ot.cluster import Cluster
+from zswarm.ot.requests import Wanted, Who
 from zswarm.protocol import codec, keys
 from zswarm.protocol.messages import Offer, Part
 

@@ -29,9 +29,10 @@ from zswarm.ot.dispatch import (
     Settled,
 )
 from zswarm.ot.newcomers import Newcomers
+from zswarm.ot.requests import Wanted, Who, request
 from zswarm.ot.workload import Workload
 from zswarm.protocol import codec, keys, messages
-from zswarm.protocol.messages import Message, Outcomes, Part, Requirements, Reserve
+from zswarm.protocol.messages import Outcomes
 
 FLUSH_S = 0.1  # a waiting caller gets a None this often
 TOLD_AT_ONCE = 100  # things for the caller that are kept back at most while more events wait
@@ -39,32 +40,6 @@ QUERY_S = {"offer": discovery.OFFER_S, "reserve": 10.0, "renew": 25.0, "evaluate
 CONTROL = zenoh.Priority.INTERACTIVE_HIGH  # overtakes batches on the way
 RELEASE_S = 2.0  # at most, on leaving
 ALONE_S = 5.0  # with this machine's slots only, before it is found out where the servers in ``connect`` are
-
-
-class Wanted(NamedTuple):
-    """What a run asks of servers."""
-
-    simulator: Part
-    representation: Part
-    version_hash: str
-    participants: int
-    metrics: int
-    trial_timeout_s: float
-    trial_memory_mb: int
-    slots: int
-    quarantine: bool
-    verify: float
-    probe: bytes
-
-
-class Who(NamedTuple):
-    """Who asks."""
-
-    realm: str
-    user: str
-    run: str
-    epoch: int
-    nonce: bytes
 
 
 class Standing(NamedTuple):
@@ -133,7 +108,7 @@ class Cluster:
         try:
             if direct or not self._through_router:
                 self._watch(session.open_optimizer(direct, multicast=self._multicast and not self._through_router))
-        except BaseException:
+        except BaseException:  # __exit__ is not called then, whatever it was, Ctrl-C too
             self._close()
             raise
         if self._through_router:
@@ -305,7 +280,7 @@ class Cluster:
                     lost = any(isinstance(command, Note) and command.event == "server_lost" for command in commands)
                     if lost or isinstance(event, dispatch.Gone):
                         self._hang_up()
-        except BaseException as error:  # a bug: the caller's thread raises it
+        except BaseException as error:  # a bug, or a panic in zenoh, which is no Exception: the caller's thread raises it
             for last in (*told, Stopped(error)):
                 self._outbox.put(last)
 
@@ -342,7 +317,7 @@ class Cluster:
             key = keys.offer(self.who.realm, ask.server)
         else:
             key = keys.request(self.who.realm, ask.server, self.who.user, self.who.run, verb)
-        body = codec.encode(self._message(ask))
+        body = codec.encode(request(ask, self.who, self.wanted, self._workload))
         answered = False
 
         def on_reply(reply: zenoh.Reply) -> None:  # not the end: zenoh waits for that of every link on which it may be answered
@@ -374,43 +349,6 @@ class Cluster:
             self._senders[ask.server] = session.Sender(ask.server)
         if not self._senders[ask.server].send(send):
             self._inbox.put(dispatch.Answered(question, None))
-
-    def _message(self, ask: Ask) -> Message:
-        wanted = self.wanted
-        match ask.verb:
-            case "offer":
-                return Requirements(
-                    simulator=wanted.simulator.kind,
-                    representation=wanted.representation.kind,
-                    version_hash=wanted.version_hash,
-                    trial_memory_mb=wanted.trial_memory_mb,
-                )
-            case "reserve":
-                return Reserve(
-                    nonce=self.who.nonce,
-                    epoch=self.who.epoch,
-                    slots=wanted.slots,
-                    simulator=wanted.simulator,
-                    representation=wanted.representation,
-                    version_hash=wanted.version_hash,
-                    trial_timeout_s=wanted.trial_timeout_s,
-                    trial_memory_mb=wanted.trial_memory_mb,
-                )
-            case "renew":
-                return messages.Renew(lease=ask.lease, known_ready=ask.known_ready)
-            case "cancel":
-                return messages.Cancel(lease=ask.lease, batches=list(ask.batches))
-            case "release":
-                return messages.Release(lease=ask.lease)
-        assert self._workload is not None and ask.trials is not None  # noqa: PT018, S101  an evaluate has both
-        genomes, participants, seeds = self._workload.batch(ask.trials)
-        return messages.Evaluate(
-            lease=ask.lease,
-            batch=ask.batch,
-            genomes=genomes,
-            participants=participants.astype("<u4").tobytes(),
-            seeds=seeds.astype("<u8").tobytes(),
-        )
 
 
 def _decode(body: bytes) -> messages.Reply | str:

@@ -142,7 +142,7 @@ def connect(path: Path) -> sqlite3.Connection:
         # WAL needs memory shared between all that open the file.
         connection.execute(f"PRAGMA journal_mode = {'DELETE' if on_network(path) else 'WAL'}")
         connection.execute("PRAGMA synchronous = FULL")
-    except BaseException:
+    except BaseException:  # Ctrl-C, too, must not leave it open
         connection.close()
         raise
     return connection
@@ -155,7 +155,7 @@ def transact(connection: sqlite3.Connection, statements: Iterable[Statement]) ->
         for sql, parameters in statements:
             connection.execute(sql, parameters)
         connection.execute("COMMIT")
-    except BaseException:
+    except BaseException:  # Ctrl-C, too, must not leave the transaction open
         if connection.in_transaction:
             with contextlib.suppress(sqlite3.Error):
                 connection.execute("ROLLBACK")

@@ -13,12 +13,13 @@ from zswarm.draws import derive_seed
 from zswarm.errors import ConfigError, EvaluationError
 from zswarm.experiment import Experiment
 from zswarm.nets.representation import Representation
-from zswarm.ot.cluster import Cluster, Item, Wanted, Who
+from zswarm.ot.cluster import Cluster, Item
 from zswarm.ot.controller import Controller
 from zswarm.ot.dispatch import Counted, Disputed, Note, ProbeDisputed, ProbeSettled, Retracted, Settled
 from zswarm.ot.local import LocalServer
 from zswarm.ot.optimizers.optimizer import Optimizer
 from zswarm.ot.record import Record
+from zswarm.ot.requests import Wanted, Who
 from zswarm.ot.workload import Workload
 from zswarm.protocol import keys, messages
 from zswarm.sims.simulator import Simulator

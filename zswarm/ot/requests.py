@@ -1,0 +1,71 @@
+"""What an optimizer asks of a server, as messages: made from the dispatch's ``Ask`` and the run it is for."""
+
+from typing import NamedTuple
+
+from zswarm.ot.dispatch import Ask
+from zswarm.ot.workload import Workload
+from zswarm.protocol.messages import Cancel, Evaluate, Part, Release, Renew, Request, Requirements, Reserve
+
+
+class Wanted(NamedTuple):
+    """What a run asks of servers."""
+
+    simulator: Part
+    representation: Part
+    version_hash: str
+    participants: int
+    metrics: int
+    trial_timeout_s: float
+    trial_memory_mb: int
+    slots: int
+    quarantine: bool
+    verify: float
+    probe: bytes
+
+
+class Who(NamedTuple):
+    """Who asks."""
+
+    realm: str
+    user: str
+    run: str
+    epoch: int
+    nonce: bytes
+
+
+def request(ask: Ask, who: Who, wanted: Wanted, workload: Workload | None) -> Request:
+    """The message of a question; an evaluate is of the workload."""
+    match ask.verb:
+        case "offer":
+            return Requirements(
+                simulator=wanted.simulator.kind,
+                representation=wanted.representation.kind,
+                version_hash=wanted.version_hash,
+                trial_memory_mb=wanted.trial_memory_mb,
+            )
+        case "reserve":
+            return Reserve(
+                nonce=who.nonce,
+                epoch=who.epoch,
+                slots=wanted.slots,
+                simulator=wanted.simulator,
+                representation=wanted.representation,
+                version_hash=wanted.version_hash,
+                trial_timeout_s=wanted.trial_timeout_s,
+                trial_memory_mb=wanted.trial_memory_mb,
+            )
+        case "renew":
+            return Renew(lease=ask.lease, known_ready=ask.known_ready)
+        case "cancel":
+            return Cancel(lease=ask.lease, batches=list(ask.batches))
+        case "release":
+            return Release(lease=ask.lease)
+    assert workload is not None and ask.trials is not None  # noqa: PT018, S101  an evaluate has both
+    genomes, participants, seeds = workload.batch(ask.trials)
+    return Evaluate(
+        lease=ask.lease,
+        batch=ask.batch,
+        genomes=genomes,
+        participants=participants.astype("<u4").tobytes(),
+        seeds=seeds.astype("<u8").tobytes(),
+    )
