@@ -68,7 +68,10 @@ ONLY_IN = {
     "shelve": set(),
     "random": set(),
 }
-PURE = ("ot.dispatch", "ot.requests", "ss.slots", "protocol.codec", "protocol.keys", "protocol.messages")
+PURE = (
+    *("ot.dispatch", "ot.requests", "ot.verification", "ot.waiting", "ot.workload", "ss.slots", "ss.kept"),
+    *("protocol.codec", "protocol.keys", "protocol.messages"),
+)
 WORLDLY = {"asyncio", "multiprocessing", "os", "queue", "select", "socket", "subprocess", "threading", "time", "datetime"}
 
 # The only functions of numpy that are exact, or that round once, and so give the same bits everywhere; and types.

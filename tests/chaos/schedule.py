@@ -178,7 +178,7 @@ class Lab:
             if not server.ended:
                 if server.pending:
                     world.fail(f"{server.id} left queries unanswered")
-                if server.slots.busy() or server.slots._kept_bytes or server.slots.free() != len(server.workers):
+                if server.slots.busy() or server.slots.kept.bytes or server.slots.free() != len(server.workers):
                     world.fail(f"{server.id} leaks a lease or a slot")
 
     def _standing(self) -> list[Optimizer]:

@@ -10,7 +10,7 @@ import pytest
 
 from zswarm.ot.dispatch import Answered, Batch, Counted, Dispatch, Server
 from zswarm.protocol.messages import Outcomes, Reply
-from zswarm.ss.slots import Slots
+from zswarm.ss.kept import Kept
 
 from .schedule import play
 
@@ -81,7 +81,7 @@ def a_lost_requeue(patch: pytest.MonkeyPatch) -> None:
 
 def a_batch_is_not_kept(patch: pytest.MonkeyPatch) -> None:
     """A server that is asked again for a finished batch computes it again."""
-    patch.setattr(Slots, "_keep", lambda *_: None)
+    patch.setattr(Kept, "put", lambda *_: None)
 
 
 def a_cut_link_forgets(patch: pytest.MonkeyPatch) -> None:

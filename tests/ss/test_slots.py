@@ -561,33 +561,25 @@ def test_the_outcome_of_a_batch_nobody_asks_for_is_kept() -> None:
     assert server.asked(evaluate(lease, 1)) == outcomes(1)
 
 
-def test_outcomes_are_kept_up_to_a_number_of_bytes_the_oldest_dropped_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    size = len(codec.encode(outcomes(1)))
-    monkeypatch.setattr(slots, "KEPT_BYTES", 2 * size)
+def test_a_batch_that_is_not_kept_any_more_is_computed_again() -> None:
+    server = Server(1)
+    lease = server.ready()
+    server.evaluate(lease, 1)
+    server.finish(0, 1)
+    server.slots.kept.drop(lease)
+    server.evaluate(lease, 1)
+    assert server.commands == [run(0, lease, 1)]
+
+
+def test_an_ended_lease_leaves_nothing_kept() -> None:
     server = Server(2)
     first, second = server.ready("a", slots=1), server.ready("b", slots=1)
     server.evaluate(first, 1)
     server.finish(0, 1)
-    for batch in (2, 3):
-        server.evaluate(second, batch, run="b")
-        server.finish(1, batch)
-    assert server.asked(evaluate(second, 2), "b") == outcomes(2)
-    assert server.asked(evaluate(second, 3), "b") == outcomes(3)
-    server.evaluate(first, 1)
-    assert server.commands == [run(0, first, 1)]
-
-
-def test_an_ended_lease_leaves_nothing_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(slots, "KEPT_BYTES", 2 * len(codec.encode(outcomes(1))))
-    server = Server(2)
-    first, second = server.ready("a", slots=1), server.ready("b", slots=1)
-    server.evaluate(first, 1)
-    server.finish(0, 1)
+    server.evaluate(second, 1, run="b")
+    server.finish(1, 1)
     server.ask(Release(lease=first), "a")
-    for batch in (1, 2):
-        server.evaluate(second, batch, run="b")
-        server.finish(1, batch)
-    assert server.asked(evaluate(second, 1), "b") == outcomes(1)
+    assert server.slots.kept.leases() == {second}
 
 
 def test_a_slot_that_finishes_what_it_was_not_given_is_a_bug() -> None:
@@ -997,20 +989,3 @@ def test_a_server_that_stood_still_blames_no_trial() -> None:
     server.ask(Renew(lease=lease, known_ready=0))
     assert server.wait(0.75) == []
     assert server.wait(0.75)[0] == Kill(0)
-
-
-def test_outcomes_are_kept_for_two_minutes() -> None:
-    """A run asks again when a query's time is up; for longer a server would only gather memory."""
-    server = Server(1)
-    lease = server.ready()
-    for batch in (1, 2):
-        server.evaluate(lease, batch)
-        server.finish(0, batch)
-        for _ in range(3):
-            server.wait(slots.KEPT_S / 3)
-            server.ask(Renew(lease=lease))
-    server.evaluate(lease, 3)
-    server.finish(0, 3)
-    assert server.asked(evaluate(lease, 3)) == outcomes(3)
-    query = server.ask(evaluate(lease, 1))
-    assert query in server.open, "the first one is computed again"

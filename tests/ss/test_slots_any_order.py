@@ -202,8 +202,8 @@ class Server:
             assert works == bool(process.does), f"slot {slot.index} is {slot.state}, its process does {process.does!r}"
             assert slot.state not in (SlotState.READY, SlotState.BUSY) or process.prepared
             assert process.prepared or slot.setup is None or process.does, "a fresh process is taken for prepared"
-        assert self.slots._kept_bytes == sum(len(reply) for reply, _ in self.slots._kept.values())
-        assert {lease for lease, _ in self.slots._kept} <= set(self.slots.leases)
+        assert self.slots.kept.leases() <= set(self.slots.leases)
+        assert bool(self.slots.kept.bytes) == bool(self.slots.kept.leases())
         for lease in self.slots.leases.values():
             idle = any(slot.state == SlotState.READY for slot in lease.slots)
             assert not (idle and lease.waiting), "a batch waits beside a slot that is ready"
@@ -230,7 +230,7 @@ def play(seed: int) -> Server:
         if not server.drained:
             assert not server.open, "a query was never answered"
             assert not server.slots.busy(), "a lease or a slot leaks"
-            assert not server.slots._kept
+            assert not server.slots.kept.bytes
         assert server.drained or not seed % 2
     except (AssertionError, KeyError) as error:
         raise AssertionError(f"seed {seed}: {error!r}; what happened last:\n" + "\n".join(server.trace)) from error

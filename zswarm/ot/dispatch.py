@@ -6,7 +6,6 @@ second time is dropped, and what a server did not answer goes elsewhere, or is a
 A share of the trials may be evaluated a second time elsewhere; a server that computes other bits is used no more.
 """
 
-from collections import deque
 from enum import Enum, auto
 from typing import Literal
 
@@ -15,6 +14,7 @@ import numpy as np
 
 from zswarm.errors import LocalProtocolError, RemoteProtocolError
 from zswarm.ot.verification import Checks
+from zswarm.ot.waiting import Waiting
 from zswarm.ot.workload import Workload, one_nan
 from zswarm.protocol import codec
 from zswarm.protocol.messages import (
@@ -223,14 +223,6 @@ class Question(msgspec.Struct, eq=False):
 ASKED_IN = {"offer": Phase.SEEN, "reserve": Phase.RESERVING, "renew": Phase.LEASED}
 
 
-class Piece(msgspec.Struct, eq=False):
-    """Trials that wait."""
-
-    trials: np.ndarray
-    avoid: frozenset[str] = frozenset()  # servers on which one of them ended in a fault
-    left: tuple[str, int] | None = None  # the server that was left with them, and their batch there; it stays in one piece
-
-
 class Dispatch:
     """The state machine; ``handle`` is its only entry, ``next_time`` says when it wants a Tick."""
 
@@ -267,8 +259,7 @@ class Dispatch:
         self._next = 0
         self._workload: Workload | None = None
         self._rest = 0  # trials not counted
-        self._waiting: deque[Piece] = deque()
-        self._unsent = 0  # trials in _waiting
+        self._waiting = Waiting()
         self._genome_bytes = 0  # of the largest
         self._faults: dict[int, list[str]] = {}  # the servers on which a trial ended in one
         self._checks = Checks(verify)
@@ -381,12 +372,8 @@ class Dispatch:
 
     def _return_to(self, server: Server, now: float) -> None:
         """The lease of before stands: ask for what it has and still is wanted, and cancel the rest."""
-        for piece in [piece for piece in self._waiting if piece.left and piece.left[0] == server.id]:
-            assert piece.left is not None  # noqa: S101  chosen so
-            self._waiting.remove(piece)
-            self._unsent -= len(piece.trials)
-            batch = Batch(piece.left[1], piece.trials, piece.avoid)
-            server.batches[batch.id] = batch
+        for number, piece in self._waiting.take_left(server.id):
+            batch = server.batches[number] = Batch(number, piece.trials, piece.avoid)
             self._ask(server, "evaluate", now, batch=batch)
         if server.abandoned:
             self._ask(server, "cancel", now, batches=tuple(server.abandoned))
@@ -395,9 +382,7 @@ class Dispatch:
     def _end_former(self, server: Server) -> None:
         """The lease of before has ended, and with it what the server had."""
         server.former, server.abandoned = b"", []
-        for piece in self._waiting:
-            if piece.left and piece.left[0] == server.id:
-                piece.left = None
+        self._waiting.forget_left(server.id)
 
     def _put_aside(self, server: Server, time: float) -> None:
         """Use a server no more, until a time or until it is seen again."""
@@ -724,20 +709,17 @@ class Dispatch:
         self._workload, self._changed = workload, True
         self._genome_bytes = max(map(len, workload.genomes))
         trials = np.flatnonzero(~workload.counted)
-        self._rest = self._unsent = len(trials)
+        self._rest = len(trials)
         if len(trials):
-            self._waiting.append(Piece(trials))
+            self._waiting.put(trials)
         self._choose_checks(np.flatnonzero(workload.source != ""))  # restored: counted, and perhaps not verified
         self._complete_if_done()
 
     def _end_workload(self, now: float) -> None:
         """Forget what waits, and cancel what is still out."""
-        for piece in self._waiting:
-            if piece.left:
-                self.servers[piece.left[0]].abandoned.append(piece.left[1])
+        for left in self._waiting.clear():
+            self._leave_behind(*left)
         self._workload = None
-        self._waiting.clear()
-        self._unsent = 0
         self._faults.clear()
         self._checks.clear()
         for server in self.servers.values():
@@ -745,6 +727,10 @@ class Dispatch:
                 self._ask(server, "cancel", now, batches=tuple(server.batches))
                 server.batches = {}
                 self._forget_if_left(server)
+
+    def _leave_behind(self, server: str, batch: int) -> None:
+        """Nobody wants any more what a server was left with."""
+        self.servers[server].abandoned.append(batch)
 
     def _leave(self, now: float) -> None:
         self._end_workload(now)
@@ -765,14 +751,13 @@ class Dispatch:
         if len(trials):
             self._changed = True
             self.requeued += len(trials)
-            self._unsent += len(trials)
-            self._waiting.appendleft(Piece(trials, avoid, left))
+            self._waiting.put(trials, avoid, left)
             self._note("requeued", count=len(trials))
 
     def _fill(self, now: float) -> None:
         """Keep servers with two batches per slot: first one for every slot of all, then the second."""
         hungry, self._hungry = self._hungry, None
-        if self._workload is None or not (self._unsent or self._checks.waiting):
+        if self._workload is None or not (self._waiting.trials or self._checks.waiting):
             return
         if self._changed:
             self._changed = False
@@ -802,29 +787,19 @@ class Dispatch:
         """A batch for a server, or None when all that waits should go elsewhere; trials to verify come last."""
         workload = self._workload
         assert workload is not None  # noqa: S101  the caller has one
-        fitting = (
-            index
-            for index, piece in enumerate(self._waiting)
-            if server.id not in piece.avoid or piece.avoid.issuperset(self._serving)
-        )
-        index = next(fitting, None)
-        if index is None:
-            checks = self._checks.take(server.id, self._size(server), workload) if self._checks.waiting else None
+        size = self._size(server)
+        piece = self._waiting.take(server.id, size, self._serving)
+        if piece is None:
+            checks = self._checks.take(server.id, size, workload) if self._checks.waiting else None
             return Batch(self._next_number(), checks, check=True) if checks is not None else None
-        piece = self._waiting[index]
-        size = len(piece.trials) if piece.left else min(self._size(server), len(piece.trials))
-        taken, piece.trials = piece.trials[:size], piece.trials[size:]
-        if not len(piece.trials):
-            del self._waiting[index]
         if piece.left:
-            self.servers[piece.left[0]].abandoned.append(piece.left[1])
-        self._unsent -= size
-        return Batch(self._next_number(), taken, piece.avoid)
+            self._leave_behind(*piece.left)
+        return Batch(self._next_number(), piece.trials, piece.avoid)
 
     def _size(self, server: Server) -> int:
         if not server.trial_s:
             return 1
-        share = self._unsent / (2 * self._slots * DEPTH)
+        share = self._waiting.trials / (2 * self._slots * DEPTH)
         smallest, largest = SMALLEST_BATCH_S / server.trial_s, BATCH_S / server.trial_s
         trial_bytes = (self._genome_bytes + 16) * self._participants + 16
         fits = min(MAX_TRIALS, MAX_GENOMES // self._participants, MAX_MESSAGE // 2 // trial_bytes)

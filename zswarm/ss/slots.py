@@ -39,6 +39,7 @@ from zswarm.protocol.messages import (
     Running,
     State,
 )
+from zswarm.ss.kept import Kept
 
 LEASE_S = 60.0  # after the last message
 GRACE_S = 30.0  # after the holder's token vanished
@@ -48,8 +49,6 @@ STOP_S = 2.0  # a batch told to stop that goes on longer is killed
 PREPARE_S = 60.0  # to compile; a preparation may take this and the time of the probe's trials
 STALL_S = 2.0  # without an event although slots work: the server itself stood still, and that is no slot's fault
 PREPARE_ATTEMPTS = 3  # of a slot whose process ends while it is prepared
-KEPT_BYTES = 64 << 20  # of outcomes, per server
-KEPT_S = 120.0  # of outcomes: a run asks again when a query's time, 60 s, is up
 EPOCHS = 10_000  # runs whose highest epoch is remembered
 
 Query = int  # stands for a query to answer
@@ -291,8 +290,7 @@ class Slots:
         self._new_token = new_token
         self._places = 0
         self._epochs: OrderedDict[tuple[str, str], int] = OrderedDict()
-        self._kept: OrderedDict[tuple[bytes, int], tuple[bytes, float]] = OrderedDict()  # by lease and batch, the oldest first
-        self._kept_bytes = 0
+        self.kept = Kept()
         self._last_event = 0.0
         self._commands: list[Command] = []
 
@@ -402,9 +400,9 @@ class Slots:
         self._answer(event.query, self._lease(lease))
 
     def _evaluate(self, lease: Held, message: Evaluate, event: Asked, now: float) -> None:
-        kept = self._kept.get((lease.token, message.batch))
+        kept = self.kept.get(lease.token, message.batch)
         if kept is not None:
-            self._do(Answer(event.query, kept[0]))
+            self._do(Answer(event.query, kept))
             return
         running = [slot.batch for slot in lease.slots if slot.batch is not None]
         for batch in [*running, *lease.waiting]:
@@ -513,7 +511,7 @@ class Slots:
             if event.played:
                 lease.trials += batch.trials
                 self.trials += batch.trials
-            self._keep(lease, batch.id, reply, now)
+            self.kept.put(lease.token, batch.id, reply, now)
             if batch.query is not None:
                 self._do(Answer(batch.query, reply))
         if event.worn:
@@ -567,7 +565,7 @@ class Slots:
             self._refuse(batch.query, "cancelled", "cancelled")
         elif batch is not None:
             fault = Fault(batch=batch.id, kind="crashed" if kind == "stopped" else kind, trial=trial, reason=reason[:MAX_TEXT])
-            self._keep(lease, batch.id, codec.encode(fault), now)
+            self.kept.put(lease.token, batch.id, codec.encode(fault), now)
             if batch.query is not None:
                 self._answer(batch.query, fault)
         slot.deaths += slot.state == SlotState.PREPARING
@@ -592,8 +590,7 @@ class Slots:
     def _end(self, lease: Held, why: str, now: float) -> None:
         self._log("lease_" + why.replace("-", "_"), user=lease.user, run=lease.run)
         del self.leases[lease.token]
-        for key in [key for key in self._kept if key[0] == lease.token]:
-            self._kept_bytes -= len(self._kept.pop(key)[0])
+        self.kept.drop(lease.token)
         self._let_go(lease, "lease-lost", f"the lease was {why.replace('-', ' ')}", now)
         for query, _, _ in lease.renewals:
             self._refuse(query, "lease-lost", f"the lease was {why.replace('-', ' ')}")
@@ -663,16 +660,6 @@ class Slots:
             batch.query = None
 
     # ---- answers
-
-    def _keep(self, lease: Held, batch: int, reply: bytes, now: float) -> None:
-        self._kept[lease.token, batch] = (reply, now)
-        self._kept_bytes += len(reply)
-        while len(self._kept) > 1 and (self._kept_bytes > KEPT_BYTES or self._oldest_kept() < now - KEPT_S):
-            _, (dropped, _) = self._kept.popitem(last=False)
-            self._kept_bytes -= len(dropped)
-
-    def _oldest_kept(self) -> float:
-        return next(iter(self._kept.values()))[1]
 
     def _answer_renewals(self, lease: Held, now: float, *, hold: bool = True) -> None:
         """Answer the held renewals that know another state, or were held for long."""
