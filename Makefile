@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/ready
-TESTS ?= -n $$((2 * $$(nproc)))  # many tests wait for programs
+TESTS ?= -n $$((2 * $$(nproc))) --dist worksteal  # many wait for programs; neighbours share what they compare with
 
 KILLS ?= 200
 

@@ -30,7 +30,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=300.0, help="how long to look")
     options = parser.parse_args()
     if options.seed is not None:
-        world = play(options.seed)
+        world = play(options.seed).world
         print(f"seed {options.seed}: every rule held, {world.now:.0f} s of simulated time")
         return 0
     base, begin, played = secrets.randbits(48), time.monotonic(), 0

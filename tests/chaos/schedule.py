@@ -1,6 +1,7 @@
 """One seeded schedule: who is there, which faults happen to whom and when, and what must have come of it."""
 
 import itertools
+from typing import NamedTuple
 
 from zswarm.errors import ZswarmError
 
@@ -17,6 +18,20 @@ FAULTS = [
     *("crash", "drain", "worker", "worker", "freeze", "jump"),  # a server
     *("end", "takeover", "stop", "leap"),  # an optimizer
 ]
+
+
+class End(NamedTuple):
+    """What a schedule left, on servers that are up."""
+
+    world: World
+    runs: list[str]
+    done: list[str]
+    histories: dict[str, str]  # hash by run, of those that no server could have lied to unnoticed
+    undisturbed: dict[str, str]  # what these should be
+    slots_taken: int
+    leases: int
+    unanswered: int  # queries
+    kept_bytes: int  # of answers
 
 
 class Lab:
@@ -80,6 +95,7 @@ class Lab:
         fault, lasts_s = draw.choice(FAULTS), draw.choice(LASTS_S)
         if self.alone and fault in ("crash", "drain", "end", "takeover", "jump"):
             return
+        world.faults += 1
         world.tell("FAULT", fault, server.id, optimizer.run, optimizer.epoch, f"{lasts_s} s")
         if fault in ("end", "takeover", "stop", "leap"):
             self._fail_optimizer(fault, optimizer, lasts_s)
@@ -169,17 +185,13 @@ class Lab:
                 world.fail(f"{optimizer.run} has slots and does not go on")
         world.run(END_S, self._done)
         world.run(world.now + 120.0)
-        for optimizer in self._standing():
-            if not optimizer.left:
-                world.fail(f"{optimizer.run} is not done")
-            if not optimizer.journal.doubtful and optimizer.journal.history() != optimizer.experiment.undisturbed():
-                world.fail(f"{optimizer.run}: another history than that of an undisturbed run")
-        for server in self.servers:
-            if not server.ended:
-                if server.pending:
-                    world.fail(f"{server.id} left queries unanswered")
-                if server.slots.busy() or server.slots.kept.bytes or server.slots.free() != len(server.workers):
-                    world.fail(f"{server.id} leaks a lease or a slot")
+        end = self.end()
+        if end.done != end.runs:
+            world.fail(f"of {end.runs} only {end.done} are done")
+        if end.histories != end.undisturbed:
+            world.fail(f"other histories than those of undisturbed runs: {end.histories}")
+        if end.slots_taken or end.leases or end.unanswered or end.kept_bytes:
+            world.fail(f"something leaks: {end[5:]}")
 
     def _standing(self) -> list[Optimizer]:
         return [optimizer for optimizer in self.optimizers if not optimizer.superseded]
@@ -187,8 +199,24 @@ class Lab:
     def _done(self) -> bool:
         return all(optimizer.left or (optimizer.superseded and optimizer.ended) for optimizer in self.optimizers)
 
+    def end(self) -> End:
+        """What is left when it is over."""
+        trusted = [optimizer for optimizer in self._standing() if not optimizer.journal.doubtful]
+        up = [server for server in self.servers if not server.ended]
+        return End(
+            world=self.world,
+            runs=sorted({optimizer.run for optimizer in self.optimizers}),
+            done=sorted(optimizer.run for optimizer in self._standing() if optimizer.left),
+            histories={optimizer.run: optimizer.journal.history() for optimizer in trusted},
+            undisturbed={optimizer.run: optimizer.experiment.undisturbed() for optimizer in trusted},
+            slots_taken=sum(len(server.workers) - server.slots.free() for server in up),
+            leases=sum(len(server.slots.leases) for server in up),
+            unanswered=sum(len(server.pending) for server in up),
+            kept_bytes=sum(server.slots.kept.bytes for server in up),
+        )
 
-def play(seed: int) -> World:
+
+def play(seed: int) -> End:
     """Play the schedule of a seed.
 
     Raises:
@@ -199,4 +227,4 @@ def play(seed: int) -> World:
         lab.play()
     except ZswarmError as error:
         lab.world.fail(repr(error))
-    return lab.world
+    return lab.end()

@@ -14,7 +14,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple, Self, TypeVar
 
-from programs import Optimizer, Program, Server, query, status, wait_until
+from programs import Optimizer, Program, Server, install, query, status, wait_until
 from promise import check_run
 
 T = TypeVar("T")
@@ -108,16 +108,6 @@ trial_timeout_s = {trial_timeout_s}
 """
 
 
-def install(folder: Path) -> str:
-    """Install the plug-in into a folder; what PYTHONPATH must be to have it."""
-    (folder / "zswarm_paced.py").write_text(SOURCE)
-    metadata = folder / "zswarm_paced-1.0.dist-info"
-    metadata.mkdir()
-    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: zswarm-paced\nVersion: 1.0\n")
-    (metadata / "entry_points.txt").write_text("[zswarm.simulators]\npaced = zswarm_paced:Paced\n")
-    return os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])
-
-
 class Played(NamedTuple):
     """A trial that a slot's process began."""
 
@@ -182,7 +172,10 @@ class Size(NamedTuple):
     def environment(self, folder: Path) -> dict[str, str]:
         """Installs the plug-in into a new folder."""
         folder.mkdir()
-        return {"PYTHONPATH": install(folder), "ZSWARM_PLAIN": "" if self.compiled else "1"}
+        return {
+            "PYTHONPATH": install(folder, "zswarm_paced", SOURCE, "paced = zswarm_paced:Paced"),
+            "ZSWARM_PLAIN": "" if self.compiled else "1",
+        }
 
 
 class Undisturbed(NamedTuple):

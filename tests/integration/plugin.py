@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import programs
+
 SOURCE = '''
 import ctypes
 import os
@@ -98,12 +100,7 @@ trial_memory_mb = 512
 
 def install(folder: Path) -> str:
     """Install the plug-in into a folder; what PYTHONPATH must be to have it."""
-    (folder / "zswarm_rough.py").write_text(SOURCE)
-    metadata = folder / "zswarm_rough-1.0.dist-info"
-    metadata.mkdir()
-    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: zswarm-rough\nVersion: 1.0\n")
-    (metadata / "entry_points.txt").write_text("[zswarm.simulators]\nrough = zswarm_rough:Rough\nbroken = zswarm_nowhere:X\n")
-    return str(folder)
+    return programs.install(folder, "zswarm_rough", SOURCE, "rough = zswarm_rough:Rough\nbroken = zswarm_nowhere:X")
 
 
 def experiment(folder: Path, how: str) -> Path:

@@ -166,3 +166,22 @@ def children(process: int) -> list[int]:
     """Processes that a process started and that have not ended."""
     everybody = [(int(path.name), status(int(path.name))) for path in Path("/proc").iterdir() if path.name.isdigit()]
     return [number for number, found in everybody if found and found.parent == process and found.state != "Z"]
+
+
+def install(folder: Path, module: str, source: str, simulators: str) -> str:
+    """Put a plug-in into a folder as pip would.
+
+    Args:
+        module: its name, such as ``zswarm_rough``.
+        simulators: its entry points, a line each.
+
+    Returns:
+        What PYTHONPATH must be to have it.
+    """
+    (folder / f"{module}.py").write_text(source)
+    metadata = folder / f"{module}-1.0.dist-info"
+    metadata.mkdir()
+    name = module.replace("_", "-")
+    (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+    (metadata / "entry_points.txt").write_text(f"[zswarm.simulators]\n{simulators}\n")
+    return os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])

@@ -37,11 +37,7 @@ def rough(tmp_path: Path) -> str:
 
 def evolve_rough(tmp_path: Path, rough: str, how: str, *options: str) -> Optimizer:
     file = plugin.experiment(tmp_path, how)
-    return Optimizer(tmp_path, how, ["run", str(file), "--json", "--servers", "local", *options], PYTHONPATH=path(rough))
-
-
-def path(*first: str) -> str:
-    return os.pathsep.join([*first, os.environ.get("PYTHONPATH", "")])
+    return Optimizer(tmp_path, how, ["run", str(file), "--json", "--servers", "local", *options], PYTHONPATH=rough)
 
 
 @pytest.mark.parametrize(
@@ -227,18 +223,18 @@ def test_a_simulator_that_cannot_be_set_up_is_named(tmp_path: Path, rough: str) 
 
 
 def test_a_plug_in_that_cannot_be_imported_is_named_and_hurts_no_other(tmp_path: Path, rough: str) -> None:
-    broken = Optimizer(tmp_path, "broken", ["run", "--set", "problem.simulator=broken"], PYTHONPATH=path(rough))
+    broken = Optimizer(tmp_path, "broken", ["run", "--set", "problem.simulator=broken"], PYTHONPATH=rough)
     assert broken.wait() == 2
     assert "simulator 'broken' cannot be imported: ModuleNotFoundError" in only_line(broken)
     evolve_rough(tmp_path, rough, "fine").done()
 
 
 def test_a_daemon_survives_bad_simulators_and_serves_the_next_run(tmp_path: Path, rough: str) -> None:
-    server = Server(tmp_path, "ss", PYTHONPATH=path(rough)).ready()
+    server = Server(tmp_path, "ss", PYTHONPATH=rough).ready()
     options = ["--json", "--no-multicast", "--servers", "1", "--connect", server.endpoint]
     try:
         for how in ("exits", "hangs"):
-            bad = Optimizer(tmp_path, how, ["run", str(plugin.experiment(tmp_path, how)), *options], PYTHONPATH=path(rough))
+            bad = Optimizer(tmp_path, how, ["run", str(plugin.experiment(tmp_path, how)), *options], PYTHONPATH=rough)
             assert bad.wait() == 1
         Optimizer(tmp_path, "good", ["run", *SMALL, *options]).done()
     finally:

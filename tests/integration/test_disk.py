@@ -11,7 +11,9 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import evacuation
 import pytest
+from evacuation import COUNTED
 from programs import Optimizer, Server, query, wait_until
 from promise import check_prefix, check_run
 
@@ -19,27 +21,13 @@ from zswarm.ot.record import Record
 
 pytestmark = pytest.mark.faults
 
-EXPERIMENT = """
-name = "on-disk"
-seed = 4
-generations = 4
-[problem]
-simulator = "emergency-exit"
-trials = 20
-[problem.settings]
-steps = 2000
-agents = 20
-[representation]
-kind = "fully-meshed"
-[optimizer]
-kind = "nnga"
-population = 40
+STEPS = 2000  # a run takes some seconds: long enough to disturb it
+CLUSTER = """
 [cluster]
 servers = "local"
 local_slots = 2
 multicast = false
 """
-COUNTED = "SELECT coalesce(sum(count), 0) FROM outcomes"
 ROWS = "SELECT id, generation, trials, fitness, server, at FROM outcomes ORDER BY id"
 KILLS = 15
 SNAPSHOTS = 8
@@ -84,8 +72,7 @@ def ended() -> Iterator[None]:
 
 
 def run(folder: Path, *options: str, name: str = "run") -> Optimizer:
-    (folder / "experiment.toml").write_text(EXPERIMENT)
-    return start(folder, name, "run", "experiment.toml", "--json", *options)
+    return start(folder, name, "run", evacuation.write(folder, "on-disk", STEPS, CLUSTER), "--json", *options)
 
 
 def resume(folder: Path, at: Path, *options: str, name: str = "resumed") -> Optimizer:

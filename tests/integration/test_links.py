@@ -1,7 +1,6 @@
 """Links that are cut, reset, slow or stuck: the run goes on, and the history is that of an undisturbed run."""
 
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -16,17 +15,6 @@ pytestmark = pytest.mark.faults
 
 LARGE = Size(generations=1, population=10, trials=4, hidden=200)  # a genome has 164,000 bytes
 HUGE = Size(generations=1, population=60, trials=1, hidden=500, compiled=True)  # a genome has 1 MB, a batch 4 MB
-
-
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Undisturbed:
-    return play_undisturbed(tmp_path_factory.mktemp("undisturbed"), Size())
-
-
-@pytest.fixture
-def scene(tmp_path: Path) -> Iterator[Scene]:
-    with Scene(tmp_path, Size()) as scene:
-        yield scene
 
 
 def wait_for(seconds: float) -> None:

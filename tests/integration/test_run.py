@@ -3,42 +3,24 @@
 import signal
 from pathlib import Path
 
+import evacuation
 import pytest
-from programs import Optimizer, Server, query, wait_until
+from evacuation import COUNTED, TRIALS
+from programs import Optimizer, Server, free_port, query, wait_until
 from promise import check_run
 
-# A trial takes some milliseconds, a run some seconds: long enough to disturb it.
-EXPERIMENT = """
-name = "disturbed"
-seed = 3
-generations = 4
-[problem]
-simulator = "emergency-exit"
-trials = 20
-[problem.settings]
-steps = 1500
-agents = 20
-[representation]
-kind = "fully-meshed"
-[optimizer]
-kind = "nnga"
-population = 50
-"""
-TRIALS = (50 + 3 * 37) * 20
-COUNTED = "SELECT coalesce(sum(count), 0) FROM outcomes"
+STEPS = 400  # a run takes some seconds: long enough to disturb it
 
 
 @pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> str:
+def alone(tmp_path_factory: pytest.TempPathFactory) -> str:
     """The history hash of the experiment on one local slot."""
-    folder = tmp_path_factory.mktemp("undisturbed")
+    folder = tmp_path_factory.mktemp("alone")
     return str(run(folder, "alone", "--servers", "local", "--set", "cluster.local_slots=1").done()["history_hash"])
 
 
 def run(folder: Path, name: str, *options: str) -> Optimizer:
-    file = folder / "experiment.toml"
-    file.write_text(EXPERIMENT)
-    return Optimizer(folder, name, ["run", str(file), "--json", *options])
+    return Optimizer(folder, name, ["run", evacuation.write(folder, "disturbed", STEPS), "--json", *options])
 
 
 def remote(*servers: Server, wait: int = 0) -> list[str]:
@@ -56,32 +38,37 @@ def counted(folder: Path) -> int:
     return int(rows[0][0]) if rows else 0
 
 
-def test_a_killed_server_and_a_late_one_leave_the_history_as_it_is(tmp_path: Path, undisturbed: str) -> None:
-    servers = [Server(tmp_path, f"ss-{number}") for number in range(3)]
-    late = Server(tmp_path, "late-port-only", options=("--help",))  # its endpoint is known before it is there
-    late.wait()
-    optimizer = run(tmp_path, "ot", *remote(*servers, late, wait=3))
+def test_killed_servers_and_a_late_one_leave_the_history_as_it_is(tmp_path: Path, alone: str) -> None:
+    """One is killed, the others go on; then these are killed, and what is left is done by one that starts only now."""
+    servers = [Server(tmp_path, f"ss-{number}", capacity=1) for number in range(3)]
+    late_port = free_port()
+    optimizer = run(tmp_path, "ot", *remote(*servers), f"--connect=tcp/127.0.0.1:{late_port}")
+    record = tmp_path / "runs" / "disturbed"
     programs = [*servers, optimizer]
     try:
         of_second = "SELECT 1 FROM outcomes WHERE server LIKE 'ss-1-%'"
-        wait_until(lambda: query(tmp_path / "runs" / "disturbed", of_second), "the second server works")
+        wait_until(lambda: query(record, of_second), "the second server works")
         servers[1].kill()
-        programs.append(Server(tmp_path, "late", port=int(late.endpoint.rsplit(":", 1)[1])))
+        without_it = counted(tmp_path) + 100
+        wait_until(lambda: counted(tmp_path) > without_it, "the others go on")
+        servers[0].kill()
+        servers[2].kill()
+        assert counted(tmp_path) < TRIALS, "the run is over too early for this test"
+        programs.append(Server(tmp_path, "late", capacity=1, port=late_port))
         done = optimizer.done()
     finally:
         for program in programs:
             program.close()
-    record = tmp_path / "runs" / "disturbed"
     shares = dict(query(record, "SELECT server, trials FROM servers"))
-    assert done["history_hash"] == undisturbed
+    assert done["history_hash"] == alone
     assert done["requeued"] > 0
     assert query(record, "SELECT sum(count) > 0 FROM events WHERE event = 'requeued'") == [(1,)]
     assert sum(trials for server, trials in shares.items() if server.startswith("late-")) > 0
     assert sum(shares.values()) == TRIALS
-    assert check_run(record).history_hash == undisturbed
+    assert check_run(record).history_hash == alone
 
 
-def test_a_killed_optimizer_goes_on_and_repeats_nothing(tmp_path: Path, undisturbed: str) -> None:
+def test_a_killed_optimizer_goes_on_and_repeats_nothing(tmp_path: Path, alone: str) -> None:
     server = Server(tmp_path, "ss")
     try:
         killed = run(tmp_path, "killed", *remote(server))
@@ -93,15 +80,15 @@ def test_a_killed_optimizer_goes_on_and_repeats_nothing(tmp_path: Path, undistur
         taken_over = server.events("lease_taken_over")
     finally:
         server.close()
-    assert done["history_hash"] == undisturbed
+    assert done["history_hash"] == alone
     assert 1200 < before < TRIALS
     assert counted(tmp_path) == TRIALS, "a recorded trial was evaluated again"
     assert len(taken_over) == 1, "the slots were not taken over at once"
-    assert check_run(tmp_path / "runs" / "disturbed").history_hash == undisturbed
+    assert check_run(tmp_path / "runs" / "disturbed").history_hash == alone
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_stopped_optimizer_says_how_to_go_on(tmp_path: Path, undisturbed: str, number: int, code: int) -> None:
+def test_a_stopped_optimizer_says_how_to_go_on(tmp_path: Path, alone: str, number: int, code: int) -> None:
     stopped = run(tmp_path, "stopped", "--servers", "local")
     wait_until(lambda: counted(tmp_path) > 100, "some trials are counted")
     stopped.kill(number)
@@ -109,12 +96,12 @@ def test_a_stopped_optimizer_says_how_to_go_on(tmp_path: Path, undisturbed: str,
     assert "zswarm-ot resume runs/disturbed" in stopped.err.read_text()
     assert "Traceback" not in stopped.err.read_text()
     done = Optimizer(tmp_path, "resumed", ["resume", "runs/disturbed", "--json", "--servers", "local"]).done()
-    assert done["history_hash"] == undisturbed
+    assert done["history_hash"] == alone
     assert counted(tmp_path) == TRIALS
-    assert check_run(tmp_path / "runs" / "disturbed").history_hash == undisturbed
+    assert check_run(tmp_path / "runs" / "disturbed").history_hash == alone
 
 
-def test_two_optimizers_of_one_user_share_the_servers_and_both_finish(tmp_path: Path, undisturbed: str) -> None:
+def test_two_optimizers_of_one_user_share_the_servers_and_both_finish(tmp_path: Path, alone: str) -> None:
     folders = [tmp_path / "one", tmp_path / "two"]
     for folder in folders:
         folder.mkdir()
@@ -125,11 +112,11 @@ def test_two_optimizers_of_one_user_share_the_servers_and_both_finish(tmp_path: 
     finally:
         for program in (*servers, *optimizers):
             program.close()
-    assert hashes == [undisturbed, undisturbed]
+    assert hashes == [alone, alone]
     assert [check_run(folder / "runs" / "disturbed").history_hash for folder in folders] == hashes
 
 
-def test_runs_that_wait_for_a_slot_get_it_in_the_order_in_which_they_came(tmp_path: Path, undisturbed: str) -> None:
+def test_runs_that_wait_for_a_slot_get_it_in_the_order_in_which_they_came(tmp_path: Path, alone: str) -> None:
     server = Server(tmp_path, "ss", capacity=1).ready()
     short = ["--set", "generations=1"]
     folders = [tmp_path / name for name in ("first", "second", "third")]
@@ -151,7 +138,7 @@ def test_runs_that_wait_for_a_slot_get_it_in_the_order_in_which_they_came(tmp_pa
     assert spans[1][1] < spans[2][0], "the third run was served before the second"
 
 
-def test_a_drained_server_finishes_what_runs_and_exits(tmp_path: Path, undisturbed: str) -> None:
+def test_a_drained_server_finishes_what_runs_and_exits(tmp_path: Path, alone: str) -> None:
     servers = [Server(tmp_path, f"ss-{number}") for number in range(2)]
     optimizer = run(tmp_path, "ot", *remote(*servers))
     try:
@@ -160,11 +147,11 @@ def test_a_drained_server_finishes_what_runs_and_exits(tmp_path: Path, undisturb
         assert servers[0].wait() == 143
         assert [event["event"] for event in servers[0].events("server_stopped")] == ["server_stopped"]
         assert not servers[0].events("drain_cut_short")
-        assert optimizer.done()["history_hash"] == undisturbed
+        assert optimizer.done()["history_hash"] == alone
     finally:
         for program in (*servers, optimizer):
             program.close()
-    assert check_run(tmp_path / "runs" / "disturbed").history_hash == undisturbed
+    assert check_run(tmp_path / "runs" / "disturbed").history_hash == alone
 
 
 def test_fresh_seeds_and_local_slots_give_the_same_for_any_number_of_slots(tmp_path: Path) -> None:

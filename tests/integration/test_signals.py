@@ -3,25 +3,12 @@
 import os
 import shutil
 import signal
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
-from paced import Scene, Size, Undisturbed, play_undisturbed
+from paced import Scene, Undisturbed
 from programs import status, wait_until
 
 pytestmark = pytest.mark.faults
-
-
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Undisturbed:
-    return play_undisturbed(tmp_path_factory.mktemp("undisturbed"), Size())
-
-
-@pytest.fixture
-def scene(tmp_path: Path) -> Iterator[Scene]:
-    with Scene(tmp_path, Size()) as scene:
-        yield scene
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])

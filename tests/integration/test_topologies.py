@@ -7,32 +7,16 @@ import signal
 from collections.abc import Iterator
 from pathlib import Path
 
+import evacuation
 import pytest
+from evacuation import COUNTED, TRIALS
 from lab import Host, Lab
 from programs import Optimizer, Program, query, wait_until
 
 pytestmark = pytest.mark.faults
 
-# A run takes some seconds: long enough to disturb it.
-EXPERIMENT = """
-name = "linked"
-seed = 5
-generations = 4
-[problem]
-simulator = "emergency-exit"
-trials = 20
-[problem.settings]
-steps = 1000
-agents = 20
-[representation]
-kind = "fully-meshed"
-[optimizer]
-kind = "nnga"
-population = 50
-"""
-TRIALS = (50 + 3 * 37) * 20
+STEPS = 1000  # a run takes some seconds: long enough to disturb it
 SERVED = "SELECT count(DISTINCT server) FROM outcomes"
-COUNTED = "SELECT coalesce(sum(count), 0) FROM outcomes"
 
 
 @pytest.fixture
@@ -47,7 +31,7 @@ class Site:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.programs: list[Program] = []
-        (folder / "experiment.toml").write_text(EXPERIMENT)
+        evacuation.write(folder, "linked", STEPS)
 
     def server(self, host: Host, *options: str) -> Program:
         arguments = ["-m", "zswarm.ss", "--capacity", "1", "--name", f"ss-{len(self.programs)}", *options]
@@ -92,7 +76,7 @@ def site(tmp_path: Path) -> Iterator[Site]:
 def alone(tmp_path_factory: pytest.TempPathFactory) -> str:
     """The history hash of the experiment on one slot of this machine."""
     folder = tmp_path_factory.mktemp("alone")
-    (folder / "experiment.toml").write_text(EXPERIMENT)
+    evacuation.write(folder, "linked", STEPS)
     options = ["--servers", "local", "--set", "cluster.local_slots=1"]
     return str(Optimizer(folder, "alone", ["run", "experiment.toml", "--json", *options]).done()["history_hash"])
 

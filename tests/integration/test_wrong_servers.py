@@ -1,6 +1,5 @@
 """A machine that computes wrong bits is found out, named, and does not change the history."""
 
-import os
 from pathlib import Path
 
 import plugin
@@ -14,7 +13,7 @@ pytestmark = pytest.mark.faults
 def path(tmp_path: Path) -> str:
     folder = tmp_path / "site"
     folder.mkdir()
-    return os.pathsep.join([plugin.install(folder), os.environ.get("PYTHONPATH", "")])
+    return plugin.install(folder)
 
 
 @pytest.mark.parametrize(("wrong", "options"), [("trials", ["--set", "cluster.verify=1.0"]), ("probe", [])])

@@ -1,0 +1,29 @@
+"""The experiment that most tests disturb: a real simulator, compiled, whose trials take as long as a test wants."""
+
+from pathlib import Path
+
+EXPERIMENT = """
+name = "{name}"
+seed = 3
+generations = 4
+[problem]
+simulator = "emergency-exit"
+trials = 20
+[problem.settings]
+steps = {steps}
+agents = 20
+[representation]
+kind = "fully-meshed"
+[optimizer]
+kind = "nnga"
+population = 50
+"""
+TRIALS = (50 + 3 * 37) * 20
+COUNTED = "SELECT coalesce(sum(count), 0) FROM outcomes"
+
+
+def write(folder: Path, name: str, steps: int, more: str = "") -> str:
+    """Put it into a folder; 400 steps take a millisecond."""
+    file = folder / "experiment.toml"
+    file.write_text(EXPERIMENT.format(name=name, steps=steps) + more)
+    return str(file)
