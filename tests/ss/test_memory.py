@@ -52,53 +52,62 @@ def test_a_slot_gets_its_share_of_the_machine_where_no_group_has_less(
     assert abs(memory.per_slot_mb(1) - MACHINE_MB * 8 // 10) <= 1
 
 
-def in_a_child(what: str) -> None:
-    """Run code in a fresh process, which may change its limits, and has no freed memory to use again."""
+def in_a_child(what: str) -> list[str]:
+    """The lines that code prints in a fresh process, which may change its limits, and has no freed memory to use again."""
     code = f"from pathlib import Path\nfrom zswarm.ss import memory\nMB = {MB}\n{what}"
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stderr
+    return ended.stdout.splitlines()
 
 
 def test_a_limit_holds_and_can_be_lifted() -> None:
-    in_a_child(
+    before, with_20, refused, limits, lifted = in_a_child(
         """
 taken = memory.used()
-assert taken > MB
+print(taken)
 memory.restrict((taken >> 20) + 50)
 small = bytearray(20 * MB)
-assert memory.used() >= taken + 20 * MB
+print(memory.used())
 try:
     bytearray(60 * MB)
 except MemoryError:
-    pass
-else:
-    raise AssertionError("no limit")
+    print("refused")
+print(memory.resource.getrlimit(memory.resource.RLIMIT_DATA)[0] < memory.used() + 60 * MB)
 memory.lift()
-bytearray(60 * MB)
+print(len(bytearray(60 * MB)))
 """
     )
+    assert int(before) > MB
+    assert int(with_20) >= int(before) + 20 * MB
+    assert (refused, limits, lifted) == ("refused", "True", str(60 * MB))
 
 
 def test_what_a_sandbox_refuses_is_done_without() -> None:
-    in_a_child(
+    tried = in_a_child(
         """
 def refuse(*_):
+    print("asked")
     raise PermissionError
 memory.resource.setrlimit = refuse
 memory.OOM_SCORE = Path("/proc/version")
 memory.restrict(1)
 memory.lift()
 memory.go_first()
+print(len(bytearray(60 * MB)))
 """
     )
+    assert "asked" in tried, "nothing was refused"
+    assert tried[-1] == str(60 * MB), "it goes on without a limit"
 
 
 def test_the_kernel_is_to_end_a_slot_first_and_no_core_is_written() -> None:
-    in_a_child(
+    before, after, cores = in_a_child(
         """
-before = int(memory.OOM_SCORE.read_text())
+print(memory.OOM_SCORE.read_text().strip())
 memory.go_first()
-assert int(memory.OOM_SCORE.read_text()) == min(1000, before + 500)
-assert memory.resource.getrlimit(memory.resource.RLIMIT_CORE) == (0, 0)
+print(memory.OOM_SCORE.read_text().strip())
+print(memory.resource.getrlimit(memory.resource.RLIMIT_CORE))
 """
     )
+    assert int(after) == min(1000, int(before) + 500)
+    assert cores == "(0, 0)"

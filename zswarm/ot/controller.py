@@ -6,6 +6,7 @@ from typing import Any, Literal
 import msgspec
 
 from zswarm.errors import ConfigError
+from zswarm.protocol import codec
 
 CHAMPION = "champion.zsc"
 
@@ -39,4 +40,4 @@ def load_controller(path: Path) -> Controller:
     except OSError as error:
         raise ConfigError(f"{file}: cannot be read: {error.strerror}; expected a run's folder or its {CHAMPION}") from None
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ConfigError(f"{file}: damaged, or no controller: {error}") from None
+        raise ConfigError(f"{file}: damaged, or no controller: {codec.clean(str(error))}") from None
