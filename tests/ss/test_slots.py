@@ -1,6 +1,7 @@
 """The slot table: events and plain times in, commands out."""
 
 import itertools
+from typing import TypeVar
 
 import pytest
 
@@ -46,6 +47,7 @@ from zswarm.ss.slots import (
     Unprepared,
 )
 
+T = TypeVar("T")
 OFFER = Offer(server="ss", program="0", machine="m", capacity=2, free=0, leases=0, simulators=[], representations=[])
 PROBE = b"digest"
 TIMEOUT_S = 10.0  # of a trial
@@ -87,10 +89,14 @@ class Server:
         """The answer that comes at once."""
         return self.answers[self.ask(message, run)]
 
-    def reserve(self, run: str = "a", **fields: object) -> Lease:
-        answer = self.asked(reserve(**fields), run)
-        assert isinstance(answer, Lease)
+    def answer(self, query: int, kind: type[T]) -> T:
+        """The answer to a query, which is of this kind."""
+        answer = self.answers[query]
+        assert isinstance(answer, kind)
         return answer
+
+    def reserve(self, run: str = "a", **fields: object) -> Lease:
+        return self.answer(self.ask(reserve(**fields), run), Lease)
 
     def ready(self, run: str = "a", **fields: object) -> bytes:
         """The token of a lease whose slots are all prepared."""
@@ -115,6 +121,14 @@ class Server:
 
     def states(self) -> list[str]:
         return [slot.state.name for slot in self.slots.slots]
+
+
+def running_one() -> tuple[Server, bytes, int]:
+    """A server of one slot that runs batch 1 of a lease; the lease and the query."""
+    server = Server(1)
+    lease = server.ready()
+    (query,) = server.evaluate(lease, 1)
+    return server, lease, query
 
 
 def reserve(nonce: int = 1, epoch: int = 0, slots: int = 100, simulator: str = "minisim", memory_mb: int = 0) -> Reserve:
@@ -147,15 +161,13 @@ def code(answer: object) -> str:
 def test_an_offer_tells_what_is_free() -> None:
     server = Server()
     server.reserve(slots=1)
-    offer = server.asked(Requirements(), "b")
-    assert isinstance(offer, Offer)
+    offer = server.answer(server.ask(Requirements(), "b"), Offer)
     assert (offer.capacity, offer.free, offer.leases, offer.mismatch) == (2, 1, 1, "")
 
 
 def test_a_mismatch_is_told_in_the_offer_and_refused_in_the_reserve() -> None:
     server = Server(mismatch="another version")
-    offer = server.asked(Requirements())
-    assert isinstance(offer, Offer)
+    offer = server.answer(server.ask(Requirements()), Offer)
     assert offer.mismatch == "another version"
     assert code(server.asked(reserve())) == "mismatch"
     assert not server.slots.busy()
@@ -235,8 +247,7 @@ def test_a_slot_that_is_ready_at_once_is_told_and_takes_what_waits() -> None:
     renewal = server.ask(Renew(lease=second, known_ready=1), "b")
     server.ask(Release(lease=first), "a")
     assert server.commands == [run(0, second, 2)]
-    answer = server.answers[renewal]
-    assert isinstance(answer, Lease)
+    answer = server.answer(renewal, Lease)
     assert answer.ready == 2
 
 
@@ -296,9 +307,7 @@ def test_however_a_preparation_ends_after_the_release_the_slot_is_free(event: Ev
 
 
 def test_a_slot_released_while_it_computes_is_told_to_stop_and_killed_after_two_seconds() -> None:
-    server = Server(1)
-    lease = server.ready()
-    (query,) = server.evaluate(lease, 1)
+    server, lease, query = running_one()
     server.ask(Release(lease=lease))
     assert server.commands == [Stop(0)]
     assert code(server.answers[query]) == "lease-lost"
@@ -453,8 +462,7 @@ def test_a_renewal_is_answered_when_another_number_of_slots_is_ready() -> None:
     server.wait(5.0)
     assert query not in server.answers
     server.feed(Prepared(0, PROBE, 0.5))
-    answer = server.answers[query]
-    assert isinstance(answer, Lease)
+    answer = server.answer(query, Lease)
     assert (answer.state, answer.ready) == ("ready", 1)
 
 
@@ -462,8 +470,7 @@ def test_a_renewal_is_answered_when_a_slot_is_not_ready_any_more() -> None:
     server = Server(1)
     query = server.ask(Renew(lease=server.ready(), known_ready=1))
     server.feed(Died(0, 0, "killed"))
-    answer = server.answers[query]
-    assert isinstance(answer, Lease)
+    answer = server.answer(query, Lease)
     assert (answer.state, answer.ready) == ("preparing", 0)
 
 
@@ -551,9 +558,7 @@ def test_a_long_batch_is_answered_running_whether_it_runs_or_waits_and_can_be_as
 
 
 def test_the_outcome_of_a_batch_nobody_asks_for_is_kept() -> None:
-    server = Server(1)
-    lease = server.ready()
-    server.evaluate(lease, 1)
+    server, lease, _ = running_one()
     for trial in range(5):
         server.trials = [trial]
         server.wait(7.0)
@@ -562,9 +567,7 @@ def test_the_outcome_of_a_batch_nobody_asks_for_is_kept() -> None:
 
 
 def test_a_batch_that_is_not_kept_any_more_is_computed_again() -> None:
-    server = Server(1)
-    lease = server.ready()
-    server.evaluate(lease, 1)
+    server, lease, _ = running_one()
     server.finish(0, 1)
     server.slots.kept.drop(lease)
     server.evaluate(lease, 1)
@@ -631,9 +634,7 @@ def test_a_cancelled_batch_that_goes_on_is_killed_and_blamed_on_nobody() -> None
 
 
 def test_a_process_that_dies_with_a_cancelled_batch_is_no_fault() -> None:
-    server = Server(1)
-    lease = server.ready()
-    (query,) = server.evaluate(lease, 1)
+    server, lease, query = running_one()
     server.ask(Cancel(lease=lease, batches=[1]))
     assert server.feed(Died(0, 0, "crash")) == [Prepare(0, reserve(), probe=False)]
     assert code(server.answers[query]) == "cancelled"
@@ -665,21 +666,16 @@ def test_a_process_that_dies_blames_one_trial_and_is_prepared_anew() -> None:
 
 
 def test_a_trial_that_takes_too_long_is_killed_and_blamed() -> None:
-    server = Server(1)
-    lease = server.ready()
-    (query,) = server.evaluate(lease, 1)
+    server, lease, query = running_one()
     for server.trials[0] in range(2):
         assert server.wait(TIMEOUT_S) == []
     assert server.wait(0.5) == [Kill(0), Prepare(0, reserve(), probe=False)]
-    answer = server.answers[query]
-    assert isinstance(answer, Fault)
+    answer = server.answer(query, Fault)
     assert (answer.batch, answer.kind, answer.trial) == (1, "timeout", 1)
 
 
 def test_a_fault_of_a_batch_nobody_asks_for_is_kept() -> None:
-    server = Server(1)
-    lease = server.ready()
-    server.evaluate(lease, 1)
+    server, lease, _ = running_one()
     for server.trials[0] in range(4):
         server.wait(8.0)
     server.feed(Died(0, 3, "crash"))
@@ -712,8 +708,7 @@ def test_a_problem_that_cannot_be_prepared_fails_the_lease_and_frees_its_slots()
     queries = [*server.evaluate(lease, 1), server.ask(Renew(lease=lease, known_ready=0))]
     assert server.feed(Unprepared(0, "no such map")) == [Prepare(0, reserve(simulator="other"), probe=True)]
     assert code(server.answers[queries[0]]) == "mismatch"
-    renewed = server.answers[queries[1]]
-    assert isinstance(renewed, Lease)
+    renewed = server.answer(queries[1], Lease)
     assert (renewed.state, renewed.reason, renewed.slots) == ("failed", "no such map", 0)
     assert server.asked(evaluate(lease, 2)) == Refused(code="mismatch", reason="no such map")
     assert isinstance(server.asked(Renew(lease=lease, known_ready=0)), Lease), "a failed lease holds no renewal"
@@ -792,9 +787,7 @@ def some(first: int, end: int) -> Outcomes:
 
 
 def test_a_trial_that_takes_all_memory_is_blamed() -> None:
-    server = Server(1)
-    lease = server.ready()
-    (query,) = server.evaluate(lease, 1)
+    server, lease, query = running_one()
     assert server.feed(Died(0, 4, "more than 512 MB", "memory")) == [Prepare(0, reserve(), probe=False)]
     assert server.answers[query] == Fault(batch=1, kind="memory", trial=4, reason="more than 512 MB")
 
@@ -806,8 +799,7 @@ def test_a_worn_process_is_replaced_before_the_next_batch_and_nobody_is_blamed()
     renewal = server.ask(Renew(lease=lease, known_ready=1))
     assert server.feed(Finished(0, codec.encode(outcomes(1)), worn=True)) == [Kill(0), Prepare(0, reserve(), probe=False)]
     assert server.answers[queries[0]] == outcomes(1)
-    answer = server.answers[renewal]
-    assert isinstance(answer, Lease)
+    answer = server.answer(renewal, Lease)
     assert answer.ready == 0
     assert server.feed(Prepared(0, b"", 0.0)) == [run(0, lease, 2)]
 
@@ -861,14 +853,11 @@ def test_another_slot_that_is_ready_goes_on_with_it() -> None:
 
 
 def test_the_trials_before_are_counted_when_the_rest_of_a_batch_ends_in_a_fault_or_is_refused() -> None:
-    server = Server(1)
-    lease = server.ready()
-    (query,) = server.evaluate(lease, 1)
+    server, lease, query = running_one()
     server.feed(Exhausted(0, some(0, 2), 2, alone=2))
     server.feed(Prepared(0, b"", 0.0))
     server.feed(Died(0, 2, "more than 512 MB", "memory"))
-    answer = server.answers[query]
-    assert isinstance(answer, Fault)
+    answer = server.answer(query, Fault)
     assert answer.trial == 2
     (query,) = server.evaluate(lease, 2)
     server.feed(Prepared(0, b"", 0.0))
@@ -881,9 +870,7 @@ def test_the_trials_before_are_counted_when_the_rest_of_a_batch_ends_in_a_fault_
 
 @pytest.mark.parametrize(("end", "why"), [("cancel", "cancelled"), ("release", "lease-lost"), ("drain", "draining")])
 def test_a_batch_that_ended_meanwhile_does_not_go_on(end: str, why: str) -> None:
-    server = Server(1)
-    lease = server.ready()
-    (query,) = server.evaluate(lease, 1)
+    server, lease, query = running_one()
     match end:
         case "cancel":
             server.ask(Cancel(lease=lease, batches=[1]))
@@ -900,9 +887,7 @@ def test_a_batch_that_ended_meanwhile_does_not_go_on(end: str, why: str) -> None
 
 
 def test_a_batch_that_goes_on_is_held_like_one_that_waits() -> None:
-    server = Server(1)
-    lease = server.ready()
-    (query,) = server.evaluate(lease, 1)
+    server, lease, query = running_one()
     server.feed(Exhausted(0, some(0, 2), 2, alone=-1))
     server.wait(30.0)
     assert query not in server.answers
@@ -939,8 +924,7 @@ def test_draining_finishes_what_runs_and_answers_all_that_is_asked() -> None:
     assert code(server.answers[waiting]) == "draining"
     assert code(server.asked(evaluate(lease, 3))) == "draining"
     assert code(server.asked(reserve(), "b")) == "draining"
-    offer = server.asked(Requirements(), "b")
-    assert isinstance(offer, Offer)
+    offer = server.answer(server.ask(Requirements(), "b"), Offer)
     assert offer.mismatch == "draining"
     assert not {running, renewal} & set(server.answers)
     assert server.finish(0, 1) == [Drained()]
@@ -951,9 +935,7 @@ def test_draining_finishes_what_runs_and_answers_all_that_is_asked() -> None:
 
 
 def test_a_running_batch_can_be_asked_again_while_the_server_drains() -> None:
-    server = Server(1)
-    lease = server.ready()
-    server.evaluate(lease, 1)
+    server, lease, _ = running_one()
     server.feed(Drain())
     (query,) = server.evaluate(lease, 1)
     server.finish(0, 1)
@@ -981,9 +963,7 @@ def test_slots_that_get_free_while_the_server_drains_go_to_nobody() -> None:
 
 def test_a_server_that_stood_still_blames_no_trial() -> None:
     """A laptop that slept, a stopped process: its workers stood still as well, and get their time."""
-    server = Server(1)
-    lease = server.ready()
-    server.evaluate(lease, 1)
+    server, lease, _ = running_one()
     server.wait(TIMEOUT_S - 1.0)
     server.now += 50.0
     server.ask(Renew(lease=lease, known_ready=0))
