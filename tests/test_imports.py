@@ -22,27 +22,6 @@ MODULES = {
     if path.stem != "__init__" and "examples" not in path.parts
 }
 LEAVES = {"draws", "endpoint", "errors", "files", "jit", "log", "notify", "plugins", "portable", "strict", "version_hash"}
-MAY_IMPORT``.
-"""
-
-import ast
-import subprocess
-import sys
-from collections.abc import Iterator
-from pathlib import Path
-
-import pytest
-
-import zswarm
-
-PACKAGE = Path(zswarm.__file__).parent
-MODULES = {
-    ".".join(path.relative_to(PACKAGE).with_suffix("").parts): path
-    for path in sorted(PACKAGE.rglob("*.py"))
-    if path.stem != "__init__" and "examples" not in path.parts
-}
-LEAVES = {"draws", "endpoint", "errors", "files", "jit", "log", "plugins", "portable", "strict", "version_hash"}
-LEAVES = {"draws", "endpoint", "errors", "jit", "log", "notify", "plugins", "portable", "strict", "version_hash"}
 MAY_IMPORT = {
     "leaf": {"leaf"},
     "protocol": {"errors", "protocol"},
@@ -50,16 +29,16 @@ MAY_IMPORT = {
     "sims": {"leaf", "sims"},
     "evaluate": {"leaf", "protocol", "nets", "sims"},
     "experiment": {"leaf", "protocol"},
-    "session": {"leaf"},
-    "router": {"leaf", "session"},
+    "session": {"leaf", "protocol", "security"},
+    "router": {"leaf", "session", "security"},
     "security": {"leaf", "protocol", "security"},
     "ot.optimizers": {"leaf", "nets", "ot.optimizers"},
-    "ot": {"leaf", "protocol", "nets", "sims", "evaluate", "experiment", "session", "ot", "ot.optimizers"},
-    "ss": {"leaf", "protocol", "evaluate", "session", "ss"},
+    "ot": {"leaf", "protocol", "nets", "sims", "evaluate", "experiment", "session", "security", "ot", "ot.optimizers"},
+    "ss": {"leaf", "protocol", "evaluate", "session", "security", "ss"},
     "testing": {"leaf", "nets", "sims", "evaluate", "ot.optimizers"},
 }
 ONLY_IN = {
-    "zenoh": {"session", "ot.cluster", "ot.discovery", "ss.server"},  # docs/architecture.md says why
+    "zenoh": {"session", "ot.cluster", "ot.discovery", "ss.presence"},  # docs/architecture.md says why
     "numba": {"jit"},
     "cryptography": {"security.authority", "security.certificates", "security.bundle", "security.install"},
     "prometheus_client": {"ss.metrics"},

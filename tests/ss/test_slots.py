@@ -666,7 +666,7 @@ def test_a_process_that_dies_blames_one_trial_and_is_prepared_anew() -> None:
 
 
 def test_a_trial_that_takes_too_long_is_killed_and_blamed() -> None:
-    server, lease, query = running_one()
+    server, _lease, query = running_one()
     for server.trials[0] in range(2):
         assert server.wait(TIMEOUT_S) == []
     assert server.wait(0.5) == [Kill(0), Prepare(0, reserve(), probe=False)]
@@ -787,7 +787,7 @@ def some(first: int, end: int) -> Outcomes:
 
 
 def test_a_trial_that_takes_all_memory_is_blamed() -> None:
-    server, lease, query = running_one()
+    server, _lease, query = running_one()
     assert server.feed(Died(0, 4, "more than 512 MB", "memory")) == [Prepare(0, reserve(), probe=False)]
     assert server.answers[query] == Fault(batch=1, kind="memory", trial=4, reason="more than 512 MB")
 
