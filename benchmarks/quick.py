@@ -76,6 +76,7 @@ def cluster(slots: int, sleep_s: float) -> Iterator[object]:
     from zswarm.ot.local import LocalServer
     from zswarm.ot.requests import Wanted, Who
     from zswarm.protocol.messages import Part
+    from zswarm.session import Reach
     from zswarm.version_hash import version_hash
 
     wanted = Wanted(
@@ -86,7 +87,7 @@ def cluster(slots: int, sleep_s: float) -> Iterator[object]:
     who = Who("default", "bench", f"bench-{secrets.token_hex(4)}", 0, secrets.token_bytes(16))
     with (
         LocalServer(slots, "default") as local,
-        Cluster(who, wanted, connect=[local.endpoint], multicast=False) as opened,
+        Cluster(who, wanted, reach=Reach([local.endpoint], multicast=False)) as opened,
     ):
         for _ in opened.wait(1, 60.0):
             pass

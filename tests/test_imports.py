@@ -38,7 +38,7 @@ MAY_IMPORT = {
     "testing": {"leaf", "nets", "sims", "evaluate", "ot.optimizers"},
 }
 ONLY_IN = {
-    "zenoh": {"session", "ot.cluster", "ot.discovery", "ss.presence"},  # docs/architecture.md says why
+    "zenoh": {"session", "ot.cluster", "ot.discovery", "ss.presence", "security.refusals"},  # docs/architecture.md says why
     "numba": {"jit"},
     "cryptography": {"security.authority", "security.certificates", "security.bundle", "security.install"},
     "prometheus_client": {"ss.metrics"},

@@ -10,8 +10,12 @@ import zenoh
 
 from zswarm import endpoint, session
 from zswarm.errors import ConfigError, NoRouter
+from zswarm.session import Reach
 
 ALIVE = "zswarm/v1/default/ss/somebody-01234567/alive"
+
+
+OFF = Reach(multicast=False)
 
 
 @pytest.fixture
@@ -48,30 +52,30 @@ def sees(one: zenoh.Session) -> bool:
 @pytest.mark.parametrize("protocol", ["tcp", "udp", "ws"])
 def test_a_server_listens_where_it_is_told(opened: Callable[..., zenoh.Session], protocol: str) -> None:
     place = free(protocol)
-    listening, endpoints = session.open_server([place], [], multicast=False)
+    listening, endpoints = session.open_server([place], OFF)
     opened(listening)
     assert endpoints == [place]
     _token = listening.liveliness().declare_token(ALIVE)
-    assert sees(opened(session.open_optimizer([place], multicast=False)))
+    assert sees(opened(session.open_optimizer(Reach([place], multicast=False))))
 
 
 def test_a_socket_file_is_a_place_to_listen(opened: Callable[..., zenoh.Session], tmp_path: Path) -> None:
     place = f"{endpoint.SOCKET_FILE}/{tmp_path / 'socket'}"
-    server = opened(session.open_server([place], [], multicast=False)[0])
+    server = opened(session.open_server([place], OFF)[0])
     _token = server.liveliness().declare_token(ALIVE)
-    assert sees(opened(session.open_optimizer([place], multicast=False)))
+    assert sees(opened(session.open_optimizer(Reach([place], multicast=False))))
 
 
 @pytest.mark.parametrize(
     ("open_", "words"),
     [
-        (lambda: session.open_server(["nonsense"], [], multicast=False), "listen: expected endpoints"),
-        (lambda: session.open_server(["tcp/127.0.0.1:0"], ["nonsense"], multicast=False), "connect: expected endpoints"),
-        (lambda: session.open_optimizer(["nonsense"], multicast=False), "connect: expected endpoints"),
-        (lambda: session.open_through_router(["nonsense"], multicast=False), "connect: expected endpoints"),
-        (lambda: session.open_router(["nonsense"], multicast=False), "listen: expected endpoints"),
-        (lambda: session.open_router(["tls/127.0.0.1:17620"], multicast=False), "Missing TLS private key"),
-        (lambda: session.open_router(["tcp/192.0.2.1:17621"], multicast=False), "Cannot assign requested address"),
+        (lambda: session.open_server(["nonsense"], OFF), "listen: expected endpoints"),
+        (lambda: session.open_server(["tcp/127.0.0.1:0"], Reach(["nonsense"], multicast=False)), "connect: expected endpoints"),
+        (lambda: session.open_optimizer(Reach(["nonsense"], multicast=False)), "connect: expected endpoints"),
+        (lambda: session.open_through_router(Reach(["nonsense"], multicast=False)), "connect: expected endpoints"),
+        (lambda: session.open_router(["nonsense"], OFF)[0], "listen: expected endpoints"),
+        (lambda: session.open_router(["tls/127.0.0.1:17620"], OFF)[0], "tls needs keys"),
+        (lambda: session.open_router(["tcp/192.0.2.1:17621"], OFF)[0], "Cannot assign requested address"),
     ],
 )
 def test_an_endpoint_that_cannot_be_used_is_refused_in_one_line(open_: Callable[[], object], words: str) -> None:
@@ -82,27 +86,27 @@ def test_an_endpoint_that_cannot_be_used_is_refused_in_one_line(open_: Callable[
 
 
 def test_a_taken_port_is_refused_or_passed_over(opened: Callable[..., zenoh.Session]) -> None:
-    first = session.open_server([], [], multicast=False)
+    first = session.open_server([], OFF)
     opened(first[0])
-    second = session.open_server([], [], multicast=False)
+    second = session.open_server([], OFF)
     opened(second[0])
     assert first[1] != second[1]
     with pytest.raises(ConfigError, match="the port is in use"):
-        session.open_server(first[1], [], multicast=False)
+        session.open_server(first[1], OFF)
 
 
 def test_a_session_through_a_router_that_is_not_there_fails_in_time() -> None:
     place = free()
     with pytest.raises(NoRouter, match=f"no router answers at {place}"):
-        session.open_through_router([place], multicast=False, timeout_s=0.3)
+        session.open_through_router(Reach([place], multicast=False), timeout_s=0.3)
 
 
 def test_a_router_carries_what_is_between_two_sessions(opened: Callable[..., zenoh.Session]) -> None:
     place = free()
-    opened(session.open_router([place], multicast=False))
-    server = opened(session.open_server([free()], [place], multicast=False)[0])
+    opened(session.open_router([place], OFF)[0])
+    server = opened(session.open_server([free()], Reach([place], multicast=False))[0])
     _token = server.liveliness().declare_token(ALIVE)
-    client = opened(session.open_through_router([place], multicast=False))
+    client = opened(session.open_through_router(Reach([place], multicast=False)))
     assert sees(client)
     assert list(client.info.peers_zid()) == [], "nothing goes direct"
     assert [str(link.dst) for link in client.info.links()] == [place]

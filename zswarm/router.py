@@ -2,7 +2,7 @@
 
 import signal
 import sys
-import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,9 @@ import structlog
 import zswarm
 from zswarm import log, notify, session
 from zswarm.errors import ConfigError
-from zswarm.strict import convert
+from zswarm.security import keyring, refusals
+from zswarm.session import Reach
+from zswarm.strict import overridden
 
 EXIT_MISTAKE, EXIT_DAMAGED_CONFIG = 2, 78
 
@@ -21,8 +23,9 @@ EXIT_MISTAKE, EXIT_DAMAGED_CONFIG = 2, 78
 class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What a router is told at its start: command line or ``--config`` file."""
 
-    listen: list[str] = []  # empty: session.ROUTER
+    listen: list[str] = []  # empty: port 7466 of all addresses
     multicast: bool = True
+    require_keys: bool = False  # do not start in the clear
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
@@ -30,9 +33,10 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     "--listen",
     multiple=True,
     metavar="EP",
-    help=f"Endpoint such as tcp/192.168.1.5:7466; may be repeated.  [default: {session.ROUTER}]",
+    help=f"Endpoint such as tcp/192.168.1.5:7466; may be repeated.  [default: tcp/{session.ROUTER}]",
 )
 @click.option("--multicast/--no-multicast", default=None, help="Be found by multicast.  [default: multicast]")
+@click.option("--require-keys/--no-require-keys", default=None, help="Do not start in the clear.  [default: no-require-keys]")
 @click.option(
     "--config",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
@@ -54,42 +58,73 @@ def command(config: Path | None, log_level: str, **given: Any) -> None:
     router, and runs go on when it ends. SIGTERM or Ctrl-C ends it.
     """  # noqa: D301  click's mark for text that is not to be wrapped
     log.set_up(log_level)
+    told = {key: list(value) if isinstance(value, tuple) else value for key, value in given.items() if value not in (None, ())}
     try:
-        mapping: dict[str, Any] = tomllib.loads(config.read_text(encoding="utf-8")) if config else {}
-        convert(mapping, Options, str(config))  # what is wrong in the file is wrong even where the command line overrides it
-        mapping |= {
-            key: list(value) if isinstance(value, tuple) else value for key, value in given.items() if value not in (None, ())
-        }
-        code = serve(convert(mapping, Options, str(config or "zswarm-router")))
-    except (ConfigError, OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        where = f"{config}: " if config and not isinstance(error, ConfigError) else ""
-        click.echo(f"zswarm-router: {where}{error}", err=True)
+        code = serve(lambda: overridden(config, told, Options, "zswarm-router"))
+    except ConfigError as error:
+        click.echo(f"zswarm-router: {error}", err=True)
         sys.exit(EXIT_DAMAGED_CONFIG if config else EXIT_MISTAKE)
     sys.exit(code)
 
 
-def serve(options: Options) -> int:
-    """Route until SIGTERM or SIGINT; the program's exit code.
+def serve(read_options: Callable[[], Options]) -> int:
+    """Route until SIGTERM or SIGINT; SIGHUP reads keys and settings again. The program's exit code.
 
     Raises:
-        ConfigError: an endpoint cannot be listened on, or is none.
+        ConfigError: an endpoint cannot be listened on, or is none; the keys cannot be used, or are required and missing.
     """
     logger = structlog.get_logger()
     told = notify.Notify()
-    listen = options.listen or [session.ROUTER]
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM, signal.SIGINT})  # before zenoh's threads, which inherit it
-    if options.multicast and (fault := session.multicast_fault()):
-        logger.warning("multicast_unavailable", reason=fault)
-    opened = session.open_router(listen, multicast=options.multicast)
-    try:
-        logger.info("router_ready", listen=listen, multicast=options.multicast, program=zswarm.__version__)
+    signals = {signal.SIGTERM, signal.SIGINT, signal.SIGHUP}
+    signal.pthread_sigmask(signal.SIG_BLOCK, signals)  # before zenoh's threads, which inherit it
+    refusals.watch_links()
+    options = read_options()
+    opened, listen, reach = _open(options)
+    logger.info(
+        "router_ready", listen=listen, keys=session.keys_in_words(reach), multicast=options.multicast, program=zswarm.__version__
+    )
+    told.ready()
+    while (number := signal.sigwait(signals)) == signal.SIGHUP:
+        told.reloading()
+        try:
+            changed = read_options()
+            _reach(changed)
+        except ConfigError as error:
+            logger.error("reload_refused", reason=str(error))
+        else:
+            session.close(opened)
+            try:
+                opened, listen, reach = _open(changed)
+                options = changed
+                logger.info("reloaded", listen=listen, keys=session.keys_in_words(reach))
+            except ConfigError as error:
+                logger.error("reload_refused", reason=str(error))
+                opened, listen, reach = _open(options)
         told.ready()
-        number = signal.sigwait({signal.SIGTERM, signal.SIGINT})
-        told.stopping()
-    finally:
-        session.close(opened)
+    told.stopping()
+    session.close(opened)
     logger.info("router_stopped")
     return 128 + number
+
+
+def _reach(options: Options) -> Reach:
+    ring = keyring.installed("router")
+    if ring is None and options.require_keys:
+        raise ConfigError("require_keys is set, and no keys are installed: zswarm-keys join BUNDLE")
+    return Reach(multicast=options.multicast, keyring=ring)
+
+
+def _open(options: Options) -> tuple[session.Session, list[str], Reach]:
+    logger = structlog.get_logger()
+    reach = _reach(options)
+    if reach.keyring is None:
+        logger.warning("in_the_clear", reason="whoever reaches the port can use this router; zswarm-keys lets in members only")
+    if reach.multicast and (fault := session.multicast_fault()):
+        logger.warning("multicast_unavailable", reason=fault)
+    opened, listen = session.open_router(options.listen, reach)
+    if reach.keyring is not None:
+        refusals.watch_members(opened, reach.keyring)
+    return opened, listen, reach
 
 
 def main() -> None:

@@ -14,17 +14,19 @@ import struct
 import sys
 import threading
 from collections.abc import Callable, Sequence
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import zenoh
 
 from zswarm import endpoint
 from zswarm.errors import ConfigError, NoRouter
+from zswarm.security import access
+from zswarm.security.keyring import Keyring
 
 SCOUTING_GROUP = "224.0.0.225:7467"  # our own: on zenoh's default group every ROS 2 robot of the lab would join in
 PORT = 7467
 PORTS = 100  # tried from PORT on when none is given
-ROUTER = "tcp/0.0.0.0:7466"  # where a router listens by default
+ROUTER = "0.0.0.0:7466"  # where a router listens by default
 LINK_TIMEOUT_S = 8
 WAIT_BEFORE_CLOSE_S = 60  # zenoh closes a link on which one message takes longer; its default of 5 s ends slow links
 SENDING_THREADS = 64  # of zenoh: a link that ends while a message hangs in it takes one until that is given up
@@ -34,55 +36,75 @@ SIOCGIFFLAGS, SIOCGIFADDR = 0x8913, 0x8915  # Linux: of an interface by its name
 IFF_UP, IFF_LOOPBACK, IFF_RUNNING, IFF_MULTICAST = 0x1, 0x8, 0x40, 0x1000
 
 Mode = Literal["peer", "client", "router"]
+Session = zenoh.Session
 
 
-def open_server(listen: Sequence[str], connect: Sequence[str], *, multicast: bool) -> tuple[zenoh.Session, list[str]]:
+class Reach(NamedTuple):
+    """How a program reaches others, and who may reach it."""
+
+    connect: Sequence[str] = ()  # endpoints to dial
+    multicast: bool = True
+    through_router: bool = False  # a router carries everything, one of ``connect`` or one that multicast finds
+    keyring: Keyring | None = None  # None: in the clear
+
+
+def keys_in_words(reach: Reach) -> str:
+    """Which keys are used, for a log."""
+    return f"{reach.keyring.authority} until {reach.keyring.not_after:%Y-%m-%d}" if reach.keyring else "none"
+
+
+def open_server(listen: Sequence[str], reach: Reach) -> tuple[zenoh.Session, list[str]]:
     """A session that listens, and the endpoints it listens on; without ``listen`` the first free port from 7467 on.
 
     Raises:
-        ConfigError: an endpoint cannot be listened on, or is none.
+        ConfigError: an endpoint cannot be listened on, is none, or does not go with the keys.
     """
     if listen:
-        return _open("peer", listen, connect, multicast=multicast), list(listen)
+        return _open("peer", listen, reach), list(listen)
     for port in range(PORT, PORT + PORTS):
-        listen = [f"tcp/0.0.0.0:{port}"]
+        listen = [f"{_protocol(reach)}/0.0.0.0:{port}"]
         try:
-            return _open("peer", listen, connect, multicast=multicast), listen
+            return _open("peer", listen, reach), listen
         except ConfigError as error:
             last = error
     raise last
 
 
-def open_optimizer(connect: Sequence[str], *, multicast: bool) -> zenoh.Session:
+def open_optimizer(reach: Reach) -> zenoh.Session:
     """A session that dials the servers it finds, and the given endpoints for as long as it lives.
 
     Raises:
-        ConfigError: an endpoint is none.
+        ConfigError: an endpoint is none, or does not go with the keys.
     """
-    return _open("peer", [], connect, multicast=multicast, dial=True)
+    return _open("peer", [], reach, dial=True)
 
 
-def open_through_router(connect: Sequence[str], *, multicast: bool, timeout_s: float = 2.0) -> zenoh.Session:
+def open_through_router(reach: Reach, timeout_s: float = 2.0) -> zenoh.Session:
     """A session with one link, to a router that carries everything; it looks for one again whenever it lost it.
 
     Args:
-        connect: routers, of which the first that answers is taken; empty: multicast finds one.
+        reach: of its endpoints the first that answers is taken; without any, multicast finds one.
         timeout_s: opening waits as long for a router.
 
     Raises:
-        ConfigError: an endpoint is none.
+        ConfigError: an endpoint is none, or does not go with the keys.
         NoRouter: none answered in time.
     """
-    return _open("client", [], connect, multicast=multicast, timeout_ms=int(timeout_s * 1000))
+    return _open("client", [], reach, timeout_ms=int(timeout_s * 1000))
 
 
-def open_router(listen: Sequence[str], *, multicast: bool) -> zenoh.Session:
-    """A session that introduces those who dial it to each other, and carries what clients send.
+def open_router(listen: Sequence[str], reach: Reach) -> tuple[zenoh.Session, list[str]]:
+    """A session that introduces those who dial it to each other and carries what clients send, and where it listens.
 
     Raises:
-        ConfigError: an endpoint cannot be listened on, or is none.
+        ConfigError: an endpoint cannot be listened on, is none, or does not go with the keys.
     """
-    return _open("router", listen, [], multicast=multicast)
+    listen = list(listen) or [f"{_protocol(reach)}/{ROUTER}"]
+    return _open("router", listen, reach), listen
+
+
+def _protocol(reach: Reach) -> str:
+    return "tcp" if reach.keyring is None else "tls"
 
 
 def multicast_fault() -> str:
@@ -119,36 +141,45 @@ def _scouts(probe: socket.socket, interface: str) -> bool:
     return bool(flags & IFF_UP and flags & IFF_RUNNING and flags & IFF_MULTICAST and not flags & IFF_LOOPBACK)
 
 
-def _open(
-    mode: Mode, listen: Sequence[str], connect: Sequence[str], *, multicast: bool, dial: bool = False, timeout_ms: int = -1
-) -> zenoh.Session:
-    endpoint.check(listen, "listen")
-    endpoint.check(connect, "connect")
+def _open(mode: Mode, listen: Sequence[str], reach: Reach, *, dial: bool = False, timeout_ms: int = -1) -> zenoh.Session:
+    for where, endpoints in (("listen", listen), ("connect", reach.connect)):
+        endpoint.check(endpoints, where)
+        _check_keys(endpoints, where, reach.keyring)
     _raise_file_limit()
     os.environ.setdefault("ZENOH_RUNTIME", f"(tx: (worker_threads: {SENDING_THREADS}))")  # read when the first session opens
-    config = _config(mode, listen, connect, multicast=multicast, dial=dial, timeout_ms=timeout_ms)
+    config = _config(mode, listen, reach, dial=dial, timeout_ms=timeout_ms)
     try:
         return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
     except zenoh.ZError as error:
         if mode == "client":
-            raise NoRouter(f"no router answers at {', '.join(connect) or 'any address that multicast finds'}") from None
+            raise NoRouter(f"no router answers at {', '.join(reach.connect) or 'any address that multicast finds'}") from None
         text = str(error).split(" at /")[0]  # what follows are places in zenoh's own source
         if "in use" in text:
             raise ConfigError(f"{', '.join(listen)}: the port is in use; give another with --listen") from None
-        where = ", ".join([*listen, *connect])
+        where = ", ".join([*listen, *reach.connect])
         raise ConfigError(f"cannot open a session on {where or 'this machine'}: {text[:200]}") from None
 
 
-def _config(
-    mode: Mode, listen: Sequence[str], connect: Sequence[str], *, multicast: bool, dial: bool, timeout_ms: int
-) -> dict[str, Any]:
+def _check_keys(endpoints: Sequence[str], where: str, keyring: Keyring | None) -> None:
+    for text in endpoints:
+        protocol = endpoint.parse(text).protocol
+        if keyring is not None and protocol != "tls":
+            raise ConfigError(
+                f"{where}: {text}: the keys in {keyring.folder} are used, so an endpoint must begin with tls/"
+                " (ZSWARM_KEYS=none goes without keys)"
+            )
+        if keyring is None and protocol in ("tls", "quic"):
+            raise ConfigError(f"{where}: {text}: {protocol} needs keys, and none are installed: zswarm-keys join BUNDLE")
+
+
+def _config(mode: Mode, listen: Sequence[str], reach: Reach, *, dial: bool, timeout_ms: int) -> dict[str, Any]:
     """The whole configuration; ``dial``: dial servers and routers that are found."""
     found = ["router"] if mode == "client" else ["peer", "router"] if dial else []
     return {
         "mode": mode,
         "listen": {"endpoints": {mode: list(listen)}},
         "connect": {
-            "endpoints": {mode: list(connect)},
+            "endpoints": {mode: list(reach.connect)},
             "timeout_ms": {mode: timeout_ms},  # -1: keep trying in the background; a client would wait in open for ever
             "exit_on_failure": {mode: False},
             "retry": {"period_init_ms": 20, "period_max_ms": 2000, "period_increase_factor": 1.5},
@@ -156,7 +187,7 @@ def _config(
         "scouting": {
             "delay": 500,
             **({"timeout": timeout_ms} if timeout_ms > 0 else {}),
-            "multicast": {"enabled": multicast, "address": SCOUTING_GROUP, "autoconnect": {mode: found}},
+            "multicast": {"enabled": reach.multicast, "address": SCOUTING_GROUP, "autoconnect": {mode: found}},
             "gossip": {"enabled": True, "multihop": False, "target": {"peer": ["router"]}, "autoconnect": {mode: found}},
         },
         "open": {"return_conditions": {"connect_scouted": False}},
@@ -171,9 +202,32 @@ def _config(
                     "queue": {"congestion_control": {"block": {"wait_before_close": WAIT_BEFORE_CLOSE_S * 1_000_000}}},
                 },
                 "rx": {"max_message_size": 64 << 20},
+                **({} if reach.keyring is None else {"protocols": ["tls"], "tls": _tls(reach.keyring)}),
             },
         },
+        **({} if reach.keyring is None else {"access_control": access.rules(reach.keyring.role, reach.keyring.members)}),
         "adminspace": {"enabled": False},
+    }
+
+
+def _tls(keyring: Keyring) -> dict[str, Any]:
+    """Both sides show a certificate of the lab's authority; who it names decides what it may do (``security/access.py``).
+
+    Names and addresses are not compared: multicast finds servers by addresses that change, and all the lab's servers may
+    do the same.
+    """
+    from zswarm.security.certificates import AUTHORITY, CERTIFICATE, KEY  # whoever has keys has the package for them
+
+    certificate, key = str(keyring.folder / CERTIFICATE), str(keyring.folder / KEY)
+    return {
+        "root_ca_certificate": str(keyring.folder / AUTHORITY),
+        "enable_mtls": True,
+        "verify_name_on_connect": False,
+        "close_link_on_expiration": True,
+        "listen_certificate": certificate,
+        "listen_private_key": key,
+        "connect_certificate": certificate,
+        "connect_private_key": key,
     }
 
 

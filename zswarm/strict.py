@@ -45,6 +45,17 @@ def parse(text: str) -> dict[str, Any]:
         raise ValueError("nested too deep") from None
 
 
+def overridden(path: Path | None, given: Mapping[str, Any], kind: type[T], program: str) -> T:
+    """A program's options: those of a TOML file, where the command line does not say otherwise.
+
+    Raises:
+        ConfigError: the file cannot be read, or something is wrong in it or on the command line.
+    """
+    mapping: dict[str, Any] = read(path) if path else {}
+    convert(mapping, kind, str(path))  # what is wrong in the file is wrong even where the command line overrides it
+    return convert({**mapping, **given}, kind, str(path or program))
+
+
 def convert(mapping: Mapping[str, Any], struct: type[T], where: str) -> T:
     """A struct from a mapping: unknown keys are refused with the nearest known one, nested structs included.
 

@@ -53,7 +53,7 @@ class Server:
             simulators=["pretended"], representations=["none"],
         )  # fmt: skip
         self.slots = slots.Slots(CAPACITY, offer, lambda _: "", lambda: secrets.token_bytes(16))
-        self.session, _ = session.open_server([endpoint], [], multicast=False)
+        self.session, _ = session.open_server([endpoint], session.Reach([], multicast=False))
         on_query = zenoh.handlers.Callback(lambda query: farm.put(self, query), indirect=False)
         self.session.declare_queryable(keys.offer(REALM, self.id), on_query)
         self.session.declare_queryable(keys.requests(REALM, self.id), on_query)

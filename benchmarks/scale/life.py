@@ -19,6 +19,7 @@ from zswarm.ot.dispatch import Counted, Note
 from zswarm.ot.requests import Wanted, Who
 from zswarm.ot.workload import Workload
 from zswarm.protocol import messages
+from zswarm.session import Reach
 
 DEADLINE_S = 120.0
 SETTLE_S = 20.0  # without another server or slot, before the optimizer goes on with those it has
@@ -74,7 +75,7 @@ def optimizer(pipe: Connection, endpoints: list[str], times: Times, generations:
     notes: Counter[str] = Counter()
     ran = []
     base_mb, base_s, begin = usage(os.getpid()).rss_mb, time.process_time(), time.monotonic()
-    with Cluster(who, wanted, connect=endpoints, multicast=False) as cluster:
+    with Cluster(who, wanted, reach=Reach(endpoints, multicast=False)) as cluster:
         leased = ready = time.monotonic()
         state = (0, 0)
         while state != (len(endpoints), count) and time.monotonic() < min(ready + SETTLE_S, begin + DEADLINE_S):

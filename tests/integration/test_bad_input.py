@@ -146,7 +146,7 @@ def test_servers_that_do_not_match_are_named_with_the_reason(tmp_path: Path) -> 
 
 def test_a_server_of_another_protocol_version_is_named(tmp_path: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    opened, _ = session.open_server([endpoint], [], multicast=False)
+    opened, _ = session.open_server([endpoint], session.Reach([], multicast=False))
     try:
         _token = opened.liveliness().declare_token("zswarm/v9/default/ss/future-0123abcd/alive")
         optimizer = Optimizer(tmp_path, "ot", ["run", "--servers", "1", "--no-multicast", "--connect", endpoint])
@@ -281,7 +281,7 @@ def test_random_bytes_to_every_key_leave_the_daemon_serving(tmp_path: Path) -> N
         *(f"ot/someone/some-run/{verb}" for verb in ("reserve", "renew", "evaluate", "cancel", "release", "x", "reserve/y")),
     ]
     answers = 0
-    opened = session.open_optimizer([server.endpoint], multicast=False)
+    opened = session.open_optimizer(session.Reach([server.endpoint], multicast=False))
     try:
         wait_until(lambda: list(opened.info.peers_zid()), "the session is connected")
         tokens = [

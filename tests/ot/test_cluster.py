@@ -14,6 +14,7 @@ from zswarm.ot.cluster import Cluster
 from zswarm.ot.requests import Wanted, Who
 from zswarm.protocol import codec, keys
 from zswarm.protocol.messages import Offer, Part
+from zswarm.session import Reach
 
 WANTED = Wanted(
     Part("none", {}), Part("none", {}), "", 1, 0, 60.0, trial_memory_mb=0, slots=1, quarantine=False, verify=0.0, probe=b""
@@ -41,8 +42,8 @@ def sending_to(server: str) -> bool:
 def test_the_sender_to_a_server_ends_with_it() -> None:
     """A server that starts anew is another one: without this, a long run would gather threads."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    listening, _ = session.open_server([endpoint], [], multicast=False)
-    with Cluster(WHO, WANTED, connect=[endpoint], multicast=False):
+    listening, _ = session.open_server([endpoint], Reach([], multicast=False))
+    with Cluster(WHO, WANTED, reach=Reach([endpoint], multicast=False)):
         token = listening.liveliness().declare_token(keys.alive("default", "lab-1"))
         wait_until(lambda: sending_to("lab-1"), "a server is asked")
         token.undeclare()
@@ -54,7 +55,7 @@ def test_an_answer_counts_when_it_comes_not_when_the_query_ends(monkeypatch: pyt
     """Zenoh asks links too whose declarations it does not know yet; one that is stuck must not hold up the answers of others."""
     monkeypatch.setitem(cluster.QUERY_S, "offer", 3600.0)
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    listening, _ = session.open_server([endpoint], [], multicast=False)
+    listening, _ = session.open_server([endpoint], Reach([], multicast=False))
     offer = Offer(
         server="lab-1", program="", machine="", capacity=1, free=1, leases=0, simulators=["none"], representations=["none"]
     )
@@ -69,7 +70,7 @@ def test_an_answer_counts_when_it_comes_not_when_the_query_ends(monkeypatch: pyt
     listening.declare_queryable(keys.offer("default", "lab-1"), callback)
     listening.declare_queryable(keys.requests("default", "lab-1"), callback)
     token = listening.liveliness().declare_token(keys.alive("default", "lab-1"))
-    with Cluster(WHO, WANTED, connect=[endpoint], multicast=False):
+    with Cluster(WHO, WANTED, reach=Reach([endpoint], multicast=False)):
         wait_until(lambda: any(str(query.key_expr).endswith("/reserve") for query in asked), "the server is reserved")
         for query in asked:
             query.drop()

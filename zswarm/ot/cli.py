@@ -19,6 +19,7 @@ from zswarm.experiment import Experiment
 if TYPE_CHECKING:
     from zswarm.ot.local import LocalServer
     from zswarm.ot.record import Record
+    from zswarm.session import Reach
 
 DEFAULT_EXAMPLE = "emergency-exit"
 EXIT_FAILED, EXIT_MISTAKE, EXIT_NO_SERVERS, EXIT_INTERRUPTED, EXIT_TERMINATED = 1, 2, 4, 130, 143
@@ -91,8 +92,9 @@ def run(name: str, overrides: tuple[str, ...], seed: int | None, out: Path, as_j
         complete = experiment.complete(loaded, str(path))
         parts = runs.build(complete)
         code = version_hash(complete.problem.simulator, complete.representation.kind)
+        reach = runs.reach(complete.cluster)
         with Record.create(out, complete, code) as record:
-            _evolve(complete, parts, record, local, as_json)
+            _evolve(complete, parts, record, local, reach, as_json)
 
 
 @command.command()
@@ -117,7 +119,7 @@ def resume(folder: Path, as_json: bool, **cluster: Any) -> None:
                 click.echo(f"this run was made with {before}; results may differ from here on", err=True)
             if record.meta("version_hash") != version_hash(complete.problem.simulator, complete.representation.kind):
                 click.echo("the code that computes was changed since this run began; results may differ from here on", err=True)
-            _evolve(complete, parts, record, local, as_json)
+            _evolve(complete, parts, record, local, runs.reach(complete.cluster), as_json)
 
 
 @command.command()
@@ -144,6 +146,8 @@ def servers(
     from zswarm.ot import discovery, tables
     from zswarm.protocol import keys
     from zswarm.protocol.messages import Requirements
+    from zswarm.security import keyring
+    from zswarm.session import Reach
     from zswarm.version_hash import version_hash
 
     if not keys.is_id(realm):
@@ -162,9 +166,7 @@ def servers(
         )
     survey = discovery.survey(
         realm,
-        connect=list(connect),
-        multicast=multicast,
-        through_router=through_router,
+        Reach(connect, multicast, through_router, keyring.installed("ot")),
         requirements=requirements,
         wait_s=wait_s,
     )
@@ -236,7 +238,9 @@ def main() -> None:
         sys.exit(EXIT_FAILED)
 
 
-def _evolve(complete: Experiment, parts: Any, record: "Record", local: "LocalServer | None", as_json: bool) -> None:
+def _evolve(
+    complete: Experiment, parts: Any, record: "Record", local: "LocalServer | None", reach: "Reach", as_json: bool
+) -> None:
     from zswarm.ot import report
     from zswarm.ot import run as runs
 
@@ -246,7 +250,7 @@ def _evolve(complete: Experiment, parts: Any, record: "Record", local: "LocalSer
             reporter.say(_who_computes(complete, local))
             if record.on_network:
                 reporter.say(f"{record.folder} is on a network file system: the record is kept without a write-ahead log there")
-            result = runs.run(complete, parts, record, local, reporter)
+            result = runs.run(complete, parts, record, local, reach, reporter)
         reporter.done(result)
     except (KeyboardInterrupt, SystemExit, ZswarmError, sqlite3.Error, OSError):
         record.close()

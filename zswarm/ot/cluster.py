@@ -33,6 +33,7 @@ from zswarm.ot.requests import Wanted, Who, request
 from zswarm.ot.workload import Workload
 from zswarm.protocol import codec, keys, messages
 from zswarm.protocol.messages import Outcomes
+from zswarm.session import Reach
 
 FLUSH_S = 0.1  # a waiting caller gets a None this often
 TOLD_AT_ONCE = 100  # things for the caller that are kept back at most while more events wait
@@ -65,8 +66,7 @@ class Cluster:
     """All servers that evaluate for one run, from entering to leaving.
 
     Args:
-        connect: servers and routers to dial; with ``through_router`` routers only.
-        through_router: one of these carries all messages but those of this machine's slots.
+        reach: how other machines are reached.
         local: where this machine's slots are dialled; "": there are none.
     """
 
@@ -75,9 +75,7 @@ class Cluster:
         who: Who,
         wanted: Wanted,
         *,
-        connect: list[str],
-        multicast: bool,
-        through_router: bool = False,
+        reach: Reach,
         local: str = "",
     ) -> None:
         self.who, self.wanted = who, wanted
@@ -90,7 +88,7 @@ class Cluster:
             probe=wanted.probe,
             verify=wanted.verify,
         )
-        self._connect, self._multicast, self._through_router, self._local = connect, multicast, through_router, local
+        self._reach, self._local = reach, local
         self._sessions: list[zenoh.Session] = []
         self._tokens: list[zenoh.LivelinessToken] = []
         self._home: dict[str, zenoh.Session] = {}  # the session that saw a server; written before the server is Seen
@@ -104,16 +102,21 @@ class Cluster:
         self._workload: Workload | None = None
 
     def __enter__(self) -> Self:
-        direct = [*([] if self._through_router else self._connect), *([self._local] if self._local else [])]
+        reach, local = self._reach, [self._local] if self._local else []
         try:
-            if direct or not self._through_router:
-                self._watch(session.open_optimizer(direct, multicast=self._multicast and not self._through_router))
+            if reach.through_router or reach.keyring is not None:  # this machine's slots are reached by neither
+                if local:
+                    self._watch(session.open_optimizer(Reach(local, multicast=False)))
+                if not reach.through_router:
+                    self._watch(session.open_optimizer(reach))
+            else:
+                self._watch(session.open_optimizer(reach._replace(connect=[*reach.connect, *local])))
         except BaseException:  # __exit__ is not called then, whatever it was, Ctrl-C too
             self._close()
             raise
-        if self._through_router:
+        if reach.through_router:
             threading.Thread(target=self._open_through_router, name="router", daemon=True).start()
-        if self._local and self._connect:
+        if local and reach.connect:
             self._alone.start()
         self._thread = threading.Thread(target=self._work, name="dispatch", daemon=True)
         self._thread.start()
@@ -132,7 +135,7 @@ class Cluster:
         """Opening waits for a router; the run goes on meanwhile."""
         while not self._leaving.wait(FLUSH_S):
             try:
-                opened = session.open_through_router(self._connect, multicast=self._multicast)
+                opened = session.open_through_router(self._reach)
             except NoRouter:
                 continue
             if self._leaving.is_set():
@@ -216,9 +219,7 @@ class Cluster:
             for line in discovery.diagnose(
                 self.who.realm,
                 list(self._sessions),
-                connect=self._connect,
-                multicast=self._multicast,
-                through_router=self._through_router,
+                self._reach,
                 known=list(self._home),
             ):
                 self._outbox.put(Note("diagnosis", "", line))

@@ -20,6 +20,9 @@ from zswarm.ot.newcomers import Newcomers
 from zswarm.protocol import codec, keys
 from zswarm.protocol.keys import ServerKey
 from zswarm.protocol.messages import Offer, Requirements
+from zswarm.security import handshake
+from zswarm.security.keyring import Keyring
+from zswarm.session import Reach
 
 OFFER_S = 3.0  # for an offer, at most
 DIAL_S = 2.0  # for one endpoint to answer
@@ -44,23 +47,21 @@ class Survey(NamedTuple):
     findings: list[str]  # where no server was found: why, a line each
 
 
-def survey(
-    realm: str, *, connect: list[str], multicast: bool, through_router: bool, requirements: Requirements, wait_s: float
-) -> Survey:
+def survey(realm: str, reach: Reach, *, requirements: Requirements, wait_s: float) -> Survey:
     """All servers that show up within a time, those of a realm with their offers."""
     try:
-        if through_router:
-            opened = session.open_through_router(connect, multicast=multicast, timeout_s=max(wait_s, DIAL_S))
+        if reach.through_router:
+            opened = session.open_through_router(reach, timeout_s=max(wait_s, DIAL_S))
         else:
-            opened = session.open_optimizer(connect, multicast=multicast)
+            opened = session.open_optimizer(reach)
     except NoRouter:
-        return Survey([], {}, diagnose(realm, [], connect=connect, multicast=multicast, through_router=through_router))
+        return Survey([], {}, diagnose(realm, [], reach))
     try:
         tokens, found = _ask_all(opened, realm, requirements, wait_s)
         realms = collections.Counter(key.realm for key in tokens if key.realm != realm)
         findings: list[str] = []
         if not found:
-            findings = diagnose(realm, [opened], connect=connect, multicast=multicast, through_router=through_router)
+            findings = diagnose(realm, [opened], reach)
     finally:
         session.close(opened)
     return Survey([found[server] for server in sorted(found)], dict(sorted(realms.items())), findings)
@@ -155,20 +156,13 @@ class Look(NamedTuple):
     servers: frozenset[ServerKey] = frozenset()  # seen through it, of any realm
 
 
-def diagnose(
-    realm: str,
-    opened: Sequence[zenoh.Session],
-    *,
-    connect: Sequence[str],
-    multicast: bool,
-    through_router: bool,
-    known: Iterable[str] = (),
-) -> list[str]:
-    """Why servers are not found, and what to set: a line each. Takes some seconds: dials what is in ``connect``, listens around.
+def diagnose(realm: str, opened: Sequence[zenoh.Session], reach: Reach, *, known: Iterable[str] = ()) -> list[str]:
+    """Why servers are not found, and what to set: a line each. Takes some seconds: dials what is to be dialled, listens around.
 
     Args:
         opened: the sessions that found nobody but ``known``.
     """
+    connect, multicast, through_router, ring = reach
     if not connect and not multicast:
         return ["multicast is off and connect is empty: nobody can be found; name a server or router: --connect tcp/HOST:7467"]
     lines: list[str] = []
@@ -184,10 +178,10 @@ def diagnose(
                 f"name one with --connect tcp/HOST:{port}"
             )
     with ThreadPoolExecutor(16) as pool:
-        looks = list(pool.map(_look, groups))
+        looks = list(pool.map(lambda group: _look(group, ring), groups))
     faults: dict[str, list[str]] = {}
     for look in looks:
-        if fault := look.fault or _misplaced(look, realm, set(known), through_router=through_router):
+        if fault := look.fault or _misplaced(look, realm, set(known), reach):
             faults.setdefault(fault, []).append(look.at)
     lines += [f"{_some(ends)}: {fault}" for fault, ends in faults.items()]
     seen = around.union(*(look.servers for look in looks))
@@ -217,17 +211,19 @@ def _scout(*, routers: bool) -> list[list[str]]:
     return [ends for ends in answers.values() if ends]  # an optimizer has none
 
 
-def _look(group: list[str]) -> Look:
+def _look(group: list[str], ring: Keyring | None) -> Look:
     """What is at the first of these endpoints that can be dialled."""
     for text in group:
-        fault = _unreachable(endpoint.parse(text))
+        fault = _unreachable(endpoint.parse(text)) or handshake.refusal(endpoint.parse(text), ring)
         if not fault:
             break
     else:
         return Look(text, fault)
     try:
-        opened = session.open_through_router([text], multicast=False, timeout_s=DIAL_S)  # it takes a server, too
+        opened = session.open_through_router(Reach([text], multicast=False, keyring=ring), timeout_s=DIAL_S)  # or a server
     except NoRouter:
+        if ring is None and handshake.speaks_tls(endpoint.parse(text)):
+            return Look(text, "the program there lets in members only: have keys issued, and install them with zswarm-keys join")
         return Look(text, "something answers there, but no zswarm or zenoh program that lets this one in")
     try:
         return Look(text, "", bool(list(opened.info.routers_zid())), _tokens(opened))
@@ -258,21 +254,26 @@ def _unreachable(at: Endpoint) -> str:
     return ""
 
 
-def _misplaced(look: Look, realm: str, known: set[str], *, through_router: bool) -> str:
+def _misplaced(look: Look, realm: str, known: set[str], reach: Reach) -> str:
     """What is wrong at an endpoint that answers; "" when it is not to blame."""
     ours = sorted(key.server for key in look.servers if key.realm == realm and key.version == _VERSION)
     if look.router:
         if not look.servers:
             return "this router is there, but no server is connected to it: start servers with --connect and its endpoint"
         beyond = [server for server in ours if server not in known]
-        if beyond and not through_router:
+        if beyond and not reach.through_router:
             return (
                 f"this router sees {_some(beyond)}, which cannot be dialled from here: "
                 "set through_router = true (--through-router)"
             )
+    elif not look.servers and reach.keyring is not None:
+        return (
+            f"the program there shows no server to {reach.keyring.name}, who may not be, or no more be, in its list of members:"
+            " bring the newest list there (zswarm-keys join members.zkeys) and reload it"
+        )
     elif not look.servers:
         return "a zenoh program is there, but neither a zswarm server nor a router"
-    elif through_router:
+    elif reach.through_router:
         return "this is a server, no router: leave through_router (--through-router) away, or name a router"
     return ""
 

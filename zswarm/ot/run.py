@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from zswarm import evaluate, plugins
+from zswarm import evaluate, experiment, plugins
 from zswarm.draws import derive_seed
 from zswarm.errors import ConfigError, EvaluationError
 from zswarm.experiment import Experiment
@@ -22,6 +22,8 @@ from zswarm.ot.record import Record
 from zswarm.ot.requests import Wanted, Who
 from zswarm.ot.workload import Workload
 from zswarm.protocol import keys, messages
+from zswarm.security import keyring
+from zswarm.session import Reach
 from zswarm.sims.simulator import Simulator
 from zswarm.strict import convert
 from zswarm.version_hash import version_hash
@@ -108,7 +110,20 @@ def build(complete: Experiment) -> Parts:
     return Parts(simulator, representation, optimizer)
 
 
-def run(complete: Experiment, parts: Parts, record: Record, local: LocalServer | None, reporter: Reporter) -> Result:
+def reach(options: experiment.Cluster) -> Reach:
+    """How a run's servers are reached, with the keys that are installed.
+
+    Raises:
+        ConfigError: the keys cannot be used.
+    """
+    if options.servers == "local":
+        return Reach((), multicast=False)
+    return Reach(options.connect, options.multicast, options.through_router, keyring.installed("ot"))
+
+
+def run(
+    complete: Experiment, parts: Parts, record: Record, local: LocalServer | None, reach: Reach, reporter: Reporter
+) -> Result:
     """Evolve to the last generation, from wherever the record is.
 
     Raises:
@@ -122,7 +137,7 @@ def run(complete: Experiment, parts: Parts, record: Record, local: LocalServer |
         parts.optimizer.restore(resumed.state)
         _keep_champion(complete, parts, record)  # the end may have come between a generation and its champion
     history, improved = record.history(), parts.optimizer.best()[1]
-    with _cluster(complete, parts, record, local) as cluster:
+    with _cluster(complete, parts, record, local, reach) as cluster:
         course = Course(complete, parts, record, local, reporter, cluster)
         if isinstance(complete.cluster.servers, int):
             for early in cluster.wait(complete.cluster.servers, WAIT_FOR_SERVERS_S):
@@ -185,11 +200,11 @@ def _total(workload: Workload, trials: int) -> np.ndarray:
     return np.cumsum(workload.fitness[:, 0].reshape(-1, trials), axis=1)[:, -1] + 0.0
 
 
-def _cluster(complete: Experiment, parts: Parts, record: Record, local: LocalServer | None) -> Cluster:
+def _cluster(complete: Experiment, parts: Parts, record: Record, local: LocalServer | None, reach: Reach) -> Cluster:
     problem, options = complete.problem, complete.cluster
     who = Who(
         options.realm,
-        keys.fold(getpass.getuser()),
+        reach.keyring.name if reach.keyring else keys.fold(getpass.getuser()),
         record.meta("run_id"),
         record.meta("epoch"),
         secrets.token_bytes(16),
@@ -207,13 +222,10 @@ def _cluster(complete: Experiment, parts: Parts, record: Record, local: LocalSer
         verify=options.verify,
         probe=record.meta("probe") or b"",
     )
-    only_local = options.servers == "local"
     return Cluster(
         who,
         wanted,
-        connect=[] if only_local else options.connect,
-        multicast=options.multicast and not only_local,
-        through_router=options.through_router and not only_local,
+        reach=reach,
         local=local.endpoint if local is not None else "",
     )
 

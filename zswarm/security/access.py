@@ -5,10 +5,10 @@ user is all that binds them; a server's carry its name in front of its id. Every
 router sees the users' certificates: it has their rules, and servers let it carry everything.
 """
 
-from collections.abc import Sequence
 from typing import Any
 
 from zswarm.protocol import keys
+from zswarm.security.members import Members
 
 # Zenoh's words for what passes a link; those of a question go towards a server, those of an answer away from it.
 ASKING = ["query", "liveliness_query", "declare_liveliness_subscriber"]
@@ -22,25 +22,19 @@ RUN_TOKENS = [f"{VERSIONED}/ot/*/*/alive"]
 REQUESTS = [f"{VERSIONED}/ss/*/offer", f"{VERSIONED}/ss/*/ot/**"]
 
 
-def rules(role: str, *, servers: Sequence[str], users: Sequence[str], routers: Sequence[str]) -> dict[str, Any]:
-    """Zenoh's ``access_control`` for a program.
-
-    Args:
-        role: of this program: ``ss``, ``ot`` or ``router``.
-        servers, users, routers: names that are let in.
-    """
+def rules(role: str, members: Members) -> dict[str, Any]:
+    """Zenoh's ``access_control`` for a program of a role: ``ss``, ``ot`` or ``router``."""
     built = _Rules()
     if role != "ot":
-        for user in users:
+        for user in members.users:
             built.let(f"ot.{user}", *_user(user))
     if role != "ss":
-        for server in servers:
+        for server in members.servers:
             built.let(f"ss.{server}", *_server(server))
-    if role == "ss":
-        for router in routers:
+    for router in members.routers:
+        if role == "ss":
             built.let(f"router.{router}", *_user("*"))
-    if role == "ot":
-        for router in routers:
+        elif role == "ot":
             built.let(f"router.{router}", *_server(""))
     return built.block()
 

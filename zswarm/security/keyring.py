@@ -34,18 +34,28 @@ class Keyring(msgspec.Struct, frozen=True):
 def find(given: str = "") -> Path | None:
     """The folder of the installed keys; None where none are installed.
 
-    The given one, else that of ``ZSWARM_KEYS``; else the first that holds keys which this user may read, of
+    The given one, else that of ``ZSWARM_KEYS`` ("none": go without); else the first that holds keys which this user may read, of
     /etc/zswarm/keys and the user's own. Keys of the system that this user may not read are better than none: they are
     refused, and nothing goes on in the clear.
     """
     if chosen := given or os.environ.get("ZSWARM_KEYS", ""):
-        return Path(chosen)
+        return Path(chosen) if chosen != "none" else None
     places = {folder: _installed(folder) for folder in (SYSTEM, of_user())}
     for wanted in (True, None):
         for folder, installed in places.items():
             if installed is wanted:
                 return folder
     return None
+
+
+def installed(role: str) -> Keyring | None:
+    """The installed keys, for a program of a role; None where none are installed.
+
+    Raises:
+        KeysError: they cannot be used.
+    """
+    folder = find()
+    return load(folder, role) if folder is not None else None
 
 
 def of_user() -> Path:

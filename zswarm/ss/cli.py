@@ -20,6 +20,7 @@ import click
 )
 @click.option("--connect", multiple=True, metavar="EP", help="Endpoint to dial, such as a router; may be repeated.")
 @click.option("--multicast/--no-multicast", default=None, help="Be found by multicast.  [default: multicast]")
+@click.option("--require-keys/--no-require-keys", default=None, help="Do not start in the clear.  [default: no-require-keys]")
 @click.option("--simulators", metavar="A,B", help="Simulators to offer.  [default: all installed]")
 @click.option(
     "--slot-memory",
@@ -46,39 +47,26 @@ def command(config: Path | None, log_level: str, until_stdin_closes: bool, **giv
     """Serve simulations: evaluate controllers for the optimizers of this network.
 
     Optimizers (zswarm-ot run) find this server by themselves. SIGTERM or Ctrl-C finishes what runs and exits; a second one
-    exits at once.
+    exits at once. SIGHUP reads keys and settings again; what runs goes on.
     """
     if click.get_current_context().invoked_subcommand is not None:
         return
     from zswarm.ss import worker
 
     worker.start_fork_server()  # it loads numba while this program goes on
-    from zswarm import log, plugins
+    from zswarm import log
     from zswarm.errors import ConfigError
-    from zswarm.protocol import keys
-    from zswarm.ss.server import Options, Server
-    from zswarm.strict import convert, read
+    from zswarm.ss import options
+    from zswarm.ss.server import Server
 
     log.set_up(log_level)
+    told = {
+        key: (value.split(",") if key == "simulators" else list(value) if isinstance(value, tuple) else value)
+        for key, value in given.items()
+        if value not in (None, ())
+    }
     try:
-        mapping = read(config) if config else {}
-        convert(mapping, Options, str(config))  # what is wrong in the file is wrong even where the command line overrides it
-        mapping |= {
-            key: (value.split(",") if key == "simulators" else list(value) if isinstance(value, tuple) else value)
-            for key, value in given.items()
-            if value not in (None, ())
-        }
-        options = convert(mapping, Options, str(config or "zswarm-ss"))
-        for kind, text, longest in (
-            ("name", options.name or "x", keys.MAX_NAME),
-            ("realm", options.realm, keys.MAX_ID),
-        ):
-            if not keys.is_id(text) or len(text) > longest:
-                raise ConfigError(f"{kind} {text!r}: expected {keys.ID_RULE} (at most {longest})")
-        for name in options.simulators:
-            if name not in plugins.names("simulator"):
-                plugins.load("simulator", name)  # raises, and says which there are
-        code = Server(options, until_stdin_closes=until_stdin_closes).run()
+        code = Server(lambda: options.load(config, told), until_stdin_closes=until_stdin_closes).run()
     except ConfigError as error:
         click.echo(f"zswarm-ss: {error}", err=True)
         sys.exit(78 if config else 2)

@@ -1,6 +1,6 @@
-"""The simulation server: a loop around the slot table. Zenoh's callbacks only enqueue; the loop owns all state.
+"""The simulation server: a loop around the slot table. What other threads tell is only enqueued; the loop owns all state.
 
-Life: start the workers, open the session, declare what can be asked, declare the liveliness token last, serve, drain.
+Life: start the workers, be on the network (``presence.py``), serve, drain.
 """
 
 import contextlib
@@ -15,19 +15,21 @@ import time
 from collections import deque
 from collections.abc import Callable
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import msgspec
 import structlog
-import zenoh
-from msgspec import Meta
 
 import zswarm
-from zswarm import notify, plugins, session
-from zswarm.errors import RemoteProtocolError
+from zswarm import notify, plugins
+from zswarm.errors import ConfigError, RemoteProtocolError
 from zswarm.protocol import codec, keys
-from zswarm.protocol.messages import MAX_TEXT, MIN_MEMORY_MB, Megabytes, Offer, Refused, Requirements, Reserve
+from zswarm.protocol.messages import MAX_TEXT, Offer, Refused, Requirements, Reserve
+from zswarm.security import keyring, refusals
+from zswarm.session import Reach, keys_in_words
 from zswarm.ss import control, memory, slots, view
+from zswarm.ss.options import AT_START, Options
+from zswarm.ss.presence import Presence, Question
 from zswarm.ss.worker import Ready, Rest, Worker
 from zswarm.version_hash import version_hash
 
@@ -36,39 +38,32 @@ if TYPE_CHECKING:
 
 TICK_S = 0.25
 INBOX = 10_000  # queries that wait; more are dropped unanswered
-SENDERS = 256  # runs that are answered at once
 MISSED_S = 30.0  # a slot's process that should be there for longer is named; sooner where systemd's watchdog is shorter
 SHOW_EVERY_S = 1.0  # at most, to systemd and Prometheus
 
 log = structlog.get_logger()
 
 
-class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What a server is told at its start: command line or ``--config`` file."""
-
-    capacity: Annotated[int, Meta(ge=0, le=65_535)] = 0  # slots; 0: one per core
-    name: str = ""  # "": the host's name
-    realm: str = "default"
-    listen: list[str] = []
-    connect: list[str] = []
-    multicast: bool = True
-    simulators: list[str] = []  # offered; empty: all that are installed
-    slot_memory_mb: Megabytes = 0  # of a slot's process; 0: its share of the machine's memory
-    drain_s: Annotated[float, Meta(ge=0, le=1e6)] = 60.0  # at most, on SIGTERM
-    metrics: Annotated[int, Meta(ge=0, le=65_535)] = 0  # port for Prometheus on this machine; 0: none
-
-    def __post_init__(self) -> None:
-        if 0 < self.slot_memory_mb < MIN_MEMORY_MB:
-            raise ValueError(f"slot_memory_mb: expected 0 or at least {MIN_MEMORY_MB}, not {self.slot_memory_mb}")
-
-
 class Server:
     """One daemon."""
 
-    def __init__(self, options: Options, *, until_stdin_closes: bool = False) -> None:
+    def __init__(self, read_options: Callable[[], Options], *, until_stdin_closes: bool = False) -> None:
+        """A server, not yet on the network.
+
+        Args:
+            read_options: called again for every reload.
+            until_stdin_closes: it is another program's own, and ends with that.
+
+        Raises:
+            ConfigError: of the options or the keys.
+        """
+        self._read_options, self._private = read_options, until_stdin_closes
+        self.options = options = read_options()
+        self._reach = self._find_reach(options)
         capacity = options.capacity or os.cpu_count() or 1
-        self.options = options
-        self.id = keys.new_server_id(options.name or keys.fold(platform.node()))
+        ring = self._reach.keyring
+        self.id = keys.new_server_id(options.name or (ring.name if ring else keys.fold(platform.node())))
+        self._presence = Presence(options.realm, self.id, self._on_network)
         self.simulators = options.simulators or plugins.names("simulator")
         offer = Offer(
             server=self.id,
@@ -84,13 +79,11 @@ class Server:
         self.slot_memory_mb = options.slot_memory_mb or memory.per_slot_mb(capacity)
         self.workers = [Worker(self.slot_memory_mb) for _ in range(capacity)]
         self._start_workers()
-        self._until_stdin_closes = until_stdin_closes
-        self._inbox: deque[zenoh.Query | slots.Event] = deque()
+        self._inbox: deque[Question | slots.Event] = deque()
         self._wake, self._woken = os.pipe()
         os.set_blocking(self._wake, False)
         os.set_blocking(self._woken, False)
-        self._queries: dict[int, tuple[zenoh.Query, str]] = {}  # with the run that asked
-        self._senders: dict[str, session.Sender] = {}
+        self._questions: dict[int, tuple[Question, str]] = {}  # with the run that asked
         self._signals: list[int] = []
         self._hashes = {
             (simulator, representation): version_hash(simulator, representation)
@@ -101,11 +94,10 @@ class Server:
         self._exit: int | None = None
         self._malformed = 0
         self._started_at, self._rate = time.time(), view.Rate(time.monotonic())
-        self._endpoints: list[str] = []
-        self._notify = notify.Notify({} if until_stdin_closes else os.environ)
+        self._notify = notify.Notify({} if self._private else os.environ)
         self._control: control.Control | None = None
         self._metrics: Metrics | None = None
-        self._drain_asked = self._warm = False
+        self._drain_asked = self._reload_asked = self._warm = False
         self._show_at = math.inf  # there is something new to show to systemd and Prometheus
         self._shown_at = -math.inf
         self._missed: dict[int, str] = {}  # slots whose process is missed, with the reason
@@ -113,56 +105,57 @@ class Server:
 
     def run(self) -> int:
         """Serve until told to stop; the program's exit code."""
-        for number in (signal.SIGTERM, signal.SIGINT):
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             signal.signal(number, self._on_signal)
-        realm = self.options.realm
         with contextlib.ExitStack() as stack:
             stack.callback(self._close_workers)
             self._open_local(stack)
-            opened, endpoints = session.open_server(self.options.listen, self.options.connect, multicast=self.options.multicast)
-            stack.callback(session.close, opened)
-            if self.options.multicast and (fault := session.multicast_fault()):
-                log.warning("multicast_unavailable", reason=fault, listen=endpoints)  # optimizers need --connect then
-            on_query = zenoh.handlers.Callback(self._on_query, indirect=False)
-            opened.declare_queryable(keys.offer(realm, self.id), on_query)
-            opened.declare_queryable(keys.requests(realm, self.id), on_query)
-            opened.liveliness().declare_subscriber(
-                keys.run_alive(realm, "*", "*"), zenoh.handlers.Callback(self._on_run, indirect=False), history=True
-            )
-            token = opened.liveliness().declare_token(keys.alive(realm, self.id))
-            self._endpoints = endpoints
+            if not self._private:
+                refusals.watch_links()
+            stack.callback(self._presence.close)
+            self._presence.open(self.options.listen, self._reach)
             log.info(
-                "server_ready", server=self.id, capacity=len(self.workers), realm=realm, listen=endpoints,
-                simulators=self.simulators, slot_memory_mb=self.slot_memory_mb, program=zswarm.__version__,
+                "server_ready", server=self.id, capacity=len(self.workers), realm=self.options.realm,
+                listen=self._presence.endpoints, keys=keys_in_words(self._reach), simulators=self.simulators,
+                slot_memory_mb=self.slot_memory_mb, program=zswarm.__version__,
             )  # fmt: skip
-            self._loop(token)
-            for sender in self._senders.values():
-                sender.close(2.0)
+            self._loop()
+            self._presence.finish(2.0)
         log.info("server_stopped", server=self.id)
         return self._exit or 0
 
+    def _find_reach(self, options: Options) -> Reach:
+        """How it is reached by the options, with the keys that are installed now.
+
+        Raises:
+            ConfigError: the keys cannot be used, or are required and there are none.
+        """
+        if self._private:
+            return Reach(options.connect, options.multicast)
+        ring = keyring.installed("ss")
+        if ring is None:
+            if options.require_keys:
+                raise ConfigError("require_keys is set, and no keys are installed: zswarm-keys join BUNDLE")
+            log.warning("in_the_clear", reason="whoever reaches the port can use this server; zswarm-keys lets in members only")
+            return Reach(options.connect, options.multicast)
+        if options.name not in ("", ring.name):
+            raise ConfigError(f"name {options.name}: the keys in {ring.folder} are those of {ring.name}; leave the name away")
+        return Reach(options.connect, options.multicast, keyring=ring)
+
     # ---- what other threads and the kernel tell
 
-    def _on_query(self, query: zenoh.Query) -> None:
-        if len(self._inbox) < INBOX:
-            self._put(query)
-        else:
-            query.drop()
-
-    def _on_run(self, sample: zenoh.Sample) -> None:
-        try:
-            user, run = keys.parse_run_key(str(sample.key_expr))
-        except RemoteProtocolError:
-            return
-        seen = sample.kind == zenoh.SampleKind.PUT
-        self._put(slots.HolderSeen(user, run) if seen else slots.HolderGone(user, run))
+    def _on_network(self, item: Question | slots.Event) -> bool:
+        if isinstance(item, Question) and len(self._inbox) >= INBOX:
+            return False
+        self._inbox.append(item)
+        self._awake()
+        return True
 
     def _on_signal(self, number: int, _frame: FrameType | None) -> None:
-        self._signals.append(number)
-        self._awake()
-
-    def _put(self, item: zenoh.Query | slots.Event) -> None:
-        self._inbox.append(item)
+        if number == signal.SIGHUP:
+            self._reload_asked = True
+        else:
+            self._signals.append(number)
         self._awake()
 
     def _awake(self) -> None:
@@ -171,7 +164,7 @@ class Server:
 
     # ---- the loop
 
-    def _loop(self, token: zenoh.LivelinessToken) -> None:
+    def _loop(self) -> None:
         next_tick = time.monotonic()
         while self._exit is None:
             self._start_workers()
@@ -183,7 +176,7 @@ class Server:
             if self._control is not None:
                 for descriptor, flags in self._control.wants().items():
                     poll.register(descriptor, flags)
-            if self._until_stdin_closes:
+            if self._private:
                 poll.register(sys.stdin.fileno(), select.POLLIN)
             next_start = min(worker.start_at for worker in self.workers)
             until = min(next_start, self._look_at())
@@ -193,29 +186,31 @@ class Server:
             ready = [descriptor for descriptor, _ in poll.poll(wait)]
             if self._wake in ready:
                 os.read(self._wake, 4096)
-            if self._until_stdin_closes and sys.stdin.fileno() in ready:
+            if self._private and sys.stdin.fileno() in ready:
                 self._exit = 0
             if self._control is not None:
                 self._control.serve(ready)
             if self._signals or self._drain_asked:
-                self._on_stop_asked(token)
+                self._on_stop_asked()
+            if self._reload_asked:
+                self._reload()
             for descriptor in ready:
                 if descriptor in workers and (event := self._from_worker(workers[descriptor])) is not None:
                     self._handle(event)
             for _ in range(len(self._inbox)):
                 item = self._inbox.popleft()
-                if isinstance(item, zenoh.Query):
+                if isinstance(item, Question):
                     self._from_run(item)
                 else:
                     self._handle(item)
-                    if isinstance(item, slots.HolderGone) and (sender := self._senders.pop(f"{item.user}/{item.run}", None)):
-                        sender.close()  # or a server would gather a thread for every run
+                    if isinstance(item, slots.HolderGone):
+                        self._presence.forget(f"{item.user}/{item.run}")
             if time.monotonic() >= next_tick:
                 next_tick = time.monotonic() + TICK_S
                 self._handle(slots.Tick(tuple(worker.trial() for worker in self.workers)))
             self._look(time.monotonic(), new=bool(ready))
 
-    def _on_stop_asked(self, token: zenoh.LivelinessToken) -> None:
+    def _on_stop_asked(self) -> None:
         if self.slots.draining and (len(self._signals) > 1 or time.monotonic() > self._drain_by):
             log.warning("drain_cut_short", signals=len(self._signals))
             self._exit = self._code()
@@ -223,23 +218,48 @@ class Server:
             log.info("draining", limit_s=self.options.drain_s)
             self._notify.stopping()
             self._drain_by = time.monotonic() + self.options.drain_s
-            token.undeclare()
+            self._presence.leave()
             self._handle(slots.Drain())
 
     def _code(self) -> int:
         return 128 + self._signals[0] if self._signals else 0
 
-    def _from_run(self, query: zenoh.Query) -> None:
-        body = query.payload.to_bytes() if query.payload is not None else b""
+    def _reload(self) -> None:
+        """Read keys and settings again, and be on the network anew; leases, batches and results live on."""
+        self._reload_asked = False
+        self._notify.reloading()
         try:
-            key, message = codec.decode_query(str(query.key_expr), body)
-        except RemoteProtocolError as error:
-            self._log_malformed(str(query.key_expr), error)
-            self._send(query, "malformed", codec.encode(Refused(code="malformed", reason=str(error))))
+            options = self._read_options()
+            reach = self._find_reach(options)
+            if (ring := reach.keyring) is not None and not self.id.startswith(f"{ring.name}-"):
+                raise ConfigError(f"the keys are those of {ring.name}, this is {self.id}: start it again")
+        except ConfigError as error:
+            log.error("reload_refused", reason=str(error))
+            self._notify.ready()
             return
-        number = id(query)
-        self._queries[number] = (query, f"{key.user}/{key.run}")
-        self._handle(slots.Asked(number, key.user, key.run, message, body))
+        if later := [name for name in AT_START if getattr(options, name) != getattr(self.options, name)]:
+            log.warning("reload_later", settings=later, reason="these change when the server is started again")
+        self._presence.close()
+        try:
+            self._presence.open(options.listen, reach, seen=not self.slots.draining)
+        except ConfigError as error:
+            log.error("reload_refused", reason=str(error))
+            self._presence.open(self.options.listen, self._reach, seen=not self.slots.draining)
+        else:
+            kept = {name: getattr(self.options, name) for name in AT_START}
+            self.options, self._reach = msgspec.structs.replace(options, **kept), reach
+            log.info("reloaded", listen=self._presence.endpoints, keys=keys_in_words(reach))
+        self._notify.ready()
+
+    def _from_run(self, question: Question) -> None:
+        try:
+            key, message = codec.decode_query(question.key, question.body)
+        except RemoteProtocolError as error:
+            self._log_malformed(question.key, error)
+            self._presence.answer(question, "malformed", codec.encode(Refused(code="malformed", reason=str(error))))
+            return
+        self._questions[id(question)] = (question, f"{key.user}/{key.run}")
+        self._handle(slots.Asked(id(question), key.user, key.run, message, question.body))
 
     def _start_workers(self) -> None:
         now = time.monotonic()
@@ -280,7 +300,7 @@ class Server:
         for command in self.slots.handle(event, time.monotonic()):
             match command:
                 case slots.Answer():
-                    self._send(*self._queries.pop(command.query), command.body)
+                    self._presence.answer(*self._questions.pop(command.query), command.body)
                 case slots.Prepare():
                     self.workers[command.slot].prepare(command.setup, probe=command.probe)
                 case slots.Run():
@@ -307,7 +327,7 @@ class Server:
 
             self._metrics = Metrics(self.options.metrics, self._view(time.monotonic()))
             stack.callback(self._metrics.close)
-        if not self._until_stdin_closes:
+        if not self._private:
             try:
                 self._control = control.Control(self.id, self._on_question)
                 stack.callback(self._control.close)
@@ -374,7 +394,7 @@ class Server:
             program=zswarm.__version__,
             pid=os.getpid(),
             realm=self.options.realm,
-            listen=self._endpoints,
+            listen=self._presence.endpoints,
             since=self._started_at,
             warm=self._warm,
             draining=self.slots.draining,
@@ -396,17 +416,7 @@ class Server:
             missed=[view.Missed(slot, reason) for slot, reason in self._missed.items()],
         )
 
-    # ---- answers
-
-    def _send(self, query: zenoh.Query, who: str, body: bytes) -> None:
-        if who not in self._senders:
-            if len(self._senders) >= SENDERS:
-                oldest = next(iter(self._senders))
-                self._senders.pop(oldest).close()
-            self._senders[who] = session.Sender(who)
-        if not self._senders[who].send(_reply(query, body)):
-            log.warning("answer_dropped", run=who)
-            query.drop()
+    # ---- what it logs, what it refuses
 
     def _log_pause(self, slot: int, worker: Worker, reason: str) -> None:
         if (pause := worker.start_at - time.monotonic()) > 0:
@@ -438,15 +448,3 @@ class Server:
     def _close_workers(self) -> None:
         for worker in self.workers:
             worker.close()
-
-
-def _reply(query: zenoh.Query, body: bytes) -> Callable[[], None]:
-    def reply() -> None:
-        try:
-            query.reply(query.key_expr, body)
-        except zenoh.ZError as error:
-            log.debug("answer_failed", reason=str(error))
-        finally:
-            query.drop()
-
-    return reply

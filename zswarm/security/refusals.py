@@ -1,0 +1,79 @@
+"""Who was refused, and why, in words for an administrator's log.
+
+What the TLS handshake refuses only zenoh knows, and only its own log tells: on standard output, where a daemon writes
+nothing. What a valid certificate is refused for, the list of members tells.
+"""
+
+import os
+import re
+import threading
+import time
+from typing import Any
+
+import structlog
+import zenoh
+
+from zswarm.protocol import codec
+from zswarm.security.keyring import Keyring
+from zswarm.security.members import holder
+
+ZENOH_LOG = "off,zenoh_link_tls=warn"
+EVERY_S = 10.0  # the same reason is told at most so often: a refused program tries again each second
+MARK = re.compile(r"zenoh_link_tls::unicast: (.*)")
+REASONS = {
+    "certificate expired": "its certificate has expired: zswarm-keys renew, and join there",
+    "not valid yet": "its certificate is not valid yet: compare the clocks of both machines",
+    "UnknownCA": "it does not trust this lab's authority: its keys are of another one",
+    "UnknownIssuer": "its certificate is of another authority",
+    "BadSignature": "its certificate is of another authority",
+    "sent no certificates": "it shows no certificate: it has no keys of this lab",
+    "corrupt message": "it does not speak TLS: a program without keys, which would go on in the clear",
+    "Expired": "it says that this machine's certificate has expired: zswarm-keys renew, and join here",
+    "BadCertificate": "it does not accept this machine's certificate",
+}
+
+log = structlog.get_logger()
+
+
+def watch_links() -> None:
+    """Log whatever handshake zenoh refuses, from now on; standard output is zenoh's then."""
+    os.environ.setdefault("NO_COLOR", "1")
+    reading, writing = os.pipe()
+    os.dup2(writing, 1)
+    os.close(writing)
+    zenoh.init_log_from_env_or(ZENOH_LOG)
+    threading.Thread(target=_read, args=(reading,), name="refusals", daemon=True).start()
+
+
+def watch_members(session: zenoh.Session, keyring: Keyring) -> None:
+    """Log whoever has a certificate of the authority and is not let in."""
+
+    def on_link(event: Any) -> None:
+        name = event.link.auth_identifier or ""
+        who = holder(name)
+        if event.kind == zenoh.SampleKind.PUT and (who is None or who.name not in keyring.members.of(who.role)):
+            log.warning(
+                "member_unknown", certificate=codec.clean(name), address=event.link.dst,
+                reason=f"not, or no more, among the members (list {keyring.members.number}): it can ask nothing",
+            )  # fmt: skip
+
+    session.info.declare_link_events_listener(zenoh.handlers.Callback(on_link, indirect=False), history=True)
+
+
+def in_words(line: str) -> str:
+    """Why a handshake failed, from a line of zenoh's log; "" when it is of something else."""
+    said = MARK.search(line)
+    if said is None:
+        return ""
+    text = said[1].partition(" Hint:")[0]
+    return next((words for mark, words in REASONS.items() if mark in text), codec.clean(text))
+
+
+def _read(reading: int) -> None:
+    told: dict[str, float] = {}
+    with os.fdopen(reading, encoding="utf-8", errors="replace") as lines:
+        for line in lines:
+            reason, now = in_words(line), time.monotonic()
+            if reason and now >= told.get(reason, now):
+                told[reason] = now + EVERY_S
+                log.warning("link_refused", reason=reason)
