@@ -24,12 +24,8 @@ class Notify:
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
         self._address = _address(environment.get("NOTIFY_SOCKET", ""))
-        self._socket: socket.socket | None = None
-        if self._address:
-            self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
-            self._socket.setblocking(False)  # a systemd that does not read must not hold anybody up
-        self.listens = self._socket is not None
-        self.watchdog_s = _watchdog_s(environment) if self._address else math.inf
+        self.listens = bool(self._address)
+        self.watchdog_s = _watchdog_s(environment) if self.listens else math.inf
         self._fed_at = self._extended_at = -math.inf
         self._status = ""
 
@@ -47,7 +43,7 @@ class Notify:
 
     def extend(self) -> None:
         """It takes longer, and goes on; called as often as there is progress."""
-        if self._socket is not None and time.monotonic() >= self._extended_at + EXTEND_EVERY_S:
+        if self.listens and time.monotonic() >= self._extended_at + EXTEND_EVERY_S:
             self._extended_at = time.monotonic()
             self._send(f"EXTEND_TIMEOUT_USEC={int(EXTENSION_S * 1e6)}")
 
@@ -68,9 +64,11 @@ class Notify:
             self._send(f"STATUS={line}")
 
     def _send(self, *lines: str) -> None:
-        if self._socket is not None:
-            with contextlib.suppress(OSError):  # systemd is not there, or has no room: it hears the next one
-                self._socket.sendto("\n".join(lines).encode(), self._address)
+        if not self.listens:
+            return
+        with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+            sender.setblocking(False)  # a systemd that is gone, or has no room, holds nobody up: it hears the next one
+            sender.sendto("\n".join(lines).encode(), self._address)
 
 
 def _address(name: str) -> bytes:

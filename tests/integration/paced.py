@@ -198,12 +198,18 @@ def counted(run: Path, server: str = "") -> int:
 
 
 class Scene:
-    """Servers and optimizers of one test, all ended with it. The run is ``runs/paced``."""
+    """Servers and optimizers of one test, all ended with it. The run is ``runs/paced``.
+
+    Attributes:
+        environment: of all programs that start from now on.
+        options: more of them for all servers.
+    """
 
     def __init__(self, folder: Path, size: Size) -> None:
         self.folder, self.size = folder, size
         self.run = folder / "runs" / "paced"
-        self._environment = size.environment(folder / "site")
+        self.environment = size.environment(folder / "site")
+        self.options: tuple[str, ...] = ()
         self._programs: list[Program] = []
         self._stopped: set[int] = set()
         self._stack = contextlib.ExitStack()
@@ -242,8 +248,8 @@ class Scene:
     ) -> Server:
         """A server that starts."""
         server = Server(
-            self.folder, name, capacity=capacity, port=port, address=address, inside=inside,
-            PACED_FOLDER=str(pace.folder), **self._environment,
+            self.folder, name, capacity=capacity, port=port, address=address, inside=inside, options=self.options,
+            PACED_FOLDER=str(pace.folder), **self.environment,
         )  # fmt: skip
         self._programs.append(server)
         return server
@@ -253,7 +259,7 @@ class Scene:
         what = ["resume", str(resume)] if resume else ["run", self.size.write(self.folder / "paced.toml")]
         connect = [f"--connect={endpoint}" for endpoint in endpoints]
         options = ["--json", "--no-multicast", "--servers", str(wait or len(endpoints)), *connect]
-        optimizer = Optimizer(self.folder, f"ot-{len(self._programs)}", [*what, *options], inside, **self._environment)
+        optimizer = Optimizer(self.folder, f"ot-{len(self._programs)}", [*what, *options], inside, **self.environment)
         self._programs.append(optimizer)
         return optimizer
 

@@ -99,7 +99,7 @@ class Control:
         try:
             self._socket.bind(str(self.path))
             self.path.chmod(0o666)  # who may drain is checked
-            self._socket.listen(CLIENTS)
+            self._socket.listen()
         except OSError as error:  # Python says of a long path only that it is too long, without a number
             self._socket.close()
             raise OSError(error.errno or errno.ENAMETOOLONG, error.strerror or str(error), str(self.path)) from None
@@ -140,14 +140,15 @@ class Control:
             self.path.unlink()
 
     def _accept(self) -> None:
-        try:
-            connection, _ = self._socket.accept()
-        except OSError:  # it is gone again, or there are too many open files: it waits
-            return
-        connection.setblocking(False)
-        if len(self._clients) >= CLIENTS:
-            self._drop(min(self._clients, key=lambda number: self._clients[number].until))
-        self._clients[connection.fileno()] = _Client(connection)
+        for _ in range(CLIENTS):  # at once: the loop goes on
+            try:
+                connection, _ = self._socket.accept()
+            except OSError:  # nobody is left, or there are too many open files: they wait
+                return
+            connection.setblocking(False)
+            if len(self._clients) >= CLIENTS:
+                self._drop(min(self._clients, key=lambda number: self._clients[number].until))
+            self._clients[connection.fileno()] = _Client(connection)
 
     def _drop(self, number: int) -> None:
         self._clients.pop(number).connection.close()
