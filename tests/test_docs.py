@@ -16,7 +16,9 @@ from zswarm.ot import record
 from zswarm.ot.controller import Controller
 from zswarm.protocol import codec, messages
 from zswarm.ss import cli as ss
+from zswarm.ss.metrics import Metrics
 from zswarm.ss.server import Options
+from zswarm.ss.view import SLOT_STATES, View
 
 DOCS = Path(__file__).parent.parent / "docs"
 CODE_BLOCK = re.compile(r"^```.*?^```\n", re.S | re.M)
@@ -90,6 +92,32 @@ def test_every_option_of_a_daemon_is_documented(program: str, command: click.Com
             assert f"`{spelling}`" in documented, f"docs/commands.md, {program}: {spelling} is missing"
     for field in fields(keys):
         assert f"`{field.name}`" in documented, f"docs/commands.md, {program}: the key {field.name} is missing"
+
+
+@pytest.mark.parametrize("name", sorted(ss.command.commands))
+def test_every_command_of_the_server_is_documented_with_its_options(name: str) -> None:
+    documented = section("commands.md", "## zswarm-ss")
+    assert f"`zswarm-ss {name}`" in documented
+    for option in options(ss.command.commands[name]):
+        assert all(f"`{spelling}`" in documented for spelling in option.opts)
+
+
+def test_every_metric_is_documented_with_its_labels() -> None:
+    """And every state of a slot."""
+    documented = section("commands.md", "## zswarm-ss")
+    shown = View(
+        server="", program="", pid=0, realm="", listen=[], since=0.0, warm=True, draining=False,
+        slots=dict.fromkeys(SLOT_STATES, 0), leases=[], trials=0, trials_per_s=0.0, busy_s=0.0, faults={"crashed": 1},
+        malformed=0, waiting_batches=0, waiting_queries=0, slot_memory_mb=0, missed=[],
+    )  # fmt: skip
+    metrics = Metrics.__new__(Metrics)
+    metrics.view = shown
+    for family in metrics.collect():
+        for sample in family.samples:
+            assert f"`{sample.name}`" in documented
+            assert all(f"`{label}`" in documented for label in sample.labels)
+    for state in SLOT_STATES:
+        assert f"\n| {state} | " in documented
 
 
 @pytest.mark.parametrize("code", [ot.EXIT_FAILED, ot.EXIT_MISTAKE, ot.EXIT_NO_SERVERS, ot.EXIT_INTERRUPTED, ot.EXIT_TERMINATED])

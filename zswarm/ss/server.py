@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 TICK_S = 0.25
 INBOX = 10_000  # queries that wait; more are dropped unanswered
 MISSED_S = 30.0  # a slot's process that should be there for longer is named; sooner where systemd's watchdog is shorter
-SHOW_EVERY_S = 1.0  # at most, to systemd and Prometheus
+LOOK_EVERY_S, SHOW_EVERY_S = 0.1, 1.0  # at most; showing: to systemd and Prometheus
 
 log = structlog.get_logger()
 
@@ -98,8 +98,7 @@ class Server:
         self._control: control.Control | None = None
         self._metrics: Metrics | None = None
         self._drain_asked = self._reload_asked = self._warm = False
-        self._show_at = math.inf  # there is something new to show to systemd and Prometheus
-        self._shown_at = -math.inf
+        self._look_at = self._show_at = 0.0  # when next, by the monotonic clock
         self._missed: dict[int, str] = {}  # slots whose process is missed, with the reason
         self._missed_s = min(MISSED_S, self._notify.watchdog_s)
 
@@ -170,18 +169,19 @@ class Server:
             self._start_workers()
             workers = {worker.pipe.fileno(): index for index, worker in enumerate(self.workers) if worker.pipe is not None}
             poll = select.poll()
-            leaving = [worker.leaving.sentinel for worker in self.workers if worker.leaving is not None]
+            leaving = {worker.leaving.sentinel: worker for worker in self.workers if worker.leaving is not None}
             for descriptor in (self._wake, *workers, *leaving):
                 poll.register(descriptor, select.POLLIN)
-            if self._control is not None:
-                for descriptor, flags in self._control.wants().items():
-                    poll.register(descriptor, flags)
             if self._private:
                 poll.register(sys.stdin.fileno(), select.POLLIN)
             next_start = min(worker.start_at for worker in self.workers)
-            until = min(next_start, self._look_at())
+            until = min(next_start, self._look_at)
             if self.slots.busy() or self.slots.draining or self._signals:
                 until = min(until, next_tick)
+            if self._control is not None:
+                for descriptor, flags in self._control.wants().items():
+                    poll.register(descriptor, flags)
+                until = min(until, self._control.until())
             wait = None if math.isinf(until) else max(0.0, until - time.monotonic()) * 1000
             ready = [descriptor for descriptor, _ in poll.poll(wait)]
             if self._wake in ready:
@@ -195,6 +195,8 @@ class Server:
             if self._reload_asked:
                 self._reload()
             for descriptor in ready:
+                if descriptor in leaving:
+                    leaving[descriptor].look()
                 if descriptor in workers and (event := self._from_worker(workers[descriptor])) is not None:
                     self._handle(event)
             for _ in range(len(self._inbox)):
@@ -269,6 +271,8 @@ class Server:
 
     def _from_worker(self, index: int) -> slots.Event | None:
         worker = self.workers[index]
+        if worker.pipe is None:  # it was ended for what another one said just before
+            return None
         try:
             letter, body = worker.receive()
         except (EOFError, OSError):
@@ -340,24 +344,12 @@ class Server:
         self._drain_asked = True
         return control.Draining(self.id)
 
-    def _look_at(self) -> float:
-        """When to look at what nobody tells the loop."""
-        next_missed = min(
-            (worker.missed_from(self._missed_s) for slot, worker in enumerate(self.workers) if slot not in self._missed),
-            default=math.inf,
-        )
-        return min(
-            next_missed,
-            math.inf if self._missed else self._notify.feed_at(),
-            max(self._show_at, self._shown_at + SHOW_EVERY_S),
-            math.inf if self._control is None else self._control.until(),
-        )
-
     def _look(self, now: float, *, new: bool) -> None:
-        """See to the watchdog, which is fed as long as this loop and all slots get on, and show what is new."""
-        for worker in self.workers:
-            worker.look()
-        self._rate.take(self.slots.trials, now)
+        """See to the watchdog, which is fed as long as this loop and all slots get on, and show what is new; not too often."""
+        if new:
+            self._look_at = min(self._look_at, now + LOOK_EVERY_S)
+        if now < self._look_at:
+            return
         self._name_missed(now)
         if not self._missed:
             self._notify.feed()
@@ -367,14 +359,20 @@ class Server:
             self._warm = any(worker.here for worker in self.workers)
             if self._warm:
                 self._notify.ready()
-        if new and (self._metrics is not None or self._notify.listens):
-            self._show_at = min(self._show_at, now)
-        if now >= max(self._show_at, self._shown_at + SHOW_EVERY_S):
-            shown = self._view(now)
+        shown = self._view(now)
+        lasts = bool(shown.trials_per_s or self.slots.draining)
+        if now >= self._show_at:
+            self._show_at = now + SHOW_EVERY_S
             self._notify.status(shown.line())
             if self._metrics is not None:
                 self._metrics.view = shown
-            self._shown_at, self._show_at = now, now if shown.trials_per_s else math.inf
+        elif self._metrics is not None or self._notify.listens:
+            lasts = True
+        self._look_at = min(
+            self._show_at if lasts else math.inf,
+            math.inf if self._missed else self._notify.feed_at(),
+            *(worker.missed_from(self._missed_s) for slot, worker in enumerate(self.workers) if slot not in self._missed),
+        )
 
     def _name_missed(self, now: float) -> None:
         missed = {slot: reason for slot, worker in enumerate(self.workers) if (reason := worker.missed(now, self._missed_s))}
