@@ -969,3 +969,36 @@ def test_a_server_that_stood_still_blames_no_trial() -> None:
     server.ask(Renew(lease=lease, known_ready=0))
     assert server.wait(0.75) == []
     assert server.wait(0.75)[0] == Kill(0)
+
+
+# ---- what is counted
+
+
+def test_trials_are_counted_when_their_outcomes_are_there() -> None:
+    """Of the lease and of all; with the time that slots spent on them. What is refused or cancelled is none."""
+    server = Server(1)
+    lease = server.ready()
+    server.evaluate(lease, 1, 2)
+    server.now += 0.5
+    server.finish(0, 1)
+    held = server.slots.leases[lease]
+    assert (server.slots.trials, held.trials, server.slots.seconds) == (1, 1, 0.5)
+    server.now += 0.25
+    server.feed(Finished(0, codec.encode(Refused(code="malformed", reason="it does not fit")), played=False))
+    assert (server.slots.trials, held.trials, server.slots.seconds) == (1, 1, 0.75)
+    server.evaluate(lease, 3)
+    server.ask(Cancel(lease=lease, batches=[3]))
+    server.finish(0, 3)
+    assert (server.slots.trials, held.trials) == (1, 1)
+    server.evaluate(lease, 1)
+    assert server.slots.trials == 1, "asked again, it is not played again"
+
+
+def test_processes_that_died_or_were_killed_are_counted_by_kind() -> None:
+    server = Server(1)
+    lease = server.ready()
+    server.feed(Died(0, 0, "killed", "memory"))
+    server.feed(Prepared(0, PROBE, 0.5))
+    server.evaluate(lease, 1)
+    server.wait(TIMEOUT_S + 1.0)
+    assert server.slots.faults == {"memory": 1, "timeout": 1}
