@@ -239,6 +239,22 @@ def test_status_lists_several_daemons_and_drain_wants_to_know_which(tmp_path: Pa
         other.close()
 
 
+def test_a_daemon_that_hangs_is_named_and_the_others_are_shown(scene: Scene) -> None:
+    hanging, other = scene.server("hanging")[0], scene.server("other")[0]
+    scene.stop(hanging.process.pid)
+    done = control(scene.folder, "status", "--json")
+    assert done.returncode == 1
+    assert re.fullmatch(r"zswarm-ss: hanging-\w{8} does not answer: timed out\n", done.stderr)
+    (shown,) = done.stdout.splitlines()
+    assert json.loads(shown)["pid"] == other.process.pid
+
+
+def test_options_of_the_daemon_are_none_of_status(tmp_path: Path) -> None:
+    done = control(tmp_path, "--name", "lab", "status")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.splitlines()[-1] == "Error: expected the options of status after its name, and none of the daemon's"
+
+
 def test_a_drained_daemon_finishes_what_runs_and_ends(scene: Scene) -> None:
     server, pace = scene.server("ss")
     other, _ = scene.server("other")

@@ -136,9 +136,11 @@ def test_a_socket_that_a_killed_server_left_is_taken_away_and_a_living_ones_is_n
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as left:
         left.bind(str(folder / "dead-1.sock"))
         left.listen()
+    (folder / "file.sock").touch()
     other = Control("ss-2", lambda question: Told(question.ask))
-    assert sorted(path.name for path in folder.iterdir()) == ["ss-1.sock", "ss-2.sock"]
+    assert sorted(path.name for path in folder.iterdir()) == ["file.sock", "ss-1.sock", "ss-2.sock"]
     other.close()
+    (folder / "file.sock").unlink()
 
 
 def test_a_folder_that_others_can_write_in_is_not_used(folder: Path) -> None:

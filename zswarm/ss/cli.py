@@ -49,7 +49,9 @@ def command(config: Path | None, log_level: str, until_stdin_closes: bool, **giv
     Optimizers (zswarm-ot run) find this server by themselves. SIGTERM or Ctrl-C finishes what runs and exits; a second one
     exits at once. SIGHUP reads keys and settings again; what runs goes on.
     """
-    if click.get_current_context().invoked_subcommand is not None:
+    if (subcommand := click.get_current_context().invoked_subcommand) is not None:
+        if config or any(value not in (None, ()) for value in given.values()):
+            raise click.UsageError(f"expected the options of {subcommand} after its name, and none of the daemon's")
         return
     from zswarm.ss import worker
 

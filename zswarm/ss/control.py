@@ -191,7 +191,7 @@ def _make(here: Path) -> None:
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(here.parent))
     with contextlib.suppress(FileExistsError):
         here.mkdir(mode=0o755 if os.geteuid() == 0 else 0o700)
-    found = here.lstat()
+    found = here.stat(follow_symlinks="RUNTIME_DIRECTORY" in os.environ)  # systemd's is a link where the user is dynamic
     if not stat.S_ISDIR(found.st_mode) or found.st_uid not in (0, os.geteuid()) or found.st_mode & 0o022:
         raise PermissionError(errno.EPERM, "it is no folder of this user, or others can write in it", str(here))
 
@@ -200,7 +200,7 @@ def _is_dead(path: Path) -> bool:
     """Whether the server of a socket ended without taking it away."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.setblocking(False)
-        return probe.connect_ex(str(path)) == errno.ECONNREFUSED
+        return path.is_socket() and probe.connect_ex(str(path)) == errno.ECONNREFUSED
 
 
 def _user(connection: socket.socket) -> int:

@@ -35,8 +35,13 @@ def show(name: str, *, as_json: bool) -> None:
     Raises:
         NoDaemonError: none is there, or one does not answer.
     """
+    faults = []
     for number, path in enumerate(_sockets(name)):
-        connection, view = _asked(path, control.Question("status"), View)
+        try:
+            connection, view = _asked(path, control.Question("status"), View)
+        except NoDaemonError as error:
+            faults.append(str(error))
+            continue
         connection.close()
         if as_json:
             _print(msgspec.json.encode(view).decode())
@@ -44,6 +49,8 @@ def show(name: str, *, as_json: bool) -> None:
             if number:
                 _print("")
             _table(view)
+    if faults:
+        raise NoDaemonError("; ".join(faults))
 
 
 def drain(name: str, *, wait: bool) -> None:
@@ -70,12 +77,9 @@ def _sockets(name: str) -> list[Path]:
     Raises:
         NoDaemonError: there is none.
     """
-    folders = {
-        control.folder(),
-        Path("/run/zswarm"),
-        Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()) / "zswarm",
-        Path(tempfile.gettempdir()) / f"zswarm-{os.geteuid()}",
-    }
+    folders = {control.folder(), Path("/run/zswarm"), Path(tempfile.gettempdir()) / f"zswarm-{os.geteuid()}"}
+    if session := os.environ.get("XDG_RUNTIME_DIR", ""):
+        folders.add(Path(session) / "zswarm")
     found = []
     for path in sorted(path for folder in folders for path in folder.glob("*" + control.SUFFIX)):
         if name not in ("", path.stem, path.stem.rpartition("-")[0]):
@@ -148,7 +152,7 @@ def _table(view: View) -> None:
     _pair("slots", f"{sum(view.slots.values())}: {states}; {view.slot_memory_mb} MB each")
     for missed in view.missed:
         _pair("", f"slot {missed.slot}: {missed.reason}")
-    _pair("trials", f"{view.trials} in all, {view.trials_per_s:.4g} a second; slots were busy for {view.busy_s:.4g} s")
+    _pair("trials", f"{view.trials} in all, {view.trials_per_s:.1f} a second; slots were busy for {view.busy_s:.1f} s")
     _pair("faults", f"{faults}; {view.malformed} malformed messages")
     if not view.leases:
         _pair("leases", "none")
