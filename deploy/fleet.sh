@@ -1,0 +1,58 @@
+#!/bin/sh
+# zswarm-ss on many machines, one after another: the steps of docs/deploy.md by ssh. See there.
+#   fleet.sh install|upgrade|uninstall|status HOST...
+# HOST is what ssh takes; the user there is root, or sudo asks it nothing. Ends at the first machine where something fails.
+# PACKAGE: what pip installs there, by default zswarm
+set -eu
+
+install='
+python3 -m venv /opt/zswarm
+/opt/zswarm/bin/pip install --quiet "$PACKAGE"
+cd /opt/zswarm/share/zswarm/systemd
+install -D -m 644 zswarm.sysusers /etc/sysusers.d/zswarm.conf
+install -D -m 644 zswarm.tmpfiles /etc/tmpfiles.d/zswarm.conf
+install -D -m 644 zswarm-ss.service /etc/systemd/system/zswarm-ss.service
+test -e /etc/zswarm/ss.toml || install -D -m 644 ss.toml /etc/zswarm/ss.toml
+systemd-sysusers
+systemctl daemon-reload
+systemctl enable --now zswarm-ss
+'
+# Where pip fails, the old version serves again.
+upgrade='
+systemctl stop zswarm-ss
+/opt/zswarm/bin/pip install --quiet --upgrade "$PACKAGE" || { systemctl start zswarm-ss; exit 1; }
+cd /opt/zswarm/share/zswarm/systemd
+install -D -m 644 zswarm-ss.service /etc/systemd/system/zswarm-ss.service
+systemctl daemon-reload
+systemctl start zswarm-ss
+'
+uninstall='
+systemctl disable --now zswarm-ss
+rm -rf /opt/zswarm /etc/zswarm /var/lib/zswarm /var/cache/zswarm
+rm -f /etc/systemd/system/zswarm-ss.service /etc/sysusers.d/zswarm.conf /etc/tmpfiles.d/zswarm.conf
+systemctl daemon-reload
+userdel zswarm
+'
+status='
+systemctl is-active zswarm-ss || :
+/opt/zswarm/bin/zswarm-ss --version || :
+'
+
+usage="usage: fleet.sh install|upgrade|uninstall|status HOST..."
+[ $# -ge 2 ] || { echo "$usage" >&2; exit 2; }
+case $1 in
+    install) script=$install ;;
+    upgrade) script=$upgrade ;;
+    uninstall) script=$uninstall ;;
+    status) script=$status ;;
+    *) echo "$usage" >&2; exit 2 ;;
+esac
+what=$1
+shift
+for host; do
+    echo "$host: $what"
+    # The script goes in as text: nothing of it is read by a shell on this side, and ssh needs no terminal.
+    printf "PACKAGE='%s'\n%s" "${PACKAGE:-zswarm}" "$script" |
+        ssh "$host" 'if [ "$(id -u)" = 0 ]; then exec sh -eu; else exec sudo -n sh -eu; fi' ||
+        { echo "$host: $what failed; the machines after it were left alone" >&2; exit 1; }
+done

@@ -1,0 +1,203 @@
+"""A lab of machines: real systemd systems on one switch, each with its own address. Needs root; nothing outside is touched.
+
+A machine is this machine's own file system with an overlay in memory, booted by systemd-nspawn: the same programs, nothing
+downloaded, everything written is thrown away. All mounts, the switch and the machines live in namespaces of one process.
+When that ends, and it ends with the tests, the kernel takes everything away.
+"""
+
+import os
+import shlex
+import shutil
+import signal
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import pytest
+from programs import children, wait_until
+
+SPACE = "8g"  # of memory, at most, that all machines may write
+BOOT_S = 90.0
+CLEAN = ["env", "-i", "PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin", "HOME=/root", "LANG=C.UTF-8"]
+
+# Files in the folder given are mounted, not in a folder of the machine's: tests side by side do not meet.
+PLACE = """
+mount -t tmpfs -o size={space},mode=755 tmpfs {folder}
+ip link set lo up
+ip link add switch type bridge mcast_snooping 0 forward_delay 0
+ip link set switch up
+exec sleep infinity
+"""
+
+# An empty machine-id: an identity of its own. No unit of the image's is started beside what systemd itself needs.
+DISK = """
+cd {folder}
+mkdir upper-{name} work-{name} {name}
+mount -t overlay overlay -o lowerdir=/,upperdir=upper-{name},workdir=work-{name} {name}
+cd {name}/etc
+: > machine-id
+echo {name} > hostname
+rm -rf systemd/system/*.wants systemd/network ../root/.pip ../root/.config/pip
+ln -sf /usr/lib/systemd/system/multi-user.target systemd/system/default.target
+mkdir -p systemd/network systemd/system/multi-user.target.wants systemd/system/network-online.target.wants
+ln -s /usr/lib/systemd/system/systemd-networkd.service systemd/system/multi-user.target.wants/
+ln -s /usr/lib/systemd/system/systemd-networkd-wait-online.service systemd/system/network-online.target.wants/
+printf '%s\\n' '[Match]' Name=host0 '[Network]' Address={address}/24 LinkLocalAddressing=ipv6 IPv6AcceptRA=no \
+    '[Route]' Destination=224.0.0.0/4 Scope=link > systemd/network/10-host0.network
+printf '%s\\n' '[global]' no-index=true find-links=/srv/wheels > pip.conf
+"""
+
+
+class Machine:
+    """One of them. It may be off."""
+
+    def __init__(self, lab: "Machines", name: str, number: int) -> None:
+        self.name, self.address = name, f"10.78.0.{number}"
+        self._lab = lab
+        self._nspawn: subprocess.Popen[bytes] | None = None
+        self._init = 0  # its process 1, as it is numbered outside
+        lab.run(DISK.format(folder=shlex.quote(str(lab.folder)), name=name, address=self.address))
+
+    def switch_on(self) -> None:
+        """Boot it; returns before it is up."""
+        assert self._nspawn is None
+        log = self._lab.folder.parent / f"{self.name}.log"
+        command = ["systemd-nspawn", "--quiet", f"--directory={self._lab.folder / self.name}", f"--machine={self.name}", "--boot"]
+        command += ["--register=no", "--keep-unit", "--network-bridge=switch", "--link-journal=no", "--console=pipe"]
+        command += ["--resolv-conf=off", "--timezone=off", f"--bind-ro={self._lab.wheels}:/srv/wheels"]
+        with log.open("ab") as out:
+            self._nspawn = self._lab.popen(command, out)
+        self._init = wait_until(self._find_init, f"{self.name} boots: {log}")
+
+    def wait_up(self) -> None:
+        """Until systemd says that everything was started."""
+        wait_until(lambda: self.run("systemctl is-system-running || :").strip() in ("running", "degraded"), "it is up", BOOT_S)
+
+    def run(self, script: str, deadline_s: float = 120.0) -> str:
+        """Run a shell script to its end, as root on its console would; what it printed."""
+        done = subprocess.run(self.inside("sh", "-eu", "-c", script), capture_output=True, text=True, timeout=deadline_s)
+        assert done.returncode == 0, f"{self.name}: {script}\n{done.stdout}{done.stderr}"
+        return done.stdout
+
+    def inside(self, *command: str) -> list[str]:
+        """The command that runs a command on it."""
+        return ["nsenter", "-t", str(self._init), "-m", "-u", "-i", "-n", "-p", "--", *CLEAN, *command]
+
+    def path(self, inside: str) -> Path:
+        """Where a file of its disk is seen from outside."""
+        return self._lab.root / str(self._lab.folder / self.name).lstrip("/") / inside.lstrip("/")
+
+    def unplug(self) -> None:
+        """Pull its cable out of the switch: whatever is sent is lost, nothing is reset."""
+        self._lab.run(f"ip link set vb-{self.name} down")
+
+    def plug(self) -> None:
+        """Put it back."""
+        self._lab.run(f"ip link set vb-{self.name} up")
+
+    def cut_power(self) -> None:
+        """Everything on it ends at once; its disk stays as it is."""
+        os.kill(self._init, signal.SIGKILL)
+        self._wait_off()
+
+    def _wait_off(self) -> None:
+        assert self._nspawn is not None
+        self._nspawn.wait(BOOT_S)
+        self._nspawn, self._init = None, 0
+
+    def _find_init(self) -> int:
+        """The process that is number 1 in a namespace of its own within the lab's; 0 while it is not there."""
+        assert self._nspawn is not None
+        assert self._nspawn.poll() is None, f"{self.name} does not boot"
+        below = [self._nspawn.pid]
+        while below:
+            process = below.pop()
+            numbers = _numbers(process)
+            if len(numbers) == self._lab.depth + 1 and numbers[-1] == "1":
+                return process
+            below += children(process)
+        return 0
+
+
+class Machines:
+    """Use as ``with Machines(folder, wheels) as lab``; skips the test where this is not permitted.
+
+    ``wheels`` is a folder that pip finds packages in on each machine, instead of asking the network.
+    """
+
+    def __init__(self, folder: Path, wheels: Path) -> None:
+        self.folder, self.wheels = folder / "machines", wheels
+        self.folder.mkdir()
+        self.machines: list[Machine] = []
+
+    def __enter__(self) -> Self:
+        if reason := _forbidden():
+            pytest.skip(reason)
+        script = "set -eu" + PLACE.format(space=SPACE, folder=shlex.quote(str(self.folder)))
+        self._holder = subprocess.Popen([*_HOLD, "sh", "-c", script], stdin=subprocess.DEVNULL)
+        self._first = wait_until(self._find_first, "the lab is made")
+        self.depth = len(_numbers(self._first))
+        self.root = Path(f"/proc/{self._first}/root")
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._holder.kill()  # and with it all in its namespaces
+        self._holder.wait()
+
+    def machine(self, name: str) -> Machine:
+        """A machine that is off."""
+        made = Machine(self, name, len(self.machines) + 1)
+        self.machines.append(made)
+        return made
+
+    def run(self, script: str) -> None:
+        """Run a shell script beside the machines."""
+        done = subprocess.run([*self._inside(), "sh", "-eu", "-c", script], capture_output=True, text=True)
+        assert done.returncode == 0, f"{script}\n{done.stderr}"
+
+    def popen(self, command: Sequence[str], out: object) -> subprocess.Popen[bytes]:
+        """Start a program beside the machines."""
+        return subprocess.Popen(
+            [*self._inside(), *command], stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT  # type: ignore[call-overload]
+        )
+
+    def _inside(self) -> list[str]:
+        return ["nsenter", "-t", str(self._first), "-m", "-n", "-p", "--", *CLEAN]
+
+    def _find_first(self) -> int:
+        """The process that holds the namespaces, once it has made everything and sleeps."""
+        assert self._holder.poll() is None, "the lab cannot be made"
+        return next((child for child in children(self._holder.pid) if Path(f"/proc/{child}/comm").read_text() == "sleep\n"), 0)
+
+
+# Ends with the test's process, and takes all that was started in it along; its mounts and interfaces go with it.
+_HOLD = ["setpriv", "--pdeathsig", "KILL", "unshare", "--mount", "--net", "--pid", "--fork", "--kill-child", "--mount-proc"]
+_HOLD += ["--propagation", "private"]
+
+
+def _forbidden() -> str:
+    if os.geteuid() != 0:
+        return "booting machines needs root"
+    for program, package in (("systemd-nspawn", "systemd-container"), ("ip", "iproute2"), ("nsenter", "util-linux")):
+        if shutil.which(program) is None:
+            return f"booting machines needs the program {program} (Debian: apt install {package})"
+    make = "mkdir upper work all && mount -t overlay overlay -o lowerdir=/,upperdir=upper,workdir=work all"
+    script = f"mount -t tmpfs tmpfs /mnt && cd /mnt && {make} && ip link add switch type bridge"
+    tried = subprocess.run([*_HOLD, "sh", "-c", script], capture_output=True, text=True)
+    if tried.returncode != 0:
+        return f"namespaces, overlays or bridges are not permitted here: {tried.stderr.strip()}"
+    fit = "import ensurepip, sys; sys.exit(sys.version_info < (3, 11))"
+    if subprocess.run([*CLEAN, "python3", "-c", fit], capture_output=True).returncode != 0:
+        return "the machine's own python3 is not 3.11 with its venv module (Debian: apt install python3-venv)"
+    return ""
+
+
+def _numbers(process: int) -> list[str]:
+    """Of a process in each of its namespaces, the outermost first; none when it is gone."""
+    try:
+        lines = Path(f"/proc/{process}/status").read_text().splitlines()
+    except (FileNotFoundError, ProcessLookupError):
+        return []
+    return next(line for line in lines if line.startswith("NSpid:")).split()[1:]
