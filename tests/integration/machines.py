@@ -66,7 +66,7 @@ class Machine:
         log = self._lab.folder.parent / f"{self.name}.log"
         command = ["systemd-nspawn", "--quiet", f"--directory={self._lab.folder / self.name}", f"--machine={self.name}", "--boot"]
         command += ["--register=no", "--keep-unit", "--network-bridge=switch", "--link-journal=no", "--console=pipe"]
-        command += ["--resolv-conf=off", "--timezone=off", f"--bind-ro={self._lab.wheels}:/srv/wheels"]
+        command += ["--resolv-conf=off", "--timezone=off", f"--bind={self._lab.shared}:/srv"]
         with log.open("ab") as out:
             self._nspawn = self._lab.popen(command, out)
         self._init = wait_until(self._find_init, f"{self.name} boots: {log}")
@@ -82,12 +82,9 @@ class Machine:
         return done.stdout
 
     def inside(self, *command: str) -> list[str]:
-        """The command that runs a command on it."""
-        return ["nsenter", "-t", str(self._init), "-m", "-u", "-i", "-n", "-p", "--", *CLEAN, *command]
-
-    def path(self, inside: str) -> Path:
-        """Where a file of its disk is seen from outside."""
-        return self._lab.root / str(self._lab.folder / self.name).lstrip("/") / inside.lstrip("/")
+        """The command that runs a command on it, until one of the two is killed."""
+        enter = ["nsenter", "-t", str(self._init), "-m", "-u", "-i", "-n", "-p", "--", "setpriv", "--pdeathsig", "KILL"]
+        return [*enter, *CLEAN, *command]
 
     def unplug(self) -> None:
         """Pull its cable out of the switch: whatever is sent is lost, nothing is reset."""
@@ -100,11 +97,12 @@ class Machine:
     def cut_power(self) -> None:
         """Everything on it ends at once; its disk stays as it is."""
         os.kill(self._init, signal.SIGKILL)
-        self._wait_off()
+        self.wait_off()
 
-    def _wait_off(self) -> None:
-        assert self._nspawn is not None
-        self._nspawn.wait(BOOT_S)
+    def wait_off(self) -> None:
+        """Until nothing of it runs."""
+        if self._nspawn is not None:
+            self._nspawn.wait(BOOT_S)
         self._nspawn, self._init = None, 0
 
     def _find_init(self) -> int:
@@ -122,14 +120,16 @@ class Machine:
 
 
 class Machines:
-    """Use as ``with Machines(folder, wheels) as lab``; skips the test where this is not permitted.
+    """Use as ``with Machines(folder) as lab``; skips the test where this is not permitted.
 
-    ``wheels`` is a folder that pip finds packages in on each machine, instead of asking the network.
+    Attributes:
+        shared: a folder that every machine sees as /srv. What is in its ``wheels`` is what pip finds there.
     """
 
-    def __init__(self, folder: Path, wheels: Path) -> None:
-        self.folder, self.wheels = folder / "machines", wheels
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.shared = folder / "machines", folder / "shared"
         self.folder.mkdir()
+        (self.shared / "wheels").mkdir(parents=True)
         self.machines: list[Machine] = []
 
     def __enter__(self) -> Self:
@@ -139,12 +139,13 @@ class Machines:
         self._holder = subprocess.Popen([*_HOLD, "sh", "-c", script], stdin=subprocess.DEVNULL)
         self._first = wait_until(self._find_first, "the lab is made")
         self.depth = len(_numbers(self._first))
-        self.root = Path(f"/proc/{self._first}/root")
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self._holder.kill()  # and with it all in its namespaces
         self._holder.wait()
+        for machine in self.machines:
+            machine.wait_off()
 
     def machine(self, name: str) -> Machine:
         """A machine that is off."""

@@ -34,11 +34,13 @@ def wait_until(condition: Callable[[], Any], what: str, deadline_s: float = DEAD
 class Program:
     """A process with its output in files; ``inside`` is put before its command, such as that of a ``lab.Host``."""
 
+    python = sys.executable
+
     def __init__(self, folder: Path, name: str, arguments: list[str], inside: Sequence[str] = (), **environment: str) -> None:
         self.out, self.err = folder / f"{name}.out", folder / f"{name}.err"
         with self.out.open("wb") as out, self.err.open("wb") as err:
             self.process = subprocess.Popen(
-                [*inside, sys.executable, *arguments], stdin=subprocess.DEVNULL, stdout=out, stderr=err, cwd=folder,
+                [*inside, self.python, *arguments], stdin=subprocess.DEVNULL, stdout=out, stderr=err, cwd=folder,
                 env=os.environ | {"RUNTIME_DIRECTORY": str(folder)} | environment,
             )  # fmt: skip
 
