@@ -6,7 +6,7 @@ TESTS ?= -n $$((2 * $$(nproc))) --dist worksteal  # many wait for programs; neig
 
 KILLS ?= 200
 
-.PHONY: run test chaos faults kills lint format bench scale soak clean
+.PHONY: run test chaos faults machines units kills lint format bench scale soak clean
 
 run: $(READY)
 	$(BIN)/zswarm-ot run $(ARGS)
@@ -20,6 +20,14 @@ chaos: $(READY)
 # Real faults with real programs; they wait for timeouts most of the time.
 faults: $(READY)
 	$(BIN)/python -m pytest $(TESTS) -m faults $(ARGS)
+
+# docs/deploy.md on systems that are booted for it: root, systemd-nspawn.
+machines: $(READY)
+	$(BIN)/python -m pytest -m machines tests/integration/test_machines.py $(ARGS)
+
+# What systemd says of the units.
+units: $(READY)
+	deploy/check-units.sh $(BIN)
 
 # So many kills during one run.
 kills: $(READY)

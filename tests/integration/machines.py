@@ -51,7 +51,7 @@ printf '%s\\n' '[global]' no-index=true find-links=/srv/wheels > pip.conf
 
 
 class Machine:
-    """One of them. It may be off."""
+    """One of them, off at first. Use as ``with lab.machine(name) as machine``, or switch it on."""
 
     def __init__(self, lab: "Machines", name: str, number: int) -> None:
         self.name, self.address = name, f"10.78.0.{number}"
@@ -59,6 +59,18 @@ class Machine:
         self._nspawn: subprocess.Popen[bytes] | None = None
         self._init = 0  # its process 1, as it is numbered outside
         lab.run(DISK.format(folder=shlex.quote(str(lab.folder)), name=name, address=self.address))
+
+    def __enter__(self) -> Self:
+        self.switch_on()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.cut_power()
+
+    @property
+    def is_on(self) -> bool:
+        """Whether it has power."""
+        return self._nspawn is not None
 
     def switch_on(self) -> None:
         """Boot it; returns before it is up."""
@@ -161,7 +173,10 @@ class Machines:
     def popen(self, command: Sequence[str], out: object) -> subprocess.Popen[bytes]:
         """Start a program beside the machines."""
         return subprocess.Popen(
-            [*self._inside(), *command], stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT  # type: ignore[call-overload]
+            [*self._inside(), *command],
+            stdin=subprocess.DEVNULL,
+            stdout=out,
+            stderr=subprocess.STDOUT,  # type: ignore[call-overload]
         )
 
     def _inside(self) -> list[str]:

@@ -7,7 +7,6 @@ import os
 import re
 import shutil
 import subprocess
-import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -61,11 +60,11 @@ class Site:
         self.lab = lab
         self.servers = [lab.machine(name) for name in ("ss1", "ss2")]
         self.workstation = lab.machine("ws")
-        self.runs = 0
+        self.runs: list[Run] = []
         (lab.shared / "experiment.toml").write_text(EXPERIMENT)
-        for machine in lab.machines:
+        for machine in (*self.servers, self.workstation):
             machine.switch_on()
-        for machine in lab.machines:
+        for machine in (*self.servers, self.workstation):
             machine.wait_up()
         with ThreadPoolExecutor() as side_by_side:
             installs = [side_by_side.submit(self.fleet, "install", machine) for machine in self.servers]
@@ -88,8 +87,21 @@ class Site:
         return done.stdout
 
     def run(self, *options: str, servers: str = "2") -> "Run":
-        self.runs += 1
-        return Run(self, f"run-{self.runs}", ["--servers", servers, *options])
+        self.runs.append(Run(self, f"run-{len(self.runs)}", ["--servers", servers, *options]))
+        return self.runs[-1]
+
+    def mend(self) -> None:
+        """End the runs and put right what a test broke."""
+        for run in self.runs:
+            run.close()
+        for machine in self.servers:
+            if not machine.is_on:
+                machine.switch_on()
+            machine.plug()
+        for machine in self.servers:
+            machine.wait_up()
+            machine.run("rm -rf /run/systemd/system/zswarm-ss.service.d && systemctl daemon-reload")
+            machine.run("systemctl start zswarm-ss")
 
 
 class Run(Installed):
@@ -129,8 +141,15 @@ def build_wheels(folder: Path, wheels: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def site(lab: Machines) -> Site:
+def installed(lab: Machines) -> Site:
     return Site(lab)
+
+
+@pytest.fixture
+def site(installed: Site) -> Iterator[Site]:
+    """All is well at the beginning of a test."""
+    yield installed
+    installed.mend()
 
 
 @pytest.fixture(scope="module")
@@ -142,13 +161,63 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(Optimizer(folder, "alone", ["run", "experiment.toml", "--json", *options]).done()["history_hash"])
 
 
-def show(machine: Machine, *properties: str) -> list[str]:
+def show(machine: Machine, *names: str) -> list[str]:
     """What systemd says of the server's unit."""
-    return machine.run(f"systemctl show zswarm-ss --value {' '.join(f'-p {name}' for name in properties)}").split("\n")[:-1]
+    lines = machine.run(f"systemctl show zswarm-ss {' '.join(f'-p {name}' for name in names)}").splitlines()
+    told = dict(line.split("=", 1) for line in lines)
+    return [told[name] for name in names]
 
 
 def wait_active(machine: Machine) -> None:
     wait_until(lambda: show(machine, "ActiveState") == ["active"], f"{machine.name} serves")
+
+
+def restart_counted(machine: Machine, restarts: int) -> None:
+    wait_until(lambda: show(machine, "NRestarts", "ActiveState") == [str(restarts), "active"], f"{machine.name} serves again")
+
+
+# ---- the document
+
+
+def test_the_document_is_followed_word_by_word(lab: Machines) -> None:
+    """Installed, looked at, upgraded and uninstalled, as it says; then nothing is left of it."""
+    with lab.machine("fresh") as machine:
+        machine.wait_up()
+        before = machine.run(LEFT)
+        machine.run(documented("Install"))
+        assert show(machine, "ActiveState", "SubState", "User") == ["active", "running", "zswarm"]
+        looked_at = machine.run(documented("Install", 1))
+        assert "slots" in looked_at
+        assert "server_ready" in looked_at
+        check(machine, "zswarm-ss")
+        pid = show(machine, "MainPID")
+        machine.run(documented("Upgrade"))
+        assert show(machine, "ActiveState") == ["active"]
+        assert show(machine, "MainPID") != pid
+        machine.run(documented("A router"))
+        assert machine.run("systemctl is-active zswarm-router") == "active\n"
+        check(machine, "zswarm-router")
+        assert ports(machine) == {"tcp 7466", "tcp 7467", "udp 7467"}
+        machine.run("systemctl disable --now zswarm-router && rm /etc/systemd/system/zswarm-router.service")
+        machine.run(documented("Uninstall"))
+        assert machine.run(LEFT) == before
+        assert ports(machine) == set()
+
+
+LEFT = "find /etc /opt /run /usr /var -name '*zswarm*' 2>/dev/null; getent passwd zswarm || :; pgrep zswarm || :"
+
+
+def check(machine: Machine, unit: str) -> None:
+    """As deploy/check-units.sh does, of the unit as it is installed and runs."""
+    assert machine.run(f"systemd-analyze verify --man=no {unit}.service 2>&1") == ""
+    machine.run(f"systemd-analyze security --no-pager --threshold=12 {unit}")
+
+
+def ports(machine: Machine) -> set[str]:
+    """That programs of the machine's own listen on beyond loopback, but for those that answers to a question come to."""
+    lines = [line.split() for line in machine.run("ss --no-header --listening --tcp --udp --numeric").splitlines()]
+    ends = [(line[0], *line[4].rsplit(":", 1)) for line in lines]
+    return {f"{kind} {port}" for kind, address, port in ends if "127." not in address and int(port) < 32_768}
 
 
 # ---- a run on two servers
@@ -170,3 +239,62 @@ def test_a_run_survives_a_pulled_cable_and_a_power_cut(site: Site, alone: str) -
     assert run.done()["history_hash"] == alone
     second.wait_up()
     wait_active(second)
+
+
+def test_a_server_that_is_killed_is_started_again(site: Site, alone: str) -> None:
+    """With all its slots; the run goes on with it."""
+    first = site.servers[0]
+    restarts = int(show(first, "NRestarts")[0])
+    run = site.run()
+    run.wait_counted(100)
+    old = set(processes(first))
+    first.run("systemctl kill --kill-whom=main --signal=KILL zswarm-ss")
+    restart_counted(first, restarts + 1)
+    assert run.done()["history_hash"] == alone
+    assert run.counted(SERVED) == 3
+    assert not old & set(processes(first))
+
+
+def processes(machine: Machine) -> list[str]:
+    """Of the server: program and slots."""
+    return machine.run("systemctl show zswarm-ss --value -p ControlGroup; pgrep --uid zswarm").split()[1:]
+
+
+def test_a_server_that_hangs_is_started_again(site: Site, alone: str) -> None:
+    """Its loop does nothing for as long as WatchdogSec, here made short."""
+    second = site.servers[1]
+    short = "/run/systemd/system/zswarm-ss.service.d"
+    second.run(f"mkdir -p {short} && printf '[Service]\\nWatchdogSec=3\\n' > {short}/short.conf && systemctl daemon-reload")
+    second.run("systemctl restart zswarm-ss")
+    restarts = int(show(second, "NRestarts")[0])
+    run = site.run()
+    run.wait_counted(100)
+    second.run("systemctl kill --kill-whom=main --signal=STOP zswarm-ss")
+    restart_counted(second, restarts + 1)
+    assert "Watchdog timeout" in second.run("journalctl --boot --unit zswarm-ss")
+    assert run.done()["history_hash"] == alone
+
+
+def test_a_server_that_is_stopped_finishes_what_runs(site: Site, alone: str) -> None:
+    """What waits there is sent to the other one; started again it joins."""
+    first = site.servers[0]
+    run = site.run()
+    run.wait_counted(100)
+    first.run("systemctl stop zswarm-ss")
+    assert show(first, "Result", "ActiveState", "ExecMainStatus") == ["success", "inactive", "143"]
+    log = first.run("journalctl --boot --unit zswarm-ss --lines 20 --output cat")
+    assert "server_stopped" in log
+    assert "drain_cut_short" not in log
+    first.run("systemctl start zswarm-ss")
+    assert run.done()["history_hash"] == alone
+
+
+def test_compiled_kernels_outlive_a_restart(site: Site, alone: str) -> None:
+    first = site.servers[0]
+    kept = "cd /var/cache/zswarm && find . -name '*.nb?' -printf '%p %T@ %U\\n' | sort"
+    assert site.run().done()["history_hash"] == alone
+    kernels = first.run(kept)
+    assert len(kernels.splitlines()) > 5
+    first.run("systemctl restart zswarm-ss")
+    assert site.run().done()["history_hash"] == alone
+    assert first.run(kept) == kernels

@@ -1,0 +1,63 @@
+"""The files in deploy/, without a machine to install them on: that is tests/integration/test_machines.py."""
+
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from zswarm import router
+from zswarm.ss.server import Options
+from zswarm.strict import convert
+
+REPOSITORY = Path(__file__).parents[2]
+DEPLOY = REPOSITORY / "deploy"
+DOCUMENT = (REPOSITORY / "docs" / "deploy.md").read_text()
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not there (Debian: apt install systemd)")
+def test_systemd_finds_nothing_wrong_with_the_units() -> None:
+    """And their exposure is 1.2 at most."""
+    done = subprocess.run([str(DEPLOY / "check-units.sh"), str(Path(sys.executable).parent)], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, ""), done.stdout
+
+
+@pytest.mark.parametrize(("file", "options"), [("ss.toml", Options), ("router.toml", router.Options)], ids=["ss", "router"])
+def test_the_example_of_a_configuration_shows_the_defaults(file: str, options: type[msgspec.Struct]) -> None:
+    """Every key but for those that are set is behind a #, with its default."""
+    text = (DEPLOY / "systemd" / file).read_text()
+    set_here = tomllib.loads(text)
+    convert(set_here, options, file)
+    shown = tomllib.loads("\n".join(re.findall(r"^#? ?(\w+ = .*)$", text, re.M)))
+    defaults = msgspec.to_builtins(options())
+    assert shown == defaults | set_here
+
+
+@pytest.mark.parametrize(("what", "heading"), [("install", "Install"), ("upgrade", "Upgrade"), ("uninstall", "Uninstall")])
+def test_the_script_for_many_machines_does_what_the_document_says(what: str, heading: str) -> None:
+    script = re.search(rf"^{what}='\n(.*?)^'$", (DEPLOY / "fleet.sh").read_text(), re.S | re.M)
+    assert script
+    lines = script[1].replace("--quiet ", "").replace('"$PACKAGE"', "zswarm")
+    lines = re.sub(r" \|\| \{.*\}$", "", lines, flags=re.M)  # what it does where pip fails
+    assert lines == re.findall(r"^```sh\n(.*?)^```$", DOCUMENT.split(f"# {heading}\n", 1)[1], re.S | re.M)[0]
+
+
+@pytest.mark.parametrize("arguments", [[], ["install"], ["instal", "lab-01"]])
+def test_the_script_for_many_machines_says_how_it_is_used(arguments: list[str]) -> None:
+    done = subprocess.run([str(DEPLOY / "fleet.sh"), *arguments], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("usage: fleet.sh install|upgrade|uninstall|status HOST...")
+
+
+def test_the_script_for_many_machines_ends_where_something_fails(tmp_path: Path) -> None:
+    """The machines after it serve on as they are."""
+    (tmp_path / "ssh").write_text('#!/bin/sh\ncat > /dev/null\n[ "$1" != lab-02 ]\n')
+    (tmp_path / "ssh").chmod(0o755)
+    command = [str(DEPLOY / "fleet.sh"), "upgrade", "lab-01", "lab-02", "lab-03"]
+    done = subprocess.run(command, capture_output=True, text=True, env={"PATH": f"{tmp_path}:/usr/bin:/bin"})
+    assert (done.returncode, done.stdout) == (1, "lab-01: upgrade\nlab-02: upgrade\n")
+    assert done.stderr == "lab-02: upgrade failed; the machines after it were left alone\n"
