@@ -15,6 +15,7 @@ from zswarm.ot import cli as ot
 from zswarm.ot import record
 from zswarm.ot.controller import Controller
 from zswarm.protocol import codec, messages
+from zswarm.security import cli as security
 from zswarm.ss import cli as ss
 from zswarm.ss.metrics import Metrics
 from zswarm.ss.server import Options
@@ -74,9 +75,20 @@ def test_every_command_of_the_optimizer_is_documented_with_its_options(name: str
             assert f"`{spelling}`" in documented, f"docs/commands.md, {name}: {spelling} is missing"
 
 
+@pytest.mark.parametrize("name", sorted(security.command.commands))
+def test_every_command_of_keys_is_documented_with_its_options(name: str) -> None:
+    """Each has a section in commands.md; what several share has its row above them."""
+    documented = section("commands.md", f"### zswarm-keys {name}")
+    for option in options(security.command.commands[name]):
+        for spelling in [*option.opts, *option.secondary_opts]:
+            assert f"`{spelling}`" in documented, f"docs/commands.md, zswarm-keys {name}: {spelling} is missing"
+
+
 def test_no_command_is_documented_that_is_not_there() -> None:
-    """The sections below zswarm-ot are its commands."""
+    """The sections below zswarm-ot and zswarm-keys are their commands."""
     assert set(re.findall(r"^### (.*)$", section("commands.md", "## zswarm-ot"), re.M)) == set(ot.command.commands)
+    documented = re.findall(r"^### zswarm-keys (.*)$", section("commands.md", "## zswarm-keys"), re.M)
+    assert set(documented) == set(security.command.commands)
 
 
 @pytest.mark.parametrize(
