@@ -11,21 +11,25 @@ def write_whole(path: Path, content: bytes, mode: int = 0o666, owner: tuple[int,
     """A file is there with all its content, on the disk, or as it was before.
 
     Args:
-        path: its name with the suffix ``.part`` is used meanwhile.
+        path: its name and ``.part`` is used meanwhile.
         content: all of it.
         mode: permissions, less the umask; nobody else could read it for a moment.
         owner: numbers of user and group; None: who runs the program.
     """
-    part = path.with_suffix(".part")
+    part = path.with_name(f"{path.name}.part")
     part.unlink(missing_ok=True)
     opened = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
-    with os.fdopen(opened, "wb") as file:
-        if owner is not None:
-            os.fchown(opened, *owner)
-        file.write(content)
-        file.flush()
-        os.fsync(opened)
-    part.replace(path)
+    try:
+        with os.fdopen(opened, "wb") as file:
+            if owner is not None:
+                os.fchown(opened, *owner)
+            file.write(content)
+            file.flush()
+            os.fsync(opened)
+        part.replace(path)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
     sync(path.parent)
 
 
@@ -43,7 +47,7 @@ def make_private(folder: Path, names: Collection[str], owner: tuple[int, int] | 
 
     Args:
         folder: made where it is missing, as those above it.
-        names: with the suffix ``.part`` too.
+        names: also with ``.part``.
         owner: numbers of user and group; None: who runs the program.
 
     Raises:
@@ -52,7 +56,7 @@ def make_private(folder: Path, names: Collection[str], owner: tuple[int, int] | 
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
     folder.mkdir(mode=0o700, exist_ok=True)
-    known = {*names, *(str(Path(name).with_suffix(".part")) for name in names)}
+    known = {*names, *(f"{name}.part" for name in names)}
     if other := sorted(set(os.listdir(folder)) - known):
         raise ConfigError(f"{folder}: expected a folder for keys alone, and it holds {other[0]!r}")
     folder.chmod(0o700)

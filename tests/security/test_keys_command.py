@@ -235,6 +235,18 @@ def test_without_an_authority_its_commands_say_how_to_make_one(tmp_path: Path, m
     assert not there.authority.exists()
 
 
+def test_a_lab_is_named_as_its_holders_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    there = machine(tmp_path, "there")
+    for name in ("", "../x", "My Lab", "\x1b[31m"):
+        assert "the lab's name" in there.refuses("init", "--name", name)
+    assert not there.authority.exists()
+
+
+def test_an_empty_name_is_no_default(desk: Machine) -> None:
+    for option in ("--name", "--optimizer"):
+        assert "'': expected" in desk.refuses("request", option, "")
+
+
 def test_a_second_authority_is_refused(desk: Machine) -> None:
     fingerprint = desk.status()["authority"]["fingerprint"]
     assert "there is an authority already" in desk.refuses("init")

@@ -99,13 +99,15 @@ class Authority:
 
         Args:
             folder: made, for its owner alone.
-            lab: a name for people.
+            lab: a name for people, as those of holders.
             now: for tests.
 
         Raises:
-            ConfigError: there is one already, or the folder holds other files.
+            ConfigError: there is one already, the folder holds other files, or no such name can be given.
             OSError: the folder cannot be written.
         """
+        if not is_name(lab):
+            raise KeysError(f"the lab's name {lab[:80]!r}: expected {keys.ID_RULE} (at most {keys.MAX_NAME})")
         make_private(folder, (certificates.KEY, certificates.AUTHORITY, LEDGER))
         with _locked(folder):
             if (folder / certificates.KEY).exists():

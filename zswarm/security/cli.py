@@ -1,7 +1,6 @@
 """The command ``zswarm-keys``: parses, calls, and says what to do next."""
 
 import contextlib
-import json
 import os
 import platform
 import stat
@@ -18,6 +17,7 @@ from zswarm.protocol import keys
 from zswarm.protocol.codec import clean
 from zswarm.security import keyring
 from zswarm.security.members import IN_WORDS, Holder, Role
+from zswarm.strict import to_json
 
 if TYPE_CHECKING:
     from zswarm.security.authority import Authority, Issued
@@ -96,9 +96,9 @@ def command() -> None:
 @json_option
 def init(lab: str | None, folder: Path | None, as_json: bool) -> None:
     """Make the lab's authority: once, on a machine that only administrators use."""
-    from zswarm.security.authority import Authority, new_holder
+    from zswarm.security.authority import Authority
 
-    name = new_holder("ss", lab).name if lab else keys.fold(_host())
+    name = keys.fold(_host()) if lab is None else lab
     with Authority.create(folder or _authority_folder(), name) as made:
         if as_json:
             _print_json({"authority": str(made.folder), "fingerprint": made.fingerprint})
@@ -184,7 +184,8 @@ def request(
     if user is not None and (router or name is not None):
         raise KeysError("--optimizer USER says role and name: leave --router and --name out")
     role: Role = "ot" if user is not None else "router" if router else "ss"
-    whose = new_holder(role, user or name or keys.fold(_host()))
+    given_name = name if user is None else user
+    whose = new_holder(role, keys.fold(_host()) if given_name is None else given_name)
     target = install.folder_for(role, given)
     file = out / f"{whose.name}{REQUEST_SUFFIX}"
     _check_out(out, [], force=force)
@@ -487,6 +488,8 @@ def _say_installed(installed: dict[str, Any]) -> None:
         f" ({installed['state']}), list {installed['number']} of members"
     )
     _say(f"Fingerprint: {installed['fingerprint']}")
+    if installed["state"] != "valid":
+        _say(f"Next, where the authority is: zswarm-keys renew {whose.name}")
 
 
 def _state(not_after: datetime) -> str:
@@ -512,4 +515,4 @@ def _complain(text: str) -> None:
 
 
 def _print_json(value: dict[str, Any]) -> None:
-    click.echo(json.dumps(value))
+    click.echo(to_json(value))

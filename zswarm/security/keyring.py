@@ -139,6 +139,8 @@ def read(path: Path, *, secret: bool = False) -> bytes:
             content = file.read(MAX_FILE + 1)
     except FileNotFoundError:
         raise KeysError(f"{path}: missing") from None
+    except PermissionError:
+        raise KeysError(f"{path}: cannot be read: keys are their owner's alone, and this program runs as another user") from None
     except OSError as error:
         raise KeysError(f"{path}: cannot be read: {error.strerror}") from None
     if len(content) > MAX_FILE:

@@ -18,6 +18,7 @@ from zswarm.security.keyring import Keyring
 from zswarm.security.members import holder
 
 ZENOH_LOG = "off,zenoh_link_tls=warn"
+UNREMARKABLE = ("handshake eof", "Connection reset", "os error 104")  # somebody looked whether the port is open
 EVERY_S = 10.0  # the same reason is told at most so often: a refused program tries again each second
 MARK = re.compile(r"zenoh_link_tls::unicast: (.*)")
 REASONS = {
@@ -66,6 +67,8 @@ def in_words(line: str) -> str:
     if said is None:
         return ""
     text = said[1].partition(" Hint:")[0]
+    if any(mark in text for mark in UNREMARKABLE):
+        return ""
     return next((words for mark, words in REASONS.items() if mark in text), codec.clean(text))
 
 
