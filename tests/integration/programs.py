@@ -72,10 +72,11 @@ class Server(Program):
         port: int = 0,
         options: tuple[str, ...] = (),
         address: str = "127.0.0.1",
+        protocol: str = "tcp",
         inside: Sequence[str] = (),
         **environment: str,
     ) -> None:
-        self.endpoint = f"tcp/{address}:{port or free_port()}"
+        self.endpoint = f"{protocol}/{address}:{port or free_port()}"
         super().__init__(
             folder,
             name,

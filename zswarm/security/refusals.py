@@ -27,6 +27,7 @@ REASONS = {
     "UnknownCA": "it does not trust this lab's authority: its keys are of another one",
     "UnknownIssuer": "its certificate is of another authority",
     "BadSignature": "its certificate is of another authority",
+    "DecryptError": "it does not trust this lab's authority: its keys are of another one of the same name",
     "sent no certificates": "it shows no certificate: it has no keys of this lab",
     "corrupt message": "it does not speak TLS: a program without keys, which would go on in the clear",
     "Expired": "it says that this machine's certificate has expired: zswarm-keys renew, and join here",

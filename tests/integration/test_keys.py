@@ -1,0 +1,355 @@
+"""Keys with real programs and sessions: members are let in, everyone else is refused in words, and keys change under runs."""
+
+import contextlib
+import secrets
+import shutil
+import signal
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+import pytest
+import zenoh
+from evacuation import COUNTED, write
+from programs import Optimizer, Program, Server, free_port, query, wait_until
+
+from zswarm import session
+from zswarm.protocol import codec, keys
+from zswarm.protocol.messages import Cancel, Lease, Message, Part, Release, Renew, Reply, Requirements, Reserve
+from zswarm.security import bundle, install
+from zswarm.security.authority import Authority, new_holder
+from zswarm.security.keyring import Keyring
+from zswarm.security.members import Holder, Members, Role
+from zswarm.session import Reach
+from zswarm.version_hash import version_hash
+
+NOW = datetime.now(UTC)
+SMALL = ("--set", "generations=2", "--set", "problem.trials=2")
+
+
+class Lab(NamedTuple):
+    """An authority, and the installed keys of its members, each in a folder of its own."""
+
+    folder: Path
+
+    def keys(self, holder: str) -> str:
+        return str(self.folder / holder)
+
+    def revoke(self, holder: str) -> None:
+        with Authority(self.folder / "authority") as authority:
+            authority.revoke([holder])
+
+    def bring_members(self, holder: str) -> None:
+        """The newest list, to where somebody's keys are."""
+        with Authority(self.folder / "authority") as authority:
+            newest = authority.list_of_members()
+        file = self.folder / "members.zkeys"
+        bundle.write(file, newest)
+        install.install_members(bundle.read(file), self.folder / holder)
+
+
+def make(folder: Path, *holders: tuple[Role, str], now: datetime | None = None, days: int = 365) -> Lab:
+    """A lab whose certificates were issued at a time."""
+    place = folder / "authority"
+    with Authority.create(place, "lab", now=now) as authority:
+        wanted: dict[Holder, list[str]] = {new_holder(role, name): [] for role, name in holders}
+        issued = authority.issue(wanted, days)
+    for (_, name), content in zip(holders, issued, strict=True):
+        file = folder / f"{name}.zkeys"
+        bundle.write(file, content)
+        unpack(folder / name, content)
+    return Lab(folder)
+
+
+def unpack(folder: Path, content: bundle.Bundle) -> None:
+    """As install does, without a check of what the bundle holds."""
+    folder.mkdir(parents=True, mode=0o700)
+    (folder / "key.pem").touch(0o600)
+    for name, text in (("authority", content.authority), ("certificate", content.certificate), ("key", content.key)):
+        (folder / f"{name}.pem").write_text(text)
+    (folder / "members.json").write_bytes(msgspec.json.encode(content.members))
+
+
+@pytest.fixture(scope="module")
+def issued(tmp_path_factory: pytest.TempPathFactory) -> Lab:
+    folder, some_time_ago = tmp_path_factory.mktemp("lab"), NOW - timedelta(days=60)
+    return make(folder, ("ss", "lab-01"), ("ss", "lab-02"), ("ot", "alice"), ("ot", "bob"), ("router", "gate"), now=some_time_ago)
+
+
+@pytest.fixture
+def lab(issued: Lab, tmp_path: Path) -> Lab:
+    """One that a test may change."""
+    shutil.copytree(issued.folder, tmp_path / "lab")
+    return Lab(tmp_path / "lab")
+
+
+@pytest.fixture
+def server(lab: Lab, tmp_path: Path) -> Iterator[Server]:
+    started = serve(lab, tmp_path, "lab-01")
+    yield started.ready()
+    started.close()
+
+
+def serve(lab: Lab, folder: Path, name: str, *options: str) -> Server:
+    return Server(folder, name, capacity=1, options=options, protocol="tls", ZSWARM_KEYS=lab.keys(name))
+
+
+def evolve(folder: Path, name: str, keys_folder: str, *options: str, steps: int = 50) -> Optimizer:
+    file = write(folder, "keyed", steps)
+    return Optimizer(folder, name, ["run", file, "--json", "--no-multicast", *options], ZSWARM_KEYS=keys_folder)
+
+
+def look(folder: Path, name: str, keys_folder: str, *options: str) -> str:
+    """What ``zswarm-ot servers`` says, in one line."""
+    looking = Optimizer(folder, name, ["servers", "--wait", "1", "--no-multicast", *options], ZSWARM_KEYS=keys_folder)
+    looking.wait()
+    return " ".join((looking.out.read_text() + looking.err.read_text()).split())
+
+
+def ring(folder: str, role: Role, name: str) -> Keyring:
+    """Keys as somebody uses them who checks nothing: whoever has a certificate is let do anything on this side."""
+    members = Members(authority="", number=1, servers=["lab-01", "lab-02"], users=["alice", "bob", "mallory"], routers=["gate"])
+    return Keyring(Path(folder), role, name, "", NOW, NOW, members)
+
+
+@contextlib.contextmanager
+def opened(*to: str, as_: Keyring | None) -> Iterator[zenoh.Session]:
+    one = session.open_optimizer(Reach(to, multicast=False, keyring=as_))
+    try:
+        yield one
+    finally:
+        session.close(one)
+
+
+def linked(one: zenoh.Session) -> None:
+    wait_until(lambda: one.info.links(), "a link is there")
+
+
+def ask(one: zenoh.Session, key: str, message: Message) -> Reply | None:
+    replies = [reply.ok for reply in one.get(key, payload=codec.encode(message), target=zenoh.QueryTarget.ALL, timeout=5.0)]
+    return codec.decode_reply(replies[0].payload.to_bytes()) if replies and replies[0] is not None else None
+
+
+def server_id(server: Server) -> str:
+    return str(server.events("server_ready")[0]["server"])
+
+
+def reserve() -> Reserve:
+    return Reserve(
+        nonce=secrets.token_bytes(16), epoch=0, slots=1, simulator=Part("emergency-exit", {}),
+        representation=Part("fully-meshed", {}), version_hash=version_hash("emergency-exit", "fully-meshed"),
+        trial_timeout_s=60.0, trial_memory_mb=0,
+    )  # fmt: skip
+
+
+# ---- who is let in
+
+
+def test_a_member_evolves_through_tls_and_its_name_is_the_users(lab: Lab, server: Server, tmp_path: Path) -> None:
+    plain = evolve(tmp_path, "alone", "none", "--servers", "local", "--out", "alone", *SMALL).done()
+    done = evolve(tmp_path, "alice", lab.keys("alice"), "--servers", "1", f"--connect={server.endpoint}", *SMALL).done()
+    assert done["history_hash"] == plain["history_hash"]
+    assert [event["user"] for event in server.events("lease_granted")] == ["alice"]
+    assert not server.events("link_refused")
+
+
+def test_members_meet_through_a_router_that_holds_their_rules(lab: Lab, tmp_path: Path) -> None:
+    at = f"tls/127.0.0.1:{free_port()}"
+    router = Program(tmp_path, "gate", ["-m", "zswarm.router", "--no-multicast", "--listen", at], ZSWARM_KEYS=lab.keys("gate"))
+    server = serve(lab, tmp_path, "lab-01", "--connect", at)
+    try:
+        server.ready()
+        through = ("--servers", "1", "--connect", at, "--through-router")
+        done = evolve(tmp_path, "alice", lab.keys("alice"), *through, *SMALL).done()
+        assert done["evaluations"] > 0
+        with opened(at, as_=ring(lab.keys("bob"), "ot", "bob")) as bob:
+            wait_until(lambda: tokens(bob, keys.ANY_ALIVE), "bob sees the server through the router")
+            alices = keys.request("default", server_id(server), "alice", "run", "reserve")
+            assert ask(bob, alices, reserve()) is None
+            bobs = keys.request("default", server_id(server), "bob", "run", "reserve")
+            assert isinstance(ask(bob, bobs, reserve()), Lease)
+    finally:
+        server.close()
+        router.close()
+
+
+def tokens(one: zenoh.Session, key: str) -> list[str]:
+    return [str(reply.ok.key_expr) for reply in one.liveliness().get(key, timeout=5.0) if reply.ok is not None]
+
+
+# ---- who is not
+
+
+@pytest.mark.parametrize(
+    ("who", "at_the_server", "at_the_optimizer"),
+    [
+        ("stranger", "does not trust this lab's authority", "has keys of another authority than those here"),
+        ("expired", "its certificate has expired", None),
+        ("not yet", "its certificate is not valid yet", None),
+        ("plain", "does not speak TLS", "lets in members only: have keys issued"),
+    ],
+)
+def test_who_has_no_good_keys_is_refused_in_words_on_both_sides(
+    server: Server, tmp_path: Path, lab: Lab, who: str, at_the_server: str, at_the_optimizer: str | None
+) -> None:
+    to = server.endpoint
+    match who:
+        case "stranger":
+            other = make(tmp_path / "other", ("ot", "alice"))
+            folder, used = other.keys("alice"), ring(other.keys("alice"), "ot", "alice")
+        case "expired" | "not yet":
+            with Authority(lab.folder / "authority", now=NOW + timedelta(days=-30 if who == "expired" else 30)) as authority:
+                content = authority.issue({new_holder("ot", "carol"): []}, 7)[0]
+            unpack(lab.folder / "carol", content)
+            folder, used = lab.keys("carol"), ring(lab.keys("carol"), "ot", "carol")
+        case _:
+            folder, used, to = "none", None, to.replace("tls/", "tcp/")
+    with opened(to, as_=used):
+        wait_until(lambda: server.events("link_refused"), "the server says whom it refused")
+    assert any(at_the_server in event["reason"] for event in server.events("link_refused")), server.events("link_refused")
+    said = look(tmp_path, "look", folder, "--connect", to)
+    if at_the_optimizer is None:  # the program knows before it dials
+        assert f"certificate of the user carol {'expired' if who == 'expired' else 'is valid from'}" in said
+    else:
+        assert at_the_optimizer in said
+
+
+@pytest.mark.parametrize("who", ["lab-02", "gate", "mallory"])
+def test_a_certificate_that_is_no_members_opens_a_link_and_no_door(server: Server, tmp_path: Path, lab: Lab, who: str) -> None:
+    """Of a server, of a router that is not one of theirs, of a user that the list does not have."""
+    if who == "mallory":
+        with Authority(lab.folder / "authority") as authority:
+            unpack(lab.folder / "mallory", authority.issue({new_holder("ot", "mallory"): []}, 7)[0])
+    if who == "gate":  # the router's rules let it carry; so it is revoked first
+        lab.revoke("gate")
+        lab.bring_members("lab-01")
+        server.kill(signal.SIGHUP)
+        wait_until(lambda: server.events("reloaded"), "it has the new list")
+    with opened(server.endpoint, as_=ring(lab.keys(who), "ot", who)) as stranger:
+        linked(stranger)
+        assert tokens(stranger, keys.ANY_ALIVE) == []
+        for user in ("alice", who):
+            for verb, message in (("reserve", reserve()), ("release", Release(lease=bytes(16)))):
+                assert ask(stranger, keys.request("default", server_id(server), user, "run", verb), message) is None
+        assert ask(stranger, keys.offer("default", server_id(server)), Requirements()) is None
+    assert not server.events("lease_granted")
+    if who != "lab-02":
+        unknown = wait_until(lambda: server.events("member_unknown"), "the server names it")
+        assert unknown[0]["certificate"].endswith(f".{who}")
+
+
+def test_one_user_cannot_use_see_or_cancel_what_is_anothers(server: Server, lab: Lab) -> None:
+    name = server_id(server)
+    with (
+        opened(server.endpoint, as_=ring(lab.keys("alice"), "ot", "alice")) as alice,
+        opened(server.endpoint, as_=ring(lab.keys("bob"), "ot", "bob")) as bob,
+    ):
+        for one in (alice, bob):
+            wait_until(lambda one=one: tokens(one, keys.ANY_ALIVE), "it sees the server")
+        token = alice.liveliness().declare_token(keys.run_alive("default", "alice", "run"))
+        lease = ask(alice, keys.request("default", name, "alice", "run", "reserve"), reserve())
+        assert isinstance(lease, Lease)
+        for verb, message in (
+            ("renew", Renew(lease=lease.lease)),
+            ("cancel", Cancel(lease=lease.lease, batches=[1])),
+            ("release", Release(lease=lease.lease)),
+        ):
+            for key in (
+                keys.request("default", name, "alice", "run", verb),
+                f"{keys.ROOT}/default/ss/{name}/ot/*/run/{verb}",
+                f"{keys.ROOT}/default/ss/{name}/**",
+            ):
+                assert ask(bob, key, message) is None, key
+            own = ask(bob, keys.request("default", name, "bob", "run", verb), message)
+            assert not isinstance(own, Lease)
+        assert tokens(bob, f"{keys.ROOT}/default/ot/*/*/alive") == []
+        false = bob.liveliness().declare_token(keys.run_alive("default", "alice", "false"))
+        assert isinstance(ask(alice, keys.request("default", name, "alice", "run", "renew"), Renew(lease=lease.lease)), Lease)
+        false.undeclare()
+        token.undeclare()
+
+
+def test_a_user_is_no_server(lab: Lab, tmp_path: Path) -> None:
+    """Nor is a server another one: its certificate lets it speak in its own name only."""
+    at = f"tls/127.0.0.1:{free_port()}"
+    for who, role in (("bob", "ot"), ("lab-02", "ss")):
+        false, _ = session.open_server([at], Reach(multicast=False, keyring=ring(lab.keys(who), "ss", who)))
+        try:
+            token = false.liveliness().declare_token(keys.alive("default", "lab-01-01234567"))
+            said = look(tmp_path, f"look-{who}", lab.keys("alice"), "--connect", at)
+            assert "no server found" in said
+            if role == "ot":
+                assert "not those of a server or router, but of 'the user bob'" in said
+            token.undeclare()
+        finally:
+            session.close(false)
+
+
+# ---- keys change
+
+
+def test_a_run_outlives_reloads_of_its_server(lab: Lab, server: Server, tmp_path: Path) -> None:
+    """Each is a new session with the keys of then; lease, batches and results stay."""
+    plain = evolve(tmp_path, "alone", "none", "--servers", "local", "--out", "alone", steps=400).done()
+    running = evolve(tmp_path, "alice", lab.keys("alice"), "--servers", "1", f"--connect={server.endpoint}", steps=400)
+    record = tmp_path / "runs" / "keyed"
+    for reload in (1, 2):
+        before = int((query(record, COUNTED) or [(0,)])[0][0])
+        wait_until(lambda before=before: (query(record, COUNTED) or [(0,)])[0][0] > before + 200, "trials are counted")
+        server.kill(signal.SIGHUP)
+        wait_until(lambda reload=reload: len(server.events("reloaded")) == reload, "it reloaded")
+    done = running.done()
+    assert done["history_hash"] == plain["history_hash"]
+    assert len(server.events("lease_granted")) == 1, "the lease did not outlive the reload"
+
+
+def test_a_revoked_user_is_refused_after_a_reload(lab: Lab, server: Server, tmp_path: Path) -> None:
+    assert "lab-01" in look(tmp_path, "before", lab.keys("bob"), "--connect", server.endpoint)
+    lab.revoke("bob")
+    lab.bring_members("lab-01")
+    server.kill(signal.SIGHUP)
+    wait_until(lambda: server.events("reloaded"), "it reloaded")
+    said = look(tmp_path, "after", lab.keys("bob"), "--connect", server.endpoint)
+    assert "shows no server to bob, who may not be, or no more be, in its list of members" in said
+    assert "lab-01" in look(tmp_path, "alice", lab.keys("alice"), "--connect", server.endpoint)
+    assert server.events("member_unknown")[0]["certificate"] == "ot.bob"
+
+
+def test_a_reload_of_bad_keys_changes_nothing(lab: Lab, server: Server, tmp_path: Path) -> None:
+    key = Path(lab.keys("lab-01")) / "key.pem"
+    key.chmod(0o644)
+    server.kill(signal.SIGHUP)
+    wait_until(lambda: server.events("reload_refused"), "it says so")
+    assert "others than its owner may read this key" in server.events("reload_refused")[0]["reason"]
+    assert "lab-01" in look(tmp_path, "look", lab.keys("alice"), "--connect", server.endpoint)
+    assert not server.events("reloaded")
+
+
+def test_a_server_that_requires_keys_does_not_start_without(tmp_path: Path) -> None:
+    file = tmp_path / "ss.toml"
+    file.write_text("require_keys = true\n")
+    server = Server(tmp_path, "open", options=("--config", str(file)), ZSWARM_KEYS="none")
+    assert server.wait() == 78
+    assert server.err.read_text().splitlines()[-1] == (
+        "zswarm-ss: require_keys is set, and no keys are installed: zswarm-keys join BUNDLE"
+    )
+
+
+def test_a_server_without_keys_says_so_in_one_line(tmp_path: Path) -> None:
+    server = Server(tmp_path, "open", ZSWARM_KEYS="none")
+    try:
+        server.ready()
+        assert len(server.events("in_the_clear")) == 1
+    finally:
+        server.close()
+
+
+@pytest.mark.parametrize("program", ["zswarm.ss", "zswarm.router"])
+def test_endpoints_in_the_clear_do_not_go_with_keys(lab: Lab, tmp_path: Path, program: str) -> None:
+    who = "lab-01" if program == "zswarm.ss" else "gate"
+    at = f"tcp/127.0.0.1:{free_port()}"
+    started = Program(tmp_path, "clear", ["-m", program, "--no-multicast", "--listen", at], ZSWARM_KEYS=lab.keys(who))
+    assert started.wait() == 2
+    assert "an endpoint must begin with tls/" in started.err.read_text().splitlines()[-1]
