@@ -239,6 +239,16 @@ def test_a_request_is_signed_and_renewed_for_its_own_key(tmp_path: Path) -> None
         assert certificates.fits(key, certificate(content))
 
 
+def test_a_request_that_its_key_did_not_sign_is_refused(tmp_path: Path) -> None:
+    """Else somebody's public key could be had certified under another name."""
+    pem = make_request(of("ss", "lab-01"), [], certificates.new_key())
+    der = x509.load_pem_x509_csr(pem).public_bytes(serialization.Encoding.DER)
+    changed = x509.load_der_x509_csr(der.replace(b"ss.lab-01", b"ss.lab-02")).public_bytes(serialization.Encoding.PEM)
+    (tmp_path / "x.zrequest").write_bytes(changed)
+    with pytest.raises(KeysError, match="no request that zswarm-keys request made"):
+        read_request(tmp_path / "x.zrequest")
+
+
 @pytest.mark.parametrize("body", [b"", b"x", b"-----BEGIN CERTIFICATE REQUEST-----\nAAAA\n-----END CERTIFICATE REQUEST-----\n"])
 def test_a_damaged_request_is_refused(tmp_path: Path, body: bytes) -> None:
     (tmp_path / "x.zrequest").write_bytes(body)

@@ -70,6 +70,13 @@ def test_parts_of_two_bundles_are_refused(tmp_path: Path, pair: tuple[bundle.Bun
         assert text in refusal(tmp_path / "x.zkeys", msgspec.structs.replace(first, **changes))
 
 
+def test_a_holder_who_is_no_member_is_refused(tmp_path: Path, pair: tuple[bundle.Bundle, bundle.Bundle]) -> None:
+    with again(tmp_path / "authority", NOW) as made:
+        made.revoke(["lab-01"])
+        later = msgspec.structs.replace(pair[0], members=made.members())
+    assert "the server lab-01 is not, or no more, among the members" in refusal(tmp_path / "x.zkeys", later)
+
+
 def test_an_expired_bundle_is_refused(tmp_path: Path) -> None:
     (content,) = issued(tmp_path / "authority", of("ss", "lab-01"), now=LONG_AGO)
     assert "expired on" in refusal(tmp_path / "x.zkeys", content)
@@ -82,7 +89,7 @@ def test_a_bundle_that_is_not_yet_valid_is_refused(tmp_path: Path) -> None:
     assert "set the clock" in refusal(tmp_path / "x.zkeys", content)
 
 
-@pytest.mark.parametrize("name", ["*", "a/b", "\x1b[31m", "x" * 55, ""])
+@pytest.mark.parametrize("name", ["*", "a/b", "\x1b[31m", "x" * 55, "", "x\n"])
 def test_a_name_that_is_no_id_is_refused_even_signed(
     tmp_path: Path, pair: tuple[bundle.Bundle, bundle.Bundle], name: str
 ) -> None:

@@ -7,12 +7,15 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric import ec
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from issuing import ALL, LONG_AGO, NOW, TOMORROW, again, authority, installed, issued, of, unpacked
 
 from zswarm.errors import KeysError
-from zswarm.security import keyring
+from zswarm.security import certificates, keyring
 from zswarm.security.members import Role, SignedMembers
 
 FUZZ = settings(derandomize=True, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -95,6 +98,33 @@ def test_a_holder_is_no_authority(tmp_path: Path) -> None:
     (mine,) = issued(tmp_path / "authority", of("ss", "lab-01"))
     folder = unpacked(tmp_path / "keys", msgspec.structs.replace(mine, authority=mine.certificate))
     assert "authority.pem: no authority's certificate" in refusal(folder)
+
+
+def test_a_certificate_that_signs_itself_is_no_authority(tmp_path: Path) -> None:
+    (mine,) = issued(tmp_path / "authority", of("ss", "lab-01"))
+    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "ss.lab-01")])
+    key = certificates.new_key()
+    builder = x509.CertificateBuilder(name, name, key.public_key(), 1, NOW - timedelta(days=1), NOW + timedelta(days=1))
+    for constraints in ([], [x509.BasicConstraints(ca=False, path_length=None)]):
+        for extension in constraints:
+            builder = builder.add_extension(extension, critical=True)
+        pem = builder.sign(key, certificates.HASH()).public_bytes(serialization.Encoding.PEM).decode()
+        folder = tmp_path / f"keys-{len(constraints)}"
+        unpacked(folder, msgspec.structs.replace(mine, authority=pem, certificate=pem))
+        assert "authority.pem: no authority's certificate" in refusal(folder)
+
+
+def test_keys_of_another_kind_are_refused(tmp_path: Path) -> None:
+    """Of another curve, in an authority's certificate and as a key."""
+    (mine,) = issued(tmp_path / "authority", of("ss", "lab-01"))
+    key = ec.generate_private_key(ec.SECP384R1())
+    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "authority.lab")])
+    builder = x509.CertificateBuilder(name, name, key.public_key(), 1, NOW - timedelta(days=1), NOW + timedelta(days=1))
+    pem = builder.sign(key, certificates.HASH()).public_bytes(serialization.Encoding.PEM).decode()
+    first = unpacked(tmp_path / "first", msgspec.structs.replace(mine, authority=pem))
+    assert "authority.pem: the certificate's key is not EC P-256" in refusal(first)
+    second = unpacked(tmp_path / "second", msgspec.structs.replace(mine, key=certificates.key_pem(key).decode()))
+    assert "key.pem: the key is not EC P-256" in refusal(second)
 
 
 def test_an_expired_certificate_is_refused_with_the_remedy(tmp_path: Path) -> None:
