@@ -12,6 +12,8 @@ import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 from cryptography.x509.oid import ExtendedKeyUsageOID
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from issuing import LONG_AGO, NOW, TOMORROW, again, authority, issued, of
 
 from zswarm.errors import ConfigError, KeysError
@@ -268,3 +270,20 @@ def test_a_request_of_somebody_elses_making_is_checked_as_ones_own(tmp_path: Pat
     with pytest.raises(KeysError) as refused:
         read_request(tmp_path / "x.zrequest")
     assert str(refused.value).isprintable()
+
+
+@settings(derandomize=True, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.integers(0, 420), st.binary(max_size=8), st.integers(0, 8))
+def test_a_damaged_request_is_read_or_refused(tmp_path: Path, place: int, put: bytes, lost: int) -> None:
+    """As DER within the PEM, so that the damage reaches what is read."""
+    pem = make_request(of("ss", "lab-01"), ["10.0.0.5"], certificates.new_key())
+    body = x509.load_pem_x509_csr(pem).public_bytes(serialization.Encoding.DER)
+    text = base64.encodebytes(body[:place] + put + body[place + lost :]).decode()
+    path = tmp_path / "x.zrequest"
+    path.write_text(f"-----BEGIN CERTIFICATE REQUEST-----\n{text}-----END CERTIFICATE REQUEST-----\n")
+    refused = ""
+    try:
+        read_request(path)
+    except KeysError as error:
+        refused = str(error)
+    assert refused.isprintable()

@@ -1,5 +1,6 @@
 """Installed keys are whole, valid now and among the members, or refused in one line that says why."""
 
+import base64
 import os
 from collections.abc import Callable
 from datetime import timedelta
@@ -112,6 +113,18 @@ def test_a_certificate_that_signs_itself_is_no_authority(tmp_path: Path) -> None
         folder = tmp_path / f"keys-{len(constraints)}"
         unpacked(folder, msgspec.structs.replace(mine, authority=pem, certificate=pem))
         assert "authority.pem: no authority's certificate" in refusal(folder)
+
+
+def test_what_the_library_only_warns_of_is_refused(tmp_path: Path) -> None:
+    """Such as a serial number below 0: one line, no warning on the terminal."""
+    (mine,) = issued(tmp_path / "authority", of("ss", "lab-01"))
+    der = bytearray(x509.load_pem_x509_certificate(mine.certificate.encode()).public_bytes(serialization.Encoding.DER))
+    at = der.index(bytes.fromhex("a003020102")) + 7  # behind the version: the serial number's first byte
+    der[at] |= 0x80
+    text = base64.encodebytes(bytes(der)).decode()
+    changed = f"-----BEGIN CERTIFICATE-----\n{text}-----END CERTIFICATE-----\n"
+    folder = unpacked(tmp_path / "keys", msgspec.structs.replace(mine, certificate=changed))
+    assert "certificate.pem: no certificate in PEM: damaged, or another file" in refusal(folder)
 
 
 def test_keys_of_another_kind_are_refused(tmp_path: Path) -> None:
@@ -262,6 +275,36 @@ def test_any_bytes_are_refused(tmp_path_factory: pytest.TempPathFactory, file: s
     finally:
         (folder / file).write_bytes(before)
     assert keyring.load(folder, "ss").name == "lab-01"
+
+
+@FUZZ
+@given(
+    st.sampled_from(["authority.pem", "certificate.pem", "key.pem"]),
+    st.integers(0, 480),
+    st.binary(max_size=4),
+    st.integers(0, 4),
+)
+def test_damage_within_the_pem_is_read_or_refused(
+    tmp_path_factory: pytest.TempPathFactory, file: str, place: int, put: bytes, lost: int
+) -> None:
+    """It reaches the reading of certificates and keys."""
+    folder = tmp_path_factory.getbasetemp() / "within"
+    if not folder.exists():
+        (content,) = issued(tmp_path_factory.mktemp("any") / "authority", of("ss", "lab-01"))
+        installed(folder, content)
+    before = (folder / file).read_text()
+    first, *lines, last = before.splitlines()
+    body = base64.b64decode("".join(lines))
+    text = base64.encodebytes(body[:place] + put + body[place + lost :]).decode()
+    (folder / file).write_text(f"{first}\n{text}{last}\n")
+    refused = ""
+    try:
+        keyring.load(folder, "ss")
+    except KeysError as error:
+        refused = str(error)
+    finally:
+        (folder / file).write_text(before)
+    assert refused.isprintable()
 
 
 @FUZZ

@@ -359,10 +359,11 @@ def read_request(path: Path) -> Request:
     """
     body = keyring.read(path)
     try:
-        request = x509.load_pem_x509_csr(body)
-        common_name, public = certificates.common_name(request.subject), request.public_key()
-        sound = request.is_signature_valid and certificates.is_ours(public)
-        alternatives = request.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        with certificates.warned():
+            request = x509.load_pem_x509_csr(body)
+            common_name, public = certificates.common_name(request.subject), request.public_key()
+            sound = request.is_signature_valid and certificates.is_ours(public)
+            alternatives = request.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     except (x509.ExtensionNotFound, *certificates.UNREADABLE):
         raise KeysError(f"{path}: no request of zswarm-keys: damaged, or another file") from None
     found = holder(common_name)

@@ -4,7 +4,10 @@
 """
 
 import base64
+import contextlib
 import hashlib
+import warnings
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from typing import NamedTuple
 
@@ -26,6 +29,7 @@ UNREADABLE = (  # what the library raises at bytes that are none of its own
     x509.DuplicateExtension,
     x509.InvalidVersion,
     x509.UnsupportedGeneralNameType,
+    Warning,
 )
 CURVE, HASH = ec.SECP256R1, hashes.SHA256
 MEMBERS_MARK = b"zswarm members\n"  # nothing else that an authority signs begins so
@@ -54,9 +58,10 @@ def read_certificate(pem: bytes, where: str) -> x509.Certificate:
         KeysError: it is none.
     """
     try:
-        certificate = x509.load_pem_x509_certificate(pem)
-        _ = certificate.subject, certificate.extensions, certificate.signature_hash_algorithm, certificate.not_valid_after_utc
-        ours = is_ours(certificate.public_key())
+        with warned():
+            certificate = x509.load_pem_x509_certificate(pem)
+            _ = certificate.subject, certificate.extensions, certificate.signature_hash_algorithm, certificate.not_valid_after_utc
+            ours = is_ours(certificate.public_key())
     except UNREADABLE:
         raise KeysError(f"{where}: no certificate in PEM: damaged, or another file") from None
     if not ours:
@@ -77,6 +82,14 @@ def read_key(pem: bytes, where: str) -> ec.EllipticCurvePrivateKey:
     if not isinstance(key, ec.EllipticCurvePrivateKey) or not is_ours(key.public_key()):
         raise KeysError(f"{where}: the key is not EC P-256: zswarm-keys did not make it")
     return key
+
+
+@contextlib.contextmanager
+def warned() -> Iterator[None]:
+    """What the library only warns of, such as a serial number below 0, is raised as all it cannot read."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        yield
 
 
 def new_key() -> ec.EllipticCurvePrivateKey:
