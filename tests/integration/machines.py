@@ -13,7 +13,7 @@ import subprocess
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import IO, Self
 
 import pytest
 from programs import children, wait_until
@@ -170,14 +170,9 @@ class Machines:
         done = subprocess.run([*self._inside(), "sh", "-eu", "-c", script], capture_output=True, text=True)
         assert done.returncode == 0, f"{script}\n{done.stderr}"
 
-    def popen(self, command: Sequence[str], out: object) -> subprocess.Popen[bytes]:
+    def popen(self, command: Sequence[str], out: IO[bytes]) -> subprocess.Popen[bytes]:
         """Start a program beside the machines."""
-        return subprocess.Popen(
-            [*self._inside(), *command],
-            stdin=subprocess.DEVNULL,
-            stdout=out,
-            stderr=subprocess.STDOUT,  # type: ignore[call-overload]
-        )
+        return subprocess.Popen([*self._inside(), *command], stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT)
 
     def _inside(self) -> list[str]:
         return ["nsenter", "-t", str(self._first), "-m", "-n", "-p", "--", *CLEAN]

@@ -5,8 +5,10 @@ Whatever that is, the result is that of a run on one machine.
 
 import os
 import re
+import shlex
 import shutil
 import subprocess
+import zipfile
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -44,7 +46,8 @@ SERVED = "SELECT count(DISTINCT server) FROM outcomes"
 def documented(heading: str, block: int = 0) -> str:
     """The commands of a section of docs/deploy.md."""
     section = DOCUMENT.split(f"# {heading}\n", 1)[1]
-    return re.findall(r"^```sh\n(.*?)^```$", section, re.S | re.M)[block]
+    blocks: list[str] = re.findall(r"^```sh\n(.*?)^```$", section, re.S | re.M)
+    return blocks[block]
 
 
 class Installed(Optimizer):
@@ -61,11 +64,15 @@ class Site:
         self.servers = [lab.machine(name) for name in ("ss1", "ss2")]
         self.workstation = lab.machine("ws")
         self.runs: list[Run] = []
+        self.ssh = lab.shared.parent / "ssh"
+        self.ssh.mkdir()
         (lab.shared / "experiment.toml").write_text(EXPERIMENT)
         for machine in (*self.servers, self.workstation):
             machine.switch_on()
         for machine in (*self.servers, self.workstation):
             machine.wait_up()
+        for machine in self.servers:
+            machine.run("mkdir /etc/zswarm && echo capacity = 1 > /etc/zswarm/ss.toml")
         with ThreadPoolExecutor() as side_by_side:
             installs = [side_by_side.submit(self.fleet, "install", machine) for machine in self.servers]
             self.workstation.run("python3 -m venv /opt/zswarm && /opt/zswarm/bin/pip install zswarm")
@@ -73,15 +80,14 @@ class Site:
                 install.result()
 
     def fleet(self, what: str, *machines: Machine, **environment: str) -> str:
-        """Run deploy/fleet.sh; ssh is a program that enters the machine of that name."""
-        folder = self.lab.shared.parent / f"ssh-{what}-{machines[0].name}"
-        folder.mkdir(exist_ok=True)
-        enter = "\n".join(f'{machine.name}) shift; exec {" ".join(machine.inside("sh", "-c"))} "$*";;' for machine in machines)
-        (folder / "ssh").write_text(f"#!/bin/sh\ncase $1 in\n{enter}\nesac\nexit 255\n")
-        (folder / "ssh").chmod(0o755)
+        """Run deploy/fleet.sh; what it printed. ``ssh`` is a program that enters the machine of that name."""
+        for machine in machines:
+            (self.ssh / machine.name).write_text(shlex.join(machine.inside("sh", "-c")))
+        (self.ssh / "ssh").write_text('#!/bin/sh\nexec $(cat "$(dirname "$0")/$1") "$2"\n')
+        (self.ssh / "ssh").chmod(0o755)
         done = subprocess.run(
             [str(REPOSITORY / "deploy" / "fleet.sh"), what, *(machine.name for machine in machines)],
-            capture_output=True, text=True, env=os.environ | environment | {"PATH": f"{folder}:{os.environ['PATH']}"},
+            capture_output=True, text=True, env=os.environ | environment | {"PATH": f"{self.ssh}:{os.environ['PATH']}"},
         )  # fmt: skip
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
@@ -89,6 +95,13 @@ class Site:
     def run(self, *options: str, servers: str = "2") -> "Run":
         self.runs.append(Run(self, f"run-{len(self.runs)}", ["--servers", servers, *options]))
         return self.runs[-1]
+
+    def run_on(self, machine: Machine) -> "Run":
+        """A run on this server alone."""
+        for other in self.servers:
+            if other is not machine:
+                other.run("systemctl stop zswarm-ss")
+        return self.run(servers="1")
 
     def mend(self) -> None:
         """End the runs and put right what a test broke."""
@@ -100,7 +113,7 @@ class Site:
             machine.plug()
         for machine in self.servers:
             machine.wait_up()
-            machine.run("rm -rf /run/systemd/system/zswarm-ss.service.d && systemctl daemon-reload")
+            machine.run(f"rm -rf {DROP_IN} && systemctl daemon-reload")
             machine.run("systemctl start zswarm-ss")
 
 
@@ -133,8 +146,9 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machines]:
 
 def build_wheels(folder: Path, wheels: Path) -> None:
     """This repository and what it needs, for the machines' Python."""
-    subprocess.run([*CLEAN, "python3", "-m", "venv", folder / "venv"], check=True)
-    command = [folder / "venv" / "bin" / "python", "-m", "pip", "wheel", "--quiet", "--wheel-dir", wheels, f"{REPOSITORY}"]
+    subprocess.run([*CLEAN, "python3", "-m", "venv", str(folder / "venv")], check=True)
+    python = str(folder / "venv" / "bin" / "python")
+    command = [python, "-m", "pip", "wheel", "--quiet", "--wheel-dir", str(wheels), str(REPOSITORY)]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     shutil.rmtree(folder / "venv")
@@ -170,6 +184,9 @@ def show(machine: Machine, *names: str) -> list[str]:
 
 def wait_active(machine: Machine) -> None:
     wait_until(lambda: show(machine, "ActiveState") == ["active"], f"{machine.name} serves")
+
+
+DROP_IN = "/run/systemd/system/zswarm-ss.service.d"
 
 
 def restart_counted(machine: Machine, restarts: int) -> None:
@@ -245,40 +262,41 @@ def test_a_server_that_is_killed_is_started_again(site: Site, alone: str) -> Non
     """With all its slots; the run goes on with it."""
     first = site.servers[0]
     restarts = int(show(first, "NRestarts")[0])
-    run = site.run()
+    run = site.run_on(first)
     run.wait_counted(100)
-    old = set(processes(first))
+    old = processes(first)
     first.run("systemctl kill --kill-whom=main --signal=KILL zswarm-ss")
     restart_counted(first, restarts + 1)
     assert run.done()["history_hash"] == alone
-    assert run.counted(SERVED) == 3
-    assert not old & set(processes(first))
+    assert run.counted(SERVED) == 2
+    assert len(old) > 1
+    assert not old & processes(first)
 
 
-def processes(machine: Machine) -> list[str]:
+def processes(machine: Machine) -> set[str]:
     """Of the server: program and slots."""
-    return machine.run("systemctl show zswarm-ss --value -p ControlGroup; pgrep --uid zswarm").split()[1:]
+    return set(machine.run("pgrep --uid zswarm").split())
 
 
 def test_a_server_that_hangs_is_started_again(site: Site, alone: str) -> None:
     """Its loop does nothing for as long as WatchdogSec, here made short."""
     second = site.servers[1]
-    short = "/run/systemd/system/zswarm-ss.service.d"
-    second.run(f"mkdir -p {short} && printf '[Service]\\nWatchdogSec=3\\n' > {short}/short.conf && systemctl daemon-reload")
+    second.run(f"mkdir -p {DROP_IN} && printf '[Service]\\nWatchdogSec=3\\n' > {DROP_IN}/short.conf && systemctl daemon-reload")
     second.run("systemctl restart zswarm-ss")
     restarts = int(show(second, "NRestarts")[0])
-    run = site.run()
+    run = site.run_on(second)
     run.wait_counted(100)
     second.run("systemctl kill --kill-whom=main --signal=STOP zswarm-ss")
     restart_counted(second, restarts + 1)
     assert "Watchdog timeout" in second.run("journalctl --boot --unit zswarm-ss")
     assert run.done()["history_hash"] == alone
+    assert run.counted(SERVED) == 2
 
 
 def test_a_server_that_is_stopped_finishes_what_runs(site: Site, alone: str) -> None:
-    """What waits there is sent to the other one; started again it joins."""
+    """What waits there waits for the next server: here itself, started again."""
     first = site.servers[0]
-    run = site.run()
+    run = site.run_on(first)
     run.wait_counted(100)
     first.run("systemctl stop zswarm-ss")
     assert show(first, "Result", "ActiveState", "ExecMainStatus") == ["success", "inactive", "143"]
@@ -287,14 +305,52 @@ def test_a_server_that_is_stopped_finishes_what_runs(site: Site, alone: str) -> 
     assert "drain_cut_short" not in log
     first.run("systemctl start zswarm-ss")
     assert run.done()["history_hash"] == alone
+    assert run.counted(SERVED) == 2
 
 
 def test_compiled_kernels_outlive_a_restart(site: Site, alone: str) -> None:
     first = site.servers[0]
     kept = "cd /var/cache/zswarm && find . -name '*.nb?' -printf '%p %T@ %U\\n' | sort"
-    assert site.run().done()["history_hash"] == alone
+    assert site.run_on(first).done()["history_hash"] == alone
     kernels = first.run(kept)
     assert len(kernels.splitlines()) > 5
     first.run("systemctl restart zswarm-ss")
-    assert site.run().done()["history_hash"] == alone
+    assert site.run(servers="1").done()["history_hash"] == alone
     assert first.run(kept) == kernels
+
+
+def test_servers_are_upgraded_during_a_run(site: Site, alone: str) -> None:
+    """A version that computes the same is used; one that does not is named and not used, and the run waits for another."""
+    first, second = site.servers
+    wheels = [next((site.lab.shared / "wheels").glob("zswarm-*.whl"))]
+    wheels.append(rebuilt(wheels[0], "0.1.1", ""))
+    wheels.append(rebuilt(wheels[0], "0.2.0", "# computes otherwise"))
+    run = site.run_on(first)
+    run.wait_counted(100)
+    assert site.fleet("upgrade", first, PACKAGE="zswarm==0.1.1") == "ss1: upgrade\n"
+    counted = run.counted()
+    run.wait_counted(counted + 100)
+    site.fleet("upgrade", first)
+    assert "0.2.0" in site.fleet("status", first)
+    wait_until(lambda: "no server computes now" in run.err.read_text().splitlines()[-1], "the run misses its servers")
+    assert "another version" in run.err.read_text()
+    site.fleet("upgrade", second, PACKAGE="zswarm==0.1.1")
+    assert run.done()["history_hash"] == alone
+    assert run.counted(SERVED) == 3
+    for wheel in wheels[1:]:
+        wheel.unlink()
+    site.fleet("upgrade", first, second, PACKAGE="zswarm==0.1.0")
+
+
+def rebuilt(wheel: Path, version: str, line: str) -> Path:
+    """The same wheel as another version, with one more line in a file that computes."""
+    made = wheel.with_name(wheel.name.replace("0.1.0", version))
+    with zipfile.ZipFile(wheel) as old, zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as new:
+        for entry in old.infolist():
+            body = old.read(entry)
+            if entry.filename.endswith(".dist-info/METADATA"):
+                body = body.replace(b"Version: 0.1.0", b"Version: " + version.encode())
+            if entry.filename == "zswarm/evaluate.py":
+                body += line.encode()
+            new.writestr(entry.filename.replace("0.1.0", version), body)
+    return made
