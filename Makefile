@@ -6,13 +6,16 @@ TESTS ?= -n $$((2 * $$(nproc))) --dist worksteal  # many wait for programs; neig
 
 KILLS ?= 200
 
-.PHONY: run test chaos faults machines units kills lint format bench scale soak clean
+.PHONY: run test long chaos faults machines units kills lint format bench scale soak clean
 
 run: $(READY)
 	$(BIN)/zswarm-ot run $(ARGS)
 
 test: $(READY)
 	$(BIN)/python -m pytest $(TESTS) $(ARGS)
+
+long: $(READY)
+	$(BIN)/python -m pytest $(TESTS) -m long $(ARGS)
 
 chaos: $(READY)
 	cd tests && ../$(BIN)/python -m chaos $(if $(SEED),--seed $(SEED)) $(if $(SECONDS),--seconds $(SECONDS))

@@ -216,6 +216,33 @@ def test_who_has_no_good_keys_is_refused_in_words_on_both_sides(
         assert at_the_optimizer in said
 
 
+def test_a_server_that_goes_without_keys_is_named(lab: Lab, tmp_path: Path) -> None:
+    server = Server(tmp_path, "open", ZSWARM_KEYS="none").ready()
+    try:
+        said = look(tmp_path, "look", lab.keys("alice"), "--connect", server.endpoint.replace("tcp/", "tls/"))
+        assert "the program there goes without keys: it does not speak TLS" in said
+    finally:
+        server.close()
+
+
+@pytest.mark.parametrize(
+    ("module", "arguments", "who", "words"),
+    [
+        ("zswarm.ot", ["servers"], "lab-02", "these are the keys of the server lab-02; zswarm-ot needs those of a user"),
+        ("zswarm.ot", ["run"], "gate", "these are the keys of the router gate; zswarm-ot needs those of a user"),
+        ("zswarm.ss", [], "alice", "these are the keys of the user alice; zswarm-ss needs those of a server"),
+        ("zswarm.router", [], "alice", "these are the keys of the user alice; zswarm-router needs those of a router"),
+    ],
+)
+def test_keys_of_another_role_are_named(
+    lab: Lab, tmp_path: Path, module: str, arguments: list[str], who: str, words: str
+) -> None:
+    program = Program(tmp_path, "wrong", ["-m", module, *arguments, "--no-multicast"], ZSWARM_KEYS=lab.keys(who))
+    assert program.wait() == 2
+    assert words in program.err.read_text().splitlines()[-1]
+    assert not (tmp_path / "runs").exists()
+
+
 @pytest.mark.parametrize("who", ["lab-02", "gate", "mallory"])
 def test_a_certificate_that_is_no_members_opens_a_link_and_no_door(server: Server, tmp_path: Path, lab: Lab, who: str) -> None:
     """Of a server, of a router that is not one of theirs, of a user that the list does not have."""
