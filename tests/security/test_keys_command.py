@@ -92,7 +92,7 @@ def test_a_person_and_a_machine_are_added_and_revoked(tmp_path: Path, desk: Mach
     first = (desk.folder / "members.zkeys").read_bytes()
     told = lab_01.works("join", "members.zkeys")
     assert "installed list 3" in told
-    assert "systemctl reload zswarm-ss" in told
+    assert "reload zswarm-ss, or SIGHUP to it" in told
     assert keyring.load(lab_01.keys, "ss").members.users == ["alice", "bob"]
     told = desk.works("revoke", "alice")
     assert "members.zkeys: list 4 of who is let in" in told
@@ -216,6 +216,12 @@ def test_keys_are_installed_for_the_system_by_root_and_else_for_the_user(desk: M
         patch.setattr(os, "geteuid", lambda: 0)
         desk.works("join", "lab-01.zkeys", "--name", "lab-01", "--yes")
     assert keyring.load(keyring.SYSTEM).name == "lab-01"
+    desk.environment["ZSWARM_KEYS"] = "none"
+    desk.works("renew", "lab-01")
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "geteuid", lambda: 1000)
+        assert "Next: systemctl --user reload zswarm-ss" in desk.works("join", "lab-01.zkeys", "--name", "lab-01", "--yes")
+    assert not Path("none").exists()
     desk.environment["SUDO_USER"] = "alice"
     assert "do this without sudo" in desk.refuses("join", "alice.zkeys", "--yes")
 

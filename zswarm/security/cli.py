@@ -26,12 +26,6 @@ if TYPE_CHECKING:
 EXIT_FAILED, EXIT_MISTAKE = 1, 2
 WARN_BEFORE = timedelta(days=30)
 REQUEST_SUFFIX = ".zrequest"
-EFFECT: dict[str, str] = {
-    "ss": "systemctl reload zswarm-ss   (or start zswarm-ss again)",
-    "router": "systemctl reload zswarm-router   (or start zswarm-router again)",
-    "ot": "nothing: zswarm-ot uses them from its next start",
-}
-
 authority_option = click.option(
     "--authority",
     "folder",
@@ -385,7 +379,7 @@ def _join_members(checked: "Checked", file: Path, given: str) -> None:
         f" {len(members.routers)} routers"
     )
     mine = keyring.load(folder)
-    _say(f"Next: {EFFECT[mine.role]}")
+    _say(f"Next: {_reload(mine.role)}")
 
 
 def _join(checked: "Checked", whose: Holder, file: Path, name: str | None, given: str, *, yes: bool, force: bool) -> None:
@@ -410,7 +404,15 @@ def _join(checked: "Checked", whose: Holder, file: Path, name: str | None, given
         _say(f"warning: {file} cannot be removed ({error.strerror}): do it yourself, for it may hold the key", err=True)
     else:
         _say(f"{file} was removed.")
-    _say(f"Next: {EFFECT[whose.role]}")
+    _say(f"Next: {_reload(whose.role)}")
+
+
+def _reload(role: str) -> str:
+    if role == "ot":
+        return "zswarm-ot uses them from its next start"
+    program = keyring.PROGRAMS[role]
+    systemctl = "systemctl" if os.geteuid() == 0 else "systemctl --user"
+    return f"{systemctl} reload {program}, or SIGHUP to it, or start it again"
 
 
 def _host() -> str:

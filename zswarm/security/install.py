@@ -25,7 +25,8 @@ def folder_for(role: Role, given: str) -> Path:
     Raises:
         KeysError: a person's keys would become root's.
     """
-    if chosen := given or os.environ.get("ZSWARM_KEYS", ""):
+    chosen = given or os.environ.get("ZSWARM_KEYS", "")
+    if chosen not in ("", "none"):
         return Path(chosen)
     if role == "ot" and os.environ.get("SUDO_USER"):
         raise KeysError("keys of a user belong to who runs zswarm-ot: do this without sudo")
