@@ -118,6 +118,10 @@ class Programs:
 
         return process, ready
 
+    def logs(self, count: int) -> str:
+        """The ends of the first programs' logs."""
+        return "\n".join((self.folder / f"{2 * number + 1}.err").read_text()[-2000:] for number in range(count))
+
     def close(self) -> None:
         """End them all."""
         for process in self._running:
@@ -222,7 +226,7 @@ def soak(programs: Programs, *, warm_up_s: float, watched_s: float, wanted: int,
             for name, pid in pids.items():
                 now = usage(pid)
                 if now is None:
-                    raise SystemExit(f"{name} ended")
+                    raise SystemExit(f"{name} ended; the logs of the servers that stay:\n{programs.logs(len(staying))}")
                 if elapsed > warm_up_s:
                     samples[name].append((elapsed, now))
         while agenda[0][0] <= time.monotonic():

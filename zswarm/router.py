@@ -117,12 +117,12 @@ def _reach(options: Options) -> Reach:
 def _open(options: Options) -> tuple[session.Session, list[str], Reach]:
     logger = structlog.get_logger()
     reach = _reach(options)
-    if reach.keyring is None:
-        logger.warning("in_the_clear", reason="whoever reaches the port can use this router; zswarm-keys lets in members only")
     if reach.multicast and (fault := session.multicast_fault()):
         logger.warning("multicast_unavailable", reason=fault)
     opened, listen = session.open_router(options.listen, reach)
-    if reach.keyring is not None:
+    if reach.keyring is None:
+        logger.warning("in_the_clear", reason="whoever reaches the port can use this router; zswarm-keys lets in members only")
+    else:
         refusals.watch_members(opened, reach.keyring)
     return opened, listen, reach
 

@@ -21,7 +21,7 @@ def test_a_signal_ends_it_cleanly(tmp_path: Path, number: int, code: int) -> Non
         assert (ready[0]["listen"], ready[0]["multicast"]) == ([place], False)
         program.kill(number)
         assert program.wait() == code
-        assert len(program.err.read_text().splitlines()) == 2, "router_ready and router_stopped"
+        assert len(program.err.read_text().splitlines()) == 3, "in_the_clear, router_ready and router_stopped"
         assert program.events("router_stopped")
     finally:
         program.close()

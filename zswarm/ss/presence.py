@@ -48,11 +48,12 @@ class Presence:
     """One server's.
 
     Args:
+        private: nobody but the program that started it can reach it.
         put: takes what comes, on zenoh's threads; False when there is too much of it.
     """
 
-    def __init__(self, realm: str, server: str, put: Callable[[Question | slots.Event], bool]) -> None:
-        self._realm, self._server, self._put = realm, server, put
+    def __init__(self, realm: str, server: str, put: Callable[[Question | slots.Event], bool], *, private: bool) -> None:
+        self._realm, self._server, self._put, self._private = realm, server, put, private
         self._session: zenoh.Session | None = None
         self._token: zenoh.LivelinessToken | None = None
         self._senders: dict[str, session.Sender] = {}
@@ -70,6 +71,8 @@ class Presence:
         self._session, self.endpoints = session.open_server(listen, reach)
         if reach.multicast and (fault := session.multicast_fault()):
             log.warning("multicast_unavailable", reason=fault, listen=self.endpoints)  # optimizers need --connect then
+        if reach.keyring is None and not self._private:
+            log.warning("in_the_clear", reason="whoever reaches the port can use this server; zswarm-keys lets in members only")
         if reach.keyring is not None:
             refusals.watch_members(self._session, reach.keyring)
         on_query = zenoh.handlers.Callback(self._on_query, indirect=False)

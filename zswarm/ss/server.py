@@ -63,7 +63,7 @@ class Server:
         capacity = options.capacity or os.cpu_count() or 1
         ring = self._reach.keyring
         self.id = keys.new_server_id(options.name or (ring.name if ring else keys.fold(platform.node())))
-        self._presence = Presence(options.realm, self.id, self._on_network)
+        self._presence = Presence(options.realm, self.id, self._on_network, private=self._private)
         self.simulators = options.simulators or plugins.names("simulator")
         offer = Offer(
             server=self.id,
@@ -135,7 +135,6 @@ class Server:
         if ring is None:
             if options.require_keys:
                 raise ConfigError("require_keys is set, and no keys are installed: zswarm-keys join BUNDLE")
-            log.warning("in_the_clear", reason="whoever reaches the port can use this server; zswarm-keys lets in members only")
             return Reach(options.connect, options.multicast)
         if options.name not in ("", ring.name):
             raise ConfigError(f"name {options.name}: the keys in {ring.folder} are those of {ring.name}; leave the name away")
