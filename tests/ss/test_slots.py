@@ -203,7 +203,7 @@ def test_a_run_waits_for_slots_until_another_one_releases_them() -> None:
     waiting = server.reserve("b")
     assert (waiting.state, waiting.slots) == ("waiting", 0)
     assert server.asked(Release(lease=first), "a") == Done()
-    assert server.commands == [Prepare(0, reserve(), probe=True)]
+    assert server.commands == [Prepare(0, reserve(), probe=True, known=True)]
     assert server.reserve("b").slots == 2
 
 
@@ -223,7 +223,7 @@ def test_a_slot_prepared_for_the_same_problem_is_ready_at_once() -> None:
     server.ready("b", slots=1)
     server.ask(reserve(slots=3), "c")
     server.ask(Release(lease=first), "a")
-    assert server.commands == [Prepare(0, reserve(slots=3), probe=True)]  # its probe is not known yet
+    assert server.commands == [Prepare(0, reserve(slots=3), probe=True, known=True)]  # its probe is not known yet
     assert server.feed(Prepared(0, PROBE, 0.5)) == []
     assert server.reserve("c").ready == 2
 
@@ -236,7 +236,7 @@ def test_a_lease_gets_the_slots_that_are_prepared_for_its_problem_first() -> Non
     for lease, name in ((first, "a"), (second, "b"), (third, "c")):
         server.ask(Release(lease=lease), name)
     server.ask(reserve(slots=1), "d")
-    assert server.commands == [Prepare(1, reserve(slots=1), probe=True)]
+    assert server.commands == [Prepare(1, reserve(slots=1), probe=True, known=True)]
 
 
 def test_a_slot_that_is_ready_at_once_is_told_and_takes_what_waits() -> None:
@@ -408,7 +408,7 @@ def test_a_higher_epoch_takes_the_slots_over() -> None:
     assert lease.lease != old
     assert server.commands == [Stop(0), Stop(1)]
     assert [code(server.answers[query]) for query in queries] == ["lease-lost"] * 4
-    assert server.finish(0, 1) == [Prepare(0, reserve(nonce=2, epoch=1), probe=True)]
+    assert server.finish(0, 1) == [Prepare(0, reserve(nonce=2, epoch=1), probe=True, known=True)]
     assert code(server.asked(Renew(lease=old))) == "lease-lost"
     server.finish(1, 2)
     assert server.reserve(nonce=2, epoch=1).slots == 2

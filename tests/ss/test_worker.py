@@ -122,6 +122,19 @@ def test_a_process_is_prepared_once(new_worker: Callable[..., Worker]) -> None:
     assert pid(slot) != first
 
 
+def test_the_same_problem_keeps_the_process(new_worker: Callable[..., Worker]) -> None:
+    """A run that is started again is served at once; the probe is played again."""
+    slot = new_worker()
+    slot.prepare(reserve(), probe=False)
+    answer(slot)
+    first = pid(slot)
+    slot.prepare(reserve(), probe=True, known=True)
+    letter, body = answer(slot)
+    assert letter == b"R"
+    assert len(msgspec.msgpack.decode(body, type=Ready).probe) > 0
+    assert pid(slot) == first
+
+
 @pytest.mark.parametrize(
     ("number", "words"),
     [

@@ -305,7 +305,7 @@ class Server:
                 case slots.Answer():
                     self._presence.answer(*self._questions.pop(command.query), command.body)
                 case slots.Prepare():
-                    self.workers[command.slot].prepare(command.setup, probe=command.probe)
+                    self.workers[command.slot].prepare(command.setup, probe=command.probe, known=command.known)
                 case slots.Run():
                     self.workers[command.slot].evaluate(command.body, command.first, command.alone)
                 case slots.Stop():

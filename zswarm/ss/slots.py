@@ -152,6 +152,7 @@ class Prepare(msgspec.Struct, frozen=True):
     slot: int
     setup: Reserve
     probe: bool
+    known: bool = False  # its process is prepared for this problem already
 
 
 class Run(msgspec.Struct, frozen=True):
@@ -456,8 +457,9 @@ class Slots:
                 slot.state = SlotState.READY
             elif lease.probe or not preparing:
                 slot.state, slot.since, preparing = SlotState.PREPARING, now, True
+                known = _same_problem(slot.setup, lease.setup)
                 slot.setup = lease.setup
-                self._do(Prepare(slot.index, lease.setup, probe=not lease.probe))
+                self._do(Prepare(slot.index, lease.setup, probe=not lease.probe, known=known))
 
     def _prepared(self, slot: Slot, event: Prepared, now: float) -> None:
         lease = slot.lease

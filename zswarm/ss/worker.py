@@ -144,9 +144,13 @@ class Worker:
         """The trial that it is at."""
         return max(0, int(self._progress[TRIAL] + self._progress[FIRST]))
 
-    def prepare(self, setup: Reserve, *, probe: bool) -> None:
-        """Have it build and warm up a problem; a process that had another one before makes room for a new process."""
-        if self._prepared:
+    def prepare(self, setup: Reserve, *, probe: bool, known: bool = False) -> None:
+        """Have it build and warm up a problem; a process that had another one before makes room for a new process.
+
+        Args:
+            known: it had the same one before.
+        """
+        if self._prepared and not known:
             self.kill()
         self._prepared = True
         self._send(b"P" if probe else b"Q", codec.encode(setup))
