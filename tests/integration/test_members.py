@@ -9,19 +9,19 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import NamedTuple
 
-import msgspec
 import pytest
 import zenoh
 from evacuation import COUNTED, write
+from issuing import issued, of, unpacked
 from programs import Optimizer, Program, Server, free_port, query, wait_until
 
 from zswarm import session
 from zswarm.protocol import codec, keys
 from zswarm.protocol.messages import Cancel, Lease, Message, Part, Release, Renew, Reply, Requirements, Reserve
 from zswarm.security import bundle, install
-from zswarm.security.authority import Authority, new_holder
+from zswarm.security.authority import Authority
 from zswarm.security.keyring import Keyring
-from zswarm.security.members import Holder, Members, Role
+from zswarm.security.members import Members, Role
 from zswarm.session import Reach
 from zswarm.version_hash import version_hash
 
@@ -50,38 +50,24 @@ class Lab(NamedTuple):
         install.install_members(bundle.read(file), self.folder / holder)
 
 
-def make(folder: Path, *holders: tuple[Role, str], now: datetime | None = None, days: int = 365) -> Lab:
+def make(folder: Path, *holders: tuple[Role, str], now: datetime | None = None) -> Lab:
     """A lab whose certificates were issued at a time."""
-    place = folder / "authority"
-    with Authority.create(place, "lab", now=now) as authority:
-        wanted: dict[Holder, list[str]] = {new_holder(role, name): [] for role, name in holders}
-        issued = authority.issue(wanted, days)
-    for (_, name), content in zip(holders, issued, strict=True):
-        file = folder / f"{name}.zkeys"
-        bundle.write(file, content)
-        unpack(folder / name, content)
+    contents = issued(folder / "authority", *(of(role, name) for role, name in holders), now=now)
+    for (_, name), content in zip(holders, contents, strict=True):
+        unpacked(folder / name, content)
     return Lab(folder)
 
 
-def unpack(folder: Path, content: bundle.Bundle) -> None:
-    """As install does, without a check of what the bundle holds."""
-    folder.mkdir(parents=True, mode=0o700)
-    (folder / "key.pem").touch(0o600)
-    for name, text in (("authority", content.authority), ("certificate", content.certificate), ("key", content.key)):
-        (folder / f"{name}.pem").write_text(text)
-    (folder / "members.json").write_bytes(msgspec.json.encode(content.members))
-
-
 @pytest.fixture(scope="module")
-def issued(tmp_path_factory: pytest.TempPathFactory) -> Lab:
+def made(tmp_path_factory: pytest.TempPathFactory) -> Lab:
     folder, some_time_ago = tmp_path_factory.mktemp("lab"), NOW - timedelta(days=60)
     return make(folder, ("ss", "lab-01"), ("ss", "lab-02"), ("ot", "alice"), ("ot", "bob"), ("router", "gate"), now=some_time_ago)
 
 
 @pytest.fixture
-def lab(issued: Lab, tmp_path: Path) -> Lab:
+def lab(made: Lab, tmp_path: Path) -> Lab:
     """One that a test may change."""
-    shutil.copytree(issued.folder, tmp_path / "lab")
+    shutil.copytree(made.folder, tmp_path / "lab")
     return Lab(tmp_path / "lab")
 
 
@@ -200,9 +186,8 @@ def test_who_has_no_good_keys_is_refused_in_words_on_both_sides(
             other = make(tmp_path / "other", ("ot", "alice"))
             folder, used = other.keys("alice"), ring(other.keys("alice"), "ot", "alice")
         case "expired" | "not yet":
-            with Authority(lab.folder / "authority", now=NOW + timedelta(days=-30 if who == "expired" else 30)) as authority:
-                content = authority.issue({new_holder("ot", "carol"): []}, 7)[0]
-            unpack(lab.folder / "carol", content)
+            when = NOW + timedelta(days=-30 if who == "expired" else 30)
+            unpacked(lab.folder / "carol", issued(lab.folder / "authority", of("ot", "carol"), days=7, now=when)[0])
             folder, used = lab.keys("carol"), ring(lab.keys("carol"), "ot", "carol")
         case _:
             folder, used, to = "none", None, to.replace("tls/", "tcp/")
@@ -247,8 +232,7 @@ def test_keys_of_another_role_are_named(
 def test_a_certificate_that_is_no_members_opens_a_link_and_no_door(server: Server, tmp_path: Path, lab: Lab, who: str) -> None:
     """Of a server, of a router that is not one of theirs, of a user that the list does not have."""
     if who == "mallory":
-        with Authority(lab.folder / "authority") as authority:
-            unpack(lab.folder / "mallory", authority.issue({new_holder("ot", "mallory"): []}, 7)[0])
+        unpacked(lab.folder / "mallory", issued(lab.folder / "authority", of("ot", "mallory"))[0])
     if who == "gate":  # the router's rules let it carry; so it is revoked first
         lab.revoke("gate")
         lab.bring_members("lab-01")
