@@ -6,6 +6,7 @@ nothing. What a valid certificate is refused for, the list of members tells.
 
 import os
 import re
+import sys
 import threading
 import time
 from typing import Any
@@ -77,6 +78,8 @@ def _read(reading: int) -> None:
     told: dict[str, float] = {}
     with os.fdopen(reading, encoding="utf-8", errors="replace") as lines:
         for line in lines:
+            if "RUST_LOG" in os.environ:  # somebody wants to see all of it
+                sys.stderr.write(line)
             reason, now = in_words(line), time.monotonic()
             if reason and now >= told.get(reason, now):
                 told[reason] = now + EVERY_S

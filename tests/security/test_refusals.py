@@ -1,0 +1,39 @@
+"""Lines of zenoh's log in an administrator's words."""
+
+import pytest
+
+from zswarm.security import refusals
+
+LINE = "2026-11-21T23:00:32.460Z  WARN acc-0 ThreadId(06) zenoh_link_tls::unicast: {}. Hint: increase the system open file limit.\n"
+
+
+@pytest.mark.parametrize(
+    ("said", "words"),
+    [
+        ("invalid peer certificate: certificate expired: verification time 1795302032 (UNIX)", "its certificate has expired"),
+        ("invalid peer certificate: certificate not valid yet: verification time 1795302033", "is not valid yet"),
+        ("received fatal alert: UnknownCA", "does not trust this lab's authority"),
+        ("invalid peer certificate: UnknownIssuer", "its certificate is of another authority"),
+        ("peer sent no certificates", "it shows no certificate"),
+        ("received corrupt message of type InvalidContentType", "it does not speak TLS"),
+    ],
+)
+def test_a_refused_handshake_is_told_in_words(said: str, words: str) -> None:
+    assert words in refusals.in_words(LINE.format(said))
+
+
+def test_what_is_not_known_is_told_as_it_is_and_cleaned() -> None:
+    assert refusals.in_words(LINE.format("something \x1b[2J new")) == "something \\x1b[2J new."
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        LINE.format("tls handshake eof"),
+        "WARN zenoh_link_tls::utils: Skipping name verification of TLS server\n",
+        "anything else\n",
+        "",
+    ],
+)
+def test_what_refuses_nobody_is_not_told(line: str) -> None:
+    assert refusals.in_words(line) == ""
