@@ -4,7 +4,7 @@ import pytest
 
 from zswarm.security import refusals
 
-LINE = "2026-11-21T23:00:32.460Z  WARN acc-0 ThreadId(06) zenoh_link_tls::unicast: {}. Hint: increase the system open file limit.\n"
+LINE = "2026-11-21T23:00:32.460Z  WARN acc-0 zenoh_link_tls::unicast: {}. Hint: increase the system open file limit.\n"
 
 
 @pytest.mark.parametrize(
