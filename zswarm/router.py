@@ -18,6 +18,7 @@ from zswarm.session import Reach
 from zswarm.strict import overridden
 
 EXIT_MISTAKE, EXIT_DAMAGED_CONFIG = 2, 78
+RETURN_S = 5.0
 
 
 class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -79,7 +80,8 @@ def serve(read_options: Callable[[], Options]) -> int:
     signal.pthread_sigmask(signal.SIG_BLOCK, signals)  # before zenoh's threads, which inherit it
     refusals.watch_links()
     options = read_options()
-    opened, listen, reach = _open(options)
+    reach = _reach(options)
+    opened, listen = _open(options, reach)
     logger.info(
         "router_ready", listen=listen, keys=session.keys_in_words(reach), multicast=options.multicast, program=zswarm.__version__
     )
@@ -88,18 +90,18 @@ def serve(read_options: Callable[[], Options]) -> int:
         told.reloading()
         try:
             changed = read_options()
-            _reach(changed)
+            wanted = _reach(changed)
         except ConfigError as error:
             logger.error("reload_refused", reason=str(error))
         else:
-            session.close(opened)
+            session.close(opened, or_exit=False)
             try:
-                opened, listen, reach = _open(changed)
-                options = changed
+                opened, listen = _open(changed, wanted)
+                options, reach = changed, wanted
                 logger.info("reloaded", listen=listen, keys=session.keys_in_words(reach))
             except ConfigError as error:
                 logger.error("reload_refused", reason=str(error))
-                opened, listen, reach = _open(options)
+                opened, listen = _return(options, reach)
         told.ready()
     told.stopping()
     session.close(opened)
@@ -114,9 +116,8 @@ def _reach(options: Options) -> Reach:
     return Reach(multicast=options.multicast, keyring=ring)
 
 
-def _open(options: Options) -> tuple[session.Session, list[str], Reach]:
+def _open(options: Options, reach: Reach) -> tuple[session.Session, list[str]]:
     logger = structlog.get_logger()
-    reach = _reach(options)
     if reach.multicast and (fault := session.multicast_fault()):
         logger.warning("multicast_unavailable", reason=fault)
     opened, listen = session.open_router(options.listen, reach)
@@ -124,7 +125,18 @@ def _open(options: Options) -> tuple[session.Session, list[str], Reach]:
         logger.warning("in_the_clear", reason="whoever reaches the port can use this router; zswarm-keys lets in members only")
     else:
         refusals.watch_members(opened, reach.keyring)
-    return opened, listen, reach
+    return opened, listen
+
+
+def _return(options: Options, reach: Reach) -> tuple[session.Session, list[str]]:
+    """Be on the network as before a reload that was refused, as soon as that can be; a signal to end does so at once."""
+    while True:
+        try:
+            return _open(options, reach)
+        except ConfigError as error:
+            structlog.get_logger().error("off_the_network", reason=str(error), again_s=RETURN_S)
+            if number := signal.sigtimedwait({signal.SIGTERM, signal.SIGINT}, RETURN_S):
+                sys.exit(128 + number.si_signo)
 
 
 def main() -> None:

@@ -4,6 +4,7 @@ Star topology: a server listens and dials nobody, an optimizer dials the servers
 value is as it is: docs/architecture.md, "The link".
 """
 
+import contextlib
 import fcntl
 import json
 import os
@@ -31,6 +32,7 @@ LINK_TIMEOUT_S = 8
 WAIT_BEFORE_CLOSE_S = 60  # zenoh closes a link on which one message takes longer; its default of 5 s ends slow links
 SENDING_THREADS = 64  # of zenoh: a link that ends while a message hangs in it takes one until that is given up
 OPEN_FILES = 8192
+CLOSING_S = 15.0
 QUEUE = 10_000  # calls waiting in one sender
 SIOCGIFFLAGS, SIOCGIFADDR = 0x8913, 0x8915  # Linux: of an interface by its name
 IFF_UP, IFF_LOOPBACK, IFF_RUNNING, IFF_MULTICAST = 0x1, 0x8, 0x40, 0x1000
@@ -169,7 +171,8 @@ def _check_keys(endpoints: Sequence[str], where: str, keyring: Keyring | None) -
                 " (ZSWARM_KEYS=none goes without keys)"
             )
         if keyring is None and protocol in ("tls", "quic"):
-            raise ConfigError(f"{where}: {text}: {protocol} needs keys, and none are installed: zswarm-keys join BUNDLE")
+            unused = "ZSWARM_KEYS=none goes without" if os.environ.get("ZSWARM_KEYS") == "none" else "none are installed"
+            raise ConfigError(f"{where}: {text}: {protocol} needs keys, and {unused}: zswarm-keys join BUNDLE installs some")
 
 
 def _config(mode: Mode, listen: Sequence[str], reach: Reach, *, dial: bool, timeout_ms: int) -> dict[str, Any]:
@@ -238,17 +241,29 @@ def _raise_file_limit() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
 
 
-def close(session: zenoh.Session) -> None:
-    """Close a session; a link that does not let go must not keep the program."""
-    watchdog = threading.Timer(15.0, os._exit, (1,))
-    watchdog.daemon = True
-    watchdog.start()
-    try:
-        session.close()
-    except zenoh.ZError:
-        pass  # it gave up waiting for a dead link
-    finally:
-        watchdog.cancel()
+def close(session: zenoh.Session, *, or_exit: bool = True) -> None:
+    """Close a session; a link that does not let go must not keep the program.
+
+    Args:
+        or_exit: end the program when that takes long; else leave it to a thread.
+    """
+
+    def closing() -> None:
+        with contextlib.suppress(zenoh.ZError):  # it gave up waiting for a dead link
+            session.close()
+
+    if or_exit:
+        watchdog = threading.Timer(CLOSING_S, os._exit, (1,))
+        watchdog.daemon = True
+        watchdog.start()
+        try:
+            closing()
+        finally:
+            watchdog.cancel()
+    else:
+        thread = threading.Thread(target=closing, name="closing", daemon=True)
+        thread.start()
+        thread.join(CLOSING_S)
 
 
 class Sender:

@@ -4,6 +4,7 @@ import contextlib
 import secrets
 import shutil
 import signal
+import socket
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -228,6 +229,21 @@ def test_keys_of_another_role_are_named(
     assert not (tmp_path / "runs").exists()
 
 
+def test_a_server_that_came_later_than_the_list_is_named_to_the_user(lab: Lab, server: Server, tmp_path: Path) -> None:
+    """Though another one serves the run."""
+    unpacked(lab.folder / "lab-03", issued(lab.folder / "authority", of("ss", "lab-03"))[0])
+    later = serve(lab, tmp_path, "lab-03")
+    try:
+        later.ready()
+        both = ("--servers", "1", f"--connect={server.endpoint}", f"--connect={later.endpoint}")
+        optimizer = evolve(tmp_path, "alice", lab.keys("alice"), *both, *SMALL)
+        optimizer.done()
+        assert "ss.lab-03 at " in optimizer.err.read_text()
+        assert "is not, or no more, among the members (list 2): bring the newest list here" in optimizer.err.read_text()
+    finally:
+        later.close()
+
+
 @pytest.mark.parametrize("who", ["lab-02", "gate", "mallory"])
 def test_a_certificate_that_is_no_members_opens_a_link_and_no_door(server: Server, tmp_path: Path, lab: Lab, who: str) -> None:
     """Of a server, of a router that is not one of theirs, of a user that the list does not have."""
@@ -246,9 +262,9 @@ def test_a_certificate_that_is_no_members_opens_a_link_and_no_door(server: Serve
                 assert ask(stranger, keys.request("default", server_id(server), user, "run", verb), message) is None
         assert ask(stranger, keys.offer("default", server_id(server)), Requirements()) is None
     assert not server.events("lease_granted")
-    if who != "lab-02":
-        unknown = wait_until(lambda: server.events("member_unknown"), "the server names it")
-        assert unknown[0]["certificate"].endswith(f".{who}")
+    unknown = wait_until(lambda: server.events("member_unknown"), "the server names it")
+    assert unknown[0]["certificate"].endswith(f".{who}")
+    assert "it can ask nothing" in unknown[0]["reason"]
 
 
 def test_one_user_cannot_use_see_or_cancel_what_is_anothers(server: Server, lab: Lab) -> None:
@@ -336,6 +352,42 @@ def test_a_reload_of_bad_keys_changes_nothing(lab: Lab, server: Server, tmp_path
     assert "others than its owner may read this key" in server.events("reload_refused")[0]["reason"]
     assert "lab-01" in look(tmp_path, "look", lab.keys("alice"), "--connect", server.endpoint)
     assert not server.events("reloaded")
+
+
+def test_a_reload_that_takes_the_network_away_is_undone_as_soon_as_that_can_be(lab: Lab, tmp_path: Path) -> None:
+    """The new port is taken, then the old one as well."""
+    file, at, wanted = tmp_path / "ss.toml", free_port(), free_port()
+    file.write_text(f"listen = ['tls/127.0.0.1:{at}']\nmulticast = false\ncapacity = 1\n")
+    server = Program(tmp_path, "lab-01", ["-m", "zswarm.ss", "--config", str(file)], ZSWARM_KEYS=lab.keys("lab-01"))
+    try:
+        wait_until(lambda: server.events("server_ready"), "it serves")
+        with socket.create_server(("127.0.0.1", wanted)):
+            file.write_text(f"listen = ['tls/127.0.0.1:{wanted}']\nmulticast = false\ncapacity = 2\n")
+            server.kill(signal.SIGHUP)
+            wait_until(lambda: server.events("reload_refused"), "it cannot listen there")
+            assert server.events("reload_later")[0]["settings"] == ["capacity"]
+            to = ("--connect", f"tls/127.0.0.1:{at}")
+            assert "lab-01" in look(tmp_path, "before", lab.keys("alice"), *to)
+        server.kill(signal.SIGHUP)
+        wait_until(lambda: server.events("reloaded"), "the port is free now")
+        assert "lab-01" in look(tmp_path, "after", lab.keys("alice"), "--connect", f"tls/127.0.0.1:{wanted}")
+    finally:
+        server.close()
+
+
+def test_a_server_says_why_its_router_does_not_let_it_in(lab: Lab, tmp_path: Path) -> None:
+    at = f"tls/127.0.0.1:{free_port()}"
+    other = make(tmp_path / "other", ("router", "gate"))
+    router = Program(tmp_path, "gate", ["-m", "zswarm.router", "--no-multicast", "--listen", at], ZSWARM_KEYS=other.keys("gate"))
+    server = serve(lab, tmp_path, "lab-01", "--connect", at)
+    try:
+        refused = wait_until(lambda: server.events("router_refused"), "it says why")
+        assert (refused[0]["endpoint"], refused[0]["reason"]) == (
+            at, "the program there has keys of another authority than those here"
+        )  # fmt: skip
+    finally:
+        server.close()
+        router.close()
 
 
 def test_a_server_that_requires_keys_does_not_start_without(tmp_path: Path) -> None:

@@ -116,7 +116,7 @@ def test_a_name_that_is_no_id_is_refused(name: str) -> None:
     with pytest.raises(KeysError) as refused:
         new_holder("ss", name)
     assert str(refused.value).isprintable()
-    assert "expected 1 to 63 of a-z, 0-9 and -" in str(refused.value)
+    assert "expected 1 to 54 of a-z, 0-9 and -" in str(refused.value)
 
 
 @pytest.mark.parametrize(
@@ -287,3 +287,13 @@ def test_a_damaged_request_is_read_or_refused(tmp_path: Path, place: int, put: b
     except KeysError as error:
         refused = str(error)
     assert refused.isprintable()
+
+
+def test_servers_that_could_not_be_told_apart_are_refused(tmp_path: Path) -> None:
+    """Access rules let a server speak as its name, - and anything."""
+    with authority(tmp_path / "authority") as mine:
+        mine.issue({of("ss", "lab-01"): []}, 365)
+        for names in (["lab"], ["lab-01-b"], ["node", "node-2"]):
+            with pytest.raises(KeysError, match="could not be told apart"):
+                mine.issue({of("ss", name): [] for name in names}, 365)
+        mine.issue({of("ss", "lab-011"): [], of("ot", "lab"): []}, 365)

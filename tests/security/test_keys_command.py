@@ -264,7 +264,7 @@ def test_a_second_authority_is_refused(desk: Machine) -> None:
     ("arguments", "said"),
     [
         ([], "whose keys?"),
-        (["*"], "server '*': expected 1 to 63 of a-z"),
+        (["*"], "server '*': expected 1 to 54 of a-z"),
         (["../lab"], "server '../lab': expected"),
         (["Lab-01"], "lab-01 would be one"),
         (["--optimizer", "x\x1b]0;title\x07"], "user 'x\\x1b]0;title\\x07': expected"),

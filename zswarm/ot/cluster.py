@@ -33,6 +33,8 @@ from zswarm.ot.requests import Wanted, Who, request
 from zswarm.ot.workload import Workload
 from zswarm.protocol import codec, keys, messages
 from zswarm.protocol.messages import Outcomes
+from zswarm.security import refusals
+from zswarm.security.keyring import Keyring
 from zswarm.session import Reach
 
 FLUSH_S = 0.1  # a waiting caller gets a None this often
@@ -108,7 +110,7 @@ class Cluster:
                 if local:
                     self._watch(session.open_optimizer(Reach(local, multicast=False)))
                 if not reach.through_router:
-                    self._watch(session.open_optimizer(reach))
+                    self._watch(session.open_optimizer(reach), reach.keyring)
             else:
                 self._watch(session.open_optimizer(reach._replace(connect=[*reach.connect, *local])))
         except BaseException:  # __exit__ is not called then, whatever it was, Ctrl-C too
@@ -141,13 +143,18 @@ class Cluster:
             if self._leaving.is_set():
                 session.close(opened)
             else:
-                self._watch(opened)
+                self._watch(opened, self._reach.keyring)
             return
 
-    def _watch(self, opened: zenoh.Session) -> None:
+    def _watch(self, opened: zenoh.Session, ring: Keyring | None = None) -> None:
         self._sessions.append(opened)
         liveliness = opened.liveliness()
         self._tokens.append(liveliness.declare_token(keys.run_alive(self.who.realm, self.who.user, self.who.run)))
+
+        if ring is not None:
+            refusals.watch_members(
+                opened, ring, lambda name, at, reason: self._outbox.put(Note("diagnosis", "", f"{name} at {at} is {reason}"))
+            )
 
         def on_token(sample: zenoh.Sample) -> None:
             self._on_token(opened, sample)

@@ -163,8 +163,9 @@ def diagnose(realm: str, opened: Sequence[zenoh.Session], reach: Reach, *, known
         opened: the sessions that found nobody but ``known``.
     """
     connect, multicast, through_router, ring = reach
+    tcp = "tcp" if ring is None else "tls"
     if not connect and not multicast:
-        return ["multicast is off and connect is empty: nobody can be found; name a server or router: --connect tcp/HOST:7467"]
+        return [f"multicast is off and connect is empty: nobody can be found; name a server or router: --connect {tcp}/HOST:7467"]
     lines: list[str] = []
     around = frozenset(key for one in opened for key in _tokens(one))
     groups = [[text] for text in connect]  # of endpoints that lead to one program
@@ -175,7 +176,7 @@ def diagnose(realm: str, opened: Sequence[zenoh.Session], reach: Reach, *, known
             who, port = ("router", 7466) if through_router else ("server", session.PORT)
             lines.append(
                 f"no {who} answers to multicast: none runs, or the network does not carry it (UDP {session.SCOUTING_GROUP}); "
-                f"name one with --connect tcp/HOST:{port}"
+                f"name one with --connect {tcp}/HOST:{port}"
             )
     with ThreadPoolExecutor(16) as pool:
         looks = list(pool.map(lambda group: _look(group, ring), groups))
@@ -258,6 +259,11 @@ def _misplaced(look: Look, realm: str, known: set[str], reach: Reach) -> str:
     """What is wrong at an endpoint that answers; "" when it is not to blame."""
     ours = sorted(key.server for key in look.servers if key.realm == realm and key.version == _VERSION)
     if look.router:
+        if not look.servers and reach.keyring is not None:
+            return (
+                f"this router is there, but shows no server to {reach.keyring.name}: none is connected to it, or its list of"
+                f" members does not have {reach.keyring.name}"
+            )
         if not look.servers:
             return "this router is there, but no server is connected to it: start servers with --connect and its endpoint"
         beyond = [server for server in ours if server not in known]

@@ -6,6 +6,7 @@ Its folder holds ``authority.pem``, ``key.pem`` (whoever reads it can let anyone
 import contextlib
 import fcntl
 import ipaddress
+import itertools
 import os
 import re
 from collections.abc import Iterator, Sequence
@@ -107,7 +108,7 @@ class Authority:
             OSError: the folder cannot be written.
         """
         if not is_name(lab):
-            raise KeysError(f"the lab's name {lab[:80]!r}: expected {keys.ID_RULE} (at most {keys.MAX_NAME})")
+            raise KeysError(f"the lab's name {lab[:80]!r}: expected 1 to {keys.MAX_NAME} of a-z, 0-9 and -, not starting with -")
         make_private(folder, (certificates.KEY, certificates.AUTHORITY, LEDGER))
         with _locked(folder):
             if (folder / certificates.KEY).exists():
@@ -197,6 +198,7 @@ class Authority:
         """
         for whose in wanted:
             self.check_free(whose)
+        _refuse_within([*self.members().members.servers, *(whose.name for whose in wanted if whose.role == "ss")])
         asked = []
         for whose, addresses in wanted.items():
             key = certificates.new_key()
@@ -213,6 +215,7 @@ class Authority:
         same = (request.holder.common_name, certificates.public_pem(request.public_key), None)
         if before is None or (before.common_name, before.public_key, before.revoked_at) != same:
             self.check_free(request.holder)
+            _refuse_within([*self.members().members.servers, *([request.holder.name] if request.holder.role == "ss" else [])])
         return self._issue([(request, None)], days)[0]
 
     def renew(self, names: Sequence[str], days: int) -> list[Bundle]:
@@ -322,7 +325,9 @@ def new_holder(role: Role, name: str) -> Holder:
     if not is_name(name):
         folded = keys.fold(name)
         hint = f"; {folded} would be one" if folded != "x" else ""
-        raise KeysError(f"{IN_WORDS[role]} {name[:80]!r}: expected {keys.ID_RULE} (at most {keys.MAX_NAME}){hint}")
+        raise KeysError(
+            f"{IN_WORDS[role]} {name[:80]!r}: expected 1 to {keys.MAX_NAME} of a-z, 0-9 and -, not starting with -{hint}"
+        )
     if f"{name}{SUFFIX}" == MEMBERS_FILE:
         raise KeysError(f"{IN_WORDS[role]} {name}: that is the name of the list's file: take another")
     return Holder(role, name)
@@ -441,3 +446,16 @@ def _read_ledger(path: Path) -> Ledger:
     for issued in ledger.issued:
         _ = issued.holder
     return ledger
+
+
+def _refuse_within(servers: Sequence[str]) -> None:
+    """Refuse a server's name that is another's and more: rules let a server speak as its name, ``-`` and anything.
+
+    Raises:
+        KeysError: that.
+    """
+    for short, name in itertools.permutations(sorted(set(servers)), 2):
+        if name.startswith(f"{short}-"):
+            raise KeysError(
+                f"the servers {short} and {name} could not be told apart: no server's name may begin with another's and -"
+            )

@@ -9,17 +9,21 @@ import re
 import sys
 import threading
 import time
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import structlog
 import zenoh
 
+from zswarm import endpoint
 from zswarm.protocol import codec
+from zswarm.security import handshake
 from zswarm.security.keyring import Keyring
 from zswarm.security.members import holder
 
 ZENOH_LOG = "off,zenoh_link_tls=warn"
 UNREMARKABLE = ("handshake eof", "Connection reset", "os error 104")  # somebody looked whether the port is open
+DIALLED_S = 5.0  # after which a router should have been reached
 EVERY_S = 10.0  # the same reason is told at most so often: a refused program tries again each second
 MARK = re.compile(r"zenoh_link_tls::unicast: (.*)")
 REASONS = {
@@ -48,19 +52,68 @@ def watch_links() -> None:
     threading.Thread(target=_read, args=(reading,), name="refusals", daemon=True).start()
 
 
-def watch_members(session: zenoh.Session, keyring: Keyring) -> None:
-    """Log whoever has a certificate of the authority and is not let in."""
+def log_stranger(certificate: str, address: str, reason: str) -> None:
+    """For a daemon."""
+    log.warning("member_unknown", certificate=certificate, address=address, reason=reason)
+
+
+def watch_members(session: zenoh.Session, keyring: Keyring, tell: Callable[[str, str, str], None] = log_stranger) -> None:
+    """Tell of whoever has a certificate of the authority and is not let in; of each name every 10 s at most.
+
+    Args:
+        tell: takes the common name, an address and the reason, on zenoh's threads.
+    """
+    told = _Seldom()
 
     def on_link(event: Any) -> None:
         name = event.link.auth_identifier or ""
-        who = holder(name)
-        if event.kind == zenoh.SampleKind.PUT and (who is None or who.name not in keyring.members.of(who.role)):
-            log.warning(
-                "member_unknown", certificate=codec.clean(name), address=event.link.dst,
-                reason=f"not, or no more, among the members (list {keyring.members.number}): it can ask nothing",
-            )  # fmt: skip
+        if event.kind == zenoh.SampleKind.PUT and (reason := strange(name, keyring)) and told.now(name):
+            tell(codec.clean(name), event.link.dst, reason)
 
     session.info.declare_link_events_listener(zenoh.handlers.Callback(on_link, indirect=False), history=True)
+
+
+def strange(common_name: str, keyring: Keyring) -> str:
+    """Why the holder of a certificate is not let in; "" when it is."""
+    who = holder(common_name)
+    if who is None or who.name not in keyring.members.of(who.role):
+        then = "bring the newest list here (zswarm-keys join members.zkeys)" if keyring.role == "ot" else "it can ask nothing"
+        return f"not, or no more, among the members (list {keyring.members.number}): {then}"
+    if who.role == "ss" and keyring.role == "ss":
+        return "a server does not dial servers: it can ask nothing"
+    return ""
+
+
+def watch_routers(connect: Sequence[str], keyring: Keyring | None) -> None:
+    """Log, some seconds later, why a router that is to be dialled and this program do not let each other in."""
+
+    def look() -> None:
+        for text in connect:
+            at = endpoint.parse(text)
+            reason = handshake.refusal(at, keyring)
+            if not reason and keyring is None and handshake.speaks_tls(at):
+                reason = "it lets in members only: zswarm-keys join BUNDLE"
+            if reason:
+                log.warning("router_refused", endpoint=text, reason=reason)
+
+    if connect:
+        timer = threading.Timer(DIALLED_S, look)
+        timer.daemon = True
+        timer.start()
+
+
+class _Seldom:
+    """The same at most every 10 s."""
+
+    def __init__(self) -> None:
+        self._told: dict[str, float] = {}
+
+    def now(self, what: str) -> bool:
+        now = time.monotonic()
+        if now < self._told.get(what, now):
+            return False
+        self._told[what] = now + EVERY_S
+        return True
 
 
 def in_words(line: str) -> str:
@@ -75,12 +128,10 @@ def in_words(line: str) -> str:
 
 
 def _read(reading: int) -> None:
-    told: dict[str, float] = {}
+    told = _Seldom()
     with os.fdopen(reading, encoding="utf-8", errors="replace") as lines:
         for line in lines:
             if "RUST_LOG" in os.environ:  # somebody wants to see all of it
                 sys.stderr.write(line)
-            reason, now = in_words(line), time.monotonic()
-            if reason and now >= told.get(reason, now):
-                told[reason] = now + EVERY_S
+            if (reason := in_words(line)) and told.now(reason):
                 log.warning("link_refused", reason=reason)

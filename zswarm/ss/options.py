@@ -49,7 +49,7 @@ def load(config: Path | None, given: Mapping[str, Any]) -> Options:
         ("realm", options.realm, keys.MAX_ID),
     ):
         if not keys.is_id(text) or len(text) > longest:
-            raise ConfigError(f"{kind} {text!r}: expected {keys.ID_RULE} (at most {longest})")
+            raise ConfigError(f"{kind} {text!r}: expected 1 to {longest} of a-z, 0-9 and -, not starting with -")
     for name in options.simulators:
         if name not in plugins.names("simulator"):
             plugins.load("simulator", name)  # raises, and says which there are

@@ -75,6 +75,7 @@ class Presence:
             log.warning("in_the_clear", reason="whoever reaches the port can use this server; zswarm-keys lets in members only")
         if reach.keyring is not None:
             refusals.watch_members(self._session, reach.keyring)
+        refusals.watch_routers(reach.connect, reach.keyring)
         on_query = zenoh.handlers.Callback(self._on_query, indirect=False)
         self._session.declare_queryable(keys.offer(self._realm, self._server), on_query)
         self._session.declare_queryable(keys.requests(self._realm, self._server), on_query)
@@ -90,10 +91,10 @@ class Presence:
             self._token.undeclare()
             self._token = None
 
-    def close(self) -> None:
+    def close(self, *, or_exit: bool = True) -> None:
         """Be gone."""
         if self._session is not None:
-            session.close(self._session)
+            session.close(self._session, or_exit=or_exit)
         self._session = self._token = None
 
     def _on_query(self, query: zenoh.Query) -> None:

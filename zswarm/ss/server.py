@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
 TICK_S = 0.25
 INBOX = 10_000  # queries that wait; more are dropped unanswered
+RETURN_S = 5.0
 MISSED_S = 30.0  # a slot's process that should be there for longer is named; sooner where systemd's watchdog is shorter
 LOOK_EVERY_S, SHOW_EVERY_S = 0.1, 1.0  # at most; showing: to systemd and Prometheus
 
@@ -99,6 +100,7 @@ class Server:
         self._metrics: Metrics | None = None
         self._drain_asked = self._reload_asked = self._warm = False
         self._look_at = self._show_at = 0.0  # when next, by the monotonic clock
+        self._return_at = math.inf  # to the network, which it lost in a reload
         self._missed: dict[int, str] = {}  # slots whose process is missed, with the reason
         self._missed_s = min(MISSED_S, self._notify.watchdog_s)
 
@@ -174,7 +176,7 @@ class Server:
             if self._private:
                 poll.register(sys.stdin.fileno(), select.POLLIN)
             next_start = min(worker.start_at for worker in self.workers)
-            until = min(next_start, self._look_at)
+            until = min(next_start, self._look_at, self._return_at)
             if self.slots.busy() or self.slots.draining or self._signals:
                 until = min(until, next_tick)
             if self._control is not None:
@@ -193,6 +195,8 @@ class Server:
                 self._on_stop_asked()
             if self._reload_asked:
                 self._reload()
+            if time.monotonic() >= self._return_at:
+                self._return()
             for descriptor in ready:
                 if descriptor in leaving:
                     leaving[descriptor].look()
@@ -232,25 +236,38 @@ class Server:
         try:
             options = self._read_options()
             reach = self._find_reach(options)
-            if (ring := reach.keyring) is not None and not self.id.startswith(f"{ring.name}-"):
+            if (ring := reach.keyring) is not None and ring.name != self.id.rpartition("-")[0]:
                 raise ConfigError(f"the keys are those of {ring.name}, this is {self.id}: start it again")
         except ConfigError as error:
             log.error("reload_refused", reason=str(error))
-            self._notify.ready()
+            self._reloaded()
             return
         if later := [name for name in AT_START if getattr(options, name) != getattr(self.options, name)]:
             log.warning("reload_later", settings=later, reason="these change when the server is started again")
-        self._presence.close()
+        self._presence.close(or_exit=False)
         try:
             self._presence.open(options.listen, reach, seen=not self.slots.draining)
         except ConfigError as error:
             log.error("reload_refused", reason=str(error))
-            self._presence.open(self.options.listen, self._reach, seen=not self.slots.draining)
+            self._return_at = time.monotonic()
         else:
             kept = {name: getattr(self.options, name) for name in AT_START}
-            self.options, self._reach = msgspec.structs.replace(options, **kept), reach
+            self.options, self._reach, self._return_at = msgspec.structs.replace(options, **kept), reach, math.inf
             log.info("reloaded", listen=self._presence.endpoints, keys=keys_in_words(reach))
-        self._notify.ready()
+        self._reloaded()
+
+    def _reloaded(self) -> None:
+        if self._warm and not self.slots.draining:
+            self._notify.ready()
+
+    def _return(self) -> None:
+        """Be on the network as before the reload that was refused; until that can be, runs wait or go elsewhere."""
+        try:
+            self._presence.open(self.options.listen, self._reach, seen=not self.slots.draining)
+            self._return_at = math.inf
+        except ConfigError as error:
+            log.error("off_the_network", reason=str(error), again_s=RETURN_S)
+            self._return_at = time.monotonic() + RETURN_S
 
     def _from_run(self, question: Question) -> None:
         try:
