@@ -1,11 +1,14 @@
-"""A lab of machines: real systemd systems on one switch, each with its own address. Needs root; nothing outside is touched.
+"""A lab of machines: real systemd systems on one switch, each with its own address. Needs root.
 
 A machine is this machine's own file system with an overlay in memory, booted by systemd-nspawn: the same programs, nothing
 downloaded, everything written is thrown away. All mounts, the switch and the machines live in namespaces of one process.
-When that ends, and it ends with the tests, the kernel takes everything away.
+When that ends, and it ends with the tests, the kernel takes everything away; but for the machines' control groups, which then
+are empty and are removed by whoever comes next.
 """
 
 import os
+import re
+import secrets
 import shlex
 import shutil
 import signal
@@ -20,6 +23,10 @@ from programs import children, wait_until
 
 SPACE = "8g"  # of memory, at most, that all machines may write
 BOOT_S = 90.0
+PREFIX = "zswarm"  # of a control group: zswarm-<pid of the test>-<6 hex digits>
+# Version 2, also where it is mounted beside version 1; and where systemd keeps its own groups on such a system.
+HIERARCHIES = [Path("/sys/fs/cgroup"), Path("/sys/fs/cgroup/unified"), Path("/sys/fs/cgroup/systemd")]
+HIERARCHIES = [folder for folder in HIERARCHIES if (folder / "cgroup.procs").exists()]
 CLEAN = ["env", "-i", "PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin", "HOME=/root", "LANG=C.UTF-8"]
 
 # Files in the folder given are mounted, not in a folder of the machine's: tests side by side do not meet.
@@ -79,8 +86,12 @@ class Machine:
         command = ["systemd-nspawn", "--quiet", f"--directory={self._lab.folder / self.name}", f"--machine={self.name}", "--boot"]
         command += ["--register=no", "--keep-unit", "--network-bridge=switch", "--link-journal=no", "--console=pipe"]
         command += ["--resolv-conf=off", "--timezone=off", f"--bind={self._lab.shared}:/srv"]
+        # In a group of its own, of version 2: there systemd is told when the last process of a service ended.
+        groups = [shlex.quote(str(folder / self.name)) for folder in self._lab.groups]
+        enter = "".join(f"mkdir -p {group}; echo 0 > {group}/cgroup.procs; " for group in groups)
+        environment = "export SYSTEMD_NSPAWN_UNIFIED_HIERARCHY=1; "
         with log.open("ab") as out:
-            self._nspawn = self._lab.popen(command, out)
+            self._nspawn = self._lab.popen(["sh", "-eu", "-c", f"{enter}{environment}exec {shlex.join(command)}"], out)
         self._init = wait_until(self._find_init, f"{self.name} boots: {log}")
 
     def wait_up(self) -> None:
@@ -143,10 +154,16 @@ class Machines:
         self.folder.mkdir()
         (self.shared / "wheels").mkdir(parents=True)
         self.machines: list[Machine] = []
+        name = f"{PREFIX}-{os.getpid()}-{secrets.token_hex(3)}"
+        self.groups = [folder / name for folder in HIERARCHIES]
 
     def __enter__(self) -> Self:
         if reason := _forbidden():
             pytest.skip(reason)
+        for group in [group for folder in HIERARCHIES for group in folder.glob(f"{PREFIX}-*-*")]:
+            owner = re.fullmatch(rf"{PREFIX}-([0-9]+)-[0-9a-f]{{6}}", group.name)
+            if owner and not Path(f"/proc/{owner[1]}").exists():
+                _remove(group)
         script = "set -eu" + PLACE.format(space=SPACE, folder=shlex.quote(str(self.folder)))
         self._holder = subprocess.Popen([*_HOLD, "sh", "-c", script], stdin=subprocess.DEVNULL)
         self._first = wait_until(self._find_first, "the lab is made")
@@ -158,6 +175,8 @@ class Machines:
         self._holder.wait()
         for machine in self.machines:
             machine.wait_off()
+        for group in self.groups:
+            _remove(group)
 
     def machine(self, name: str) -> Machine:
         """A machine that is off."""
@@ -194,6 +213,8 @@ def _forbidden() -> str:
     for program, package in (("systemd-nspawn", "systemd-container"), ("ip", "iproute2"), ("nsenter", "util-linux")):
         if shutil.which(program) is None:
             return f"booting machines needs the program {program} (Debian: apt install {package})"
+    if not any((folder / "cgroup.controllers").exists() for folder in HIERARCHIES):
+        return "booting machines needs control groups of version 2"
     make = "mkdir upper work all && mount -t overlay overlay -o lowerdir=/,upperdir=upper,workdir=work all"
     script = f"mount -t tmpfs tmpfs /mnt && cd /mnt && {make} && ip link add switch type bridge"
     tried = subprocess.run([*_HOLD, "sh", "-c", script], capture_output=True, text=True)
@@ -203,6 +224,14 @@ def _forbidden() -> str:
     if subprocess.run([*CLEAN, "python3", "-c", fit], capture_output=True).returncode != 0:
         return "the machine's own python3 is not 3.11 with its venv module (Debian: apt install python3-venv)"
     return ""
+
+
+def _remove(group: Path) -> None:
+    """A control group with all below it, once the last process of a killed machine has left it."""
+    below = sorted(group.rglob("**/"), key=lambda path: len(path.parts), reverse=True)
+    wait_until(lambda: not any((folder / "cgroup.procs").read_text() for folder in below), f"{group} is empty")
+    for folder in below:
+        folder.rmdir()
 
 
 def _numbers(process: int) -> list[str]:
