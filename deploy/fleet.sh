@@ -1,8 +1,9 @@
 #!/bin/sh
 # zswarm-ss on many machines, one after another: the steps of docs/deploy.md by ssh. See there.
-#   fleet.sh install|upgrade|uninstall|status HOST...
+#   fleet.sh install|upgrade|join|uninstall|status HOST...
 # HOST is what ssh takes; the user there is root, or sudo asks it nothing. Ends at the first machine where something fails.
-# PACKAGE: what pip installs there, by default zswarm
+# install takes the keys of lab-01 from lab-01.zkeys in this folder; join brings newer ones, and members.zkeys.
+# PACKAGE: what pip installs there, by default zswarm[keys]     KEYS=none: install without keys
 set -eu
 
 install='
@@ -14,6 +15,7 @@ install -D -m 644 zswarm.tmpfiles /etc/tmpfiles.d/zswarm.conf
 install -D -m 644 zswarm-ss.service /etc/systemd/system/zswarm-ss.service
 test -e /etc/zswarm/ss.toml || install -D -m 644 ss.toml /etc/zswarm/ss.toml
 systemd-sysusers
+[ ! "$keys" ] || /opt/zswarm/bin/zswarm-keys join --yes "$keys"
 systemctl daemon-reload
 systemctl enable --now zswarm-ss
 '
@@ -25,6 +27,11 @@ cd /opt/zswarm/share/zswarm/systemd
 install -D -m 644 zswarm-ss.service /etc/systemd/system/zswarm-ss.service
 systemctl daemon-reload
 systemctl start zswarm-ss
+'
+join='
+[ ! "$keys" ] || /opt/zswarm/bin/zswarm-keys join --yes "$keys"
+[ ! "$members" ] || /opt/zswarm/bin/zswarm-keys join "$members"
+systemctl reload zswarm-ss
 '
 uninstall='
 systemctl disable --now zswarm-ss
@@ -38,21 +45,45 @@ systemctl is-active zswarm-ss || :
 /opt/zswarm/bin/zswarm-ss --version || :
 '
 
-usage="usage: fleet.sh install|upgrade|uninstall|status HOST..."
+usage="usage: fleet.sh install|upgrade|join|uninstall|status HOST..."
 [ $# -ge 2 ] || { echo "$usage" >&2; exit 2; }
 case $1 in
     install) script=$install ;;
     upgrade) script=$upgrade ;;
+    join) script=$join ;;
     uninstall) script=$uninstall ;;
     status) script=$status ;;
     *) echo "$usage" >&2; exit 2 ;;
 esac
 what=$1
 shift
+
+bring() {  # a file, as commands that make it there and put its name into a variable
+    if [ -r "$2" ]; then
+        printf "%s=\$(mktemp)\nbase64 --decode > \"\$%s\" <<END\n%s\nEND\n" "$1" "$1" "$(base64 < "$2")"
+    else
+        echo "$1="
+    fi
+}
+
 for host; do
+    name=${host##*@}
+    name=${name%%.*}
+    files=
+    case $what in install | join)
+        files=$(bring keys "$name.zkeys"; bring members members.zkeys)
+        wanted=$name.zkeys
+        [ "$what" = install ] || [ ! -r members.zkeys ] || wanted=members.zkeys
+        if [ "${KEYS:-}" = none ]; then
+            files="keys="
+        elif [ ! -r "$wanted" ]; then
+            echo "$host: $wanted is not in this folder: see docs/keys.md, or say KEYS=none" >&2
+            exit 1
+        fi
+    esac
     echo "$host: $what"
-    # The script goes in as text: nothing of it is read by a shell on this side, and ssh needs no terminal.
-    printf "PACKAGE='%s'\n%s" "${PACKAGE:-zswarm}" "$script" |
+    # All goes in as text: no key is in an argument, nothing is read by a shell on this side, and ssh needs no terminal.
+    printf "PACKAGE='%s'\n%s\n%s" "${PACKAGE:-zswarm[keys]}" "$files" "$script" |
         ssh "$host" 'if [ "$(id -u)" = 0 ]; then exec sh -eu; else exec sudo -n sh -eu; fi' ||
         { echo "$host: $what failed; the machines after it were left alone" >&2; exit 1; }
 done

@@ -23,6 +23,7 @@ from programs import children, wait_until
 
 SPACE = "8g"  # of memory, at most, that all machines may write
 BOOT_S = 90.0
+RUN_S = 180.0
 PREFIX = "zswarm"  # of a control group: zswarm-<pid of the test>-<6 hex digits>
 # Version 2, also where it is mounted beside version 1; and where systemd keeps its own groups on such a system.
 HIERARCHIES = [Path("/sys/fs/cgroup"), Path("/sys/fs/cgroup/unified"), Path("/sys/fs/cgroup/systemd")]
@@ -98,9 +99,10 @@ class Machine:
         """Until systemd says that everything was started."""
         wait_until(lambda: self.run("systemctl is-system-running || :").strip() in ("running", "degraded"), "it is up", BOOT_S)
 
-    def run(self, script: str, deadline_s: float = 120.0) -> str:
-        """Run a shell script to its end, as root on its console would; what it printed."""
-        done = subprocess.run(self.inside("sh", "-eu", "-c", script), capture_output=True, text=True, timeout=deadline_s)
+    def run(self, script: str, answers: str = "") -> str:
+        """Run a shell script to its end, as root on its console would, who answers what it asks; what it printed."""
+        command = self.inside("sh", "-eu", "-c", script)
+        done = subprocess.run(command, input=answers, capture_output=True, text=True, timeout=RUN_S)
         assert done.returncode == 0, f"{self.name}: {script}\n{done.stdout}{done.stderr}"
         return done.stdout
 

@@ -57,27 +57,23 @@ class Installed(Optimizer):
 
 
 class Site:
-    """Two machines that serve and a workstation, all installed; and the runs on it."""
+    """Two machines that serve, and the workstation of Alice and of the administrator; and the runs on it."""
 
-    def __init__(self, lab: Machines) -> None:
-        self.lab = lab
-        self.servers = [lab.machine(name) for name in ("ss1", "ss2")]
-        self.workstation = lab.machine("ws")
+    def __init__(self, lab: Machines, workstation: Machine) -> None:
+        self.lab, self.workstation = lab, workstation
+        self.servers = [lab.machine(name) for name in ("lab-03", "lab-04")]
         self.runs: list[Run] = []
         self.ssh = lab.shared.parent / "ssh"
         self.ssh.mkdir()
         (lab.shared / "experiment.toml").write_text(EXPERIMENT)
-        for machine in (*self.servers, self.workstation):
-            machine.switch_on()
-        for machine in (*self.servers, self.workstation):
-            machine.wait_up()
         for machine in self.servers:
-            machine.run("mkdir /etc/zswarm && echo capacity = 1 > /etc/zswarm/ss.toml")
+            machine.switch_on()
+        for machine in self.servers:
+            machine.wait_up()
+            machine.run("mkdir /etc/zswarm && printf 'capacity = 1\\nrequire_keys = true\\n' > /etc/zswarm/ss.toml")
         with ThreadPoolExecutor() as side_by_side:
-            installs = [side_by_side.submit(self.fleet, "install", machine) for machine in self.servers]
-            self.workstation.run("python3 -m venv /opt/zswarm && /opt/zswarm/bin/pip install zswarm")
-            for install in installs:
-                install.result()
+            for done in [side_by_side.submit(self.fleet, "install", machine) for machine in self.servers]:
+                done.result()
 
     def fleet(self, what: str, *machines: Machine, **environment: str) -> str:
         """Run deploy/fleet.sh; what it printed. ``ssh`` is a program that enters the machine of that name."""
@@ -87,7 +83,7 @@ class Site:
         (self.ssh / "ssh").chmod(0o755)
         done = subprocess.run(
             [str(REPOSITORY / "deploy" / "fleet.sh"), what, *(machine.name for machine in machines)],
-            capture_output=True, text=True, env=os.environ | environment | {"PATH": f"{self.ssh}:{os.environ['PATH']}"},
+            capture_output=True, text=True, cwd=self.lab.shared, env=os.environ | environment | {"PATH": f"{self.ssh}:{os.environ['PATH']}"},
         )  # fmt: skip
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
@@ -144,19 +140,30 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machines]:
     shutil.rmtree(made.shared)
 
 
+@pytest.fixture(scope="module")
+def workstation(lab: Machines) -> Machine:
+    """The administrator's, with the authority and everybody's keys in /srv; and Alice's, with hers."""
+    machine = lab.machine("desk")
+    machine.switch_on()
+    machine.wait_up()
+    machine.run("python3 -m venv /opt/zswarm && /opt/zswarm/bin/pip install 'zswarm[keys]'")
+    machine.run(f"PATH=/opt/zswarm/bin:$PATH; cd /srv; {documented('Keys')}zswarm-keys join --yes alice.zkeys")
+    return machine
+
+
 def build_wheels(folder: Path, wheels: Path) -> None:
     """This repository and what it needs, for the machines' Python."""
     subprocess.run([*CLEAN, "python3", "-m", "venv", str(folder / "venv")], check=True)
     python = str(folder / "venv" / "bin" / "python")
-    command = [python, "-m", "pip", "wheel", "--quiet", "--wheel-dir", str(wheels), str(REPOSITORY)]
+    command = [python, "-m", "pip", "wheel", "--quiet", "--wheel-dir", str(wheels), f"{REPOSITORY}[keys]"]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     shutil.rmtree(folder / "venv")
 
 
 @pytest.fixture(scope="module")
-def installed(lab: Machines) -> Site:
-    return Site(lab)
+def installed(lab: Machines, workstation: Machine) -> Site:
+    return Site(lab, workstation)
 
 
 @pytest.fixture
@@ -196,22 +203,25 @@ def restart_counted(machine: Machine, restarts: int) -> None:
 # ---- the document
 
 
-def test_the_document_is_followed_word_by_word(lab: Machines) -> None:
+def test_the_document_is_followed_word_by_word(lab: Machines, workstation: Machine) -> None:
     """Installed, looked at, upgraded and uninstalled, as it says; then nothing is left of it."""
-    with lab.machine("fresh") as machine:
+    with lab.machine("lab-01") as machine:
         machine.wait_up()
         before = machine.run(LEFT)
-        machine.run(documented("Install"))
+        machine.run("cp -p /srv/lab-01.zkeys /srv/gate.zkeys ~")
+        assert "Authority: " in machine.run(documented("Install"), "y\n")
         assert show(machine, "ActiveState", "SubState", "User") == ["active", "running", "zswarm"]
         looked_at = machine.run(documented("Install", 1))
         assert "slots" in looked_at
         assert "server_ready" in looked_at
+        assert "in_the_clear" not in looked_at
+        assert "Reloaded zswarm-ss.service" in machine.run("journalctl --unit zswarm-ss")
         check(machine, "zswarm-ss")
         pid = show(machine, "MainPID")
         machine.run(documented("Upgrade"))
         assert show(machine, "ActiveState") == ["active"]
         assert show(machine, "MainPID") != pid
-        machine.run(documented("A router"))
+        machine.run(documented("A router"), "y\n")
         assert machine.run("systemctl is-active zswarm-router") == "active\n"
         check(machine, "zswarm-router")
         assert ports(machine) == {"tcp 7466", "tcp 7467", "udp 7467"}
@@ -221,14 +231,15 @@ def test_the_document_is_followed_word_by_word(lab: Machines) -> None:
         assert ports(machine) == set()
 
 
-def test_a_user_without_root_has_a_server(lab: Machines) -> None:
+def test_a_user_without_root_has_a_server(lab: Machines, workstation: Machine) -> None:
     """As the document says, in a user's own systemd."""
-    with lab.machine("shared") as machine:
+    with lab.machine("lab-02") as machine:
         machine.wait_up()
         user = machine.run("useradd --create-home alice && loginctl enable-linger alice && id --user alice").strip()
         wait_until(lambda: machine.run(f"ls /run/user/{user} 2>/dev/null || :"), "the user's systemd is there")
         as_alice = ["runuser", "-u", "alice", "--", "env", "HOME=/home/alice", f"XDG_RUNTIME_DIR=/run/user/{user}", "sh", "-euc"]
-        machine.run(shlex.join([*as_alice, documented("Without root")]))
+        machine.run("install -m 600 -o alice /srv/lab-02.zkeys /home/alice")
+        machine.run(shlex.join([*as_alice, documented("Without root")]), "y\n")
         told = machine.run(shlex.join([*as_alice, "systemctl --user status zswarm-ss"]))
         assert "active (running)" in told
         assert "slots busy" in told
@@ -322,6 +333,28 @@ def test_a_server_that_is_stopped_finishes_what_runs(site: Site, alone: str) -> 
     assert run.counted(SERVED) == 2
 
 
+def test_a_server_reads_its_keys_again_during_a_run(site: Site, alone: str) -> None:
+    """Under the same id: nothing is evaluated elsewhere, or again."""
+    first = site.servers[0]
+    run = site.run_on(first)
+    run.wait_counted(100)
+    site.workstation.run("cd /srv && /opt/zswarm/bin/zswarm-keys issue --optimizer bob")
+    (site.lab.shared / "lab-03.zkeys").unlink(missing_ok=True)
+    site.fleet("join", first)
+    assert run.done()["history_hash"] == alone
+    assert run.counted(SERVED) == 1
+    assert "reload_refused" not in first.run("journalctl --boot --unit zswarm-ss")
+
+
+def test_whoever_has_no_keys_is_refused(site: Site) -> None:
+    """By its server, in words for both sides."""
+    first = site.servers[0]
+    script = f"zswarm-ot servers --no-multicast --wait 2 --connect tcp/{first.address}:7467 2>&1"
+    told = site.workstation.run(f"PATH=/opt/zswarm/bin:$PATH; ZSWARM_KEYS=none {script} && exit 1 || [ $? = 4 ]")
+    assert "lets in members only" in " ".join(told.split())
+    assert "it does not speak TLS" in first.run("journalctl --boot --unit zswarm-ss")
+
+
 def test_compiled_kernels_outlive_a_restart(site: Site, alone: str) -> None:
     first = site.servers[0]
     kept = "cd /var/cache/zswarm && find . -name '*.nb?' -printf '%p %T@ %U\\n' | sort"
@@ -341,19 +374,19 @@ def test_servers_are_upgraded_during_a_run(site: Site, alone: str) -> None:
     wheels.append(rebuilt(wheels[0], "0.2.0", "# computes otherwise"))
     run = site.run_on(first)
     run.wait_counted(100)
-    assert site.fleet("upgrade", first, PACKAGE="zswarm==0.1.1") == "ss1: upgrade\n"
+    assert site.fleet("upgrade", first, PACKAGE="zswarm[keys]==0.1.1") == "lab-03: upgrade\n"
     counted = run.counted()
     run.wait_counted(counted + 100)
     site.fleet("upgrade", first)
     assert "0.2.0" in site.fleet("status", first)
     wait_until(lambda: "another version" in run.err.read_text(), "the run says why it waits")
     assert run.err.read_text().count("is not used") == 1
-    site.fleet("upgrade", second, PACKAGE="zswarm==0.1.1")
+    site.fleet("upgrade", second, PACKAGE="zswarm[keys]==0.1.1")
     assert run.done()["history_hash"] == alone
     assert run.counted(SERVED) == 3
     for wheel in wheels[1:]:
         wheel.unlink()
-    site.fleet("upgrade", first, second, PACKAGE="zswarm==0.1.0")
+    site.fleet("upgrade", first, second, PACKAGE="zswarm[keys]==0.1.0")
 
 
 def rebuilt(wheel: Path, version: str, line: str) -> Path:
