@@ -39,6 +39,8 @@ kind = "nnga"
 population = 50
 """
 TRIALS = (50 + 3 * 37) * 20
+DROP_IN = "/run/systemd/system/zswarm-ss.service.d"
+CONFIGURE = "printf 'capacity = 1\\nrequire_keys = true\\n' > /etc/zswarm/ss.toml"
 COUNTED = "SELECT coalesce(sum(count), 0) FROM outcomes"
 SERVED = "SELECT count(DISTINCT server) FROM outcomes"
 
@@ -65,12 +67,14 @@ class Site:
         self.runs: list[Run] = []
         self.ssh = lab.shared.parent / "ssh"
         self.ssh.mkdir()
+        (self.ssh / "ssh").write_text('#!/bin/sh\nexec $(cat "$(dirname "$0")/$1") "$2"\n')
+        (self.ssh / "ssh").chmod(0o755)
         (lab.shared / "experiment.toml").write_text(EXPERIMENT)
         for machine in self.servers:
             machine.switch_on()
         for machine in self.servers:
             machine.wait_up()
-            machine.run("mkdir /etc/zswarm && printf 'capacity = 1\\nrequire_keys = true\\n' > /etc/zswarm/ss.toml")
+            machine.run(f"mkdir /etc/zswarm && {CONFIGURE}")
         with ThreadPoolExecutor() as side_by_side:
             for done in [side_by_side.submit(self.fleet, "install", machine) for machine in self.servers]:
                 done.result()
@@ -79,11 +83,10 @@ class Site:
         """Run deploy/fleet.sh; what it printed. ``ssh`` is a program that enters the machine of that name."""
         for machine in machines:
             (self.ssh / machine.name).write_text(shlex.join(machine.inside("sh", "-c")))
-        (self.ssh / "ssh").write_text('#!/bin/sh\nexec $(cat "$(dirname "$0")/$1") "$2"\n')
-        (self.ssh / "ssh").chmod(0o755)
         done = subprocess.run(
             [str(REPOSITORY / "deploy" / "fleet.sh"), what, *(machine.name for machine in machines)],
-            capture_output=True, text=True, cwd=self.lab.shared, env=os.environ | environment | {"PATH": f"{self.ssh}:{os.environ['PATH']}"},
+            capture_output=True, text=True, cwd=self.lab.shared,
+            env=os.environ | environment | {"PATH": f"{self.ssh}:{os.environ['PATH']}"},
         )  # fmt: skip
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
@@ -109,8 +112,7 @@ class Site:
             machine.plug()
         for machine in self.servers:
             machine.wait_up()
-            machine.run(f"rm -rf {DROP_IN} && systemctl daemon-reload")
-            machine.run("systemctl start zswarm-ss")
+            machine.run(f"{CONFIGURE}; rm -rf {DROP_IN}; systemctl daemon-reload; systemctl start zswarm-ss")
 
 
 class Run(Installed):
@@ -191,9 +193,6 @@ def show(machine: Machine, *names: str) -> list[str]:
 
 def wait_active(machine: Machine) -> None:
     wait_until(lambda: show(machine, "ActiveState") == ["active"], f"{machine.name} serves")
-
-
-DROP_IN = "/run/systemd/system/zswarm-ss.service.d"
 
 
 def restart_counted(machine: Machine, restarts: int) -> None:
@@ -353,6 +352,25 @@ def test_whoever_has_no_keys_is_refused(site: Site) -> None:
     told = site.workstation.run(f"PATH=/opt/zswarm/bin:$PATH; ZSWARM_KEYS=none {script} && exit 1 || [ $? = 4 ]")
     assert "lets in members only" in " ".join(told.split())
     assert "it does not speak TLS" in first.run("journalctl --boot --unit zswarm-ss")
+
+
+def test_a_mistake_in_the_configuration_is_shown_and_not_tried_again(site: Site) -> None:
+    first = site.servers[0]
+    first.run("""echo 'capacity = "many"' > /etc/zswarm/ss.toml; ! systemctl restart zswarm-ss""")
+    assert show(first, "ActiveState", "ExecMainStatus", "NRestarts") == ["failed", "78", "0"]
+    assert "capacity" in first.run("systemctl status zswarm-ss || :")
+
+
+def test_without_its_keys_a_server_does_not_start(site: Site) -> None:
+    """The installed example has ``require_keys = true``."""
+    first = site.servers[0]
+    first.run("mv /etc/zswarm/keys /etc/zswarm/away")
+    try:
+        first.run("! systemctl restart zswarm-ss")
+        assert show(first, "ActiveState", "ExecMainStatus") == ["failed", "78"]
+        assert "keys" in first.run("journalctl --boot --unit zswarm-ss --lines 10 --output cat")
+    finally:
+        first.run("mv /etc/zswarm/away /etc/zswarm/keys")
 
 
 def test_compiled_kernels_outlive_a_restart(site: Site, alone: str) -> None:
