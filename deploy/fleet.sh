@@ -43,6 +43,7 @@ userdel zswarm
 status='
 systemctl is-active zswarm-ss || :
 /opt/zswarm/bin/zswarm-ss --version || :
+/opt/zswarm/bin/zswarm-ss status || :
 '
 
 usage="usage: fleet.sh install|upgrade|join|uninstall|status HOST..."
