@@ -127,6 +127,14 @@ class Run(Installed):
         rows = query(self.record, sql)
         return int(rows[0][0]) if rows else 0
 
+    def wait_said(self, words: str) -> None:
+        try:
+            wait_until(lambda: words in self.err.read_text(), f"the run says {words!r}")
+        except AssertionError as error:
+            raise AssertionError(
+                f"{error}; but:\n{self.err.read_text()}{self.counted()} trials of {TRIALS} are counted"
+            ) from None
+
     def wait_counted(self, trials: int) -> None:
         wait_until(lambda: self.counted() > trials or self.process.poll() is not None, f"{trials} trials are counted")
         assert self.process.poll() is None, self.err.read_text()
@@ -272,7 +280,7 @@ def test_a_run_survives_a_pulled_cable_and_a_power_cut(site: Site, alone: str) -
     first.unplug()
     run.wait_counted(run.counted() + 300)
     second.cut_power()
-    wait_until(lambda: "no server computes now" in run.err.read_text(), "the run misses its servers")
+    run.wait_said("no server computes now")
     counted = run.counted()
     first.plug()
     run.wait_counted(counted + 100)
@@ -397,7 +405,7 @@ def test_servers_are_upgraded_during_a_run(site: Site, alone: str) -> None:
     run.wait_counted(counted + 100)
     site.fleet("upgrade", first)
     assert {"active", "0.2.0"} <= set(re.split(r"[\s,]+", site.fleet("status", first)))
-    wait_until(lambda: "another version" in run.err.read_text(), "the run says why it waits")
+    run.wait_said("another version")
     assert run.err.read_text().count("is not used") == 1
     site.fleet("upgrade", second, PACKAGE="zswarm[keys]==0.1.1")
     assert run.done()["history_hash"] == alone
