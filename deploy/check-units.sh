@@ -9,7 +9,7 @@ trap 'rm -rf "$folder"' EXIT
 mkdir "$folder/user"
 export XDG_RUNTIME_DIR="$folder"
 for unit in *.service user/*.service; do
-    sed "s,/opt/zswarm/bin,$bin,; s,%h/.local/share/zswarm/bin,$bin," "$unit" > "$folder/$unit"
+    sed "s,/opt/zswarm/bin,$bin,; s,%h/.local/lib/zswarm/bin,$bin," "$unit" > "$folder/$unit"
 done
 
 check() {  # systemd says what is wrong and succeeds
