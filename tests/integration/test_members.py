@@ -139,7 +139,7 @@ def test_a_member_evolves_through_tls_and_its_name_is_the_users(lab: Lab, server
     done = evolve(tmp_path, "alice", lab.keys("alice"), "--servers", "1", f"--connect={server.endpoint}", *SMALL).done()
     assert done["history_hash"] == plain["history_hash"]
     assert [event["user"] for event in server.events("lease_granted")] == ["alice"]
-    assert not server.events("link_refused")
+    assert not [*server.events("link_refused"), *server.events("member_refused"), *server.events("member_unknown")]
 
 
 def test_members_meet_through_a_router_that_holds_their_rules(lab: Lab, tmp_path: Path) -> None:
@@ -291,6 +291,8 @@ def test_one_user_cannot_use_see_or_cancel_what_is_anothers(server: Server, lab:
                 assert ask(bob, key, message) is None, key
             own = ask(bob, keys.request("default", name, "bob", "run", verb), message)
             assert not isinstance(own, Lease)
+        assert not server.events("member_refused")[0]["key"].startswith(f"{keys.ROOT}/default/ss/{name}/ot/bob/")
+        assert {event["certificate"] for event in server.events("member_refused")} == {"ot.bob"}, "alice did nothing wrong"
         assert tokens(bob, f"{keys.ROOT}/default/ot/*/*/alive") == []
         false = bob.liveliness().declare_token(keys.run_alive("default", "alice", "false"))
         assert isinstance(ask(alice, keys.request("default", name, "alice", "run", "renew"), Renew(lease=lease.lease)), Lease)

@@ -37,3 +37,25 @@ def test_what_is_not_known_is_told_as_it_is_and_cleaned() -> None:
 )
 def test_what_refuses_nobody_is_not_told(line: str) -> None:
     assert refusals.in_words(line) == ""
+
+
+DENIED = (
+    "TRACE rx-1 zenoh::net::routing::interceptor::access_control: 61 on Interface(lo)+CertCommonName(ot.bob)+Transport(Tls)+61"
+    " is {} to {} on zswarm/v1/default/{}\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "what", "key", "told"),
+    [
+        ("unauthorized", "Query (ingress)", "ss/lab-01-01234567/ot/alice/run/cancel", True),
+        ("unauthorized", "Query (ingress)", "ss/lab-01-01234567/ot/*/run/cancel", True),
+        ("unauthorized", "Declare/Undeclare Liveliness Token (ingress)", "ot/alice/run/alive", True),
+        ("unauthorized", "Query (ingress)", "ot/bob/run/alive", False),
+        ("unauthorized", "Query (egress)", "ss/lab-01-01234567/ot/alice/run/cancel", False),
+        ("authorized", "Query (ingress)", "ss/lab-01-01234567/ot/bob/run/cancel", False),
+        ("unauthorized", "Put (ingress)", "ss/lab-01-01234567/ot/alice/run/cancel", False),
+    ],
+)
+def test_who_asks_in_anothers_name_is_told(verdict: str, what: str, key: str, told: bool) -> None:
+    assert refusals.another_users(DENIED.format(verdict, what, key)) == (("ot.bob", f"zswarm/v1/default/{key}") if told else None)

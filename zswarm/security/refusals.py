@@ -21,11 +21,12 @@ from zswarm.security import handshake
 from zswarm.security.keyring import Keyring
 from zswarm.security.members import holder
 
-ZENOH_LOG = "off,zenoh_link_tls=warn"
+ZENOH_LOG = "off,zenoh_link_tls=warn,zenoh::net::routing::interceptor::access_control=trace"  # the rules tell at no other level
 UNREMARKABLE = ("handshake eof", "Connection reset", "os error 104")  # somebody looked whether the port is open
 DIALLED_S = 5.0  # after which a router should have been reached
 EVERY_S = 10.0  # the same reason is told at most so often: a refused program tries again each second
 MARK = re.compile(r"zenoh_link_tls::unicast: (.*)")
+DENIED = re.compile(r"CertCommonName\(ot\.([^)]*)\).* is unauthorized to (?:Query|.*Liveliness Token) \(ingress\) on (\S+)")
 REASONS = {
     "certificate expired": "its certificate has expired: zswarm-keys renew, and join there",
     "not valid yet": "its certificate is not valid yet: compare the clocks of both machines",
@@ -127,11 +128,22 @@ def in_words(line: str) -> str:
     return next((words for mark, words in REASONS.items() if mark in text), codec.clean(text))
 
 
+def another_users(line: str) -> tuple[str, str] | None:
+    """The certificate and the key of who asked or showed itself in another user's name, or in all users' by a wildcard."""
+    denied = DENIED.search(line)
+    if denied is None or "/ot/" not in denied[2]:
+        return None
+    user, key = denied.groups()
+    return None if key.split("/ot/")[1].split("/")[0] == user else (codec.clean(f"ot.{user}"), codec.clean(key))
+
+
 def _read(reading: int) -> None:
     told = _Seldom()
     with os.fdopen(reading, encoding="utf-8", errors="replace") as lines:
         for line in lines:
             if "RUST_LOG" in os.environ:  # somebody wants to see all of it
                 sys.stderr.write(line)
-            if (reason := in_words(line)) and told.now(reason):
+            if (denied := another_users(line)) and told.now(denied[0]):
+                log.warning("member_refused", certificate=denied[0], key=denied[1], reason="the key is not of its own name")
+            elif (reason := in_words(line)) and told.now(reason):
                 log.warning("link_refused", reason=reason)
