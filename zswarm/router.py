@@ -19,6 +19,7 @@ from zswarm.strict import overridden
 
 EXIT_MISTAKE, EXIT_DAMAGED_CONFIG = 2, 78
 RETURN_S = 5.0
+LOOK_S = 0.5
 
 
 class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -78,6 +79,9 @@ def serve(read_options: Callable[[], Options]) -> int:
     told = notify.Notify()
     signals = {signal.SIGTERM, signal.SIGINT, signal.SIGHUP}
     signal.pthread_sigmask(signal.SIG_BLOCK, signals)  # before zenoh's threads, which inherit it
+    elsewhere: list[int] = []  # signals that another thread got: after a failed opening zenoh has some that do not block them
+    for each in signals:
+        signal.signal(each, lambda number, _frame: elsewhere.append(number))
     refusals.watch_links()
     options = read_options()
     reach = _reach(options)
@@ -86,7 +90,7 @@ def serve(read_options: Callable[[], Options]) -> int:
         "router_ready", listen=listen, keys=session.keys_in_words(reach), multicast=options.multicast, program=zswarm.__version__
     )
     told.ready()
-    while (number := signal.sigwait(signals)) == signal.SIGHUP:
+    while (number := _next(signals, elsewhere)) == signal.SIGHUP:
         told.reloading()
         try:
             changed = read_options()
@@ -107,6 +111,13 @@ def serve(read_options: Callable[[], Options]) -> int:
     session.close(opened)
     logger.info("router_stopped")
     return 128 + number
+
+
+def _next(signals: set[signal.Signals], elsewhere: list[int]) -> int:
+    while not elsewhere:
+        if info := signal.sigtimedwait(signals, LOOK_S):
+            return info.si_signo
+    return elsewhere.pop(0)
 
 
 def _reach(options: Options) -> Reach:

@@ -418,3 +418,29 @@ def test_endpoints_in_the_clear_do_not_go_with_keys(lab: Lab, tmp_path: Path, pr
     started = Program(tmp_path, "clear", ["-m", program, "--no-multicast", "--listen", at], ZSWARM_KEYS=lab.keys(who))
     assert started.wait() == 2
     assert "an endpoint must begin with tls/" in started.err.read_text().splitlines()[-1]
+
+
+def test_a_router_goes_back_to_where_it_was_when_a_reload_fails(lab: Lab, tmp_path: Path) -> None:
+    """With the keys it had, though others are installed now; then it reads again what was mended."""
+    file, at, wanted = tmp_path / "router.toml", free_port(), free_port()
+    file.write_text(f"listen = ['tls/127.0.0.1:{at}']\nmulticast = false\n")
+    router = Program(tmp_path, "gate", ["-m", "zswarm.router", "--config", str(file)], ZSWARM_KEYS=lab.keys("gate"))
+    try:
+        wait_until(lambda: router.events("router_ready"), "it routes")
+        with socket.create_server(("127.0.0.1", wanted)):
+            file.write_text(f"listen = ['tls/127.0.0.1:{wanted}']\nmulticast = false\n")
+            router.kill(signal.SIGHUP)
+            wait_until(lambda: router.events("reload_refused"), "it cannot listen there")
+            with opened(f"tls/127.0.0.1:{at}", as_=ring(lab.keys("alice"), "ot", "alice")) as alice:
+                linked(alice)
+        file.write_text("listen = 3\n")
+        router.kill(signal.SIGHUP)
+        wait_until(lambda: len(router.events("reload_refused")) == 2 or router.process.poll() is not None, "the file is wrong")
+        assert router.process.poll() is None, (router.process.poll(), router.err.read_text()[-300:])
+        file.write_text(f"listen = ['tls/127.0.0.1:{wanted}']\nmulticast = false\n")
+        router.kill(signal.SIGHUP)
+        assert wait_until(lambda: router.events("reloaded"), "it listens there")[0]["listen"] == [f"tls/127.0.0.1:{wanted}"]
+        router.kill(signal.SIGTERM)
+        assert router.wait() == 143
+    finally:
+        router.close()
