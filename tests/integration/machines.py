@@ -28,7 +28,14 @@ PREFIX = "zswarm"  # of a control group: zswarm-<pid of the test>-<6 hex digits>
 # Version 2, also where it is mounted beside version 1; and where systemd keeps its own groups on such a system.
 HIERARCHIES = [Path("/sys/fs/cgroup"), Path("/sys/fs/cgroup/unified"), Path("/sys/fs/cgroup/systemd")]
 HIERARCHIES = [folder for folder in HIERARCHIES if (folder / "cgroup.procs").exists()]
-CLEAN = ["env", "-i", "PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin", "HOME=/root", "LANG=C.UTF-8"]
+CLEAN = [
+    "env",
+    "-i",
+    "PIP_CONFIG_FILE=/etc/pip.conf",
+    "PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin",
+    "HOME=/root",
+    "LANG=C.UTF-8",
+]
 
 # Files in the folder given are mounted, not in a folder of the machine's: tests side by side do not meet.
 PLACE = """
@@ -47,7 +54,7 @@ mount -t overlay overlay -o lowerdir=/,upperdir=upper-{name},workdir=work-{name}
 cd {name}/etc
 : > machine-id
 echo {name} > hostname
-rm -rf systemd/system/*.wants systemd/network ../root/.pip ../root/.config/pip
+rm -rf systemd/system/*.wants systemd/network
 ln -sf /usr/lib/systemd/system/multi-user.target systemd/system/default.target
 mkdir -p systemd/network systemd/system/multi-user.target.wants systemd/system/network-online.target.wants
 ln -s /usr/lib/systemd/system/systemd-networkd.service systemd/system/multi-user.target.wants/
