@@ -127,26 +127,22 @@ def dispatch() -> None:
 def runs() -> None:
     """The third table; FREVO's numbers are quoted: both cores of an EPYC, whole command without start."""
     from zswarm import experiment
-    from zswarm.ot import run
-    from zswarm.ot.local import LocalServer
-    from zswarm.ot.record import Record
-
-    class Silent:
-        def say(self, text: str) -> None: ...
-        def progress(self, generation: int, counted: int, trials: int) -> None: ...
-        def generation(self, generation: object) -> None: ...
+    from zswarm.ot import evolution
+    from zswarm.ot.connection import Connection
+    from zswarm.ot.logger import Logger
 
     print(f"\n{'field':>8} {'simulations/s':>14} {'x FREVO':>8}   (whole run, 50 x 200)")
     for name, frevo in (("stadium", 838), ("emergency-exit", 12740)):
         loaded = experiment.load(experiment.find(name), ["cluster.servers=local"])
-        complete = experiment.complete(loaded, name)
         rates = []
         for _ in range(3):
-            with tempfile.TemporaryDirectory() as out, LocalServer(experiment.local_slots(loaded), "default") as local:
-                parts = run.build(complete)
-                with Record.create(Path(out), complete, "") as record:
-                    result = run.run(complete, parts, record, local, Silent())
-            rates.append(result.evaluations * complete.problem.trials / result.seconds)
+            with (
+                tempfile.TemporaryDirectory() as out,
+                Connection(loaded.cluster) as connection,
+                evolution.start(loaded, name, Path(out), connection, Logger()) as begun,
+            ):
+                result = begun.finish()
+            rates.append(result.evaluations * loaded.problem.trials / result.seconds)
         rate = statistics.median(rates)
         print(f"{'stadium' if name == 'stadium' else 'random':>8} {rate:>14.0f} {rate / frevo:>8.1f}", flush=True)
 

@@ -12,7 +12,7 @@ import pytest
 
 from zswarm import experiment, plugins, router
 from zswarm.ot import cli as ot
-from zswarm.ot import record
+from zswarm.ot import exits, record
 from zswarm.ot.controller import Controller
 from zswarm.protocol import codec, messages
 from zswarm.security import cli as security
@@ -132,7 +132,7 @@ def test_every_metric_is_documented_with_its_labels() -> None:
         assert f"\n| {state} | " in documented
 
 
-@pytest.mark.parametrize("code", [ot.EXIT_FAILED, ot.EXIT_MISTAKE, ot.EXIT_NO_SERVERS, ot.EXIT_INTERRUPTED, ot.EXIT_TERMINATED])
+@pytest.mark.parametrize("code", [code for name, code in vars(exits).items() if name.startswith("EXIT_")])
 def test_every_exit_code_of_the_optimizer_is_documented(code: int) -> None:
     """In the table of exit codes."""
     assert f"\n| {code} | " in section("commands.md", "## zswarm-ot")

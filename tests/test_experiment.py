@@ -238,5 +238,5 @@ def test_a_router_to_go_through_must_be_named_where_multicast_finds_none(file: P
 
 def test_no_number_of_slots_means_one_per_core(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(experiment.os, "cpu_count", lambda: 6)
-    assert experiment.local_slots(load(file)) == 6
-    assert experiment.local_slots(load(file, ["cluster.local_slots=2"])) == 2
+    assert experiment.slots_of_this_machine(load(file).cluster) == 6
+    assert experiment.slots_of_this_machine(load(file, ["cluster.local_slots=2"]).cluster) == 2

@@ -21,6 +21,10 @@ class UnknownPlugin(ConfigError):
     """No simulator, representation or optimizer of that name is installed."""
 
 
+class Stopped(ZswarmError):
+    """What went on was stopped from outside; a run can be resumed."""
+
+
 class NoServers(ZswarmError):
     """No server that matches the experiment answered in time."""
 

@@ -162,9 +162,9 @@ def to_toml(experiment: Experiment) -> str:
     return tomli_w.dumps(mapping)
 
 
-def local_slots(experiment: Experiment) -> int:
+def slots_of_this_machine(options: Cluster) -> int:
     """Slots of this machine to use."""
-    return experiment.cluster.local_slots or os.cpu_count() or 1
+    return options.local_slots or os.cpu_count() or 1
 
 
 def _check(mapping: Mapping[str, Any], where: str) -> Experiment:

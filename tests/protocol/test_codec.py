@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from zswarm.errors import RemoteProtocolError
-from zswarm.ot import tables
+from zswarm.ot.commands import servers
 from zswarm.ot.discovery import Found, Survey
 from zswarm.ot.dispatch import Answered, Ask, Dispatch, Gone, Note, Seen
 from zswarm.protocol import codec, keys, messages
@@ -547,7 +547,7 @@ def test_a_nasty_text_is_harmless_in_a_table(text: str, capsys: pytest.CaptureFi
     received = codec.decode_reply(codec.encode(offer))
     assert isinstance(received, messages.Offer)
     survey = Survey([Found("lab-1", received), Found("lab-2", None, codec.clean(text))], {}, [])
-    tables.servers(survey, "default", through_router=False, as_json=False)
+    servers.show(survey, "default", through_router=False, as_json=False)
     shown = capsys.readouterr().out
     assert not dangerous(shown.replace("\n", ""))
     for character in "[=<{":

@@ -1,0 +1,33 @@
+"""``zswarm-ot evaluate``: a champion on seeds it was not evolved on."""
+
+from pathlib import Path
+
+import click
+
+from zswarm.ot.commands.options import json_option
+
+
+@click.command()
+@click.argument("path", type=click.Path(path_type=Path), metavar="RUN|CHAMPION.zsc")
+@click.option("--trials", type=click.IntRange(1, 1_000_000), default=100, show_default=True, help="Trials to play.")
+@click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="Seed of the trials: unseen ones by default.")
+@json_option
+def evaluate(path: Path, trials: int, seed: int | None, as_json: bool) -> None:
+    """Play a run's champion on seeds it was not evolved on."""
+    from zswarm.ot import terminal, unseen
+    from zswarm.ot.controller import load_controller
+    from zswarm.protocol.codec import clean
+
+    controller = load_controller(path)
+    played = unseen.play(controller, trials, seed or 0)
+    fitness, metrics = played.fitness_summary(), played.metric_means()
+    if as_json:
+        terminal.print_json({"trials": trials, **fitness, **metrics})
+        return
+    terminal.line(
+        f"{controller.simulator}, champion of {clean(controller.run)} (fitness {controller.fitness:.6g}), {trials} unseen trials"
+    )
+    quartiles = " / ".join(f"{fitness[key]:.6g}" for key in ("q25", "median", "q75"))
+    terminal.line(f"{'fitness':16}mean {fitness['mean']:.6g}, quartiles {quartiles}")
+    for name, mean in metrics.items():
+        terminal.line(f"{name:16}mean {mean:.6g}")

@@ -1,0 +1,39 @@
+"""``zswarm-ot list``: runs, examples and parts."""
+
+import time
+from pathlib import Path
+
+import click
+
+from zswarm import experiment, plugins
+from zswarm.ot.commands.options import json_option
+
+
+@click.command("list")
+@click.argument("folder", type=click.Path(path_type=Path), default=Path("runs"))
+@json_option
+def list_(folder: Path, as_json: bool) -> None:
+    """Show the runs below a folder, and the examples, simulators, representations and optimizers there are."""
+    from zswarm.ot import listing, terminal
+
+    runs = listing.runs(folder)
+    parts = {kind: plugins.names(kind) for kind in ("simulator", "representation", "optimizer")}
+    examples = sorted(path.stem for path in experiment.examples_folder().glob("*.toml"))
+    if as_json:
+        terminal.print_json({"runs": runs, "examples": examples, **{f"{kind}s": names for kind, names in parts.items()}})
+        return
+    for title, names in (("examples", examples), *((f"{kind}s", names) for kind, names in parts.items())):
+        terminal.line(f"{title:16}{', '.join(names)}")
+    if not runs:
+        terminal.line(f"{'runs':16}none in {folder}")
+        return
+    table = terminal.table("run", "generations", "best", "last at", "history")
+    for row in runs:
+        if "error" in row:
+            terminal.row(table, row["run"], "", "", "", row["error"])
+            continue
+        at = time.strftime("%Y-%m-%d %H:%M", time.localtime(row["finished_at"])) if row["finished_at"] else ""
+        best = "" if row["best"] is None else f"{row['best']:.6g}"
+        history = row["history_hash"][:12] if row["history_hash"] else "not finished"
+        terminal.row(table, row["run"], row["generations"], best, at, history)
+    terminal.show(table)

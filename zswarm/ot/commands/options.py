@@ -1,0 +1,61 @@
+"""Options that several commands share."""
+
+from typing import Any
+
+import click
+
+from zswarm import experiment
+from zswarm.errors import ConfigError
+from zswarm.experiment import Experiment
+
+json_option = click.option("--json", "as_json", is_flag=True, help="JSON on stdout.")
+set_option = click.option(
+    "--set",
+    "overrides",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Set something of the experiment, such as optimizer.population=100; may be repeated.",
+)
+CLUSTER = [
+    click.option(
+        "--servers",
+        metavar="auto|local|N",
+        help="auto: this machine's slots and every server found; local: this machine only; N: wait for N servers.",
+    ),
+    click.option("--realm", help="Use the servers of this realm."),
+    click.option(
+        "--connect",
+        multiple=True,
+        metavar="EP",
+        help="Server or router to dial, such as tcp/192.168.1.5:7467; may be repeated.",
+    ),
+    click.option("--multicast/--no-multicast", default=None, help="Find servers by multicast.  [default: multicast]"),
+    click.option(
+        "--through-router/--no-through-router",
+        default=None,
+        help="Reach all servers through a router: one named by --connect, or found by multicast.",
+    ),
+]
+
+
+def cluster_options(command: Any) -> Any:
+    """The options that change an experiment's ``[cluster]``."""
+    for option in reversed(CLUSTER):
+        command = option(command)
+    return command
+
+
+def with_cluster(loaded: Experiment, given: dict[str, Any]) -> Experiment:
+    """The experiment with the command line's ``[cluster]`` options.
+
+    Raises:
+        ConfigError: an impossible one.
+    """
+    changes = {key: value for key, value in given.items() if value not in (None, ())}
+    if "connect" in changes:
+        changes["connect"] = list(changes["connect"])
+    if (text := changes.get("servers", "auto")) not in ("auto", "local"):
+        if not text.isdigit() or int(text) < 1:
+            raise ConfigError(f"--servers {text}: expected auto, local or a number of servers")
+        changes["servers"] = int(text)
+    return experiment.with_cluster(loaded, changes)

@@ -1,0 +1,133 @@
+"""``zswarm-ot servers``: who is there, who matches, and why nobody is found."""
+
+import sys
+import textwrap
+from typing import TYPE_CHECKING, Any
+
+import click
+import msgspec
+
+from zswarm import __version__, experiment
+from zswarm.errors import ConfigError
+from zswarm.ot.commands.options import json_option
+from zswarm.ot.exits import EXIT_NO_SERVERS
+
+if TYPE_CHECKING:
+    from zswarm.ot.discovery import Found, Survey
+
+NAME_WIDTH = 40  # of a server: with the other columns it fits into 80
+
+
+@click.command()
+@click.option("--realm", default="default", show_default=True, help="Realm to look in.")
+@click.option("--connect", multiple=True, metavar="EP", help="Server or router to dial; may be repeated.")
+@click.option("--multicast/--no-multicast", default=True, help="Find servers by multicast.  [default: multicast]")
+@click.option("--through-router", is_flag=True, help="Look through a router: one named by --connect, or found by multicast.")
+@click.option(
+    "--wait",
+    "wait_s",
+    type=click.FloatRange(0.1, 3600.0),
+    default=3.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="How long to look.",
+)
+@click.option("--for", "name", metavar="EXPERIMENT", help="Say which servers match this experiment, and why others do not.")
+@json_option
+def servers(
+    realm: str, connect: tuple[str, ...], multicast: bool, through_router: bool, wait_s: float, name: str | None, as_json: bool
+) -> None:
+    """Show the servers of the network, or why none is found."""
+    from zswarm import endpoint
+    from zswarm.ot import discovery
+    from zswarm.protocol import keys
+    from zswarm.protocol.messages import Requirements
+    from zswarm.security import keyring
+    from zswarm.session import Reach
+    from zswarm.version_hash import version_hash
+
+    if not keys.is_id(realm):
+        raise ConfigError(f"--realm: expected {keys.ID_RULE}, not {realm!r}")
+    endpoint.check(connect, "--connect")
+    requirements = Requirements()
+    if name:
+        loaded = experiment.load(experiment.find(name))
+        simulator, representation = loaded.problem.simulator, loaded.representation.kind
+        experiment.complete(loaded, name)
+        requirements = Requirements(
+            simulator=simulator,
+            representation=representation,
+            version_hash=version_hash(simulator, representation),
+            trial_memory_mb=loaded.cluster.trial_memory_mb,
+        )
+    survey = discovery.survey(
+        realm,
+        Reach(connect, multicast, through_router, keyring.installed("ot")),
+        requirements=requirements,
+        wait_s=wait_s,
+    )
+    show(survey, realm, through_router=through_router, experiment_name=name or "", as_json=as_json)
+    if not survey.servers:
+        sys.exit(EXIT_NO_SERVERS)
+
+
+def show(survey: "Survey", realm: str, *, through_router: bool, experiment_name: str = "", as_json: bool) -> None:
+    """Servers with what they have, and why one is of no use; or why there are none.
+
+    Args:
+        experiment_name: the experiment that the servers were asked about; "": about none.
+    """
+    from zswarm.ot import terminal
+
+    for server in survey.servers if as_json else []:
+        offer = {} if server.offer is None else _offer(server.offer)
+        terminal.print_json({"server": server.server, **offer, "address": server.address, "reason": server.reason})
+    if survey.servers and not as_json:
+        _server_table(survey.servers, realm, through_router=through_router, experiment_name=experiment_name)
+    if not survey.servers:
+        terminal.line(f"no server found in realm {realm}", stderr=as_json)
+        for finding in survey.findings:
+            terminal.paragraph(f"- {finding}", stderr=as_json)
+    elif survey.elsewhere:
+        others = ", ".join(f"{name} ({count})" for name, count in survey.elsewhere.items())
+        terminal.paragraph(f"servers of other realms, seen with --realm: {others}", stderr=as_json)
+
+
+def _server_table(found: "list[Found]", realm: str, *, through_router: bool, experiment_name: str) -> None:
+    from zswarm.ot import terminal
+
+    offers = [server.offer for server in found if server.offer is not None]
+    slots, free = sum(offer.capacity for offer in offers), sum(offer.free for offer in offers)
+    terminal.line(f"realm {realm}: {len(found)} server{'s' if len(found) != 1 else ''}, {slots} slots, {free} free\n")
+    columns = ("server", "slots", "free", "runs", "zswarm", *(["matches"] if experiment_name else []))
+    table = terminal.table(*columns, box=None, padding=(0, 2, 0, 0))
+    reasons: dict[str, list[str]] = {}
+    simulators: dict[str, list[str]] = {}
+    for server in found:
+        address = server.address or ("through the router" if through_router else "")
+        name = "\n".join(textwrap.wrap(server.server, NAME_WIDTH) + [f"  {address}"] * bool(address))
+        if server.offer is None:
+            terminal.row(table, name, "", "", "", "", *(["no"] if experiment_name else []))
+            reasons.setdefault(server.reason, []).append(server.server)
+            continue
+        offer = server.offer
+        matches = ["no" if offer.mismatch else "yes"] if experiment_name else []
+        terminal.row(table, name, offer.capacity, offer.free, offer.leases, offer.program, *matches)
+        simulators.setdefault(", ".join(offer.simulators), []).append(server.server)
+        if offer.mismatch:
+            versions = f" (that is zswarm {offer.program}, this is {__version__})" if offer.program != __version__ else ""
+            reasons.setdefault(offer.mismatch + versions, []).append(server.server)
+    terminal.show(table)
+    terminal.line("")
+    of_experiment = f" for {experiment_name}" if experiment_name else ""
+    for reason, names in reasons.items():
+        terminal.paragraph(f"not used{of_experiment}: {', '.join(names)}: {reason}")
+    if not experiment_name:
+        for names_of_simulators, names in simulators.items():
+            where = "" if len(simulators) == 1 else f" on {', '.join(names)}"
+            terminal.paragraph(f"simulators{where}: {names_of_simulators}")
+
+
+def _offer(offer: Any) -> dict[str, Any]:
+    values: dict[str, Any] = msgspec.to_builtins(offer)
+    return {key: value for key, value in values.items() if key not in ("type", "v", "server")}

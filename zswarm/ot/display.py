@@ -1,0 +1,112 @@
+"""How a run shows itself: a live line on a terminal, plain lines elsewhere, JSON lines on stdout for programs."""
+
+import sys
+import time
+
+from zswarm.ot.logger import Generation, Logger, Result, Started
+from zswarm.ot.terminal import patience, plural, print_json
+
+
+class PlainDisplay(Logger):
+    """Plain lines on stderr: one a generation."""
+
+    def __init__(self) -> None:
+        self._generations = 0
+
+    def on_start(self, run: Started) -> None:
+        """See ``Logger``."""
+        self._generations = run.experiment.generations
+
+    def on_say(self, line: str) -> None:
+        """See ``Logger``."""
+        with patience():
+            print(line, file=sys.stderr, flush=True)
+
+    def on_generation(self, generation: Generation) -> None:
+        """See ``Logger``."""
+        g = generation
+        self.on_say(
+            f"generation {g.generation + 1}/{self._generations}  best {g.best:.6g}  mean {g.mean:.6g}  "
+            f"evaluations {g.evaluations}  servers {g.servers}  slots {g.slots}"
+        )
+
+    def on_end(self, result: Result | None) -> None:
+        """See ``Logger``."""
+        if result is not None:
+            with patience():
+                print(_summary(result), flush=True)
+
+
+class JsonDisplay(PlainDisplay):
+    """One JSON object a line on stdout; what is for people goes to stderr."""
+
+    def on_generation(self, generation: Generation) -> None:
+        """See ``Logger``."""
+        print_json({"event": "generation", **{k: v for k, v in generation._asdict().items() if k != "statistics"}})
+
+    def on_end(self, result: Result | None) -> None:
+        """See ``Logger``."""
+        if result is not None:
+            print_json({"event": "done", **result._asdict()})
+
+
+class LiveDisplay(PlainDisplay):
+    """A line that moves, on a terminal."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+        self._progress = Progress(
+            TextColumn("{task.completed:.0f}/{task.total:.0f}"),
+            BarColumn(bar_width=8),
+            TextColumn("{task.fields[text]}"),
+            TimeRemainingColumn(compact=True, elapsed_when_finished=True),
+            console=Console(stderr=True),
+            refresh_per_second=8,
+        )
+        self._last: tuple[float, int] | None = None
+
+    def on_start(self, run: Started) -> None:
+        """See ``Logger``."""
+        self._task = self._progress.add_task("run", total=run.experiment.generations, text="looking for servers")
+        self._progress.start()
+
+    def on_say(self, line: str) -> None:
+        """See ``Logger``."""
+        from rich.text import Text
+
+        self._progress.console.print(Text(line), soft_wrap=True)
+
+    def on_generation(self, generation: Generation) -> None:
+        """See ``Logger``."""
+        g, now = generation, time.monotonic()
+        if self._last is None:
+            self._last = (now, g.evaluations)
+        rate = (g.evaluations - self._last[1]) / max(1e-9, now - self._last[0])
+        text = f"best {g.best:.5g}  mean {g.mean:.5g}  {rate:.0f}/s  {plural(g.slots, 'slot')} on {plural(g.servers, 'server')}"
+        self._progress.update(self._task, completed=g.generation + 1, text=text)
+
+    def on_end(self, result: Result | None) -> None:
+        """See ``Logger``."""
+        self._progress.stop()
+        super().on_end(result)
+
+
+def display(*, as_json: bool) -> Logger:
+    """The one that fits where the output goes."""
+    if as_json:
+        return JsonDisplay()
+    return LiveDisplay() if sys.stderr.isatty() else PlainDisplay()
+
+
+def _summary(result: Result) -> str:
+    faulted = f"faulted: {result.faulted} trials, " if result.faulted else ""
+    doubtful = f"doubtful: {result.doubtful} trials of a server that computes wrong, " if result.doubtful else ""
+    return (
+        f"best fitness {result.best:.6g} after {result.generations} generations, {result.evaluations} evaluations "
+        f"({result.requeued} trials sent again), {result.seconds:.1f} s\n"
+        f"history {faulted}{doubtful}{result.history_hash}\n"
+        f"run     {result.run}"
+    )

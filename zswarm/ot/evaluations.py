@@ -1,0 +1,191 @@
+"""Workloads of one problem on the servers of a connection: disputes are settled by this machine, and whoever follows is told."""
+
+import getpass
+import secrets
+import threading
+import time
+from collections.abc import Iterator
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from zswarm import evaluate
+from zswarm.errors import EvaluationError, Stopped
+from zswarm.ot.cluster import Cluster, Item
+from zswarm.ot.connection import Connection
+from zswarm.ot.dispatch import Counted, Disputed, Note, ProbeDisputed, ProbeSettled, Retracted, Settled
+from zswarm.ot.logger import Logger
+from zswarm.ot.problem import Problem
+from zswarm.ot.requests import Wanted, Who
+from zswarm.ot.workload import Workload
+from zswarm.protocol import keys, messages
+from zswarm.session import Reach
+from zswarm.version_hash import version_hash
+
+WAIT_FOR_SERVERS_S = 10.0  # for the number of servers asked for
+PREPARING_S = 1.0  # of a server, before the user is told
+PAUSE_S = 3.0  # without any server, before the user is told
+
+Happened = Counted | Retracted | Note
+TOLD = {
+    "diagnosis": "{text}",
+    "server_joined": "{server} joined with {slots}",
+    "server_left": "{server} left; {text}",
+    "server_lost": "{server} is gone",
+    "server_back": "{server} is back",
+    "server_mismatch": "{server} is not used: {text}",
+    "server_refused": "{server} refused: {text}",
+    "server_differs": "{server} is not used: {text}",
+    "server_faulty": "{server} is put aside for ten minutes: {text}",
+    "server_wrong": "{server} is used no more: {text}; what it did in this generation is evaluated again, "
+    "and marked as doubtful in earlier ones",
+    "unverified": "trials are counted unverified: {text}",
+    "server_silent": "{server} does not answer ({text}); it is asked again in a while",
+    "lease_lost": "{server}: {text}; reserving anew",
+    "lease_waiting": "{server} is busy for others: waiting for a slot",
+    "fault": "{server}: {text}",
+    "malformed": "{server} sent something that is no answer: {text}",
+    "simulator_raised": "the simulator raised on {server}: {text} ({count} trials)",
+}
+
+
+class Evaluations:
+    """A problem's leases, from entering to leaving.
+
+    Args:
+        connection: the servers.
+        run, epoch: what the servers know the holder of the leases by.
+        slots: wanted at most.
+        probe: digest of the probe's outcomes, if it is known from before.
+        logger: is told.
+        stop: ends what goes on when it is set.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        connection: Connection,
+        *,
+        run: str,
+        epoch: int,
+        slots: int,
+        probe: bytes,
+        logger: Logger,
+        stop: threading.Event,
+    ) -> None:
+        self._problem, self._connection, self._logger, self._stop = problem, connection, logger, stop
+        options, reach = connection.options, connection.reach
+        simulator, representation = problem.experiment.problem, problem.experiment.representation
+        wanted = Wanted(
+            simulator=messages.Part(simulator.simulator, simulator.settings),
+            representation=messages.Part(representation.kind, representation.settings),
+            version_hash=version_hash(simulator.simulator, representation.kind),
+            participants=problem.simulator.participants,
+            metrics=len(problem.simulator.metrics),
+            trial_timeout_s=options.trial_timeout_s,
+            trial_memory_mb=options.trial_memory_mb,
+            slots=min(slots, messages.MAX_SLOTS),
+            quarantine=options.on_fault == "quarantine",
+            verify=options.verify,
+            probe=probe,
+        )
+        who = Who(options.realm, _user(reach), run, epoch, secrets.token_bytes(16))
+        local = connection.local
+        self._cluster = Cluster(who, wanted, reach=reach, local=local.endpoint if local is not None else "")
+
+    def __enter__(self) -> Self:
+        self._cluster.__enter__()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._cluster.__exit__(kind, error, trace)
+
+    @property
+    def servers(self) -> int:
+        """Servers with a slot ready."""
+        return len(self._cluster.standing.serving)
+
+    @property
+    def slots(self) -> int:
+        """Slots that are ready."""
+        return self._cluster.standing.slots
+
+    @property
+    def probe(self) -> bytes:
+        """Digest of the probe's outcomes, once known."""
+        return self._cluster.standing.probe
+
+    def wait(self) -> Iterator[Happened]:
+        """Wait for the number of servers asked for, if one was; yields what happens.
+
+        Raises:
+            NoServers: not in time.
+        """
+        if isinstance(self._connection.options.servers, int):
+            for item in self._cluster.wait(self._connection.options.servers, WAIT_FOR_SERVERS_S):
+                yield from self._taken(item)
+
+    def evaluate(self, workload: Workload) -> Iterator[Happened | None]:
+        """Evaluate what is not counted yet; yields what happens, and None when nothing does for 0.1 s.
+
+        Raises:
+            EvaluationError: trials cannot be evaluated.
+            Stopped: ``stop`` was set.
+        """
+        last_served, told = time.monotonic(), ""
+        for item in self._cluster.evaluate(workload):
+            if self._stop.is_set():
+                raise Stopped("stopped")
+            if item is None:
+                yield None
+            else:
+                yield from self._taken(item, workload)
+            idle = time.monotonic() - last_served
+            local = self._connection.local
+            if self._cluster.standing.serving:
+                last_served, told = time.monotonic(), ""
+            elif local is not None and (words := local.ended()):
+                raise EvaluationError(f"the slots of this machine ended: {words}")
+            elif (preparing := self._cluster.standing.preparing) and idle > PREPARING_S and not told:
+                simulator = self._problem.experiment.problem.simulator
+                told = f"{', '.join(preparing)}: compiling {simulator}; done once for this version of zswarm"
+                self._logger.on_say(told)
+            elif not preparing and idle > PAUSE_S and not told:
+                told = "no server computes now: waiting for one (Ctrl-C stops; nothing is lost)"
+                self._logger.on_say(told)
+                if local is None:
+                    self._cluster.diagnose()
+
+    def rest(self) -> Iterator[Happened]:
+        """What happened that was not yielded yet."""
+        for item in self._cluster.rest():
+            yield from self._taken(item)
+
+    def _taken(self, item: Item, workload: Workload | None = None) -> Iterator[Happened]:
+        """Do what something that happened asks for; disputes are of the workload."""
+        simulator, representation = self._problem.simulator, self._problem.representation
+        match item:
+            case Disputed() if workload is not None:
+                outcomes = evaluate.evaluate(simulator, representation, *workload.batch(np.array([item.trial])))
+                self._cluster.settle(Settled(item.trial, outcomes.fitness[0], outcomes.metrics[0]))
+            case ProbeDisputed():
+                self._cluster.settle(ProbeSettled(evaluate.probe(simulator, representation).digest))
+            case Note():
+                yield item
+                self._tell(item)
+            case Counted() | Retracted() if workload is not None:
+                yield item
+
+    def _tell(self, note: Note) -> None:
+        self._logger.on_event(note)
+        if note.event in TOLD:
+            slots = f"{note.count} slot{'s' if note.count != 1 else ''}"
+            self._logger.on_say(TOLD[note.event].format(server=note.server, text=note.text, count=note.count, slots=slots))
+        refused = note.event in ("server_refused", "server_mismatch") and note.server.startswith("local-")
+        if refused and self._connection.local is not None and not self._cluster.standing.serving:
+            raise EvaluationError(note.text)
+
+
+def _user(reach: Reach) -> str:
+    return reach.keyring.name if reach.keyring else keys.fold(getpass.getuser())

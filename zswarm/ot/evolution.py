@@ -1,0 +1,95 @@
+"""A run under way: begun or resumed, followed generation by generation, stopped at any time."""
+
+import contextlib
+import threading
+from collections.abc import Generator, Iterator
+from pathlib import Path
+
+from zswarm import experiment
+from zswarm.experiment import Experiment
+from zswarm.ot import run
+from zswarm.ot.connection import Connection
+from zswarm.ot.logger import Generation, Logger, Result
+from zswarm.ot.record import Record
+from zswarm.ot.run import Parts
+from zswarm.version_hash import version_hash
+
+
+class Evolution:
+    """Iterate it once: it yields each generation when it is recorded.
+
+    Attributes:
+        folder: of the run.
+        result: once the last generation is over.
+    """
+
+    def __init__(self, parts: Parts, record: Record, connection: Connection, logger: Logger) -> None:
+        self.folder = record.folder
+        self.result: Result | None = None
+        self._stop = threading.Event()
+        self._logger = logger
+        self._generations = self._evolve(parts, record, connection)
+
+    def __iter__(self) -> Iterator[Generation]:
+        return self._generations
+
+    def finish(self) -> Result:
+        """Evolve to the last generation."""
+        for _ in self:
+            pass
+        assert self.result is not None  # noqa: S101  the generations ended without an exception
+        return self.result
+
+    def stop(self) -> None:
+        """Have it stop within a moment, from any thread: whoever iterates gets a ``Stopped``. Nothing is lost."""
+        self._stop.set()
+
+    def close(self) -> None:
+        """Stop it; from the thread that iterates, between two generations."""
+        self._generations.close()
+
+    def _evolve(self, parts: Parts, record: Record, connection: Connection) -> Generator[Generation, None, None]:
+        try:
+            self.result = yield from run.evolve(parts, record, connection, self._logger, self._stop)
+        finally:
+            self._logger.on_end(self.result)
+
+
+@contextlib.contextmanager
+def start(loaded: Experiment, where: str, out: Path, connection: Connection, logger: Logger) -> Iterator[Evolution]:
+    """A new run, in a new folder below ``out``.
+
+    Args:
+        where: what errors call the experiment, such as its file.
+
+    Raises:
+        ConfigError: the experiment or the folder cannot be used.
+    """
+    complete = experiment.complete(loaded, where)
+    parts = run.build(complete)
+    code = version_hash(complete.problem.simulator, complete.representation.kind)
+    _ = connection.reach  # refuses unusable keys before there is a folder
+    with Record.create(out, complete, code) as record, contextlib.closing(Evolution(parts, record, connection, logger)) as begun:
+        if record.on_network:
+            logger.on_say(f"{record.folder} is on a network file system: the record is kept without a write-ahead log there")
+        yield begun
+
+
+@contextlib.contextmanager
+def resume(folder: Path, connection: Connection, logger: Logger) -> Iterator[Evolution]:
+    """A run that was stopped, from the last thing it recorded.
+
+    Raises:
+        ConfigError: there is none, it is damaged or in use, or its experiment was changed.
+    """
+    record, complete = Record.open(folder)
+    with record:
+        parts = run.build(complete)
+        if not parts.optimizer.portable and (before := record.machine_changed()):
+            logger.on_say(f"this run was made with {before}; results may differ from here on")
+        if record.meta("version_hash") != version_hash(complete.problem.simulator, complete.representation.kind):
+            logger.on_say("the code that computes was changed since this run began; results may differ from here on")
+        if record.on_network:
+            logger.on_say(f"{record.folder} is on a network file system: the record is kept without a write-ahead log there")
+        with contextlib.closing(Evolution(parts, record, connection, logger)) as begun:
+            yield begun
