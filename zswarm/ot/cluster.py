@@ -194,8 +194,8 @@ class Cluster:
         """Tell what this machine computes."""
         self._inbox.put(settled)
 
-    def wait(self, servers: int, timeout_s: float) -> Iterator[Item]:
-        """Wait until so many servers match and gave a lease, busy ones included; yields what happens, as ``evaluate`` does.
+    def wait(self, servers: int, timeout_s: float) -> Iterator[Item | None]:
+        """Wait until so many servers match and gave a lease, busy ones included; yields as ``evaluate`` does.
 
         Raises:
             NoServers: not in time.
@@ -210,7 +210,7 @@ class Cluster:
             if left <= 0:
                 raise NoServers(f"{leased} of {servers} matching servers were found in {timeout_s:g} s")
             item = self._next(min(left, FLUSH_S))
-            if item is not None and not isinstance(item, Complete):
+            if not isinstance(item, Complete):
                 yield item
 
     def rest(self) -> Iterator[Item]:

@@ -116,14 +116,16 @@ class Evaluations:
         """Digest of the probe's outcomes, once known."""
         return self._cluster.standing.probe
 
-    def wait(self) -> Iterator[Happened]:
-        """Wait for the number of servers asked for, if one was; yields what happens.
+    def wait(self) -> Iterator[Happened | None]:
+        """Wait for the number of servers asked for, if one was; yields as ``evaluate`` does.
 
         Raises:
             NoServers: not in time.
+            Stopped: ``stop`` was set.
         """
         if isinstance(self._connection.options.servers, int):
             for item in self._cluster.wait(self._connection.options.servers, WAIT_FOR_SERVERS_S):
+                self._look_whether_to_stop()
                 yield from self._taken(item)
 
     def evaluate(self, workload: Workload) -> Iterator[Happened | None]:
@@ -135,12 +137,8 @@ class Evaluations:
         """
         last_served, told = time.monotonic(), ""
         for item in self._cluster.evaluate(workload):
-            if self._stop.is_set():
-                raise Stopped("stopped")
-            if item is None:
-                yield None
-            else:
-                yield from self._taken(item, workload)
+            self._look_whether_to_stop()
+            yield from self._taken(item, workload)
             idle = time.monotonic() - last_served
             local = self._connection.local
             if self._cluster.standing.serving:
@@ -157,12 +155,16 @@ class Evaluations:
                 if local is None:
                     self._cluster.diagnose()
 
-    def rest(self) -> Iterator[Happened]:
+    def rest(self) -> Iterator[Happened | None]:
         """What happened that was not yielded yet."""
         for item in self._cluster.rest():
             yield from self._taken(item)
 
-    def _taken(self, item: Item, workload: Workload | None = None) -> Iterator[Happened]:
+    def _look_whether_to_stop(self) -> None:
+        if self._stop.is_set():
+            raise Stopped("stopped")
+
+    def _taken(self, item: Item | None, workload: Workload | None = None) -> Iterator[Happened | None]:
         """Do what something that happened asks for; disputes are of the workload."""
         simulator, representation = self._problem.simulator, self._problem.representation
         match item:
@@ -174,7 +176,9 @@ class Evaluations:
             case Note():
                 yield item
                 self._tell(item)
-            case Counted() | Retracted() if workload is not None:
+            case Counted() if workload is None:
+                pass  # of a workload that is over
+            case Counted() | Retracted() | None:
                 yield item
 
     def _tell(self, note: Note) -> None:
