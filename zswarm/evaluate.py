@@ -7,7 +7,7 @@ hangs is a fault and shows outside, as does a lack of memory.
 
 import hashlib
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -171,17 +171,8 @@ def play_in_turns(
         fitness: (participants,) float64, filled.
         metrics: (metrics,) float64, filled.
     """
-    owners = simulator.owners
-    states = np.zeros((len(owners), representation.state_size), np.float32)
-    turn: Turn | None = simulator.reset(seed)
-    while turn is not None:
-        observations = np.ascontiguousarray(turn.observations, np.float32)
-        if observations.shape != (len(turn.agents), simulator.inputs):
-            raise ValueError(f"observations must be ({len(turn.agents)}, {simulator.inputs}), not {observations.shape}")
-        actions = np.empty((len(turn.agents), simulator.outputs), np.float32)
-        for row, agent in enumerate(turn.agents):
-            representation.step(parameters[owners[agent]], states[agent], observations[row], actions[row])
-        turn = simulator.step(actions)
+    for _ in turns(simulator, representation, parameters, seed):
+        pass
     outcome = simulator.outcome()
     if len(outcome.fitness) != len(fitness) or len(outcome.metrics) != len(metrics):
         raise ValueError(
@@ -190,3 +181,23 @@ def play_in_turns(
         )
     fitness[:] = outcome.fitness
     metrics[:] = outcome.metrics
+
+
+def turns(simulator: Simulator, representation: Representation, parameters: np.ndarray, seed: int) -> Iterator[Turn]:
+    """Play a trial; yields each turn before its agents act.
+
+    Args:
+        parameters: (participants, P) float32.
+    """
+    owners = simulator.owners
+    states = np.zeros((len(owners), representation.state_size), np.float32)
+    turn: Turn | None = simulator.reset(seed)
+    while turn is not None:
+        yield turn
+        observations = np.ascontiguousarray(turn.observations, np.float32)
+        if observations.shape != (len(turn.agents), simulator.inputs):
+            raise ValueError(f"observations must be ({len(turn.agents)}, {simulator.inputs}), not {observations.shape}")
+        actions = np.empty((len(turn.agents), simulator.outputs), np.float32)
+        for row, agent in enumerate(turn.agents):
+            representation.step(parameters[owners[agent]], states[agent], observations[row], actions[row])
+        turn = simulator.step(actions)

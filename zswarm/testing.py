@@ -24,7 +24,7 @@ from zswarm.evaluate import evaluate, play_in_turns
 from zswarm.jit import PLAIN, STEP_SIGNATURE
 from zswarm.nets.representation import Representation
 from zswarm.ot.optimizers.optimizer import Optimizer
-from zswarm.sims.simulator import CompiledSimulator, Outcome, Simulator, Turn
+from zswarm.sims.simulator import CompiledSimulator, Frame, Outcome, Simulator, Turn
 from zswarm.strict import convert
 
 MAX_TURNS = 1_000_000  # of a trial in a check; a trial that goes on is taken to have no end
@@ -160,8 +160,7 @@ class _CheckedSimulator(Simulator):
         turn = self.simulator.reset(seed)
         _require(turn is not None, f"{self.name}.reset must return a Turn: somebody must act")
         self.turns = 0
-        frame = self.simulator.frame()
-        _require(isinstance(frame, dict), f"{self.name}.frame must return a dict, not {type(frame).__name__}")
+        self.bodies = self._bodies()
         return self._checked(turn, "reset")
 
     def step(self, actions: np.ndarray) -> Turn | None:
@@ -172,7 +171,16 @@ class _CheckedSimulator(Simulator):
         _require(self.turns < MAX_TURNS, f"{self.name}: the trial goes on after {MAX_TURNS} turns")
         return None if turn is None else self._checked(turn, "step")
 
+    def _bodies(self) -> int:
+        """How many bodies a frame shows."""
+        frame = self.simulator.frame()
+        _require(frame is None or isinstance(frame, Frame), f"{self.name}.frame must return a Frame or None, not {frame!r:.80}")
+        return 0 if frame is None else len(frame.bodies)
+
     def outcome(self) -> Outcome:
+        bodies = self._bodies()
+        same = f"{self.name}.frame: the frames of a trial must show the same bodies, not {self.bodies} and then {bodies}"
+        _require(bodies == self.bodies, same)
         outcome = self.simulator.outcome()
         for what, values, count in (
             ("fitness", outcome.fitness, self.participants),

@@ -114,11 +114,11 @@ def test_the_frame_shows_the_recorded_field(name: str) -> None:
     simulator = EmergencyExit(Settings(**settings_of(field)))
     simulator.reset(SEEDS[name])
     frame = simulator.frame()
-    assert frame["size"] == (field["width"], field["height"])
-    assert [list(place) for place in frame["agents"]] == field["agents"]
-    assert {tuple(place) for place in field["exits"]} == set(frame["exits"])
-    assert {tuple(place) for place in field["blockades"]} == set(frame["blockades"])
-    assert frame["inside"] == [True] * len(field["agents"])
+    assert (frame.width, frame.height) == (field["width"], field["height"])
+    assert [[body.x - 0.5, body.y - 0.5] for body in frame.bodies] == field["agents"]
+    assert {body.kind for body in frame.bodies} == {"robot inside"}
+    for kind, what in (("exit", "exits"), ("blockade", "blockades")):
+        assert {(place.x, place.y) for place in frame.places if place.kind == kind} == {tuple(place) for place in field[what]}
 
 
 @pytest.mark.parametrize("trace", TRACES, ids=lambda trace: f"{trace['field']}-{trace['net']}")
@@ -136,9 +136,9 @@ def test_turns_follow_a_recorded_trace(trace: dict[str, Any]) -> None:
 
     def look(rounds: int) -> None:
         frame = simulator.frame()
-        positions.extend([[list(place) for place in frame["agents"]]] * (rounds + 1 - len(positions)))
-        for agent, inside in enumerate(frame["inside"]):
-            if not inside and out_at[agent] < 0:
+        positions.extend([[[body.x - 0.5, body.y - 0.5] for body in frame.bodies]] * (rounds + 1 - len(positions)))
+        for agent, body in enumerate(frame.bodies):
+            if body.kind == "robot outside" and out_at[agent] < 0:
                 out_at[agent] = rounds - 1
 
     turn = simulator.reset(SEEDS[trace["field"]])
@@ -282,11 +282,11 @@ def test_an_output_is_rounded_to_a_move_as_in_java(output: float, cells: int) ->
     simulator = EmergencyExit(Settings(agents=1, blockades=0))
     for axis in (0, 1):
         simulator.reset(6)
-        before = simulator.frame()["agents"][0]
+        before = simulator.frame().bodies[0][1:3]
         action = np.array([[0.5, 0.5]], np.float32)
         action[0, axis] = output
         simulator.step(action)
-        after = simulator.frame()["agents"][0]
+        after = simulator.frame().bodies[0][1:3]
         assert after[axis] - before[axis] == cells
         assert after[1 - axis] == before[1 - axis]
 

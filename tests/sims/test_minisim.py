@@ -142,18 +142,20 @@ def test_the_start_is_drawn_by_the_streams_of_zswarm() -> None:
         simulator, stream = Minisim(Settings(width=11, height=7)), Stream(seed)
         simulator.reset(seed)
         frame = simulator.frame()
-        assert frame["stand"] == (10 - stream.integer(5), stream.integer(7))
-        assert frame["robots"] == [(0, stream.integer(7)) for _ in range(8)]
-        assert frame["defenders"] == [frame["stand"]] * 2
-        assert (frame["step"], frame["carrier"]) == (0, None)
+        home, stand = frame.places
+        assert (home.kind, *home[1:]) == ("home", 0, 0, 1, 7)
+        assert (stand.kind, stand.x, stand.y) == ("flag's stand", 10 - stream.integer(5), stream.integer(7))
+        cells = [(body.kind, body.x - 0.5, body.y - 0.5) for body in frame.bodies]
+        assert cells[:8] == [("robot", 0, stream.integer(7)) for _ in range(8)]
+        assert cells[8:] == [("defender", stand.x, stand.y)] * 2
 
 
 def test_outputs_that_are_no_numbers_move_nobody() -> None:
     simulator = Minisim(Settings())
     simulator.reset(4)
-    before = simulator.frame()["robots"]
+    before = simulator.frame().bodies
     simulator.step(np.full((8, 2), np.nan, np.float32))
-    assert simulator.frame()["robots"] == before
+    assert simulator.frame().bodies[:8] == before[:8]
 
 
 def test_random_controllers_capture_almost_nothing() -> None:

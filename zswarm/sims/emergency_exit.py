@@ -4,7 +4,7 @@ Every constant and every order of operations is FREVO's; recorded runs of it are
 """
 
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
@@ -12,7 +12,7 @@ from msgspec import Meta
 
 from zswarm.errors import ConfigError
 from zswarm.jit import STEP, Step, array, float32, float64, inline, int32, int64, kernel, uint64, void
-from zswarm.sims.simulator import CompiledSimulator, Outcome, Turn
+from zswarm.sims.simulator import Body, CompiledSimulator, Frame, Outcome, Place, Turn
 
 INPUTS, OUTPUTS = 10, 2
 # Sensors 2-9 look at the eight cells around, from north clockwise; y grows downward.
@@ -149,19 +149,22 @@ class EmergencyExit(CompiledSimulator):
         )
         return Outcome(list(fitness), list(metrics))
 
-    def frame(self) -> dict[str, Any]:
-        """Positions of agents, exits and blockades, in cells."""
+    def frame(self) -> Frame:
+        """The field in cells; whoever is out stays where it left."""
         here = [(int(c) % self.stride - 1, int(c) // self.stride - 1) for c in self._cell]
-        return {
-            "size": (self.width, self.height),
-            "round": self._round,
-            "agents": here,
-            "inside": [bool(i) for i in self._inside],
-            "exits": [place for place in self._places() if self._nearest(place) == (0, 0)],
-            "blockades": [
-                (x, y) for x, y in self._places() if not self._free[(y + 1) * self.stride + x + 1] and (x, y) not in set(here)
+        blockades = [
+            (x, y) for x, y in self._places() if not self._free[(y + 1) * self.stride + x + 1] and (x, y) not in set(here)
+        ]
+        exits = [place for place in self._places() if self._nearest(place) == (0, 0)]
+        return Frame(
+            self.width,
+            self.height,
+            [Place(kind, x, y, 1, 1) for kind, cells in (("blockade", blockades), ("exit", exits)) for x, y in cells],
+            [
+                Body("robot inside" if inside else "robot outside", x + 0.5, y + 0.5, 0.35)
+                for (x, y), inside in zip(here, self._inside, strict=True)
             ],
-        }
+        )
 
     def play(
         self,

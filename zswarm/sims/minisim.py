@@ -4,7 +4,7 @@ The simulator of this name in the paper was never published. This game is a desi
 to compute, and a matter of teamwork, because a defender that chases one robot leaves the flag to another.
 """
 
-from typing import Annotated, Any
+from typing import Annotated
 
 import msgspec
 import numpy as np
@@ -13,7 +13,7 @@ from msgspec import Meta
 from zswarm.draws import draw_integer
 from zswarm.errors import ConfigError
 from zswarm.jit import STEP, Step, array, float32, float64, inline, int64, kernel, uint64, void
-from zswarm.sims.simulator import CompiledSimulator, Outcome, Turn
+from zswarm.sims.simulator import Body, CompiledSimulator, Frame, Outcome, Place, Turn
 
 INPUTS, OUTPUTS = 9, 2
 BACK, FORTH = np.float32(0.25), np.float32(0.75)  # an output below the first steps back, above the second forth
@@ -113,17 +113,16 @@ class Minisim(CompiledSimulator):
         judge(*self._state[2:], self._rules, fitness, metrics)
         return Outcome(list(fitness), list(metrics))
 
-    def frame(self) -> dict[str, Any]:
-        """Positions of robots, defenders and the flag's stand, in cells, and who carries the flag (None: nobody)."""
+    def frame(self) -> Frame:
+        """The field in cells; a robot that has the flag is of another kind."""
         robots, defenders, stand, game = (table.tolist() for table in self._state)
-        return {
-            "size": (self.settings.width, self.settings.height),
-            "step": game[STEP_NUMBER],
-            "robots": [(robot[X], robot[Y]) for robot in robots],
-            "defenders": [(defender[X], defender[Y]) for defender in defenders],
-            "stand": (stand[X], stand[Y]),
-            "carrier": None if game[CARRIER] == NOBODY else game[CARRIER],
-        }
+        bodies = [
+            Body("robot with the flag" if game[CARRIER] == number else "robot", robot[X] + 0.5, robot[Y] + 0.5, 0.4)
+            for number, robot in enumerate(robots)
+        ]
+        bodies += [Body("defender", defender[X] + 0.5, defender[Y] + 0.5, 0.4) for defender in defenders]
+        places = [Place("home", 0, 0, 1, self.settings.height), Place("flag's stand", stand[X], stand[Y], 1, 1)]
+        return Frame(self.settings.width, self.settings.height, places, bodies)
 
     def play(
         self,

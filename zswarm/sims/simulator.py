@@ -10,7 +10,7 @@ kernel; its turns must give the same bits.
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import msgspec
 import numpy as np
@@ -30,6 +30,34 @@ class Outcome(NamedTuple):
 
     fitness: Sequence[float]  # one per participant, higher is better
     metrics: Sequence[float]  # in the order of Simulator.metrics
+
+
+class Body(NamedTuple):
+    """Something that moves, as a disc; lengths as in its ``Frame``."""
+
+    kind: str  # what people call it: "robot", "defender"; may change, such as to "robot with the flag"
+    x: float  # of its centre
+    y: float
+    radius: float
+
+
+class Place(NamedTuple):
+    """Something that stays where it is, as a rectangle."""
+
+    kind: str  # what people call it: "exit", "wall"
+    x: float  # of its upper left corner
+    y: float
+    width: float
+    height: float
+
+
+class Frame(NamedTuple):
+    """What a picture of the present state needs; lengths in the simulator's unit, x to the right and y downwards from (0, 0)."""
+
+    width: float
+    height: float
+    places: Sequence[Place]
+    bodies: Sequence[Body]  # in the same order throughout a trial
 
 
 class Simulator(ABC):
@@ -76,9 +104,9 @@ class Simulator(ABC):
     def outcome(self) -> Outcome:
         """The outcome of the trial that ended."""
 
-    def frame(self) -> dict[str, Any]:
-        """What a picture of the present state needs; an empty dict where there is nothing to draw."""
-        return {}
+    def frame(self) -> Frame | None:
+        """What a picture of the present state needs; None where there is nothing to draw."""
+        return None
 
 
 class CompiledSimulator(Simulator):
