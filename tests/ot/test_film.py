@@ -1,5 +1,6 @@
 """A trial becomes a picture in which every body is where the simulator had it."""
 
+import itertools
 import re
 from xml.etree import ElementTree
 
@@ -38,7 +39,7 @@ def test_a_trial_is_looked_at_once_a_round(simulator: str, rounds: int) -> None:
     start = built.reset(5)
     assert start is not None
     assert seen[0] == built.frame()
-    for before, after in zip(seen, seen[1:], strict=False):
+    for before, after in itertools.pairwise(seen):
         pairs = zip(before.bodies, after.bodies, strict=True)
         assert all(max(abs(a.x - b.x), abs(a.y - b.y)) <= 1 for a, b in pairs if b.x > 0.5), "a move is one cell"
 
@@ -56,19 +57,14 @@ def test_a_body_moves_along_its_way_and_what_stands_still_does_not() -> None:
 
 
 def test_another_kind_is_another_colour() -> None:
-    changed = [
-        *WALK[:5],
-        *(frame._replace(bodies=[frame.bodies[0]._replace(kind="lost"), frame.bodies[1]]) for frame in WALK[5:]),
-    ]
-    fills = animations(drawn(changed))["fill"][1]
+    lost, rock = WALK[5].bodies[0]._replace(kind="lost"), WALK[5].bodies[1]
+    fills = animations(drawn([*WALK[:5], WALK[5]._replace(bodies=[lost, rock])]))["fill"][1]
     assert len(set(fills)) == 2
 
 
 def test_long_trials_are_thinned_with_their_end() -> None:
-    long = [Frame(10, 5, [], [Body("robot", number % 7, 1, 0.4)]) for number in range(10_000)] + [
-        WALK[-1]._replace(bodies=[Body("robot", 9, 1, 1)])
-    ]
-    values = animations(drawn(long))["cx"][1]
+    long = [Frame(10, 5, [], [Body("robot", number % 7, 1, 0.4)]) for number in range(10_000)]
+    values = animations(drawn([*long, Frame(10, 5, [], [Body("robot", 9, 1, 0.4)])]))["cx"][1]
     assert len(values) <= MOST_FRAMES + 2
     assert values[-1] == f"{9 * 42:g}"
 

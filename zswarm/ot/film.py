@@ -4,7 +4,7 @@ Whoever wants no motion, and paper, gets the paths instead.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from html import escape
 from typing import NamedTuple
 
@@ -12,7 +12,8 @@ from zswarm.evaluate import turns
 from zswarm.nets.representation import Representation
 from zswarm.sims.simulator import Body, Frame, Simulator
 
-SIDE, GAP, TITLE, LEGEND = 420.0, 28.0, 24.0, 34.0  # pixels: of a panel, between two, above it, below it
+SIDE, GAP = 420.0, 28.0  # pixels: of a panel, between two
+TITLE, LINE, LETTER = 24.0, 21.0, 7.0  # pixels: above a panel, a line and a letter of text
 MOST_FRAMES = 400
 FRAME_S, SHORTEST_S, LONGEST_S, HOLD_S = 0.12, 3.0, 12.0, 1.5  # the last picture stays for HOLD_S
 KNOWN = {"blockade": "#8b9099", "exit": "#35a36b", "home": "#cfe3f5", "flag's stand": "#f2d16b"}
@@ -65,12 +66,13 @@ def svg(panels: Sequence[Panel]) -> str:
         left += panel.frames[0].width * scale + GAP
         height = max(height, panel.frames[0].height * scale)
     width = left - GAP + 1
-    parts.append(_legend(kinds, colours, TITLE + height + 22))
-    size = f'viewBox="0 0 {width:g} {TITLE + height + LEGEND:g}" width="{width:g}" height="{TITLE + height + LEGEND:g}"'
+    legend, rows = _legend(kinds, colours, width, TITLE + height + LINE)
+    whole = f"{width:g} {TITLE + height + (rows + 0.6) * LINE:g}"
+    size = f'viewBox="0 0 {whole}" width="{whole.split()[0]}" height="{whole.split()[1]}"'
     title = escape("; ".join(panel.title for panel in panels))
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" class="zs" role="img" aria-label="{title}" {size}>'
-        f"<style>{STYLE}</style>{''.join(parts)}</svg>\n"
+        f"<style>{STYLE}</style>{''.join(parts)}{legend}</svg>\n"
     )
 
 
@@ -132,10 +134,15 @@ def _still(way: Sequence[Body], scale: float, colours: dict[str, str]) -> str:
     )
 
 
-def _legend(kinds: Sequence[str] | dict[str, None], colours: dict[str, str], y: float) -> str:
-    parts, x = [], 1.0
+def _legend(kinds: Iterable[str], colours: dict[str, str], width: float, top: float) -> tuple[str, int]:
+    """What the colours mean, in so many lines."""
+    parts, x, row = [], 1.0, 0
     for kind in kinds:
+        wide = 16 + LETTER * len(kind)
+        if x > 1.0 and x + wide > width:
+            x, row = 1.0, row + 1
+        y = top + row * LINE
         parts.append(f'<rect x="{x:g}" y="{y - 10:g}" width="11" height="11" rx="2" fill="{colours[kind]}"/>')
         parts.append(f'<text x="{x + 16:g}" y="{y:g}">{escape(kind)}</text>')
-        x += 16 + 7.2 * len(kind) + 16
-    return "".join(parts)
+        x += wide + 14
+    return "".join(parts), row + 1
