@@ -10,7 +10,9 @@ Medians; nothing else should run meanwhile.
 import contextlib
 import os
 import secrets
+import socket
 import statistics
+import struct
 import sys
 import tempfile
 import time
@@ -27,6 +29,7 @@ PLUGIN = '''
 import time
 import msgspec
 import numpy as np
+from zswarm.nets.fully_meshed import HEADER
 from zswarm.sims.simulator import CompiledSimulator, Outcome, Turn
 
 
@@ -35,7 +38,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class Sleep(CompiledSimulator):
-    """Sleeps and says 0: a trial that costs nothing but its dispatch."""
+    """Sleeps and says the genome's first number: a trial that costs nothing but its dispatch."""
 
     settings_type = Settings
     inputs, outputs, owners = 1, 1, (0,)
@@ -50,7 +53,7 @@ class Sleep(CompiledSimulator):
         return Outcome([0.0], [])
 
     def play(self, step, state_size, parameters, participants, seeds, progress, fitness, metrics):
-        fitness[:] = 0.0
+        fitness[:, 0] = parameters[participants[:, 0], HEADER]
         if self.settings.sleep_s:
             for trial in range(len(seeds)):
                 progress[0] = trial
@@ -71,24 +74,32 @@ def install_plugin(folder: Path) -> None:
 
 @contextlib.contextmanager
 def cluster(slots: int, sleep_s: float) -> Iterator[object]:
-    """A server of so many slots, and an optimizer that has all of them ready."""
-    from zswarm.ot.cluster import Cluster
+    """This machine's slots, so many, and an optimizer that has all of them ready."""
     from zswarm.ot.local import LocalServer
+
+    with LocalServer(slots, "default") as local, leased(local.endpoint, slots, sleep_s) as opened:
+        yield opened
+
+
+@contextlib.contextmanager
+def leased(endpoint: str, slots: int, sleep_s: float) -> Iterator[object]:
+    """An optimizer that has all slots of a server ready, with the options that a run has by itself."""
+    from zswarm import experiment
+    from zswarm.ot.cluster import Cluster
     from zswarm.ot.requests import Wanted, Who
     from zswarm.protocol.messages import Part
     from zswarm.session import Reach
     from zswarm.version_hash import version_hash
 
+    options = experiment.Cluster()
     wanted = Wanted(
         Part("bench-sleep", {"sleep_s": sleep_s}), Part("fully-meshed", {"hidden": HIDDEN}),
         version_hash("bench-sleep", "fully-meshed"),
-        participants=1, metrics=0, trial_timeout_s=60.0, slots=slots, quarantine=False, probe=b"",
+        participants=1, metrics=0, trial_timeout_s=options.trial_timeout_s, trial_memory_mb=options.trial_memory_mb,
+        slots=slots, quarantine=False, verify=options.verify, probe=b"",
     )  # fmt: skip
     who = Who("default", "bench", f"bench-{secrets.token_hex(4)}", 0, secrets.token_bytes(16))
-    with (
-        LocalServer(slots, "default") as local,
-        Cluster(who, wanted, reach=Reach([local.endpoint], multicast=False)) as opened,
-    ):
+    with Cluster(who, wanted, reach=Reach([endpoint], multicast=False)) as opened:
         for _ in opened.wait(1, 60.0):
             pass
         while opened.standing.slots < slots:
@@ -96,19 +107,41 @@ def cluster(slots: int, sleep_s: float) -> Iterator[object]:
         yield opened
 
 
-def generation_s(opened: object, size: int) -> float:
-    """Seconds for one generation of distinct candidates."""
+def free_port() -> int:
+    """A port of this machine that nobody listens at."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        return free.getsockname()[1]
+
+
+def random_genomes(size: int) -> list[bytes]:
+    """Distinct candidates."""
+    import numpy as np
+
+    numbers = (HIDDEN + 1) * (HIDDEN + 3)
+    return [genome.tobytes() for genome in np.random.default_rng().uniform(-2, 2, (size, numbers)).astype("<f4")]
+
+
+def evaluated(opened: object, genomes: list[bytes]) -> list[float]:
+    """The fitness of each."""
     import numpy as np
 
     from zswarm.ot.workload import Workload
 
-    numbers = (HIDDEN + 1) * (HIDDEN + 3)
-    genomes = [genome.tobytes() for genome in np.random.default_rng().uniform(-2, 2, (size, numbers)).astype("<f4")]
-    workload = Workload(genomes, np.arange(size).reshape(-1, 1), np.zeros(size, np.uint64), 0)
-    begin = time.perf_counter()
+    workload = Workload(genomes, np.arange(len(genomes)).reshape(-1, 1), np.zeros(len(genomes), np.uint64), 0)
     for _ in opened.evaluate(workload):
         pass
-    return time.perf_counter() - begin
+    return workload.fitness[:, 0].tolist()
+
+
+def generation_s(opened: object, size: int) -> float:
+    """Seconds for one generation of distinct candidates."""
+    genomes = random_genomes(size)
+    begin = time.perf_counter()
+    fitness = evaluated(opened, genomes)
+    elapsed = time.perf_counter() - begin
+    if fitness != [struct.unpack_from("<f", genome)[0] for genome in genomes]:
+        raise AssertionError("a candidate got another's fitness")
+    return elapsed
 
 
 def dispatch() -> None:
