@@ -6,7 +6,7 @@ TESTS ?= -n $$((2 * $$(nproc))) --dist worksteal  # many wait for programs; neig
 
 KILLS ?= 200
 
-.PHONY: run test long chaos faults machines units kills lint format bench scale soak clean
+.PHONY: run test long chaos faults machines units kills lint format bench bench-peers scale soak clean
 
 run: $(READY)
 	$(BIN)/zswarm-ot run $(ARGS)
@@ -48,6 +48,10 @@ format: $(READY)
 bench: $(READY)
 	$(BIN)/python benchmarks/quick.py
 
+# Beside others, in an environment of its own: nothing of theirs comes into .venv.
+bench-peers: build/peers/ready
+	build/peers/bin/python benchmarks/dispatch.py $(ARGS)
+
 scale: $(READY)
 	cd benchmarks && ../$(BIN)/python -m scale $(ARGS)
 
@@ -55,7 +59,7 @@ soak: $(READY)
 	$(BIN)/python benchmarks/soak.py $(ARGS)
 
 clean:
-	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache
+	rm -rf .venv build/peers .pytest_cache .mypy_cache .ruff_cache
 
 # uv where it is there, else venv and pip; what the machine lacks is named with the package that has it.
 $(READY): pyproject.toml Makefile
@@ -68,3 +72,15 @@ $(READY): pyproject.toml Makefile
 	    $(PYTHON) -m venv .venv && $(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'; \
 	fi
 	@touch $@
+
+# Each peer by itself; what pip said of one that cannot be installed is shown in its place, and it is tried again next time.
+build/peers/ready: pyproject.toml benchmarks/requirements.txt
+	$(PYTHON) -m venv build/peers
+	build/peers/bin/python -m pip install --quiet --disable-pip-version-check --editable .
+	@rm -f build/peers/*.refused
+	@grep -v '^#' benchmarks/requirements.txt | while read -r peer; do \
+	    name=$$(echo "$$peer" | sed 's/[^a-z-].*//'); echo "installing $$peer"; \
+	    build/peers/bin/python -m pip install --quiet --disable-pip-version-check "$$peer" 2> build/peers/said || \
+	        { grep '^ERROR' build/peers/said | tail -n 1 > "build/peers/$$name.refused"; cat "build/peers/$$name.refused"; }; \
+	done
+	@ls build/peers/*.refused >/dev/null 2>&1 || touch $@
