@@ -32,6 +32,14 @@ WAIT_S = 60.0
 HEAD = struct.Struct("<IIB")  # number of the message, candidates in it, whether they sleep
 
 
+def mosquitto() -> str:
+    """The broker's program, which may be where only root looks."""
+    found = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/local/sbin:/usr/sbin:/sbin")
+    if found is None:
+        raise FileNotFoundError("mosquitto is not installed (Debian: apt install mosquitto)")
+    return found
+
+
 def connected(port: int, nodelay: bool) -> Any:
     """A client with its connection open."""
     from paho.mqtt.client import Client
@@ -52,9 +60,7 @@ class Broker(AbstractContextManager["Broker"]):
         self.nodelay = nodelay
 
     def __enter__(self) -> Self:
-        program = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/local/sbin:/usr/sbin:/sbin")
-        if program is None:
-            raise FileNotFoundError("mosquitto is not installed (Debian: apt install mosquitto)")
+        program = mosquitto()
         with ExitStack() as stack:
             port = free_port()
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))

@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import quick
+from by_mqtt import mosquitto
 from peers import BY_ITSELF, PEERS, Way
 from work import SLEEP_S
 
@@ -242,7 +243,7 @@ def versions(names: list[str]) -> dict[str, str]:
     found.pop(None, None)
     if "paho-mqtt" in found:
         try:
-            said = subprocess.run(["mosquitto", "-h"], capture_output=True, text=True, check=False).stdout
+            said = subprocess.run([mosquitto(), "-h"], capture_output=True, text=True, check=False).stdout
             found["mosquitto"] = said.splitlines()[0].split()[-1]
         except (OSError, IndexError):
             pass
