@@ -117,7 +117,27 @@ def load(path: Path, overrides: Sequence[str] = ()) -> Experiment:
     mapping = read(path)
     for override in overrides:
         _override(mapping, override)
-    return _check(mapping, str(path))
+    return check(mapping, str(path))
+
+
+def check(mapping: Mapping[str, Any], where: str) -> Experiment:
+    """What a file would say, checked as ``load`` does.
+
+    Raises:
+        ConfigError: something in it is unknown or impossible.
+    """
+    file = convert(mapping, _File, where)
+    _check_ids({"name": file.name, "cluster.realm": file.cluster.realm}, f"{where}: ")
+    endpoint.check(file.cluster.connect, f"{where}: cluster.connect")
+    return Experiment(
+        name=file.name,
+        seed=file.seed,
+        generations=file.generations,
+        problem=file.problem,
+        representation=_part(file.representation, f"{where}: representation"),
+        optimizer=_part(file.optimizer, f"{where}: optimizer"),
+        cluster=file.cluster,
+    )
 
 
 def complete(experiment: Experiment, where: str) -> Experiment:
@@ -165,21 +185,6 @@ def to_toml(experiment: Experiment) -> str:
 def slots_of_this_machine(options: Cluster) -> int:
     """Slots of this machine to use."""
     return options.local_slots or os.cpu_count() or 1
-
-
-def _check(mapping: Mapping[str, Any], where: str) -> Experiment:
-    file = convert(mapping, _File, where)
-    _check_ids({"name": file.name, "cluster.realm": file.cluster.realm}, f"{where}: ")
-    endpoint.check(file.cluster.connect, f"{where}: cluster.connect")
-    return Experiment(
-        name=file.name,
-        seed=file.seed,
-        generations=file.generations,
-        problem=file.problem,
-        representation=_part(file.representation, f"{where}: representation"),
-        optimizer=_part(file.optimizer, f"{where}: optimizer"),
-        cluster=file.cluster,
-    )
 
 
 def _check_ids(texts: Mapping[str, str], where: str) -> None:

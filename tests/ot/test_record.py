@@ -20,7 +20,7 @@ from zswarm.ot import record as record_module
 from zswarm.ot.controller import Controller, load_controller
 from zswarm.ot.dispatch import Counted, Note
 from zswarm.ot.history import History
-from zswarm.ot.listing import runs
+from zswarm.ot.reading import listed
 from zswarm.ot.record import Record, load_experiment
 from zswarm.ot.workload import Workload
 
@@ -232,7 +232,7 @@ def test_a_run_of_schema_1_is_brought_to_schema_2_with_all_it_holds(record: Reco
     history = record.history().hex()
     record.close()
     as_schema_1(record.folder)
-    assert runs(tmp_path)[0]["generations"] == 1, "list reads the old schema"
+    assert listed(tmp_path)[0]["generations"] == 1, "list reads the old schema"
     with Record.open(record.folder)[0] as resumed:
         assert (resumed.meta("schema_version"), resumed.meta("epoch")) == (2, 1)
         assert resumed.history().hex() == history

@@ -41,6 +41,7 @@ from zswarm.strict import to_json
 SCHEMA_VERSION = 2
 MIGRATIONS = {1: "ALTER TABLE outcomes ADD COLUMN doubtful INTEGER NOT NULL DEFAULT 0"}  # from a version to the next
 DATABASE, EXPERIMENT = "run.sqlite", "experiment.toml"
+TABLES = ("meta", "generations", "candidates", "outcomes", "events", "optimizer")
 SCHEMA = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value) WITHOUT ROWID;
 CREATE TABLE generations (

@@ -14,9 +14,9 @@ from zswarm.ot.commands.options import json_option
 @json_option
 def list_(folder: Path, as_json: bool) -> None:
     """Show the runs below a folder, and the examples, simulators, representations and optimizers there are."""
-    from zswarm.ot import listing, terminal
+    from zswarm.ot import reading, terminal
 
-    runs = listing.runs(folder)
+    runs = reading.listed(folder)
     parts = {kind: plugins.names(kind) for kind in ("simulator", "representation", "optimizer")}
     examples = sorted(path.stem for path in experiment.examples_folder().glob("*.toml"))
     if as_json:

@@ -1,0 +1,490 @@
+"""Recorded runs, read by whoever wants to know: nothing is written, also while a run goes on (docs/record.md).
+
+What a record says comes from somewhere else: its types are checked, and its texts are safe to show.
+"""
+
+import contextlib
+import fcntl
+import json
+import os
+import re
+import shutil
+import sqlite3
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+import numpy as np
+
+import zswarm
+from zswarm import experiment, plugins
+from zswarm.errors import ConfigError, UnknownPlugin
+from zswarm.experiment import Experiment
+from zswarm.ot.controller import CHAMPION, Controller, load_controller
+from zswarm.ot.database import in_words, passing
+from zswarm.ot.record import DATABASE, EXPERIMENT, SCHEMA_VERSION, TABLES
+from zswarm.protocol.codec import clean
+
+DEPTH = 2  # of folders in which runs are looked for: runs/STUDY/RUN
+TOLD_APART = 3  # settings by which groups are told apart; with more they have the experiments' names
+KIND_OF = {"problem.settings": "problem.simulator", "representation": "representation", "optimizer": "optimizer"}
+WAL = b"\x02\x02"  # bytes 18 and 19 of a database with a write-ahead log
+
+T = TypeVar("T")
+
+
+class Run:
+    """A run's folder, read-only: finished, stopped or going on, in a folder that cannot be written, of every schema so far.
+
+    Attributes:
+        folder: as given.
+        name: of the folder, safe to show.
+        meta: the table, texts safe to show.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Look whether it can be read.
+
+        Raises:
+            ConfigError: no run, damaged, truncated, or of a newer schema.
+        """
+        self.folder, self.name = folder, clean(folder.name or folder.resolve().name)
+        self._shown = clean(str(folder))
+        if not _is_run(folder):
+            raise ConfigError(
+                f"{self._shown}: no run; expected a folder with {EXPERIMENT} and {DATABASE}, such as runs/emergency-exit"
+            )
+        self.meta: dict[str, Any] = {
+            clean(key): clean(value) if isinstance(value, str) and not _plain(value) else value
+            for key, value in self._rows("SELECT key, value FROM meta", tuple[str, Any])
+        }
+        version = self.meta.get("schema_version")
+        if not isinstance(version, int) or version < 1:
+            raise ConfigError(f"{self._shown}/{DATABASE}: damaged: it names no schema")
+        if version > SCHEMA_VERSION:
+            raise ConfigError(
+                f"{self._shown}/{DATABASE}: has schema {version}, of zswarm {self.meta.get('zswarm')}; this zswarm "
+                f"{zswarm.__version__} reads schemas up to {SCHEMA_VERSION}: read it with the zswarm that made it, or a newer one"
+            )
+
+    def __repr__(self) -> str:
+        return f"Run({self._shown!r})"
+
+    # ---- the whole
+
+    @cached_property
+    def experiment(self) -> Experiment:
+        """What was run, every default written out; no part of it is imported. Its texts are safe to show.
+
+        What the history depends on is as it was when the run began, ``generations`` and ``[cluster]`` are the file's of today.
+
+        Raises:
+            ConfigError: the file or the record is damaged.
+        """
+        file = experiment.load(self.folder / EXPERIMENT)
+        began = self._began
+        mapping = {
+            **began,
+            **{part: {**began[part]["settings"], "kind": began[part]["kind"]} for part in ("representation", "optimizer")},
+            "generations": file.generations,
+            "cluster": msgspec.to_builtins(file.cluster),
+        }
+        return experiment.check(_cleaned(mapping), f"{self._shown}/{DATABASE}")
+
+    @property
+    def changed(self) -> list[str]:
+        """Keys of ``experiment.toml`` that were changed since the run began: the record is of the experiment before.
+
+        Raises:
+            ConfigError: as ``experiment``.
+        """
+        now = _cleaned(msgspec.to_builtins(experiment.load(self.folder / EXPERIMENT)))
+        return sorted(clean(key) for key, value in _cleaned(self._began).items() if now.get(key) != value)
+
+    @property
+    def history_hash(self) -> str | None:
+        """Of all that was told, once the run is finished."""
+        value = self.meta.get("history_hash")
+        return value if isinstance(value, str) else None
+
+    @property
+    def finished(self) -> bool:
+        """Whether the last generation is over, and nothing was added since."""
+        return self.history_hash is not None
+
+    @property
+    def going_on(self) -> bool:
+        """Whether a program is at it now."""
+        try:
+            lock = os.open(self.folder / "lock", os.O_RDONLY | os.O_NONBLOCK)
+        except OSError:
+            return False
+        try:
+            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        except OSError:  # a file system without locks
+            return False
+        finally:
+            os.close(lock)
+        return False
+
+    # ---- what it recorded
+
+    def history(self) -> list[dict[str, Any]]:
+        """Per finished generation: generation, finished_at, seconds, best, mean, evaluations and statistics.
+
+        ``seconds`` are those since the generation before, or since the run began; ``best`` and ``evaluations`` are of all
+        generations so far.
+        """
+        before, evaluations, history = self.meta.get("created_at"), 0, []
+        for generation, at, best, mean, count, statistics in self._rows(
+            "SELECT generation, finished_at, best, mean, evaluations, statistics FROM generations ORDER BY generation",
+            tuple[int, float, float | None, float | None, int, str],
+        ):
+            evaluations += count
+            history.append(
+                {
+                    "generation": generation,
+                    "finished_at": at,
+                    "seconds": at - before if isinstance(before, (int, float)) else None,
+                    "best": best,
+                    "mean": mean,
+                    "evaluations": evaluations,
+                    "statistics": self._statistics(statistics),
+                }
+            )
+            before = at
+        return history
+
+    def generations(self) -> int:
+        """Finished ones."""
+        return self._rows("SELECT count(*) FROM generations", tuple[int])[0][0]
+
+    def best(self) -> float | None:
+        """The best fitness so far."""
+        return self._rows("SELECT max(best) FROM generations", tuple[float | None])[0][0]
+
+    def events(self) -> list[dict[str, Any]]:
+        """What happened besides, in that order: the columns of the table."""
+        columns = ("at", "generation", "event", "server", "text", "count")
+        rows = self._rows(
+            f"SELECT {', '.join(columns)} FROM events ORDER BY rowid",  # noqa: S608  our own names
+            tuple[float, int | None, str, str | None, str | None, int | None],
+        )
+        return [dict(zip(columns, map(_clean, row), strict=True)) for row in rows]
+
+    def servers(self) -> list[dict[str, Any]]:
+        """What each server did, who did most first: the columns of the view."""
+        columns = ("server", "trials", "seconds", "first_at", "last_at")
+        rows = self._rows(
+            "SELECT server, sum(count), sum(seconds), min(at), max(at) FROM outcomes WHERE server <> '' "
+            "GROUP BY server ORDER BY 2 DESC, 1",
+            tuple[str, int, float, float, float],
+        )
+        return [dict(zip(columns, map(_clean, row), strict=True)) for row in rows]
+
+    def candidates(self, generation: int) -> list[dict[str, Any]]:
+        """Those of a finished generation, in the order asked: candidate, genome (bytes) and fitness (None: NaN)."""
+        rows = self._rows(
+            "SELECT candidate, genome, fitness FROM candidates WHERE generation = ? ORDER BY candidate",
+            tuple[int, bytes, float | None],
+            generation,
+        )
+        return [dict(zip(("candidate", "genome", "fitness"), row, strict=True)) for row in rows]
+
+    def trials(self, generation: int) -> list[dict[str, Any]]:
+        """Those counted of a generation, in order: candidate, trial, fitness (a list, by participant), metrics (by name), server.
+
+        Of the generation that runs, too. NaN is None.
+        """
+        each, found = self.experiment.problem.trials, []
+        for count, trials, fitness, metrics, server in self._rows(
+            "SELECT count, trials, fitness, metrics, server FROM outcomes WHERE generation = ? ORDER BY id",
+            tuple[int, bytes, bytes, bytes, str],
+            generation,
+        ):
+            try:
+                indices = np.frombuffer(trials, "<u4").reshape(count)
+                told = np.frombuffer(fitness, "<f8").reshape(count, -1)
+                measured = np.frombuffer(metrics, "<f8").reshape(count, -1)
+            except ValueError:
+                raise self._damaged(f"outcomes of generation {generation} do not fit together") from None
+            names = self._metrics(measured.shape[1])
+            for index, one, values in zip(indices.tolist(), told.tolist(), measured.tolist(), strict=True):
+                found.append(
+                    {
+                        "candidate": index // each,
+                        "trial": index % each,
+                        "fitness": [_number(value) for value in one],
+                        "metrics": {name: _number(value) for name, value in zip(names, values, strict=True)},
+                        "server": clean(server),
+                    }
+                )
+        return sorted(found, key=lambda trial: (trial["candidate"], trial["trial"]))
+
+    def champion(self) -> Controller | None:
+        """The best controller so far; None before there is one.
+
+        Raises:
+            ConfigError: its file is damaged.
+        """
+        return load_controller(self.folder) if (self.folder / CHAMPION).is_file() else None
+
+    # ---- helpers
+
+    @property
+    def _began(self) -> dict[str, Any]:
+        """What the history depends on, as the run began with it."""
+        try:
+            began: dict[str, Any] = json.loads(self.meta["experiment"])
+            for part in ("representation", "optimizer"):
+                _ = {**began[part]["settings"]}, began[part]["kind"]
+        except (KeyError, TypeError, ValueError, RecursionError):
+            raise self._damaged("it names no experiment") from None
+        return began
+
+    def _metrics(self, count: int) -> list[str]:
+        """Their names: the record's, else the simulator's, if it is installed; else numbers."""
+        names = self._metric_names
+        return names if len(names) == count else [f"metric {number}" for number in range(1, count + 1)]
+
+    @cached_property
+    def _metric_names(self) -> list[str]:
+        if "metrics" in self.meta:
+            try:
+                return [clean(name) for name in msgspec.json.decode(self.meta["metrics"], type=list[str])]
+            except (msgspec.DecodeError, TypeError):
+                raise self._damaged("its metrics are no names") from None
+        try:
+            return list(plugins.load("simulator", self.experiment.problem.simulator).metrics)
+        except UnknownPlugin:
+            return []
+
+    def _statistics(self, text: str) -> dict[str, Any]:
+        try:
+            statistics = msgspec.json.decode(text, type=dict[str, Any])
+        except (msgspec.DecodeError, RecursionError):
+            raise self._damaged("the statistics of a generation are no JSON object") from None
+        return {clean(key): _cleaned(value) for key, value in statistics.items()}
+
+    def _rows(self, sql: str, kind: type[T], *parameters: Any) -> list[T]:
+        """What a query finds, each row of these types."""
+        try:
+            with opened(self.folder / DATABASE) as database:
+                rows = database.execute(sql, parameters).fetchall()
+            return msgspec.convert(rows, list[kind])  # type: ignore[valid-type]
+        except msgspec.ValidationError:
+            raise self._damaged(f"{_table(sql)} holds what does not belong there") from None
+        except (sqlite3.Error, OSError) as error:
+            if passing(error, self.folder) or isinstance(error, OSError):
+                raise ConfigError(f"{self._shown}/{DATABASE}: cannot be read: {in_words(error, self.folder)}") from None
+            raise self._damaged(clean(str(error))) from None
+
+    def _damaged(self, why: str) -> ConfigError:
+        return ConfigError(f"{self._shown}/{DATABASE}: damaged: {why}")
+
+
+def runs_below(paths: Sequence[Path]) -> list[Run]:
+    """The runs of folders: each is a run's, or one that holds runs, such as a study's or the one of all runs.
+
+    Returns:
+        In the order of the paths, and below each by name, numbers in names by their value; each run once.
+
+    Raises:
+        ConfigError: a path holds none, or one of them cannot be read.
+    """
+    runs: dict[Path, Run] = {}
+    for path in paths:
+        folders = folders_below(path)
+        if not folders:
+            raise ConfigError(
+                f"{clean(str(path))}: no run; expected a folder with {EXPERIMENT} and {DATABASE}, or one that holds such folders"
+            )
+        for folder in folders:
+            runs.setdefault(folder.resolve(), Run(folder))
+    return list(runs.values())
+
+
+def folders_below(path: Path) -> list[Path]:
+    """The folders with a record: the path itself, or those at most two levels below it; they may be damaged."""
+    if (path / DATABASE).is_file():
+        return [path]
+    found = {file.parent for depth in range(1, DEPTH + 1) for file in path.glob("*/" * depth + DATABASE) if file.is_file()}
+    return sorted(found, key=lambda folder: [_natural(part) for part in folder.relative_to(path).parts])
+
+
+def listed(parent: Path) -> list[dict[str, Any]]:
+    """What is known of each run below a folder; of one that cannot be read, why. No run's generations are read."""
+    return [_listed(folder) for folder in folders_below(parent)]
+
+
+def groups(runs: Sequence[Run]) -> dict[str, list[Run]]:
+    """Repeats together: runs whose experiments differ at most in name, seed, generations, ``[cluster]`` and ``[study]``.
+
+    Returns:
+        By what differs between them, such as ``hidden 2, population 50``; by the experiments' names where there is one group,
+        or more differs than a label can say.
+    """
+    together: dict[str, list[Run]] = {}
+    settings: dict[str, dict[str, Any]] = {}
+    for run in runs:
+        flat = _flat(run.experiment)
+        key = json.dumps(flat, sort_keys=True)
+        together.setdefault(key, []).append(run)
+        settings[key] = flat
+    differing = _differing(list(settings.values()))
+    named: dict[str, list[Run]] = {}
+    for key, members in together.items():
+        told = [name for name in differing if name in settings[key]]
+        if len(together) > 1 and 0 < len(differing) <= TOLD_APART:
+            label = ", ".join(_label(name, settings[key][name], differing) for name in told) or members[0].experiment.name
+        else:
+            label = members[0].experiment.name
+        if label in named:
+            label = f"{label} ({members[0].name})"
+        while label in named:
+            label += "'"
+        named[label] = members
+    return named
+
+
+@contextlib.contextmanager
+def opened(path: Path) -> Iterator[sqlite3.Connection]:
+    """A record's database, to read; nothing is left beside it, and it may be where nothing can be written.
+
+    Raises:
+        sqlite3.Error, OSError: it cannot be read.
+    """
+    path = path.resolve()
+    log = path.with_name(f"{path.name}-wal")
+    with path.open("rb") as file:
+        logged = file.read(20)[18:] == WAL
+    with contextlib.ExitStack() as stack:
+
+        def opened_at(at: Path, how: str) -> sqlite3.Connection:
+            database = sqlite3.connect(f"{at.as_uri()}?{how}", uri=True)
+            stack.callback(database.close)
+            database.text_factory = _text
+            database.execute("PRAGMA trusted_schema = OFF")
+            kinds = dict(database.execute("SELECT name, type FROM sqlite_master").fetchall())
+            if missing := [name for name in TABLES if kinds.get(name) != "table"]:
+                raise sqlite3.DatabaseError(f"no table {missing[0]}")
+            return database
+
+        if logged and not (log.is_file() and log.stat().st_size):
+            yield opened_at(path, "immutable=1")  # all is in the file; another way SQLite would make a log beside it
+            return
+        try:
+            database = opened_at(path, "mode=ro")
+        except sqlite3.OperationalError as error:
+            if error.sqlite_errorcode & 0xFF not in (sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY) or not log.is_file():
+                raise
+            copy = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="zswarm-")))
+            for source in (path, log):
+                shutil.copyfile(source, copy / source.name)
+            database = opened_at(copy / path.name, "mode=rw")
+        yield database
+
+
+def _is_run(folder: Path) -> bool:
+    try:
+        return (folder / EXPERIMENT).is_file() and (folder / DATABASE).is_file()
+    except OSError:  # nobody may enter
+        return False
+
+
+def _listed(folder: Path) -> dict[str, Any]:
+    shown = clean(str(folder))
+    try:
+        with opened(folder / DATABASE) as database:
+            row = database.execute("SELECT count(*), max(best), sum(evaluations), max(finished_at) FROM generations").fetchone()
+            status = database.execute("SELECT value FROM meta WHERE key = 'history_hash'").fetchone()
+        generations, best, candidates, at = msgspec.convert(row, tuple[int, float | None, int | None, float | None])
+        history = msgspec.convert(status, tuple[str] | None)
+    except msgspec.ValidationError:
+        return {"run": shown, "error": "damaged: its numbers are none"}
+    except (sqlite3.Error, OSError) as error:
+        what = "cannot be read" if passing(error, folder) else "damaged"
+        return {"run": shown, "error": f"{what}: {clean(in_words(error, folder))}"}
+    return {
+        "run": shown,
+        "generations": generations,
+        "best": best,
+        "candidates": candidates or 0,
+        "finished_at": at,
+        "history_hash": clean(history[0]) if history else None,
+    }
+
+
+def _flat(complete: Experiment) -> dict[str, Any]:
+    """What makes runs no repeats of each other, by the key of the experiment file."""
+    values = msgspec.to_builtins(complete)
+    flat = {"representation": complete.representation.kind, "optimizer": complete.optimizer.kind}
+    for part in ("representation", "optimizer"):
+        flat |= {f"{part}.{key}": value for key, value in values[part]["settings"].items()}
+    problem = values["problem"]
+    flat |= {f"problem.settings.{key}": value for key, value in problem.pop("settings").items()}
+    return flat | {f"problem.{key}": value for key, value in problem.items()}
+
+
+def _differing(settings: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Keys whose values differ; settings of a part only between parts of the same kind."""
+    differing = []
+    for key in dict.fromkeys(key for flat in settings for key in flat):
+        kind = KIND_OF.get(key.rpartition(".")[0], "")
+        values: dict[Any, set[str]] = {}
+        for flat in settings:
+            values.setdefault(flat.get(kind), set()).add(json.dumps(flat.get(key), sort_keys=True))
+        if any(len(found) > 1 for found in values.values()):
+            differing.append(key)
+    return differing
+
+
+def _label(key: str, value: Any, differing: Sequence[str]) -> str:
+    """``population 50``; a kind says itself what it is."""
+    if key in KIND_OF.values():
+        return str(value)
+    last = key.rpartition(".")[2]
+    name = last if sum(other.rpartition(".")[2] == last for other in differing) == 1 else key
+    match value:
+        case bool() | list() | dict():
+            return f"{name} {json.dumps(value)}"
+        case float():
+            return f"{name} {value:.6g}"
+    return f"{name} {value}"
+
+
+def _natural(name: str) -> list[tuple[bool, int, str]]:
+    """A key to sort by: ``seed-2`` is before ``seed-10``."""
+    return [(part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in re.split(r"(\d+)", name) if part]
+
+
+def _text(raw: bytes) -> str:
+    return raw.decode(errors="replace")
+
+
+def _plain(text: str) -> bool:
+    return text.isascii() and text.isprintable()
+
+
+def _clean(value: Any) -> Any:
+    return clean(value) if isinstance(value, str) else value
+
+
+def _cleaned(value: Any) -> Any:
+    """Texts of a table or list, and of those in it, made safe to show."""
+    if isinstance(value, dict):
+        return {clean(str(key)): _cleaned(item) for key, item in value.items()}
+    return [_cleaned(item) for item in value] if isinstance(value, list) else _clean(value)
+
+
+def _number(value: float) -> float | None:
+    return None if value != value else value
+
+
+def _table(sql: str) -> str:
+    return sql.partition("FROM ")[2].split()[0]
