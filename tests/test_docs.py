@@ -12,7 +12,7 @@ import pytest
 
 from zswarm import experiment, plugins, router
 from zswarm.ot import cli as ot
-from zswarm.ot import exits, record
+from zswarm.ot import exits, schema
 from zswarm.ot.controller import Controller
 from zswarm.protocol import codec, messages
 from zswarm.security import cli as security
@@ -234,14 +234,14 @@ def test_the_top_level_keys_of_an_experiment_are_documented() -> None:
 # ---- the record
 
 
-def schema() -> sqlite3.Connection:
+def empty_record() -> sqlite3.Connection:
     database = sqlite3.connect(":memory:")
-    database.executescript(record.SCHEMA)
+    database.executescript(schema.CREATE)
     return database
 
 
 def tables() -> dict[str, list[str]]:
-    database = schema()
+    database = empty_record()
     names = [row[0] for row in database.execute("SELECT name FROM sqlite_master WHERE type IN ('table', 'view')")]
     found = {name: [row[1] for row in database.execute(f"PRAGMA table_info({name})")] for name in names}
     database.close()
@@ -257,8 +257,8 @@ def test_every_column_of_the_record_is_documented(table: str) -> None:
 
 def test_the_queries_of_the_record_fit_its_schema() -> None:
     """SQLite compiles each."""
-    database = schema()
-    found = re.search(r"```sql\n(.*?)```", text("record.md"), re.S)
+    database = empty_record()
+    found = re.search(r"## Queries\n\n```sql\n(.*?)```", text("record.md"), re.S)
     assert found
     queries = [query for query in found[1].split(";") if query.strip()]
     assert len(queries) >= 5

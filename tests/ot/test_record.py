@@ -219,12 +219,12 @@ def test_a_newer_schema_is_refused_with_the_zswarm_that_is_needed(record: Record
     record.set_meta("schema_version", 99)
     record.set_meta("zswarm", "7.0")
     record.close()
-    words = r"has schema 99, of zswarm 7\.0; .* up to 2: go on with the zswarm that made it, or a newer one"
+    words = r"has schema 99, of zswarm 7\.0; .* up to 3: go on with the zswarm that made it, or a newer one"
     with pytest.raises(ConfigError, match=words):
         Record.open(record.folder)
 
 
-def test_a_run_of_schema_1_is_brought_to_schema_2_with_all_it_holds(record: Record, tmp_path: Path) -> None:
+def test_a_run_of_schema_1_is_brought_to_this_one_with_all_it_holds(record: Record, tmp_path: Path) -> None:
     work = workload()
     record.begin(0, work)
     record.add(count(work, [0, 1, 2], -1.5), work)
@@ -234,7 +234,7 @@ def test_a_run_of_schema_1_is_brought_to_schema_2_with_all_it_holds(record: Reco
     as_schema_1(record.folder)
     assert listed(tmp_path)[0]["generations"] == 1, "list reads the old schema"
     with Record.open(record.folder)[0] as resumed:
-        assert (resumed.meta("schema_version"), resumed.meta("epoch")) == (2, 1)
+        assert (resumed.meta("schema_version"), resumed.meta("epoch")) == (3, 1)
         assert resumed.history().hex() == history
         assert resumed.resumed() == (1, {"at": 0})
         resumed.begin(1, work)

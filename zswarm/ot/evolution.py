@@ -69,7 +69,8 @@ def start(loaded: Experiment, where: str, out: Path, connection: Connection, log
     parts = run.build(complete)
     code = version_hash(complete.problem.simulator, complete.representation.kind)
     _ = connection.reach  # refuses unusable keys before there is a folder
-    with Record.create(out, complete, code) as record, contextlib.closing(Evolution(parts, record, connection, logger)) as begun:
+    record = Record.create(out, complete, code, parts.problem.simulator.metrics)
+    with record, contextlib.closing(Evolution(parts, record, connection, logger)) as begun:
         if record.on_network:
             logger.on_say(f"{record.folder} is on a network file system: the record is kept without a write-ahead log there")
         yield begun

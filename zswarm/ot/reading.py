@@ -25,7 +25,8 @@ from zswarm.errors import ConfigError, UnknownPlugin
 from zswarm.experiment import Experiment
 from zswarm.ot.controller import CHAMPION, Controller, load_controller
 from zswarm.ot.database import in_words, passing
-from zswarm.ot.record import DATABASE, EXPERIMENT, SCHEMA_VERSION, TABLES
+from zswarm.ot.record import DATABASE, EXPERIMENT
+from zswarm.ot.schema import SCHEMA_VERSION, TABLES
 from zswarm.protocol.codec import clean
 
 DEPTH = 2  # of folders in which runs are looked for: runs/STUDY/RUN

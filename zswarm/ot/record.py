@@ -35,31 +35,11 @@ from zswarm.ot.controller import CHAMPION, Controller
 from zswarm.ot.database import Database, Statement, connect, in_words, on_network, passing, transact
 from zswarm.ot.dispatch import Counted, Note
 from zswarm.ot.history import History
+from zswarm.ot.schema import CREATE, MIGRATIONS, SCHEMA_VERSION
 from zswarm.ot.workload import Workload
 from zswarm.strict import to_json
 
-SCHEMA_VERSION = 2
-MIGRATIONS = {1: "ALTER TABLE outcomes ADD COLUMN doubtful INTEGER NOT NULL DEFAULT 0"}  # from a version to the next
 DATABASE, EXPERIMENT = "run.sqlite", "experiment.toml"
-TABLES = ("meta", "generations", "candidates", "outcomes", "events", "optimizer")
-SCHEMA = """
-CREATE TABLE meta (key TEXT PRIMARY KEY, value) WITHOUT ROWID;
-CREATE TABLE generations (
-    generation INTEGER PRIMARY KEY, finished_at REAL NOT NULL, best REAL, mean REAL, evaluations INTEGER NOT NULL,
-    statistics TEXT NOT NULL);
-CREATE TABLE candidates (
-    generation INTEGER NOT NULL, candidate INTEGER NOT NULL, genome BLOB NOT NULL, fitness REAL,
-    PRIMARY KEY (generation, candidate)) WITHOUT ROWID;
-CREATE TABLE outcomes (
-    id INTEGER PRIMARY KEY, generation INTEGER NOT NULL, asked BLOB NOT NULL, count INTEGER NOT NULL, trials BLOB NOT NULL,
-    fitness BLOB NOT NULL, metrics BLOB NOT NULL, faulted INTEGER NOT NULL, server TEXT NOT NULL, seconds REAL NOT NULL,
-    at REAL NOT NULL, doubtful INTEGER NOT NULL DEFAULT 0);
-CREATE TABLE events (at REAL NOT NULL, generation INTEGER, event TEXT NOT NULL, server TEXT, text TEXT, count INTEGER);
-CREATE TABLE optimizer (id INTEGER PRIMARY KEY CHECK (id = 0), generation INTEGER NOT NULL, state BLOB NOT NULL);
-CREATE VIEW servers AS
-    SELECT server, sum(count) AS trials, sum(seconds) AS seconds, min(at) AS first_at, max(at) AS last_at
-    FROM outcomes WHERE server <> '' GROUP BY server;
-"""
 SET_META = "INSERT OR REPLACE INTO meta VALUES (?, ?)"
 ADD_OUTCOMES = "INSERT OR REPLACE INTO outcomes VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
 ADD_EVENT = "INSERT OR REPLACE INTO events (rowid, at, generation, event, server, text, count) VALUES (?, ?, ?, ?, ?, ?, ?)"
@@ -89,13 +69,19 @@ class Record:
         self._asked = b""
 
     @classmethod
-    def create(cls, parent: Path, complete: Experiment, version_hash: str) -> Self:
+    def create(
+        cls, parent: Path, complete: Experiment, version_hash: str, metrics: Sequence[str] | None = None, **meta: Any
+    ) -> Self:
         """A new folder ``parent/name``, or ``name-2`` and so on where that exists.
+
+        Args:
+            metrics: names of the numbers that trials have beside fitness.
+            meta: rows of that table, beside those that every run has.
 
         Raises:
             ConfigError: it cannot be written.
         """
-        meta: dict[str, Any] = {
+        meta = {
             "schema_version": SCHEMA_VERSION,
             "zswarm": zswarm.__version__,
             "run_id": f"{complete.name[:54].strip('-')}-{secrets.token_hex(4)}",
@@ -104,6 +90,8 @@ class Record:
             "epoch": 0,
             "created_at": time.time(),
             "machine": _machine(),
+            **({} if metrics is None else {"metrics": json.dumps(list(metrics))}),
+            **meta,
         }
         with contextlib.ExitStack() as undo:
             folder = _new_folder(parent, complete.name)
@@ -352,7 +340,7 @@ def _create(path: Path, meta: dict[str, Any]) -> None:
     part = path.with_suffix(".part")
     connection = sqlite3.connect(part, isolation_level=None)
     try:
-        connection.executescript(f"BEGIN; {SCHEMA} COMMIT")
+        connection.executescript(f"BEGIN; {CREATE} COMMIT")
         transact(connection, [(SET_META, item) for item in meta.items()])
     finally:
         connection.close()
@@ -382,7 +370,9 @@ def _raise_epoch(connection: sqlite3.Connection, complete: Experiment) -> None:
     """For a program that goes on; with it come the schema of this one, and no hash of fewer generations."""
     meta = dict(connection.execute("SELECT key, value FROM meta").fetchall())
     finished = connection.execute("SELECT count(*) FROM generations").fetchone()[0]
-    changes: list[Statement] = [(MIGRATIONS[version], ()) for version in range(meta["schema_version"], SCHEMA_VERSION)]
+    changes: list[Statement] = [
+        (statement, ()) for version in range(meta["schema_version"], SCHEMA_VERSION) for statement in MIGRATIONS[version]
+    ]
     changes += [(SET_META, ("schema_version", SCHEMA_VERSION)), (SET_META, ("epoch", int(meta["epoch"]) + 1))]
     if finished < complete.generations:
         changes.append(("DELETE FROM meta WHERE key = 'history_hash'", ()))
