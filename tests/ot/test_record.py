@@ -12,6 +12,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from older import as_schema
 
 from zswarm import experiment
 from zswarm.errors import ConfigError
@@ -30,24 +31,6 @@ CHAMPION = Controller(
     representation_settings={}, inputs=10, outputs=2, sensors=["n"], actuators=["vx"], genome=b"\0" * 240,
     fitness=-1.0, run="emergency-exit-0123abcd",
 )  # fmt: skip
-SCHEMA_1 = """
-CREATE TABLE meta (key TEXT PRIMARY KEY, value) WITHOUT ROWID;
-CREATE TABLE generations (
-    generation INTEGER PRIMARY KEY, finished_at REAL NOT NULL, best REAL, mean REAL, evaluations INTEGER NOT NULL,
-    statistics TEXT NOT NULL);
-CREATE TABLE candidates (
-    generation INTEGER NOT NULL, candidate INTEGER NOT NULL, genome BLOB NOT NULL, fitness REAL,
-    PRIMARY KEY (generation, candidate)) WITHOUT ROWID;
-CREATE TABLE outcomes (
-    id INTEGER PRIMARY KEY, generation INTEGER NOT NULL, asked BLOB NOT NULL, count INTEGER NOT NULL, trials BLOB NOT NULL,
-    fitness BLOB NOT NULL, metrics BLOB NOT NULL, faulted INTEGER NOT NULL, server TEXT NOT NULL, seconds REAL NOT NULL,
-    at REAL NOT NULL);
-CREATE TABLE events (at REAL NOT NULL, generation INTEGER, event TEXT NOT NULL, server TEXT, text TEXT, count INTEGER);
-CREATE TABLE optimizer (id INTEGER PRIMARY KEY CHECK (id = 0), generation INTEGER NOT NULL, state BLOB NOT NULL);
-CREATE VIEW servers AS
-    SELECT server, sum(count) AS trials, sum(seconds) AS seconds, min(at) AS first_at, max(at) AS last_at
-    FROM outcomes WHERE server <> '' GROUP BY server;
-"""
 
 
 @pytest.fixture
@@ -80,27 +63,6 @@ def query(folder: Path, sql: str) -> list[tuple[object, ...]]:
         return database.execute(sql).fetchall()
     finally:
         database.close()
-
-
-def as_schema_1(folder: Path) -> None:
-    """What zswarm of schema 1 would have recorded."""
-    new, old = folder / "run.sqlite", folder / "old.sqlite"
-    database = sqlite3.connect(old)
-    database.executescript(SCHEMA_1)
-    database.execute("ATTACH ? AS new", (str(new),))
-    for table in ("meta", "generations", "candidates", "events", "optimizer"):
-        database.execute(f"INSERT INTO {table} SELECT * FROM new.{table}")  # noqa: S608  our own names
-    database.execute(
-        "INSERT INTO outcomes SELECT id, generation, asked, count, trials, fitness, metrics, faulted, server, seconds, at "
-        "FROM new.outcomes"
-    )
-    database.execute("UPDATE meta SET value = 1 WHERE key = 'schema_version'")
-    database.commit()
-    database.close()
-    new.unlink()
-    for side in ("-wal", "-shm"):
-        (folder / f"run.sqlite{side}").unlink(missing_ok=True)
-    old.rename(new)
 
 
 def test_the_same_name_gets_a_folder_of_its_own(tmp_path: Path, record: Record, complete: experiment.Experiment) -> None:
@@ -231,7 +193,7 @@ def test_a_run_of_schema_1_is_brought_to_this_one_with_all_it_holds(record: Reco
     record.finish(0, work.genomes, np.full(3, -1.5), STATISTICS, {"at": 0})
     history = record.history().hex()
     record.close()
-    as_schema_1(record.folder)
+    as_schema(1, record.folder)
     assert listed(tmp_path)[0]["generations"] == 1, "list reads the old schema"
     with Record.open(record.folder)[0] as resumed:
         assert (resumed.meta("schema_version"), resumed.meta("epoch")) == (3, 1)
@@ -246,7 +208,7 @@ def test_a_run_of_schema_1_is_brought_to_this_one_with_all_it_holds(record: Reco
 
 def test_a_migration_that_is_interrupted_leaves_the_old_schema(record: Record, monkeypatch: pytest.MonkeyPatch) -> None:
     record.close()
-    as_schema_1(record.folder)
+    as_schema(1, record.folder)
     monkeypatch.setattr(record_module, "SET_META", "INSERT INTO nowhere VALUES (?, ?)")
     with pytest.raises(ConfigError, match="no such table: nowhere"):
         Record.open(record.folder)

@@ -34,6 +34,8 @@ TOLD_APART = 3  # settings by which groups are told apart; with more they have t
 KIND_OF = {"problem.settings": "problem.simulator", "representation": "representation", "optimizer": "optimizer"}
 WAL = b"\x02\x02"  # bytes 18 and 19 of a database with a write-ahead log
 
+UNREADABLE = (sqlite3.Error, OSError, UnicodeDecodeError)  # the last: a damaged schema that SQLite would quote
+
 T = TypeVar("T")
 
 
@@ -54,13 +56,14 @@ class Run:
         """
         self.folder, self.name = folder, clean(folder.name or folder.resolve().name)
         self._shown = clean(str(folder))
-        if not _is_run(folder):
+        if not _is_file(folder / EXPERIMENT) or not _is_file(folder / DATABASE):
             raise ConfigError(
                 f"{self._shown}: no run; expected a folder with {EXPERIMENT} and {DATABASE}, such as runs/emergency-exit"
             )
-        self.meta: dict[str, Any] = {
+        self._meta = dict(self._rows("SELECT key, value FROM meta", tuple[str, Any]))
+        self.meta = {
             clean(key): clean(value) if isinstance(value, str) and not _plain(value) else value
-            for key, value in self._rows("SELECT key, value FROM meta", tuple[str, Any])
+            for key, value in self._meta.items()
         }
         version = self.meta.get("schema_version")
         if not isinstance(version, int) or version < 1:
@@ -228,12 +231,16 @@ class Run:
         return sorted(found, key=lambda trial: (trial["candidate"], trial["trial"]))
 
     def champion(self) -> Controller | None:
-        """The best controller so far; None before there is one.
+        """The best controller so far, its texts safe to show; None before there is one.
 
         Raises:
             ConfigError: its file is damaged.
         """
-        return load_controller(self.folder) if (self.folder / CHAMPION).is_file() else None
+        if not _is_file(self.folder / CHAMPION):
+            return None
+        champion = load_controller(self.folder)
+        names = ("simulator", "simulator_settings", "representation", "representation_settings", "sensors", "actuators", "run")
+        return msgspec.structs.replace(champion, **{name: _cleaned(getattr(champion, name)) for name in names})
 
     # ---- helpers
 
@@ -241,7 +248,7 @@ class Run:
     def _began(self) -> dict[str, Any]:
         """What the history depends on, as the run began with it."""
         try:
-            began: dict[str, Any] = json.loads(self.meta["experiment"])
+            began: dict[str, Any] = json.loads(self._meta["experiment"])
             for part in ("representation", "optimizer"):
                 _ = {**began[part]["settings"]}, began[part]["kind"]
         except (KeyError, TypeError, ValueError, RecursionError):
@@ -255,9 +262,9 @@ class Run:
 
     @cached_property
     def _metric_names(self) -> list[str]:
-        if "metrics" in self.meta:
+        if "metrics" in self._meta:
             try:
-                return [clean(name) for name in msgspec.json.decode(self.meta["metrics"], type=list[str])]
+                return [clean(name) for name in msgspec.json.decode(self._meta["metrics"], type=list[str])]
             except (msgspec.DecodeError, TypeError):
                 raise self._damaged("its metrics are no names") from None
         try:
@@ -280,7 +287,7 @@ class Run:
             return msgspec.convert(rows, list[kind])  # type: ignore[valid-type]
         except msgspec.ValidationError:
             raise self._damaged(f"{_table(sql)} holds what does not belong there") from None
-        except (sqlite3.Error, OSError) as error:
+        except UNREADABLE as error:
             if passing(error, self.folder) or isinstance(error, OSError):
                 raise ConfigError(f"{self._shown}/{DATABASE}: cannot be read: {in_words(error, self.folder)}") from None
             raise self._damaged(clean(str(error))) from None
@@ -312,9 +319,12 @@ def runs_below(paths: Sequence[Path]) -> list[Run]:
 
 def folders_below(path: Path) -> list[Path]:
     """The folders with a record: the path itself, or those at most two levels below it; they may be damaged."""
-    if (path / DATABASE).is_file():
+    if _is_file(path / DATABASE):
         return [path]
-    found = {file.parent for depth in range(1, DEPTH + 1) for file in path.glob("*/" * depth + DATABASE) if file.is_file()}
+    try:
+        found = {file.parent for depth in range(1, DEPTH + 1) for file in path.glob("*/" * depth + DATABASE) if _is_file(file)}
+    except OSError:  # as in ``_is_file``
+        return []
     return sorted(found, key=lambda folder: [_natural(part) for part in folder.relative_to(path).parts])
 
 
@@ -358,12 +368,13 @@ def opened(path: Path) -> Iterator[sqlite3.Connection]:
     """A record's database, to read; nothing is left beside it, and it may be where nothing can be written.
 
     Raises:
-        sqlite3.Error, OSError: it cannot be read.
+        sqlite3.Error, OSError, UnicodeDecodeError: it cannot be read.
     """
     path = path.resolve()
     log = path.with_name(f"{path.name}-wal")
     with path.open("rb") as file:
-        logged = file.read(20)[18:] == WAL
+        header = file.read(20)
+        size = file.seek(0, os.SEEK_END)
     with contextlib.ExitStack() as stack:
 
         def opened_at(at: Path, how: str) -> sqlite3.Connection:
@@ -376,7 +387,9 @@ def opened(path: Path) -> Iterator[sqlite3.Connection]:
                 raise sqlite3.DatabaseError(f"no table {missing[0]}")
             return database
 
-        if logged and not (log.is_file() and log.stat().st_size):
+        if header[18:] == WAL and not (log.is_file() and log.stat().st_size):
+            if size % (int.from_bytes(header[16:18]) or 1):  # SQLite would fill up the last page with zeros
+                raise sqlite3.DatabaseError("its end is missing")
             yield opened_at(path, "immutable=1")  # all is in the file; another way SQLite would make a log beside it
             return
         try:
@@ -391,10 +404,10 @@ def opened(path: Path) -> Iterator[sqlite3.Connection]:
         yield database
 
 
-def _is_run(folder: Path) -> bool:
+def _is_file(path: Path) -> bool:
     try:
-        return (folder / EXPERIMENT).is_file() and (folder / DATABASE).is_file()
-    except OSError:  # nobody may enter
+        return path.is_file()
+    except OSError:  # nobody may look, or the name is too long
         return False
 
 
@@ -408,7 +421,7 @@ def _listed(folder: Path) -> dict[str, Any]:
         history = msgspec.convert(status, tuple[str] | None)
     except msgspec.ValidationError:
         return {"run": shown, "error": "damaged: its numbers are none"}
-    except (sqlite3.Error, OSError) as error:
+    except UNREADABLE as error:
         what = "cannot be read" if passing(error, folder) else "damaged"
         return {"run": shown, "error": f"{what}: {clean(in_words(error, folder))}"}
     return {

@@ -40,6 +40,7 @@ from zswarm.ot.workload import Workload
 from zswarm.strict import to_json
 
 DATABASE, EXPERIMENT = "run.sqlite", "experiment.toml"
+LOCK_TRIES, LOCK_PAUSE_S = 20, 0.005  # who asks whether a run goes on holds its lock for an instant
 SET_META = "INSERT OR REPLACE INTO meta VALUES (?, ?)"
 ADD_OUTCOMES = "INSERT OR REPLACE INTO outcomes VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
 ADD_EVENT = "INSERT OR REPLACE INTO events (rowid, at, generation, event, server, text, count) VALUES (?, ?, ?, ?, ?, ?, ?)"
@@ -327,11 +328,16 @@ def _lock(folder: Path) -> int:
         lock = os.open(folder / "lock", os.O_CREAT | os.O_RDWR, 0o644)
     except OSError as error:
         raise ConfigError(f"{folder}: cannot be written: {error.strerror}") from None
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        os.close(lock)
-        raise ConfigError(f"{folder}: another zswarm-ot is at this run; stop it first") from None
+    for tries in reversed(range(LOCK_TRIES)):
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            if tries:
+                time.sleep(LOCK_PAUSE_S)
+                continue
+            os.close(lock)
+            raise ConfigError(f"{folder}: another zswarm-ot is at this run; stop it first") from None
+        break
     return lock
 
 
