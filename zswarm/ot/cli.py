@@ -9,6 +9,7 @@ import click
 from zswarm.errors import ConfigError, NoServers, ZswarmError
 from zswarm.ot.commands.check import check
 from zswarm.ot.commands.evaluate import evaluate
+from zswarm.ot.commands.import_ import import_
 from zswarm.ot.commands.list import list_
 from zswarm.ot.commands.run import resume, run
 from zswarm.ot.commands.servers import servers
@@ -21,7 +22,7 @@ def command() -> None:
     """Evolve swarm-robot controllers on this machine and on every zswarm-ss server of the network."""
 
 
-for _command in (run, resume, servers, list_, check, evaluate):
+for _command in (run, resume, servers, list_, check, evaluate, import_):
     command.add_command(_command)
 
 

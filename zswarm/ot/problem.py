@@ -7,6 +7,7 @@ from zswarm import evaluate
 from zswarm.draws import derive_seed
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
+from zswarm.ot.controller import Controller
 from zswarm.ot.workload import Workload
 
 
@@ -57,6 +58,23 @@ class Problem:
     def total(self, workload: Workload) -> np.ndarray:
         """(candidates,) float64: the sum over a candidate's trials, added in trial order; never -0.0, which SQLite drops."""
         return np.cumsum(workload.fitness[:, 0].reshape(-1, self.experiment.problem.trials), axis=1)[:, -1] + 0.0
+
+    def controller(self, genome: bytes, fitness: float, run: str) -> Controller:
+        """A genome with all that is needed to run it."""
+        complete, simulator = self.experiment, self.simulator
+        return Controller(
+            simulator=complete.problem.simulator,
+            simulator_settings=complete.problem.settings,
+            representation=complete.representation.kind,
+            representation_settings=complete.representation.settings,
+            inputs=simulator.inputs,
+            outputs=simulator.outputs,
+            sensors=list(simulator.sensors),
+            actuators=list(simulator.actuators),
+            genome=genome,
+            fitness=fitness,
+            run=run,
+        )
 
     def _decisive(self) -> dict[str, object]:
         complete = self.experiment

@@ -218,14 +218,19 @@ class Record:
     def finish(
         self, generation: int, genomes: Sequence[bytes], fitness: np.ndarray, statistics: dict[str, float], state: Any
     ) -> None:
-        """A generation and the optimizer's state after it, in one transaction; waits until the disk has it."""
+        """A generation and the optimizer's state after it, in one transaction; waits until the disk has it.
+
+        Args:
+            state: None: the optimizer was another program, and the run cannot be resumed.
+        """
         rows = zip(genomes, fitness.tolist(), strict=True)
         best, mean = statistics["best"], statistics["mean"]
         whole: list[Statement] = [
             (ADD_CANDIDATE, (generation, candidate, genome, value)) for candidate, (genome, value) in enumerate(rows)
         ]
         whole.append((ADD_GENERATION, (generation, time.time(), best, mean, len(genomes), to_json(statistics))))
-        whole.append((SET_OPTIMIZER, (generation, msgspec.msgpack.encode(state))))
+        if state is not None:
+            whole.append((SET_OPTIMIZER, (generation, msgspec.msgpack.encode(state))))
         self._database.settle(*whole)
 
     def flush(self) -> None:
@@ -361,6 +366,11 @@ def _check(folder: Path, connection: sqlite3.Connection, complete: Experiment) -
         raise ConfigError(
             f"{folder / DATABASE}: has schema {found}, of zswarm {meta.get('zswarm')}; this zswarm {zswarm.__version__} knows "
             f"schemas up to {SCHEMA_VERSION}: go on with the zswarm that made it, or a newer one"
+        )
+    if "imported_from" in meta:
+        raise ConfigError(
+            f"{folder}: was imported, without a state of the optimizer to go on from; its experiment can be run anew from "
+            f"{folder / EXPERIMENT}"
         )
     state = connection.execute("PRAGMA quick_check").fetchone()[0]
     if state != "ok":

@@ -127,19 +127,6 @@ def _record(happened: Happened | None, record: Record, workload: Workload | None
 
 def _keep_champion(parts: Parts, record: Record) -> Controller:
     genome, fitness = parts.optimizer.best()
-    complete, simulator = parts.problem.experiment, parts.problem.simulator
-    champion = Controller(
-        simulator=complete.problem.simulator,
-        simulator_settings=complete.problem.settings,
-        representation=complete.representation.kind,
-        representation_settings=complete.representation.settings,
-        inputs=simulator.inputs,
-        outputs=simulator.outputs,
-        sensors=list(simulator.sensors),
-        actuators=list(simulator.actuators),
-        genome=genome,
-        fitness=fitness,
-        run=record.meta("run_id"),
-    )
+    champion = parts.problem.controller(genome, fitness, record.meta("run_id"))
     record.champion(champion)
     return champion
