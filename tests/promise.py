@@ -75,7 +75,7 @@ class _Check:
         self.folder, self.experiment = folder, experiment
         self.trials = int(experiment["problem"].get("trials", 1))
         self.meta = dict(database.execute("SELECT key, value FROM meta"))
-        self.claim(self.meta.get("schema_version") in (1, 2), f"schema {self.meta.get('schema_version')}")
+        self.claim(self.meta.get("schema_version") in (1, 2, 3), f"schema {self.meta.get('schema_version')}")
         self.generations = database.execute(
             "SELECT generation, best, evaluations, finished_at FROM generations ORDER BY generation"
         ).fetchall()

@@ -1,0 +1,40 @@
+"""The record of a real run, read while it is written."""
+
+from pathlib import Path
+
+import evacuation
+from programs import Optimizer, wait_until
+from promise import check_run
+
+from zswarm.ot.reading import Run, listed
+
+
+def read(folder: Path) -> Run | None:
+    """The run; None while its folder is being made."""
+    return Run(folder) if (folder / "run.sqlite").exists() else None
+
+
+def test_a_run_is_read_while_it_goes_on_and_not_disturbed(tmp_path: Path) -> None:
+    """What is read later goes on from what was read before; at the end all is there."""
+    local = ["--servers", "local", "--set", "cluster.local_slots=1", "--json"]
+    experiment = evacuation.write(tmp_path, "watched", 200)
+    watched = Optimizer(tmp_path, "watched", ["run", experiment, *local])
+    folder = tmp_path / "runs" / "watched"
+    seen: list[list[dict[str, object]]] = []
+    try:
+        run = wait_until(lambda: read(folder), "the run's folder is there")
+        assert run.going_on
+        while watched.process.poll() is None:
+            now = Run(folder)
+            seen.append(now.history())
+            assert len(now.trials(len(seen[-1]))) <= 50 * 20
+            assert [row["run"] for row in listed(tmp_path / "runs")] == [str(folder)]
+        done = watched.done()
+    finally:
+        watched.close()
+    last = Run(folder)
+    assert all(history == last.history()[: len(history)] for history in seen)
+    assert len({len(history) for history in seen}) > 1, "it was read at several times"
+    assert (last.going_on, last.finished, last.history_hash) == (False, True, done["history_hash"])
+    assert len(last.history()) == 4
+    check_run(folder)
