@@ -6,6 +6,7 @@ import os
 import shutil
 import sqlite3
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -378,6 +379,54 @@ def test_a_damaged_record_is_read_or_refused(folder: Path, place: float, put: by
         assert all(text.isprintable() for text in texts([*found, *listed(folder.parent)]))
     finally:
         path.write_bytes(body)
+
+
+@settings(derandomize=True, max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(place=st.floats(0, 1, exclude_max=True), put=st.binary(min_size=1, max_size=40))
+def test_a_damaged_record_is_resumed_or_refused(folder: Path, place: float, put: bytes) -> None:
+    path = folder / "run.sqlite"
+    body = path.read_bytes()
+    at = int(len(body) * place)
+    try:
+        path.write_bytes(body[:at] + put + body[at + len(put) :])
+        said = ""
+        try:
+            Record.open(folder)[0].close()
+        except ConfigError as error:
+            said = str(error)
+        assert said.isprintable()
+    finally:
+        for side in ("-wal", "-shm"):
+            (folder / f"run.sqlite{side}").unlink(missing_ok=True)
+        path.write_bytes(body)
+
+
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "DELETE FROM meta WHERE key = 'experiment'",
+        "UPDATE meta SET value = '[' WHERE key = 'experiment'",
+        "UPDATE meta SET value = '1' WHERE key = 'experiment'",
+        "UPDATE meta SET value = 'x' WHERE key = 'epoch'",
+        "UPDATE meta SET value = char(27) WHERE key = 'schema_version'",
+        "UPDATE optimizer SET state = x'c1'",
+        "UPDATE optimizer SET state = 1",
+    ],
+)
+def test_a_resume_of_a_damaged_record_is_refused(folder: Path, sql: str) -> None:
+    edit(folder, sql)
+    with pytest.raises(ConfigError) as caught, Record.open(folder)[0] as record:
+        record.resumed()
+    assert str(caught.value).isprintable()
+
+
+def test_hostile_names_are_listed_without_their_escapes(folder: Path) -> None:
+    folder.rename(folder.with_name("evil \x1b[2J[bold]\u202e\n"))
+    for option in ([], ["--json"]):
+        command = [sys.executable, "-m", "zswarm.ot", "list", str(folder.parent), *option]
+        said = subprocess.run(command, capture_output=True, text=True, check=True, env=os.environ | {"COLUMNS": "500"}).stdout
+        assert "[bold]" in said
+        assert all(line.isprintable() for line in said.splitlines())
 
 
 # ---- experiment.toml

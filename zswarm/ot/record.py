@@ -37,6 +37,7 @@ from zswarm.ot.dispatch import Counted, Note
 from zswarm.ot.history import History
 from zswarm.ot.schema import CREATE, MIGRATIONS, SCHEMA_VERSION
 from zswarm.ot.workload import Workload
+from zswarm.protocol.codec import clean
 from zswarm.strict import to_json
 
 DATABASE, EXPERIMENT = "run.sqlite", "experiment.toml"
@@ -126,11 +127,12 @@ class Record:
                 _check(folder, connection, complete)
                 _raise_epoch(connection, complete)
                 record = cls(folder, connection, lock)
-            except sqlite3.DatabaseError as error:
+            except (sqlite3.DatabaseError, UnicodeDecodeError) as error:  # the latter: a damaged schema that SQLite would quote
                 if passing(error, folder):
                     raise ConfigError(f"{folder}: cannot be written: {in_words(error, folder)}") from None
+                what = clean(str(error))
                 raise ConfigError(
-                    f"{folder / DATABASE}: damaged: {error}; the experiment can be run anew from {folder / EXPERIMENT}"
+                    f"{folder / DATABASE}: damaged: {what}; the experiment can be run anew from {folder / EXPERIMENT}"
                 ) from None
             undo.pop_all()
         return record, complete
@@ -246,7 +248,10 @@ class Record:
     def resumed(self) -> Resumed:
         """Where to go on."""
         rows = self._database.rows("SELECT generation, state FROM optimizer")
-        return Resumed(rows[0][0] + 1, msgspec.msgpack.decode(rows[0][1])) if rows else Resumed(0, None)
+        try:
+            return Resumed(rows[0][0] + 1, msgspec.msgpack.decode(rows[0][1])) if rows else Resumed(0, None)
+        except (msgspec.DecodeError, UnicodeDecodeError, TypeError, RecursionError):
+            raise ConfigError(f"{self.folder / DATABASE}: damaged: the optimizer's state cannot be read") from None
 
     def restore(self, workload: Workload) -> int:
         """Put the recorded outcomes of the begun generation into a workload; how many trials.
@@ -363,10 +368,13 @@ def _check(folder: Path, connection: sqlite3.Connection, complete: Experiment) -
     meta = dict(connection.execute("SELECT key, value FROM meta").fetchall())
     found = meta.get("schema_version")
     if found != SCHEMA_VERSION and found not in MIGRATIONS:
+        version, program = clean(str(found)), clean(str(meta.get("zswarm")))
         raise ConfigError(
-            f"{folder / DATABASE}: has schema {found}, of zswarm {meta.get('zswarm')}; this zswarm {zswarm.__version__} knows "
+            f"{folder / DATABASE}: has schema {version}, of zswarm {program}; this zswarm {zswarm.__version__} knows "
             f"schemas up to {SCHEMA_VERSION}: go on with the zswarm that made it, or a newer one"
         )
+    if not isinstance(meta.get("experiment"), str) or not isinstance(meta.get("epoch"), int):
+        raise ConfigError(f"{folder / DATABASE}: damaged: it does not say what was run")
     if "imported_from" in meta:
         raise ConfigError(
             f"{folder}: was imported, without a state of the optimizer to go on from; its experiment can be run anew from "
@@ -374,9 +382,14 @@ def _check(folder: Path, connection: sqlite3.Connection, complete: Experiment) -
         )
     state = connection.execute("PRAGMA quick_check").fetchone()[0]
     if state != "ok":
-        raise ConfigError(f"{folder / DATABASE}: damaged: {state}")
+        what = clean(str(state).removeprefix("*** in database main ***\n").partition("\n")[0])
+        raise ConfigError(f"{folder / DATABASE}: damaged: {what}")
     if (began := meta["experiment"]) != (now := _decisive(complete)):
-        keys = [key for key, value in json.loads(now).items() if json.loads(began).get(key) != value]
+        try:
+            before = dict(json.loads(began))
+        except (ValueError, TypeError, RecursionError):
+            raise ConfigError(f"{folder / DATABASE}: damaged: it does not say what was run") from None
+        keys = [key for key, value in json.loads(now).items() if before.get(key) != value]
         raise ConfigError(
             f"{folder / EXPERIMENT}: {', '.join(keys)} changed since the run began; only generations and [cluster] may"
         )
