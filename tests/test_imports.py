@@ -21,7 +21,10 @@ MODULES = {
     for path in sorted(PACKAGE.rglob("*.py"))
     if path.stem != "__init__" and "examples" not in path.parts
 }
-LEAVES = {"draws", "endpoint", "errors", "extras", "files", "jit", "log", "notify", "plugins", "portable", "strict", "version_hash"}
+LEAVES = {
+    *("draws", "endpoint", "errors", "extras", "files", "jit", "log", "notify", "plugins", "portable", "strict"),
+    "version_hash",
+}
 MAY_IMPORT = {
     "leaf": {"leaf"},
     "protocol": {"errors", "protocol"},
