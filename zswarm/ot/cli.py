@@ -8,9 +8,11 @@ import click
 
 from zswarm.errors import ConfigError, NoServers, ZswarmError
 from zswarm.ot.commands.check import check
+from zswarm.ot.commands.compare import compare
 from zswarm.ot.commands.evaluate import evaluate
 from zswarm.ot.commands.import_ import import_
 from zswarm.ot.commands.list import list_
+from zswarm.ot.commands.plot import plot
 from zswarm.ot.commands.run import resume, run
 from zswarm.ot.commands.servers import servers
 from zswarm.ot.exits import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_MISTAKE, EXIT_NO_SERVERS
@@ -22,7 +24,7 @@ def command() -> None:
     """Evolve swarm-robot controllers on this machine and on every zswarm-ss server of the network."""
 
 
-for _command in (run, resume, servers, list_, check, evaluate, import_):
+for _command in (run, resume, servers, list_, check, evaluate, import_, plot, compare):
     command.add_command(_command)
 
 

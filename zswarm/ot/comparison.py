@@ -25,6 +25,7 @@ By = Literal["generations", "evaluations"]
 LEVEL = 0.05  # of significance
 PERMUTATIONS = 15_000  # at most, where ties forbid the exact distribution
 EXACT = 100  # runs of a group up to which the distribution without ties is computed exactly
+KRUSKAL = 5  # runs of each group from which on its distribution is near enough
 UNEQUAL = 1.1  # groups whose evaluations differ more are no equals in effort
 EFFECTS = ((0.56, "negligible"), (0.64, "small"), (0.71, "medium"))  # Vargha and Delaney; above: large
 
@@ -62,7 +63,7 @@ class Comparison(NamedTuple):
     at: float  # generations or evaluations
     rows: list[Row]
     pairs: list[Pair]
-    kruskal_p: float | None  # over all, of more than two groups
+    kruskal_p: float | None  # over all, of more than two groups that are large enough
     untested: str  # why there is no test, or ""
     notes: list[str]  # what a reader should know of the numbers
 
@@ -88,12 +89,7 @@ def compare(groups: Mapping[str, Sequence["Run"]], by: By = "generations", *, te
     Raises:
         ConfigError: no run finished a generation, or there is no number of evaluations that all have.
     """
-    notes: list[str] = []
-    loaded: dict[str, list[Series]] = {}
-    for group, runs in groups.items():
-        counted, left_out = curves.distinct(runs)
-        notes += [*left_out, *curves.unfinished(counted)]
-        loaded[group] = [curves.series(run) for run in counted]
+    loaded, notes = curves.load(groups)
     return of_series(loaded, by, notes, tests=tests)
 
 
@@ -188,21 +184,23 @@ def _test(samples: Mapping[str, np.ndarray]) -> tuple[list[Pair], float | None, 
     if len(samples) < 2:
         return [], None, ""
     pairs = list(itertools.combinations(samples, 2))
-    shown = [(a, b) for a, b in pairs if _least_p(len(samples[a]), len(samples[b])) * len(pairs) < LEVEL]
-    if not shown:
-        smallest = min(len(sample) for sample in samples.values())
-        return [], None, (
-            f"no test: a difference can be shown with {runs_needed(len(pairs))} or more runs of each group; "
-            f"the smallest here has {smallest}"
-        )  # fmt: skip
+    sizes = [len(sample) for sample in samples.values()]
+    testable = any(_least_p(len(samples[a]), len(samples[b])) * len(pairs) < LEVEL for a, b in pairs)
+    overall = len(samples) > 2 and min(sizes) >= KRUSKAL
+    few = "" if testable else (
+        f"a difference between two groups can be shown with {runs_needed(len(pairs))} or more runs of each; "
+        f"the smallest here has {min(sizes)}"
+    )  # fmt: skip
+    if not testable and not overall:
+        return [], None, few
     try:
         stats = need("scipy.stats", "plot", "the test between groups")
     except ConfigError as error:
         return [], None, str(error)
-    tested = [_mann_whitney(stats, a, samples[a], b, samples[b]) for a, b in pairs]
+    tested = [_mann_whitney(stats, a, samples[a], b, samples[b]) for a, b in pairs] if testable else []
     corrected = _holm([pair.p for pair in tested])
     tested = [pair._replace(p_holm=p) for pair, p in zip(tested, corrected, strict=True)]
-    return tested, _kruskal(stats, list(samples.values())) if len(samples) > 2 else None, ""
+    return tested, _kruskal(stats, list(samples.values())) if overall else None, few
 
 
 def _mann_whitney(stats: Any, first: str, a: np.ndarray, second: str, b: np.ndarray) -> Pair:

@@ -49,6 +49,16 @@ def series(run: "Run") -> Series:
     return Series(best, column("mean", np.nan), evaluations, np.cumsum(seconds))
 
 
+def load(groups: Mapping[str, Sequence["Run"]]) -> tuple[dict[str, list[Series]], list[str]]:
+    """The numbers of all runs, each read once; and what a reader should know of them: who is left out or not finished."""
+    loaded, notes = {}, []
+    for group, runs in groups.items():
+        counted, left_out = distinct(runs)
+        loaded[group] = [series(run) for run in counted]
+        notes += [*left_out, *unfinished(counted, loaded[group])]
+    return loaded, notes
+
+
 def distinct(runs: Iterable["Run"]) -> tuple[list["Run"], list[str]]:
     """The runs that a comparison counts, and why it leaves out the others.
 
@@ -66,13 +76,13 @@ def distinct(runs: Iterable["Run"]) -> tuple[list["Run"], list[str]]:
     return list(kept.values()), left_out
 
 
-def unfinished(runs: Iterable["Run"]) -> list[str]:
+def unfinished(runs: Sequence["Run"], read: Sequence[Series]) -> list[str]:
     """A line for each run that is not at its last generation."""
     lines = []
-    for run in runs:
+    for run, numbers in zip(runs, read, strict=True):
         if not run.finished:
-            done = plural(len(run.history()), "generation")
-            lines.append(f"{run.name} {'goes on' if run.going_on else 'is not finished'}: {done} of {run.experiment.generations}")
+            done = f"{len(numbers.best)} of {plural(run.experiment.generations, 'generation')}"
+            lines.append(f"{run.name} {'goes on' if run.going_on else 'is not finished'}: {done}")
     return lines
 
 

@@ -13,7 +13,10 @@ from rich.text import Text
 
 from zswarm.strict import to_json
 
-NUMBERS = {"slots", "free", "runs", "generations", "best"}  # columns that stand at the right
+NUMBERS = {
+    *("slots", "free", "runs", "generations", "best", "worst", "median", "quartiles", "evaluations", "seconds"),
+    *("U", "p", "p (Holm)", "A12"),
+}  # columns that stand at the right
 
 
 def table(*columns: str, box: box.Box | None = box.SIMPLE, padding: tuple[int, int, int, int] = (0, 1, 0, 1)) -> Table:

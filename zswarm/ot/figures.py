@@ -1,0 +1,348 @@
+"""Learning curves as figures for papers: matplotlib's objects without pyplot, so that threads and notebooks are left alone.
+
+Colours: Okabe and Ito, "Color Universal Design" (2008), without yellow; each group has a dash style of its own, too. The same
+runs give the same bytes, with the same matplotlib.
+"""
+
+import io
+import threading
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import numpy as np
+
+from zswarm.errors import ConfigError
+from zswarm.extras import need
+from zswarm.files import write_whole
+from zswarm.ot import comparison, curves
+from zswarm.ot.comparison import Comparison
+from zswarm.ot.curves import Axis, Curve, Series
+from zswarm.ot.logger import Logger, Result, Started
+from zswarm.ot.terminal import plural
+from zswarm.protocol.codec import clean
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from zswarm.ot.reading import Run
+
+FORMATS = ("pdf", "svg", "png")
+PICTURE = "fitness.png"  # in a run's folder
+DPI = 300
+POINT = 72  # of an inch
+STEPS = (1, 2, 2.5, 5, 10)  # between ticks
+FONT = "DejaVu Sans"  # comes with matplotlib
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+DASHES: tuple[Any, ...] = ("-", (0, (4, 1.5)), (0, (1, 1)), (0, (6, 1.5, 1, 1.5)), (0, (2, 1)))
+GREY, PALE = "#555555", "#DDDDDD"
+MAX_GROUPS = len(COLOURS) * len(DASHES)
+_drawing = threading.Lock()  # runs of a study end in threads; matplotlib's settings are global
+
+
+class Look(NamedTuple):
+    """How large a figure is."""
+
+    width: float  # inches
+    height: float
+    font: float  # points
+    line: float  # points
+
+
+Size = Literal["column", "page", "slides"]
+SIZES: dict[Size, Look] = {
+    "column": Look(3.4, 2.3, 8.0, 1.2),  # of a paper with two columns
+    "page": Look(7.0, 3.2, 9.0, 1.4),
+    "slides": Look(10.0, 5.6, 18.0, 2.5),
+}
+
+
+class _Line(NamedTuple):
+    label: str
+    x: np.ndarray
+    y: np.ndarray
+    band: tuple[np.ndarray, np.ndarray] | None = None
+    noisy: bool = False  # drawn thin, for dashes would be lost
+
+
+def of_runs(groups: Mapping[str, Sequence["Run"]], axis: Axis = "generation", size: Size = "column", title: str = "") -> "Figure":
+    """The learning curves of runs: of one its best and mean, of repeats the median and quartiles of their best.
+
+    Raises:
+        ConfigError: no run finished a generation, there are too many groups, or matplotlib is missing.
+    """
+    return of_series(curves.load(groups)[0], axis, size, title)
+
+
+def of_series(
+    groups: Mapping[str, Sequence[Series]], axis: Axis = "generation", size: Size = "column", title: str = ""
+) -> "Figure":
+    """As ``of_runs``, of runs that are read already."""
+    if len(groups) > MAX_GROUPS:
+        raise ConfigError(f"{len(groups)} groups of runs are too many for one figure; at most {MAX_GROUPS} can be told apart")
+    drawn = curves.curves(groups, axis)
+    begun = [run for runs in groups.values() for run in runs if len(run.best)]
+    if len(begun) == 1:
+        lines, note = _of_one(begun[0], drawn[0], axis), ""
+    else:
+        lines = [_line(curve, alone=len(drawn) == 1) for curve in drawn]
+        note = _note(groups, drawn, axis)
+    with _drawing:
+        return _draw(lines, axis, SIZES[size], title, note)
+
+
+def save(figure: "Figure", path: Path) -> None:
+    """Into a file whose ending says the format.
+
+    Raises:
+        ConfigError: another ending, or it cannot be written.
+    """
+    content = render(figure, format_of(path))
+    try:
+        write_whole(path, content)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def format_of(path: Path) -> str:
+    """The format that a file's ending names.
+
+    Raises:
+        ConfigError: it names none.
+    """
+    ending = path.suffix.lower().removeprefix(".")
+    if ending not in FORMATS:
+        raise ConfigError(f"{path}: expected a name that ends in .{', .'.join(FORMATS[:-1])} or .{FORMATS[-1]}")
+    return ending
+
+
+def render(figure: "Figure", as_format: str) -> bytes:
+    """The file: fonts embedded as TrueType in PDF, letters as paths in SVG, no date in any."""
+    matplotlib = need("matplotlib", "plot", "plot")
+    content = io.BytesIO()
+    dates = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
+    with _drawing:
+        if as_format == "png":
+            figure.savefig(content, format="png", dpi=DPI)
+        else:  # what the bytes depend on is a setting of matplotlib's
+            with matplotlib.rc_context({"pdf.fonttype": 42, "svg.fonttype": "path", "svg.hashsalt": "zswarm"}):
+                figure.savefig(content, format=as_format, metadata=dates[as_format])
+    return content.getvalue()
+
+
+def plain_style() -> None:
+    """For a program of ours: the user's own style of matplotlib changes no figure."""
+    need("matplotlib", "plot", "plot").rcdefaults()
+
+
+class Picture(Logger):
+    """Leaves ``fitness.png`` in the run's folder at its end; without the extra ``plot`` it does nothing.
+
+    Args:
+        say: takes a line where the picture cannot be made. No run fails for it.
+    """
+
+    def __init__(self, say: Any) -> None:
+        self._say = say
+        self._folder: Path | None = None
+
+    def on_start(self, run: Started) -> None:
+        """See ``Logger``."""
+        self._folder = run.folder
+
+    def on_end(self, result: Result | None) -> None:  # noqa: ARG002  of a run that was stopped, too
+        """See ``Logger``."""
+        if self._folder is None:
+            return
+        try:
+            leave(self._folder)
+        except Exception as error:  # whatever a library of drawing raises
+            self._say(f"{self._folder / PICTURE} was not made: {type(error).__name__}: {clean(str(error))}")
+
+
+def leave(folder: Path) -> None:
+    """Write a run's ``fitness.png``; nothing before its first generation or without the extra ``plot``."""
+    from importlib.util import find_spec
+
+    from zswarm.ot.reading import Run
+
+    if find_spec("matplotlib") is None:
+        return
+    run = Run(folder)
+    read = curves.series(run)
+    if len(read.best):
+        save(of_series({run.name: [read]}, title=run.name), folder / PICTURE)
+
+
+def table(groups: Mapping[str, Sequence[Series]], axis: Axis) -> tuple[list[str], list[list[object]]]:
+    """The numbers that a figure shows: names of the columns, and rows."""
+    drawn = curves.curves(groups, axis)
+    header = ["group", "runs", axis if axis != "time" else "seconds", "median", "q25", "q75"]
+    rows: list[list[object]] = []
+    for curve in drawn:
+        for x, median, low, high in zip(*(v.tolist() for v in (curve.x, curve.median, curve.low, curve.high)), strict=True):
+            rows.append([curve.group, curve.runs, x if axis == "time" else int(x), median, low, high])
+    return header, rows
+
+
+# ---- lines and words
+
+
+def _of_one(run: Series, best: Curve, axis: Axis) -> list[_Line]:
+    x, mean = curves.envelope(curves.positions(run, axis), run.mean)
+    return [_Line("best so far", best.x, best.median), _Line("mean of the population", x, mean, noisy=True)]
+
+
+def _line(curve: Curve, *, alone: bool) -> _Line:
+    label = f"median of {plural(curve.runs, 'run')}" if alone else curve.group
+    return _Line(label, curve.x, curve.median, (curve.low, curve.high) if curve.runs > 1 else None)
+
+
+def _note(groups: Mapping[str, Sequence[Series]], drawn: Sequence[Curve], axis: Axis) -> str:
+    """What the bands are, and the test."""
+    counts = sorted({curve.runs for curve in drawn})
+    many = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
+    band = "" if counts[-1] == 1 else f"bands: quartiles of {many} runs" + (" each" if len(drawn) > 1 else "")
+    try:
+        test = tested(comparison.of_series(groups, "generations" if axis == "generation" else "evaluations"))
+    except ConfigError:  # they have no number of evaluations in common: no test, but a figure
+        test = ""
+    return "\n".join(part for part in (band, test) if part)
+
+
+def tested(found: Comparison) -> str:
+    """The test's result as a note below a figure."""
+    when = f"after {found.at:,.0f} {found.by if found.at != 1 else found.by.removesuffix('s')}"
+    if found.kruskal_p is not None:
+        return f"Kruskal-Wallis {when}: {comparison.p_value(found.kruskal_p)}"
+    if len(found.pairs) == 1:
+        pair = found.pairs[0]
+        return f"Mann-Whitney U {when}: {comparison.p_value(pair.p)}, A12 = {max(pair.a12, 1 - pair.a12):.2f}"
+    return ""
+
+
+# ---- drawing
+
+
+def _draw(lines: Sequence[_Line], axis: Axis, look: Look, title: str, note: str) -> "Figure":
+    figure_module = need("matplotlib.figure", "plot", "plot")
+    need("matplotlib.backends.backend_agg", "plot", "plot")
+    labels = [_fitting(line.label, look.font, 0.8 * look.width * POINT) for line in lines]
+    columns = _columns(labels, look)
+    more = max(0, -(-len(lines) // columns) - 2) * 1.4 * look.font / POINT  # for a high legend the axes are not squeezed
+    figure: Figure = figure_module.Figure((look.width, look.height + more), facecolor="white")
+    figure.set_layout_engine("constrained", w_pad=0.02, h_pad=0.02)  # inches
+    axes = figure.add_subplot(facecolor="white")
+    _frame(axes, look)
+    scale, unit = _time_unit(lines) if axis == "time" else (1.0, "")
+    handles = []
+    for number, line in enumerate(lines):
+        colour, dash = COLOURS[number % len(COLOURS)], "-" if line.noisy else DASHES[number % len(DASHES)]
+        x, y = line.x / scale, np.where(np.isfinite(line.y), line.y, np.nan)
+        handles += axes.plot(
+            x, y, color=colour, linestyle=dash, linewidth=look.line / 2 if line.noisy else look.line, zorder=3 + number,
+            marker="o" if len(x) == 1 else None, markersize=3 * look.line,
+        )  # fmt: skip
+        if line.band is not None:
+            low, high = (np.where(np.isfinite(edge), edge, np.nan) for edge in line.band)
+            if len(x) == 1:
+                axes.vlines(x, low, high, color=colour, linewidth=look.line, alpha=0.5)
+            else:
+                axes.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0, zorder=2)
+    _limits(axes, [line.x / scale for line in lines])
+    _numbers(axes, axis, lines)
+    words: dict[str, Any] = {"fontfamily": FONT, "fontsize": look.font, "parse_math": False, "color": "black"}
+    axes.set_xlabel(f"time ({unit})" if axis == "time" else axis, **words)
+    axes.set_ylabel("fitness" if len(lines) == 2 and lines[1].noisy else "best fitness", **words)
+    if not any(np.isfinite(line.y).any() for line in lines):
+        axes.set_yticks([])
+        axes.text(0.5, 0.5, "every candidate failed", transform=axes.transAxes, ha="center", va="center", **words)
+    if title:
+        figure.suptitle(
+            _fitting(title, look.font, 0.9 * look.width * POINT), x=0.01, ha="left", **{**words, "fontweight": "bold"}
+        )
+    _legend(axes, handles, labels, columns, look)
+    if note:
+        axes.annotate(
+            note, (1.0, 0.0), (0.0, -2.9 * look.font - 6.0), xycoords="axes fraction", textcoords="offset points",
+            ha="right", va="top", **{**words, "fontsize": look.font * 0.85, "color": GREY},
+        )  # fmt: skip
+    return figure
+
+
+def _frame(axes: Any, look: Look) -> None:
+    for side, spine in axes.spines.items():
+        spine.set(visible=side in ("left", "bottom"), color="black", linewidth=look.line / 2)
+    axes.tick_params(
+        which="both", direction="out", length=look.font / 3, width=look.line / 2, color="black", labelcolor="black",
+        labelsize=look.font, labelfontfamily=FONT, top=False, right=False,
+    )  # fmt: skip
+    axes.grid(visible=True, axis="y", color=PALE, linewidth=look.line / 3, linestyle="-")
+    axes.set_axisbelow(True)
+    for which in (axes.xaxis, axes.yaxis):
+        which.get_offset_text().set(fontsize=look.font, fontfamily=FONT)
+
+
+def _limits(axes: Any, xs: Sequence[np.ndarray]) -> None:
+    first, last = min(float(x[0]) for x in xs), max(float(x[-1]) for x in xs)
+    if first == last:
+        axes.set_xlim(first - 0.5, last + 0.5)
+        axes.set_xticks([first])
+    else:
+        axes.set_xlim(min(0.0, first), last)
+
+
+def _numbers(axes: Any, axis: Axis, lines: Sequence[_Line]) -> None:
+    ticker = need("matplotlib.ticker", "plot", "plot")
+    if len(axes.get_xticks()) > 1:
+        axes.xaxis.set_major_locator(ticker.MaxNLocator(6, integer=axis != "time", steps=STEPS))
+    axes.yaxis.set_major_locator(ticker.MaxNLocator(6, steps=STEPS))
+    if axis == "evaluations" and max(float(line.x[-1]) for line in lines) >= 10_000:
+        axes.xaxis.set_major_formatter(ticker.EngFormatter(sep=""))  # 20k, 1M
+
+
+def _legend(axes: Any, handles: Sequence[Any], labels: Sequence[str], columns: int, look: Look) -> None:
+    """Above the axes, where it hides nothing."""
+    legend = axes.legend(
+        handles, [f"{number}" for number in range(len(labels))], loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns,
+        frameon=False, borderaxespad=0.2, borderpad=0.2, handlelength=2.4, columnspacing=1.2, labelspacing=0.3,
+        prop={"family": FONT, "size": look.font}, labelcolor="black",
+    )  # fmt: skip
+    for shown, label in zip(legend.get_texts(), labels, strict=True):
+        shown.set_parse_math(False)  # a label's dollar signs are no mathematics, and one that begins with _ is shown
+        shown.set_text(label)
+
+
+def _columns(labels: Sequence[str], look: Look) -> int:
+    """Of the legend, so many as fit."""
+    widest = max(_width(label, look.font) for label in labels) + 4.5 * look.font
+    return max(1, min(len(labels), int(0.85 * look.width * POINT / widest)))
+
+
+def _time_unit(lines: Sequence[_Line]) -> tuple[float, str]:
+    longest = max(float(line.x[-1]) for line in lines)
+    return (3600.0, "h") if longest > 3 * 3600 else (60.0, "min") if longest > 180 else (1.0, "s")
+
+
+def _fitting(text: str, size: float, room: float) -> str:
+    """A text of letters that the font has, cut to so many points."""
+    charmap = _font().get_charmap()
+    text = "".join(character if ord(character) in charmap else "\ufffd" for character in clean(text))
+    if _width(text, size) <= room:
+        return text
+    while text and _width(f"{text}…", size) > room:
+        text = text[:-1]
+    return f"{text}…"
+
+
+def _width(text: str, size: float) -> float:
+    """Of a text in points."""
+    font = _font()
+    font.set_size(size, POINT)
+    font.set_text(text, 0.0)
+    return float(font.get_width_height()[0]) / 64
+
+
+def _font() -> Any:
+    manager = need("matplotlib.font_manager", "plot", "plot")
+    return manager.get_font(manager.findfont(FONT))
