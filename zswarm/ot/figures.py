@@ -4,9 +4,10 @@ Colours: Okabe and Ito, "Color Universal Design" (2008), without yellow; each gr
 runs give the same bytes, with the same matplotlib.
 """
 
+import importlib.util
 import io
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -18,7 +19,6 @@ from zswarm.files import write_whole
 from zswarm.ot import comparison, curves
 from zswarm.ot.comparison import Comparison
 from zswarm.ot.curves import Axis, Curve, Series
-from zswarm.ot.logger import Logger, Result, Started
 from zswarm.ot.terminal import plural
 from zswarm.protocol.codec import clean
 
@@ -135,43 +135,23 @@ def plain_style() -> None:
     need("matplotlib", "plot", "plot").rcdefaults()
 
 
-class Picture(Logger):
-    """Leaves ``fitness.png`` in the run's folder at its end; without the extra ``plot`` it does nothing.
+def leave(folder: Path, say: Callable[[str], None]) -> None:
+    """Write ``fitness.png`` into the folder of a run or study; nothing before its first generation or without the extra ``plot``.
 
     Args:
-        say: takes a line where the picture cannot be made. No run fails for it.
+        say: takes a line where it cannot be made; nothing fails for it.
     """
+    from zswarm.ot import reading
 
-    def __init__(self, say: Any) -> None:
-        self._say = say
-        self._folder: Path | None = None
-
-    def on_start(self, run: Started) -> None:
-        """See ``Logger``."""
-        self._folder = run.folder
-
-    def on_end(self, result: Result | None) -> None:  # noqa: ARG002  of a run that was stopped, too
-        """See ``Logger``."""
-        if self._folder is None:
-            return
-        try:
-            leave(self._folder)
-        except Exception as error:  # whatever a library of drawing raises
-            self._say(f"{self._folder / PICTURE} was not made: {type(error).__name__}: {clean(str(error))}")
-
-
-def leave(folder: Path) -> None:
-    """Write a run's ``fitness.png``; nothing before its first generation or without the extra ``plot``."""
-    from importlib.util import find_spec
-
-    from zswarm.ot.reading import Run
-
-    if find_spec("matplotlib") is None:
+    if importlib.util.find_spec("matplotlib") is None:
         return
-    run = Run(folder)
-    read = curves.series(run)
-    if len(read.best):
-        save(of_series({run.name: [read]}, title=run.name), folder / PICTURE)
+    try:
+        groups, _ = curves.load(reading.groups(reading.runs_below([folder])))
+        if any(len(run.best) for runs in groups.values() for run in runs):
+            save(of_series(groups, title=folder.resolve().name), folder / PICTURE)
+    except Exception as error:  # whatever a library of drawing raises, and a folder that is gone
+        what = str(error) if isinstance(error, ConfigError) else f"{type(error).__name__}: {error}"
+        say(f"no {PICTURE}: {clean(what)}")
 
 
 def table(groups: Mapping[str, Sequence[Series]], axis: Axis) -> tuple[list[str], list[list[object]]]:
@@ -190,7 +170,7 @@ def table(groups: Mapping[str, Sequence[Series]], axis: Axis) -> tuple[list[str]
 
 def _of_one(run: Series, best: Curve, axis: Axis) -> list[_Line]:
     x, mean = curves.envelope(curves.positions(run, axis), run.mean)
-    return [_Line("best so far", best.x, best.median), _Line("mean of the population", x, mean, noisy=True)]
+    return [_Line("best so far", best.x, best.median), _Line("population mean", x, mean, noisy=True)]
 
 
 def _line(curve: Curve, *, alone: bool) -> _Line:

@@ -14,9 +14,12 @@ from rich.text import Text
 from zswarm.strict import to_json
 
 NUMBERS = {
-    *("slots", "free", "runs", "generations", "best", "worst", "median", "quartiles", "evaluations", "seconds"),
+    *("slots", "free", "runs", "generations", "best", "worst", "median", "quartiles", "evaluations", "time"),
     *("U", "p", "p (Holm)", "A12"),
 }  # columns that stand at the right
+
+
+NARROWEST = 10  # column of texts beside numbers
 
 
 def table(*columns: str, box: box.Box | None = box.SIMPLE, padding: tuple[int, int, int, int] = (0, 1, 0, 1)) -> Table:
@@ -33,8 +36,15 @@ def row(table: Table, *cells: object) -> None:
 
 
 def show(table: Table) -> None:
-    """Print a table."""
-    Console().print(table)
+    """Print a table; numbers are not broken unless nothing else helps."""
+    console = Console()
+    numbers = [column for column in table.columns if column.header in NUMBERS]
+    texts = [column for column in table.columns if column.header not in NUMBERS]
+    widths = [max(len(str(cell)) for cell in (column.header, *column.cells)) for column in numbers]
+    if sum(widths) + len(texts) * NARROWEST + 2 * len(table.columns) <= console.width:
+        for column in numbers:
+            column.no_wrap = True
+    console.print(table)
 
 
 def line(text: object, *, stderr: bool = False) -> None:

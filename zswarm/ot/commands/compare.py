@@ -50,18 +50,18 @@ def show(found: "Comparison") -> None:
     """For people."""
     from zswarm.ot import comparison, terminal
 
-    table = terminal.table("group", "runs", "median", "quartiles", "best", "worst", "evaluations", "seconds")
+    table = terminal.table("group", "runs", "median", "quartiles", "best", "worst", "evaluations", "time")
     for row in found.rows:
         quartiles = f"{_number(row.q25)} / {_number(row.q75)}"
         numbers = (_number(row.median), quartiles, _number(row.best), _number(row.worst))
-        terminal.row(table, row.group, row.runs, *numbers, f"{row.evaluations:.0f}", f"{row.seconds:.1f}")
+        terminal.row(table, row.group, row.runs, *numbers, f"{row.evaluations:.0f}", _time(row.seconds))
     terminal.show(table)
     for note in found.notes:
         terminal.paragraph(note)
     unit = found.by if found.at != 1 else found.by.removesuffix("s")
     terminal.paragraph(
         f"Fitness is the best of each run after {found.at:.0f} {unit}; higher is better. Half of a group's runs are above the "
-        "median, and half lie between the quartiles. Evaluations and seconds are the medians of its runs."
+        "median, and half lie between the quartiles. Evaluations and time are the medians of its runs."
     )
     if len(found.rows) > 1:
         terminal.line("")
@@ -96,7 +96,13 @@ def _show_pairs(found: "Comparison") -> None:
 
 
 def _number(value: float | None) -> str:
-    return "failed" if value is None else f"{value:.5g}"
+    return "failed" if value is None else f"{value:.4g}"
+
+
+def _time(seconds: float) -> str:
+    if seconds < 100:
+        return f"{seconds:.1f} s"
+    return f"{seconds / 60:.1f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
 
 
 def _p(p: float) -> str:

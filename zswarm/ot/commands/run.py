@@ -1,6 +1,7 @@
 """``zswarm-ot run`` and ``resume``."""
 
 import contextlib
+import logging
 import os
 import signal
 import sqlite3
@@ -42,11 +43,12 @@ def run(name: str, overrides: tuple[str, ...], seed: int | None, out: Path, as_j
     more = [f"seed={seed}"] if seed is not None else []
     loaded = with_cluster(experiment.load(path, [*overrides, *more]), cluster)
     _evaluate_nothing()
-    with Connection(loaded.cluster) as connection:
+    with _pictures() as folders, Connection(loaded.cluster) as connection:
         from zswarm.ot import evolution
         from zswarm.ot.display import display
 
         with evolution.start(loaded, str(path), out, connection, display(as_json=as_json)) as begun, _resumable(begun):
+            folders.append(begun.folder)
             begun.finish()
 
 
@@ -59,11 +61,12 @@ def resume(folder: Path, as_json: bool, **cluster: Any) -> None:
     _evaluate_nothing()
     from zswarm.ot.record import load_experiment
 
-    with Connection(with_cluster(load_experiment(folder), cluster).cluster) as connection:
+    with _pictures() as folders, Connection(with_cluster(load_experiment(folder), cluster).cluster) as connection:
         from zswarm.ot import evolution
         from zswarm.ot.display import display
 
         with evolution.resume(folder, connection, display(as_json=as_json)) as begun, _resumable(begun):
+            folders.append(begun.folder)
             begun.finish()
 
 
@@ -77,6 +80,21 @@ def _resumable(begun: "Evolution") -> Iterator[None]:
         begun.close()
         click.echo(f"stopped; nothing is lost. Go on with: zswarm-ot resume {begun.folder}", err=True)
         raise
+
+
+@contextlib.contextmanager
+def _pictures() -> Iterator[list[Path]]:
+    """Takes the folders in which a picture is to be left when all else is done."""
+    folders: list[Path] = []
+    try:
+        yield folders
+    finally:
+        if folders:
+            from zswarm.ot import figures
+
+            logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it keeps its fonts is no matter of a run
+            for folder in folders:
+                figures.leave(folder, lambda line: click.echo(line, err=True))
 
 
 def _terminate(_number: int, _frame: FrameType | None) -> None:
