@@ -13,6 +13,7 @@ from zswarm.ot.commands.evaluate import evaluate
 from zswarm.ot.commands.import_ import import_
 from zswarm.ot.commands.list import list_
 from zswarm.ot.commands.plot import plot
+from zswarm.ot.commands.report import report
 from zswarm.ot.commands.run import resume, run
 from zswarm.ot.commands.servers import servers
 from zswarm.ot.exits import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_MISTAKE, EXIT_NO_SERVERS
@@ -24,7 +25,7 @@ def command() -> None:
     """Evolve swarm-robot controllers on this machine and on every zswarm-ss server of the network."""
 
 
-for _command in (run, resume, servers, list_, check, evaluate, import_, plot, compare):
+for _command in (run, resume, servers, list_, check, evaluate, import_, plot, compare, report):
     command.add_command(_command)
 
 

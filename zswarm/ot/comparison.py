@@ -109,7 +109,9 @@ def of_series(groups: Mapping[str, Sequence[Series]], by: By, notes: Sequence[st
         told.append(f"runs are of unequal length: compared after {plural(int(at), 'generation')}, which all have")
     spent = [row.evaluations for row in rows]
     if by == "generations" and max(spent) > UNEQUAL * min(spent):
-        told.append("groups took different numbers of evaluations: --by evaluations compares them after equally many")
+        told.append(
+            "groups took different numbers of evaluations; zswarm-ot compare --by evaluations tells what each had after equally many"
+        )
     if any(np.isneginf(sample.best).any() for sample in samples.values()):
         told.append("runs in which every candidate failed count as the worst")
     pairs, kruskal_p, untested = _test({group: sample.best for group, sample in samples.items()}) if tests else ([], None, "")

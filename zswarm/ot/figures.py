@@ -49,11 +49,12 @@ class Look(NamedTuple):
     line: float  # points
 
 
-Size = Literal["column", "page", "slides"]
+Size = Literal["column", "page", "slides", "screen"]
 SIZES: dict[Size, Look] = {
     "column": Look(3.4, 2.3, 8.0, 1.2),  # of a paper with two columns
     "page": Look(7.0, 3.2, 9.0, 1.4),
     "slides": Look(10.0, 5.6, 18.0, 2.5),
+    "screen": Look(5.0, 2.8, 9.0, 1.3),  # of a report, also on a telephone
 }
 
 

@@ -50,7 +50,7 @@ def show(found: "Comparison") -> None:
     """For people."""
     from zswarm.ot import comparison, terminal
 
-    table = terminal.table("group", "runs", "median", "quartiles", "best", "worst", "evaluations", "time")
+    table = terminal.table("group", "runs", "median", "quartiles", "best", "worst", "evaluations", "time", padding=(0, 1, 0, 0))
     for row in found.rows:
         quartiles = f"{_number(row.q25)} / {_number(row.q75)}"
         numbers = (_number(row.median), quartiles, _number(row.best), _number(row.worst))
