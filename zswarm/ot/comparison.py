@@ -110,7 +110,7 @@ def of_series(groups: Mapping[str, Sequence[Series]], by: By, notes: Sequence[st
     spent = [row.evaluations for row in rows]
     if by == "generations" and max(spent) > UNEQUAL * min(spent):
         told.append(
-            "groups took different numbers of evaluations; zswarm-ot compare --by evaluations tells what each had after equally many"
+            "groups took different numbers of evaluations; zswarm-ot compare --by evaluations tells what each had after as many"
         )
     if any(np.isneginf(sample.best).any() for sample in samples.values()):
         told.append("runs in which every candidate failed count as the worst")

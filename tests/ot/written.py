@@ -1,0 +1,61 @@
+"""Run folders as our programs leave them, with the fitness that a test wants; nothing is evaluated."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from zswarm import experiment
+from zswarm.ot.controller import Controller
+from zswarm.ot.dispatch import Counted, Note
+from zswarm.ot.history import History
+from zswarm.ot.record import Record
+from zswarm.ot.workload import Workload
+
+EXPERIMENT = experiment.complete(experiment.load(experiment.find("stadium")), "test")
+
+
+def written(
+    out: Path,
+    best: Sequence[float],
+    *,
+    seed: int = 1,
+    hidden: int = 2,
+    candidates: int = 3,
+    finished: bool = True,
+    notes: Sequence[Note] = (),
+    simulator: str = "emergency-exit",
+) -> Path:
+    """A run whose best fitness was ``best`` after each generation; NaN: every candidate failed so far."""
+    representation = msgspec.structs.replace(
+        EXPERIMENT.representation, settings={**EXPERIMENT.representation.settings, "hidden": hidden}
+    )
+    problem = msgspec.structs.replace(EXPERIMENT.problem, simulator=simulator)
+    complete = msgspec.structs.replace(
+        EXPERIMENT, seed=seed, generations=len(best) + (not finished), representation=representation, problem=problem
+    )
+    genomes = [np.linspace(-1, 1, (hidden + 2) * (hidden + 13), dtype="<f4").tobytes()] * candidates
+    history = History()
+    with Record.create(out, complete, "0" * 32) as record:
+        for note in notes:
+            record.note(note)
+        for generation, value in enumerate(best):
+            workload = Workload(genomes, np.arange(candidates).reshape(-1, 1), np.zeros(candidates, np.uint64), 2)
+            workload.fitness[:], workload.metrics[:] = value, 0.0
+            record.begin(generation, workload)
+            record.add(Counted(np.arange(candidates), "lab-1-0123abcd", 0.01), workload)
+            told = np.array([value + seed / 1e6] * candidates)
+            history.add(genomes, told)
+            record.finish(generation, genomes, told, {"best": value, "mean": value - 1.0}, {})
+        if len(best):
+            record.champion(
+                Controller(
+                    simulator=simulator, simulator_settings=problem.settings, representation="fully-meshed",
+                    representation_settings=representation.settings, inputs=10, outputs=2, sensors=[], actuators=["vx", "vy"],
+                    genome=genomes[0], fitness=best[-1], run="run",
+                )
+            )  # fmt: skip
+        if finished:
+            record.set_meta("history_hash", history.hex())
+        return record.folder
