@@ -1,0 +1,223 @@
+"""Figures for papers: what is in the file, and that no input breaks them."""
+
+import os
+import re
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from written import written
+
+from zswarm.errors import ConfigError
+from zswarm.ot import cli, figures, reading
+from zswarm.ot.curves import Series
+
+HOSTILE = ["$\\frac{", "_hidden", "<script>alert(1)</script>", "漢字", "a" * 300, "$$", "\x1b[31m", "%s{}&quot;"]
+
+
+def run(best: list[float], seconds: float = 1.0) -> Series:
+    values, generations = np.array(best, np.float64), np.arange(1.0, len(best) + 1)
+    return Series(values, values - 1, generations * 50, generations * seconds)
+
+
+def repeats(count: int, generations: int = 20, level: float = 0.0) -> list[Series]:
+    return [run([level + number / 10 + generation for generation in range(generations)]) for number in range(count)]
+
+
+def test_the_same_runs_give_the_same_bytes() -> None:
+    """In each format, and no date stands in any."""
+    for as_format in figures.FORMATS:
+        first, second = (
+            figures.render(figures.of_series({"a": repeats(4), "b": repeats(4, level=3)}), as_format) for _ in range(2)
+        )
+        assert first == second
+        assert b"CreationDate" not in first
+        assert b"dc:date" not in first
+
+
+def test_a_pdf_has_the_width_of_a_column_and_its_fonts_as_truetype() -> None:
+    content = figures.render(figures.of_series({"a": repeats(3)}), "pdf")
+    assert re.search(rb"/MediaBox \[ 0 0 244\.8 ", content)  # 3.4 inches
+    assert b"/CIDFontType2" in content
+    assert b"/Type3" not in content
+
+
+def test_an_svg_needs_no_font() -> None:
+    assert b"<text" not in figures.render(figures.of_series({"a": repeats(3)}), "svg")
+
+
+@pytest.mark.parametrize(
+    "groups",
+    [
+        {"one": repeats(1)},
+        {"one generation": repeats(1, generations=1)},
+        {"one generation": repeats(5, generations=1), "each": repeats(5, generations=1)},
+        {"negative": [run([-1e9, -1e6, -1e-3])]},
+        {"failed at first": [run([-np.inf, -np.inf, 1, 2])]},
+        {"failed": [run([-np.inf] * 3)]},
+        {"failed in some": [run([-np.inf] * 3), run([1, 2, 3]), run([2, 3, 4])]},
+        {"constant": [run([5.0] * 4)]},
+        {"begun": [run([])], "other": repeats(2)},
+        {name: repeats(2, level=number) for number, name in enumerate(HOSTILE)},
+        {f"setting {number}": repeats(2) for number in range(figures.MAX_GROUPS)},
+    ],
+    ids=lambda groups: next(iter(groups)),
+)
+@pytest.mark.parametrize("axis", ["generation", "time"])
+def test_whatever_runs_there_are_they_are_drawn(groups: dict[str, list[Series]], axis: figures.Axis) -> None:
+    """Without a warning, which is an error in tests."""
+    title = HOSTILE[0] if len(groups) > 1 else ""
+    assert figures.render(figures.of_series(groups, axis, title=title), "png").startswith(b"\x89PNG")
+
+
+def test_more_groups_than_can_be_told_apart_are_refused() -> None:
+    with pytest.raises(ConfigError, match="are too many for one figure"):
+        figures.of_series({str(number): repeats(1) for number in range(figures.MAX_GROUPS + 1)})
+
+
+def test_a_long_run_makes_no_large_file() -> None:
+    noisy = np.random.default_rng(1).normal(0, 1, 50_000)
+    drawn = run(np.maximum.accumulate(noisy).tolist())._replace(mean=noisy)
+    assert len(figures.render(figures.of_series({"a": [drawn]}), "svg")) < 100_000
+
+
+def test_groups_have_a_note_with_their_test() -> None:
+    figure = figures.of_series({"a": repeats(8), "b": repeats(8, level=9)})
+    (note,) = [text.get_text() for text in figure.axes[0].texts]
+    assert note == "bands: quartiles of 8 runs each\nMann-Whitney U after 20 generations: p < 0.001, A12 = 1.00"
+
+
+def test_runs_may_be_drawn_in_threads() -> None:
+    """Each gives the bytes that it gives alone."""
+    groups = [{"a": repeats(3, level=level)} for level in range(4)]
+    alone = [figures.render(figures.of_series(group), "svg") for group in groups]
+    found: dict[int, bytes] = {}
+
+    def draw(number: int) -> None:
+        found[number] = figures.render(figures.of_series(groups[number]), "svg")
+
+    threads = [threading.Thread(target=draw, args=(number,)) for number in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert [found[number] for number in range(4)] == alone
+
+
+def test_a_name_that_says_no_format_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"expected a name that ends in \.pdf, \.svg or \.png"):
+        figures.save(figures.of_series({"a": repeats(1)}), tmp_path / "figure.jpg")
+
+
+# ---- in the run's folder
+
+
+def test_a_picture_is_left_in_the_folder(tmp_path: Path) -> None:
+    said: list[str] = []
+    folder = written(tmp_path, [1, 2, 3], finished=False)
+    figures.leave(folder, said.append)
+    assert (folder / "fitness.png").read_bytes().startswith(b"\x89PNG")
+    assert said == []
+
+
+def test_a_picture_that_fails_is_one_line(tmp_path: Path) -> None:
+    said: list[str] = []
+    folder = written(tmp_path, [1, 2, 3])
+    (folder / "fitness.png.part").mkdir()
+    figures.leave(folder, said.append)
+    figures.leave(tmp_path / "none", said.append)
+    assert len(said) == 2
+    assert all(line.startswith("no fitness.png: ") and "\n" not in line for line in said)
+
+
+def test_without_the_extra_or_a_generation_there_is_no_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And nothing is said about it."""
+    begun = written(tmp_path, [], finished=False)
+    figures.leave(begun, pytest.fail)
+    monkeypatch.setattr(figures.importlib.util, "find_spec", lambda _: None)
+    folder = written(tmp_path, [1, 2, 3])
+    figures.leave(folder, pytest.fail)
+    assert not (begun / "fitness.png").exists()
+    assert not (folder / "fitness.png").exists()
+
+
+# ---- the commands
+
+
+def invoke(*arguments: object) -> str:
+    result = CliRunner().invoke(cli.command, [str(argument) for argument in arguments], catch_exceptions=False)
+    assert result.exit_code == 0
+    return result.output
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    """Two settings, four seeds each."""
+    for hidden in (1, 2):
+        for seed in range(4):
+            written(tmp_path / f"hidden-{hidden}", [hidden, hidden + seed / 8], hidden=hidden, seed=seed)
+    return tmp_path
+
+
+def test_plot_writes_the_figure_and_its_numbers(study: Path) -> None:
+    output, numbers = study / "figure.svg", study / "figure.csv"
+    said = invoke("plot", study, "-o", output, "--csv", numbers)
+    assert said == f"{output}: 8 runs in 2 groups\n"
+    assert output.read_text().startswith("<?xml")
+    assert numbers.read_text().splitlines()[:3] == [
+        '"group","runs","generation","median","q25","q75"',
+        '"hidden 1",4,1,1.0,1.0,1.0',
+        '"hidden 1",4,2,1.1875,1.09375,1.28125',
+    ]
+
+
+def test_plot_leaves_other_programs_figures_alone(study: Path) -> None:
+    """It works without pyplot, and without a display; a user's style changes nothing."""
+    for style in ("", "lines.linewidth: 20\nfont.size: 30\naxes.facecolor: red\n"):
+        (study / "matplotlibrc").write_text(style)
+        code = (
+            "import sys; from zswarm.ot.cli import command; "
+            f"command.main(['plot', '.', '-o', 'figure{len(style)}.png'], standalone_mode=False); "
+            "sys.exit('matplotlib.pyplot' in sys.modules)"
+        )
+        environment = {key: value for key, value in os.environ.items() if key != "DISPLAY"}
+        subprocess.run([sys.executable, "-c", code], cwd=study, env=environment, check=True, capture_output=True)
+    plain, styled = study.glob("figure*.png")
+    assert plain.read_bytes() == styled.read_bytes()
+
+
+def test_compare_shows_the_groups_and_what_the_test_says(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    said = invoke("compare", study)
+    assert re.search(r"hidden 2 +4 +2\.188", said)
+    assert "hidden 2 is better than hidden 1" in said
+    assert max(map(len, said.splitlines())) <= 80
+
+
+def test_compare_as_json_holds_all_numbers(study: Path) -> None:
+    import json
+
+    found = json.loads(invoke("compare", study, "--json"))
+    assert [row["group"] for row in found["rows"]] == ["hidden 1", "hidden 2"]
+    assert found["pairs"][0]["p"] == pytest.approx(2 / 70)
+    assert found["at"] == 2
+
+
+def test_compare_as_csv_is_the_table(study: Path) -> None:
+    said = invoke("compare", study, "--csv", "-").splitlines()
+    assert said[0] == '"group","runs","median","q25","q75","best","worst","evaluations","seconds"'
+    assert said[1].startswith('"hidden 1",4,1.1875,1.09375,1.28125,1.375,1.0,6.0,')
+
+
+def test_reading_leaves_the_runs_as_they_are(study: Path) -> None:
+    def contents() -> dict[Path, bytes]:
+        return {path: path.read_bytes() for path in study.rglob("*") if path.is_file()}
+
+    before = contents()
+    invoke("compare", study)
+    reading.groups(reading.runs_below([study]))
+    assert contents() == before

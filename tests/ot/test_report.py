@@ -1,0 +1,145 @@
+"""The HTML page about a run: all in one file, whatever stands in the record."""
+
+import re
+import sqlite3
+from html.parser import HTMLParser
+from pathlib import Path
+
+import msgspec
+import pytest
+from click.testing import CliRunner
+from written import written
+
+from zswarm.ot import cli, reading, report
+from zswarm.ot.controller import CHAMPION, load_controller
+from zswarm.ot.dispatch import Note
+
+EVIL = "</td></table><script src='https://evil.example/x.js'>alert(1)</script>\"' onload=x \x1b[31m \u202e{{ 7 * 7 }}"
+SHOWN = "</td></table><script src='https://evil.example/x.js'>alert(1)</script>\"' onload=x \\x1b[31m \\x202e{{ 7 * 7 }}"
+TAGS = {
+    *("html", "head", "meta", "title", "style", "body", "h1", "h2", "p", "div", "table", "thead", "tbody", "tr", "th", "td"),
+    *("mark", "span", "strong", "code", "pre", "details", "summary", "ul", "li"),
+    *("svg", "g", "path", "use", "defs", "rect", "clippath"),
+}
+
+
+class Page(HTMLParser):
+    """What a browser would see: tags, attributes and texts."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: set[str] = set()
+        self.attributes: list[tuple[str, str | None]] = []
+        self.text = ""
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        self.attributes += attrs
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+def assert_harmless(text: str) -> Page:
+    """No tag or attribute that runs or loads something; a browser is told to load nothing, too."""
+    page = Page(text)
+    assert page.tags <= TAGS
+    for name, value in page.attributes:
+        assert not name.startswith("on")
+        assert name not in ("src", "href", "action", "srcset")
+        assert name != "xlink:href" or str(value).startswith("#")
+        assert not re.search(r"https?:|//|url\((?!#)", value or "")
+    assert "@import" not in text
+    assert "default-src 'none'" in text
+    return page
+
+
+def test_a_page_shows_the_run(tmp_path: Path) -> None:
+    notes = [Note("server_joined", "lab-1"), Note("fault", "lab-1", "timed out"), Note("fault", "lab-2", "crashed")]
+    folder = written(tmp_path, [1, 2, 3.5], notes=notes)
+    page = assert_harmless(report.of_run(reading.Run(folder), trials=3))
+    run = reading.Run(folder)
+    assert "nnga evolved a fully-meshed controller of fitness 3.5 in 3 generations, with 9 evaluations on 1 server" in page.text
+    assert str(run.history_hash) in page.text
+    assert "svg" in page.tags
+    assert "On 3 seeds that evolution never used" in page.text
+    assert "escaped" in page.text  # a metric of the simulator
+    assert "lab-1-0123abcd" in page.text
+    assert page.text.index("fault") < page.text.index("server joined")
+
+
+def test_settings_that_are_no_defaults_are_marked(tmp_path: Path) -> None:
+    run = reading.Run(written(tmp_path, [1], hidden=7))
+    changed = {row.key: (row.value, row.default) for row in report._settings(run.experiment) if row.changed}
+    assert changed == {"representation.hidden": ("7", "2"), "problem.settings.field": ("stadium", "random")}
+
+
+def test_the_weights_are_those_of_the_champion(tmp_path: Path) -> None:
+    champion = load_controller(written(tmp_path, [1], hidden=1))
+    weights = report._weights(champion)
+    assert weights is not None
+    assert weights.rows == ["hidden 1", "vx", "vy"]
+    assert weights.columns == [*(f"input {n}" for n in range(1, 11)), "hidden 1", "vx", "vy", "bias"]
+    assert [row[0][0] for row in weights.cells] == pytest.approx([-1.0, -1 + 2 * 14 / 41, -1 + 2 * 28 / 41])
+    assert report._weights(msgspec.structs.replace(champion, genome=b"1234")) is None
+
+
+def test_hostile_texts_stay_texts(tmp_path: Path) -> None:
+    """In names, events, meta and the champion: the page holds them as they are, cleaned, and asks nobody for anything."""
+    folder = written(tmp_path, [1, 2], notes=[Note("fault", EVIL, EVIL)])
+    database = sqlite3.connect(folder / "run.sqlite")
+    with database:
+        database.execute("UPDATE outcomes SET server = ?", (EVIL,))
+        database.execute("UPDATE events SET event = ?, at = 1e300", (EVIL,))
+        database.executemany("UPDATE meta SET value = ? WHERE key = ?", [(EVIL, key) for key in ("machine", "history_hash")])
+    database.close()
+    champion = load_controller(folder)
+    hostile = msgspec.structs.replace(champion, simulator=EVIL, sensors=[EVIL], actuators=[EVIL, EVIL])
+    (folder / CHAMPION).write_bytes(msgspec.msgpack.encode(hostile))
+    renamed = folder.rename(tmp_path / "<img src=x onerror=alert(1)> $(reboot)")
+    text = report.of_run(reading.Run(renamed), trials=1)
+    page = assert_harmless(text)
+    assert page.text.count(SHOWN) >= 8
+    assert "<img src=x onerror=alert(1)> $(reboot)" in page.text
+    assert "zswarm-ot resume" not in page.text
+    assert re.search(r"zswarm-ot plot '[^']*<img[^']*\$\(reboot\)'", page.text)  # who copies it reboots nothing
+    assert "\x1b" not in text
+    assert "\u202e" not in text
+
+
+def test_a_simulator_that_is_not_installed_is_named(tmp_path: Path) -> None:
+    folder = written(tmp_path, [1, 2], simulator="not-here")
+    page = assert_harmless(report.of_run(reading.Run(folder), trials=10))
+    assert "It was not played on unseen seeds: unknown simulator 'not-here'" in page.text
+
+
+def test_a_run_that_only_began_has_a_page(tmp_path: Path) -> None:
+    page = assert_harmless(report.of_run(reading.Run(written(tmp_path, [], finished=False)), trials=10))
+    assert "no generation is finished yet" in page.text
+    assert "zswarm-ot resume" in page.text
+
+
+def test_many_events_are_folded_and_some_left_out(tmp_path: Path) -> None:
+    folder = written(tmp_path, [1], notes=[Note("requeued", "lab-1", "gone", 3)] * (report.MAX_EVENTS + 5))
+    text = report.of_run(reading.Run(folder), trials=0)
+    assert "5 more are in the record" in text
+    assert "<details>" in text
+
+
+def test_a_study_has_a_page_with_its_comparison(tmp_path: Path) -> None:
+    for hidden in (1, 2):
+        for seed in range(4):
+            written(tmp_path / "study", [hidden, hidden + seed / 8], hidden=hidden, seed=seed)
+    output = tmp_path / "study.html"
+    result = CliRunner().invoke(cli.command, ["report", str(tmp_path / "study"), "-o", str(output)], catch_exceptions=False)
+    assert result.output == f"{output}\n"
+    page = assert_harmless(output.read_text())
+    assert "8 runs in 2 groups; 8 finished." in page.text
+    assert "hidden 2 is better than hidden 1" in page.text
+
+
+def test_the_same_run_has_the_same_page(tmp_path: Path) -> None:
+    run = reading.Run(written(tmp_path, [1, 2]))
+    assert report.of_run(run, trials=2) == report.of_run(run, trials=2)
