@@ -95,10 +95,12 @@ def test_a_stopped_optimizer_says_how_to_go_on(tmp_path: Path, alone: str, numbe
     assert stopped.wait() == code
     assert "zswarm-ot resume runs/disturbed" in stopped.err.read_text()
     assert "Traceback" not in stopped.err.read_text()
+    (tmp_path / "runs" / "disturbed" / "fitness.png").unlink(missing_ok=True)  # a picture, if a generation was finished
     done = Optimizer(tmp_path, "resumed", ["resume", "runs/disturbed", "--json", "--servers", "local"]).done()
     assert done["history_hash"] == alone
     assert counted(tmp_path) == TRIALS
     assert check_run(tmp_path / "runs" / "disturbed").history_hash == alone
+    assert (tmp_path / "runs" / "disturbed" / "fitness.png").is_file()
 
 
 def test_two_optimizers_of_one_user_share_the_servers_and_both_finish(tmp_path: Path, alone: str) -> None:
