@@ -22,7 +22,7 @@ MODULES = {
     if path.stem != "__init__" and "examples" not in path.parts
 }
 LEAVES = {
-    *("draws", "endpoint", "errors", "extras", "files", "jit", "log", "notify", "plugins", "portable", "strict"),
+    *("draws", "endpoint", "errors", "extras", "files", "jit", "log", "notify", "plugins", "portable", "strict", "settings_sheet"),
     "version_hash",
 }
 MAY_IMPORT = {

@@ -13,11 +13,12 @@ import msgspec
 import tomli_w
 from msgspec import Meta
 
-from zswarm import endpoint, plugins
+from zswarm import endpoint, plugins, settings_sheet
 from zswarm.errors import ConfigError, UnknownPlugin
 from zswarm.plugins import nearest
 from zswarm.protocol import keys
 from zswarm.protocol.messages import MIN_MEMORY_MB, Megabytes
+from zswarm.settings_sheet import Key
 from zswarm.strict import convert, parse, read
 
 Positive = Annotated[int, Meta(ge=1, le=1_000_000_000)]
@@ -26,32 +27,78 @@ Positive = Annotated[int, Meta(ge=1, le=1_000_000_000)]
 class Problem(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[problem]``: what a candidate is judged by. Its fitness is the sum over its trials, in trial order."""
 
-    simulator: str
-    trials: Annotated[int, Meta(ge=1, le=100_000)] = 1
-    seeds: Literal["fixed", "fresh"] = "fixed"  # of the trials: the same for the whole run, or new in each generation
-    settings: dict[str, Any] = {}
+    simulator: Annotated[str, Meta(description="name of a simulator (`zswarm-ot list`)")]
+    trials: Annotated[int, Meta(ge=1, le=100_000, description="trials that judge each candidate")] = 1
+    seeds: Annotated[
+        Literal["fixed", "fresh"],
+        Meta(description="seeds of the trials: the same for the whole run, or new in each generation"),
+    ] = "fixed"
+    settings: Annotated[dict[str, Any], Meta(description="of the simulator: `[problem.settings]`, below")] = {}
 
 
 class Part(msgspec.Struct, frozen=True, kw_only=True):
     """``[representation]`` or ``[optimizer]``: a kind and its settings."""
 
-    kind: str
+    kind: Annotated[str, Meta(description="name of one (`zswarm-ot list`)")]
     settings: dict[str, Any]
 
 
 class Cluster(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[cluster]``: who computes. Nothing here changes the result."""
 
-    realm: str = "default"
-    servers: Literal["auto", "local"] | Positive = "auto"
-    connect: list[str] = []
-    multicast: bool = True
-    through_router: bool = False  # all of the servers' messages go through a router of ``connect``
-    local_slots: Annotated[int, Meta(ge=0, le=65_535)] = 0  # 0: one per core
-    trial_timeout_s: Annotated[float, Meta(gt=0, le=1e9)] = 300.0
-    trial_memory_mb: Megabytes = 0  # of a slot's process; 0: what each server gives
-    on_fault: Literal["pause", "quarantine"] = "pause"
-    verify: Annotated[float, Meta(ge=0, le=1)] = 0.0  # share of the trials that a second server evaluates, too
+    realm: Annotated[str, Meta(description="servers of the same realm are used", extra={"type": "id"})] = "default"
+    servers: Annotated[
+        Literal["auto", "local"] | Positive,
+        Meta(
+            description='"auto": this machine\'s slots and every server found; "local": this machine\'s slots only; a number: '
+            "no slots of this machine, and that many servers are waited for, 10 s at most"
+        ),
+    ] = "auto"
+    connect: Annotated[
+        list[str],
+        Meta(
+            description="endpoints to dial: servers that multicast does not reach, or a router; such as "
+            '"tcp/192.168.1.5:7467". Protocols: `tcp`, `tls`, `quic`, `ws`, `udp`, `unixsock-stream`'
+        ),
+    ] = []
+    multicast: Annotated[bool, Meta(description="find servers by multicast")] = True
+    through_router: Annotated[
+        bool,
+        Meta(
+            description="reach the servers through a router alone: one of `connect`, or one that multicast finds "
+            "([network.md](network.md)); this machine's slots are not concerned"
+        ),
+    ] = False
+    local_slots: Annotated[
+        int, Meta(ge=0, le=65_535, description='slots of this machine under "auto" and "local"; 0: one per core')
+    ] = 0
+    trial_timeout_s: Annotated[
+        float, Meta(gt=0, le=1e9, description="seconds by the wall clock after which a trial is a fault")
+    ] = 300.0
+    trial_memory_mb: Annotated[
+        Megabytes,
+        Meta(
+            description="memory that the process of a slot may take, itself (about 100) included, in MB; a trial that needs "
+            "more is a fault, and servers that have less per slot are not used. 0: what each server gives",
+            extra={"type": f"int, 0 or {MIN_MEMORY_MB} to 2^40"},
+        ),
+    ] = 0
+    on_fault: Annotated[
+        Literal["pause", "quarantine"],
+        Meta(
+            description='what to do when a trial failed three times by a crash, a timeout or a lack of memory: "pause" stops '
+            'the run (exit code 1; `resume` tries again); "quarantine" counts the trial as NaN, goes on, and marks the result '
+            "as faulted"
+        ),
+    ] = "pause"
+    verify: Annotated[
+        float,
+        Meta(
+            ge=0,
+            le=1,
+            description='share of the trials that a second server evaluates, too; see [protocol.md](protocol.md), "Verification"',
+        ),
+    ] = 0.0
 
     def __post_init__(self) -> None:
         if 0 < self.trial_memory_mb < MIN_MEMORY_MB:
@@ -73,9 +120,9 @@ class Experiment(msgspec.Struct, frozen=True, kw_only=True):
 class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The file as it is written: a part's settings stand beside its kind."""
 
-    name: str
-    seed: Annotated[int, Meta(ge=0, lt=2**63 - 1)]
-    generations: Positive
+    name: Annotated[str, Meta(description="name of the run; its folder is called so", extra={"type": "id"})]
+    seed: Annotated[int, Meta(ge=0, lt=2**63 - 1, description="everything random follows from it")]
+    generations: Annotated[Positive, Meta(description="generations to evolve")]
     problem: Problem
     representation: dict[str, Any]
     optimizer: dict[str, Any]
@@ -172,6 +219,11 @@ def with_cluster(experiment: Experiment, changes: Mapping[str, Any]) -> Experime
     if cluster.through_router and not cluster.connect and not cluster.multicast:
         raise ConfigError("cluster.through_router: name the router in cluster.connect (--connect tcp/ROUTER:7466)")
     return msgspec.structs.replace(experiment, cluster=cluster)
+
+
+def top_level() -> list[Key]:
+    """The keys of a file outside of its tables."""
+    return [key for key in settings_sheet.keys(_File) if key.type_text != "table"]
 
 
 def to_toml(experiment: Experiment) -> str:

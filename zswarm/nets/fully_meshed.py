@@ -29,11 +29,17 @@ ZERO, ONE = np.float32(0), np.float32(1)
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of ``[representation]`` with ``kind = "fully-meshed"``."""
 
-    hidden: Annotated[int, Meta(ge=0, le=1000)] = 2
-    iterations: Annotated[int, Meta(ge=1, le=100)] = 2
-    activation: Literal["clamp", "sigmoid", "relu"] = "clamp"
-    weight_range: Annotated[float, Meta(gt=0, le=1e6)] = 2.0
-    bias_range: Annotated[float, Meta(gt=0, le=1e6)] = 2.0
+    hidden: Annotated[int, Meta(ge=0, le=1000, description="nodes beside inputs and outputs")] = 2
+    iterations: Annotated[int, Meta(ge=1, le=100, description="updates of all nodes in one decision")] = 2
+    activation: Annotated[
+        Literal["clamp", "sigmoid", "relu"],
+        Meta(description="clamp: cut to 0..1; sigmoid: 1 / (1 + e^-x); relu: negative is 0"),
+    ] = "clamp"
+    weight_range: Annotated[
+        float,
+        Meta(gt=0, le=1e6, description="new weights are uniform in plus or minus this; method 1 of mutation scales with it"),
+    ] = 2.0
+    bias_range: Annotated[float, Meta(gt=0, le=1e6, description="the same of biases")] = 2.0
 
 
 @kernel(STEP_SIGNATURE)

@@ -49,21 +49,23 @@ STADIUM_AGENTS = """
 12,1 13,2 14,3 15,4 16,5 17,6 18,7 18,5 17,4 16,3 15,2 14,1 16,1 17,2 18,3 18,1 8,2 11,2 10,1 9,1 8,17 10,18 11,17 9,18
 """.split()
 
-Count = Annotated[int, Meta(ge=0, le=10_000)]
 Length = Annotated[int, Meta(ge=1, le=1_000)]
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of ``[problem.settings]``; width to seed describe the random field, the stadium has its own."""
 
-    field: Literal["random", "stadium"] = "random"
-    steps: Annotated[int, Meta(ge=1, le=1_000_000)] = 50
-    width: Length = 20
-    height: Length = 20
-    agents: Annotated[int, Meta(ge=1, le=1_000)] = 10
-    exits: Annotated[int, Meta(ge=1, le=10_000)] = 5
-    blockades: Count = 20
-    seed: Annotated[int, Meta(ge=0, lt=2**48)] = 0
+    field: Annotated[
+        Literal["random", "stadium"],
+        Meta(description="fields drawn from the trial's seed, or FREVO's stadium with 72 agents"),
+    ] = "random"
+    steps: Annotated[int, Meta(ge=1, le=1_000_000, description="rounds of a trial")] = 50
+    width: Annotated[Length, Meta(description="cells; not above `height`")] = 20
+    height: Annotated[Length, Meta(description="cells")] = 20
+    agents: Annotated[int, Meta(ge=1, le=1_000, description="robots")] = 10
+    exits: Annotated[int, Meta(ge=1, le=10_000, description="exits")] = 5
+    blockades: Annotated[int, Meta(ge=0, le=10_000, description="blocked cells")] = 20
+    seed: Annotated[int, Meta(ge=0, lt=2**48, description="of the first field; the trials have `seed`, `seed` + 1, ...")] = 0
 
 
 class EmergencyExit(CompiledSimulator):

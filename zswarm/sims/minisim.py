@@ -32,15 +32,27 @@ Sight = Annotated[int, Meta(ge=1, le=1_000)]
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of ``[problem.settings]``; lengths are in cells, distances in king moves (a diagonal step counts 1)."""
 
-    steps: Annotated[int, Meta(ge=1, le=1_000_000)] = 100
-    width: Length = 20
-    height: Length = 20
-    robots: Annotated[int, Meta(ge=1, le=1_000)] = 8
-    defenders: Annotated[int, Meta(ge=0, le=1_000)] = 2
-    robot_sight: Sight = 8  # from here on a robot does not sense defenders and mates
-    defender_sight: Sight = 6  # up to here a defender chases a robot
-    reach: Annotated[int, Meta(ge=0, le=1_000)] = 1  # up to here a defender tags a robot
-    rest: Annotated[int, Meta(ge=0, le=1_000_000)] = 4  # defenders stand still in every rest-th step; 0: in none
+    steps: Annotated[int, Meta(ge=1, le=1_000_000, description="steps of a trial; at least 2 (`width` - `width` div 2)")] = 100
+    width: Annotated[Length, Meta(description="cells")] = 20
+    height: Annotated[Length, Meta(description="cells")] = 20
+    robots: Annotated[int, Meta(ge=1, le=1_000, description="robots")] = 8
+    defenders: Annotated[int, Meta(ge=0, le=1_000, description="scripted defenders")] = 2
+    robot_sight: Annotated[
+        Sight, Meta(description="king moves from which on a robot does not sense defenders and other robots")
+    ] = 8
+    defender_sight: Annotated[Sight, Meta(description="king moves up to which a defender chases a robot")] = 6
+    reach: Annotated[
+        int,
+        Meta(ge=0, le=1_000, description="king moves up to which a defender tags a robot; not above `defender_sight`"),
+    ] = 1
+    rest: Annotated[
+        int,
+        Meta(
+            ge=0,
+            le=1_000_000,
+            description="defenders stand still in every `rest`-th step; 0: in none; not 1 where there are defenders",
+        ),
+    ] = 4
 
 
 class Minisim(CompiledSimulator):

@@ -36,16 +36,28 @@ Share = Annotated[float, Meta(ge=0, le=1)]
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of ``[optimizer]`` with ``kind = "nnga"``; what the shares leave over is the elite: 0.15 here."""
 
-    population: Annotated[int, Meta(ge=2, le=1_000_000)] = 50
-    islands: Annotated[int, Meta(ge=1, le=1_000)] = 1
-    exchange_interval: Annotated[int, Meta(ge=0, le=1_000_000_000)] = 10
-    random: Share = 0.10
-    mutation: Share = 0.40
-    crossover: Share = 0.30
-    renew: Share = 0.05
-    mutation_method: Literal[1, 2] = 1
-    severity: Annotated[float, Meta(gt=0, le=1e6)] = 0.3
-    probability: Annotated[float, Meta(gt=0, le=1)] = 1.0
+    population: Annotated[int, Meta(ge=2, le=1_000_000, description="individuals of an island")] = 50
+    islands: Annotated[int, Meta(ge=1, le=1_000, description="populations that evolve side by side")] = 1
+    exchange_interval: Annotated[
+        int,
+        Meta(
+            ge=0,
+            le=1_000_000_000,
+            description="generations between two with fathers from other islands; 0: never",
+        ),
+    ] = 10
+    random: Annotated[Share, Meta(description="share of survivors drawn with a bias to the good")] = 0.10
+    mutation: Annotated[Share, Meta(description="share of mutants of survivors")] = 0.40
+    crossover: Annotated[Share, Meta(description="share of children of two survivors")] = 0.30
+    renew: Annotated[Share, Meta(description="share of new random individuals")] = 0.05
+    mutation_method: Annotated[
+        Literal[1, 2],
+        Meta(
+            description="1: absolute, plus or minus `severity` times the range; 2: relative to the gene, as FREVO's code has it"
+        ),
+    ] = 1
+    severity: Annotated[float, Meta(gt=0, le=1e6, description="of method 1")] = 0.3
+    probability: Annotated[float, Meta(gt=0, le=1, description="that a gene of a mutant changes")] = 1.0
 
 
 class Individual(msgspec.Struct):
