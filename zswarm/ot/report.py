@@ -279,8 +279,8 @@ def _event(event: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _record(run: Run) -> list[tuple[str, str]]:
-    meta = run.meta
-    rows = [
+    meta: dict[str, Any] = run.meta
+    rows: list[tuple[str, Any]] = [
         ("zswarm", meta.get("zswarm")),
         ("machine of the optimizer", meta.get("machine")),
         ("code that computes", meta.get("version_hash")),
