@@ -208,6 +208,7 @@ def plain(value: object) -> object:
     [
         ("## `[problem]`", experiment.Problem),
         ("## `[cluster]`", experiment.Cluster),
+        ("## `[study]`", experiment.Study),
         *((f"### {name}", settings(kind, name)) for kind, name in PARTS),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
@@ -217,14 +218,16 @@ def test_every_key_of_an_experiment_is_documented(heading: str, struct: type[msg
     assert settings_sheet.markdown(settings_sheet.keys(struct)) in section("experiment.md", heading)
 
 
-@pytest.mark.parametrize("struct", [experiment.Problem, experiment.Cluster, *(settings(kind, name) for kind, name in PARTS)])
+@pytest.mark.parametrize(
+    "struct", [experiment.Problem, experiment.Cluster, experiment.Study, *(settings(kind, name) for kind, name in PARTS)]
+)
 def test_every_key_of_an_experiment_says_what_it_means(struct: type[msgspec.Struct]) -> None:
     assert [key.name for key in settings_sheet.keys(struct) if not key.meaning] == []
 
 
 def test_the_top_level_keys_of_an_experiment_are_documented() -> None:
     """The plain ones in a table, the tables each in a section."""
-    tables = {"problem", "representation", "optimizer", "cluster"}
+    tables = {"problem", "representation", "optimizer", "cluster", "study"}
     plain_keys = [field.name for field in fields(experiment.Experiment) if field.name not in tables]
     assert [key.name for key in experiment.top_level()] == plain_keys
     assert settings_sheet.markdown(experiment.top_level()) in section("experiment.md", "## Top level")

@@ -1,13 +1,17 @@
 """The experiment file: TOML, strict, every default once (docs/experiment.md).
 
 ``load`` checks what the file says by itself; ``complete`` imports the parts it names, checks their settings and writes every
-default out. ``[cluster]`` takes no part in the history.
+default out. ``[cluster]`` takes no part in the history. ``[study]`` makes several runs of one file: ``variants`` has its
+settings.
 """
 
+import itertools
+import json
+import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import msgspec
 import tomli_w
@@ -17,11 +21,17 @@ from zswarm import endpoint, plugins, settings_sheet
 from zswarm.errors import ConfigError, UnknownPlugin
 from zswarm.plugins import nearest
 from zswarm.protocol import keys
+from zswarm.protocol.codec import clean
 from zswarm.protocol.messages import MIN_MEMORY_MB, Megabytes
 from zswarm.settings_sheet import Key
 from zswarm.strict import convert, parse, read
 
 Positive = Annotated[int, Meta(ge=1, le=1_000_000_000)]
+LAST_SEED = 2**63 - 2
+MAX_RUNS = 10_000  # of a study
+MAX_DEPTH = 10  # tables in tables, in a study's settings
+MAX_SHOWN = 60  # characters of a value
+PARTS = ("representation", "optimizer")
 
 
 class Problem(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -105,6 +115,35 @@ class Cluster(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             raise ValueError(f"trial_memory_mb: expected 0 or at least {MIN_MEMORY_MB}, not {self.trial_memory_mb}")
 
 
+class Study(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[study]``: several runs of one file. It takes no part in the history of any."""
+
+    repeat: Annotated[
+        int, Meta(ge=1, le=MAX_RUNS, description="runs of each setting, with the seeds `seed`, `seed` + 1, ...")
+    ] = 1
+    at_once: Annotated[
+        int, Meta(ge=0, le=100, description="runs that go on at the same time; 0: as many as keep the slots busy")
+    ] = 0
+    grid: Annotated[
+        dict[str, list[Any]],
+        Meta(description='paths and their values, such as `"optimizer.population" = [50, 100]`: every combination is a setting'),
+    ] = {}
+    listed: Annotated[
+        list[dict[str, Any]],
+        Meta(description="or just these settings: `[[study.list]]`, each with the paths and values that it changes"),
+    ] = msgspec.field(default_factory=list, name="list")
+
+    def settings(self) -> list[dict[str, Any]]:
+        """What is changed of the experiment, setting by setting; the values of the grid's last key change first."""
+        if self.listed:
+            return [dict(setting) for setting in self.listed]
+        return [dict(zip(self.grid, values, strict=True)) for values in itertools.product(*self.grid.values())]
+
+    def runs(self) -> int:
+        """How many."""
+        return self.repeat * (len(self.listed) or math.prod(map(len, self.grid.values())))
+
+
 class Experiment(msgspec.Struct, frozen=True, kw_only=True):
     """A whole experiment."""
 
@@ -115,18 +154,27 @@ class Experiment(msgspec.Struct, frozen=True, kw_only=True):
     representation: Part
     optimizer: Part
     cluster: Cluster
+    study: Study = Study()
+
+
+class Variant(NamedTuple):
+    """A setting of a study."""
+
+    settings: dict[str, Any]  # what it changes, by path
+    experiment: Experiment  # complete, with these changes and no study
 
 
 class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The file as it is written: a part's settings stand beside its kind."""
 
     name: Annotated[str, Meta(description="name of the run; its folder is called so", extra={"type": "id"})]
-    seed: Annotated[int, Meta(ge=0, lt=2**63 - 1, description="everything random follows from it")]
+    seed: Annotated[int, Meta(ge=0, le=LAST_SEED, description="everything random follows from it")]
     generations: Annotated[Positive, Meta(description="generations to evolve")]
     problem: Problem
     representation: dict[str, Any]
     optimizer: dict[str, Any]
     cluster: Cluster = Cluster()
+    study: Study = Study()
 
 
 def find(name: str) -> Path:
@@ -173,7 +221,7 @@ def check(mapping: Mapping[str, Any], where: str) -> Experiment:
     Raises:
         ConfigError: something in it is unknown or impossible.
     """
-    file = convert(mapping, _File, where)
+    file = convert(_flattened(mapping, where), _File, where)
     _check_ids({"name": file.name, "cluster.realm": file.cluster.realm}, f"{where}: ")
     endpoint.check(file.cluster.connect, f"{where}: cluster.connect")
     return Experiment(
@@ -184,6 +232,7 @@ def check(mapping: Mapping[str, Any], where: str) -> Experiment:
         representation=_part(file.representation, f"{where}: representation"),
         optimizer=_part(file.optimizer, f"{where}: optimizer"),
         cluster=file.cluster,
+        study=_checked(file.study, file.seed, f"{where}: study"),
     )
 
 
@@ -191,8 +240,43 @@ def complete(experiment: Experiment, where: str) -> Experiment:
     """The experiment with every default written out.
 
     Raises:
-        ConfigError: a named part is unknown, or its settings are impossible.
+        ConfigError: a named part is unknown, or its settings are impossible; also in a setting of its study.
     """
+    whole = _complete_alone(experiment, where)
+    if experiment.study != Study():
+        variants(whole, where)
+    return whole
+
+
+def variants(complete: Experiment, where: str) -> list[Variant]:
+    """The settings of a complete experiment's study; without one, the experiment alone.
+
+    Raises:
+        ConfigError: a setting is impossible, or two are the same.
+    """
+    made: list[Variant] = []
+    seen: dict[str, str] = {}
+    for settings in complete.study.settings():
+        words = _in_words(settings)
+        at = f"{where}: study: with {words}" if settings else where
+        mapping = _mapping(complete)
+        for part in PARTS:  # another kind has its own settings
+            if settings.get(f"{part}.kind", mapping[part]["kind"]) != mapping[part]["kind"]:
+                mapping[part] = {}
+        if settings.get("problem.simulator", complete.problem.simulator) != complete.problem.simulator:
+            mapping["problem"]["settings"] = {}
+        for path, value in settings.items():
+            _set(mapping, path, value, at)
+        variant = _complete_alone(check(mapping, at), at)
+        text = to_toml(variant)
+        if text in seen:
+            raise ConfigError(f"{where}: study: the same setting twice: {seen[text]}, and {words}")
+        seen[text] = words
+        made.append(Variant(settings, variant))
+    return made
+
+
+def _complete_alone(experiment: Experiment, where: str) -> Experiment:
     simulator = _load("simulator", experiment.problem.simulator, f"{where}: problem.simulator")
     representation = _load("representation", experiment.representation.kind, f"{where}: representation.kind")
     optimizer = _load("optimizer", experiment.optimizer.kind, f"{where}: optimizer.kind")
@@ -228,15 +312,98 @@ def top_level() -> list[Key]:
 
 def to_toml(experiment: Experiment) -> str:
     """The text of a file that ``load`` reads to the same experiment."""
-    mapping = msgspec.to_builtins(experiment)
-    for part in ("representation", "optimizer"):
-        mapping[part] = {"kind": mapping[part]["kind"], **mapping[part]["settings"]}
+    mapping = _mapping(experiment)
+    if experiment.study != Study():
+        mapping["study"] = {key: value for key, value in msgspec.to_builtins(experiment.study).items() if value not in ({}, [])}
     return tomli_w.dumps(mapping)
 
 
 def slots_of_this_machine(options: Cluster) -> int:
     """Slots of this machine to use."""
     return options.local_slots or os.cpu_count() or 1
+
+
+def _mapping(experiment: Experiment) -> dict[str, Any]:
+    """What a file says, but for the study."""
+    mapping: dict[str, Any] = msgspec.to_builtins(msgspec.structs.replace(experiment, study=Study()))
+    del mapping["study"]
+    for part in PARTS:
+        mapping[part] = {"kind": mapping[part]["kind"], **mapping[part]["settings"]}
+    return mapping
+
+
+def _flattened(mapping: Mapping[str, Any], where: str) -> Mapping[str, Any]:
+    """The file with its study's settings by path: a table in them is as good as a path with dots."""
+    study = mapping.get("study")
+    if not isinstance(study, Mapping):
+        return mapping
+    flat = dict(study)
+    if isinstance(grid := flat.get("grid"), Mapping):
+        flat["grid"] = _by_path(grid, f"{where}: study.grid")
+    if isinstance(rows := flat.get("list"), list):
+        flat["list"] = [_by_path(row, f"{where}: study.list") if isinstance(row, Mapping) else row for row in rows]
+    return {**mapping, "study": flat}
+
+
+def _by_path(tables: Mapping[str, Any], where: str) -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for path, value in _leaves(tables, "", where):
+        if path in flat:
+            raise ConfigError(f"{where}: {path} is there twice")
+        flat[path] = value
+    return flat
+
+
+def _leaves(tables: Mapping[str, Any], above: str, where: str) -> Iterator[tuple[str, Any]]:
+    if above.count(".") > MAX_DEPTH:
+        raise ConfigError(f"{where}: nested too deep")
+    for key, value in tables.items():
+        if isinstance(value, Mapping):
+            yield from _leaves(value, f"{above}{key}.", where)
+        else:
+            yield f"{above}{key}", value
+
+
+def _checked(study: Study, seed: int, where: str) -> Study:
+    if study.grid and study.listed:
+        raise ConfigError(f"{where}: expected a grid or a list of settings, not both")
+    for path, values in study.grid.items():
+        _check_path(path, f"{where}.grid")
+        if not values:
+            raise ConfigError(f"{where}.grid: {path}: expected a list of at least one value")
+    for setting in study.listed:
+        for path in setting:
+            _check_path(path, f"{where}.list")
+    if (runs := study.runs()) > MAX_RUNS:
+        raise ConfigError(f"{where}: {runs:,} runs; expected {MAX_RUNS:,} at most")
+    if seed + study.repeat - 1 > LAST_SEED:
+        raise ConfigError(f"{where}: repeat: the last seed, seed + repeat - 1, is {LAST_SEED} at most")
+    return study
+
+
+def _check_path(path: str, where: str) -> None:
+    table, *keys_below = path.split(".")
+    if table == "seed":
+        raise ConfigError(
+            f"{where}: seed: the runs of a setting have the seeds seed, seed + 1, ...; say how many with study.repeat"
+        )
+    varied = ("generations", "problem", *PARTS)
+    if table not in varied or not all(keys_below):
+        meant = nearest(table, varied) if table not in varied else ""
+        raise ConfigError(
+            f"{where}: '{clean(path)}'{meant}: expected generations, or a path below problem, representation or "
+            "optimizer, such as optimizer.population"
+        )
+
+
+def _in_words(settings: Mapping[str, Any]) -> str:
+    """``optimizer.population = 50, generations = 100``; for errors."""
+    return ", ".join(f"{clean(path)} = {_shown(value)}" for path, value in settings.items()) or "nothing changed"
+
+
+def _shown(value: Any) -> str:
+    text = clean(json.dumps(value, default=str))
+    return text if len(text) <= MAX_SHOWN else f"{text[: MAX_SHOWN - 3]}..."
 
 
 def _check_ids(texts: Mapping[str, str], where: str) -> None:
@@ -276,9 +443,14 @@ def _override(mapping: dict[str, Any], override: str) -> None:
         value = parse(f"value = {text}")["value"]
     except ValueError:
         value = text
-    *tables, key = path.strip().split(".")
+    _set(mapping, path.strip(), value, f"--set {override}")
+
+
+def _set(mapping: dict[str, Any], path: str, value: Any, where: str) -> None:
+    """Set what a path with dots leads to; tables that are missing are made."""
+    *tables, key = path.split(".")
     for table in tables:
         mapping = mapping.setdefault(table, {})
         if not isinstance(mapping, dict):
-            raise ConfigError(f"--set {override}: {table} is no table")
+            raise ConfigError(f"{where}: {table} is no table")
     mapping[key] = value

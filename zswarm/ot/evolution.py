@@ -5,8 +5,10 @@ import threading
 from collections.abc import Generator, Iterator
 from pathlib import Path
 
+from msgspec import structs
+
 from zswarm import experiment
-from zswarm.experiment import Experiment
+from zswarm.experiment import Experiment, Study
 from zswarm.ot import run
 from zswarm.ot.connection import Connection
 from zswarm.ot.logger import Generation, Logger, Result
@@ -56,20 +58,23 @@ class Evolution:
 
 
 @contextlib.contextmanager
-def start(loaded: Experiment, where: str, out: Path, connection: Connection, logger: Logger) -> Iterator[Evolution]:
-    """A new run, in a new folder below ``out``.
+def start(
+    loaded: Experiment, where: str, out: Path, connection: Connection, logger: Logger, *, name: str = ""
+) -> Iterator[Evolution]:
+    """A new run, in a new folder below ``out``; one run, whatever the experiment's study says.
 
     Args:
         where: what errors call the experiment, such as its file.
+        name: of the folder, if not the experiment's.
 
     Raises:
         ConfigError: the experiment or the folder cannot be used.
     """
-    complete = experiment.complete(loaded, where)
+    complete = experiment.complete(structs.replace(loaded, study=Study()), where)
     parts = run.build(complete)
     code = version_hash(complete.problem.simulator, complete.representation.kind)
     _ = connection.reach  # refuses unusable keys before there is a folder
-    record = Record.create(out, complete, code, parts.problem.simulator.metrics)
+    record = Record.create(out, complete, code, parts.problem.simulator.metrics, name=name)
     with record, contextlib.closing(Evolution(parts, record, connection, logger)) as begun:
         if record.on_network:
             logger.on_say(f"{record.folder} is on a network file system: the record is kept without a write-ahead log there")

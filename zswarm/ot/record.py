@@ -40,6 +40,7 @@ from zswarm.ot.workload import Workload
 from zswarm.protocol.codec import clean
 from zswarm.strict import to_json
 
+NOT_DECISIVE = ("generations", "cluster", "study")  # what of an experiment may change while it is run
 DATABASE, EXPERIMENT = "run.sqlite", "experiment.toml"
 LOCK_TRIES, LOCK_PAUSE_S = 20, 0.005  # who asks whether a run goes on holds its lock for an instant
 SET_META = "INSERT OR REPLACE INTO meta VALUES (?, ?)"
@@ -72,9 +73,16 @@ class Record:
 
     @classmethod
     def create(
-        cls, parent: Path, complete: Experiment, version_hash: str, metrics: Sequence[str] | None = None, **meta: Any
+        cls,
+        parent: Path,
+        complete: Experiment,
+        version_hash: str,
+        metrics: Sequence[str] | None = None,
+        *,
+        name: str = "",
+        **meta: Any,
     ) -> Self:
-        """A new folder ``parent/name``, or ``name-2`` and so on where that exists.
+        """A new folder ``parent/name``, or ``name-2`` and so on where that exists; by default named as the experiment.
 
         Args:
             metrics: names of the numbers that trials have beside fitness.
@@ -96,9 +104,9 @@ class Record:
             **meta,
         }
         with contextlib.ExitStack() as undo:
-            folder = _new_folder(parent, complete.name)
+            folder = new_folder(parent, name or complete.name)
             undo.callback(shutil.rmtree, folder, ignore_errors=True)
-            lock = _lock(folder)
+            lock = lock_folder(folder)
             undo.callback(os.close, lock)
             try:
                 write_whole(folder / EXPERIMENT, experiment.to_toml(complete).encode())
@@ -119,7 +127,7 @@ class Record:
         """
         complete = load_experiment(folder)
         with contextlib.ExitStack() as undo:
-            lock = _lock(folder)
+            lock = lock_folder(folder)
             undo.callback(os.close, lock)
             try:
                 connection = connect(folder / DATABASE)
@@ -320,7 +328,12 @@ def load_experiment(folder: Path) -> Experiment:
     return experiment.complete(experiment.load(folder / EXPERIMENT), str(folder / EXPERIMENT))
 
 
-def _new_folder(parent: Path, name: str) -> Path:
+def new_folder(parent: Path, name: str) -> Path:
+    """Make a folder of that name, or ``name-2`` and so on where it exists.
+
+    Raises:
+        ConfigError: it cannot be made.
+    """
     for number in range(1, 100_000):
         folder = parent / (name if number == 1 else f"{name}-{number}")
         try:
@@ -333,7 +346,12 @@ def _new_folder(parent: Path, name: str) -> Path:
     raise ConfigError(f"{parent}: too many runs of the name {name}")
 
 
-def _lock(folder: Path) -> int:
+def lock_folder(folder: Path, what: str = "run") -> int:
+    """The descriptor that keeps other programs out until it is closed.
+
+    Raises:
+        ConfigError: another program is at it, or the folder cannot be written.
+    """
     try:
         lock = os.open(folder / "lock", os.O_CREAT | os.O_RDWR, 0o644)
     except OSError as error:
@@ -346,7 +364,7 @@ def _lock(folder: Path) -> int:
                 time.sleep(LOCK_PAUSE_S)
                 continue
             os.close(lock)
-            raise ConfigError(f"{folder}: another zswarm-ot is at this run; stop it first") from None
+            raise ConfigError(f"{folder}: another zswarm-ot is at this {what}; stop it first") from None
         break
     return lock
 
@@ -423,7 +441,7 @@ def _digest(genomes: Sequence[bytes]) -> bytes:
 def _decisive(complete: Experiment) -> str:
     """What of an experiment the history depends on."""
     values = msgspec.to_builtins(complete)
-    return json.dumps({key: value for key, value in values.items() if key not in ("generations", "cluster")}, sort_keys=True)
+    return json.dumps({key: value for key, value in values.items() if key not in NOT_DECISIVE}, sort_keys=True)
 
 
 def _machine() -> str:
