@@ -32,6 +32,7 @@ class LocalServer:
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=log,
+            process_group=0,  # Ctrl-C is for this program, which decides what ends: a notebook goes on afterwards
         )  # fmt: skip
 
     def __enter__(self) -> Self:
