@@ -240,6 +240,10 @@ def check_representation(
     genomes = network.random(6, Stream(1))
     _require(len(genomes) == 6, f"{name}.random(6, ...) must make 6 genomes, not {len(genomes)}")
     _require(network.random(6, Stream(2)) != genomes, f"{name}.random makes the same of another stream")
+    _require(
+        network.genes is None or network.genome_bytes == 4 * network.genes,
+        f"{name}.genes: {network.genes} float32 numbers are not {network.genome_bytes} bytes",
+    )
     _require(isinstance(network.state_size, int) and network.state_size >= 0, f"{name}.state_size must be an int >= 0")
     _check_operators(name, network, genomes)
     _check_refusals(name, network, genomes[0])

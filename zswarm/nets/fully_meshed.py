@@ -108,7 +108,8 @@ class FullyMeshed(Representation):
         self.neurons = settings.hidden + outputs
         self.sources = inputs + self.neurons
         self.shape = (self.neurons, self.sources + 1)  # a genome as a table: weights, then the bias, per neuron
-        self.genome_bytes = 4 * self.neurons * (self.sources + 1)
+        self.genes = self.neurons * (self.sources + 1)
+        self.genome_bytes = 4 * self.genes
         self._padded = -(-self.neurons // LANES) * LANES
         self.state_size = 3 * self._padded
         self._ranges = np.full(self.shape, settings.weight_range)

@@ -24,12 +24,14 @@ class Representation(ABC):
         step: one decision, compiled with ``jit.STEP_SIGNATURE``; reads parameters and observation, changes state, fills output.
         state_size: float32 numbers of state per agent; all zero at the start of a trial.
         genome_bytes: length of every genome, or None where it varies.
+        genes: float32 numbers that a genome is a plain list of, any finite ones; None where it is something else.
     """
 
     settings_type: ClassVar[type[msgspec.Struct]]
     step: Step
     state_size: int
     genome_bytes: int | None
+    genes: int | None = None
 
     def __init__(self, settings: msgspec.Struct, inputs: int, outputs: int) -> None:
         self.settings = settings

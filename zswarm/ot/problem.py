@@ -1,10 +1,13 @@
 """What candidates are judged by, and the kind of network they are: all that evaluating needs of an experiment."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import msgspec
 import numpy as np
 
 from zswarm import evaluate
-from zswarm.draws import derive_seed
+from zswarm.draws import Stream, derive_seed
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
 from zswarm.ot.controller import Controller
@@ -49,9 +52,13 @@ class Problem:
         fixed = self.simulator.fixed_seeds(problem.trials)
         return np.array(fixed if fixed is not None else [derive_seed(seed, "trial", trial) for trial in trials], np.uint64)
 
-    def workload(self, genomes: list[bytes], generation: int) -> Workload:
-        """Every candidate on every trial's seed, candidate after candidate."""
-        seeds = self.trial_seeds(generation)
+    def workload(self, genomes: list[bytes], generation: int, seeds: np.ndarray | None = None) -> Workload:
+        """Every candidate on every trial's seed, candidate after candidate.
+
+        Args:
+            seeds: (trials,) uint64, instead of the generation's.
+        """
+        seeds = self.trial_seeds(generation) if seeds is None else seeds
         participants = np.repeat(np.arange(len(genomes)), len(seeds)).reshape(-1, 1)
         return Workload(genomes, participants, np.tile(seeds, len(genomes)), len(self.simulator.metrics))
 
@@ -75,6 +82,49 @@ class Problem:
             fitness=fitness,
             run=run,
         )
+
+    # ---- for optimizers outside
+
+    @property
+    def genes(self) -> int | None:
+        """Numbers of a genome that is a plain vector of them; None where the representation's genomes are something else."""
+        return self.representation.genes
+
+    def random(self, count: int, seed: int = 0) -> list[bytes]:
+        """Random genomes, as evolution begins with; the same seed gives the same."""
+        return self.representation.random(count, Stream(derive_seed(seed, "random")))
+
+    def genomes(self, candidates: Sequence[bytes] | np.ndarray | Sequence[Any]) -> list[bytes]:
+        """Genomes of vectors: (n, genes) numbers, stored as float32; genomes stay as they are.
+
+        Raises:
+            ValueError: another shape or length, a number that is not finite in float32, or no vectors are taken.
+        """
+        if len(candidates) == 0:
+            return []
+        if isinstance(candidates[0], bytes):
+            genomes = list(candidates)
+        elif self.genes is None:
+            kind = self.experiment.representation.kind
+            raise ValueError(f"candidates: genomes of {kind} are no plain vectors: expected a list of bytes")
+        else:
+            with np.errstate(over="ignore"):  # told below
+                vectors = np.asarray(candidates).astype("<f4")
+            if vectors.shape != (len(candidates), self.genes):
+                raise ValueError(f"candidates: expected shape (n, {self.genes}), not {vectors.shape}")
+            genomes = [vector.tobytes() for vector in vectors]
+        self.representation.parameters(genomes)  # refuses what no server could evaluate
+        return genomes
+
+    def vectors(self, genomes: Sequence[bytes]) -> np.ndarray:
+        """(n, genes) float32, which ``genomes`` makes the same genomes of.
+
+        Raises:
+            ValueError: the representation's genomes are no plain vectors.
+        """
+        if self.genes is None:
+            raise ValueError(f"genomes of {self.experiment.representation.kind} are no plain vectors")
+        return np.frombuffer(b"".join(genomes), "<f4").reshape(len(genomes), self.genes).astype(np.float32)
 
     def _decisive(self) -> dict[str, object]:
         complete = self.experiment
