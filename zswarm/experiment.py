@@ -5,6 +5,7 @@ default out. ``[cluster]`` takes no part in the history. ``[study]`` makes sever
 settings.
 """
 
+import copy
 import itertools
 import json
 import math
@@ -236,6 +237,22 @@ def check(mapping: Mapping[str, Any], where: str) -> Experiment:
     )
 
 
+def changed(mapping: Mapping[str, Any], settings: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """What a file would say, with other values.
+
+    Args:
+        settings: the values by keys such as ``optimizer.population``.
+        where: put before a key in an error.
+
+    Raises:
+        ConfigError: a key leads into something that is no table.
+    """
+    other = copy.deepcopy(dict(mapping))
+    for path, value in settings.items():
+        _set(other, str(path), value, f"{where}: {path}")
+    return other
+
+
 def complete(experiment: Experiment, where: str) -> Experiment:
     """The experiment with every default written out.
 
@@ -255,11 +272,12 @@ def variants(complete: Experiment, where: str) -> list[Variant]:
         ConfigError: a setting is impossible, or two are the same.
     """
     made: list[Variant] = []
+    alone = msgspec.structs.replace(complete, study=Study())
     seen: dict[str, str] = {}
     for settings in complete.study.settings():
         words = _in_words(settings)
         at = f"{where}: study: with {words}" if settings else where
-        mapping = _mapping(complete)
+        mapping = to_mapping(alone)
         for part in PARTS:  # another kind has its own settings
             if settings.get(f"{part}.kind", mapping[part]["kind"]) != mapping[part]["kind"]:
                 mapping[part] = {}
@@ -312,24 +330,23 @@ def top_level() -> list[Key]:
 
 def to_toml(experiment: Experiment) -> str:
     """The text of a file that ``load`` reads to the same experiment."""
-    mapping = _mapping(experiment)
+    return tomli_w.dumps(to_mapping(experiment))
+
+
+def to_mapping(experiment: Experiment) -> dict[str, Any]:
+    """What ``check`` makes the same experiment of; without a study where there is none."""
+    mapping: dict[str, Any] = msgspec.to_builtins(experiment)
+    for part in PARTS:
+        mapping[part] = {"kind": mapping[part]["kind"], **mapping[part]["settings"]}
+    study = mapping.pop("study")
     if experiment.study != Study():
-        mapping["study"] = {key: value for key, value in msgspec.to_builtins(experiment.study).items() if value not in ({}, [])}
-    return tomli_w.dumps(mapping)
+        mapping["study"] = {key: value for key, value in study.items() if value not in ({}, [])}
+    return mapping
 
 
 def slots_of_this_machine(options: Cluster) -> int:
     """Slots of this machine to use."""
     return options.local_slots or os.cpu_count() or 1
-
-
-def _mapping(experiment: Experiment) -> dict[str, Any]:
-    """What a file says, but for the study."""
-    mapping: dict[str, Any] = msgspec.to_builtins(msgspec.structs.replace(experiment, study=Study()))
-    del mapping["study"]
-    for part in PARTS:
-        mapping[part] = {"kind": mapping[part]["kind"], **mapping[part]["settings"]}
-    return mapping
 
 
 def _flattened(mapping: Mapping[str, Any], where: str) -> Mapping[str, Any]:
@@ -453,4 +470,5 @@ def _set(mapping: dict[str, Any], path: str, value: Any, where: str) -> None:
         mapping = mapping.setdefault(table, {})
         if not isinstance(mapping, dict):
             raise ConfigError(f"{where}: {table} is no table")
-    mapping[key] = value
+    of_numpy = hasattr(value, "item") and not hasattr(value, "__len__")  # its numbers are as good as Python's
+    mapping[key] = value.item() if of_numpy else value
