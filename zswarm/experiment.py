@@ -284,7 +284,7 @@ def variants(complete: Experiment, where: str) -> list[Variant]:
         if settings.get("problem.simulator", complete.problem.simulator) != complete.problem.simulator:
             mapping["problem"]["settings"] = {}
         for path, value in settings.items():
-            _set(mapping, path, value, at)
+            _set(mapping, path, copy.deepcopy(value), at)
         variant = _complete_alone(check(mapping, at), at)
         text = to_toml(variant)
         if text in seen:

@@ -1,36 +1,141 @@
 """The servers that somebody uses: this machine's slots, which start first and load meanwhile, and how to reach the others."""
 
+import contextlib
 import functools
+import threading
+from collections.abc import Iterator, Sequence
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 from zswarm.experiment import Cluster, slots_of_this_machine
 from zswarm.ot.local import LocalServer
 
 if TYPE_CHECKING:
+    import numpy as np
+
+    from zswarm.ot.leases import Leases
+    from zswarm.ot.problem import Problem
     from zswarm.session import Reach
 
 
+class Outcomes(NamedTuple):
+    """What candidates did, trial by trial."""
+
+    fitness: "np.ndarray"  # (candidates, trials) float64; NaN: the simulator failed
+    metrics: dict[str, "np.ndarray"]  # each (candidates, trials) float64
+
+
 class Connection:
-    """Servers for any number of runs, from entering to leaving.
+    """Servers for any number of runs and evaluations, from entering to leaving.
 
     Attributes:
         options: which servers.
         local: this machine's slots; None where none are asked for.
+        runs: the threads of the runs that hold slots now.
     """
 
     def __init__(self, options: Cluster) -> None:
         self.options = options
         self.local: LocalServer | None = None
+        self.runs: list[int] = []
+        self._leases: Leases | None = None
+        self._closed = False
+        self._lock = threading.Lock()
 
     def __enter__(self) -> Self:
-        if not isinstance(self.options.servers, int):
-            self.local = LocalServer(slots_of_this_machine(self.options), self.options.realm)
+        self.open()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def open(self) -> None:
+        """Start this machine's slots, if they are asked for and not started yet.
+
+        Raises:
+            RuntimeError: it was closed.
+        """
+        if self._closed:
+            raise RuntimeError("this connection is closed: connect again")
+        if self.local is None and not isinstance(self.options.servers, int):
+            self.local = LocalServer(slots_of_this_machine(self.options), self.options.realm)
+
+    def close(self) -> None:
+        """End what is evaluated, and this machine's slots; a second time nothing."""
+        with self._lock:
+            self._closed = True
+        if self._leases is not None:
+            self._leases.close()
         if self.local is not None:
-            self.local.__exit__(kind, error, trace)
+            local, self.local = self.local, None
+            local.__exit__(None, None, None)
+
+    def evaluate(
+        self, problem: "Problem", candidates: "Sequence[bytes] | np.ndarray | Sequence[Any]", *, generation: int = 0
+    ) -> "np.ndarray":
+        """Fitness of candidates, for any optimizer that asks and tells; several threads may call.
+
+        What servers there are share the trials. Their slots stay this program's for some seconds after the last call.
+
+        Args:
+            problem: what judges them (``zswarm.problem``).
+            candidates: genomes, or (n, problem.genes) numbers.
+            generation: decides the trials' seeds where the problem wants fresh ones in each.
+
+        Returns:
+            (n,) float64, higher is better: the sum over the problem's trials; NaN where the simulator failed.
+
+        Raises:
+            ValueError: candidates that do not fit the problem.
+            EvaluationError: trials cannot be evaluated: a fault of machines or programs.
+            NoServers: the number of servers asked for was not there in time.
+            RuntimeError: a run of this thread holds the slots, or the connection is closed.
+
+        Example::
+
+            with zswarm.connect() as cluster:
+                fitness = cluster.evaluate(problem, problem.random(50))
+        """
+        return problem.total(self._evaluated(problem, candidates, generation, None))
+
+    def outcomes(
+        self,
+        problem: "Problem",
+        candidates: "Sequence[bytes] | np.ndarray | Sequence[Any]",
+        *,
+        generation: int = 0,
+        seeds: Sequence[int] | None = None,
+    ) -> Outcomes:
+        """What candidates did in each trial, the simulator's metrics too; otherwise as ``evaluate``.
+
+        Args:
+            seeds: of the trials, instead of the problem's own; such as unseen ones.
+        """
+        workload = self._evaluated(problem, candidates, generation, seeds)
+        shape = (len(workload.genomes), -1) if workload.genomes else (0, problem.experiment.problem.trials)
+        names = problem.simulator.metrics
+        return Outcomes(
+            workload.fitness.reshape(shape),
+            {name: workload.metrics[:, column].reshape(shape) for column, name in enumerate(names)},
+        )
+
+    @contextlib.contextmanager
+    def run(self) -> Iterator[None]:
+        """While a run of this thread holds slots.
+
+        Raises:
+            RuntimeError: it would wait for ever for another one of this thread, or the connection is closed.
+        """
+        self._refuse_waiting_for_itself()
+        self.open()
+        thread = threading.get_ident()
+        self.runs.append(thread)
+        try:
+            if self._leases is not None:
+                self._leases.release()
+            yield
+        finally:
+            self.runs.remove(thread)
 
     @functools.cached_property
     def reach(self) -> "Reach":
@@ -55,3 +160,27 @@ class Connection:
         if servers == "auto":
             return f"{here}, and every server found in realm {realm}"
         return f"waiting for {servers} servers in realm {realm}"
+
+    def _evaluated(self, problem: "Problem", candidates: Any, generation: int, seeds: Sequence[int] | None) -> Any:
+        import numpy as np
+
+        from zswarm.ot.leases import Leases
+
+        chosen = None if seeds is None else np.array([int(seed) for seed in seeds], np.uint64)
+        if chosen is not None and not len(chosen):
+            raise ValueError("seeds: expected one at least")
+        workload = problem.workload(problem.genomes(candidates), generation, chosen)
+        self._refuse_waiting_for_itself()
+        self.open()
+        with self._lock:
+            if self._leases is None:
+                self._leases = Leases(self)
+        self._leases.evaluate(problem, workload)
+        return workload
+
+    def _refuse_waiting_for_itself(self) -> None:
+        if threading.get_ident() in self.runs:
+            raise RuntimeError(
+                "a run that this thread began holds the slots of this connection: leave its block first, "
+                "or use another connection, such as zswarm.connect('local')"
+            )

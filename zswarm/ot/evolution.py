@@ -52,7 +52,8 @@ class Evolution:
 
     def _evolve(self, parts: Parts, record: Record, connection: Connection) -> Generator[Generation, None, None]:
         try:
-            self.result = yield from run.evolve(parts, record, connection, self._logger, self._stop)
+            with connection.run():
+                self.result = yield from run.evolve(parts, record, connection, self._logger, self._stop)
         finally:
             self._logger.on_end(self.result)
 
