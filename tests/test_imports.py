@@ -54,7 +54,7 @@ ONLY_IN = {
     "random": set(),
 }
 PURE = (
-    *("ot.dispatch", "ot.requests", "ot.verification", "ot.waiting", "ot.workload", "ss.slots", "ss.kept"),
+    *("ot.dispatch", "ot.plan", "ot.requests", "ot.verification", "ot.waiting", "ot.workload", "ss.slots", "ss.kept"),
     *("protocol.codec", "protocol.keys", "protocol.messages"),
 )
 WORLDLY = {"asyncio", "multiprocessing", "os", "queue", "select", "socket", "subprocess", "threading", "time", "datetime"}

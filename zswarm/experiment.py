@@ -273,7 +273,7 @@ def variants(complete: Experiment, where: str) -> list[Variant]:
     """
     made: list[Variant] = []
     alone = msgspec.structs.replace(complete, study=Study())
-    seen: dict[str, str] = {}
+    seen: dict[bytes, str] = {}
     for settings in complete.study.settings():
         words = _in_words(settings)
         at = f"{where}: study: with {words}" if settings else where
@@ -286,10 +286,10 @@ def variants(complete: Experiment, where: str) -> list[Variant]:
         for path, value in settings.items():
             _set(mapping, path, copy.deepcopy(value), at)
         variant = _complete_alone(check(mapping, at), at)
-        text = to_toml(variant)
-        if text in seen:
-            raise ConfigError(f"{where}: study: the same setting twice: {seen[text]}, and {words}")
-        seen[text] = words
+        whole = msgspec.json.encode(variant, order="sorted")
+        if whole in seen:
+            raise ConfigError(f"{where}: study: the same setting twice: {seen[whole]}, and {words}")
+        seen[whole] = words
         made.append(Variant(settings, variant))
     return made
 

@@ -88,10 +88,19 @@ def from_json(body: bytes, struct: type[T], where: str) -> T:
 
 
 def to_json(values: Mapping[str, Any]) -> str:
-    """One line; numbers that JSON does not have become null."""
-    return json.dumps(
-        {key: None if isinstance(item, float) and not math.isfinite(item) else item for key, item in values.items()}
-    )
+    """One line; numbers that JSON does not have become null, times texts."""
+    return json.dumps(_finite(values), default=str)
+
+
+def _finite(value: Any) -> Any:
+    match value:
+        case Mapping():
+            return {key: _finite(item) for key, item in value.items()}
+        case list() | tuple():
+            return [_finite(item) for item in value]
+        case float() if not math.isfinite(value):
+            return None
+    return value
 
 
 def _refuse_unknown(mapping: Mapping[str, Any], struct: type[msgspec.Struct], where: str) -> None:

@@ -13,6 +13,7 @@ from zswarm.ot.local import LocalServer
 if TYPE_CHECKING:
     import numpy as np
 
+    from zswarm.ot.evaluations import Evaluations
     from zswarm.ot.leases import Leases
     from zswarm.ot.problem import Problem
     from zswarm.session import Reach
@@ -32,12 +33,14 @@ class Connection:
         options: which servers.
         local: this machine's slots; None where none are asked for.
         runs: the threads of the runs that hold slots now.
+        using: the leases that are there now.
     """
 
     def __init__(self, options: Cluster) -> None:
         self.options = options
         self.local: LocalServer | None = None
         self.runs: list[int] = []
+        self.using: set[Evaluations] = set()
         self._leases: Leases | None = None
         self._closed = False
         self._lock = threading.Lock()
@@ -136,6 +139,11 @@ class Connection:
             yield
         finally:
             self.runs.remove(thread)
+
+    @property
+    def slots(self) -> int:
+        """Slots that are ready, of all leases together."""
+        return sum(evaluations.slots for evaluations in list(self.using))
 
     @functools.cached_property
     def reach(self) -> "Reach":

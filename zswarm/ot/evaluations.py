@@ -96,9 +96,11 @@ class Evaluations:
 
     def __enter__(self) -> Self:
         self._cluster.__enter__()
+        self._connection.using.add(self)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._connection.using.discard(self)
         self._cluster.__exit__(kind, error, trace)
 
     @property

@@ -14,7 +14,7 @@ from rich.text import Text
 from zswarm.strict import to_json
 
 NUMBERS = {
-    *("slots", "free", "runs", "generations", "best", "worst", "median", "quartiles", "evaluations", "time"),
+    *("slots", "free", "runs", "generations", "best", "worst", "q25", "median", "q75", "quartiles", "evaluations", "time"),
     *("U", "p", "p (Holm)", "A12"),
 }  # columns that stand at the right
 

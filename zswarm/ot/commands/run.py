@@ -16,10 +16,11 @@ from zswarm import experiment
 from zswarm.errors import ZswarmError
 from zswarm.ot.commands.options import cluster_options, json_option, set_option, with_cluster
 from zswarm.ot.connection import Connection
-from zswarm.ot.exits import EXIT_TERMINATED
+from zswarm.ot.exits import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_TERMINATED
 
 if TYPE_CHECKING:
     from zswarm.ot.evolution import Evolution
+    from zswarm.ot.study import Study
 
 DEFAULT_EXAMPLE = "emergency-exit"
 
@@ -27,7 +28,13 @@ DEFAULT_EXAMPLE = "emergency-exit"
 @click.command()
 @click.argument("name", default=DEFAULT_EXAMPLE, metavar="[EXPERIMENT.toml|EXAMPLE]")
 @set_option
-@click.option("--seed", type=click.IntRange(0, 2**63 - 2), help="Seed of the run.")
+@click.option("--seed", type=click.IntRange(0, experiment.LAST_SEED), help="Seed of the run.")
+@click.option(
+    "--repeat",
+    type=click.IntRange(1, experiment.MAX_RUNS),
+    metavar="N",
+    help="Runs of each setting, with the seeds SEED, SEED + 1, ...; they share the servers.",
+)
 @cluster_options
 @click.option(
     "--out",
@@ -37,12 +44,20 @@ DEFAULT_EXAMPLE = "emergency-exit"
     help="Where the run's folder is made.",
 )
 @json_option
-def run(name: str, overrides: tuple[str, ...], seed: int | None, out: Path, as_json: bool, **cluster: Any) -> None:
+def run(
+    name: str, overrides: tuple[str, ...], seed: int | None, repeat: int | None, out: Path, as_json: bool, **cluster: Any
+) -> None:
     """Evolve a controller; without an argument, the built-in example."""
     path = experiment.find(name)
-    more = [f"seed={seed}"] if seed is not None else []
+    more = [f"{key}={value}" for key, value in (("seed", seed), ("study.repeat", repeat)) if value is not None]
     loaded = with_cluster(experiment.load(path, [*overrides, *more]), cluster)
     _evaluate_nothing()
+    if loaded.study.runs() > 1 or loaded.study.settings() != [{}]:
+        from zswarm.ot.study import Study
+
+        with Connection(loaded.cluster) as connection, Study.create(loaded, str(path), out) as study:
+            _play(study, connection, as_json=as_json)
+        return
     with _pictures() as folders, Connection(loaded.cluster) as connection:
         from zswarm.ot import evolution
         from zswarm.ot.display import display
@@ -53,14 +68,21 @@ def run(name: str, overrides: tuple[str, ...], seed: int | None, out: Path, as_j
 
 
 @click.command()
-@click.argument("folder", type=click.Path(path_type=Path), metavar="RUN")
+@click.argument("folder", type=click.Path(path_type=Path), metavar="RUN|STUDY")
 @cluster_options
 @json_option
 def resume(folder: Path, as_json: bool, **cluster: Any) -> None:
-    """Go on with a run that was stopped, from the last thing it recorded."""
+    """Go on with a run or a study that was stopped, from the last thing it recorded."""
     _evaluate_nothing()
     from zswarm.ot.record import load_experiment
+    from zswarm.ot.study import Study, is_study
 
+    if is_study(folder):
+        with Study.open(folder) as study:
+            options = with_cluster(study.experiment, cluster).cluster
+            with Connection(options) if study.left else contextlib.nullcontext() as connection:
+                _play(study, connection, as_json=as_json)
+        return
     with _pictures() as folders, Connection(with_cluster(load_experiment(folder), cluster).cluster) as connection:
         from zswarm.ot import evolution
         from zswarm.ot.display import display
@@ -68,6 +90,24 @@ def resume(folder: Path, as_json: bool, **cluster: Any) -> None:
         with evolution.resume(folder, connection, display(as_json=as_json)) as begun, _resumable(begun):
             folders.append(begun.folder)
             begun.finish()
+
+
+def _play(study: "Study", connection: Connection | None, *, as_json: bool) -> None:
+    """However the study is stopped, its runs are closed, and a line says how to go on."""
+    from zswarm.ot.study_display import follower
+
+    signal.signal(signal.SIGTERM, _terminate)
+    try:
+        outcome = study.play(connection, follower(as_json=as_json))
+    except (KeyboardInterrupt, SystemExit, ZswarmError, sqlite3.Error, OSError) as error:
+        click.echo(f"stopped; nothing is lost. Go on with: zswarm-ot resume {study.folder}", err=True)
+        if study.going_on:  # a second Ctrl-C, or a disk that takes nothing: nobody waits for their threads
+            if connection is not None:
+                connection.close()
+            os._exit(EXIT_TERMINATED if isinstance(error, SystemExit) else EXIT_INTERRUPTED)
+        raise
+    if outcome.failed:
+        raise SystemExit(EXIT_FAILED)
 
 
 @contextlib.contextmanager
