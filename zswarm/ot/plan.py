@@ -13,7 +13,7 @@ from zswarm.protocol.codec import clean
 from zswarm.protocol.keys import MAX_ID, fold
 
 MOST_AT_ONCE = 16  # without being told so: each has a thread, a record and a session of its own
-LONGEST = MAX_ID - len("-123456-seed-9223372036854775807")  # name of a setting
+DIGEST = 6  # characters of a hash that tells names apart
 
 
 class Planned(NamedTuple):
@@ -83,11 +83,11 @@ def another(trials: Sequence[int | None], slots: int, *, at_once: int) -> bool:
 def _names(settings: Mapping[str, Any], seed: int) -> Iterator[str]:
     """Of a run's folder, the best first."""
     words = "-".join(fold(f"{path.rpartition('.')[2]} {_value(value)}") for path, value in settings.items())
-    words = words[:LONGEST].strip("-")
+    words = words[: MAX_ID - len(f"-{'x' * DIGEST}-seed-{seed}")].strip("-")
     yield f"{words}-seed-{seed}".lstrip("-")
     what = json.dumps(settings, default=str)  # as they were written: 1 is not 1.0
     for number in range(1000):
-        digest = hashlib.blake2b(f"{number} {what}".encode(), digest_size=3).hexdigest()
+        digest = hashlib.blake2b(f"{number} {what}".encode(), digest_size=DIGEST // 2).hexdigest()
         yield f"{words}-{digest}-seed-{seed}".lstrip("-")
 
 
