@@ -729,6 +729,14 @@ def test_a_workload_with_nothing_to_evaluate_is_complete() -> None:
     assert optimizer.commands == [Complete()]
 
 
+def test_a_generation_in_which_all_keep_their_fitness_is_complete() -> None:
+    """As with a population of two: there is no candidate."""
+    optimizer = Optimizer()
+    optimizer.join("a")
+    assert optimizer.feed(Work(Workload([], np.zeros((0, 1), int), np.zeros(0, np.uint64), 0))) == []
+    assert optimizer.commands == [Complete()]
+
+
 def test_outcomes_of_an_earlier_workload_are_late() -> None:
     optimizer = Optimizer()
     optimizer.join("a")

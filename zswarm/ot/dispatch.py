@@ -707,7 +707,7 @@ class Dispatch:
     def _work(self, workload: Workload, now: float) -> None:
         self._end_workload(now)
         self._workload, self._changed = workload, True
-        self._genome_bytes = max(map(len, workload.genomes))
+        self._genome_bytes = max(map(len, workload.genomes), default=0)
         trials = np.flatnonzero(~workload.counted)
         self._rest = len(trials)
         if len(trials):
