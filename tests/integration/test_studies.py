@@ -1,0 +1,238 @@
+"""Studies with real processes on loopback: each run is what it would be alone, whatever happens to who plays them."""
+
+import shutil
+import signal
+from pathlib import Path
+from typing import Any
+
+import plugin
+import pytest
+from programs import Optimizer, Server, query, wait_until
+from promise import check_run
+
+EXPERIMENT = """
+name = "{name}"
+seed = 3
+generations = {generations}
+[problem]
+simulator = "emergency-exit"
+trials = {trials}
+[problem.settings]
+steps = {steps}
+[representation]
+kind = "fully-meshed"
+[optimizer]
+kind = "nnga"
+population = 20
+[cluster]
+servers = "local"
+local_slots = 1
+"""
+GRID = """
+[study]
+repeat = 2
+at_once = 2
+[study.grid]
+"representation.hidden" = [1, 2]
+"""
+NAMES = ["hidden-1-seed-3", "hidden-2-seed-3", "hidden-1-seed-4", "hidden-2-seed-4"]
+
+
+def write(folder: Path, study: str, *, name: str = "sweep", generations: int = 3, trials: int = 4, steps: int = 20) -> str:
+    file = folder / f"{name}.toml"
+    file.write_text(EXPERIMENT.format(name=name, generations=generations, trials=trials, steps=steps) + study)
+    return str(file)
+
+
+def slow(folder: Path) -> str:
+    """Takes some seconds: long enough to disturb it."""
+    return write(folder, GRID, generations=3, trials=20, steps=400)
+
+
+def play(folder: Path, name: str, *arguments: str, **environment: str) -> Optimizer:
+    return Optimizer(folder, name, [*arguments, "--json"], **environment)
+
+
+def ended(optimizer: Optimizer) -> dict[str, dict[str, Any]]:
+    """The runs that it told to be finished, by their folder's name."""
+    return {Path(line["run"]).name: line for line in optimizer.lines() if line["event"] == "run"}
+
+
+def counted(study: Path) -> int:
+    runs = [path.parent for path in study.glob("*/run.sqlite")]
+    return sum(
+        query(run, "SELECT coalesce(sum(count), 0) FROM outcomes")[0][0] for run in runs if query(run, "SELECT 1 FROM meta")
+    )
+
+
+def hashes(study: Path) -> dict[str, str]:
+    """Of the runs that keep the promise, by their folder's name."""
+    checked = {run.name: check_run(run, sample=3) for run in study.iterdir() if run.is_dir()}
+    return {name: facts.history_hash for name, facts in checked.items() if facts.finished}
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """The hashes of the runs of ``slow``, when nothing happens to them."""
+    folder = tmp_path_factory.mktemp("undisturbed")
+    play(folder, "ot", "run", slow(folder)).done()
+    return hashes(folder / "runs" / "sweep")
+
+
+def test_each_run_of_a_study_is_bit_by_bit_what_it_is_alone(tmp_path: Path) -> None:
+    study = play(tmp_path, "study", "run", write(tmp_path, GRID))
+    done = study.done()
+    runs = ended(study)
+    assert sorted(runs) == sorted(NAMES)
+    assert (done["runs"], done["finished"], done["failed"]) == (4, 4, 0)
+    assert [(each["settings"], each["runs"]) for each in done["settings"]] == [
+        ({"representation.hidden": 1}, 2),
+        ({"representation.hidden": 2}, 2),
+    ]
+    assert done["best"] == max(line["best"] for line in runs.values())
+    assert done["evaluations"] == sum(line["evaluations"] for line in runs.values())
+    assert {line["run"] for line in study.lines() if line["event"] == "generation"} == {f"runs/sweep/{name}" for name in NAMES}
+    options = ["--seed", "4", "--set", "representation.hidden=2"]
+    alone = play(tmp_path, "alone", "run", write(tmp_path, "", name="alone"), *options).done()
+    assert alone["history_hash"] == runs["hidden-2-seed-4"]["history_hash"]
+    assert hashes(tmp_path / "runs" / "sweep") == {name: line["history_hash"] for name, line in runs.items()}
+    assert "[study]" not in (tmp_path / "runs" / "sweep" / NAMES[0] / "experiment.toml").read_text()
+
+
+def test_repeat_is_an_option_and_the_end_is_told_to_people(tmp_path: Path) -> None:
+    optimizer = Optimizer(tmp_path, "ot", ["run", write(tmp_path, ""), "--repeat", "3"])
+    assert optimizer.wait() == 0, optimizer.err.read_text()
+    told, out = optimizer.err.read_text().splitlines(), optimizer.out.read_text()
+    assert told[0] == "sweep, 3 runs: 1 slot of this machine"
+    assert [line.split("  ")[0] for line in told if " of 3)" in line] == ["seed-3", "seed-4", "seed-5"]
+    assert "all runs" in out
+    assert "3 of 3 runs finished" in out
+    assert "study   runs/sweep" in out
+    assert max(map(len, out.splitlines())) <= 80
+    assert "\x1b" not in out + "".join(told)
+
+
+def test_a_finished_study_is_told_again_and_grows_with_its_file(tmp_path: Path) -> None:
+    """Repeats are added; a value that is gone leaves its runs alone; with more generations those that are there go on."""
+    first = play(tmp_path, "first", "run", write(tmp_path, GRID))
+    first.done()
+    study = tmp_path / "runs" / "sweep"
+    before = {name: (study / name / "run.sqlite").stat().st_mtime_ns for name in NAMES}
+    again = play(tmp_path, "again", "resume", "runs/sweep")
+    assert again.done()["finished"] == 4
+    assert {name: line["history_hash"] for name, line in ended(again).items()} == hashes(study)
+    text = (study / "experiment.toml").read_text()
+    (study / "experiment.toml").write_text(text.replace("repeat = 2", "repeat = 3").replace("    2,\n", ""))
+    more = play(tmp_path, "more", "resume", "runs/sweep")
+    assert more.done()["finished"] == 3
+    assert sorted(ended(more)) == ["hidden-1-seed-3", "hidden-1-seed-4", "hidden-1-seed-5"]
+    assert "hidden-2-seed-3, hidden-2-seed-4" in more.err.read_text()
+    assert {name: (study / name / "run.sqlite").stat().st_mtime_ns for name in NAMES} == before, "finished runs were touched"
+    text = (study / "experiment.toml").read_text()
+    (study / "experiment.toml").write_text(text.replace("generations = 3", "generations = 4").replace("repeat = 3", "repeat = 1"))
+    longer = play(tmp_path, "longer", "resume", "runs/sweep").done()
+    assert longer["finished"] == 1
+    whole = write(tmp_path, "", name="whole", generations=4)
+    alone = play(tmp_path, "alone", "run", whole, "--set", "representation.hidden=1").done()
+    assert hashes(study)["hidden-1-seed-3"] == alone["history_hash"]
+
+
+def test_a_killed_study_goes_on_and_repeats_nothing(tmp_path: Path, undisturbed: dict[str, str]) -> None:
+    """One run is over, one under way, and one was about to begin: its folder is there, and no record."""
+    study = tmp_path / "runs" / "sweep"
+    killed = play(tmp_path, "killed", "run", slow(tmp_path))
+    wait_until(lambda: len(ended(killed)) == 1, "a run is over")
+    enough = counted(study) + 100
+    wait_until(lambda: counted(study) > enough, "another one is under way")
+    killed.kill()
+    killed.wait()
+    assert len(ended(killed)) < len(NAMES), "the study is over too early for this test"
+    assert not (study / NAMES[-1]).exists()
+    (study / NAMES[-1]).mkdir()
+    for left in ("lock", "run.part"):
+        (study / NAMES[-1] / left).touch()
+    before = {name: query(study / name, "SELECT count(*), max(at) FROM outcomes") for name in ended(killed)}
+    resumed = play(tmp_path, "resumed", "resume", "runs/sweep")
+    assert resumed.done()["finished"] == len(NAMES)
+    assert hashes(study) == undisturbed, "it is not the study that nothing happened to"
+    assert {name: query(study / name, "SELECT count(*), max(at) FROM outcomes") for name in before} == before
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_stopped_study_says_how_to_go_on(tmp_path: Path, undisturbed: dict[str, str], number: int, code: int) -> None:
+    study = tmp_path / "runs" / "sweep"
+    stopped = play(tmp_path, "stopped", "run", slow(tmp_path))
+    wait_until(lambda: counted(study) > 300, "some trials are counted")
+    second = play(tmp_path, "second", "resume", "runs/sweep")
+    assert second.wait() == 2, "two programs at one study"
+    assert "runs/sweep: another zswarm-ot is at this study; stop it first" in second.err.read_text()
+    stopped.kill(number)
+    assert stopped.wait() == code
+    told = stopped.err.read_text()
+    assert told.count("stopped; nothing is lost. Go on with: zswarm-ot resume runs/sweep") == 1
+    assert "Traceback" not in told
+    play(tmp_path, "resumed", "resume", "runs/sweep").done()
+    assert hashes(study) == undisturbed
+
+
+def test_a_run_that_fails_stops_no_other(tmp_path: Path) -> None:
+    """It is named, the exit code says so, and resume tries it again."""
+    rough = plugin.install(tmp_path)
+    file = plugin.experiment(tmp_path, "fine")
+    file.write_text(file.read_text() + '\n[study.grid]\n"problem.settings.how" = ["exits", "fine"]\n')
+    options = ["--servers", "local", "--set", "cluster.local_slots=1"]
+    first = play(tmp_path, "first", "run", str(file), *options, PYTHONPATH=rough, ZSWARM_PLAIN="1")
+    again = play(tmp_path, "again", "resume", "runs/rough", PYTHONPATH=rough) if first.wait() == 1 else None
+    assert again is not None, first.err.read_text()
+    assert again.wait() == 1
+    for optimizer in (first, again):
+        done = optimizer.lines()[-1]
+        assert (done["event"], done["finished"], done["failed"]) == ("done", 1, 1)
+        assert list(ended(optimizer)) == ["how-fine-seed-1"]
+        (failed,) = (line for line in optimizer.lines() if line["event"] == "failed")
+        assert failed["run"] == "runs/rough/how-exits-seed-1"
+        assert "ended with code 7" in failed["error"]
+
+
+def test_a_damaged_run_stops_no_other_and_what_is_no_run_is_not_removed(tmp_path: Path) -> None:
+    play(tmp_path, "first", "run", write(tmp_path, GRID)).done()
+    study = tmp_path / "runs" / "sweep"
+    for name in NAMES[:3]:
+        shutil.rmtree(study / name)
+    (study / NAMES[0]).mkdir()
+    (study / NAMES[0] / "thesis.tex").touch()
+    shutil.copytree(study / NAMES[3], study / NAMES[1])
+    with (study / NAMES[1] / "run.sqlite").open("r+b") as file:
+        file.truncate(5000)
+    resumed = play(tmp_path, "resumed", "resume", "runs/sweep")
+    assert resumed.wait() == 1
+    failed = {Path(line["run"]).name: line["error"] for line in resumed.lines() if line["event"] == "failed"}
+    assert sorted(failed) == sorted(NAMES[:2]) or sorted(failed) == [NAMES[0]], resumed.err.read_text()
+    assert failed[NAMES[0]] == f"runs/sweep/{NAMES[0]}: expected a run's folder or none, and it holds thesis.tex"
+    assert (study / NAMES[0] / "thesis.tex").exists()
+    assert NAMES[2] in ended(resumed)
+
+
+def test_runs_share_a_server_and_its_slots_move_on_when_one_ends(tmp_path: Path) -> None:
+    """The first has both, the others wait for them."""
+    server = Server(tmp_path, "ss", capacity=2).ready()
+    text = write(tmp_path, GRID.replace("at_once = 2", "at_once = 4"), trials=1, generations=2)
+    options = ["--servers", "1", f"--connect={server.endpoint}", "--no-multicast"]
+    try:
+        done = play(tmp_path, "ot", "run", text, *options).done()
+    finally:
+        server.close()
+    assert done["finished"] == 4
+    assert len(server.events("lease_granted")) == 4
+    assert len(server.events("lease_released")) == 4
+    runs = [tmp_path / "runs" / "sweep" / name for name in NAMES]
+    assert all(query(run, "SELECT count(DISTINCT server) FROM servers") == [(1,)] for run in runs)
+
+
+@pytest.mark.long
+def test_without_the_servers_asked_for_a_study_ends_as_a_run_does(tmp_path: Path) -> None:
+    """It waits for ten seconds."""
+    optimizer = play(tmp_path, "ot", "run", write(tmp_path, GRID), "--servers", "2", "--no-multicast")
+    assert optimizer.wait() == 4
+    assert "0 of 2 matching servers were found in 10 s" in optimizer.err.read_text()
+    assert "zswarm-ot resume runs/sweep" in optimizer.err.read_text()
