@@ -158,7 +158,7 @@ def test_a_killed_study_goes_on_and_repeats_nothing(tmp_path: Path, undisturbed:
     assert {name: query(study / name, "SELECT count(*), max(at) FROM outcomes") for name in before} == before
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.long)])
 def test_a_stopped_study_says_how_to_go_on(tmp_path: Path, undisturbed: dict[str, str], number: int, code: int) -> None:
     study = tmp_path / "runs" / "sweep"
     stopped = play(tmp_path, "stopped", "run", slow(tmp_path))

@@ -26,6 +26,7 @@ from zswarm.version_hash import version_hash
 WAIT_FOR_SERVERS_S = 10.0  # for the number of servers asked for
 PREPARING_S = 1.0  # of a server, before the user is told
 PAUSE_S = 3.0  # without any server, before the user is told
+NOBODY = "no server computes now: waiting for one (Ctrl-C stops; nothing is lost)"
 
 Happened = Counted | Retracted | Note
 TOLD = {
@@ -152,7 +153,7 @@ class Evaluations:
                 told = f"{', '.join(preparing)}: compiling {simulator}; done once for this version of zswarm"
                 self._logger.on_say(told)
             elif not preparing and idle > PAUSE_S and not told:
-                told = "no server computes now: waiting for one (Ctrl-C stops; nothing is lost)"
+                told = NOBODY
                 self._logger.on_say(told)
                 if local is None:
                     self._cluster.diagnose()

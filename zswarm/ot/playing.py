@@ -23,6 +23,7 @@ from zswarm.files import write_whole
 from zswarm.ot import evolution
 from zswarm.ot.connection import Connection
 from zswarm.ot.dispatch import Note
+from zswarm.ot.evaluations import NOBODY
 from zswarm.ot.evolution import Evolution
 from zswarm.ot.logger import Generation, Logger, Result, Started
 from zswarm.ot.plan import Planned, another
@@ -152,10 +153,7 @@ class Player:
             case Started():
                 follower.on_begin(planned, news.generation)
             case _Said():
-                now = time.monotonic()
-                if now > self._said.get(news.line, -AGAIN_S) + AGAIN_S:
-                    self._said[news.line] = now
-                    follower.on_say(news.line, planned)
+                self._say(planned, news.line)
             case _Progress():
                 going.trials = news.trials
                 follower.on_progress(planned, *news)
@@ -170,6 +168,13 @@ class Player:
                     if local is None or not local.ended():
                         return
                 raise error
+
+    def _say(self, planned: Planned, line: str) -> None:
+        """A line of a run, unless another one said it just now, or only waits until others have done."""
+        now = time.monotonic()
+        if now > self._said.get(line, -AGAIN_S) + AGAIN_S and not (line == NOBODY and self._connection.slots):
+            self._said[line] = now
+            self._follower.on_say(line, planned)
 
     def _ended(self, ended: Ended) -> None:
         del self._going[ended.planned.name]

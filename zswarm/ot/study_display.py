@@ -112,7 +112,7 @@ class LiveFollower(PlainFollower):
         self._going: dict[str, tuple[Planned, int, str]] = {}  # generations that are over, and what is known of the best
         self._generations = self._done = self._before = self._evaluations = 0
         self._counted: dict[str, int] = {}  # evaluations of the runs that go on
-        self._begin = time.monotonic()
+        self._begin = 0.0  # when the first generation ended
         self._live = Live(get_renderable=self._table, console=Console(stderr=True), refresh_per_second=REFRESHES, transient=True)
 
     def on_start(self, study: Study, connection: Connection | None) -> None:
@@ -140,6 +140,8 @@ class LiveFollower(PlainFollower):
     def on_generation(self, planned: Planned, generation: Generation) -> None:
         """See ``Follower``."""
         with self._lock:
+            if not self._begin:
+                self._begin, self._before = time.monotonic(), self._before + 1
             self._going[planned.name] = (planned, generation.generation + 1, f"best {generation.best:.5g}")
             before = self._counted.setdefault(planned.name, generation.evaluations)
             self._evaluations += generation.evaluations - before
@@ -150,7 +152,9 @@ class LiveFollower(PlainFollower):
         """See ``Follower``."""
         with self._lock:
             _, generations, _ = self._going.pop(ended.planned.name, (ended.planned, 0, ""))
-            self._done += ended.planned.experiment.generations - generations
+            skipped = ended.planned.experiment.generations - generations  # of one that failed
+            self._done += skipped
+            self._before += skipped
         super().on_run(ended)
 
     def on_end(self, outcome: Outcome | None) -> None:
@@ -164,14 +168,14 @@ class LiveFollower(PlainFollower):
         from rich.text import Text
 
         with self._lock:
-            seconds = time.monotonic() - self._begin
+            seconds = time.monotonic() - self._begin if self._begin else 0.0
             made, left = self._done - self._before, self._generations - self._done
-            rest = f"  about {_duration(seconds / made * left)} left" if made else ""
+            rest = f"  about {_duration(seconds / made * left)} left" if made > 0 else ""
             head = Table.grid(padding=(0, 1))
             head.add_row(
                 Text(f"{self._ended}/{self._planned} runs"),
                 ProgressBar(total=max(1, self._generations), completed=self._done, width=16),
-                Text(f"{self._evaluations / max(1e-9, seconds):.0f}/s{rest}", no_wrap=True, overflow="ellipsis"),
+                Text(f"{self._evaluations / max(1.0, seconds):.0f}/s{rest}", no_wrap=True, overflow="ellipsis"),
             )
             rows = Table.grid(padding=(0, 2))
             for name, (planned, generations, best) in list(self._going.items())[:MOST_SHOWN]:
@@ -220,11 +224,13 @@ def _show(outcome: Outcome) -> None:
     terminal.show(table)
     for ended in outcome.failed:
         terminal.line(f"failed  {ended.planned.name}: {ended.error}")
-    again = f"; those that failed again with: zswarm-ot resume {outcome.study}" if outcome.failed else ""
-    terminal.line(f"{outcome.finished} of {plural(outcome.runs, 'run')} finished, {outcome.seconds:.1f} s{again}")
+    terminal.line(f"{outcome.finished} of {plural(outcome.runs, 'run')} finished, {outcome.seconds:.1f} s")
     terminal.line(f"study   {outcome.study}")
+    if outcome.failed:
+        terminal.line(f"again   zswarm-ot resume {outcome.study}")
     if outcome.finished:
-        terminal.line(f"next    zswarm-ot plot {outcome.study}   zswarm-ot compare {outcome.study}")
+        terminal.line(f"next    zswarm-ot plot {outcome.study}")
+        terminal.line(f"        zswarm-ot compare {outcome.study}")
 
 
 def _as_mapping(summary: Summary) -> dict[str, Any]:
