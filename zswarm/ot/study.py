@@ -162,11 +162,12 @@ class Study:
 
     def _outcome(self, seconds: float) -> Outcome:
         finished = [ended for ended in self.ended if ended.result is not None]
+        by_setting: dict[str, list[Ended]] = {}
+        for ended in finished:
+            by_setting.setdefault(repr(ended.planned.settings), []).append(ended)
         settings = [one.settings for one in _first_of_each(self.planned)]
-        summaries = [
-            _summary(setting, label(setting, settings), [ended for ended in finished if ended.planned.settings == setting])
-            for setting in settings
-        ]
+        paths = [dict.fromkeys(path for setting in settings for path in setting)]
+        summaries = [_summary(each, label(each, paths), by_setting.get(repr(each), [])) for each in settings]
         return Outcome(
             str(self.folder),
             len(self.planned),
