@@ -55,8 +55,8 @@ def run(
     if loaded.study.runs() > 1 or loaded.study.settings() != [{}]:
         from zswarm.ot.study import Study
 
-        with Connection(loaded.cluster) as connection, Study.create(loaded, str(path), out) as study:
-            _play(study, connection, as_json=as_json)
+        with _pictures() as folders, Connection(loaded.cluster) as connection, Study.create(loaded, str(path), out) as study:
+            _play(study, connection, folders, as_json=as_json)
         return
     with _pictures() as folders, Connection(loaded.cluster) as connection:
         from zswarm.ot import evolution
@@ -74,14 +74,15 @@ def run(
 def resume(folder: Path, as_json: bool, **cluster: Any) -> None:
     """Go on with a run or a study that was stopped, from the last thing it recorded."""
     _evaluate_nothing()
-    from zswarm.ot.record import load_experiment
-    from zswarm.ot.study import Study, is_study
+    from zswarm.ot.record import DATABASE, load_experiment
 
-    if is_study(folder):
-        with Study.open(folder) as study:
+    if not (folder / DATABASE).exists() and _is_study(folder):  # a run's program starts without what studies import
+        from zswarm.ot.study import Study
+
+        with _pictures() as folders, Study.open(folder) as study:
             options = with_cluster(study.experiment, cluster).cluster
             with Connection(options) if study.left else contextlib.nullcontext() as connection:
-                _play(study, connection, as_json=as_json)
+                _play(study, connection, folders, as_json=as_json)
         return
     with _pictures() as folders, Connection(with_cluster(load_experiment(folder), cluster).cluster) as connection:
         from zswarm.ot import evolution
@@ -92,7 +93,13 @@ def resume(folder: Path, as_json: bool, **cluster: Any) -> None:
             begun.finish()
 
 
-def _play(study: "Study", connection: Connection | None, *, as_json: bool) -> None:
+def _is_study(folder: Path) -> bool:
+    from zswarm.ot.study import is_study
+
+    return is_study(folder)
+
+
+def _play(study: "Study", connection: Connection | None, folders: list[Path], *, as_json: bool) -> None:
     """However the study is stopped, its runs are closed, and a line says how to go on."""
     from zswarm.ot.study_display import follower
 
@@ -104,8 +111,10 @@ def _play(study: "Study", connection: Connection | None, *, as_json: bool) -> No
         if study.going_on:  # a second Ctrl-C, or a disk that takes nothing: nobody waits for their threads
             if connection is not None:
                 connection.close()
-            os._exit(EXIT_TERMINATED if isinstance(error, SystemExit) else EXIT_INTERRUPTED)
+            codes = {KeyboardInterrupt: EXIT_INTERRUPTED, SystemExit: EXIT_TERMINATED}
+            os._exit(codes.get(type(error), EXIT_FAILED))
         raise
+    folders.append(study.folder)
     if outcome.failed:
         raise SystemExit(EXIT_FAILED)
 
