@@ -37,6 +37,7 @@ MAY_IMPORT = {
     "security": {"leaf", "protocol", "security"},
     "ot.optimizers": {"leaf", "nets", "ot.optimizers"},
     "ot": {"leaf", "protocol", "nets", "sims", "evaluate", "experiment", "session", "security", "ot", "ot.optimizers"},
+    "api": {"leaf", "experiment", "ot"},
     "ss": {"leaf", "protocol", "evaluate", "session", "security", "ss"},
     "testing": {"leaf", "nets", "sims", "evaluate", "ot.optimizers"},
 }

@@ -315,12 +315,21 @@ def with_cluster(experiment: Experiment, changes: Mapping[str, Any]) -> Experime
     Raises:
         ConfigError: an impossible value, or values that do not go together.
     """
-    cluster = convert({**msgspec.to_builtins(experiment.cluster), **changes}, Cluster, "cluster")
-    _check_ids({"cluster.realm": cluster.realm}, "")
-    endpoint.check(cluster.connect, "cluster.connect")
-    if cluster.through_router and not cluster.connect and not cluster.multicast:
+    return msgspec.structs.replace(experiment, cluster=cluster({**msgspec.to_builtins(experiment.cluster), **changes}))
+
+
+def cluster(values: Mapping[str, Any]) -> Cluster:
+    """What ``[cluster]`` would say.
+
+    Raises:
+        ConfigError: an impossible value, or values that do not go together.
+    """
+    options = convert(values, Cluster, "cluster")
+    _check_ids({"cluster.realm": options.realm}, "")
+    endpoint.check(options.connect, "cluster.connect")
+    if options.through_router and not options.connect and not options.multicast:
         raise ConfigError("cluster.through_router: name the router in cluster.connect (--connect tcp/ROUTER:7466)")
-    return msgspec.structs.replace(experiment, cluster=cluster)
+    return options
 
 
 def top_level() -> list[Key]:

@@ -1,12 +1,16 @@
 """A run's champion as a file that other programs read: ``champion.zsc``, in docs/record.md."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
+import numpy as np
 
+from zswarm import plugins
 from zswarm.errors import ConfigError
 from zswarm.protocol import codec
+from zswarm.strict import convert
 
 CHAMPION = "champion.zsc"
 
@@ -26,6 +30,62 @@ class Controller(msgspec.Struct, frozen=True, kw_only=True, tag="zswarm-controll
     genome: bytes
     fitness: float
     run: str
+
+    def driver(self) -> "Driver":
+        """The controller of one agent, to be asked step by step.
+
+        Raises:
+            ConfigError: its kind of network is not installed, or its genome does not fit it.
+
+        Example::
+
+            driver = zswarm.read("runs/stadium").champion().driver()
+            outputs = driver.act(observation)
+        """
+        return Driver(self)
+
+
+class Driver:
+    """A controller at work: one agent's network with its state. Each agent needs its own.
+
+    Attributes:
+        inputs, outputs: numbers of an observation, and of what is decided.
+    """
+
+    def __init__(self, controller: Controller) -> None:
+        network = plugins.load("representation", controller.representation)
+        settings = convert(controller.representation_settings, network.settings_type, "representation")
+        self.inputs, self.outputs = controller.inputs, controller.outputs
+        built = network(settings, self.inputs, self.outputs)
+        try:
+            self._parameters = built.parameters([controller.genome])[0]
+        except ValueError as error:
+            raise ConfigError(f"the champion does not fit its network: {error}") from None
+        self._step = built.step
+        self._state = np.zeros(built.state_size, np.float32)
+
+    def reset(self) -> None:
+        """Forget all of before, as at the start of a trial."""
+        self._state[:] = 0
+
+    def act(self, observation: "Sequence[float] | np.ndarray") -> np.ndarray:
+        """What the controller decides, the same bits as in evolution.
+
+        Args:
+            observation: (inputs,) numbers, in the order of the controller's ``sensors``.
+
+        Returns:
+            (outputs,) float32, in the order of its ``actuators``.
+
+        Raises:
+            ValueError: another shape.
+        """
+        seen = np.ascontiguousarray(observation, np.float32)
+        if seen.shape != (self.inputs,):
+            raise ValueError(f"observation: expected shape ({self.inputs},), not {seen.shape}")
+        decided = np.empty(self.outputs, np.float32)
+        self._step(self._parameters, self._state, seen, decided)
+        return decided
 
 
 def load_controller(path: Path) -> Controller:

@@ -34,7 +34,7 @@ class PlainDisplay(Logger):
         """See ``Logger``."""
         if result is not None:
             with patience():
-                print(_summary(result), flush=True)
+                print(summary(result), flush=True)
 
 
 class JsonDisplay(PlainDisplay):
@@ -101,7 +101,8 @@ def display(*, as_json: bool) -> Logger:
     return LiveDisplay() if sys.stderr.isatty() else PlainDisplay()
 
 
-def _summary(result: Result) -> str:
+def summary(result: Result) -> str:
+    """What a run came to, in three lines."""
     faulted = f"faulted: {result.faulted} trials, " if result.faulted else ""
     doubtful = f"doubtful: {result.doubtful} trials of a server that computes wrong, " if result.doubtful else ""
     return (

@@ -12,6 +12,7 @@ from zswarm.experiment import Experiment, Study
 from zswarm.ot import run
 from zswarm.ot.connection import Connection
 from zswarm.ot.logger import Generation, Logger, Result
+from zswarm.ot.reading import Run
 from zswarm.ot.record import Record
 from zswarm.ot.run import Parts
 from zswarm.version_hash import version_hash
@@ -34,6 +35,11 @@ class Evolution:
 
     def __iter__(self) -> Iterator[Generation]:
         return self._generations
+
+    @property
+    def run(self) -> Run:
+        """What is recorded so far."""
+        return Run(self.folder)
 
     def finish(self) -> Result:
         """Evolve to the last generation."""

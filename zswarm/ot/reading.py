@@ -5,6 +5,7 @@ What a record says comes from somewhere else: its types are checked, and its tex
 
 import contextlib
 import fcntl
+import html
 import json
 import os
 import re
@@ -14,7 +15,7 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -23,11 +24,16 @@ import zswarm
 from zswarm import experiment, plugins
 from zswarm.errors import ConfigError, UnknownPlugin
 from zswarm.experiment import Experiment
+from zswarm.extras import need
 from zswarm.ot.controller import CHAMPION, Controller, load_controller
 from zswarm.ot.database import in_words, passing
 from zswarm.ot.record import DATABASE, EXPERIMENT
 from zswarm.ot.schema import SCHEMA_VERSION, TABLES
 from zswarm.protocol.codec import clean
+
+if TYPE_CHECKING:
+    import pandas
+    import polars
 
 DEPTH = 2  # of folders in which runs are looked for: runs/STUDY/RUN
 TOLD_APART = 3  # settings by which groups are told apart; with more they have the experiments' names
@@ -241,6 +247,53 @@ class Run:
         champion = load_controller(self.folder)
         names = ("simulator", "simulator_settings", "representation", "representation_settings", "sensors", "actuators", "run")
         return msgspec.structs.replace(champion, **{name: _cleaned(getattr(champion, name)) for name in names})
+
+    # ---- for notebooks
+
+    def to_pandas(self) -> "pandas.DataFrame":
+        """The history, a row per finished generation; the optimizer's statistics are columns, too.
+
+        Raises:
+            ConfigError: pandas is missing.
+        """
+        frame: pandas.DataFrame = need("pandas", "data", "to_pandas").DataFrame(self._table())
+        return frame
+
+    def to_polars(self) -> "polars.DataFrame":
+        """As ``to_pandas``.
+
+        Raises:
+            ConfigError: polars is missing.
+        """
+        frame: polars.DataFrame = need("polars", "data", "to_polars").DataFrame(self._table(), infer_schema_length=None)
+        return frame
+
+    def _table(self) -> list[dict[str, Any]]:
+        history = self.history()
+        statistics = dict.fromkeys(name for row in history for name in row["statistics"])
+        return [
+            {key: value for key, value in row.items() if key != "statistics"}
+            | {name: row["statistics"].get(name) for name in statistics if name not in row}
+            for row in history
+        ]
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        best = self.best()
+        state = "finished" if self.finished else "going on" if self.going_on else "stopped: zswarm.resume goes on"
+        rows = {
+            "folder": self._shown,
+            "simulator": self.experiment.problem.simulator,
+            "generations": f"{self.generations()} of {self.experiment.generations}, {state}",
+            "best fitness": "" if best is None else f"{best:.6g}",
+            "history": self.history_hash or "",
+        }
+        cells = "".join(
+            f"<tr><th style='text-align:left'>{html.escape(key)}</th><td style='text-align:left'>{html.escape(value)}</td></tr>"
+            for key, value in rows.items()
+            if value
+        )
+        return f"<table>{cells}</table>"
 
     # ---- helpers
 

@@ -1,0 +1,313 @@
+"""What Python programs and notebooks use: ``import zswarm`` has these names (docs/python.md).
+
+Nothing here prints, ends the program or touches signal handlers; everything works in any thread, in a notebook and in a test.
+"""
+
+import contextlib
+import logging
+import os
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from zswarm import experiment as experiments
+from zswarm.errors import ConfigError
+from zswarm.experiment import Experiment
+from zswarm.ot import evolution
+from zswarm.ot.connection import Connection
+from zswarm.ot.evolution import Evolution
+from zswarm.ot.logger import InBackground, Logger, Loggers
+from zswarm.ot.problem import Problem
+from zswarm.ot.reading import Run
+from zswarm.ot.record import EXPERIMENT, load_experiment
+from zswarm.strict import read as read_toml
+
+Source = str | os.PathLike[str] | Mapping[str, Any] | Experiment
+LOG = logging.getLogger("zswarm")
+
+
+# ---- experiments
+
+
+def load(source: Source, settings: Mapping[str, Any] | None = None) -> Experiment:
+    """An experiment.
+
+    Args:
+        source: a file, the name of an example, the folder of a run, what a file would say as a dict, or an experiment.
+        settings: what differs from it, by the keys of the file.
+
+    Raises:
+        ConfigError: nothing of that name, or something in it is unknown or impossible.
+
+    Example::
+
+        small = zswarm.load("stadium", {"generations": 20, "optimizer.population": 30})
+    """
+    return _complete(source, settings or {})[0]
+
+
+def problem(
+    source: Source | None = None,
+    *,
+    simulator: str | None = None,
+    settings: Mapping[str, Any] | None = None,
+    representation: str | Mapping[str, Any] | None = None,
+    trials: int | None = None,
+    seeds: Literal["fixed", "fresh"] | None = None,
+    seed: int | None = None,
+) -> Problem:
+    """What candidates are judged by, for ``Connection.evaluate``: that of an experiment, or of parts, or both.
+
+    Args:
+        source: as for ``load``; what else is given differs from it.
+        simulator: its name.
+        settings: of the simulator.
+        representation: kind of network, or its table of the experiment file: ``{"kind": "fully-meshed", "hidden": 3}``.
+        trials: per candidate.
+        seeds: of the trials: "fixed", or "fresh" in each generation.
+        seed: from which these are derived, where the simulator does not fix them.
+
+    Raises:
+        ConfigError: as ``load``, or the parts do not fit together.
+
+    Example::
+
+        stadium = zswarm.problem("stadium")
+        few = zswarm.problem(simulator="emergency-exit", settings={"agents": 5}, trials=4)
+    """
+    if source is None:
+        if simulator is None:
+            raise ConfigError("problem: expected an experiment or a simulator, such as zswarm.problem('stadium')")
+        source = {
+            "name": "problem", "seed": 0, "generations": 1, "problem": {"simulator": simulator},
+            "representation": {"kind": "fully-meshed"}, "optimizer": {"kind": "nnga"},
+        }  # fmt: skip
+    changes: dict[str, Any] = {f"problem.settings.{key}": value for key, value in (settings or {}).items()}
+    given = {"problem.simulator": simulator, "problem.trials": trials, "problem.seeds": seeds, "seed": seed}
+    changes |= {key: value for key, value in given.items() if value is not None}
+    if representation is not None:
+        changes["representation"] = {"kind": representation} if isinstance(representation, str) else dict(representation)
+    loaded, where = _complete(source, changes)
+    return Problem(experiments.complete(loaded, where))
+
+
+# ---- servers
+
+
+def connect(
+    servers: Literal["auto", "local"] | int = "auto",
+    *,
+    realm: str = "default",
+    connect: Sequence[str] = (),
+    multicast: bool = True,
+    through_router: bool = False,
+    local_slots: int = 0,
+    trial_timeout_s: float = 300.0,
+    trial_memory_mb: int = 0,
+    on_fault: Literal["pause", "quarantine"] = "pause",
+    verify: float = 0.0,
+) -> Connection:
+    """Servers for any number of runs and evaluations; this machine's slots start at once and end with ``close`` or the block.
+
+    Args:
+        servers: "auto": this machine's slots and every server found; "local": this machine only; a number: wait for so many.
+        realm, connect, multicast, through_router, local_slots, trial_timeout_s, trial_memory_mb, on_fault, verify: as in
+            ``[cluster]`` of the experiment file.
+
+    Raises:
+        ConfigError: an impossible value.
+
+    Example::
+
+        with zswarm.connect() as cluster:
+            first = zswarm.run("stadium", connection=cluster)
+            second = zswarm.run("minisim", connection=cluster)
+    """
+    options = experiments.cluster(
+        {
+            "servers": servers, "realm": realm, "connect": list(connect), "multicast": multicast,
+            "through_router": through_router, "local_slots": local_slots, "trial_timeout_s": trial_timeout_s,
+            "trial_memory_mb": trial_memory_mb, "on_fault": on_fault, "verify": verify,
+        }
+    )  # fmt: skip
+    opened = Connection(options)
+    opened.open()
+    return opened
+
+
+# ---- runs
+
+
+def run(
+    experiment: Source,
+    *,
+    connection: Connection | None = None,
+    out: str | os.PathLike[str] = "runs",
+    loggers: Sequence[Logger] = (),
+    progress: bool = False,
+) -> Run:
+    """Evolve to the last generation; what was recorded.
+
+    Ctrl-C, or a notebook's stop button, stops it: a ``KeyboardInterrupt``, whose note says how to resume. Nothing is lost.
+
+    Args:
+        experiment: as for ``load``.
+        connection: servers to use instead of those of the experiment's ``[cluster]``.
+        out: where the run's folder is made.
+        loggers: follow it, each in a thread of its own.
+        progress: show how it goes, as ``zswarm-ot run`` does.
+
+    Raises:
+        ConfigError: the experiment or the folder cannot be used.
+        EvaluationError: trials cannot be evaluated; the run can be resumed.
+        NoServers: the number of servers asked for was not there in time.
+
+    Example::
+
+        run = zswarm.run(zswarm.load("stadium", {"seed": 2}), progress=True)
+        print(run.best(), run.folder)
+    """
+    with start(experiment, connection=connection, out=out, loggers=loggers, progress=progress) as begun:
+        begun.finish()
+    return begun.run
+
+
+@contextlib.contextmanager
+def start(
+    experiment: Source,
+    *,
+    connection: Connection | None = None,
+    out: str | os.PathLike[str] = "runs",
+    loggers: Sequence[Logger] = (),
+    progress: bool = False,
+) -> Iterator[Evolution]:
+    """A run to iterate over; leave the block before its end, and it is stopped and can be resumed.
+
+    Arguments and errors are those of ``run``.
+
+    Example::
+
+        with zswarm.start("stadium") as evolution:
+            for generation in evolution:
+                if generation.best > 0:
+                    break
+    """
+    loaded, where = _complete(experiment, {})
+    with _connected(connection, loaded) as used:
+        loaded = msgspec.structs.replace(loaded, cluster=used.options)
+        with evolution.start(loaded, where, Path(out), used, _followers(loggers, progress=progress)) as begun, _noting(begun):
+            yield begun
+
+
+@contextlib.contextmanager
+def resume(
+    run: str | os.PathLike[str] | Run,
+    *,
+    connection: Connection | None = None,
+    loggers: Sequence[Logger] = (),
+    progress: bool = False,
+) -> Iterator[Evolution]:
+    """A run that was stopped, from the last thing it recorded; otherwise as ``start``.
+
+    Args:
+        run: it, or its folder.
+
+    Raises:
+        ConfigError: there is none, it is damaged or in use, or its experiment was changed.
+
+    Example::
+
+        with zswarm.resume("runs/stadium") as evolution:
+            evolution.finish()
+    """
+    folder = run.folder if isinstance(run, Run) else Path(run)
+    with (
+        _connected(connection, load_experiment(folder)) as used,
+        evolution.resume(folder, used, _followers(loggers, progress=progress)) as begun,
+        _noting(begun),
+    ):
+        yield begun
+
+
+def read(folder: str | os.PathLike[str]) -> Run:
+    """A recorded run: finished, stopped or going on; nothing is written.
+
+    Raises:
+        ConfigError: there is none, or it is damaged.
+
+    Example::
+
+        history = zswarm.read("runs/stadium").to_pandas()
+    """
+    return Run(Path(folder))
+
+
+# ---- helpers
+
+
+def _complete(source: Source, changes: Mapping[str, Any]) -> tuple[Experiment, str]:
+    """An experiment with changes, and what errors call it."""
+    if isinstance(source, Experiment):
+        if not changes:
+            return source, source.name
+        mapping, where = experiments.to_mapping(source), source.name
+    elif isinstance(source, Mapping):
+        mapping, where = dict(source), "experiment"
+    else:
+        path = Path(source)
+        path = path / EXPERIMENT if (path / EXPERIMENT).is_file() else experiments.find(os.fspath(source))
+        mapping, where = read_toml(path), str(path)
+    return experiments.check(experiments.changed(mapping, changes, where), where), where
+
+
+@contextlib.contextmanager
+def _connected(connection: Connection | None, loaded: Experiment) -> Iterator[Connection]:
+    """The connection that is given, which stays open, or one of the experiment's own."""
+    if connection is not None:
+        connection.open()
+        yield connection
+    else:
+        with Connection(loaded.cluster) as own:
+            yield own
+
+
+def _followers(loggers: Sequence[Logger], *, progress: bool) -> Logger:
+    shown = _display() if progress else _Quiet()
+    for logger in loggers:
+        if not isinstance(logger, Logger):
+            raise TypeError(f"loggers: expected objects of subclasses of zswarm.Logger, not {logger!r}")
+    return Loggers([shown, *(InBackground(logger, LOG.warning if not progress else shown.on_say) for logger in loggers)])
+
+
+class _Quiet(Logger):
+    """Lines for people go to Python's ``logging``, which shows them to whoever asks for."""
+
+    def on_say(self, line: str) -> None:
+        """See ``Logger``."""
+        LOG.info("%s", line)
+
+
+def _display() -> Logger:
+    """The one that fits where the program runs."""
+    shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+    if type(shell).__name__ == "ZMQInteractiveShell":
+        from zswarm.ot.notebook import NotebookDisplay
+
+        return NotebookDisplay()
+    from zswarm.ot.display import display
+
+    return display(as_json=False)
+
+
+@contextlib.contextmanager
+def _noting(begun: Evolution) -> Iterator[None]:
+    """Who is stopped is told how to go on."""
+    try:
+        yield
+    except (Exception, KeyboardInterrupt) as error:
+        if begun.result is None:
+            error.add_note(f"nothing of the run is lost; to go on: zswarm.resume({str(begun.folder)!r})")
+        raise
