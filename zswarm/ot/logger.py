@@ -1,7 +1,9 @@
 """Whoever follows a run: the terminal, and what a user adds. One protocol: a logger overrides the calls it wants."""
 
+import contextlib
 import queue
 import threading
+import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import NamedTuple
@@ -159,12 +161,11 @@ class InBackground(Logger):
         """See ``Logger``; waits some seconds for it."""
         if not self._thread.is_alive():
             return
-        try:
-            self._calls.put(lambda: self._logger.on_end(result), timeout=LAST_CALLS_S)
-            self._calls.put(None, timeout=LAST_CALLS_S)
-            self._thread.join(LAST_CALLS_S)
-        except queue.Full:
-            pass
+        deadline = time.monotonic() + LAST_CALLS_S
+        with contextlib.suppress(queue.Full):
+            for last in (lambda: self._logger.on_end(result), None):
+                self._calls.put(last, timeout=max(0.0, deadline - time.monotonic()))
+        self._thread.join(max(0.0, deadline - time.monotonic()))
         if self._thread.is_alive():
             self._say(f"logger {self._name} is behind and was left")
         elif self._dropped:
@@ -180,7 +181,7 @@ class InBackground(Logger):
         while (call := self._calls.get()) is not None:
             try:
                 call()
-            except Exception as error:  # of the user's code: the run goes on
+            except (Exception, SystemExit) as error:  # of the user's code: the run goes on
                 if not self._raised:
                     self._say(f"logger {self._name}: {type(error).__name__}: {error}; the run goes on")
                 self._raised = True

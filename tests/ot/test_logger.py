@@ -1,0 +1,166 @@
+"""Loggers of users: they hear all in order, and neither their errors nor their slowness reach the run."""
+
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from zswarm import experiment
+from zswarm.ot import logger as loggers
+from zswarm.ot.controller import Controller
+from zswarm.ot.dispatch import Note
+from zswarm.ot.logger import Generation, InBackground, Logger, Loggers, Result, Started
+
+STARTED = Started(Path("runs/x"), experiment.load(experiment.find("stadium")), 0)
+RESULT = Result("runs/x", 3, 1.0, 150, 0, "00", 0.1, 0, 0)
+NOTE = Note("server_joined", "lab-1", count=2)
+CHAMPION = Controller(
+    simulator="s", simulator_settings={}, representation="r", representation_settings={}, inputs=1, outputs=1, sensors=[],
+    actuators=[], genome=b"", fitness=1.0, run="x",
+)  # fmt: skip
+
+
+def generation(number: int) -> Generation:
+    return Generation(number, 1.0, 0.5, 50, 1, 2, {"best": 1.0, "mean": 0.5})
+
+
+class Hearing(Logger):
+    """Notes every call, and the thread it came in."""
+
+    def __init__(self) -> None:
+        self.heard: list[tuple[str, Any]] = []
+        self.threads: set[int] = set()
+
+    def _hear(self, what: str, *given: Any) -> None:
+        self.heard.append((what, given[0] if len(given) == 1 else given))
+        self.threads.add(threading.get_ident())
+
+    def on_start(self, run: Started) -> None:
+        self._hear("start", run)
+
+    def on_say(self, line: str) -> None:
+        self._hear("say", line)
+
+    def on_progress(self, generation: int, counted: int, trials: int) -> None:
+        self._hear("progress", generation, counted, trials)
+
+    def on_generation(self, generation: Generation) -> None:
+        self._hear("generation", generation)
+
+    def on_champion(self, champion: Controller) -> None:
+        self._hear("champion", champion)
+
+    def on_event(self, event: Note) -> None:
+        self._hear("event", event)
+
+    def on_end(self, result: Result | None) -> None:
+        self._hear("end", result)
+
+
+def tell(logger: Logger, generations: int = 3) -> None:
+    """A whole run."""
+    logger.on_start(STARTED)
+    logger.on_say("hello")
+    logger.on_event(NOTE)
+    for number in range(generations):
+        logger.on_progress(number, 50, 50)
+        logger.on_generation(generation(number))
+        logger.on_champion(CHAMPION)
+    logger.on_end(RESULT)
+
+
+def without_progress(heard: list[tuple[str, Any]]) -> list[tuple[str, Any]]:
+    return [call for call in heard if call[0] != "progress"]
+
+
+ALL = [
+    ("start", STARTED), ("say", "hello"), ("event", NOTE),
+    *(call for number in range(3) for call in (("generation", generation(number)), ("champion", CHAMPION))),
+    ("end", RESULT),
+]  # fmt: skip
+
+
+def test_a_logger_that_overrides_nothing_follows_a_run() -> None:
+    tell(Logger())
+
+
+def test_all_loggers_hear_all() -> None:
+    first, second = Hearing(), Hearing()
+    tell(Loggers([first, second]))
+    assert first.heard == second.heard
+    assert without_progress(first.heard) == ALL
+    assert ("progress", (2, 50, 50)) in first.heard
+
+
+def test_a_logger_in_the_background_hears_all_in_order_in_one_thread_of_its_own() -> None:
+    """When ``on_end`` returns, it heard it."""
+    hearing, said = Hearing(), list[str]()
+    tell(InBackground(hearing, said.append))
+    assert without_progress(hearing.heard) == ALL
+    assert len(hearing.threads) == 1
+    assert threading.get_ident() not in hearing.threads
+    assert said == []
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError("no disk"), SystemExit("no disk")], ids=["an error", "an exit"])
+def test_what_a_logger_raises_is_told_once_and_it_hears_the_rest(error: BaseException) -> None:
+    class Raising(Hearing):
+        def on_generation(self, generation: Generation) -> None:
+            super().on_generation(generation)
+            raise error
+
+    raising, said = Raising(), list[str]()
+    tell(InBackground(raising, said.append))
+    assert said == [f"logger Raising: {type(error).__name__}: no disk; the run goes on"]
+    assert without_progress(raising.heard) == ALL
+
+
+def test_a_slow_logger_holds_up_nobody_and_is_told_what_it_missed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No more than so many calls wait for it; progress is left out as long as it is behind."""
+    monkeypatch.setattr(loggers, "WAITING", 10)
+    slow, said = threading.Event(), list[str]()
+
+    class Slow(Hearing):
+        def on_start(self, run: Started) -> None:
+            super().on_start(run)
+            slow.wait(30.0)
+
+    hearing = Slow()
+    background = InBackground(hearing, said.append)
+    background.on_start(STARTED)
+    for number in range(30):
+        background.on_progress(number, 1, 50)
+        background.on_generation(generation(number))
+    assert [what for what, _ in hearing.heard] in ([], ["start"])
+    slow.set()
+    background.on_end(RESULT)
+    heard = [given.generation for what, given in hearing.heard if what == "generation"]
+    assert heard == list(range(len(heard)))
+    assert 9 <= len(heard) <= 10
+    assert sum(what == "progress" for what, _ in hearing.heard) <= 1
+    assert hearing.heard[-1] == ("end", RESULT)
+    assert len(said) == 1
+    assert said[0].startswith("logger Slow was behind: 2")
+
+
+def test_a_logger_that_hangs_is_left_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whether a call hangs with room behind it or with none."""
+    monkeypatch.setattr(loggers, "LAST_CALLS_S", 0.05)
+    for waiting in (2, 100):
+        monkeypatch.setattr(loggers, "WAITING", waiting)
+        go_on, said = threading.Event(), list[str]()
+
+        class Hanging(Logger):
+            def on_start(self, run: Started) -> None:
+                go_on.wait(30.0)  # noqa: B023  of this round
+
+        tell(InBackground(Hanging(), said.append))
+        assert said == ["logger Hanging is behind and was left"]
+        go_on.set()
+
+
+def test_a_run_that_did_not_begin_ends_without_a_call() -> None:
+    hearing = Hearing()
+    InBackground(hearing, print).on_end(None)
+    assert hearing.heard == []

@@ -1,0 +1,379 @@
+"""``import zswarm``, as programs and notebooks use it; with this machine's slots."""
+
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import zswarm
+from zswarm import evaluate, experiment
+from zswarm.ot import leases
+
+SMALL = {"generations": 4, "optimizer.population": 20, "problem.settings.steps": 40}
+ONE_SLOT = {"cluster.servers": "local", "cluster.local_slots": 1}
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[zswarm.Connection]:
+    with zswarm.connect("local", local_slots=1) as cluster:
+        yield cluster
+
+
+@pytest.fixture(scope="module")
+def small() -> zswarm.Experiment:
+    return zswarm.load("stadium", SMALL)
+
+
+def in_this_process(problem: zswarm.Problem, genomes: list[bytes]) -> np.ndarray:
+    workload = problem.workload(genomes, 0)
+    outcomes = evaluate.evaluate(
+        problem.simulator, problem.representation, workload.genomes, workload.participants, workload.seeds
+    )
+    return outcomes.fitness.reshape(len(genomes), -1)
+
+
+def wait_until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 30.0
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+
+
+def same_bits(left: np.ndarray, right: np.ndarray) -> bool:
+    return left.dtype == right.dtype == np.float64 and left.tobytes() == right.tobytes()
+
+
+# ---- the names
+
+
+def test_importing_costs_nothing_until_a_name_is_used() -> None:
+    code = "import sys, zswarm; before = {'numpy', 'msgspec', 'zswarm.api'} & set(sys.modules); zswarm.load; print(before)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == ("set()\n", "")
+
+
+@pytest.mark.parametrize("name", zswarm.__all__)
+def test_every_public_name_is_there_and_says_what_it_is(name: str) -> None:
+    assert getattr(zswarm, name).__doc__
+    assert name in dir(zswarm)
+
+
+def test_an_unknown_name_is_refused_as_usual() -> None:
+    with pytest.raises(AttributeError, match="has no attribute 'evolve'"):
+        _ = zswarm.evolve  # type: ignore[attr-defined]
+
+
+# ---- experiments
+
+
+def test_settings_change_an_experiment_as_the_command_line_does() -> None:
+    """Of an example, a mapping, an experiment; numpy's numbers too; the source stays as it is."""
+    given: dict[str, Any] = {"seed": np.int64(7), "optimizer.population": 60, "problem.settings.agents": 12}
+    path = experiment.find("stadium")
+    expected = experiment.load(path, ["seed=7", "optimizer.population=60", "problem.settings.agents=12"])
+    unchanged = zswarm.load("stadium")
+    assert zswarm.load("stadium", given) == expected
+    assert zswarm.load(path, given) == expected
+    assert zswarm.load(unchanged, given) == expected
+    mapping = experiment.to_mapping(unchanged)
+    assert zswarm.load(mapping, given) == expected
+    assert zswarm.load(unchanged) == zswarm.load(mapping) == experiment.load(path)
+
+
+@pytest.mark.parametrize(
+    ("source", "settings", "line"),
+    [
+        ("stadum", {}, "did you mean 'stadium'"),
+        ("stadium", {"optimizer.populaton": 3}, "did you mean 'population'"),
+        ("stadium", {"optimiser.population": 3}, "unknown key 'optimiser'"),
+        ("stadium", {"seed.x": 3}, "seed is no table"),
+        ("stadium", {"seed": "one"}, "seed: expected int, got str"),
+        ({"name": "x"}, {}, "experiment: object missing required field"),
+    ],
+)
+def test_what_cannot_be_an_experiment_is_refused_in_one_line(source: Any, settings: dict[str, Any], line: str) -> None:
+    with pytest.raises(zswarm.ConfigError) as caught:
+        zswarm.problem(zswarm.load(source, settings))
+    assert line in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_problem_is_made_of_parts() -> None:
+    """The same as that of an experiment with these parts; what is left out has its default."""
+    parts = zswarm.problem(
+        simulator="emergency-exit",
+        settings={"steps": 40},
+        representation={"kind": "fully-meshed", "hidden": 3},
+        trials=5,
+        seed=4,
+    )
+    changes = {"problem.trials": 5, "problem.settings": {"steps": 40}, "representation": {"kind": "fully-meshed", "hidden": 3}}
+    whole = zswarm.problem(zswarm.load("emergency-exit", {**changes, "seed": 4}))
+    assert parts == whole
+    assert parts.genes == len(parts.random(1)[0]) // 4
+    with pytest.raises(zswarm.ConfigError, match="expected an experiment or a simulator"):
+        zswarm.problem()
+    with pytest.raises(zswarm.ConfigError, match="agent"):
+        zswarm.problem("stadium", settings={"agent": 3})
+
+
+def test_vectors_and_genomes_are_the_same_candidates() -> None:
+    problem = zswarm.problem("stadium")
+    genomes = problem.random(3, seed=5)
+    vectors = problem.vectors(genomes)
+    assert vectors.shape == (3, problem.genes)
+    assert problem.genomes(vectors) == problem.genomes(list(vectors.astype(float))) == problem.genomes(genomes) == genomes
+    assert problem.random(3, seed=6) != genomes
+    assert problem.genomes([]) == []
+
+
+@pytest.mark.parametrize(
+    ("make", "line"),
+    [
+        (lambda genes: np.zeros((2, genes + 1)), r"expected shape \(n, 60\), not \(2, 61\)"),
+        (lambda genes: np.zeros(genes), r"expected shape \(n, 60\), not \(60,\)"),
+        (lambda genes: np.full((2, genes), np.nan), "not finite"),
+        (lambda genes: np.full((2, genes), 1e300), "not finite"),
+        (lambda _: [b"short"], "5 bytes"),
+    ],
+)
+def test_candidates_that_do_not_fit_are_refused_before_they_travel(make: Any, line: str) -> None:
+    problem = zswarm.problem("stadium")
+    assert problem.genes == 60
+    with pytest.raises(ValueError, match=line):
+        problem.genomes(make(problem.genes))
+
+
+# ---- evaluating
+
+
+def test_servers_compute_the_bits_of_this_process(cluster: zswarm.Connection) -> None:
+    """Fitness is the sum over the trials in trial order, for genomes and for vectors."""
+    problem = zswarm.problem("emergency-exit", settings={"steps": 40}, trials=3)
+    genomes = problem.random(20)
+    expected = np.cumsum(in_this_process(problem, genomes), axis=1)[:, -1]
+    assert same_bits(cluster.evaluate(problem, genomes), expected)
+    assert same_bits(cluster.evaluate(problem, problem.vectors(genomes)), expected)
+    assert cluster.evaluate(problem, []).shape == (0,)
+
+
+def test_outcomes_are_told_trial_by_trial_on_any_seeds(cluster: zswarm.Connection) -> None:
+    problem = zswarm.problem("emergency-exit", settings={"steps": 40}, trials=3)
+    genomes = problem.random(5)
+    own = cluster.outcomes(problem, genomes)
+    assert same_bits(own.fitness, in_this_process(problem, genomes))
+    assert {name: values.shape for name, values in own.metrics.items()} == {"escaped": (5, 3), "rounds": (5, 3)}
+    unseen = cluster.outcomes(problem, genomes, seeds=[2**63 + 1, 8])
+    assert unseen.fitness.shape == (5, 2)
+    assert not np.isin(unseen.fitness, own.fitness).all()
+    assert cluster.outcomes(problem, []).fitness.shape == (0, 3)
+    with pytest.raises(ValueError, match="seeds: expected one at least"):
+        cluster.outcomes(problem, genomes, seeds=[])
+
+
+def test_fresh_trials_are_those_of_the_generation(cluster: zswarm.Connection) -> None:
+    problem = zswarm.problem("minisim", seeds="fresh")
+    genomes = problem.random(4)
+    first, second = (cluster.evaluate(problem, genomes, generation=generation) for generation in (0, 1))
+    assert same_bits(first, cluster.evaluate(problem, genomes))
+    assert not same_bits(first, second)
+
+
+def test_threads_that_evaluate_together_each_get_their_own(cluster: zswarm.Connection) -> None:
+    """Of two problems, with different numbers of candidates."""
+    problems = [zswarm.problem("stadium", settings={"steps": steps}) for steps in (20, 30)]
+    calls = [(problems[number % 2], problems[0].random(1 + number, seed=number)) for number in range(6)]
+    with ThreadPoolExecutor(6) as threads:
+        found = list(threads.map(lambda call: cluster.evaluate(*call), calls))
+    for (problem, genomes), fitness in zip(calls, found, strict=True):
+        assert same_bits(fitness, in_this_process(problem, genomes)[:, 0])
+
+
+def test_calls_that_wait_are_evaluated_as_one(cluster: zswarm.Connection, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So threads with a candidate each keep all slots busy."""
+    problem = zswarm.problem("stadium", settings={"steps": 20})
+    together: list[int] = []
+    play = leases.Leases._play
+
+    def counting(self: leases.Leases, of: bytes, calls: list[Any]) -> None:
+        together.append(len(calls))
+        play(self, of, calls)
+
+    monkeypatch.setattr(leases.Leases, "_play", counting)
+    kept = cluster._leases
+    assert kept is not None
+    with ThreadPoolExecutor(5) as threads:
+        with kept._turn:
+            waiting = [threads.submit(cluster.evaluate, problem, problem.random(1, seed)) for seed in range(5)]
+            wait_until(lambda: len(kept._calls) == 5)
+        found = [float(call.result()[0]) for call in waiting]
+    assert together == [5]
+    assert found == [float(in_this_process(problem, problem.random(1, seed))[0, 0]) for seed in range(5)]
+
+
+def test_slots_are_given_back_after_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody keeps a lab's servers by an open notebook; the next call reserves anew."""
+    monkeypatch.setattr(leases, "IDLE_S", 0.05)
+    problem = zswarm.problem("stadium", settings={"steps": 20})
+    with zswarm.connect("local", local_slots=1) as cluster:
+        before = cluster.evaluate(problem, problem.random(2))
+        kept = cluster._leases
+        assert kept is not None
+        released = threading.Event()
+        drop = kept._drop
+        monkeypatch.setattr(kept, "_drop", lambda: (drop(), released.set()))
+        assert released.wait(30.0)
+        assert kept._kept is None
+        assert same_bits(cluster.evaluate(problem, problem.random(2)), before)
+    with pytest.raises(RuntimeError, match="connect again"):
+        cluster.evaluate(problem, problem.random(2))
+    cluster.close()
+
+
+def test_closing_ends_what_another_thread_evaluates() -> None:
+    problem = zswarm.problem("emergency-exit", trials=50_000)
+    cluster = zswarm.connect("local", local_slots=1)
+    with ThreadPoolExecutor(1) as threads:
+        call = threads.submit(cluster.evaluate, problem, problem.random(500))
+        wait_until(lambda: cluster._leases is not None and cluster._leases._kept is not None)
+        cluster.close()
+        with pytest.raises(zswarm.Stopped):
+            call.result()
+
+
+# ---- runs
+
+
+def test_a_run_that_is_left_and_resumed_is_the_run_that_was_not(
+    cluster: zswarm.Connection, small: zswarm.Experiment, tmp_path: Path
+) -> None:
+    """Several runs share a connection one after another, with evaluations in between."""
+    whole = zswarm.run(small, connection=cluster, out=tmp_path)
+    assert (whole.finished, whole.generations(), whole.name) == (True, 4, "stadium")
+    assert whole.experiment.cluster == cluster.options
+    problem = zswarm.problem(small)
+    champion = whole.champion()
+    assert champion is not None
+    assert cluster.evaluate(problem, [champion.genome])[0] == whole.best()
+    with zswarm.start(small, connection=cluster, out=tmp_path) as evolution:
+        for generation in evolution:
+            with pytest.raises(RuntimeError, match="leave its block first"):
+                cluster.evaluate(problem, problem.random(1))
+            if generation.generation == 1:
+                break
+    left = evolution.run
+    assert (left.finished, left.generations(), evolution.result) == (False, 2, None)
+    cluster.evaluate(problem, problem.random(1))
+    with zswarm.resume(left, connection=cluster) as evolution:
+        assert [generation.generation for generation in evolution] == [2, 3]
+    assert evolution.result is not None
+    assert evolution.result.history_hash == zswarm.read(left.folder).history_hash == whole.history_hash
+    assert zswarm.load(left.folder, {"name": "other"}).problem == whole.experiment.problem
+
+
+def test_two_runs_of_one_thread_do_not_wait_for_each_other_for_ever(
+    cluster: zswarm.Connection, small: zswarm.Experiment, tmp_path: Path
+) -> None:
+    with (
+        zswarm.start(small, connection=cluster, out=tmp_path) as one,
+        zswarm.start(small, connection=cluster, out=tmp_path) as two,
+    ):
+        next(iter(one))
+        with pytest.raises(RuntimeError, match="leave its block first"):
+            next(iter(two))
+
+
+def test_an_error_in_the_loop_says_how_to_go_on(cluster: zswarm.Connection, small: zswarm.Experiment, tmp_path: Path) -> None:
+    def one_generation() -> None:
+        with zswarm.start(small, connection=cluster, out=tmp_path) as evolution:
+            next(iter(evolution))
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError) as caught:
+        one_generation()
+    assert caught.value.__notes__ == [f"nothing of the run is lost; to go on: zswarm.resume({str(tmp_path / 'stadium')!r})"]
+
+
+def test_a_run_is_stopped_from_another_thread(cluster: zswarm.Connection, tmp_path: Path) -> None:
+    """It stops in the middle of a generation."""
+    endless = zswarm.load("stadium", {"generations": 1_000_000})
+    with zswarm.start(endless, connection=cluster, out=tmp_path) as evolution:
+        generations = iter(evolution)
+        next(generations)
+        timer = threading.Timer(0.1, evolution.stop)
+        timer.start()
+        with pytest.raises(zswarm.Stopped):
+            for _ in generations:
+                pass
+        timer.join()
+    assert evolution.run.generations() > 0
+
+
+def test_a_run_in_a_thread_leaves_the_thread_of_signals_alone(tmp_path: Path, small: zswarm.Experiment) -> None:
+    """By itself: it brings its own slots."""
+    with ThreadPoolExecutor(1) as threads:
+        run = threads.submit(zswarm.run, zswarm.load(small, ONE_SLOT), out=tmp_path).result()
+    assert run.finished
+
+
+def test_nothing_is_printed_unless_it_is_asked_for(
+    cluster: zswarm.Connection, small: zswarm.Experiment, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    zswarm.run(small, connection=cluster, out=tmp_path)
+    assert capfd.readouterr() == ("", "")
+    zswarm.run(small, connection=cluster, out=tmp_path, progress=True)
+    shown = capfd.readouterr()
+    assert "best fitness" in shown.out
+    assert "generation 4/4" in shown.err
+
+
+def test_histories_are_data_frames(cluster: zswarm.Connection, small: zswarm.Experiment, tmp_path: Path) -> None:
+    run = zswarm.run(small, connection=cluster, out=tmp_path)
+    history = run.history()
+    for frame in (run.to_pandas(), run.to_polars()):
+        columns = list(frame.columns)
+        assert columns[:6] == ["generation", "finished_at", "seconds", "best", "mean", "evaluations"]
+        assert "diversity_mean" in columns
+        assert "statistics" not in columns
+        assert list(frame["best"]) == [row["best"] for row in history]
+    shown = run._repr_html_()
+    assert f"{run.best():.6g}" in shown
+    assert "4 of 4, finished" in shown
+
+
+def test_a_logger_that_is_none_is_refused(small: zswarm.Experiment, tmp_path: Path) -> None:
+    with pytest.raises(TypeError, match="loggers: expected objects of subclasses of"):
+        zswarm.run(zswarm.load(small, ONE_SLOT), out=tmp_path, loggers=[print])  # type: ignore[list-item]
+    assert not list(tmp_path.iterdir())
+
+
+# ---- champions
+
+
+def test_a_champion_drives_agents_step_by_step_as_in_evolution(
+    cluster: zswarm.Connection, small: zswarm.Experiment, tmp_path: Path
+) -> None:
+    """A trial played turn by turn with one driver per agent has the champion's fitness."""
+    run = zswarm.run(small, connection=cluster, out=tmp_path)
+    champion = run.champion()
+    assert champion is not None
+    problem = zswarm.problem(run.experiment)
+    simulator = problem.simulator
+    drivers = [champion.driver() for _ in simulator.owners]
+    for _ in range(2):
+        for driver in drivers:
+            driver.reset()
+        turn = simulator.reset(int(problem.trial_seeds(0)[0]))
+        while turn is not None:
+            decided = [drivers[agent].act(observation) for agent, observation in zip(turn.agents, turn.observations, strict=True)]
+            turn = simulator.step(np.stack(decided))
+        assert simulator.outcome().fitness[0] == run.best()
+    with pytest.raises(ValueError, match=r"observation: expected shape \(\d+,\), not \(1,\)"):
+        drivers[0].act([0.0])
