@@ -14,7 +14,7 @@ import pytest
 
 import zswarm
 from zswarm import evaluate, experiment
-from zswarm.ot import leases
+from zswarm.ot import evaluations, leases
 
 SMALL = {"generations": 4, "optimizer.population": 20, "problem.settings.steps": 40}
 ONE_SLOT = {"cluster.servers": "local", "cluster.local_slots": 1}
@@ -235,6 +235,15 @@ def test_slots_are_given_back_after_a_while(monkeypatch: pytest.MonkeyPatch) -> 
     with pytest.raises(RuntimeError, match="connect again"):
         cluster.evaluate(problem, problem.random(2))
     cluster.close()
+
+
+def test_nobody_is_waited_for_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(evaluations, "WAIT_FOR_SERVERS_S", 0.1)
+    problem = zswarm.problem("stadium")
+    with zswarm.connect(2, multicast=False) as cluster:
+        for _ in range(2):
+            with pytest.raises(zswarm.NoServers, match=r"0 of 2 matching servers were found in 0\.1 s"):
+                cluster.evaluate(problem, problem.random(2))
 
 
 def test_closing_ends_what_another_thread_evaluates() -> None:

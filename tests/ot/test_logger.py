@@ -152,7 +152,7 @@ def test_a_logger_that_hangs_is_left_at_the_end(monkeypatch: pytest.MonkeyPatch)
         go_on, said = threading.Event(), list[str]()
 
         class Hanging(Logger):
-            def on_start(self, run: Started) -> None:
+            def on_start(self, run: Started) -> None:  # noqa: ARG002
                 go_on.wait(30.0)  # noqa: B023  of this round
 
         tell(InBackground(Hanging(), said.append))
