@@ -9,14 +9,14 @@ import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 
 from zswarm import experiment as experiments
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
-from zswarm.ot import evolution
+from zswarm.ot import evolution, reading
 from zswarm.ot.connection import Connection
 from zswarm.ot.evolution import Evolution
 from zswarm.ot.logger import InBackground, Logger, Loggers
@@ -24,6 +24,12 @@ from zswarm.ot.problem import Problem
 from zswarm.ot.reading import Run
 from zswarm.ot.record import EXPERIMENT, load_experiment
 from zswarm.strict import read as read_toml
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from zswarm.ot.curves import Axis
+    from zswarm.ot.figures import Size
 
 Source = str | os.PathLike[str] | Mapping[str, Any] | Experiment
 LOG = logging.getLogger("zswarm")
@@ -243,6 +249,31 @@ def read(folder: str | os.PathLike[str]) -> Run:
         history = zswarm.read("runs/stadium").to_pandas()
     """
     return Run(Path(folder))
+
+
+def plot(*runs: str | os.PathLike[str] | Run, x: "Axis" = "generation", size: "Size" = "column", title: str = "") -> "Figure":
+    """The learning curves of runs, as a figure of matplotlib that a notebook shows: repeats as a median with a band.
+
+    Args:
+        runs: they, or folders of runs or that hold runs.
+        x: along the horizontal axis: "generation", "evaluations" or "time".
+        size: "column" or "page" of a paper, or "slides".
+        title: above it.
+
+    Raises:
+        ConfigError: no runs there, none finished a generation, or matplotlib is missing.
+
+    Example::
+
+        seeds = [zswarm.run(zswarm.load("stadium", {"seed": seed})) for seed in range(5)]
+        zswarm.plot(*seeds).savefig("stadium.pdf")
+    """
+    from zswarm.ot import figures
+
+    found = [one for run in runs for one in ([run] if isinstance(run, Run) else reading.runs_below([Path(run)]))]
+    if not found:
+        raise ConfigError("plot: expected a run at least")
+    return figures.for_notebooks(figures.of_runs(reading.groups(found), x, size, title))
 
 
 # ---- helpers

@@ -105,6 +105,12 @@ def save(figure: "Figure", path: Path) -> None:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
 
 
+def for_notebooks(figure: "Figure") -> "Figure":
+    """The figure, which a notebook shows without pyplot, too."""
+    figure._repr_svg_ = lambda: render(figure, "svg").decode()  # type: ignore[attr-defined]
+    return figure
+
+
 def format_of(path: Path) -> str:
     """The format that a file's ending names.
 

@@ -34,6 +34,10 @@ from zswarm.protocol.codec import clean
 if TYPE_CHECKING:
     import pandas
     import polars
+    from matplotlib.figure import Figure
+
+    from zswarm.ot.curves import Axis
+    from zswarm.ot.figures import Size
 
 DEPTH = 2  # of folders in which runs are looked for: runs/STUDY/RUN
 TOLD_APART = 3  # settings by which groups are told apart; with more they have the experiments' names
@@ -267,6 +271,25 @@ class Run:
         """
         frame: polars.DataFrame = need("polars", "data", "to_polars").DataFrame(self._table(), infer_schema_length=None)
         return frame
+
+    def plot(self, x: "Axis" = "generation", size: "Size" = "column", title: str = "") -> "Figure":
+        """The learning curve, as a figure of matplotlib that a notebook shows.
+
+        Args:
+            x: along the horizontal axis: "generation", "evaluations" or "time".
+            size: "column" or "page" of a paper, or "slides".
+            title: above it.
+
+        Raises:
+            ConfigError: no generation is finished, or matplotlib is missing.
+
+        Example::
+
+            zswarm.read("runs/stadium").plot().savefig("stadium.pdf")
+        """
+        from zswarm.ot import figures
+
+        return figures.for_notebooks(figures.of_runs({self.name: [self]}, x, size, title))
 
     def _table(self) -> list[dict[str, Any]]:
         history = self.history()
