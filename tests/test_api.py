@@ -363,6 +363,24 @@ def test_a_logger_that_is_none_is_refused(small: zswarm.Experiment, tmp_path: Pa
     assert not list(tmp_path.iterdir())
 
 
+# ---- studies
+
+
+def test_a_study_is_runs_that_share_a_connection_and_can_be_gone_on_with(
+    cluster: zswarm.Connection, small: zswarm.Experiment, tmp_path: Path
+) -> None:
+    runs = zswarm.study(small, repeat=2, grid={"optimizer.population": np.array([10, 12])}, connection=cluster, out=tmp_path)
+    shown = [(run.experiment.optimizer.settings["population"], run.experiment.seed, run.finished) for run in runs]
+    assert shown == [(10, 1, True), (12, 1, True), (10, 2, True), (12, 2, True)]
+    again = zswarm.study(runs[0].folder.parent, connection=cluster)
+    assert [run.history_hash for run in again] == [run.history_hash for run in runs]
+    with pytest.raises(zswarm.ConfigError, match="goes on as it is"):
+        zswarm.study(runs[0].folder.parent, repeat=3, connection=cluster)
+    with pytest.raises(zswarm.ConfigError, match="populaton"):
+        zswarm.study(small, grid={"optimizer.populaton": [1, 2]}, connection=cluster, out=tmp_path)
+    assert len(zswarm.plot(*runs).axes[0].lines) >= 2
+
+
 # ---- champions
 
 

@@ -129,3 +129,11 @@ def test_places_that_are_not_named_are_not_tried(choices: list[Path], monkeypatc
 def test_the_folder_is_closed_to_other_users(choices: list[Path]) -> None:
     """What lies there is run as code."""
     assert jit.cache_folder().stat().st_mode & 0o077 == 0
+
+
+def test_the_cache_is_ours_when_the_program_imported_numba_before(tmp_path: Path) -> None:
+    """A notebook may have; numba's own cache would give old results after a change."""
+    code = "import numba, zswarm.jit; print(numba.config.CACHE_DIR, numba.config.DISABLE_INTEL_SVML)"
+    folder, without_svml = run(code, tmp_path, tmp_path / "cache", PYTHONPATH=str(PACKAGE.parent))
+    assert Path(folder) == tmp_path / "cache" / cache_hash()
+    assert without_svml == "1"

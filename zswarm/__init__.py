@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from zswarm.api import connect, load, plot, problem, read, resume, run, start
+    from zswarm.api import connect, load, plot, problem, read, resume, run, start, study
     from zswarm.errors import ConfigError, EvaluationError, KeysError, NoServers, Stopped, UnknownPlugin, ZswarmError
     from zswarm.experiment import Experiment
     from zswarm.ot.connection import Connection, Outcomes
@@ -55,10 +55,11 @@ __all__ = [
     "resume",
     "run",
     "start",
+    "study",
 ]
 
 _HOME = {
-    **dict.fromkeys(("connect", "load", "plot", "problem", "read", "resume", "run", "start"), "zswarm.api"),
+    **dict.fromkeys(("connect", "load", "plot", "problem", "read", "resume", "run", "start", "study"), "zswarm.api"),
     **dict.fromkeys(
         ("ConfigError", "EvaluationError", "KeysError", "NoServers", "Stopped", "UnknownPlugin", "ZswarmError"), "zswarm.errors"
     ),

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import msgspec
 
 from zswarm import experiment as experiments
-from zswarm.errors import ConfigError
+from zswarm.errors import ConfigError, EvaluationError
 from zswarm.experiment import Experiment
 from zswarm.ot import evolution, reading
 from zswarm.ot.connection import Connection
@@ -179,6 +179,66 @@ def run(
     with start(experiment, connection=connection, out=out, loggers=loggers, progress=progress) as begun:
         begun.finish()
     return begun.run
+
+
+def study(
+    experiment: Source,
+    *,
+    repeat: int | None = None,
+    grid: Mapping[str, Sequence[Any]] | None = None,
+    connection: Connection | None = None,
+    out: str | os.PathLike[str] = "runs",
+    progress: bool = False,
+) -> list[Run]:
+    """Evolve several runs, over seeds and settings; they share the servers. What was recorded, in the order of the study.
+
+    Ctrl-C stops it; the folder of a study, as ``experiment``, goes on with what is not finished.
+
+    Args:
+        experiment: as for ``load``, with or without a ``[study]`` (docs/studies.md); or the folder of a study.
+        repeat: runs of each setting, with the seeds ``seed``, ``seed`` + 1, ...
+        grid: values by keys; every combination is a setting.
+        connection: servers to use instead of those of the experiment's ``[cluster]``.
+        out: where the study's folder is made.
+        progress: show how it goes, as ``zswarm-ot run`` does.
+
+    Raises:
+        ConfigError: a setting or the folder cannot be used.
+        EvaluationError: runs failed; it names them, and the others are finished.
+        NoServers: the number of servers asked for was not there in time.
+
+    Example::
+
+        runs = zswarm.study("stadium", repeat=5, grid={"representation.hidden": [0, 2]})
+        zswarm.plot(*runs).savefig("hidden.pdf")
+    """
+    from zswarm.ot import study as studies
+    from zswarm.ot.playing import Follower
+
+    follower = Follower()
+    if progress:
+        from zswarm.ot.study_display import follower as shown
+
+        follower = shown(as_json=False)
+    given = {"study.repeat": repeat, "study.grid": None if grid is None else {key: list(grid[key]) for key in grid}}
+    changes = {key: value for key, value in given.items() if value is not None}
+    if isinstance(experiment, str | os.PathLike) and studies.is_study(Path(experiment)):
+        if changes:
+            raise ConfigError(f"{experiment}: a study goes on as it is; change its experiment.toml instead")
+        held = studies.Study.open(Path(experiment))
+    else:
+        loaded, where = _complete(experiment, changes)
+        held = studies.Study.create(loaded, where, Path(out))
+    with held as begun, _connected(connection, begun.experiment) as used:
+        try:
+            outcome = begun.play(used, follower)
+        except (Exception, KeyboardInterrupt) as error:
+            error.add_note(f"nothing of the study is lost; to go on: zswarm.study({str(begun.folder)!r})")
+            raise
+    if outcome.failed:
+        failed = "; ".join(f"{ended.planned.name}: {ended.error}" for ended in outcome.failed)
+        raise EvaluationError(f"{len(outcome.failed)} of {outcome.runs} runs failed: {failed}")
+    return [Run(begun.folder / planned.name) for planned in begun.planned]
 
 
 @contextlib.contextmanager

@@ -5,7 +5,6 @@ default out. ``[cluster]`` takes no part in the history. ``[study]`` makes sever
 settings.
 """
 
-import copy
 import itertools
 import json
 import math
@@ -247,7 +246,7 @@ def changed(mapping: Mapping[str, Any], settings: Mapping[str, Any], where: str)
     Raises:
         ConfigError: a key leads into something that is no table.
     """
-    other = copy.deepcopy(dict(mapping))
+    other: dict[str, Any] = _plain(mapping)
     for path, value in settings.items():
         _set(other, str(path), value, f"{where}: {path}")
     return other
@@ -479,5 +478,13 @@ def _set(mapping: dict[str, Any], path: str, value: Any, where: str) -> None:
         mapping = mapping.setdefault(table, {})
         if not isinstance(mapping, dict):
             raise ConfigError(f"{where}: {table} is no table")
-    of_numpy = hasattr(value, "item") and not hasattr(value, "__len__")  # its numbers are as good as Python's
-    mapping[key] = value.item() if of_numpy else value
+    mapping[key] = _plain(value)
+
+
+def _plain(value: Any) -> Any:
+    """As a file would have it: numpy's numbers and arrays are as good as Python's."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, (list, tuple, range)) else value

@@ -63,6 +63,8 @@ else:
 
     import numba  # the two settings above are read by this import
 
+    numba.config.reload_config()  # or they are read now: somebody imported numba before
+
     uint8, int32, int64, uint64 = numba.types.uint8, numba.types.int32, numba.types.int64, numba.types.uint64
     float32, float64 = numba.types.float32, numba.types.float64
 
