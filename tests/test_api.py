@@ -15,6 +15,7 @@ import pytest
 import zswarm
 from zswarm import evaluate, experiment
 from zswarm.ot import evaluations, leases
+from zswarm.ot.workload import Workload
 
 SMALL = {"generations": 4, "optimizer.population": 20, "problem.settings.steps": 40}
 ONE_SLOT = {"cluster.servers": "local", "cluster.local_slots": 1}
@@ -216,6 +217,26 @@ def test_calls_that_wait_are_evaluated_as_one(cluster: zswarm.Connection, monkey
         found = [float(call.result()[0]) for call in waiting]
     assert together == [5]
     assert found == [float(in_this_process(problem, problem.random(1, seed))[0, 0]) for seed in range(5)]
+
+
+def test_what_an_interrupted_call_left_is_not_taken_for_the_next(
+    cluster: zswarm.Connection, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also when it was complete in the meantime."""
+    problem = zswarm.problem("stadium", settings={"steps": 20})
+    play = evaluations.Evaluations.evaluate
+
+    def interrupted(self: evaluations.Evaluations, workload: Workload) -> Iterator[Any]:
+        yield next(play(self, workload))
+        wait_until(lambda: bool(workload.counted.all()))
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(evaluations.Evaluations, "evaluate", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            cluster.evaluate(problem, problem.random(7))
+    genomes = problem.random(7, seed=2)
+    assert same_bits(cluster.evaluate(problem, genomes), in_this_process(problem, genomes)[:, 0])
 
 
 def test_slots_are_given_back_after_a_while(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,5 +1,6 @@
 """The servers that somebody uses: this machine's slots, which start first and load meanwhile, and how to reach the others."""
 
+import atexit
 import contextlib
 import functools
 import threading
@@ -62,11 +63,13 @@ class Connection:
             raise RuntimeError("this connection is closed: connect again")
         if self.local is None and not isinstance(self.options.servers, int):
             self.local = LocalServer(slots_of_this_machine(self.options), self.options.realm)
+            atexit.register(self.close)  # a program may end without closing it
 
     def close(self) -> None:
         """End what is evaluated, and this machine's slots; a second time nothing."""
         with self._lock:
             self._closed = True
+        atexit.unregister(self.close)
         if self._leases is not None:
             self._leases.close()
         if self.local is not None:
