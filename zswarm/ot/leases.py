@@ -4,6 +4,7 @@ An optimizer outside calls again and again with a few candidates each. So the le
 calls, for some seconds; calls of several threads that wait are evaluated together.
 """
 
+import contextlib
 import logging
 import secrets
 import threading
@@ -74,8 +75,7 @@ class Leases:
                 if not call.done:
                     self._lead(call)
         finally:
-            if call in self._calls:
-                self._calls.remove(call)
+            self._forget(call)
 
     def release(self) -> None:
         """Give the slots to others, unless somebody evaluates now."""
@@ -117,7 +117,7 @@ class Leases:
             after = first + len(call.workload.seeds)
             call.workload.fitness[:], call.workload.metrics[:] = together.fitness[first:after], together.metrics[first:after]
             first, call.done = after, True
-            self._calls.remove(call)
+            self._forget(call)
         self._used = time.monotonic()
         if self._connection.runs:
             self._drop()
@@ -150,6 +150,10 @@ class Leases:
         while not self._stop.wait(IDLE_S / 4):
             if time.monotonic() > self._used + IDLE_S:
                 self.release()
+
+    def _forget(self, call: _Call) -> None:
+        with contextlib.suppress(ValueError):  # whoever waited for it may have been interrupted
+            self._calls.remove(call)
 
     def _drop(self) -> None:
         kept, self._kept = self._kept, None
