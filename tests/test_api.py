@@ -180,7 +180,7 @@ def test_outcomes_are_told_trial_by_trial_on_any_seeds(cluster: zswarm.Connectio
 
 
 def test_fresh_trials_are_those_of_the_generation(cluster: zswarm.Connection) -> None:
-    problem = zswarm.problem("minisim", seeds="fresh")
+    problem = zswarm.problem("emergency-exit", settings={"steps": 40}, trials=3, seeds="fresh")
     genomes = problem.random(4)
     first, second = (cluster.evaluate(problem, genomes, generation=generation) for generation in (0, 1))
     assert same_bits(first, cluster.evaluate(problem, genomes))
