@@ -122,6 +122,15 @@ def test_too_few_runs_are_told_with_how_many_are_needed(groups: int, needed: int
     assert all(pair.p_holm < comparison.LEVEL for pair in enough.pairs)
 
 
+def test_very_many_groups_are_tested_over_all_only() -> None:
+    """A sweep of a hundred settings has a table at once."""
+    found = comparison.of_series({str(g): ended(range(g, g + 6)) for g in range(100)}, "generations")
+    assert len(found.rows) == 100
+    assert (found.pairs, found.untested.partition(":")[0]) == ([], "100 groups make 4950 pairs; at most 1000 are tested")
+    assert found.kruskal_p is not None
+    assert found.kruskal_p < comparison.LEVEL
+
+
 def test_without_scipy_the_table_is_there_and_a_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(module: str, extra: str, what: str) -> None:
         raise ConfigError(f"{what} needs {module.partition('.')[0]}: pip install 'zswarm[{extra}]'")

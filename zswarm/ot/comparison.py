@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 By = Literal["generations", "evaluations"]
 LEVEL = 0.05  # of significance
 PERMUTATIONS = 15_000  # at most, where ties forbid the exact distribution
+MAX_PAIRS = 1000  # that are tested
 EXACT = 100  # runs of a group up to which the distribution without ties is computed exactly
 KRUSKAL = 5  # runs of each group from which on its distribution is near enough
 UNEQUAL = 1.1  # groups whose evaluations differ more are no equals in effort
@@ -189,10 +190,17 @@ def _test(samples: Mapping[str, np.ndarray]) -> tuple[list[Pair], float | None, 
     sizes = [len(sample) for sample in samples.values()]
     testable = any(_least_p(len(samples[a]), len(samples[b])) * len(pairs) < LEVEL for a, b in pairs)
     overall = len(samples) > 2 and min(sizes) >= KRUSKAL
-    few = "" if testable else (
-        f"a difference between two groups can be shown with {runs_needed(len(pairs))} or more runs of each; "
-        f"the smallest here has {min(sizes)}"
-    )  # fmt: skip
+    few = ""
+    if len(pairs) > MAX_PAIRS:
+        testable, few = (
+            False,
+            f"{len(samples)} groups make {len(pairs)} pairs; at most {MAX_PAIRS} are tested: compare fewer groups",
+        )
+    elif not testable:
+        few = (
+            f"a difference between two groups can be shown with {runs_needed(len(pairs))} or more runs of each; "
+            f"the smallest here has {min(sizes)}"
+        )
     if not testable and not overall:
         return [], None, few
     try:
