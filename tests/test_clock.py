@@ -7,7 +7,7 @@ import zswarm
 
 PACKAGE = Path(zswarm.__file__).parent
 MAY_DATE = {
-    *("ot/record.py", "ot/commands/list.py", "ot/report.py"),  # the last two show the dates; log.py dates by structlog
+    *("ot/record.py", "ot/commands/list.py", "ot/report.py", "ot/doctor/machine.py"),  # list.py and report.py show dates
     *("ss/server.py", "ss/status.py"),  # since when it serves
     *(f"security/{name}.py" for name in ("authority", "certificates", "cli", "keyring")),  # how long certificates are valid
 }

@@ -194,21 +194,55 @@ def test_an_unknown_part_is_refused_with_what_is_known(file: Path, override: str
 @pytest.mark.parametrize(
     ("content", "text"),
     [
-        (b"name", "not TOML: Expected '=' after a key"),
-        (b"name = 3\nname = 4", "not TOML: Cannot overwrite a value"),
-        (b"\xff\xfe\x00", "not TOML: 'utf-8' codec"),
-        (b"", "object missing required field name"),
-        (SMALL.replace("seed = 1", "").encode(), "object missing required field seed"),
-        (SMALL.replace('kind = "nnga"', "").encode(), "optimizer: kind: expected the name of one"),
-        (SMALL.replace("[problem]", "[[problem]]").encode(), "problem: expected object, got array"),
-        ((SMALL + "[clustr]").encode(), "unknown key 'clustr' (did you mean 'cluster'?); known are: name, seed, "),
-        ((SMALL + "[cluster]\nrelm = 3").encode(), "cluster: unknown key 'relm' (did you mean 'realm'?); known are: "),
+        (b"name", ": not TOML: Expected '=' after a key"),
+        (b"name = 3\nname = 4", ": not TOML: Cannot overwrite a value"),
+        (b"\xff\xfe\x00", ": not TOML: 'utf-8' codec"),
+        (b"", ": object missing required field name"),
+        (SMALL.replace("seed = 1", "").encode(), ": object missing required field seed"),
+        (SMALL.replace('kind = "nnga"', "").encode(), ":9: optimizer: kind: expected the name of one"),
+        (SMALL.replace("[problem]", "[[problem]]").encode(), ":5: problem: expected object, got array"),
+        ((SMALL + "[clustr]").encode(), ":11: unknown key 'clustr' (did you mean 'cluster'?); known are: name, seed, "),
+        ((SMALL + "[cluster]\nrelm = 3").encode(), ":12: cluster: unknown key 'relm' (did you mean 'realm'?); known are: "),
+        ((SMALL + '[cluster]\nrealm = "a/b"').encode(), ":12: cluster.realm: expected 1 to 63 of a-z"),
+        ((SMALL + '[cluster]\nconnect = ["lab"]').encode(), ":12: cluster.connect: expected endpoints such as"),
+        (
+            SMALL.replace('"nnga"', '"nnga"\ngenerations = 3\nname = "a b"').encode().replace(b"small", b"s m"),
+            ":2: name: expected",
+        ),
     ],
 )
 def test_a_bad_file_is_refused_in_one_clear_line(tmp_path: Path, content: bytes, text: str) -> None:
     path = tmp_path / "bad.toml"
     path.write_bytes(content)
-    assert refusal(load, path).startswith(f"{path}: {text}")
+    assert refusal(load, path).startswith(f"{path}{text}")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "text"),
+    [
+        ("[problem.settings]\nagents = 5\nstep = 3", ":13: problem.settings: unknown key 'step' (did you mean 'steps'?)"),
+        ("[problem.settings]\nsteps = 0", ":12: problem.settings: steps: expected int >= 1"),
+        ("populaton = 3", ":11: optimizer: unknown key 'populaton' (did you mean 'population'?)"),
+    ],
+)
+def test_a_mistake_in_the_settings_of_a_part_is_told_with_its_line(file: Path, wrong: str, text: str) -> None:
+    file.write_text(SMALL + wrong)
+    assert refusal(complete, load(file), str(file)).startswith(f"{file}{text}")
+
+
+def test_an_unknown_part_is_told_with_its_line(file: Path) -> None:
+    file.write_text(SMALL.replace('"nnga"', '"nngo"'))
+    assert refusal(complete, load(file), str(file)).startswith(f"{file}:10: optimizer.kind: unknown optimizer 'nngo'")
+    with pytest.raises(UnknownPlugin):
+        complete(load(file), str(file))
+
+
+def test_what_an_override_set_has_no_line(file: Path) -> None:
+    """Not even where the file sets the same key, rightly."""
+    file.write_text(SMALL + "population = 50")
+    text = refusal(complete, load(file, ["optimizer.population=1"]), str(file))
+    assert text.startswith(f"{file}: optimizer: population: expected int >= 2")
+    assert refusal(load, file, ["seed=true"]).startswith(f"{file}: seed: expected int")
 
 
 def test_a_file_that_cannot_be_read_says_why(tmp_path: Path) -> None:

@@ -22,8 +22,8 @@ MODULES = {
     if path.stem != "__init__" and "examples" not in path.parts
 }
 LEAVES = {
-    *("draws", "endpoint", "errors", "extras", "files", "jit", "log", "notify", "plugins", "portable", "settings_sheet"),
-    *("strict", "version_hash"),
+    *("draws", "endpoint", "errors", "extras", "files", "jit", "log", "notify", "plugins", "portable", "screen"),
+    *("settings_sheet", "strict", "toml_line", "version_hash"),
 }
 MAY_IMPORT = {
     "leaf": {"leaf"},

@@ -10,7 +10,15 @@ class ZswarmError(Exception):
 
 
 class ConfigError(ZswarmError):
-    """A file, option or name that the user gave cannot be used; the text says what was expected."""
+    """A file, option or name that the user gave cannot be used; the text says what was expected.
+
+    Attributes:
+        path: of the key that it is about, where it is about one.
+    """
+
+    def __init__(self, text: str, path: tuple[str, ...] = ()) -> None:
+        super().__init__(text)
+        self.path = path
 
 
 class KeysError(ConfigError):

@@ -5,6 +5,8 @@ default out. ``[cluster]`` takes no part in the history. ``[study]`` makes sever
 settings.
 """
 
+import contextlib
+import copy
 import itertools
 import json
 import math
@@ -17,7 +19,7 @@ import msgspec
 import tomli_w
 from msgspec import Meta
 
-from zswarm import endpoint, plugins, settings_sheet
+from zswarm import endpoint, plugins, settings_sheet, toml_line
 from zswarm.errors import ConfigError, UnknownPlugin
 from zswarm.plugins import nearest
 from zswarm.protocol import keys
@@ -44,6 +46,12 @@ class Problem(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         Meta(description="seeds of the trials: the same for the whole run, or new in each generation"),
     ] = "fixed"
     settings: Annotated[dict[str, Any], Meta(description="of the simulator: `[problem.settings]`, below")] = {}
+
+
+class _Kind(msgspec.Struct, frozen=True, kw_only=True):
+    """What every ``[representation]`` and ``[optimizer]`` says."""
+
+    kind: Annotated[str, Meta(description="name of one (`zswarm-ot list`); its settings stand beside it")]
 
 
 class Part(msgspec.Struct, frozen=True, kw_only=True):
@@ -221,18 +229,26 @@ def check(mapping: Mapping[str, Any], where: str) -> Experiment:
     Raises:
         ConfigError: something in it is unknown or impossible.
     """
-    file = convert(_flattened(mapping, where), _File, where)
-    _check_ids({"name": file.name, "cluster.realm": file.cluster.realm}, f"{where}: ")
-    endpoint.check(file.cluster.connect, f"{where}: cluster.connect")
+    with _on_its_line(where, mapping):
+        file = convert(_flattened(mapping, where), _File, where)
+        _check_ids({"name": file.name, "cluster.realm": file.cluster.realm}, f"{where}: ")
+    with _on_its_line(where, mapping, "cluster", "connect"):
+        endpoint.check(file.cluster.connect, f"{where}: cluster.connect")
+    with _on_its_line(where, mapping, "representation"):
+        representation = _part(file.representation, f"{where}: representation")
+    with _on_its_line(where, mapping, "optimizer"):
+        optimizer = _part(file.optimizer, f"{where}: optimizer")
+    with _on_its_line(where, mapping, "study"):
+        study = _checked(file.study, file.seed, f"{where}: study")
     return Experiment(
         name=file.name,
         seed=file.seed,
         generations=file.generations,
         problem=file.problem,
-        representation=_part(file.representation, f"{where}: representation"),
-        optimizer=_part(file.optimizer, f"{where}: optimizer"),
+        representation=representation,
+        optimizer=optimizer,
         cluster=file.cluster,
-        study=_checked(file.study, file.seed, f"{where}: study"),
+        study=study,
     )
 
 
@@ -294,17 +310,24 @@ def variants(complete: Experiment, where: str) -> list[Variant]:
 
 
 def _complete_alone(experiment: Experiment, where: str) -> Experiment:
-    simulator = _load("simulator", experiment.problem.simulator, f"{where}: problem.simulator")
-    representation = _load("representation", experiment.representation.kind, f"{where}: representation.kind")
-    optimizer = _load("optimizer", experiment.optimizer.kind, f"{where}: optimizer.kind")
-    problem = msgspec.structs.replace(
-        experiment.problem, settings=_complete(experiment.problem.settings, simulator, f"{where}: problem.settings")
-    )
+    said = to_mapping(experiment)
+    with _on_its_line(where, said, "problem", "simulator"):
+        simulator = _load("simulator", experiment.problem.simulator, f"{where}: problem.simulator")
+    with _on_its_line(where, said, "representation", "kind"):
+        representation = _load("representation", experiment.representation.kind, f"{where}: representation.kind")
+    with _on_its_line(where, said, "optimizer", "kind"):
+        optimizer = _load("optimizer", experiment.optimizer.kind, f"{where}: optimizer.kind")
+    with _on_its_line(where, said, "problem", "settings"):
+        settings = _complete(experiment.problem.settings, simulator, f"{where}: problem.settings")
+    with _on_its_line(where, said, "representation"):
+        network = _complete_part(experiment.representation, representation, f"{where}: representation")
+    with _on_its_line(where, said, "optimizer"):
+        proposing = _complete_part(experiment.optimizer, optimizer, f"{where}: optimizer")
     return msgspec.structs.replace(
         experiment,
-        problem=problem,
-        representation=_complete_part(experiment.representation, representation, f"{where}: representation"),
-        optimizer=_complete_part(experiment.optimizer, optimizer, f"{where}: optimizer"),
+        problem=msgspec.structs.replace(experiment.problem, settings=settings),
+        representation=network,
+        optimizer=proposing,
     )
 
 
@@ -336,6 +359,14 @@ def top_level() -> list[Key]:
     return [key for key in settings_sheet.keys(_File) if key.type_text != "table"]
 
 
+def tables() -> dict[str, type[msgspec.Struct]]:
+    """The tables of a file and what their keys are; the settings of parts come on top."""
+    named: dict[str, type[msgspec.Struct]] = {"representation": _Kind, "optimizer": _Kind}
+    return {
+        field.name: found for field in msgspec.structs.fields(_File) if (found := named.get(field.name) or _struct(field.type))
+    }
+
+
 def to_toml(experiment: Experiment) -> str:
     """The text of a file that ``load`` reads to the same experiment."""
     return tomli_w.dumps(to_mapping(experiment))
@@ -355,6 +386,29 @@ def to_mapping(experiment: Experiment) -> dict[str, Any]:
 def slots_of_this_machine(options: Cluster) -> int:
     """Slots of this machine to use."""
     return options.local_slots or os.cpu_count() or 1
+
+
+def _struct(kind: Any) -> type[msgspec.Struct] | None:
+    return kind if isinstance(kind, type) and issubclass(kind, msgspec.Struct) else None
+
+
+@contextlib.contextmanager
+def _on_its_line(where: str, said: Mapping[str, Any], *path: str) -> Iterator[None]:
+    """What is wrong at or below a key is told with the line of the file, unless an override set it."""
+    try:
+        yield
+    except ConfigError as error:
+        full = (*path, *error.path)
+        try:
+            text = Path(where).read_text(encoding="utf-8")
+            written = toml_line.value(parse(text), full)
+        except (OSError, ValueError):
+            raise error from None
+        same = written is not None and repr(written) == repr(toml_line.value(said, full))  # 1 == 1.0 == True
+        line = toml_line.find(text, full) if same else None
+        if line is None:
+            raise
+        raise type(error)(f"{where}:{line}{str(error).removeprefix(where)}", full) from error
 
 
 def _flattened(mapping: Mapping[str, Any], where: str) -> Mapping[str, Any]:
@@ -434,7 +488,7 @@ def _shown(value: Any) -> str:
 def _check_ids(texts: Mapping[str, str], where: str) -> None:
     for key, text in texts.items():
         if not keys.is_id(text):
-            raise ConfigError(f"{where}{key}: expected {keys.ID_RULE}, not {text!r}")
+            raise ConfigError(f"{where}{key}: expected {keys.ID_RULE}, not {text!r}", tuple(key.split(".")))
 
 
 def _part(mapping: Mapping[str, Any], where: str) -> Part:

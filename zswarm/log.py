@@ -5,13 +5,15 @@ import sys
 
 import structlog
 
+from zswarm import screen
+
 LEVELS = ("debug", "info", "warning", "error")
 
 
 def set_up(level: str = "info") -> None:
     """Choose the form by where stderr goes; once, at a program's start."""
     if sys.stderr.isatty():
-        last: structlog.typing.Processor = structlog.dev.ConsoleRenderer()
+        last: structlog.typing.Processor = structlog.dev.ConsoleRenderer(colors=screen.coloured(sys.stderr))
     else:
         last = structlog.processors.JSONRenderer()
     structlog.configure(

@@ -11,7 +11,7 @@ import msgspec
 import structlog
 
 import zswarm
-from zswarm import log, notify, session
+from zswarm import log, notify, screen, session
 from zswarm.errors import ConfigError
 from zswarm.security import keyring, refusals
 from zswarm.session import Reach
@@ -52,9 +52,12 @@ def command(config: Path | None, log_level: str, **given: Any) -> None:
     Start it on a machine that all can dial, then
 
     \b
-      zswarm-ss  --connect tcp/ROUTER:7466                      on the servers
-      zswarm-ot run --connect tcp/ROUTER:7466                   on the workstation
-      zswarm-ot run --connect tcp/ROUTER:7466 --through-router  where it cannot dial the servers
+    on the servers
+      zswarm-ss --connect tcp/ROUTER:7466
+    on the workstation
+      zswarm-ot run --connect tcp/ROUTER:7466
+    where that cannot dial the servers
+      zswarm-ot run --connect tcp/ROUTER:7466 --through-router
 
     Without --through-router the optimizer learns the servers' addresses here and dials them; no evaluation passes the
     router, and runs go on when it ends. SIGTERM or Ctrl-C ends it.
@@ -152,6 +155,7 @@ def _return(options: Options, reach: Reach) -> tuple[session.Session, list[str]]
 
 def main() -> None:
     """Entry point."""
+    screen.prepare()
     command()
 
 

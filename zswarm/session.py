@@ -115,15 +115,13 @@ def multicast_fault() -> str:
     Zenoh scouts on every interface that is up, has an address and can multicast, but for loopback. It needs no route.
     """
     try:
-        interfaces = socket.if_nameindex()
+        interfaces = scouting_interfaces()
     except OSError as error:  # such as netlink forbidden by systemd's RestrictAddressFamilies
         return f"the network interfaces cannot be listed ({error.strerror})"
     group = socket.inet_aton(SCOUTING_GROUP.partition(":")[0])
     fault = "no network interface is up that has an IPv4 address and multicast"
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         for index, name in interfaces:
-            if sys.platform == "linux" and not _scouts(probe, name):
-                continue
             try:
                 probe.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, struct.pack("=4s4si", group, bytes(4), index))
             except OSError as error:
@@ -131,6 +129,17 @@ def multicast_fault() -> str:
             else:
                 return ""
     return fault
+
+
+def scouting_interfaces() -> list[tuple[int, str]]:
+    """Number and name of those that Zenoh scouts on.
+
+    Raises:
+        OSError: they cannot be listed.
+    """
+    interfaces = socket.if_nameindex()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        return [(index, name) for index, name in interfaces if sys.platform != "linux" or _scouts(probe, name)]
 
 
 def _scouts(probe: socket.socket, interface: str) -> bool:

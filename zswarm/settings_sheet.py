@@ -5,6 +5,7 @@ The struct is the one source: its annotations bound a key, and ``Meta(descriptio
 """
 
 import json
+import re
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
@@ -42,6 +43,11 @@ def markdown(sheet: Iterable[Key]) -> str:
         cells = [f"`{key.name}`", key.type_text, default, key.meaning.replace("|", r"\|")]
         lines.append(" | ".join(["", *cells, ""]).strip().replace("|  |", "| |"))
     return "\n".join(lines) + "\n"
+
+
+def plain(text: str) -> str:
+    """Markdown without its marks for links and code."""
+    return re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", text).replace("`", "")
 
 
 def _key(field: inspect.Field) -> Key:

@@ -69,7 +69,10 @@ def convert(mapping: Mapping[str, Any], struct: type[T], where: str) -> T:
     try:
         return msgspec.convert(mapping, struct, strict=True)
     except msgspec.ValidationError as error:
-        raise ConfigError(f"{where}: {_plain(str(error))}") from None
+        path, what = _taken_apart(str(error))
+        told = f"{path}: {what}" if path else what
+        keys = tuple(path.partition("[")[0].split(".")) if path else ()
+        raise ConfigError(f"{where}: {told}", keys) from None
 
 
 def from_json(body: bytes, struct: type[T], where: str) -> T:
@@ -103,19 +106,20 @@ def _finite(value: Any) -> Any:
     return value
 
 
-def _refuse_unknown(mapping: Mapping[str, Any], struct: type[msgspec.Struct], where: str) -> None:
+def _refuse_unknown(mapping: Mapping[str, Any], struct: type[msgspec.Struct], where: str, inside: tuple[str, ...] = ()) -> None:
     fields = {field.encode_name: field.type for field in msgspec.structs.fields(struct)}
     for key, value in mapping.items():
         if key not in fields:
-            raise ConfigError(f"{where}: unknown key {key!r}{nearest(key, fields)}; known are: {', '.join(fields)}")
+            raise ConfigError(
+                f"{where}: unknown key {key!r}{nearest(key, fields)}; known are: {', '.join(fields)}", (*inside, key)
+            )
         kind = fields[key]
         if isinstance(value, Mapping) and isinstance(kind, type) and issubclass(kind, msgspec.Struct):
-            _refuse_unknown(value, kind, f"{where}: {key}")
+            _refuse_unknown(value, kind, f"{where}: {key}", (*inside, key))
 
 
-def _plain(text: str) -> str:
-    """msgspec's "Expected `int`, got `str` - at `$.a.b`" as "a.b: expected int, got str"."""
+def _taken_apart(text: str) -> tuple[str, str]:
+    """msgspec's "Expected `int`, got `str` - at `$.a.b`" as "a.b" and "expected int, got str"."""
     match = re.fullmatch(r"(?P<what>.*) - at `\$\.?(?P<path>.*)`", text)
     what, path = (match["what"], match["path"]) if match else (text, "")
-    what = what[0].lower() + what[1:].replace("`", "")
-    return f"{path}: {what}" if path else what
+    return path, what[0].lower() + what[1:].replace("`", "")

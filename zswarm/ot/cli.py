@@ -6,12 +6,17 @@ import sys
 
 import click
 
+from zswarm import screen
 from zswarm.errors import ConfigError, NoServers, ZswarmError
 from zswarm.ot.commands.check import check
 from zswarm.ot.commands.compare import compare
+from zswarm.ot.commands.completion import completion
+from zswarm.ot.commands.doctor import doctor
 from zswarm.ot.commands.evaluate import evaluate
 from zswarm.ot.commands.import_ import import_
+from zswarm.ot.commands.init import init
 from zswarm.ot.commands.list import list_
+from zswarm.ot.commands.menu import Menu
 from zswarm.ot.commands.plot import plot
 from zswarm.ot.commands.report import report
 from zswarm.ot.commands.run import resume, run
@@ -19,18 +24,29 @@ from zswarm.ot.commands.servers import servers
 from zswarm.ot.exits import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_MISTAKE, EXIT_NO_SERVERS
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=Menu, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="zswarm", prog_name="zswarm-ot")
 def command() -> None:
-    """Evolve swarm-robot controllers on this machine and on every zswarm-ss server of the network."""
+    """Evolve swarm-robot controllers on this machine and on every zswarm-ss server of the network.
+
+    \b
+    A first run, and one of your own:
+      zswarm-ot run stadium
+      zswarm-ot init my.toml
+      zswarm-ot check my.toml
+      zswarm-ot run my.toml
+
+    Every command has --help.
+    """  # noqa: D301  click's mark for text that is not to be wrapped
 
 
-for _command in (run, resume, servers, list_, check, evaluate, import_, plot, compare, report):
+for _command in (init, check, run, resume, evaluate, plot, compare, report, list_, servers, doctor, import_, completion):
     command.add_command(_command)
 
 
 def main() -> None:
     """Entry point: errors that are the user's to mend end in one line."""
+    screen.prepare()
     try:
         command.main(standalone_mode=False)
     except (click.exceptions.Abort, KeyboardInterrupt):
@@ -46,7 +62,7 @@ def main() -> None:
         sys.exit(EXIT_MISTAKE)
     except NoServers as error:
         click.echo(
-            f"zswarm-ot: {error}; start zswarm-ss on the machines, or see which are found with: zswarm-ot servers",
+            f"zswarm-ot: {error}; start zswarm-ss on the machines. What is wrong is told by: zswarm-ot doctor (docs/network.md)",
             err=True,
         )
         sys.exit(EXIT_NO_SERVERS)

@@ -37,6 +37,8 @@ class Connection:
         using: the leases that are there now.
     """
 
+    hinted = False  # the user was told that nobody is found
+
     def __init__(self, options: Cluster) -> None:
         self.options = options
         self.local: LocalServer | None = None

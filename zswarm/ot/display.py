@@ -5,6 +5,10 @@ import time
 
 from zswarm.ot.logger import Generation, Logger, Result, Started
 from zswarm.ot.terminal import patience, plural, print_json
+from zswarm.screen import console, moves
+
+BAR, WITH_BAR = 8, 60  # columns; it is shown on a terminal of so many
+TIME = 12  # columns of the time that is left, with what is between
 
 
 class PlainDisplay(Logger):
@@ -55,21 +59,23 @@ class LiveDisplay(PlainDisplay):
 
     def __init__(self) -> None:
         super().__init__()
-        from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+        made = console(stderr=True, live=True)
+        bar = [BarColumn(bar_width=BAR)] if made.width >= WITH_BAR else []
         self._progress = Progress(
             TextColumn("{task.completed:.0f}/{task.total:.0f}"),
-            BarColumn(bar_width=8),
+            *bar,
             TextColumn("{task.fields[text]}"),
             TimeRemainingColumn(compact=True, elapsed_when_finished=True),
-            console=Console(stderr=True),
+            console=made,
             refresh_per_second=8,
         )
         self._last: tuple[float, int] | None = None
 
     def on_start(self, run: Started) -> None:
         """See ``Logger``."""
+        self._generations = run.experiment.generations
         self._task = self._progress.add_task("run", total=run.experiment.generations, text="looking for servers")
         self._progress.start()
 
@@ -85,7 +91,10 @@ class LiveDisplay(PlainDisplay):
         if self._last is None:
             self._last = (now, g.evaluations)
         rate = (g.evaluations - self._last[1]) / max(1e-9, now - self._last[0])
-        text = f"best {g.best:.5g}  mean {g.mean:.5g}  {rate:.0f}/s  {plural(g.slots, 'slot')} on {plural(g.servers, 'server')}"
+        on = f"{plural(g.slots, 'slot')} on {plural(g.servers, 'server')}"
+        width = self._progress.console.width
+        room = width - 2 * len(str(self._generations)) - TIME - (BAR if width >= WITH_BAR else 0)
+        text = fitting([f"best {g.best:.5g}", f"mean {g.mean:.5g}", f"{rate:.0f}/s", on], room)
         self._progress.update(self._task, completed=g.generation + 1, text=text)
 
     def on_end(self, result: Result | None) -> None:
@@ -94,11 +103,18 @@ class LiveDisplay(PlainDisplay):
         super().on_end(result)
 
 
+def fitting(parts: list[str], room: int) -> str:
+    """The parts that there is room for: the first is shown in any case, the last ones rather than those between."""
+    while len("  ".join(parts)) > room and len(parts) > 1:
+        parts = [parts[0], *parts[2:]]
+    return "  ".join(parts)
+
+
 def display(*, as_json: bool) -> Logger:
     """The one that fits where the output goes."""
     if as_json:
         return JsonDisplay()
-    return LiveDisplay() if sys.stderr.isatty() else PlainDisplay()
+    return LiveDisplay() if moves(sys.stderr) else PlainDisplay()
 
 
 def summary(result: Result) -> str:

@@ -26,6 +26,7 @@ from zswarm.version_hash import version_hash
 WAIT_FOR_SERVERS_S = 10.0  # for the number of servers asked for
 PREPARING_S = 1.0  # of a server, before the user is told
 PAUSE_S = 3.0  # without any server, before the user is told
+HINT = "zswarm-ot doctor says why, docs/network.md what to do"
 NOBODY = "no server computes now: waiting for one (Ctrl-C stops; nothing is lost)"
 
 Happened = Counted | Retracted | Note
@@ -92,6 +93,7 @@ class Evaluations:
             probe=probe,
         )
         who = Who(options.realm, _user(reach), run, epoch, secrets.token_bytes(16))
+        self._met, self._begun = False, time.monotonic()  # whether a server of the network was seen
         local = connection.local
         self._cluster = Cluster(who, wanted, reach=reach, local=local.endpoint if local is not None else "")
 
@@ -129,6 +131,7 @@ class Evaluations:
         if isinstance(self._connection.options.servers, int):
             for item in self._cluster.wait(self._connection.options.servers, WAIT_FOR_SERVERS_S):
                 self._look_whether_to_stop()
+                self._hint()
                 yield from self._taken(item)
 
     def evaluate(self, workload: Workload) -> Iterator[Happened | None]:
@@ -142,6 +145,7 @@ class Evaluations:
         for item in self._cluster.evaluate(workload):
             self._look_whether_to_stop()
             yield from self._taken(item, workload)
+            self._hint()
             idle = time.monotonic() - last_served
             local = self._connection.local
             if self._cluster.standing.serving:
@@ -184,7 +188,17 @@ class Evaluations:
             case Counted() | Retracted() | None:
                 yield item
 
+    def _hint(self) -> None:
+        """Once, where other machines are asked for and none was seen for a while."""
+        options = self._connection.options
+        if self._met or self._connection.hinted or options.servers == "local" or time.monotonic() < self._begun + PAUSE_S:
+            return
+        self._connection.hinted = True
+        alone = ": this machine's slots compute alone" if self._connection.local is not None else ""
+        self._logger.on_say(f"no server found in realm {options.realm}{alone}; {HINT}")
+
     def _tell(self, note: Note) -> None:
+        self._met = self._met or (bool(note.server) and not note.server.startswith("local-"))
         self._logger.on_event(note)
         if note.event in TOLD:
             slots = f"{note.count} slot{'s' if note.count != 1 else ''}"

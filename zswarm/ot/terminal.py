@@ -7,12 +7,15 @@ from collections.abc import Iterator
 from typing import Any
 
 from rich import box
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from zswarm.screen import console
 from zswarm.strict import to_json
 
+LABEL = 12  # columns
+NARROW = 60  # columns: tables need more
+STATES = {"ok": "green", "warning": "yellow", "broken": "bold red"}
 NUMBERS = {
     *("slots", "free", "runs", "generations", "best", "worst", "q25", "median", "q75", "quartiles", "evaluations", "time"),
     *("U", "p", "p (Holm)", "A12"),
@@ -36,28 +39,54 @@ def row(table: Table, *cells: object) -> None:
 
 
 def show(table: Table) -> None:
-    """Print a table; numbers are not broken unless nothing else helps."""
-    console = Console()
+    """Print a table; numbers are not broken unless nothing else helps. On a narrow terminal each row is a block of lines."""
+    made = console()
     numbers = [column for column in table.columns if column.header in NUMBERS]
     texts = [column for column in table.columns if column.header not in NUMBERS]
     widths = [max(len(str(cell)) for cell in (column.header, *column.cells)) for column in numbers]
-    if sum(widths) + len(texts) * NARROWEST + 2 * len(table.columns) <= console.width:
-        for column in numbers:
-            column.no_wrap = True
-    console.print(table)
+    if made.width >= NARROW or made.measure(table, options=made.options.update(max_width=10_000)).maximum <= made.width:
+        if sum(widths) + len(texts) * NARROWEST + 2 * len(table.columns) <= made.width:
+            for column in numbers:
+                column.no_wrap = True
+        made.print(table)
+        return
+    for cells in zip(*(column.cells for column in table.columns), strict=True):
+        for number, (column, cell) in enumerate(zip(table.columns, cells, strict=True)):
+            if str(cell):
+                text = " ".join(str(cell).split())
+                entry(f"  {column.header}", text, label=len("  generations  ")) if number else line(text)
 
 
 def line(text: object, *, stderr: bool = False) -> None:
     """Print a text as it is, however wide the terminal."""
-    Console(stderr=stderr).print(Text(str(text)), soft_wrap=True)
+    console(stderr=stderr).print(Text(str(text)), soft_wrap=True)
 
 
 def paragraph(text: str, *, stderr: bool = False) -> None:
     """Lines of the terminal's width, the second and later ones indented; names are not broken."""
     lines = textwrap.wrap(
-        text, Console(stderr=stderr).width, subsequent_indent="  ", break_on_hyphens=False, break_long_words=False
+        text, console(stderr=stderr).width, subsequent_indent="  ", break_on_hyphens=False, break_long_words=False
     )
     line("\n".join(lines), stderr=stderr)
+
+
+def entry(about: str, text: str, *, colour: str = "", label: int = LABEL) -> None:
+    """What a text is about, in ``label`` columns, and the text beside it within the terminal's width."""
+    made = console()
+    words = textwrap.wrap(text, max(20, made.width - label), break_on_hyphens=False, break_long_words=False) or [""]
+    made.print(Text(f"{about:{label}}", style=colour) + Text(f"\n{' ' * label}".join(words)), soft_wrap=True)
+
+
+def fact(state: str, about: str, text: str, mend: str) -> None:
+    """A state, what it is about, a text, and in lines of its own what to do; all within the terminal's width."""
+    made = console()
+    indent = " " * 20
+    words = textwrap.wrap(text, max(20, made.width - len(indent)), break_on_hyphens=False) or [""]
+    shown = Text(f"{state:8}", style=STATES.get(state, "")) + Text(f"{about:12}" + f"\n{indent}".join(words))
+    made.print(shown, soft_wrap=True)
+    if mend:
+        steps = textwrap.wrap(mend, max(20, made.width - len(indent) - 2), break_on_hyphens=False, break_long_words=False)
+        made.print(Text(indent + "> " + f"\n{indent}  ".join(steps)), soft_wrap=True)
 
 
 def print_json(value: dict[str, Any]) -> None:

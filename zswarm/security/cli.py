@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from zswarm import screen
 from zswarm.errors import ConfigError, KeysError
 from zswarm.protocol import keys
 from zswarm.protocol.codec import clean
@@ -268,6 +269,7 @@ def revoke(names: tuple[str, ...], out: Path, folder: Path | None, as_json: bool
 
 def main() -> None:
     """Entry point."""
+    screen.prepare()
     command()
 
 

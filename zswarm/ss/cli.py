@@ -46,9 +46,13 @@ import click
 def command(config: Path | None, log_level: str, until_stdin_closes: bool, **given: Any) -> None:
     """Serve simulations: evaluate controllers for the optimizers of this network.
 
+    \b
+      zswarm-ss                             one slot per core
+      zswarm-ss --capacity 4 --realm lab7
+
     Optimizers (zswarm-ot run) find this server by themselves. SIGTERM or Ctrl-C finishes what runs and exits; a second one
     exits at once. SIGHUP reads keys and settings again; what runs goes on.
-    """
+    """  # noqa: D301  click's mark for text that is not to be wrapped
     if (subcommand := click.get_current_context().invoked_subcommand) is not None:
         if config or any(value not in (None, ()) for value in given.values()):
             raise click.UsageError(f"expected the options of {subcommand} after its name, and none of the daemon's")
@@ -110,4 +114,7 @@ def _try(call: Callable[[], None]) -> None:
 
 def main() -> None:
     """Entry point."""
+    from zswarm import screen
+
+    screen.prepare()
     command()

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from zswarm.errors import ZswarmError
 from zswarm.protocol.codec import clean
+from zswarm.screen import console
 from zswarm.ss import control
 from zswarm.ss.view import View
 
@@ -164,7 +164,7 @@ def _table(view: View) -> None:
         cells = (lease.user, lease.run, lease.simulator, lease.slots, lease.trials, _span(lease.seconds))
         table.add_row(*(Text(clean(str(cell))) for cell in cells))
     _print("")
-    Console().print(table)
+    console().print(table)
 
 
 def _span(seconds: float) -> str:
@@ -174,11 +174,11 @@ def _span(seconds: float) -> str:
 
 
 def _pair(title: str, text: str) -> None:
-    width = max(40, Console().width)
+    width = max(40, console().width)
     first = f"{title:10}" if len(title) < 10 else f"{title}  "
     lines = textwrap.wrap(first + clean(text), width, subsequent_indent=" " * 10, break_on_hyphens=False, break_long_words=False)
     _print("\n".join(lines))
 
 
 def _print(text: str) -> None:
-    Console().print(Text(text), soft_wrap=True)
+    console().print(Text(text), soft_wrap=True)

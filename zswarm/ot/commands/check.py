@@ -1,53 +1,142 @@
 """``zswarm-ot check``: what an experiment amounts to, without running it."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from zswarm import experiment
 from zswarm.experiment import Experiment
+from zswarm.ot.commands import suggestions
 from zswarm.ot.commands.options import json_option, set_option
 
 if TYPE_CHECKING:
-    from zswarm.ot.run import Parts
+    from zswarm.ot.discovery import Found, Survey
+    from zswarm.ot.explanation import Explanation
 
 
 @click.command()
-@click.argument("name", metavar="EXPERIMENT.toml|EXAMPLE")
+@click.argument("name", metavar="EXPERIMENT.toml|EXAMPLE", shell_complete=suggestions.experiments)
 @set_option
+@click.option("--servers", "look", is_flag=True, help="Look for servers, and say which match and why others do not.")
 @json_option
-def check(name: str, overrides: tuple[str, ...], as_json: bool) -> None:
-    """Check an experiment and say what it amounts to, without running it."""
+def check(name: str, overrides: tuple[str, ...], look: bool, as_json: bool) -> None:
+    """Explain an experiment, and find mistakes.
+
+    Says what is evolved, how much work that is, how long it takes here and on other machines, and what is likely a
+    mistake. Nothing is run but some trials, to time them.
+
+    \b
+      zswarm-ot check stadium
+      zswarm-ot check my.toml --set optimizer.population=200
+      zswarm-ot check my.toml --servers
+    """  # noqa: D301  click's mark for text that is not to be wrapped
+    from zswarm.ot import explanation, terminal
     from zswarm.ot import run as runs
 
     path = experiment.find(name)
     complete = experiment.complete(experiment.load(path, overrides), str(path))
-    show(complete, runs.build(complete), as_json=as_json)
-
-
-def show(complete: Experiment, parts: "Parts", *, as_json: bool) -> None:
-    """What an experiment amounts to."""
-    from zswarm.ot import terminal
-
-    simulator, network = parts.problem.simulator, parts.problem.representation
-    values = {
-        "experiment": complete.name,
-        "simulator": complete.problem.simulator,
-        "agents": len(simulator.owners),
-        "inputs": simulator.inputs,
-        "outputs": simulator.outputs,
-        "metrics": list(simulator.metrics),
-        "trials": complete.problem.trials,
-        "representation": complete.representation.kind,
-        "genome_bytes": network.genome_bytes,
-        "optimizer": complete.optimizer.kind,
-        "portable": parts.optimizer.portable,
-        "generations": complete.generations,
-        "candidates_first_generation": len(parts.optimizer.ask()),
-    }
+    explained = explanation.explain(complete, runs.build(complete))
+    survey = _survey(complete) if look else None
     if as_json:
-        terminal.print_json(values)
+        found = {} if survey is None else {"servers": [_server(server) for server in survey.servers]}
+        terminal.print_json({**explanation.as_mapping(explained), **found})
         return
-    for key, value in values.items():
-        terminal.line(f"{key.replace('_', ' '):28}{', '.join(value) if isinstance(value, list) else value}")
-    terminal.line("the experiment is fine")
+    show(explained, complete)
+    if survey is not None:
+        _show_servers(survey, complete)
+    for warning in explained.warnings:
+        terminal.entry("warning", warning, colour="yellow")
+    fine = "the experiment can be run" if explained.warnings else "the experiment is fine"
+    terminal.line(f"{fine}: zswarm-ot run {name}")
+
+
+def show(explained: "Explanation", complete: Experiment) -> None:
+    """What an experiment amounts to, in words."""
+    from zswarm.ot import terminal
+    from zswarm.ot.explanation import EXAMPLE_SERVERS, EXAMPLE_SLOTS, in_bytes, in_time
+    from zswarm.protocol.codec import clean
+
+    e = explained
+    sensors = f" ({', '.join(e.sensors)})" if e.sensors else ""
+    actuators = f" ({', '.join(e.actuators)})" if e.actuators else ""
+    hidden = f"{e.hidden} hidden nodes, " if e.hidden is not None else ""
+    sizes = [f"{e.genome_numbers:,} numbers"] * (e.genome_numbers is not None) + [
+        f"{e.genome_bytes:,} bytes" if e.genome_bytes else "its length varies"
+    ]
+    same = "the same in every generation" if complete.problem.seeds == "fixed" else "new ones in every generation"
+    judged = f"one trial, {same.replace('ones', 'one')}" if e.trials == 1 else f"the sum over {e.trials:,} trials, {same}"
+    noted = f"; also noted: {', '.join(e.metrics)}" if e.metrics else ""
+    first, later = e.candidates_first_generation, e.candidates_later_generations
+    then = f", then {later:,}" if later != first and e.generations > 1 else ""
+    elsewhere = EXAMPLE_SERVERS * EXAMPLE_SLOTS
+    result = "the same on all machines, bit for bit" if e.portable else "may differ in the last bits from machine to machine"
+    study = complete.study
+    settings = terminal.plural(len(study.settings()), "setting")
+    if e.runs > 1:
+        repeated = f"{settings}, each run {study.repeat} times: {e.runs:,} runs. What follows is of one run, as the file has it"
+        terminal.entry("study", repeated)
+    for about, text in (
+        ("experiment", f"{e.experiment}: {terminal.plural(e.generations, 'generation')}, seed {complete.seed}"),
+        ("problem", f"{e.simulator}: {e.about}" if e.about else e.simulator),
+        ("robots", f"{e.agents:,}, all driven by the same genome"),
+        ("controller", f"{e.representation}: {e.inputs} inputs{sensors}, {hidden}{e.outputs} outputs{actuators}"),
+        ("genome", ", ".join(sizes)),
+        ("fitness", judged + noted),
+        ("optimizer", f"{e.optimizer}: {first:,} candidates in the first generation{then}"),
+        ("work", f"{e.evaluations:,} evaluations, {e.simulations:,} simulations"),
+        (
+            "time",
+            f"a simulation takes about {in_time(e.trial_s)} here; all of them {in_time(e.seconds)} on this machine's "
+            f"{terminal.plural(e.slots, 'slot')}, {in_time(e.seconds_elsewhere)} on {EXAMPLE_SERVERS} such servers with "
+            f"{elsewhere} slots in all. The network and the optimizer come on top",
+        ),
+        ("disk", f"about {in_bytes(e.record_bytes)}"),
+        ("result", result),
+    ):
+        terminal.entry(about, clean(text))
+
+
+def _survey(complete: Experiment) -> "Survey":
+    from zswarm.ot import discovery
+    from zswarm.protocol.messages import Requirements
+    from zswarm.security import keyring
+    from zswarm.session import Reach
+    from zswarm.version_hash import version_hash
+
+    simulator, representation, cluster = complete.problem.simulator, complete.representation.kind, complete.cluster
+    requirements = Requirements(
+        simulator=simulator,
+        representation=representation,
+        version_hash=version_hash(simulator, representation),
+        trial_memory_mb=cluster.trial_memory_mb,
+    )
+    reach = Reach(cluster.connect, cluster.multicast, cluster.through_router, keyring.installed("ot"))
+    return discovery.survey(cluster.realm, reach, requirements=requirements, wait_s=1.5)
+
+
+def _server(found: "Found") -> dict[str, Any]:
+    reason = _mismatch(found)
+    return {"server": found.server, "slots": found.offer.capacity if found.offer else 0, "matches": not reason, "reason": reason}
+
+
+def _mismatch(found: "Found") -> str:
+    return found.reason or (found.offer.mismatch if found.offer is not None else "")
+
+
+def _show_servers(survey: "Survey", complete: Experiment) -> None:
+    from zswarm.ot import terminal
+    from zswarm.protocol.codec import clean
+
+    realm = complete.cluster.realm
+    matching = [found.offer for found in survey.servers if found.offer is not None and not _mismatch(found)]
+    slots = sum(offer.capacity for offer in matching)
+    if survey.servers:
+        count = f"{len(matching)} of {terminal.plural(len(survey.servers), 'server')}"
+        terminal.entry("servers", f"{count} in realm {realm} can evaluate it, with {terminal.plural(slots, 'slot')}")
+    else:
+        terminal.entry("servers", f"none found in realm {realm}")
+    for found in survey.servers:
+        if why := _mismatch(found):
+            terminal.entry("", clean(f"{found.server} is not used: {why}"))
+    for line in survey.findings:
+        terminal.entry("", clean(line))

@@ -13,7 +13,10 @@ from zswarm.ot.commands.options import json_option
 @click.argument("folder", type=click.Path(path_type=Path), default=Path("runs"))
 @json_option
 def list_(folder: Path, as_json: bool) -> None:
-    """Show the runs below a folder, and the examples, simulators, representations and optimizers there are."""
+    """Show runs, examples and what experiments are made of.
+
+    The runs below a folder; and the examples, simulators, representations and optimizers that are installed.
+    """
     from zswarm.ot import reading, terminal
 
     runs = reading.listed(folder)
@@ -23,7 +26,7 @@ def list_(folder: Path, as_json: bool) -> None:
         terminal.print_json({"runs": runs, "examples": examples, **{f"{kind}s": names for kind, names in parts.items()}})
         return
     for title, names in (("examples", examples), *((f"{kind}s", names) for kind, names in parts.items())):
-        terminal.line(f"{title:16}{', '.join(names)}")
+        terminal.entry(title, ", ".join(names), label=16)
     if not runs:
         terminal.line(f"{'runs':16}none in {folder}")
         return

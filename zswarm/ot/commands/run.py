@@ -14,6 +14,7 @@ import click
 
 from zswarm import experiment
 from zswarm.errors import ZswarmError
+from zswarm.ot.commands import suggestions
 from zswarm.ot.commands.options import cluster_options, json_option, set_option, with_cluster
 from zswarm.ot.connection import Connection
 from zswarm.ot.exits import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_TERMINATED
@@ -26,7 +27,7 @@ DEFAULT_EXAMPLE = "emergency-exit"
 
 
 @click.command()
-@click.argument("name", default=DEFAULT_EXAMPLE, metavar="[EXPERIMENT.toml|EXAMPLE]")
+@click.argument("name", default=DEFAULT_EXAMPLE, metavar="[EXPERIMENT.toml|EXAMPLE]", shell_complete=suggestions.experiments)
 @set_option
 @click.option("--seed", type=click.IntRange(0, experiment.LAST_SEED), help="Seed of the run.")
 @click.option(
@@ -47,7 +48,18 @@ DEFAULT_EXAMPLE = "emergency-exit"
 def run(
     name: str, overrides: tuple[str, ...], seed: int | None, repeat: int | None, out: Path, as_json: bool, **cluster: Any
 ) -> None:
-    """Evolve a controller; without an argument, the built-in example."""
+    """Evolve a controller.
+
+    The experiment is a file, or an example by name (zswarm-ot list); without one the built-in example is run.
+
+    \b
+      zswarm-ot run stadium
+      zswarm-ot run my.toml --set optimizer.population=100
+      zswarm-ot run my.toml --servers local
+
+    Servers are found by themselves. Ctrl-C stops it; nothing is lost, and "zswarm-ot resume RUN" goes on. Afterwards
+    "zswarm-ot evaluate RUN" plays the champion on unseen seeds.
+    """  # noqa: D301  click's mark for text that is not to be wrapped
     path = experiment.find(name)
     more = [f"{key}={value}" for key, value in (("seed", seed), ("study.repeat", repeat)) if value is not None]
     loaded = with_cluster(experiment.load(path, [*overrides, *more]), cluster)
@@ -68,11 +80,17 @@ def run(
 
 
 @click.command()
-@click.argument("folder", type=click.Path(path_type=Path), metavar="RUN|STUDY")
+@click.argument("folder", type=click.Path(path_type=Path), metavar="RUN|STUDY", shell_complete=suggestions.runs)
 @cluster_options
 @json_option
 def resume(folder: Path, as_json: bool, **cluster: Any) -> None:
-    """Go on with a run or a study that was stopped, from the last thing it recorded."""
+    """Go on with a run or a study that was stopped.
+
+    It goes on from the last thing that was recorded, and ends as if nothing had happened: with the same history.
+
+    \b
+      zswarm-ot resume runs/stadium
+    """  # noqa: D301  click's mark for text that is not to be wrapped
     _evaluate_nothing()
     from zswarm.ot.record import DATABASE, load_experiment
 

@@ -9,6 +9,7 @@ import msgspec
 
 from zswarm import __version__, experiment
 from zswarm.errors import ConfigError
+from zswarm.ot.commands import suggestions
 from zswarm.ot.commands.options import json_option
 from zswarm.ot.exits import EXIT_NO_SERVERS
 
@@ -32,12 +33,25 @@ NAME_WIDTH = 40  # of a server: with the other columns it fits into 80
     metavar="SECONDS",
     help="How long to look.",
 )
-@click.option("--for", "name", metavar="EXPERIMENT", help="Say which servers match this experiment, and why others do not.")
+@click.option(
+    "--for",
+    "name",
+    metavar="EXPERIMENT",
+    help="Say which servers match this experiment, and why others do not.",
+    shell_complete=suggestions.experiments,
+)
 @json_option
 def servers(
     realm: str, connect: tuple[str, ...], multicast: bool, through_router: bool, wait_s: float, name: str | None, as_json: bool
 ) -> None:
-    """Show the servers of the network, or why none is found."""
+    """Show the servers of the network.
+
+    With their slots, versions and simulators; or why none is found.
+
+    \b
+      zswarm-ot servers
+      zswarm-ot servers --for my.toml
+    """  # noqa: D301  click's mark for text that is not to be wrapped
     from zswarm import endpoint
     from zswarm.ot import discovery
     from zswarm.protocol import keys

@@ -1,0 +1,132 @@
+"""``zswarm-ot check``: what it says of an experiment is what a run does."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from zswarm import experiment
+from zswarm.ot import explanation, run
+from zswarm.ot.cli import command
+from zswarm.ot.explanation import Explanation, explain
+from zswarm.sims.minisim import Minisim
+
+EXAMPLES = sorted(path.stem for path in experiment.examples_folder().glob("*.toml"))
+
+
+def complete(name: str, *overrides: str) -> experiment.Experiment:
+    path = experiment.find(name)
+    return experiment.complete(experiment.load(path, overrides), str(path))
+
+
+def explained(name: str, *overrides: str) -> Explanation:
+    whole = complete(name, *overrides)
+    return explain(whole, run.build(whole))
+
+
+def check(*arguments: str) -> str:
+    done = CliRunner().invoke(command, ["check", *arguments], catch_exceptions=False, env={"COLUMNS": "80"})
+    assert done.exit_code == 0
+    return done.stdout
+
+
+@pytest.mark.parametrize("islands", [1, 3])
+def test_the_evaluations_are_counted_as_the_optimizer_asks_for_them(islands: int) -> None:
+    overrides = ["generations=6", f"optimizer.islands={islands}", "problem.trials=2"]
+    optimizer = run.build(complete("minisim", *overrides)).optimizer
+    asked = 0
+    for _ in range(6):
+        count = len(optimizer.ask())
+        asked += count
+        optimizer.tell(np.random.default_rng(1).random(count))
+    told = explained("minisim", *overrides)
+    assert (told.evaluations, told.simulations) == (asked, 2 * asked)
+
+
+def test_more_slots_than_trials_of_a_generation_make_nothing_faster() -> None:
+    told = explained("stadium", "cluster.local_slots=1000")
+    assert told.seconds == pytest.approx(200 * told.trial_s), "a generation takes as long as a trial"
+    alone = explained("stadium", "cluster.local_slots=1")
+    assert alone.seconds == pytest.approx(alone.evaluations * alone.trial_s)
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides", "warning"),
+    [
+        ("minisim", ["generations=1"], "generations = 1"),
+        ("minisim", ["problem.trials=1"], "trials = 1"),
+        ("minisim", ["optimizer.population=3"], "only 3 candidates"),
+        ("minisim", ["generations=1000000000"], "the record needs about "),
+    ],
+)
+def test_what_is_likely_a_mistake_is_told(name: str, overrides: list[str], warning: str) -> None:
+    (told,) = explained(name, *overrides).warnings
+    assert told.startswith(warning)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_an_example_is_no_mistake(name: str) -> None:
+    """The stadium has one trial, which is the same for every seed: that is none, either."""
+    assert explained(name).warnings == []
+
+
+def test_a_simulator_that_always_fails_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Minisim, "play", lambda *_arguments: None)  # the outcomes stay NaN
+    assert explained("minisim").warnings == ["every trial that was tried failed; nothing can evolve"]
+
+
+def test_the_record_is_about_as_large_as_told() -> None:
+    """The measured sizes of three real runs of 50 generations."""
+    for name, size in (("stadium", 716_800), ("minisim", 1_441_792), ("emergency-exit", 1_277_952)):
+        assert explained(name, "generations=50").record_bytes == pytest.approx(size, rel=0.25)
+
+
+def test_check_explains_in_lines_of_the_terminals_width() -> None:
+    text = check("stadium")
+    assert max(map(len, text.splitlines())) <= 80
+    flat = " ".join(text.split())
+    for words in (
+        "stadium: 200 generations, seed 1", "72, all driven by the same genome", "Robots in a room must leave",
+        "10 inputs (exit_dx, exit_dy,", "2 hidden nodes, 2 outputs (vx, vy)", "60 numbers, 240 bytes",
+        "50 candidates in the first generation, then 37", "7,413 evaluations", "bit for bit", "zswarm-ot run stadium",
+    ):  # fmt: skip
+        assert words in flat
+    assert "warning" in check("minisim", "--set", "generations=1")
+
+
+def test_check_counts_the_runs_of_a_study(tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    grid = '[study]\nrepeat = 5\n[study.grid]\n"optimizer.population" = [20, 40]\n'
+    path.write_text(experiment.find("minisim").read_text() + grid)
+    assert "2 settings, each run 5 times: 10 runs." in " ".join(check(str(path)).split())
+    assert json.loads(check(str(path), "--json"))["runs"] == 10
+    assert "study" not in check("minisim")
+
+
+def test_check_says_the_same_as_json() -> None:
+    told: dict[str, Any] = json.loads(check("minisim", "--json"))
+    assert list(told) == [*Explanation.__struct_fields__]
+    assert (told["evaluations"], told["genome_numbers"]) == (1863, 56)
+
+
+def test_check_looks_for_servers_where_the_experiment_does(tmp_path: Path) -> None:
+    """Here nowhere."""
+    nowhere = ["--set", "cluster.multicast=false", "--servers"]
+    assert json.loads(check("minisim", "--json", *nowhere))["servers"] == []
+    assert "none found in realm default multicast is off" in " ".join(check("minisim", *nowhere).split())
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(3e-5, "30 us"), (0.00123, "1.2 ms"), (1, "1 s"), (119, "119 s"), (300, "5 min"), (7300, "2 h"), (864_000, "10 days")],
+)
+def test_times_are_in_units_that_people_use(value: float, text: str) -> None:
+    assert explanation.in_time(value) == text
+
+
+@pytest.mark.parametrize(("value", "text"), [(12, "12 bytes"), (1234, "1.23 kB"), (2_780_000, "2.78 MB"), (5e12, "5 TB")])
+def test_sizes_are_in_units_that_people_use(value: float, text: str) -> None:
+    assert explanation.in_bytes(value) == text
