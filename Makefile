@@ -1,4 +1,4 @@
-# make run | test | lint: each sets .venv up when it is missing or out of date.
+# make run | test | lint | docs: each sets .venv up when it is missing or out of date.
 PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/ready
@@ -6,7 +6,7 @@ TESTS ?= -n $$((2 * $$(nproc))) --dist worksteal  # many wait for programs; neig
 
 KILLS ?= 200
 
-.PHONY: run test long chaos faults machines units kills lint format bench bench-peers scale soak clean
+.PHONY: run test long chaos faults machines units kills lint format docs docs-commands reference bench bench-peers scale soak clean
 
 run: $(READY)
 	$(BIN)/zswarm-ot run $(ARGS)
@@ -45,6 +45,19 @@ format: $(READY)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+# The site, in build/docs; every warning is an error.
+docs: $(READY)
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --nitpicky --quiet -b html -d build/docs-cache docs build/docs
+	@echo build/docs/index.html
+
+# Every command that a document shows, in its order.
+docs-commands: $(READY)
+	$(BIN)/python -m pytest $(TESTS) -m docs tests/test_docs_commands.py $(ARGS)
+
+# The parts of the documents that are made from the code.
+reference: $(READY)
+	$(BIN)/python docs/reference.py
+
 bench: $(READY)
 	$(BIN)/python benchmarks/quick.py
 
@@ -59,7 +72,7 @@ soak: $(READY)
 	$(BIN)/python benchmarks/soak.py $(ARGS)
 
 clean:
-	rm -rf .venv build/peers .pytest_cache .mypy_cache .ruff_cache
+	rm -rf .venv build .pytest_cache .mypy_cache .ruff_cache
 
 # uv where it is there, else venv and pip; what the machine lacks is named with the package that has it.
 $(READY): pyproject.toml Makefile

@@ -1,0 +1,141 @@
+"""The site: every page has its place, every link its target, and what is made from the code is as the code says."""
+
+import importlib.util
+import re
+import types
+from pathlib import Path
+
+import click
+import pytest
+from documents import DOCUMENTS, REPOSITORY
+
+import zswarm
+from zswarm import errors
+
+DOCS = REPOSITORY / "docs"
+PAGES = sorted(DOCS.glob("*.md"))
+CODE = re.compile(r"^```.*?^```$|`[^`\n]*`", re.S | re.M)
+
+
+def module(name: str) -> types.ModuleType:
+    spec = importlib.util.spec_from_file_location(f"docs_{name}", DOCS / f"{name}.py")
+    assert spec
+    assert spec.loader
+    loaded = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(loaded)
+    return loaded
+
+
+reference = module("reference")
+
+
+def toctrees() -> list[str]:
+    """The pages that index.md names, in their order."""
+    blocks = re.findall(r"^```\{toctree\}\n(.*?)^```$", (DOCS / "index.md").read_text(encoding="utf-8"), re.S | re.M)
+    lines = [line for block in blocks for line in block.splitlines() if line and not line.startswith(":")]
+    return [re.sub(r"^.* <(.*)>$", r"\1", line) for line in lines]
+
+
+def anchors(document: Path) -> set[str]:
+    """What may stand behind # in a link to a document, as a forge and the site make it of headings."""
+    found: set[str] = set()
+    for heading in re.findall(
+        r"^#+ (.*)$", re.sub(r"^```.*?^```$", "", document.read_text(encoding="utf-8"), flags=re.S | re.M), re.M
+    ):
+        words = re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+        found.add(words)
+    return found
+
+
+def test_every_page_is_in_one_toctree() -> None:
+    named = toctrees()
+    assert sorted(named) == sorted(page.stem for page in PAGES if page.stem != "index")
+
+
+def test_the_site_is_strict_and_has_the_version_of_the_package() -> None:
+    conf = module("conf")
+    assert conf.nitpicky
+    assert conf.release == conf.zswarm.__version__
+    assert "--fail-on-warning" in (REPOSITORY / "Makefile").read_text()
+
+
+def test_files_of_the_repository_are_pages_with_a_link_for_who_reads_them_as_files() -> None:
+    for name, page in module("conf").FROM_THE_REPOSITORY.items():
+        assert (DOCS / f"{page}.md").read_text() == f"[{name}.md](../{name}.md)\n"
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_every_link_has_its_target(document: Path) -> None:
+    """Also within the page, and to a heading of another."""
+    for target in re.findall(r"\]\(([^)\s]+)\)", CODE.sub("", document.read_text(encoding="utf-8"))):
+        if "://" in target:
+            continue
+        file, _, anchor = target.partition("#")
+        path = (document.parent / file).resolve() if file else document
+        assert path.exists(), f"{document.name}: {target} is not there"
+        if anchor:
+            assert anchor in anchors(path), f"{document.name}: {target}: no such heading"
+
+
+@pytest.mark.parametrize("page", ["help.md", "experiment.md"])
+def test_what_is_made_from_the_code_is_up_to_date(page: str) -> None:
+    """`make reference` makes it."""
+    assert (DOCS / page).read_text(encoding="utf-8") == reference.pages()[DOCS / page], "run: make reference"
+
+
+def test_every_public_name_is_in_the_reference() -> None:
+    """The errors by their module."""
+    text = (DOCS / "api.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"^\.\. auto\w+:: zswarm\.(\w+)$", text, re.M))
+    assert named | set(vars(errors)) >= set(zswarm.__all__)
+    assert ".. automodule:: zswarm.errors" in text
+
+
+def commands() -> list[tuple[str, str]]:
+    """Those of our programs that stand within a line, such as `zswarm-ot resume RUN`, each with its document."""
+    found = []
+    for document in DOCUMENTS:
+        text = re.sub(r"^```.*?^```$", "", document.read_text(encoding="utf-8"), flags=re.S | re.M)
+        found += [(document.name, " ".join(said.split())) for said in re.findall(r"`(zswarm-(?:ot|ss|router|keys) [^`]*)`", text)]
+    return sorted(set(found))
+
+
+@pytest.mark.parametrize(("document", "said"), commands())
+def test_a_command_within_a_line_is_one_that_there_is(document: str, said: str) -> None:
+    """With options that it has; placeholders are in capitals."""
+    program, *words = said.replace(" ...", "").split()
+    command = reference.PROGRAMS[program]
+    if isinstance(command, click.Group) and words and not words[0].startswith("-"):
+        assert words[0] in command.commands, f"{document}: {said}"
+        command = command.commands[words[0]]
+    known = {spelling for option in command.params for spelling in [*option.opts, *option.secondary_opts]}
+    for word in words:
+        if word.startswith("-"):
+            assert word.partition("=")[0] in known | {"--help", "--version", "-h"}, f"{document}: {said}: {word}"
+
+
+def defaults() -> list[tuple[str, str, str]]:
+    """Command, option and default of each option that has a plain one."""
+    found = []
+    for program, command in reference.PROGRAMS.items():
+        children = command.commands.items() if isinstance(command, click.Group) else ()
+        for name, one in ((program, command), *((f"{program} {child}", found_) for child, found_ in children)):
+            found += [
+                (name, option.opts[-1], f"{option.default}")
+                for option in one.params
+                if isinstance(option, click.Option) and isinstance(option.default, str | int | float)
+                if not option.is_flag and not option.multiple and option.default
+            ]
+    return found
+
+
+@pytest.mark.parametrize(("command", "option", "default"), defaults())
+def test_a_default_is_what_the_document_says(command: str, option: str, default: str) -> None:
+    """In the table of commands.md that has the option, where that has a column for it."""
+    text = (DOCS / "commands.md").read_text(encoding="utf-8")
+    program, _, name = command.partition(" ")
+    heading = f"### {name}" if program == "zswarm-ot" and name else f"### {command}" if name else f"## {program}"
+    level = heading.index(" ")
+    section = re.search(rf"^{heading}$\n(.*?)(?=^#{{1,{level}}} |\Z)", text, re.S | re.M)
+    rows = re.findall(rf"^\| `{option}`[^|]*\| ([^|]*) \| [^|]*\|$", section[1] if section else "", re.M)
+    assert all(default in row or "above" in row or "the file's" in row for row in rows), f"{command} {option}: {default}"
