@@ -41,7 +41,7 @@ def folder(file: Path) -> Path:
 def record(study: Path, name: str, **changes: object) -> None:
     """A run in a study's folder, not begun."""
     alone = experiment.variants(load_study(study), "x")[0].experiment
-    Record.create(study, structs.replace(alone, **changes), "", name).close()
+    Record.create(study, structs.replace(alone, **changes), "", name=name).close()
 
 
 def refusal(folder: Path) -> str:
