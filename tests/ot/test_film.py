@@ -8,10 +8,10 @@ import pytest
 
 from zswarm import evaluate
 from zswarm.draws import Stream
-from zswarm.ot.film import MOST_FRAMES, Panel, frames, svg
+from zswarm.ot.film import MOST_FRAMES, NAMESPACE, Panel, frames, svg
 from zswarm.sims.simulator import Body, Frame, Place
 
-SVG = "{http://www.w3.org/2000/svg}"
+SVG = f"{{{NAMESPACE}}}"
 WALK = [Frame(10, 5, [Place("wall", 4, 0, 1, 2)], [Body("robot", x, 2.5, 0.4), Body("rock", 1, 1, 0.4)]) for x in range(11)]
 
 

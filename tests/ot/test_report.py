@@ -19,7 +19,7 @@ SHOWN = "</td></table><script src='https://evil.example/x.js'>alert(1)</script>\
 TAGS = {
     *("html", "head", "meta", "title", "style", "body", "h1", "h2", "p", "div", "table", "thead", "tbody", "tr", "th", "td"),
     *("mark", "span", "strong", "code", "pre", "details", "summary", "ul", "li"),
-    *("svg", "g", "path", "use", "defs", "rect", "clippath"),
+    *("svg", "g", "path", "use", "defs", "rect", "clippath", "circle", "polyline", "text", "animate"),
 }
 
 
@@ -66,6 +66,8 @@ def test_a_page_shows_the_run(tmp_path: Path) -> None:
     assert "svg" in page.tags
     assert "On 3 seeds that evolution never used" in page.text
     assert "escaped" in page.text  # a metric of the simulator
+    assert "The champion at work" in page.text
+    assert "animate" in page.tags
     assert "lab-1-0123abcd" in page.text
     assert page.text.index("fault") < page.text.index("server joined")
 
@@ -113,6 +115,7 @@ def test_a_simulator_that_is_not_installed_is_named(tmp_path: Path) -> None:
     folder = written(tmp_path, [1, 2], simulator="not-here")
     page = assert_harmless(report.of_run(reading.Run(folder), trials=10))
     assert "It was not played on unseen seeds: unknown simulator 'not-here'" in page.text
+    assert "The champion at work" not in page.text
 
 
 def test_a_run_that_only_began_has_a_page(tmp_path: Path) -> None:

@@ -12,9 +12,12 @@ from zswarm.evaluate import turns
 from zswarm.nets.representation import Representation
 from zswarm.sims.simulator import Body, Frame, Simulator
 
+NAMESPACE = "http://www.w3.org/2000/svg"  # of a file; not needed within HTML
 SIDE, GAP = 420.0, 28.0  # pixels: of a panel, between two
 TITLE, LINE, LETTER = 24.0, 21.0, 7.0  # pixels: above a panel, a line and a letter of text
 MOST_FRAMES = 400
+MOST_POSITIONS = 100_000  # of all bodies; more would make a picture of megabytes
+MOST_TURNS = 200_000  # of a trial that is looked at, some seconds of computing
 FRAME_S, SHORTEST_S, LONGEST_S, HOLD_S = 0.12, 3.0, 12.0, 1.5  # the last picture stays for HOLD_S
 KNOWN = {"blockade": "#8b9099", "exit": "#35a36b", "home": "#cfe3f5", "flag's stand": "#f2d16b"}
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#f0e442", "#000000")  # Okabe and Ito
@@ -34,11 +37,14 @@ class Panel(NamedTuple):
 
 
 def frames(simulator: Simulator, representation: Representation, genome: bytes, seed: int) -> list[Frame]:
-    """A trial, looked at after each round: whenever an agent is about to act a second time. Empty: nothing to draw."""
+    """A trial, looked at after each round: whenever an agent is about to act a second time. Empty: nothing to draw.
+
+    A trial of more than ``MOST_TURNS`` is left there.
+    """
     seen: list[Frame] = []
     acted: set[int] = set()
     parameters = representation.parameters([genome] * simulator.participants)
-    for turn in turns(simulator, representation, parameters, seed):
+    for turn in itertools.islice(turns(simulator, representation, parameters, seed), MOST_TURNS):
         if not seen or not acted.isdisjoint(turn.agents):
             if (frame := simulator.frame()) is None:
                 return []
@@ -71,7 +77,7 @@ def svg(panels: Sequence[Panel]) -> str:
     size = f'viewBox="0 0 {whole}" width="{whole.split()[0]}" height="{whole.split()[1]}"'
     title = escape("; ".join(panel.title for panel in panels))
     return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" class="zs" role="img" aria-label="{title}" {size}>'
+        f'<svg xmlns="{NAMESPACE}" class="zs" role="img" aria-label="{title}" {size}>'
         f"<style>{STYLE}</style>{''.join(parts)}{legend}</svg>\n"
     )
 
@@ -90,7 +96,8 @@ def _panel(seen: Sequence[Frame], scale: float, play_s: float, colours: dict[str
         f'height="{place.height * scale:g}" fill="{colours[place.kind]}"/>'
         for place in first.places
     ]
-    chosen = range(0, len(seen), -(-len(seen) // MOST_FRAMES))
+    most = max(2, min(MOST_FRAMES, MOST_POSITIONS // max(1, len(first.bodies))))
+    chosen = range(0, len(seen), -(-len(seen) // most))
     picked = [*chosen, *([len(seen) - 1] if chosen[-1] != len(seen) - 1 else [])]
     share = play_s / (play_s + HOLD_S) / max(1, longest - 1)
     times = [number * share for number in picked]

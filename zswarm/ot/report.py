@@ -18,7 +18,7 @@ from zswarm import evaluate, experiment, plugins
 from zswarm.errors import ConfigError, UnknownPlugin
 from zswarm.extras import need
 from zswarm.nets.fully_meshed import FullyMeshed
-from zswarm.ot import comparison, curves, figures, reading, unseen
+from zswarm.ot import comparison, curves, figures, film, reading, unseen
 from zswarm.ot.controller import Controller
 from zswarm.ot.reading import Run
 from zswarm.ot.terminal import plural
@@ -86,6 +86,7 @@ def of_run(run: Run, trials: int) -> str:
         curve=_svg(figures.of_series({run.name: [read]}, size="screen")) if len(read.best) else "",
         champion=_champion(champion, complete.problem.trials) if champion else [],
         played=_played(champion, trials) if champion and trials else None,
+        film=_film(champion) if champion else "",
         weights=_weights(champion) if champion else None,
         settings=_settings(complete),
         servers=_servers(servers),
@@ -137,8 +138,8 @@ def _page(**content: Any) -> str:
     )
     environment.filters["number"] = _number
     nothing = dict.fromkeys(
-        ("state", "curve", "champion", "played", "weights", "servers", "events", "listed", "left_out", "record", "history",
-         "compared", "words", "runs", "settings_of")
+        ("state", "curve", "champion", "played", "film", "weights", "servers", "events", "listed", "left_out", "record",
+         "history", "compared", "words", "runs", "settings_of")
     )  # fmt: skip
     page: str = environment.get_template(TEMPLATE).render({**nothing, **content})
     return page
@@ -176,6 +177,20 @@ def _played(champion: Controller, trials: int) -> dict[str, Any]:
     summary = {name: _number(value) for name, value in played.fitness_summary().items()}
     metrics = [(clean(name), _number(value)) for name, value in played.metric_means().items()]
     return {"trials": trials, "why_not": "", "same": summary["q25"] == summary["q75"], **summary, "metrics": metrics}
+
+
+def _film(champion: Controller) -> str:
+    """The first of the unseen trials, moving; "" where its simulator is not installed or draws nothing."""
+    try:
+        simulator, network = evaluate.build(
+            champion.simulator, champion.simulator_settings, champion.representation, champion.representation_settings
+        )
+        frames = film.frames(simulator, network, champion.genome, unseen.trial_seed(SEED, 0))
+    except Exception:  # whatever the code of a simulator raises: the rest of the page is there without it
+        return ""
+    if not frames:
+        return ""
+    return film.svg([film.Panel("the first of the unseen trials", frames)]).replace(f' xmlns="{film.NAMESPACE}"', "")
 
 
 def _weights(champion: Controller) -> Weights | None:

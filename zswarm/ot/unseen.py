@@ -42,7 +42,7 @@ def play(controller: Controller, trials: int, seed: int) -> Played:
         controller.representation,
         controller.representation_settings,
     )
-    seeds = np.array([derive_seed(seed, UNSEEN, trial) for trial in range(trials)], np.uint64)
+    seeds = np.array([trial_seed(seed, trial) for trial in range(trials)], np.uint64)
     participants = np.zeros((trials, simulator.participants), np.int64)
     parts = []
     for begin in range(0, trials, CHUNK):  # Ctrl-C is heard between two
@@ -55,3 +55,8 @@ def play(controller: Controller, trials: int, seed: int) -> Played:
             raise ConfigError(f"the simulator raised: {parts[-1].error}")
     fitness = np.concatenate([outcomes.fitness[:, 0] for outcomes in parts])
     return Played(fitness, np.concatenate([outcomes.metrics for outcomes in parts]), tuple(simulator.metrics))
+
+
+def trial_seed(seed: int, trial: int) -> int:
+    """The seed of an unseen trial."""
+    return derive_seed(seed, UNSEEN, trial)
