@@ -46,7 +46,7 @@ ONLY_IN = {
     "numba": {"jit"},
     "cryptography": {"security.authority", "security.certificates", "security.bundle", "security.install"},
     "prometheus_client": {"ss.metrics"},
-    "matplotlib": {"ot.figures"},  # for its types; it is imported by extras.need, as are scipy and jinja2
+    "matplotlib": {"ot.figures", "ot.reading", "api"},  # for their types; it is imported by extras.need, as are scipy and jinja2
     "scipy": set(),
     "jinja2": set(),
     "pickle": set(),

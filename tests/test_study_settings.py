@@ -1,5 +1,6 @@
 """``[study]`` in an experiment file: its settings in order, and what is refused before anything starts."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -169,7 +170,8 @@ def test_an_impossible_study_is_refused_in_one_line(tmp_path: Path, text: str, s
         with pytest.raises(ConfigError, match=r"study: expected object, got int"):
             load(path)
         return
-    assert refusal(tmp_path, text).startswith(said)
+    told = refusal(tmp_path, text)
+    assert re.sub(r"^small.toml:\d+:", "small.toml:", told).startswith(said)
 
 
 def test_an_unknown_kind_in_a_late_setting_is_refused(tmp_path: Path) -> None:

@@ -310,18 +310,17 @@ def variants(complete: Experiment, where: str) -> list[Variant]:
 
 
 def _complete_alone(experiment: Experiment, where: str) -> Experiment:
-    said = to_mapping(experiment)
-    with _on_its_line(where, said, "problem", "simulator"):
+    with _on_its_line(where, experiment, "problem", "simulator"):
         simulator = _load("simulator", experiment.problem.simulator, f"{where}: problem.simulator")
-    with _on_its_line(where, said, "representation", "kind"):
+    with _on_its_line(where, experiment, "representation", "kind"):
         representation = _load("representation", experiment.representation.kind, f"{where}: representation.kind")
-    with _on_its_line(where, said, "optimizer", "kind"):
+    with _on_its_line(where, experiment, "optimizer", "kind"):
         optimizer = _load("optimizer", experiment.optimizer.kind, f"{where}: optimizer.kind")
-    with _on_its_line(where, said, "problem", "settings"):
+    with _on_its_line(where, experiment, "problem", "settings"):
         settings = _complete(experiment.problem.settings, simulator, f"{where}: problem.settings")
-    with _on_its_line(where, said, "representation"):
+    with _on_its_line(where, experiment, "representation"):
         network = _complete_part(experiment.representation, representation, f"{where}: representation")
-    with _on_its_line(where, said, "optimizer"):
+    with _on_its_line(where, experiment, "optimizer"):
         proposing = _complete_part(experiment.optimizer, optimizer, f"{where}: optimizer")
     return msgspec.structs.replace(
         experiment,
@@ -393,7 +392,7 @@ def _struct(kind: Any) -> type[msgspec.Struct] | None:
 
 
 @contextlib.contextmanager
-def _on_its_line(where: str, said: Mapping[str, Any], *path: str) -> Iterator[None]:
+def _on_its_line(where: str, said: Mapping[str, Any] | Experiment, *path: str) -> Iterator[None]:
     """What is wrong at or below a key is told with the line of the file, unless an override set it."""
     try:
         yield
@@ -402,10 +401,11 @@ def _on_its_line(where: str, said: Mapping[str, Any], *path: str) -> Iterator[No
         try:
             text = Path(where).read_text(encoding="utf-8")
             written = toml_line.value(parse(text), full)
-        except (OSError, ValueError):
+            now = toml_line.value(to_mapping(said) if isinstance(said, Experiment) else said, full)
+            same = written is not None and repr(written) == repr(now)  # 1 == 1.0 == True
+            line = toml_line.find(text, full) if same else None
+        except (OSError, ValueError, RecursionError):  # the last: nested too deep
             raise error from None
-        same = written is not None and repr(written) == repr(toml_line.value(said, full))  # 1 == 1.0 == True
-        line = toml_line.find(text, full) if same else None
         if line is None:
             raise
         raise type(error)(f"{where}:{line}{str(error).removeprefix(where)}", full) from error

@@ -447,7 +447,7 @@ def test_a_run_without_its_experiment_is_none(folder: Path) -> None:
 @pytest.mark.parametrize("body", [b"", b"\xff\xfe", b"name = 1", b"x = [" * 3000])
 def test_a_damaged_experiment_is_refused(folder: Path, body: bytes) -> None:
     (folder / "experiment.toml").write_bytes(body)
-    assert "experiment.toml: " in refusal(folder)
+    assert "experiment.toml:" in refusal(folder)
 
 
 def test_a_run_of_a_simulator_that_is_not_installed_is_read(folder: Path) -> None:
