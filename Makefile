@@ -50,9 +50,9 @@ docs: $(READY)
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --nitpicky --quiet -b html -d build/docs-cache docs build/docs
 	@echo build/docs/index.html
 
-# Every command that a document shows, in its order.
+# Every command that a document shows, in its order, the code of docs/python.md and the notebook.
 docs-commands: $(READY)
-	$(BIN)/python -m pytest $(TESTS) -m docs tests/test_docs_commands.py $(ARGS)
+	$(BIN)/python -m pytest $(TESTS) -m docs $(ARGS)
 
 # The parts of the documents that are made from the code.
 reference: $(READY)

@@ -56,12 +56,14 @@ def executed(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
     return code(json.loads((folder / "executed.ipynb").read_text(encoding="utf-8")))
 
 
+@pytest.mark.docs
 def test_every_cell_runs_without_a_word_of_warning(executed: list[dict[str, Any]]) -> None:
     kinds = [output["output_type"] for cell in executed for output in cell["outputs"]]
     assert "error" not in kinds
     assert [output["text"] for cell in executed for output in cell["outputs"] if output.get("name") == "stderr"] == []
 
 
+@pytest.mark.docs
 def test_the_notebook_shows_curves_tables_and_progress(executed: list[dict[str, Any]]) -> None:
     shown = [
         (number, kind, "".join(content))

@@ -12,6 +12,7 @@ from zswarm import errors
 TEXT = (Path(__file__).parent.parent / "docs" / "python.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.docs
 def test_the_code_of_the_document_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

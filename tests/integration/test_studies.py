@@ -137,6 +137,7 @@ def test_a_finished_study_is_told_again_and_grows_with_its_file(tmp_path: Path) 
     assert hashes(study)["hidden-1-seed-3"] == alone["history_hash"]
 
 
+@pytest.mark.faults
 def test_a_killed_study_goes_on_and_repeats_nothing(tmp_path: Path, undisturbed: dict[str, str]) -> None:
     """One run is over, one under way, and one was about to begin: its folder is there, and no record."""
     study = tmp_path / "runs" / "sweep"
@@ -175,6 +176,7 @@ def test_a_stopped_study_says_how_to_go_on(tmp_path: Path, undisturbed: dict[str
     assert hashes(study) == undisturbed
 
 
+@pytest.mark.faults
 def test_a_run_that_fails_stops_no_other(tmp_path: Path) -> None:
     """It is named, the exit code says so, and resume tries it again."""
     rough = plugin.install(tmp_path)
@@ -194,6 +196,7 @@ def test_a_run_that_fails_stops_no_other(tmp_path: Path) -> None:
         assert "ended with code 7" in failed["error"]
 
 
+@pytest.mark.faults
 def test_a_damaged_run_stops_no_other_and_what_is_no_run_is_not_removed(tmp_path: Path) -> None:
     play(tmp_path, "first", "run", write(tmp_path, GRID)).done()
     study = tmp_path / "runs" / "sweep"
