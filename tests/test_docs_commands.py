@@ -31,6 +31,7 @@ NOT_RUN: dict[tuple[str, str], tuple[str, str]] = {
         ".ci/run",
     ),
     ("CONTRIBUTING.md", "make test     # sets everything up in .venv, and runs the tests: some minutes"): (INSTALLS, ".ci/run"),
+    ("commands.md", '$ zswarm-ot import "Emergency Exit_g199 (0.46).zre"'): ("needs a file of FREVO's", "tests/ot/test_frevo.py"),
     ("tutorial.md", "python3 -m venv ~/zswarm"): (INSTALLS, ".ci/run"),
     ("deploy.md", "*"): ("needs machines with systemd, of which root is the user", DEPLOY),
     ("faults.md", "make test                # 2,000 schedules among the rest"): ("runs tests, for minutes", ".ci/run"),
