@@ -346,6 +346,28 @@ def test_a_run_is_stopped_from_another_thread(cluster: zswarm.Connection, tmp_pa
     assert evolution.run.generations() > 0
 
 
+def test_closing_ends_the_runs_of_other_threads(tmp_path: Path) -> None:
+    """They would wait for ever for slots that are gone."""
+    endless = zswarm.load("stadium", {**SMALL, "generations": 1_000_000})
+    cluster = zswarm.connect("local", local_slots=1)
+    with ThreadPoolExecutor(1) as threads:
+        run = threads.submit(zswarm.run, endless, connection=cluster, out=tmp_path)
+        wait_until(lambda: cluster.slots > 0 or run.done())
+        cluster.close()
+        with pytest.raises(zswarm.Stopped, match="closed") as caught:
+            run.result(60.0)
+    assert "to go on: zswarm.resume" in caught.value.__notes__[0]
+
+
+def test_what_was_stopped_is_not_finished(cluster: zswarm.Connection, small: zswarm.Experiment, tmp_path: Path) -> None:
+    with zswarm.start(small, connection=cluster, out=tmp_path) as evolution:
+        evolution.stop()
+        with pytest.raises(zswarm.Stopped):
+            evolution.finish()
+        with pytest.raises(RuntimeError, match="this run was stopped: resume it"):
+            evolution.finish()
+
+
 def test_a_run_in_a_thread_leaves_the_thread_of_signals_alone(tmp_path: Path, small: zswarm.Experiment) -> None:
     """By itself: it brings its own slots."""
     with ThreadPoolExecutor(1) as threads:

@@ -35,6 +35,7 @@ class Connection:
         local: this machine's slots; None where none are asked for.
         runs: the threads of the runs that hold slots now.
         using: the leases that are there now.
+        closed: for good: what goes on ends within a moment.
     """
 
     hinted = False  # the user was told that nobody is found
@@ -45,8 +46,8 @@ class Connection:
         self.runs: list[int] = []
         self.using: set[Evaluations] = set()
         self._leases: Leases | None = None
-        self._closed = False
-        self._lock = threading.Lock()
+        self.closed = False
+        self._lock = threading.Lock()  # opening and closing, by any thread
 
     def __enter__(self) -> Self:
         self.open()
@@ -61,16 +62,16 @@ class Connection:
         Raises:
             RuntimeError: it was closed.
         """
-        if self._closed:
-            raise RuntimeError("this connection is closed: connect again")
-        if self.local is None and not isinstance(self.options.servers, int):
-            self.local = LocalServer(slots_of_this_machine(self.options), self.options.realm)
-            atexit.register(self.close)  # a program may end without closing it
+        with self._lock:
+            self._refuse_closed()
+            if self.local is None and not isinstance(self.options.servers, int):
+                self.local = LocalServer(slots_of_this_machine(self.options), self.options.realm)
+                atexit.register(self.close)  # a program may end without closing it
 
     def close(self) -> None:
-        """End what is evaluated, and this machine's slots; a second time nothing."""
+        """End what goes on, runs too, and this machine's slots; a second time nothing."""
         with self._lock:
-            self._closed = True
+            self.closed = True
         atexit.unregister(self.close)
         if self._leases is not None:
             self._leases.close()
@@ -186,10 +187,15 @@ class Connection:
         self._refuse_waiting_for_itself()
         self.open()
         with self._lock:
+            self._refuse_closed()
             if self._leases is None:
                 self._leases = Leases(self)
         self._leases.evaluate(problem, workload)
         return workload
+
+    def _refuse_closed(self) -> None:
+        if self.closed:
+            raise RuntimeError("this connection is closed: connect again")
 
     def _refuse_waiting_for_itself(self) -> None:
         if threading.get_ident() in self.runs:

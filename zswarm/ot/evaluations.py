@@ -126,7 +126,7 @@ class Evaluations:
 
         Raises:
             NoServers: not in time.
-            Stopped: ``stop`` was set.
+            Stopped: ``stop`` was set, or the connection was closed.
         """
         if isinstance(self._connection.options.servers, int):
             for item in self._cluster.wait(self._connection.options.servers, WAIT_FOR_SERVERS_S):
@@ -139,7 +139,7 @@ class Evaluations:
 
         Raises:
             EvaluationError: trials cannot be evaluated.
-            Stopped: ``stop`` was set.
+            Stopped: ``stop`` was set, or the connection was closed.
         """
         last_served, told = time.monotonic(), ""
         for item in self._cluster.evaluate(workload):
@@ -170,6 +170,8 @@ class Evaluations:
     def _look_whether_to_stop(self) -> None:
         if self._stop.is_set():
             raise Stopped("stopped")
+        if self._connection.closed:
+            raise Stopped("the connection was closed")
 
     def _taken(self, item: Item | None, workload: Workload | None = None) -> Iterator[Happened | None]:
         """Do what something that happened asks for; disputes are of the workload."""

@@ -42,10 +42,15 @@ class Evolution:
         return Run(self.folder)
 
     def finish(self) -> Result:
-        """Evolve to the last generation."""
+        """Evolve to the last generation.
+
+        Raises:
+            RuntimeError: it was stopped before.
+        """
         for _ in self:
             pass
-        assert self.result is not None  # noqa: S101  the generations ended without an exception
+        if self.result is None:
+            raise RuntimeError(f"this run was stopped: resume it from {self.folder}")
         return self.result
 
     def stop(self) -> None:

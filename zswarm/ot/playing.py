@@ -189,7 +189,8 @@ class Player:
                 going.evolution.stop()
         deadline = time.monotonic() + STOP_S
         for thread in self._threads:
-            thread.join(max(0.0, deadline - time.monotonic()))
+            if thread.is_alive():  # one that Ctrl-C kept from starting cannot be waited for
+                thread.join(max(0.0, deadline - time.monotonic()))
 
     # ---- a run's thread
 
