@@ -229,7 +229,7 @@ def study(
     else:
         loaded, where = _complete(experiment, changes)
         held = studies.Study.create(loaded, where, Path(out))
-    with held as begun, _connected(connection, begun.experiment) as used:
+    with held as begun, _connected(connection, begun.experiment) if begun.left else contextlib.nullcontext() as used:
         try:
             outcome = begun.play(used, follower)
         except (Exception, KeyboardInterrupt) as error:

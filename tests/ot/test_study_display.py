@@ -2,6 +2,7 @@
 
 import io
 import json
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from zswarm.experiment import load
 from zswarm.ot.logger import Generation, Result
 from zswarm.ot.playing import Ended, Follower
 from zswarm.ot.study import Study
-from zswarm.ot.study_display import JsonFollower, LiveFollower, PlainFollower
+from zswarm.ot.study_display import JsonFollower, LiveFollower, PlainFollower, follower
 
 SMALL = """
 name = "small"
@@ -119,3 +120,13 @@ def test_the_live_table_fits_however_many_runs_go_on(study: Study) -> None:
     assert lines[1].split() == ["severity-0-5-seed-7", "4/10", "best", "-1.2346e+05"]
     assert "and 2 more" in lines[-1]
     assert max(map(len, lines)) <= 80
+
+
+@pytest.mark.parametrize(("terminal", "moving"), [("xterm", True), ("dumb", False), ("", False)])
+def test_only_where_lines_can_be_written_over_does_a_table_move(
+    terminal: str, moving: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a single run does."""
+    monkeypatch.setenv("TERM", terminal)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    assert type(follower(as_json=False)) is (LiveFollower if moving else PlainFollower)

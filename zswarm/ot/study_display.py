@@ -12,6 +12,7 @@ from zswarm.ot.plan import Planned
 from zswarm.ot.playing import Ended, Follower
 from zswarm.ot.study import Outcome, Study, Summary
 from zswarm.ot.terminal import plural
+from zswarm.screen import console, moves
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -105,7 +106,6 @@ class LiveFollower(PlainFollower):
 
     def __init__(self) -> None:
         super().__init__()
-        from rich.console import Console
         from rich.live import Live
 
         self._lock = threading.Lock()  # the table is drawn by a thread of its own
@@ -113,7 +113,8 @@ class LiveFollower(PlainFollower):
         self._generations = self._done = self._before = self._evaluations = 0
         self._counted: dict[str, int] = {}  # evaluations of the runs that go on
         self._begin = 0.0  # when the first generation ended
-        self._live = Live(get_renderable=self._table, console=Console(stderr=True), refresh_per_second=REFRESHES, transient=True)
+        made = console(stderr=True, live=True)
+        self._live = Live(get_renderable=self._table, console=made, refresh_per_second=REFRESHES, transient=True)
 
     def on_start(self, study: Study, connection: Connection | None) -> None:
         """See ``Follower``."""
@@ -196,7 +197,7 @@ def follower(*, as_json: bool) -> Follower:
     """The one that fits where the output goes."""
     if as_json:
         return JsonFollower()
-    return LiveFollower() if sys.stderr.isatty() else PlainFollower()
+    return LiveFollower() if moves(sys.stderr) else PlainFollower()
 
 
 def _of(ended: Ended) -> str:
