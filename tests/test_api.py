@@ -175,8 +175,9 @@ def test_outcomes_are_told_trial_by_trial_on_any_seeds(cluster: zswarm.Connectio
     assert unseen.fitness.shape == (5, 2)
     assert not np.isin(unseen.fitness, own.fitness).all()
     assert cluster.outcomes(problem, []).fitness.shape == (0, 3)
-    with pytest.raises(ValueError, match="seeds: expected one at least"):
-        cluster.outcomes(problem, genomes, seeds=[])
+    for seeds in ([], [-1], [1, 2**64]):
+        with pytest.raises(ValueError, match="seeds: expected one at least"):
+            cluster.outcomes(problem, genomes, seeds=seeds)
 
 
 def test_fresh_trials_are_those_of_the_generation(cluster: zswarm.Connection) -> None:

@@ -180,9 +180,12 @@ class Connection:
 
         from zswarm.ot.leases import Leases
 
-        chosen = None if seeds is None else np.array([int(seed) for seed in seeds], np.uint64)
-        if chosen is not None and not len(chosen):
-            raise ValueError("seeds: expected one at least")
+        chosen = None
+        if seeds is not None:
+            numbers = [int(seed) for seed in seeds]
+            if not numbers or min(numbers) < 0 or max(numbers) >= 2**64:
+                raise ValueError("seeds: expected one at least, each from 0 to 2^64 - 1")
+            chosen = np.array(numbers, np.uint64)
         workload = problem.workload(problem.genomes(candidates), generation, chosen)
         self._refuse_waiting_for_itself()
         self.open()
