@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from msgspec import structs
+from written import EXPERIMENT, written
 
 from zswarm import experiment
 from zswarm.errors import ConfigError
@@ -136,6 +137,25 @@ def test_a_run_that_cannot_be_read_is_not_finished_and_keeps_its_name(folder: Pa
     (folder / "seed-7" / "experiment.toml").write_text("[")
     with Study.open(folder) as study:
         assert [one.name for one in study.left] == ["seed-7", "seed-8"]
+
+
+def test_runs_of_a_study_are_told_at_one_length(tmp_path: Path) -> None:
+    """A finished run that is longer than its study now asks for counts with what it was by then."""
+    settings = {**EXPERIMENT.representation.settings, "hidden": 2}
+    network = structs.replace(EXPERIMENT.representation, settings=settings)
+    with Study.create(structs.replace(EXPERIMENT, representation=network, generations=3), "x", tmp_path / "runs") as study:
+        folder = study.folder
+    written(tmp_path, [1.0, 5.0, 9.0], candidates=4).rename(folder / "seed-1")
+    with Study.open(folder) as study:
+        (whole,) = (ended.result for ended in study.ended)
+    text = (folder / "experiment.toml").read_text()
+    (folder / "experiment.toml").write_text(text.replace("generations = 3", "generations = 2"))
+    with Study.open(folder) as study:
+        (part,) = (ended.result for ended in study.ended)
+    assert whole is not None
+    assert part is not None
+    assert (whole.generations, whole.best, whole.evaluations, len(whole.history_hash)) == (3, 9.0, 12, 32)
+    assert (part.generations, part.best, part.evaluations, part.history_hash) == (2, 5.0, 8, "")
 
 
 def test_a_study_can_be_moved(folder: Path, tmp_path: Path) -> None:

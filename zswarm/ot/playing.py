@@ -212,7 +212,7 @@ class Player:
         if (folder / DATABASE).exists():
             _lengthen(folder, planned.experiment.generations)
             return evolution.resume(folder, self._connection, logger)
-        if folder.exists():
+        if os.path.lexists(folder):
             _remove(folder)
         return evolution.start(planned.experiment, planned.name, self._study.folder, self._connection, logger, name=planned.name)
 
@@ -280,4 +280,4 @@ def _remove(folder: Path) -> None:
             raise ConfigError(f"{folder}: expected a run's folder or none, and it holds {clean(min(more))}")
         shutil.rmtree(folder)
     except OSError as error:
-        raise ConfigError(f"{folder}: expected a run's folder or none: {error.strerror}") from None
+        raise ConfigError(f"{folder}: expected a run's folder or none: {error.strerror or error}") from None

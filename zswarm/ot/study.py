@@ -220,7 +220,10 @@ def _checked_plan(complete: Experiment, where: str, found: Mapping[str, str]) ->
 
 
 def _finished(folder: Path, planned: Planned) -> Result | None:
-    """What a run came to, if it is finished; None also where it cannot be read: whoever goes on with it says why."""
+    """What a run came to, if it is finished; None also where it cannot be read: whoever goes on with it says why.
+
+    Of one that went on for longer than the study asks for, it is what it came to by then: all of a study are of one length.
+    """
     if not (folder / DATABASE).exists():
         return None
     try:
@@ -228,7 +231,7 @@ def _finished(folder: Path, planned: Planned) -> Result | None:
         if not recorded.finished or recorded.generations() < planned.experiment.generations:
             return None
         history = recorded.history()
-        best = recorded.best()
+        last = history[planned.experiment.generations - 1]
         requeued = sum(event["count"] or 0 for event in recorded.events() if event["event"] == "requeued")
         with opened(folder / DATABASE) as database:
             (faulted,) = database.execute("SELECT coalesce(sum(faulted), 0) FROM outcomes").fetchone()
@@ -237,11 +240,11 @@ def _finished(folder: Path, planned: Planned) -> Result | None:
         return None
     return Result(
         str(folder),
-        len(history),
-        float("nan") if best is None else best,
-        history[-1]["evaluations"],
+        planned.experiment.generations,
+        float("nan") if last["best"] is None else last["best"],
+        last["evaluations"],
         requeued,
-        recorded.history_hash or "",
+        recorded.history_hash or "" if last is history[-1] else "",
         0.0,
         faulted,
         doubtful,
