@@ -4,18 +4,12 @@ from pathlib import Path
 
 import click
 
-from zswarm.ot.commands.options import json_option
+from zswarm.ot.commands.options import json_option, out_option
 
 
 @click.command("import")
 @click.argument("path", type=click.Path(path_type=Path), metavar="RESULT.zre")
-@click.option(
-    "--out",
-    type=click.Path(file_okay=False, path_type=Path),
-    default=Path("runs"),
-    show_default=True,
-    help="Where the run's folder is made.",
-)
+@out_option
 @json_option
 def import_(path: Path, out: Path, as_json: bool) -> None:
     """Make a run's folder of a result of FREVO: a population of fully-meshed nets for Emergency Exit."""

@@ -1,5 +1,6 @@
 """Options that several commands share."""
 
+from pathlib import Path
 from typing import Any
 
 import click
@@ -15,6 +16,13 @@ set_option = click.option(
     multiple=True,
     metavar="KEY=VALUE",
     help="Set something of the experiment, such as optimizer.population=100; may be repeated.",
+)
+out_option = click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("runs"),
+    show_default=True,
+    help="Where the run's folder is made.",
 )
 CLUSTER = [
     click.option(

@@ -15,7 +15,7 @@ import click
 from zswarm import experiment
 from zswarm.errors import ZswarmError
 from zswarm.ot.commands import suggestions
-from zswarm.ot.commands.options import cluster_options, json_option, set_option, with_cluster
+from zswarm.ot.commands.options import cluster_options, json_option, out_option, set_option, with_cluster
 from zswarm.ot.connection import Connection
 from zswarm.ot.exits import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_TERMINATED
 
@@ -37,13 +37,7 @@ DEFAULT_EXAMPLE = "emergency-exit"
     help="Runs of each setting, with the seeds SEED, SEED + 1, ...; they share the servers.",
 )
 @cluster_options
-@click.option(
-    "--out",
-    type=click.Path(file_okay=False, path_type=Path),
-    default=Path("runs"),
-    show_default=True,
-    help="Where the run's folder is made.",
-)
+@out_option
 @json_option
 def run(
     name: str, overrides: tuple[str, ...], seed: int | None, repeat: int | None, out: Path, as_json: bool, **cluster: Any
