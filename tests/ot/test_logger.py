@@ -145,19 +145,24 @@ def test_a_slow_logger_holds_up_nobody_and_is_told_what_it_missed(monkeypatch: p
 
 
 def test_a_logger_that_hangs_is_left_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whether a call hangs with room behind it or with none."""
+    """Whether a call hangs with room behind it or with none; when it goes on, it hears the end, and its thread ends."""
     monkeypatch.setattr(loggers, "LAST_CALLS_S", 0.05)
     for waiting in (2, 100):
         monkeypatch.setattr(loggers, "WAITING", waiting)
         go_on, said = threading.Event(), list[str]()
 
-        class Hanging(Logger):
+        class Hanging(Hearing):
             def on_start(self, run: Started) -> None:  # noqa: ARG002
                 go_on.wait(30.0)  # noqa: B023  of this round
 
-        tell(InBackground(Hanging(), said.append))
+        hanging = Hanging()
+        background = InBackground(hanging, said.append)
+        tell(background)
         assert said == ["logger Hanging is behind and was left"]
         go_on.set()
+        background._thread.join(30.0)
+        assert not background._thread.is_alive()
+        assert hanging.heard[-1] == ("end", RESULT)
 
 
 def test_a_run_that_did_not_begin_ends_without_a_call() -> None:

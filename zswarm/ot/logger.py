@@ -162,9 +162,16 @@ class InBackground(Logger):
         if not self._thread.is_alive():
             return
         deadline = time.monotonic() + LAST_CALLS_S
-        with contextlib.suppress(queue.Full):
-            for last in (lambda: self._logger.on_end(result), None):
+        lasts = (lambda: self._logger.on_end(result), None)
+        try:
+            for last in lasts:
                 self._calls.put(last, timeout=max(0.0, deadline - time.monotonic()))
+        except queue.Full:  # what waits is dropped: its thread ends if the logger ever comes back
+            with contextlib.suppress(queue.Empty):
+                while True:
+                    self._calls.get_nowait()
+            for last in lasts:
+                self._calls.put_nowait(last)
         self._thread.join(max(0.0, deadline - time.monotonic()))
         if self._thread.is_alive():
             self._say(f"logger {self._name} is behind and was left")
