@@ -357,6 +357,25 @@ def test_a_record_that_holds_what_does_not_belong_there_is_refused(folder: Path,
     assert "run.sqlite: " in refusal(folder)
 
 
+@pytest.mark.parametrize("levels", [100, 400, 900, 5000])
+def test_what_is_nested_deeper_than_anything_of_ours_is_refused(folder: Path, levels: int) -> None:
+    """Also where the parser still takes it."""
+    nested = "[" * levels + "]" * levels
+    edit(folder, "UPDATE generations SET statistics = ?", f'{{"a": {nested}}}')
+    assert "statistics of a generation are no JSON object" in refusal(folder)
+    edit(folder, "UPDATE generations SET statistics = '{}'")
+    edit(folder, "UPDATE meta SET value = replace(value, '{', '{\"x\": ' || ? || ', ') WHERE key = 'experiment'", nested)
+    assert "it names no experiment" in refusal(folder)
+
+
+@pytest.mark.parametrize("levels", [100, 400, 5000])
+def test_a_champion_that_is_nested_deep_is_refused(folder: Path, levels: int) -> None:
+    file = folder / "champion.zsc"
+    whole = {**msgspec.msgpack.decode(file.read_bytes()), "simulator_settings": {"x": "here"}}
+    file.write_bytes(msgspec.msgpack.encode(whole).replace(b"\xa4here", b"\x91" * levels + b"\x01"))
+    assert "champion.zsc: damaged" in refusal(folder)
+
+
 def test_an_experiment_in_the_record_that_is_none_is_refused(folder: Path) -> None:
     began = json.loads(Run(folder).meta["experiment"])
     for key, value in (("name", EVIL), ("seed", -1), ("problem", {"simulator": 3}), ("extra", 1)):

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from zswarm.ot.figures import Size
 
 DEPTH = 2  # of folders in which runs are looked for: runs/STUDY/RUN
+NESTED = 32  # levels of a text's tables and lists
 TOLD_APART = 3  # settings by which groups are told apart; with more they have the experiments' names
 KIND_OF = {"problem.settings": "problem.simulator", "representation": "representation", "optimizer": "optimizer"}
 WAL = b"\x02\x02"  # bytes 18 and 19 of a database with a write-ahead log
@@ -104,9 +105,9 @@ class Run:
             **began,
             **{part: {**began[part]["settings"], "kind": began[part]["kind"]} for part in ("representation", "optimizer")},
             "generations": file.generations,
-            "cluster": msgspec.to_builtins(file.cluster),
+            "cluster": _cleaned(msgspec.to_builtins(file.cluster)),
         }
-        return experiment.check(_cleaned(mapping), f"{self._shown}/{DATABASE}")
+        return experiment.check(mapping, f"{self._shown}/{DATABASE}")
 
     @property
     def changed(self) -> list[str]:
@@ -115,8 +116,12 @@ class Run:
         Raises:
             ConfigError: as ``experiment``.
         """
-        now = _cleaned(msgspec.to_builtins(experiment.load(self.folder / EXPERIMENT)))
-        return sorted(clean(key) for key, value in _cleaned(self._began).items() if now.get(key) != value)
+        file = experiment.load(self.folder / EXPERIMENT)
+        try:
+            now = _cleaned(msgspec.to_builtins(file))
+        except RecursionError as error:
+            raise ConfigError(f"{self._shown}/{EXPERIMENT}: {error}") from None
+        return sorted(key for key, value in self._began.items() if now.get(key) != value)
 
     @property
     def history_hash(self) -> str | None:
@@ -250,7 +255,10 @@ class Run:
             return None
         champion = load_controller(self.folder)
         names = ("simulator", "simulator_settings", "representation", "representation_settings", "sensors", "actuators", "run")
-        return msgspec.structs.replace(champion, **{name: _cleaned(getattr(champion, name)) for name in names})
+        try:
+            return msgspec.structs.replace(champion, **{name: _cleaned(getattr(champion, name)) for name in names})
+        except RecursionError as error:
+            raise ConfigError(f"{self._shown}/{CHAMPION}: damaged: {error}") from None
 
     # ---- for notebooks
 
@@ -322,9 +330,9 @@ class Run:
 
     @property
     def _began(self) -> dict[str, Any]:
-        """What the history depends on, as the run began with it."""
+        """What the history depends on, as the run began with it; its texts are safe to show."""
         try:
-            began: dict[str, Any] = json.loads(self._meta["experiment"])
+            began: dict[str, Any] = _cleaned(json.loads(self._meta["experiment"]))
             for part in ("representation", "optimizer"):
                 _ = {**began[part]["settings"]}, began[part]["kind"]
         except (KeyError, TypeError, ValueError, RecursionError):
@@ -350,10 +358,10 @@ class Run:
 
     def _statistics(self, text: str) -> dict[str, Any]:
         try:
-            statistics = msgspec.json.decode(text, type=dict[str, Any])
+            statistics: dict[str, Any] = _cleaned(msgspec.json.decode(text, type=dict[str, Any]))
         except (msgspec.DecodeError, RecursionError):
             raise self._damaged("the statistics of a generation are no JSON object") from None
-        return {clean(key): _cleaned(value) for key, value in statistics.items()}
+        return statistics
 
     def _rows(self, sql: str, kind: type[T], *parameters: Any) -> list[T]:
         """What a query finds, each row of these types."""
@@ -565,11 +573,17 @@ def _clean(value: Any) -> Any:
     return clean(value) if isinstance(value, str) else value
 
 
-def _cleaned(value: Any) -> Any:
-    """Texts of a table or list, and of those in it, made safe to show."""
+def _cleaned(value: Any, levels: int = NESTED) -> Any:
+    """Texts of a table or list, and of those in it, made safe to show.
+
+    Raises:
+        RecursionError: it is nested deeper than anything of ours.
+    """
+    if isinstance(value, dict | list) and not levels:
+        raise RecursionError(f"nested deeper than {NESTED}")
     if isinstance(value, dict):
-        return {clean(str(key)): _cleaned(item) for key, item in value.items()}
-    return [_cleaned(item) for item in value] if isinstance(value, list) else _clean(value)
+        return {clean(str(key)): _cleaned(item, levels - 1) for key, item in value.items()}
+    return [_cleaned(item, levels - 1) for item in value] if isinstance(value, list) else _clean(value)
 
 
 def _number(value: float) -> float | None:
