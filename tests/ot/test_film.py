@@ -9,6 +9,7 @@ import pytest
 from zswarm import evaluate
 from zswarm.draws import Stream
 from zswarm.ot.film import MOST_FRAMES, NAMESPACE, Panel, frames, svg
+from zswarm.sims.minisim import Minisim
 from zswarm.sims.simulator import Body, Frame, Place
 
 SVG = f"{{{NAMESPACE}}}"
@@ -74,6 +75,34 @@ def test_whoever_wants_no_motion_gets_the_paths() -> None:
     still = [group for group in picture.iter(f"{SVG}g") if group.attrib.get("class") == "still"]
     assert len(list(still[0].iter(f"{SVG}polyline"))) == 2
     assert re.search(r"prefers-reduced-motion:reduce\){\.zs \.moving{display:none}", svg([Panel("", WALK)]))
+
+
+class Drawn(Minisim):
+    """A simulator whose pictures a test chooses."""
+
+    pictures: list[Frame]
+
+    def frame(self) -> Frame:
+        return self.pictures.pop(0) if len(self.pictures) > 1 else self.pictures[0]
+
+
+@pytest.mark.parametrize(
+    "pictures",
+    [
+        [WALK[0], WALK[1]._replace(bodies=WALK[1].bodies[:1])],
+        [WALK[0]._replace(bodies=[]), WALK[1]],
+        [WALK[0], WALK[1]._replace(bodies=[Body("robot", float("nan"), 0, 0.4), WALK[1].bodies[1]])],
+        [WALK[0]._replace(width=0)],
+        [WALK[0]._replace(places=[Place("wall", float("inf"), 0, 1, 1)])],
+    ],
+    ids=["a body goes", "a body comes", "no place", "no field", "a place without an end"],
+)
+def test_what_cannot_be_drawn_makes_no_picture(pictures: list[Frame]) -> None:
+    """A plug-in's frames may be anything: the report is there without them."""
+    built, network = evaluate.build("minisim", {}, "fully-meshed", {})
+    simulator = Drawn(built.settings)
+    simulator.pictures = pictures
+    assert frames(simulator, network, network.random(1, Stream(3))[0], 5) == []
 
 
 def test_names_of_a_plug_in_are_text() -> None:

@@ -4,6 +4,7 @@ Whoever wants no motion, and paper, gets the paths instead.
 """
 
 import itertools
+import math
 from collections.abc import Iterable, Sequence
 from html import escape
 from typing import NamedTuple
@@ -18,6 +19,7 @@ TITLE, LINE, LETTER = 24.0, 21.0, 7.0  # pixels: above a panel, a line and a let
 MOST_FRAMES = 400
 MOST_POSITIONS = 100_000  # of all bodies; more would make a picture of megabytes
 MOST_TURNS = 200_000  # of a trial that is looked at, some seconds of computing
+MOST_SEEN = 1_000_000  # positions that are kept of it, some hundred megabytes
 FRAME_S, SHORTEST_S, LONGEST_S, HOLD_S = 0.12, 3.0, 12.0, 1.5  # the last picture stays for HOLD_S
 KNOWN = {"blockade": "#8b9099", "exit": "#35a36b", "home": "#cfe3f5", "flag's stand": "#f2d16b"}
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#f0e442", "#000000")  # Okabe and Ito
@@ -37,9 +39,9 @@ class Panel(NamedTuple):
 
 
 def frames(simulator: Simulator, representation: Representation, genome: bytes, seed: int) -> list[Frame]:
-    """A trial, looked at after each round: whenever an agent is about to act a second time. Empty: nothing to draw.
+    """A trial, looked at after each round: whenever an agent is about to act a second time. Empty: nothing that can be drawn.
 
-    A trial of more than ``MOST_TURNS`` is left there.
+    A trial of more than ``MOST_TURNS`` or ``MOST_SEEN`` is left there.
     """
     seen: list[Frame] = []
     acted: set[int] = set()
@@ -48,12 +50,14 @@ def frames(simulator: Simulator, representation: Representation, genome: bytes, 
         if not seen or not acted.isdisjoint(turn.agents):
             if (frame := simulator.frame()) is None:
                 return []
+            if len(seen) * len(frame.bodies) > MOST_SEEN:
+                break
             seen.append(frame)
             acted.clear()
         acted.update(turn.agents)
     if (last := simulator.frame()) is not None:
         seen.append(last)
-    return seen
+    return seen if _drawable(seen) else []
 
 
 def svg(panels: Sequence[Panel]) -> str:
@@ -80,6 +84,18 @@ def svg(panels: Sequence[Panel]) -> str:
         f'<svg xmlns="{NAMESPACE}" class="zs" role="img" aria-label="{title}" {size}>'
         f"<style>{STYLE}</style>{''.join(parts)}{legend}</svg>\n"
     )
+
+
+def _drawable(seen: Sequence[Frame]) -> bool:
+    """A field that has a size, the same bodies in all frames, and each of them somewhere."""
+    numbers = [
+        (frame.width, frame.height, *(n for body in frame.bodies for n in (body.x, body.y, body.radius))) for frame in seen
+    ]
+    places = [n for place in seen[0].places for n in (place.x, place.y, place.width, place.height)] if seen else []
+    return (
+        all(frame.width > 0 < frame.height and len(frame.bodies) == len(seen[0].bodies) for frame in seen)
+        and all(map(math.isfinite, itertools.chain(places, *numbers)))
+    )  # fmt: skip
 
 
 def _kinds(seen: Sequence[Frame]) -> list[str]:
