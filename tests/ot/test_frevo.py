@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+import tracemalloc
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -236,6 +237,18 @@ def test_networks_that_differ_are_refused(tmp_path: Path) -> None:
     assert "not all of one kind" in refusal(tmp_path, zre.text(nets))
     nets = [zre.net([[0.5] * (10 + nodes)] * nodes, [0.25] * nodes, -3.5) for nodes in (3, 4)]
     assert "not all of one kind" in refusal(tmp_path, zre.text(nets))
+
+
+def test_a_network_takes_no_more_memory_than_its_file(tmp_path: Path) -> None:
+    """Very many nodes without a weight: the table that they would need is not made."""
+    nodes = "".join(f'<node nr="{number}"/>' for number in range(40_000))
+    net = f'<FullyMeshedNet input_nodes="10" output_nodes="2" nodes="40000"><nodes>{nodes}</nodes></FullyMeshedNet>'
+    tracemalloc.start()
+    try:
+        assert "node 10 of a network does not have one weight from each of its 40000 nodes" in refusal(tmp_path, zre.text([net]))
+        assert tracemalloc.get_traced_memory()[1] < 1 << 30
+    finally:
+        tracemalloc.stop()
 
 
 BOMB = '<!DOCTYPE frevo [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]><frevo>&b;</frevo>'

@@ -228,12 +228,12 @@ def _net(element: ElementTree.Element) -> _Net:
     activation = element.get("activation_function", "LINEAR")
     if activation not in ACTIVATIONS:
         raise ConfigError(f"unknown activation function {clean(activation)!r}; known are: {', '.join(ACTIVATIONS)}")
-    table = np.empty((nodes - inputs, nodes + 1), "<f4")
-    for row, number in zip(table, range(inputs, nodes), strict=True):
+    rows = []  # not larger than the text is, whatever it says
+    for number in range(inputs, nodes):
         weights = found[number].findall("weights/weight")
         if [_integer(weight.get("from", ""), "weight: from") for weight in weights] != list(range(nodes)):
             raise ConfigError(f"damaged: node {number} of a network does not have one weight from each of its {nodes} nodes")
-        row[:] = _singles([*(weight.text for weight in weights), found[number].findtext("bias")], "a weight or bias")
+        rows.append(_singles([*(weight.text for weight in weights), found[number].findtext("bias")], "a weight or bias"))
     fitness = element.get("fitness", "").strip()
     return _Net(
         (inputs, outputs, nodes),
@@ -241,7 +241,7 @@ def _net(element: ElementTree.Element) -> _Net:
             "activation": ACTIVATIONS[activation],
             **{name: _number(element.get(name, "2.0"), f"{NET}: {name}") for name in ("weight_range", "bias_range")},
         },
-        table.tobytes(),
+        b"".join(row.astype("<f4").tobytes() for row in rows),
         float("nan") if fitness == "NaN" else _number(fitness, f"{NET}: fitness"),
     )
 
