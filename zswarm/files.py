@@ -33,6 +33,21 @@ def write_whole(path: Path, content: bytes, mode: int = 0o666, owner: tuple[int,
     sync(path.parent)
 
 
+def write_for_user(path: Path, content: bytes) -> None:
+    """Into what a user named: a file whole or not at all; a link or a device, such as ``/dev/stdout``, stays what it is.
+
+    Raises:
+        ConfigError: it cannot be written.
+    """
+    try:
+        if path.is_symlink() or (path.exists() and not path.is_file()):
+            path.write_bytes(content)
+        else:
+            write_whole(path, content)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
+
+
 def sync(folder: Path) -> None:
     """What was renamed in a folder is on the disk."""
     opened = os.open(folder, os.O_RDONLY)

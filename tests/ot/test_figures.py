@@ -61,6 +61,7 @@ def test_an_svg_needs_no_font() -> None:
         {"failed": [run([-np.inf] * 3)]},
         {"failed in some": [run([-np.inf] * 3), run([1, 2, 3]), run([2, 3, 4])]},
         {"constant": [run([5.0] * 4)]},
+        {"as large as floats are": [run([-1.7e308, 0.0, 1.7e308])]},
         {"begun": [run([])], "other": repeats(2)},
         {name: repeats(2, level=number) for number, name in enumerate(HOSTILE)},
         {f"setting {number}": repeats(2) for number in range(figures.MAX_GROUPS)},

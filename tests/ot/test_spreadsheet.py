@@ -2,6 +2,7 @@
 
 import csv
 import io
+import os
 from pathlib import Path
 
 import pytest
@@ -22,6 +23,23 @@ def test_texts_are_quoted_numbers_are_not_and_what_is_no_number_is_empty() -> No
     assert spreadsheet.to_csv(["a", "b", "c"], rows) == (
         '"a","b","c"\n"x,""y""",1,-2.5\n"",,\n"\\x1b[31m",1,\n'
     )  # fmt: skip
+
+
+def test_a_link_or_a_device_stays_what_it_is(tmp_path: Path) -> None:
+    """Such as /dev/stdout, which is a link to one."""
+    file, link, pipe = tmp_path / "table.csv", tmp_path / "link", tmp_path / "pipe"
+    link.symlink_to(file)
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        for path in (link, pipe, Path("/dev/null")):
+            spreadsheet.save(str(path), ["a"], [[1]])
+        assert os.read(reader, 100) == file.read_bytes() == b'"a"\n1\n'
+    finally:
+        os.close(reader)
+    assert link.is_symlink()
+    assert pipe.is_fifo()
+    assert Path("/dev/null").is_char_device()
 
 
 def test_a_file_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:

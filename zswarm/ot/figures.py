@@ -15,7 +15,7 @@ import numpy as np
 
 from zswarm.errors import ConfigError
 from zswarm.extras import need
-from zswarm.files import write_whole
+from zswarm.files import write_for_user
 from zswarm.ot import comparison, curves
 from zswarm.ot.comparison import Comparison
 from zswarm.ot.curves import Axis, Curve, Series
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 FORMATS = ("pdf", "svg", "png")
 PICTURE = "fitness.png"  # in a run's folder
 DPI = 300
+GREATEST = 1e300  # fitness that is drawn as it is; matplotlib cannot tell ticks of what spans more than a float
 POINT = 72  # of an inch
 STEPS = (1, 2, 2.5, 5, 10)  # between ticks
 FONT = "DejaVu Sans"  # comes with matplotlib
@@ -98,11 +99,7 @@ def save(figure: "Figure", path: Path) -> None:
     Raises:
         ConfigError: another ending, or it cannot be written.
     """
-    content = render(figure, format_of(path))
-    try:
-        write_whole(path, content)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
+    write_for_user(path, render(figure, format_of(path)))
 
 
 def for_notebooks(figure: "Figure") -> "Figure":
@@ -223,6 +220,7 @@ def _draw(lines: Sequence[_Line], axis: Axis, look: Look, title: str, note: str)
     _frame(axes, look)
     scale, unit = _time_unit(lines) if axis == "time" else (1.0, "")
     handles = []
+    lines = [_bounded(line) for line in lines]
     for number, line in enumerate(lines):
         colour, dash = COLOURS[number % len(COLOURS)], "-" if line.noisy else DASHES[number % len(DASHES)]
         x, y = line.x / scale, np.where(np.isfinite(line.y), line.y, np.nan)
@@ -255,6 +253,17 @@ def _draw(lines: Sequence[_Line], axis: Axis, look: Look, title: str, note: str)
             ha="right", va="top", **{**words, "fontsize": look.font * 0.85, "color": GREY},
         )  # fmt: skip
     return figure
+
+
+def _bounded(line: _Line) -> _Line:
+    """Without what is beyond all numbers that can be drawn; what is not finite stays so."""
+
+    def bounded(values: np.ndarray) -> np.ndarray:
+        found: np.ndarray = np.where(np.isfinite(values), values.clip(-GREATEST, GREATEST), values)
+        return found
+
+    band = None if line.band is None else (bounded(line.band[0]), bounded(line.band[1]))
+    return line._replace(y=bounded(line.y), band=band)
 
 
 def _frame(axes: Any, look: Look) -> None:

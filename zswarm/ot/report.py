@@ -17,6 +17,7 @@ import numpy as np
 from zswarm import evaluate, experiment, plugins
 from zswarm.errors import ConfigError, UnknownPlugin
 from zswarm.extras import need
+from zswarm.files import write_for_user
 from zswarm.nets.fully_meshed import FullyMeshed
 from zswarm.ot import comparison, curves, figures, film, reading, unseen
 from zswarm.ot.controller import Controller
@@ -62,16 +63,11 @@ def write(path: Path, output: Path, trials: int) -> None:
     Raises:
         ConfigError: there is no run, it cannot be read, a package is missing, or the file cannot be written.
     """
-    from zswarm.files import write_whole
-
     need("jinja2", "plot", "report")
     figures.plain_style()
     runs = reading.runs_below([path])
     text = of_run(runs[0], trials) if len(runs) == 1 else of_study(path, runs)
-    try:
-        write_whole(output, text.encode())
-    except OSError as error:
-        raise ConfigError(f"{output}: cannot be written: {error.strerror}") from None
+    write_for_user(output, text.encode())
 
 
 def of_run(run: Run, trials: int) -> str:

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import click
 
-from zswarm.errors import ConfigError
-from zswarm.files import write_whole
+from zswarm.files import write_for_user
 from zswarm.protocol.codec import clean
 
 EMPTY = "\0"  # stands for a cell without a value until its quotes are taken away; no cleaned text holds it
@@ -36,10 +35,7 @@ def save(path: str, header: Sequence[str], rows: Iterable[Sequence[object]]) -> 
     if path == "-":
         click.echo(text, nl=False)
         return
-    try:
-        write_whole(Path(path), text.encode())
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
+    write_for_user(Path(path), text.encode())
 
 
 def _cell(value: object) -> object:
