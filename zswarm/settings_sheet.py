@@ -39,7 +39,6 @@ def markdown(sheet: Iterable[Key]) -> str:
     lines = ["| key | type | default | meaning |", "| --- | --- | --- | --- |"]
     for key in sheet:
         default = "required" if key.required else json.dumps(key.default)
-        default = "required" if key.required else json.dumps(key.default)
         cells = [f"`{key.name}`", key.type_text, default, key.meaning.replace("|", r"\|")]
         lines.append(" | ".join(["", *cells, ""]).strip().replace("|  |", "| |"))
     return "\n".join(lines) + "\n"
