@@ -5,9 +5,11 @@ import os
 import resource
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -123,6 +125,38 @@ def test_few_open_files_and_a_small_disk_are_told(tmp_path: Path) -> None:
 
 
 # ---- the network
+
+
+class Unheard(bytes):
+    """A word that does not come back."""
+
+    def __eq__(self, _other: object) -> bool:
+        return False
+
+    __hash__ = bytes.__hash__
+
+
+def test_others_in_the_group_do_not_hide_that_this_machine_is_not_heard(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However much they send, it ends."""
+    group, port = session.SCOUTING_GROUP.split(":")
+    monkeypatch.setattr(network.secrets, "token_bytes", Unheard)
+    monkeypatch.setattr(network, "HEARD_S", 0.3)
+    index = socket.if_nametoindex("lo")
+    done = threading.Event()
+
+    def talk() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, struct.pack("=4s4si", bytes(4), bytes(4), index))
+            while not done.wait(0.01):
+                sender.sendto(b"of somebody else", (group, int(port)))
+
+    talking = threading.Thread(target=talk)
+    talking.start()
+    try:
+        assert network._unheard(index) == "nothing heard"
+    finally:
+        done.set()
+        talking.join()
 
 
 def test_a_port_in_use_is_named_with_who_uses_it() -> None:

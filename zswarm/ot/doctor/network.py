@@ -1,5 +1,6 @@
 """The network: who has our port, whether multicast works, what a firewall may stop, and which servers are found."""
 
+import contextlib
 import errno
 import json
 import os
@@ -9,6 +10,7 @@ import socket
 import struct
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -76,8 +78,9 @@ def _holder(number: int) -> str:
         sockets |= {f"socket:[{row[9]}]" for row in rows if row[3] == "0A" and int(row[1].rpartition(":")[2], 16) == number}
     for process in Path("/proc").iterdir() if sockets else ():
         if process.name.isdigit() and _has(process, sockets):
-            name = (process / "comm").read_text(errors="replace").strip()
-            return f"{clean(name)} (process {process.name})"
+            with contextlib.suppress(OSError):  # it ended meanwhile
+                name = (process / "comm").read_text(errors="replace").strip()
+                return f"{clean(name)} (process {process.name})"
     return ""
 
 
@@ -123,17 +126,19 @@ def _unheard(index: int) -> str:
             receiver.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
             receiver.bind((group, int(number)))
             receiver.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
-            receiver.settimeout(HEARD_S)
             sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, member)
             sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)  # other machines need not hear it
             sender.sendto(word, (group, int(number)))
-            while receiver.recv(64) != word:
-                pass  # somebody else's
+            end = time.monotonic() + HEARD_S  # however much others send to the group
+            while (left := end - time.monotonic()) > 0:
+                receiver.settimeout(left)
+                if receiver.recv(64) == word:
+                    return ""
+            return "nothing heard"
     except TimeoutError:
         return "nothing heard"
     except OSError as error:
         return error.strerror or str(error)
-    return ""
 
 
 def firewall() -> Iterator[Finding]:
