@@ -208,6 +208,14 @@ def test_compare_as_json_holds_all_numbers(study: Path) -> None:
     assert found["at"] == 2
 
 
+@pytest.mark.parametrize("name", ["plot", "compare"])
+def test_csv_and_json_are_not_mixed_on_stdout(study: Path, name: str) -> None:
+    ended = CliRunner().invoke(cli.command, [name, str(study), "--csv", "-", "--json"])
+    assert isinstance(ended.exception, ConfigError)
+    assert "both write to stdout" in str(ended.exception)
+    assert not ended.stdout
+
+
 def test_compare_as_csv_is_the_table(study: Path) -> None:
     said = invoke("compare", study, "--csv", "-").splitlines()
     assert said[0] == '"group","runs","median","q25","q75","best","worst","evaluations","seconds"'

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from zswarm.ot.commands.options import json_option
+from zswarm.ot.commands.options import json_option, one_stdout
 
 if TYPE_CHECKING:
     from zswarm.ot.comparison import Comparison
@@ -31,6 +31,7 @@ def compare(paths: tuple[Path, ...], by: str, csv: str | None, as_json: bool) ->
     """
     from zswarm.ot import comparison, reading, spreadsheet, terminal
 
+    one_stdout(csv, as_json=as_json)
     found = comparison.compare(reading.groups(reading.runs_below(paths)), by)  # type: ignore[arg-type]  # click checked it
     if csv:
         spreadsheet.save(csv, comparison.Row._fields, found.rows)

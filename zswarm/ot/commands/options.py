@@ -53,6 +53,16 @@ def cluster_options(command: Any) -> Any:
     return command
 
 
+def one_stdout(csv: str | None, *, as_json: bool) -> None:
+    """Whoever reads stdout gets one thing.
+
+    Raises:
+        ConfigError: CSV and JSON are to go there.
+    """
+    if csv == "-" and as_json:
+        raise ConfigError("--csv - and --json would both write to stdout: name a file for the CSV, or leave one out")
+
+
 def with_cluster(loaded: Experiment, given: dict[str, Any]) -> Experiment:
     """The experiment with the command line's ``[cluster]`` options.
 

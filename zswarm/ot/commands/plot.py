@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from zswarm.ot.commands.options import json_option
+from zswarm.ot.commands.options import json_option, one_stdout
 
 
 @click.command()
@@ -45,6 +45,7 @@ def plot(paths: tuple[Path, ...], output: Path, csv: str | None, axis: str, size
     from zswarm.ot import curves, figures, reading, spreadsheet, terminal
     from zswarm.protocol.codec import clean
 
+    one_stdout(csv, as_json=as_json)
     figures.format_of(output)
     groups = reading.groups(reading.runs_below(paths))
     loaded, notes = curves.load(groups)
