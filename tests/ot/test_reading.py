@@ -101,6 +101,7 @@ def everything(folder: Path) -> list[Any]:
     return [
         run.name, repr(run), run.meta, msgspec.to_builtins(run.experiment), run.changed, run.history(), run.generations(),
         run.best(), run.events(), run.servers(), run.candidates(0), run.trials(0), run.going_on, run.finished, run.history_hash,
+        *run.marked(),
         msgspec.to_builtins(champion, builtin_types=(bytes,)) if champion else None,
     ]  # fmt: skip
 

@@ -1,5 +1,6 @@
 """The HTML page about a run: all in one file, whatever stands in the record."""
 
+import contextlib
 import re
 import sqlite3
 from html.parser import HTMLParser
@@ -70,6 +71,40 @@ def test_a_page_shows_the_run(tmp_path: Path) -> None:
     assert "animate" in page.tags
     assert "lab-1-0123abcd" in page.text
     assert page.text.index("fault") < page.text.index("server joined")
+
+
+SAME = "whoever runs this experiment with the same code gets the same one"
+
+
+@pytest.mark.parametrize(
+    ("sql", "words"),
+    [
+        ("INSERT INTO meta VALUES ('imported_from', 'best.zre: generation 4')", "not evolved here: best.zre: generation 4"),
+        ("UPDATE outcomes SET faulted = 1 WHERE id = 1", "1 trial failed by what a machine did"),
+        ("UPDATE outcomes SET doubtful = 1 WHERE id < 3", "6 trials came from a server that was later proved to compute wrong"),
+    ],
+)
+def test_a_history_that_others_cannot_repeat_is_not_said_to_be_repeated(tmp_path: Path, sql: str, words: str) -> None:
+    folder = written(tmp_path, [1, 2])
+    page = Page(report.of_run(reading.Run(folder), trials=0)).text
+    assert SAME in page
+    assert "the same history hash" in page
+    with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as database, database:
+        database.execute(sql)
+    page = Page(report.of_run(reading.Run(folder), trials=0)).text
+    assert words in page
+    assert SAME not in page
+    assert "the same history hash" not in page
+    assert "bit by bit" not in page
+
+
+def test_a_page_shows_what_was_run_whatever_the_file_says_now(tmp_path: Path) -> None:
+    folder = written(tmp_path, [1, 2], seed=3)
+    file = folder / "experiment.toml"
+    file.write_text(file.read_text().replace("seed = 3", "seed = 4", 1))
+    page = Page(report.of_run(reading.Run(folder), trials=0)).text
+    assert "experiment.toml was changed after the run began (seed)" in page
+    assert SAME not in page
 
 
 def test_settings_that_are_no_defaults_are_marked(tmp_path: Path) -> None:

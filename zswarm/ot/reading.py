@@ -206,6 +206,12 @@ class Run:
         )
         return [dict(zip(columns, map(_clean, row), strict=True)) for row in rows]
 
+    def marked(self) -> tuple[int, int]:
+        """Trials that were counted as faults, and those whose server was later proved to compute wrong."""
+        doubtful = "0" if self.meta["schema_version"] == 1 else "doubtful"  # schema 1 does not know them
+        sums = f"coalesce(sum(faulted), 0), coalesce(sum(count * ({doubtful} <> 0)), 0)"
+        return self._rows(f"SELECT {sums} FROM outcomes", tuple[int, int])[0]  # noqa: S608  our own words
+
     def candidates(self, generation: int) -> list[dict[str, Any]]:
         """Those of a finished generation, in the order asked: candidate, genome (bytes) and fitness (None: NaN)."""
         rows = self._rows(

@@ -92,6 +92,7 @@ def of_run(run: Run, trials: int) -> str:
         record=_record(run),
         folder=shlex.quote(clean(str(run.folder))),
         history=run.history_hash or "",
+        caveats=_caveats(run),
     )
 
 
@@ -135,7 +136,7 @@ def _page(**content: Any) -> str:
     environment.filters["number"] = _number
     nothing = dict.fromkeys(
         ("state", "curve", "champion", "played", "film", "weights", "servers", "events", "listed", "left_out", "record",
-         "history", "compared", "words", "runs", "settings_of")
+         "history", "caveats", "compared", "words", "runs", "settings_of")
     )  # fmt: skip
     page: str = environment.get_template(TEMPLATE).render({**nothing, **content})
     return page
@@ -287,6 +288,19 @@ def _event(event: Mapping[str, Any]) -> dict[str, str]:
         "text": event["text"] or "",
         "count": str(event["count"] or ""),
     }
+
+
+def _caveats(run: Run) -> list[str]:
+    """Why the experiment, run again, may have another history."""
+    (faulted, doubtful), source = run.marked(), run.meta.get("imported_from")
+    found = [f"The run was imported, not evolved here: {source}."] if source else []
+    if faulted:
+        found.append(f"{plural(faulted, 'trial')} failed by what a machine did, and counted as failed.")
+    if doubtful:
+        found.append(f"{plural(doubtful, 'trial')} came from a server that was later proved to compute wrong.")
+    if changed := run.changed:
+        found.append(f"experiment.toml was changed after the run began ({', '.join(changed)}); this page shows what was run.")
+    return found
 
 
 def _record(run: Run) -> list[tuple[str, str]]:
