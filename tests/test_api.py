@@ -416,6 +416,7 @@ def test_a_study_is_runs_that_share_a_connection_and_can_be_gone_on_with(
     runs = zswarm.study(small, repeat=2, grid={"optimizer.population": np.array([10, 12])}, connection=cluster, out=tmp_path)
     shown = [(run.experiment.optimizer.settings["population"], run.experiment.seed, run.finished) for run in runs]
     assert shown == [(10, 1, True), (12, 1, True), (10, 2, True), (12, 2, True)]
+    assert all(run.experiment.cluster == cluster.options for run in runs)
     again = zswarm.study(runs[0].folder.parent, connection=cluster)
     assert [run.history_hash for run in again] == [run.history_hash for run in runs]
     with pytest.raises(zswarm.ConfigError, match="goes on as it is"):

@@ -228,6 +228,8 @@ def study(
         held = studies.Study.open(Path(experiment))
     else:
         loaded, where = _complete(experiment, changes)
+        if connection is not None:
+            loaded = msgspec.structs.replace(loaded, cluster=connection.options)
         held = studies.Study.create(loaded, where, Path(out))
     with held as begun, _connected(connection, begun.experiment) if begun.left else contextlib.nullcontext() as used:
         try:
