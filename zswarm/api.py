@@ -16,7 +16,7 @@ import msgspec
 from zswarm import experiment as experiments
 from zswarm.errors import ConfigError, EvaluationError
 from zswarm.experiment import Experiment
-from zswarm.ot import evolution, reading
+from zswarm.ot import evolution, grouping, reading
 from zswarm.ot.connection import Connection
 from zswarm.ot.evolution import Evolution
 from zswarm.ot.logger import InBackground, Logger, Loggers
@@ -335,7 +335,7 @@ def plot(*runs: str | os.PathLike[str] | Run, x: "Axis" = "generation", size: "S
     found = [one for run in runs for one in ([run] if isinstance(run, Run) else reading.runs_below([Path(run)]))]
     if not found:
         raise ConfigError("plot: expected a run at least")
-    return figures.for_notebooks(figures.of_runs(reading.groups(found), x, size, title))
+    return figures.for_notebooks(figures.of_runs(grouping.groups(found), x, size, title))
 
 
 # ---- helpers

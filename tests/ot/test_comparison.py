@@ -10,7 +10,7 @@ import pytest
 from written import written
 
 from zswarm.errors import ConfigError
-from zswarm.ot import comparison, curves, reading
+from zswarm.ot import comparison, curves, grouping, reading
 from zswarm.ot.curves import Series
 
 NAN = float("nan")
@@ -149,7 +149,7 @@ def test_a_run_that_is_given_twice_is_one_sample(tmp_path: Path) -> None:
     first, again = written(tmp_path, [1, 2]), written(tmp_path, [1, 2])
     other = written(tmp_path, [1, 3], seed=2)
     runs = [reading.Run(folder) for folder in (first, first, again, other)]
-    found = comparison.compare(reading.groups(runs))
+    found = comparison.compare(grouping.groups(runs))
     assert [row.runs for row in found.rows] == [2]
     assert found.notes == [f"{again.name} is left out: its history is that of {first.name}, bit by bit"]
 
@@ -157,7 +157,7 @@ def test_a_run_that_is_given_twice_is_one_sample(tmp_path: Path) -> None:
 def test_unfinished_runs_are_named(tmp_path: Path) -> None:
     folder = written(tmp_path, [1, 2], finished=False)
     begun = written(tmp_path, [], finished=False, seed=2)
-    found = comparison.compare(reading.groups([reading.Run(folder), reading.Run(begun)]))
+    found = comparison.compare(grouping.groups([reading.Run(folder), reading.Run(begun)]))
     assert found.notes == [
         f"{folder.name} is not finished: 2 of 3 generations",
         f"{begun.name} is not finished: 0 of 1 generation",
@@ -166,7 +166,7 @@ def test_unfinished_runs_are_named(tmp_path: Path) -> None:
 
 def test_the_summary_needs_no_scipy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(comparison, "need", None)
-    groups = reading.groups([reading.Run(written(tmp_path, [1, hidden], hidden=hidden)) for hidden in (1, 2)])
+    groups = grouping.groups([reading.Run(written(tmp_path, [1, hidden], hidden=hidden)) for hidden in (1, 2)])
     assert [(row.group, row.median) for row in comparison.summary(groups)] == [("hidden 1", 1.0), ("hidden 2", 2.0)]
 
 

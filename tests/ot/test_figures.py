@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from written import written
 
 from zswarm.errors import ConfigError
-from zswarm.ot import cli, figures, reading
+from zswarm.ot import cli, figures, grouping, reading
 from zswarm.ot.curves import Series
 
 HOSTILE = ["$\\frac{$", "_hidden", "<script>alert(1)</script>", "漢字", "a" * 300, "$$", "\x1b[31m", "%s{}&quot;"]
@@ -228,5 +228,5 @@ def test_reading_leaves_the_runs_as_they_are(study: Path) -> None:
 
     before = contents()
     invoke("compare", study)
-    reading.groups(reading.runs_below([study]))
+    grouping.groups(reading.runs_below([study]))
     assert contents() == before

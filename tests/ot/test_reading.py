@@ -23,7 +23,8 @@ from zswarm import experiment
 from zswarm.errors import ConfigError
 from zswarm.ot.controller import Controller
 from zswarm.ot.dispatch import Counted, Note
-from zswarm.ot.reading import Run, groups, listed, runs_below
+from zswarm.ot.grouping import groups
+from zswarm.ot.reading import Run, listed, runs_below
 from zswarm.ot.record import Record
 from zswarm.ot.workload import Workload
 

@@ -145,12 +145,12 @@ def leave(folder: Path, say: Callable[[str], None]) -> None:
     Args:
         say: takes a line where it cannot be made; nothing fails for it.
     """
-    from zswarm.ot import reading
+    from zswarm.ot import grouping, reading
 
     if importlib.util.find_spec("matplotlib") is None:
         return
     try:
-        groups, _ = curves.load(reading.groups(reading.runs_below([folder])))
+        groups, _ = curves.load(grouping.groups(reading.runs_below([folder])))
         if any(len(run.best) for runs in groups.values() for run in runs):
             save(of_series(groups, title=folder.resolve().name), folder / PICTURE)
     except Exception as error:  # whatever a library of drawing raises, and a folder that is gone

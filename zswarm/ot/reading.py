@@ -12,7 +12,7 @@ import re
 import shutil
 import sqlite3
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -41,8 +41,6 @@ if TYPE_CHECKING:
 
 DEPTH = 2  # of folders in which runs are looked for: runs/STUDY/RUN
 NESTED = 32  # levels of a text's tables and lists
-TOLD_APART = 3  # settings by which groups are told apart; with more they have the experiments' names
-KIND_OF = {"problem.settings": "problem.simulator", "representation": "representation", "optimizer": "optimizer"}
 WAL = b"\x02\x02"  # bytes 18 and 19 of a database with a write-ahead log
 
 UNREADABLE = (sqlite3.Error, OSError, UnicodeDecodeError)  # the last: a damaged schema that SQLite would quote
@@ -423,36 +421,6 @@ def listed(parent: Path) -> list[dict[str, Any]]:
     return [_listed(folder) for folder in folders_below(parent)]
 
 
-def groups(runs: Sequence[Run]) -> dict[str, list[Run]]:
-    """Repeats together: runs whose experiments differ at most in name, seed, generations, ``[cluster]`` and ``[study]``.
-
-    Returns:
-        By what differs between them, such as ``hidden 2, population 50``; by the experiments' names where there is one group,
-        or more differs than a label can say.
-    """
-    together: dict[str, list[Run]] = {}
-    settings: dict[str, dict[str, Any]] = {}
-    for run in runs:
-        flat = _flat(run.experiment)
-        key = json.dumps(flat, sort_keys=True)
-        together.setdefault(key, []).append(run)
-        settings[key] = flat
-    differing = _differing(list(settings.values()))
-    named: dict[str, list[Run]] = {}
-    for key, members in together.items():
-        told = [name for name in differing if name in settings[key]]
-        if len(together) > 1 and 0 < len(differing) <= TOLD_APART:
-            label = ", ".join(_label(name, settings[key][name], differing) for name in told) or members[0].experiment.name
-        else:
-            label = members[0].experiment.name
-        if label in named:
-            label = f"{label} ({members[0].name})"
-        while label in named:
-            label += "'"
-        named[label] = members
-    return named
-
-
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[sqlite3.Connection]:
     """A record's database, to read; nothing is left beside it, and it may be where nothing can be written.
@@ -522,44 +490,6 @@ def _listed(folder: Path) -> dict[str, Any]:
         "finished_at": at,
         "history_hash": clean(history[0]) if history else None,
     }
-
-
-def _flat(complete: Experiment) -> dict[str, Any]:
-    """What makes runs no repeats of each other, by the key of the experiment file."""
-    values = msgspec.to_builtins(complete)
-    flat = {"representation": complete.representation.kind, "optimizer": complete.optimizer.kind}
-    for part in ("representation", "optimizer"):
-        flat |= {f"{part}.{key}": value for key, value in values[part]["settings"].items()}
-    problem = values["problem"]
-    flat |= {f"problem.settings.{key}": value for key, value in problem.pop("settings").items()}
-    return flat | {f"problem.{key}": value for key, value in problem.items()}
-
-
-def _differing(settings: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Keys whose values differ; settings of a part only between parts of the same kind."""
-    differing = []
-    for key in dict.fromkeys(key for flat in settings for key in flat):
-        kind = KIND_OF.get(key.rpartition(".")[0], "")
-        values: dict[Any, set[str]] = {}
-        for flat in settings:
-            values.setdefault(flat.get(kind), set()).add(json.dumps(flat.get(key), sort_keys=True))
-        if any(len(found) > 1 for found in values.values()):
-            differing.append(key)
-    return differing
-
-
-def _label(key: str, value: Any, differing: Sequence[str]) -> str:
-    """``population 50``; a kind says itself what it is."""
-    if key in KIND_OF.values():
-        return str(value)
-    last = key.rpartition(".")[2]
-    name = last if sum(other.rpartition(".")[2] == last for other in differing) == 1 else key
-    match value:
-        case bool() | list() | dict():
-            return f"{name} {json.dumps(value)}"
-        case float():
-            return f"{name} {value:.6g}"
-    return f"{name} {value}"
 
 
 def _natural(name: str) -> list[tuple[bool, int, str]]:

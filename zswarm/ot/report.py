@@ -19,7 +19,7 @@ from zswarm.errors import ConfigError, UnknownPlugin
 from zswarm.extras import need
 from zswarm.files import write_for_user
 from zswarm.nets.fully_meshed import FullyMeshed
-from zswarm.ot import comparison, curves, figures, film, reading, unseen
+from zswarm.ot import comparison, curves, figures, film, grouping, reading, unseen
 from zswarm.ot.controller import Controller
 from zswarm.ot.reading import Run
 from zswarm.ot.terminal import plural
@@ -98,7 +98,7 @@ def of_run(run: Run, trials: int) -> str:
 
 def of_study(path: Path, runs: Sequence[Run]) -> str:
     """The page of several runs."""
-    groups = reading.groups(runs)
+    groups = grouping.groups(runs)
     loaded, notes = curves.load(groups)
     found = comparison.of_series(loaded, "generations", notes)
     finished = sum(run.finished for run in runs)

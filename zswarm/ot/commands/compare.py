@@ -29,10 +29,10 @@ def compare(paths: tuple[Path, ...], by: str, csv: str | None, as_json: bool) ->
 
     Runs that differ in seed only are a group of repeats. Tests: Mann-Whitney U with Holm's correction, Kruskal-Wallis.
     """
-    from zswarm.ot import comparison, reading, spreadsheet, terminal
+    from zswarm.ot import comparison, grouping, reading, spreadsheet, terminal
 
     one_stdout(csv, as_json=as_json)
-    found = comparison.compare(reading.groups(reading.runs_below(paths)), by)  # type: ignore[arg-type]  # click checked it
+    found = comparison.compare(grouping.groups(reading.runs_below(paths)), by)  # type: ignore[arg-type]  # click checked it
     if csv:
         spreadsheet.save(csv, comparison.Row._fields, found.rows)
     if as_json:

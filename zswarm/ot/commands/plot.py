@@ -42,12 +42,12 @@ def plot(paths: tuple[Path, ...], output: Path, csv: str | None, axis: str, size
     One run: its best and mean fitness. Repeats: the median of their best, and a band from the lower to the upper quartile.
     Runs of different experiments or settings: a line and a band for each, and a test between them.
     """
-    from zswarm.ot import curves, figures, reading, spreadsheet, terminal
+    from zswarm.ot import curves, figures, grouping, reading, spreadsheet, terminal
     from zswarm.protocol.codec import clean
 
     one_stdout(csv, as_json=as_json)
     figures.format_of(output)
-    groups = reading.groups(reading.runs_below(paths))
+    groups = grouping.groups(reading.runs_below(paths))
     loaded, notes = curves.load(groups)
     for note in notes:
         terminal.line(note, stderr=True)
