@@ -25,7 +25,7 @@ from zswarm.ot.controller import Controller
 from zswarm.ot.dispatch import Counted, Note
 from zswarm.ot.grouping import groups
 from zswarm.ot.reading import Run, listed, runs_below
-from zswarm.ot.record import Record
+from zswarm.ot.record import DATABASE, Record
 from zswarm.ot.workload import Workload
 
 EVIL = "\x1b[31m[bold]<b onload=x>&amp;\u202e\r\n\x00=cmd()"
@@ -590,3 +590,17 @@ def test_other_problems_are_told_apart_by_their_simulators(tmp_path: Path) -> No
     Record.create(tmp_path, minisim, "hash").close()
     together = groups(runs_below([tmp_path]))
     assert [label.split(",")[0] for label in together] == ["emergency-exit", "minisim"]
+
+
+def test_a_run_that_cannot_be_read_is_left_out_of_its_folder_with_a_line(tmp_path: Path) -> None:
+    """Given itself, or alone, it is an error; so are all where nobody takes the lines."""
+    whole, broken = (Record.create(tmp_path, complete(), "hash", name=name).folder for name in ("whole", "broken"))
+    (broken / DATABASE).write_bytes(b"no database")
+    left_out: list[str] = []
+    assert [run.folder for run in runs_below([tmp_path], left_out)] == [whole]
+    assert len(left_out) == 1
+    assert left_out[0].startswith(f"left out: {broken}/{DATABASE}: damaged")
+    shutil.rmtree(whole)
+    for paths in ([broken], [tmp_path]):
+        with pytest.raises(ConfigError, match="damaged"):
+            runs_below(paths, [])

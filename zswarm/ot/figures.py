@@ -150,7 +150,7 @@ def leave(folder: Path, say: Callable[[str], None]) -> None:
     if importlib.util.find_spec("matplotlib") is None:
         return
     try:
-        groups, _ = curves.load(grouping.groups(reading.runs_below([folder])))
+        groups, _ = curves.load(grouping.groups(reading.runs_below([folder], [])))
         if any(len(run.best) for runs in groups.values() for run in runs):
             save(of_series(groups, title=folder.resolve().name), folder / PICTURE)
     except Exception as error:  # whatever a library of drawing raises, and a folder that is gone

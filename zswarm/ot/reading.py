@@ -384,8 +384,11 @@ class Run:
         return ConfigError(f"{self._shown}/{DATABASE}: damaged: {why}")
 
 
-def runs_below(paths: Sequence[Path]) -> list[Run]:
+def runs_below(paths: Sequence[Path], left_out: list[str] | None = None) -> list[Run]:
     """The runs of folders: each is a run's, or one that holds runs, such as a study's or the one of all runs.
+
+    Args:
+        left_out: takes a line about each run below a folder that cannot be read; None: such a run is an error.
 
     Returns:
         In the order of the paths, and below each by name, numbers in names by their value; each run once.
@@ -401,7 +404,14 @@ def runs_below(paths: Sequence[Path]) -> list[Run]:
                 f"{clean(str(path))}: no run; expected a folder with {EXPERIMENT} and {DATABASE}, or one that holds such folders"
             )
         for folder in folders:
-            runs.setdefault(folder.resolve(), Run(folder))
+            try:
+                runs.setdefault(folder.resolve(), Run(folder))
+            except ConfigError as error:
+                if left_out is None or folder == path:
+                    raise
+                left_out.append(f"left out: {error}")
+        if left_out and not runs:
+            raise ConfigError(f"{clean(str(path))}: no run that can be read; {left_out[0].removeprefix('left out: ')}")
     return list(runs.values())
 
 

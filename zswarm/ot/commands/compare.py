@@ -32,7 +32,10 @@ def compare(paths: tuple[Path, ...], by: str, csv: str | None, as_json: bool) ->
     from zswarm.ot import comparison, grouping, reading, spreadsheet, terminal
 
     one_stdout(csv, as_json=as_json)
-    found = comparison.compare(grouping.groups(reading.runs_below(paths)), by)  # type: ignore[arg-type]  # click checked it
+    left_out: list[str] = []
+    found = comparison.compare(grouping.groups(reading.runs_below(paths, left_out)), by)  # type: ignore[arg-type]  # click checked it
+    for note in left_out:
+        terminal.line(note, stderr=True)
     if csv:
         spreadsheet.save(csv, comparison.Row._fields, found.rows)
     if as_json:

@@ -47,9 +47,10 @@ def plot(paths: tuple[Path, ...], output: Path, csv: str | None, axis: str, size
 
     one_stdout(csv, as_json=as_json)
     figures.format_of(output)
-    groups = grouping.groups(reading.runs_below(paths))
+    left_out: list[str] = []
+    groups = grouping.groups(reading.runs_below(paths, left_out))
     loaded, notes = curves.load(groups)
-    for note in notes:
+    for note in (*left_out, *notes):
         terminal.line(note, stderr=True)
     if csv:
         spreadsheet.save(csv, *figures.table(loaded, axis))  # type: ignore[arg-type]  # click checked it
