@@ -182,7 +182,7 @@ def test_a_simulator_that_ends_its_process_pauses_the_run_and_names_the_cause(
     assert "zswarm-ot resume runs/rough" in optimizer.err.read_text()
 
 
-@pytest.mark.parametrize("how", ["exits", "segfault", "hoards"])
+@pytest.mark.parametrize("how", ["exits", *(pytest.param(how, marks=pytest.mark.faults) for how in ("segfault", "hoards"))])
 def test_quarantine_counts_the_guilty_trials_and_no_other(tmp_path: Path, rough: str, how: str) -> None:
     """The second trial of each of four candidates; the others of their batches are evaluated."""
     small = ["--set", "cluster.on_fault=quarantine", "--set", "generations=1", "--set", "optimizer.population=4"]
@@ -197,6 +197,7 @@ def test_quarantine_counts_the_guilty_trials_and_no_other(tmp_path: Path, rough:
     assert not any(np.isnan(value) for _, value in innocent)
 
 
+@pytest.mark.faults
 def test_a_simulator_that_ends_its_process_once_or_leaks_changes_nothing(tmp_path: Path, rough: str) -> None:
     """72 trials leave 20 MB behind each, where 512 are allowed: nobody is blamed."""
     hashes = set()
@@ -229,6 +230,7 @@ def test_a_plug_in_that_cannot_be_imported_is_named_and_hurts_no_other(tmp_path:
     evolve_rough(tmp_path, rough, "fine").done()
 
 
+@pytest.mark.faults
 def test_a_daemon_survives_bad_simulators_and_serves_the_next_run(tmp_path: Path, rough: str) -> None:
     server = Server(tmp_path, "ss", PYTHONPATH=rough).ready()
     options = ["--json", "--no-multicast", "--servers", "1", "--connect", server.endpoint]

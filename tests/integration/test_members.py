@@ -319,6 +319,7 @@ def test_a_user_is_no_server(lab: Lab, tmp_path: Path) -> None:
 # ---- keys change
 
 
+@pytest.mark.faults
 def test_a_run_outlives_reloads_of_its_server(lab: Lab, server: Server, tmp_path: Path) -> None:
     """Each is a new session with the keys of then; lease, batches and results stay."""
     plain = evolve(tmp_path, "alone", "none", "--servers", "local", "--out", "alone", steps=400).done()
