@@ -96,14 +96,52 @@ def test_settings_change_an_experiment_as_the_command_line_does() -> None:
         ("stadium", {"optimiser.population": 3}, "unknown key 'optimiser'"),
         ("stadium", {"seed.x": 3}, "seed is no table"),
         ("stadium", {"seed": "one"}, "seed: expected int, got str"),
-        ({"name": "x"}, {}, "experiment: object missing required field"),
+        ({}, {}, "experiment: key name is missing"),
+        ({"name": "x"}, {}, "experiment: key seed is missing"),
     ],
 )
 def test_what_cannot_be_an_experiment_is_refused_in_one_line(source: Any, settings: dict[str, Any], line: str) -> None:
     with pytest.raises(zswarm.ConfigError) as caught:
-        zswarm.problem(zswarm.load(source, settings))
+        zswarm.load(source, settings)
     assert line in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_an_experiment_of_parts_that_are_not_installed_can_be_loaded() -> None:
+    """To look at it; it is refused when it is used."""
+    loaded = zswarm.load("stadium", {"problem.simulator": "elsewhere"})
+    with pytest.raises(zswarm.UnknownPlugin, match="elsewhere"):
+        zswarm.problem(loaded)
+
+
+@pytest.mark.parametrize(
+    ("call", "line"),
+    [
+        (lambda: zswarm.load(None), "experiment: expected a file, the name of an example"),
+        (lambda: zswarm.load(3), "dict or an experiment, not 3"),
+        (lambda: zswarm.load("stadium", ["a"]), r"settings: expected a dict, such as .*, not \['a'\]"),
+        (lambda: zswarm.problem("stadium", settings=["a"]), "settings: expected a dict"),
+        (lambda: zswarm.study("stadium", grid=["a"]), "grid: expected a dict of lists"),
+        (lambda: zswarm.study("stadium", grid={"optimizer.population": 4}), "optimizer.population: expected a list of values"),
+        (lambda: zswarm.study("stadium", grid={"optimizer.kind": "nnga"}), r"such as \['nnga'\], not 'nnga'"),
+        (lambda: list(zswarm.start("stadium")), "with zswarm.start"),
+    ],
+)
+def test_arguments_of_another_kind_are_refused_in_a_line_that_says_what_was_expected(call: Any, line: str) -> None:
+    with pytest.raises(TypeError, match=line):
+        call()
+
+
+def test_a_run_without_its_block_says_that_it_needs_one() -> None:
+    with pytest.raises(AttributeError, match=r"with zswarm\.start"):
+        zswarm.start("stadium").finish()  # type: ignore[attr-defined]
+
+
+def test_what_cannot_begin_fails_at_the_call() -> None:
+    with pytest.raises(zswarm.ConfigError, match="nope: no run"):
+        zswarm.resume("nope")
+    with pytest.raises(zswarm.ConfigError, match="populaton"):
+        zswarm.start({**experiment.to_mapping(zswarm.load("stadium")), "optimizer": {"kind": "nnga", "populaton": 3}})
 
 
 def test_a_problem_is_made_of_parts() -> None:
@@ -143,6 +181,10 @@ def test_vectors_and_genomes_are_the_same_candidates() -> None:
         (lambda genes: np.full((2, genes), np.nan), "not finite"),
         (lambda genes: np.full((2, genes), 1e300), "not finite"),
         (lambda _: [b"short"], "5 bytes"),
+        (lambda genes: np.zeros((2, genes), complex), "expected real numbers, not an array of complex128"),
+        (lambda genes: [["a"] * genes], "expected real numbers"),
+        (lambda _: [[1.0], [1.0, 2.0]], "vectors of equal length"),
+        (lambda genes: [b"\0" * 4 * genes, [0.0] * genes], "not both"),
     ],
 )
 def test_candidates_that_do_not_fit_are_refused_before_they_travel(make: Any, line: str) -> None:
@@ -150,6 +192,19 @@ def test_candidates_that_do_not_fit_are_refused_before_they_travel(make: Any, li
     assert problem.genes == 60
     with pytest.raises(ValueError, match=line):
         problem.genomes(make(problem.genes))
+    for what in (None, 3, b"genome", "genome", {"a": 1}):
+        with pytest.raises(TypeError, match="candidates: expected a list of genomes or an array"):
+            problem.genomes(what)  # type: ignore[arg-type]
+
+
+def test_how_many_random_genomes_is_a_number_of_them() -> None:
+    problem = zswarm.problem("stadium")
+    with pytest.raises(ValueError, match="count: expected a whole number from 0 to"):
+        problem.random(-1)
+    with pytest.raises(TypeError, match=r"count: expected a whole number, not 2\.5"):
+        problem.random(2.5)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="seed: expected a whole number from 0 to"):
+        problem.random(1, seed=-1)
 
 
 # ---- evaluating
@@ -176,8 +231,18 @@ def test_outcomes_are_told_trial_by_trial_on_any_seeds(cluster: zswarm.Connectio
     assert not np.isin(unseen.fitness, own.fitness).all()
     assert cluster.outcomes(problem, []).fitness.shape == (0, 3)
     for seeds in ([], [-1], [1, 2**64]):
-        with pytest.raises(ValueError, match="seeds: expected one at least"):
+        with pytest.raises(ValueError, match=r"seeds: expected a list of whole numbers, one at least, .* not "):
             cluster.outcomes(problem, genomes, seeds=seeds)
+    wrong: Any
+    for wrong in (5, [1.5], ["1"], np.array([1.0])):
+        with pytest.raises(TypeError, match="seeds: expected a list of whole numbers"):
+            cluster.outcomes(problem, genomes, seeds=wrong)
+    assert same_bits(cluster.outcomes(problem, genomes, seeds=np.array([2**63 + 1, 8], np.uint64)).fitness, unseen.fitness)
+    for first, second in (("stadium", genomes), (genomes, problem)):
+        with pytest.raises(TypeError, match=r"problem: expected what zswarm\.problem gives, before the candidates"):
+            cluster.evaluate(first, second)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="generation: expected a whole number from 0"):
+        cluster.evaluate(problem, genomes, generation=-1)
 
 
 def test_fresh_trials_are_those_of_the_generation(cluster: zswarm.Connection) -> None:
@@ -379,7 +444,7 @@ def test_a_run_in_a_thread_leaves_the_thread_of_signals_alone(tmp_path: Path, sm
 def test_nothing_is_printed_unless_it_is_asked_for(
     cluster: zswarm.Connection, small: zswarm.Experiment, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    zswarm.run(small, connection=cluster, out=tmp_path)
+    zswarm.run(small, connection=cluster, out=tmp_path, loggers=zswarm.Logger())
     assert capfd.readouterr() == ("", "")
     zswarm.run(small, connection=cluster, out=tmp_path, progress=True)
     shown = capfd.readouterr()
@@ -402,8 +467,10 @@ def test_histories_are_data_frames(cluster: zswarm.Connection, small: zswarm.Exp
 
 
 def test_a_logger_that_is_none_is_refused(small: zswarm.Experiment, tmp_path: Path) -> None:
-    with pytest.raises(TypeError, match="loggers: expected objects of subclasses of"):
-        zswarm.run(zswarm.load(small, ONE_SLOT), out=tmp_path, loggers=[print])  # type: ignore[list-item]
+    wrong: Any
+    for wrong in ([print], print, [zswarm.Logger], 3):
+        with pytest.raises(TypeError, match="loggers: expected objects of subclasses of"):
+            zswarm.run(zswarm.load(small, ONE_SLOT), out=tmp_path, loggers=wrong)
     assert not list(tmp_path.iterdir())
 
 

@@ -32,7 +32,7 @@ def test_what_fits_is_taken_with_its_defaults() -> None:
 @pytest.mark.parametrize(
     ("mapping", "text"),
     [
-        ({}, "file: object missing required field count"),
+        ({}, "file: key count is missing"),
         ({"count": "2"}, "file: count: expected int, got str"),
         ({"count": 2.0}, "file: count: expected int, got float"),
         ({"count": True}, "file: count: expected int, got bool"),

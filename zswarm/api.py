@@ -7,9 +7,11 @@ import contextlib
 import logging
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import msgspec
 
@@ -46,13 +48,16 @@ def load(source: Source, settings: Mapping[str, Any] | None = None) -> Experimen
         settings: what differs from it, by the keys of the file.
 
     Raises:
-        ConfigError: nothing of that name, or something in it is unknown or impossible.
+        ConfigError: nothing of that name, or something in it is unknown or impossible. Of parts that are not installed here
+            the settings are checked when it is used.
 
     Example::
 
         small = zswarm.load("stadium", {"generations": 20, "optimizer.population": 30})
     """
-    return _complete(source, settings or {})[0]
+    loaded, where = _complete(source, {} if settings is None else settings)
+    experiments.check_settings(loaded, where)
+    return loaded
 
 
 def problem(
@@ -91,7 +96,9 @@ def problem(
             "name": "problem", "seed": 0, "generations": 1, "problem": {"simulator": simulator},
             "representation": {"kind": "fully-meshed"}, "optimizer": {"kind": "nnga"},
         }  # fmt: skip
-    changes: dict[str, Any] = {f"problem.settings.{key}": value for key, value in (settings or {}).items()}
+    settings = {} if settings is None else settings
+    _check_dict(settings, "{'agents': 5}")
+    changes: dict[str, Any] = {f"problem.settings.{key}": value for key, value in settings.items()}
     given = {"problem.simulator": simulator, "problem.trials": trials, "problem.seeds": seeds, "seed": seed}
     changes |= {key: value for key, value in given.items() if value is not None}
     if representation is not None:
@@ -152,7 +159,7 @@ def run(
     *,
     connection: Connection | None = None,
     out: str | os.PathLike[str] = "runs",
-    loggers: Sequence[Logger] = (),
+    loggers: Sequence[Logger] | Logger = (),
     progress: bool = False,
 ) -> Run:
     """Evolve to the last generation; what was recorded.
@@ -163,7 +170,7 @@ def run(
         experiment: as for ``load``.
         connection: servers to use instead of those of the experiment's ``[cluster]``.
         out: where the run's folder is made.
-        loggers: follow it, each in a thread of its own.
+        loggers: one or several that follow it, each in a thread of its own.
         progress: show how it goes, as ``zswarm-ot run`` does.
 
     Raises:
@@ -220,7 +227,7 @@ def study(
         from zswarm.ot.study_display import follower as shown
 
         follower = shown(as_json=False)
-    given = {"study.repeat": repeat, "study.grid": None if grid is None else {key: list(grid[key]) for key in grid}}
+    given = {"study.repeat": repeat, "study.grid": None if grid is None else _grid(grid)}
     changes = {key: value for key, value in given.items() if value is not None}
     if isinstance(experiment, str | os.PathLike) and studies.is_study(Path(experiment)):
         if changes:
@@ -243,15 +250,14 @@ def study(
     return [Run(begun.folder / planned.name) for planned in begun.planned]
 
 
-@contextlib.contextmanager
 def start(
     experiment: Source,
     *,
     connection: Connection | None = None,
     out: str | os.PathLike[str] = "runs",
-    loggers: Sequence[Logger] = (),
+    loggers: Sequence[Logger] | Logger = (),
     progress: bool = False,
-) -> Iterator[Evolution]:
+) -> AbstractContextManager[Evolution]:
     """A run to iterate over; leave the block before its end, and it is stopped and can be resumed.
 
     Arguments and errors are those of ``run``.
@@ -264,20 +270,17 @@ def start(
                     break
     """
     loaded, where = _complete(experiment, {})
-    with _connected(connection, loaded) as used:
-        loaded = msgspec.structs.replace(loaded, cluster=used.options)
-        with evolution.start(loaded, where, Path(out), used, _followers(loggers, progress=progress)) as begun, _noting(begun):
-            yield begun
+    experiments.check_settings(loaded, where)
+    return _Block(_started(loaded, where, Path(out), connection, _followers(loggers, progress=progress)))
 
 
-@contextlib.contextmanager
 def resume(
     run: str | os.PathLike[str] | Run,
     *,
     connection: Connection | None = None,
-    loggers: Sequence[Logger] = (),
+    loggers: Sequence[Logger] | Logger = (),
     progress: bool = False,
-) -> Iterator[Evolution]:
+) -> AbstractContextManager[Evolution]:
     """A run that was stopped, from the last thing it recorded; otherwise as ``start``.
 
     Args:
@@ -292,12 +295,7 @@ def resume(
             evolution.finish()
     """
     folder = run.folder if isinstance(run, Run) else Path(run)
-    with (
-        _connected(connection, load_experiment(folder)) as used,
-        evolution.resume(folder, used, _followers(loggers, progress=progress)) as begun,
-        _noting(begun),
-    ):
-        yield begun
+    return _Block(_resumed(folder, load_experiment(folder), connection, _followers(loggers, progress=progress)))
 
 
 def read(folder: str | os.PathLike[str]) -> Run:
@@ -324,6 +322,7 @@ def plot(*runs: str | os.PathLike[str] | Run, x: "Axis" = "generation", size: "S
 
     Raises:
         ConfigError: no runs there, none finished a generation, or matplotlib is missing.
+        ValueError: another x or size.
 
     Example::
 
@@ -341,19 +340,74 @@ def plot(*runs: str | os.PathLike[str] | Run, x: "Axis" = "generation", size: "S
 # ---- helpers
 
 
+class _Block(AbstractContextManager[Evolution]):
+    """What ``with`` makes a run of; whoever forgets it is told."""
+
+    def __init__(self, block: AbstractContextManager[Evolution]) -> None:
+        self._block = block
+
+    def __enter__(self) -> Evolution:
+        return self._block.__enter__()
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> bool | None:
+        return self._block.__exit__(kind, error, trace)
+
+    def __iter__(self) -> NoReturn:
+        raise TypeError(_NEEDS_WITH)
+
+    def __getattr__(self, name: str) -> NoReturn:
+        raise AttributeError(f"no attribute {name!r}" if name.startswith("_") else _NEEDS_WITH)
+
+
+_NEEDS_WITH = "a run needs a block: `with zswarm.start(...) as evolution:`, and in it `for generation in evolution:`"
+
+
+@contextlib.contextmanager
+def _started(loaded: Experiment, where: str, out: Path, connection: Connection | None, logger: Logger) -> Iterator[Evolution]:
+    with _connected(connection, loaded) as used:
+        loaded = msgspec.structs.replace(loaded, cluster=used.options)
+        with evolution.start(loaded, where, out, used, logger) as begun, _noting(begun):
+            yield begun
+
+
+@contextlib.contextmanager
+def _resumed(folder: Path, loaded: Experiment, connection: Connection | None, logger: Logger) -> Iterator[Evolution]:
+    with _connected(connection, loaded) as used, evolution.resume(folder, used, logger) as begun, _noting(begun):
+        yield begun
+
+
 def _complete(source: Source, changes: Mapping[str, Any]) -> tuple[Experiment, str]:
     """An experiment with changes, and what errors call it."""
+    _check_dict(changes, "{'optimizer.population': 100}")
     if isinstance(source, Experiment):
         if not changes:
             return source, source.name
         mapping, where = experiments.to_mapping(source), source.name
     elif isinstance(source, Mapping):
         mapping, where = dict(source), "experiment"
+    elif not isinstance(source, str | os.PathLike):
+        raise TypeError(
+            f"experiment: expected a file, the name of an example, the folder of a run, a dict or an experiment, not {source!r}"
+        )
     else:
         path = Path(source)
         path = path / EXPERIMENT if (path / EXPERIMENT).is_file() else experiments.find(os.fspath(source))
         mapping, where = read_toml(path), str(path)
     return experiments.check(experiments.changed(mapping, changes, where), where), where
+
+
+def _check_dict(settings: Any, example: str) -> None:
+    if not isinstance(settings, Mapping):
+        raise TypeError(f"settings: expected a dict, such as {example}, not {settings!r}")
+
+
+def _grid(grid: Mapping[str, Sequence[Any]]) -> dict[str, list[Any]]:
+    if not isinstance(grid, Mapping):
+        raise TypeError(f"grid: expected a dict of lists, such as {{'optimizer.population': [50, 100]}}, not {grid!r}")
+    for key, values in grid.items():
+        if isinstance(values, str | bytes | Mapping) or not hasattr(values, "__iter__"):
+            raise TypeError(f"grid: {key}: expected a list of values, such as [{values!r}], not {values!r}")
+    return {key: list(values) for key, values in grid.items()}
 
 
 @contextlib.contextmanager
@@ -367,8 +421,9 @@ def _connected(connection: Connection | None, loaded: Experiment) -> Iterator[Co
             yield own
 
 
-def _followers(loggers: Sequence[Logger], *, progress: bool) -> Logger:
+def _followers(given: Sequence[Logger] | Logger, *, progress: bool) -> Logger:
     shown = _display() if progress else _Quiet()
+    loggers = [given] if isinstance(given, Logger) or not isinstance(given, Iterable) else list(given)
     for logger in loggers:
         if not isinstance(logger, Logger):
             raise TypeError(f"loggers: expected objects of subclasses of zswarm.Logger, not {logger!r}")

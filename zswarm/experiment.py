@@ -280,6 +280,16 @@ def complete(experiment: Experiment, where: str) -> Experiment:
     return whole
 
 
+def check_settings(experiment: Experiment, where: str) -> None:
+    """Check the settings of those parts that are installed.
+
+    Raises:
+        ConfigError: one has impossible settings; also in a setting of the study.
+    """
+    with contextlib.suppress(UnknownPlugin):
+        complete(experiment, where)
+
+
 def variants(complete: Experiment, where: str) -> list[Variant]:
     """The settings of a complete experiment's study; without one, the experiment alone.
 

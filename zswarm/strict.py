@@ -122,4 +122,5 @@ def _taken_apart(text: str) -> tuple[str, str]:
     """msgspec's "Expected `int`, got `str` - at `$.a.b`" as "a.b" and "expected int, got str"."""
     match = re.fullmatch(r"(?P<what>.*) - at `\$\.?(?P<path>.*)`", text)
     what, path = (match["what"], match["path"]) if match else (text, "")
+    what = re.sub(r"^Object missing required field `(?P<key>.*)`$", r"key \g<key> is missing", what)
     return path, what[0].lower() + what[1:].replace("`", "")

@@ -12,6 +12,7 @@ import pytest
 from click.testing import CliRunner
 from written import written
 
+import zswarm
 from zswarm.errors import ConfigError
 from zswarm.ot import cli, figures, grouping, reading
 from zswarm.ot.curves import Series
@@ -230,3 +231,11 @@ def test_reading_leaves_the_runs_as_they_are(study: Path) -> None:
     invoke("compare", study)
     grouping.groups(reading.runs_below([study]))
     assert contents() == before
+
+
+def test_figures_of_unknown_axes_and_sizes_are_refused_with_the_choices(tmp_path: Path) -> None:
+    run = written(tmp_path, [1.0, 2.0])
+    with pytest.raises(ValueError, match="x: expected generation, evaluations or time, not 'gen'"):
+        zswarm.plot(run, x="gen")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"size: expected column, page, slides or screen, not 'huge'"):
+        zswarm.read(run).plot(size="huge")  # type: ignore[arg-type]

@@ -3,6 +3,7 @@
 import atexit
 import contextlib
 import functools
+import operator
 import threading
 from collections.abc import Iterator, Sequence
 from types import TracebackType
@@ -95,7 +96,8 @@ class Connection:
             (n,) float64, higher is better: the sum over the problem's trials; NaN where the simulator failed.
 
         Raises:
-            ValueError: candidates that do not fit the problem.
+            ValueError: candidates or a generation that do not fit the problem.
+            TypeError: no problem, no candidates.
             EvaluationError: trials cannot be evaluated: a fault of machines or programs.
             NoServers: the number of servers asked for was not there in time.
             RuntimeError: a run of this thread holds the slots, or the connection is closed.
@@ -105,7 +107,8 @@ class Connection:
             with zswarm.connect() as cluster:
                 fitness = cluster.evaluate(problem, problem.random(50))
         """
-        return problem.total(self._evaluated(problem, candidates, generation, None))
+        workload = self._evaluated(problem, candidates, generation, None)
+        return problem.total(workload)
 
     def outcomes(
         self,
@@ -118,7 +121,7 @@ class Connection:
         """What candidates did in each trial, the simulator's metrics too; otherwise as ``evaluate``.
 
         Args:
-            seeds: of the trials, instead of the problem's own; such as unseen ones.
+            seeds: of the trials, whole numbers from 0 to 2^64 - 1, instead of the problem's own; such as unseen ones.
         """
         workload = self._evaluated(problem, candidates, generation, seeds)
         shape = (len(workload.genomes), -1) if workload.genomes else (0, problem.experiment.problem.trials)
@@ -179,13 +182,14 @@ class Connection:
         import numpy as np
 
         from zswarm.ot.leases import Leases
+        from zswarm.ot.problem import Problem, check_whole
 
-        chosen = None
-        if seeds is not None:
-            numbers = [int(seed) for seed in seeds]
-            if not numbers or min(numbers) < 0 or max(numbers) >= 2**64:
-                raise ValueError("seeds: expected one at least, each from 0 to 2^64 - 1")
-            chosen = np.array(numbers, np.uint64)
+        if not isinstance(problem, Problem):
+            raise TypeError(
+                f"problem: expected what zswarm.problem gives, before the candidates, not an object of {type(problem).__name__}"
+            )
+        check_whole("generation", generation)
+        chosen = None if seeds is None else np.array(_checked_seeds(seeds), np.uint64)
         workload = problem.workload(problem.genomes(candidates), generation, chosen)
         self._refuse_waiting_for_itself()
         self.open()
@@ -206,3 +210,14 @@ class Connection:
                 "a run that this thread began holds the slots of this connection: leave its block first, "
                 "or use another connection, such as zswarm.connect('local')"
             )
+
+
+def _checked_seeds(seeds: Any) -> list[int]:
+    expected = "seeds: expected a list of whole numbers, one at least, each from 0 to 2^64 - 1"
+    try:
+        numbers = [operator.index(seed) for seed in seeds]
+    except TypeError:
+        raise TypeError(f"{expected}, not {seeds!r:.60}") from None
+    if not numbers or min(numbers) < 0 or max(numbers) >= 2**64:
+        raise ValueError(f"{expected}, not {seeds!r:.60}")
+    return numbers

@@ -9,7 +9,7 @@ import io
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -72,7 +72,11 @@ def of_runs(groups: Mapping[str, Sequence["Run"]], axis: Axis = "generation", si
 
     Raises:
         ConfigError: no run finished a generation, there are too many groups, or matplotlib is missing.
+        ValueError: there is no such axis or size.
     """
+    for name, value, known in (("x", axis, get_args(Axis)), ("size", size, tuple(SIZES))):
+        if value not in known:
+            raise ValueError(f"{name}: expected {', '.join(known[:-1])} or {known[-1]}, not {value!r}")
     return of_series(curves.load(groups)[0], axis, size, title)
 
 

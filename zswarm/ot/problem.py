@@ -1,6 +1,7 @@
 """What candidates are judged by, and the kind of network they are: all that evaluating needs of an experiment."""
 
-from collections.abc import Sequence
+import operator
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -91,27 +92,40 @@ class Problem:
         return self.representation.genes
 
     def random(self, count: int, seed: int = 0) -> list[bytes]:
-        """Random genomes, as evolution begins with; the same seed gives the same."""
+        """Random genomes, as evolution begins with; the same seed gives the same.
+
+        Raises:
+            ValueError: a number below 0, or a seed of more than 64 bits.
+            TypeError: no whole number.
+        """
+        check_whole("count", count)
+        check_whole("seed", seed)
         return self.representation.random(count, Stream(derive_seed(seed, "random")))
 
     def genomes(self, candidates: Sequence[bytes] | np.ndarray | Sequence[Any]) -> list[bytes]:
         """Genomes of vectors: (n, genes) numbers, stored as float32; genomes stay as they are.
 
         Raises:
-            ValueError: another shape or length, a number that is not finite in float32, or no vectors are taken.
+            ValueError: another shape or length, a number that is not real or not finite in float32, or no vectors are taken.
+            TypeError: no list and no array.
         """
+        if isinstance(candidates, str | bytes | Mapping) or not hasattr(candidates, "__len__"):
+            raise TypeError(f"candidates: expected a list of genomes or an array of numbers, not {type(candidates).__name__}")
         if len(candidates) == 0:
             return []
-        if isinstance(candidates[0], bytes):
+        if isinstance(candidates, Sequence) and any(isinstance(candidate, bytes) for candidate in candidates):
+            if not all(isinstance(candidate, bytes) for candidate in candidates):
+                raise ValueError("candidates: expected either genomes as bytes or vectors of numbers, not both")
             genomes = list(candidates)
         elif self.genes is None:
             kind = self.experiment.representation.kind
             raise ValueError(f"candidates: genomes of {kind} are no plain vectors: expected a list of bytes")
         else:
+            numbers = _numbers(candidates)
+            if numbers.shape != (len(candidates), self.genes):
+                raise ValueError(f"candidates: expected shape (n, {self.genes}), not {numbers.shape}")
             with np.errstate(over="ignore"):  # told below
-                vectors = np.asarray(candidates).astype("<f4")
-            if vectors.shape != (len(candidates), self.genes):
-                raise ValueError(f"candidates: expected shape (n, {self.genes}), not {vectors.shape}")
+                vectors = numbers.astype("<f4")
             genomes = [vector.tobytes() for vector in vectors]
         self.representation.parameters(genomes)  # refuses what no server could evaluate
         return genomes
@@ -129,3 +143,23 @@ class Problem:
     def _decisive(self) -> dict[str, object]:
         complete = self.experiment
         return {"problem": complete.problem, "representation": complete.representation, "seed": complete.seed}
+
+
+def check_whole(name: str, value: Any) -> None:
+    """Refuse what is no whole number from 0 to 2^64 - 1."""
+    try:
+        number = operator.index(value)
+    except TypeError:
+        raise TypeError(f"{name}: expected a whole number, not {value!r:.60}") from None
+    if not 0 <= number < 2**64:
+        raise ValueError(f"{name}: expected a whole number from 0 to 2^64 - 1, not {number}")
+
+
+def _numbers(candidates: Any) -> np.ndarray:
+    try:
+        numbers = np.asarray(candidates)
+    except ValueError:
+        raise ValueError("candidates: expected vectors of equal length") from None
+    if numbers.dtype.kind not in "buif":
+        raise ValueError(f"candidates: expected real numbers, not an array of {numbers.dtype}")
+    return numbers

@@ -294,6 +294,7 @@ class Run:
 
         Raises:
             ConfigError: no generation is finished, or matplotlib is missing.
+            ValueError: another x or size.
 
         Example::
 
