@@ -311,7 +311,13 @@ def read(folder: str | os.PathLike[str]) -> Run:
     return Run(Path(folder))
 
 
-def plot(*runs: str | os.PathLike[str] | Run, x: "Axis" = "generation", size: "Size" = "column", title: str = "") -> "Figure":
+def plot(
+    *runs: str | os.PathLike[str] | Run,
+    x: "Axis" = "generation",
+    size: "Size" = "column",
+    title: str = "",
+    lowest: float | None = None,
+) -> "Figure":
     """The learning curves of runs, as a figure of matplotlib that a notebook shows: repeats as a median with a band.
 
     Args:
@@ -319,9 +325,10 @@ def plot(*runs: str | os.PathLike[str] | Run, x: "Axis" = "generation", size: "S
         x: along the horizontal axis: "generation", "evaluations" or "time".
         size: "column" or "page" of a paper, or "slides".
         title: above it.
+        lowest: fitness on the vertical axis; None: all that there is.
 
     Raises:
-        ConfigError: no runs there, none finished a generation, or matplotlib is missing.
+        ConfigError: no runs there, none finished a generation or reaches ``lowest``, or matplotlib is missing.
         ValueError: another x or size.
 
     Example::
@@ -334,7 +341,7 @@ def plot(*runs: str | os.PathLike[str] | Run, x: "Axis" = "generation", size: "S
     found = [one for run in runs for one in ([run] if isinstance(run, Run) else reading.runs_below([Path(run)]))]
     if not found:
         raise ConfigError("plot: expected a run at least")
-    return figures.for_notebooks(figures.of_runs(grouping.groups(found), x, size, title))
+    return figures.for_notebooks(figures.of_runs(grouping.groups(found), x, size, title, lowest))
 
 
 # ---- helpers

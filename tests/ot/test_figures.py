@@ -14,7 +14,7 @@ from written import written
 
 import zswarm
 from zswarm.errors import ConfigError
-from zswarm.ot import cli, figures, grouping, reading
+from zswarm.ot import cli, curves, figures, grouping, reading
 from zswarm.ot.curves import Series
 
 HOSTILE = ["$\\frac{$", "_hidden", "<script>alert(1)</script>", "漢字", "a" * 300, "$$", "\x1b[31m", "%s{}&quot;"]
@@ -172,9 +172,45 @@ def test_plot_writes_the_figure_and_its_numbers(study: Path) -> None:
     assert output.read_text().startswith("<?xml")
     assert numbers.read_text().splitlines()[:3] == [
         '"group","runs","generation","median","q25","q75"',
-        '"hidden 1",4,1,1.0,1.0,1.0',
-        '"hidden 1",4,2,1.1875,1.09375,1.28125',
+        '"hidden 1",4,0,1.0,1.0,1.0',
+        '"hidden 1",4,1,1.1875,1.09375,1.28125',
     ]
+
+
+def test_generations_in_csv_are_those_of_the_record(study: Path) -> None:
+    """So that the two can be joined."""
+    _, rows = figures.table(curves.load(grouping.groups(reading.runs_below([study])))[0], "generation")
+    recorded = [row["generation"] for row in reading.runs_below([study])[0].history()]
+    assert [row[2] for row in rows] == recorded * 2
+
+
+def test_plot_says_what_does_not_compare_and_where_a_curve_is_cut(tmp_path: Path) -> None:
+    written(tmp_path / "a", [1.0, 2.0, 3.0])
+    written(tmp_path / "b", [1.0, 2.0], seed=2)
+    said = invoke("plot", tmp_path, "-o", tmp_path / "figure.svg")
+    assert "stadium: the curve ends at generation 2, which all of its runs reached; the longest went to generation 3\n" in said
+    assert "compare" not in said
+    written(tmp_path / "c", [1.0, 2.0], seed=3, simulator="minisim")
+    said = invoke("plot", tmp_path, "-o", tmp_path / "figure.svg")
+    assert "runs of different problems (emergency-exit, minisim): their fitness does not compare\n" in said
+
+
+def test_the_lowest_fitness_shown_is_below_the_greatest() -> None:
+    """Early values far below do not crush the rest."""
+    groups = {"a": [run([-400.0, 1.0, 2.0])]}
+    low, high = figures.of_series(groups, lowest=-1.0).axes[0].get_ylim()
+    assert low == -1.0
+    assert 2.0 < high < 3.0
+    for lowest in (2.0, np.nan, -np.inf):
+        with pytest.raises(ConfigError, match="lowest: expected a number below the greatest fitness, 2"):
+            figures.of_series(groups, lowest=lowest)
+
+
+def test_a_band_needs_three_runs() -> None:
+    """Quartiles of two are their values."""
+    drawn = figures.of_series({"two": repeats(2), "three": repeats(3, level=1.0)}).axes[0]
+    assert len(drawn.collections) == 1
+    assert drawn.texts[0].get_text().startswith("bands: quartiles of 3 runs each")
 
 
 def test_plot_leaves_other_programs_figures_alone(study: Path) -> None:

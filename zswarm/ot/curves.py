@@ -1,12 +1,14 @@
 """Runs as curves: how the best fitness rose, over generations, evaluations or time, of one run or of repeats together."""
 
+import json
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
 from zswarm.errors import ConfigError
 from zswarm.ot.terminal import plural
+from zswarm.protocol.codec import clean
 
 if TYPE_CHECKING:
     from zswarm.ot.reading import Run
@@ -50,8 +52,11 @@ def series(run: "Run") -> Series:
 
 
 def load(groups: Mapping[str, Sequence["Run"]]) -> tuple[dict[str, list[Series]], list[str]]:
-    """The numbers of all runs, each read once; and what a reader should know of them: who is left out or not finished."""
-    loaded, notes = {}, []
+    """The numbers of all runs, each read once; and what a reader should know of them.
+
+    That is: who is left out or not finished, and whether they have different problems.
+    """
+    loaded, notes = {}, problems(run for runs in groups.values() for run in runs)
     for group, runs in groups.items():
         counted, left_out = distinct(runs)
         loaded[group] = [series(run) for run in counted]
@@ -74,6 +79,24 @@ def distinct(runs: Iterable["Run"]) -> tuple[list["Run"], list[str]]:
             continue
         kept[key] = run
     return list(kept.values()), left_out
+
+
+def problems(runs: Iterable["Run"]) -> list[str]:
+    """A line where the runs have different problems."""
+    found = {json.dumps(_judged_by(run), sort_keys=True, default=str): _judged_by(run) for run in runs}
+    simulators = sorted({clean(problem["simulator"]) for problem in found.values()})
+    if len(simulators) > 1:
+        return [f"runs of different problems ({', '.join(simulators)}): their fitness does not compare"]
+    if len(found) > 1:
+        keys = {key for problem in found.values() for key in problem}
+        differing = sorted(key for key in keys if len({repr(problem.get(key)) for problem in found.values()}) > 1)
+        return [f"runs whose problems differ in {clean(', '.join(differing))}: their fitness may not compare"]
+    return []
+
+
+def _judged_by(run: "Run") -> dict[str, Any]:
+    problem = run.experiment.problem
+    return {"simulator": problem.simulator, "trials": problem.trials, **problem.settings}
 
 
 def unfinished(runs: Sequence["Run"], read: Sequence[Series]) -> list[str]:
@@ -114,6 +137,17 @@ def curves(groups: Mapping[str, Sequence[Series]], axis: Axis) -> list[Curve]:
     if not found:
         raise ConfigError("no run finished a generation yet: there is nothing to show")
     return found
+
+
+def cut(groups: Mapping[str, Sequence[Series]], axis: Axis) -> list[str]:
+    """A line for each group whose curve ends before its longest run does."""
+    lines = []
+    for group, runs in groups.items():
+        ends = [float(positions(run, axis)[-1]) for run in runs if len(run.best)]
+        if ends and min(ends) < max(ends):
+            least, most = (f"{end:,.1f} s" if axis == "time" else f"{axis} {end:,.0f}" for end in (min(ends), max(ends)))
+            lines.append(f"{group}: the curve ends at {least}, which all of its runs reached; the longest went to {most}")
+    return lines
 
 
 def at(values: np.ndarray, where: np.ndarray, x: np.ndarray) -> np.ndarray:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 FORMATS = ("pdf", "svg", "png")
 PICTURE = "fitness.png"  # in a run's folder
+BAND = 3  # runs from which on quartiles say something
 DPI = 300
 GREATEST = 1e300  # fitness that is drawn as it is; matplotlib cannot tell ticks of what spans more than a float
 POINT = 72  # of an inch
@@ -67,21 +68,34 @@ class _Line(NamedTuple):
     noisy: bool = False  # drawn thin, for dashes would be lost
 
 
-def of_runs(groups: Mapping[str, Sequence["Run"]], axis: Axis = "generation", size: Size = "column", title: str = "") -> "Figure":
+def of_runs(
+    groups: Mapping[str, Sequence["Run"]],
+    axis: Axis = "generation",
+    size: Size = "column",
+    title: str = "",
+    lowest: float | None = None,
+) -> "Figure":
     """The learning curves of runs: of one its best and mean, of repeats the median and quartiles of their best.
 
+    Args:
+        lowest: fitness that is shown; None: all.
+
     Raises:
-        ConfigError: no run finished a generation, there are too many groups, or matplotlib is missing.
+        ConfigError: no run finished a generation, there are too many groups, none reaches ``lowest``, or matplotlib is missing.
         ValueError: there is no such axis or size.
     """
     for name, value, known in (("x", axis, get_args(Axis)), ("size", size, tuple(SIZES))):
         if value not in known:
             raise ValueError(f"{name}: expected {', '.join(known[:-1])} or {known[-1]}, not {value!r}")
-    return of_series(curves.load(groups)[0], axis, size, title)
+    return of_series(curves.load(groups)[0], axis, size, title, lowest)
 
 
 def of_series(
-    groups: Mapping[str, Sequence[Series]], axis: Axis = "generation", size: Size = "column", title: str = ""
+    groups: Mapping[str, Sequence[Series]],
+    axis: Axis = "generation",
+    size: Size = "column",
+    title: str = "",
+    lowest: float | None = None,
 ) -> "Figure":
     """As ``of_runs``, of runs that are read already."""
     if len(groups) > MAX_GROUPS:
@@ -94,7 +108,7 @@ def of_series(
         lines = [_line(curve, alone=len(drawn) == 1) for curve in drawn]
         note = _note(groups, drawn, axis)
     with _drawing:
-        return _draw(lines, axis, SIZES[size], title, note)
+        return _draw(lines, axis, SIZES[size], title, note, lowest)
 
 
 def save(figure: "Figure", path: Path) -> None:
@@ -169,7 +183,8 @@ def table(groups: Mapping[str, Sequence[Series]], axis: Axis) -> tuple[list[str]
     rows: list[list[object]] = []
     for curve in drawn:
         for x, median, low, high in zip(*(v.tolist() for v in (curve.x, curve.median, curve.low, curve.high)), strict=True):
-            rows.append([curve.group, curve.runs, x if axis == "time" else int(x), median, low, high])
+            place = x if axis == "time" else int(x) - (axis == "generation")  # as the record counts generations
+            rows.append([curve.group, curve.runs, place, median, low, high])
     return header, rows
 
 
@@ -183,14 +198,14 @@ def _of_one(run: Series, best: Curve, axis: Axis) -> list[_Line]:
 
 def _line(curve: Curve, *, alone: bool) -> _Line:
     label = f"median of {plural(curve.runs, 'run')}" if alone else curve.group
-    return _Line(label, curve.x, curve.median, (curve.low, curve.high) if curve.runs > 1 else None)
+    return _Line(label, curve.x, curve.median, (curve.low, curve.high) if curve.runs >= BAND else None)
 
 
 def _note(groups: Mapping[str, Sequence[Series]], drawn: Sequence[Curve], axis: Axis) -> str:
     """What the bands are, and the test."""
-    counts = sorted({curve.runs for curve in drawn})
-    many = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
-    band = "" if counts[-1] == 1 else f"bands: quartiles of {many} runs" + (" each" if len(drawn) > 1 else "")
+    counts = sorted({curve.runs for curve in drawn if curve.runs >= BAND})
+    many = "" if not counts else f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
+    band = f"bands: quartiles of {many} runs" + (" each" if len(drawn) > 1 else "") if counts else ""
     try:
         test = tested(comparison.of_series(groups, "generations" if axis == "generation" else "evaluations"))
     except ConfigError:  # they have no number of evaluations in common: no test, but a figure
@@ -212,7 +227,7 @@ def tested(found: Comparison) -> str:
 # ---- drawing
 
 
-def _draw(lines: Sequence[_Line], axis: Axis, look: Look, title: str, note: str) -> "Figure":
+def _draw(lines: Sequence[_Line], axis: Axis, look: Look, title: str, note: str, lowest: float | None) -> "Figure":
     figure_module = need("matplotlib.figure", "plot", "plot")
     need("matplotlib.backends.backend_agg", "plot", "plot")
     labels = [_fitting(line.label, look.font, 0.8 * look.width * POINT) for line in lines]
@@ -239,6 +254,8 @@ def _draw(lines: Sequence[_Line], axis: Axis, look: Look, title: str, note: str)
             else:
                 axes.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0, zorder=2)
     _limits(axes, [line.x / scale for line in lines])
+    if lowest is not None:
+        _cut_below(axes, lowest, lines)
     _numbers(axes, axis, lines)
     words: dict[str, Any] = {"fontfamily": FONT, "fontsize": look.font, "parse_math": False, "color": "black"}
     axes.set_xlabel(f"time ({unit})" if axis == "time" else axis, **words)
@@ -290,6 +307,14 @@ def _limits(axes: Any, xs: Sequence[np.ndarray]) -> None:
         axes.set_xticks([first])
     else:
         axes.set_xlim(min(0.0, first), last)
+
+
+def _cut_below(axes: Any, lowest: float, lines: Sequence[_Line]) -> None:
+    drawn = [edge[np.isfinite(edge)] for line in lines for edge in (line.y, *(line.band or ()))]
+    greatest = max((float(edge.max()) for edge in drawn if len(edge)), default=-np.inf)
+    if not -GREATEST <= lowest < greatest:
+        raise ConfigError(f"lowest: expected a number below the greatest fitness, {greatest:.6g}, not {lowest:.6g}")
+    axes.set_ylim(lowest, greatest + (greatest - lowest) / 20)
 
 
 def _numbers(axes: Any, axis: Axis, lines: Sequence[_Line]) -> None:

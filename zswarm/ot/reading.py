@@ -284,16 +284,17 @@ class Run:
         frame: polars.DataFrame = need("polars", "data", "to_polars").DataFrame(self._table(), infer_schema_length=None)
         return frame
 
-    def plot(self, x: "Axis" = "generation", size: "Size" = "column", title: str = "") -> "Figure":
+    def plot(self, x: "Axis" = "generation", size: "Size" = "column", title: str = "", lowest: float | None = None) -> "Figure":
         """The learning curve, as a figure of matplotlib that a notebook shows.
 
         Args:
             x: along the horizontal axis: "generation", "evaluations" or "time".
             size: "column" or "page" of a paper, or "slides".
             title: above it.
+            lowest: fitness on the vertical axis; None: all that there is.
 
         Raises:
-            ConfigError: no generation is finished, or matplotlib is missing.
+            ConfigError: no generation is finished, none reaches ``lowest``, or matplotlib is missing.
             ValueError: another x or size.
 
         Example::
@@ -302,7 +303,7 @@ class Run:
         """
         from zswarm.ot import figures
 
-        return figures.for_notebooks(figures.of_runs({self.name: [self]}, x, size, title))
+        return figures.for_notebooks(figures.of_runs({self.name: [self]}, x, size, title, lowest))
 
     def _table(self) -> list[dict[str, Any]]:
         history = self.history()

@@ -35,11 +35,22 @@ from zswarm.ot.commands.options import json_option, one_stdout
     help="column: 3.4 inches wide, letters of 8 points; page: 7 inches, 9 points; slides: 10 inches, 18 points.",
 )
 @click.option("--title", default="", help="Above the figure.")
+@click.option("--lowest", type=float, metavar="VALUE", help="Lowest fitness on the vertical axis; all that there is by default.")
 @json_option
-def plot(paths: tuple[Path, ...], output: Path, csv: str | None, axis: str, size: str, title: str, as_json: bool) -> None:
+def plot(
+    paths: tuple[Path, ...],
+    output: Path,
+    csv: str | None,
+    axis: str,
+    size: str,
+    title: str,
+    lowest: float | None,
+    as_json: bool,
+) -> None:
     """Draw the learning curves of runs.
 
-    One run: its best and mean fitness. Repeats: the median of their best, and a band from the lower to the upper quartile.
+    One run: its best and mean fitness. Repeats: the median of their best, and of three or more a band from the lower to the
+    upper quartile.
     Runs of different experiments or settings: a line and a band for each, and a test between them.
     """
     from zswarm.ot import curves, figures, grouping, reading, spreadsheet, terminal
@@ -50,12 +61,12 @@ def plot(paths: tuple[Path, ...], output: Path, csv: str | None, axis: str, size
     left_out: list[str] = []
     groups = grouping.groups(reading.runs_below(paths, left_out))
     loaded, notes = curves.load(groups)
-    for note in (*left_out, *notes):
+    for note in [*left_out, *notes, *curves.cut(loaded, axis)]:  # type: ignore[arg-type]  # click checked it
         terminal.line(note, stderr=True)
     if csv:
         spreadsheet.save(csv, *figures.table(loaded, axis))  # type: ignore[arg-type]  # click checked it
     figures.plain_style()
-    figures.save(figures.of_series(loaded, axis, size, title), output)  # type: ignore[arg-type]  # likewise
+    figures.save(figures.of_series(loaded, axis, size, title, lowest), output)  # type: ignore[arg-type]  # likewise
     runs = {group: len(found) for group, found in loaded.items()}
     if as_json:
         terminal.print_json({"figure": str(output), "groups": [{"group": g, "runs": n} for g, n in runs.items()]})
