@@ -9,7 +9,7 @@ KILLS ?= 200
 .PHONY: run test long chaos faults machines units kills lint format docs docs-commands reference bench bench-peers scale soak clean
 
 run: $(READY)
-	$(BIN)/zswarm-ot run $(ARGS)
+	$(BIN)/zswarm-ot run $(or $(ARGS),stadium)
 
 test: $(READY)
 	$(BIN)/python -m pytest $(TESTS) $(ARGS)

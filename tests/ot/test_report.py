@@ -176,6 +176,11 @@ def test_a_study_has_a_page_with_its_comparison(tmp_path: Path) -> None:
     page = assert_harmless(output.read_text())
     assert "8 runs in 2 groups; 8 finished." in page.text
     assert "hidden 2 is better than hidden 1" in page.text
+    assert "zswarm-ot run study/stadium/experiment.toml # one of the runs again" in " ".join(page.text.split())
+    (tmp_path / "study" / "experiment.toml").touch()
+    page = Page(report.of_study(tmp_path / "study", reading.runs_below([tmp_path / "study"])))
+    assert "zswarm-ot run study/experiment.toml # again" in " ".join(page.text.split())
+    assert str(tmp_path) not in page.text
 
 
 def test_the_same_run_has_the_same_page(tmp_path: Path) -> None:

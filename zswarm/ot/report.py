@@ -22,6 +22,7 @@ from zswarm.nets.fully_meshed import FullyMeshed
 from zswarm.ot import comparison, curves, figures, film, grouping, reading, unseen
 from zswarm.ot.controller import Controller
 from zswarm.ot.reading import Run
+from zswarm.ot.record import EXPERIMENT
 from zswarm.ot.terminal import plural
 from zswarm.protocol.codec import clean
 
@@ -90,7 +91,8 @@ def of_run(run: Run, trials: int) -> str:
         listed=[_event(event) for event in events[:MAX_EVENTS]],
         left_out=max(0, len(events) - MAX_EVENTS),
         record=_record(run),
-        folder=shlex.quote(clean(str(run.folder))),
+        folder=shlex.quote(run.name),
+        again=shlex.quote(f"{run.name}/{EXPERIMENT}"),
         history=run.history_hash or "",
         caveats=_caveats(run),
     )
@@ -103,6 +105,7 @@ def of_study(path: Path, runs: Sequence[Run]) -> str:
     found = comparison.of_series(loaded, "generations", notes)
     finished = sum(run.finished for run in runs)
     name = clean(path.resolve().name)
+    example = Path(EXPERIMENT) if (path / EXPERIMENT).is_file() else runs[0].folder.relative_to(path) / EXPERIMENT
     return _page(
         title=name,
         lead=f"{plural(len(runs), 'run')} in {plural(len(groups), 'group')}; {finished} finished.",
@@ -117,7 +120,9 @@ def of_study(path: Path, runs: Sequence[Run]) -> str:
         ],
         settings=_settings(runs[0].experiment),
         settings_of=runs[0].name if len(runs) > 1 else "",
-        folder=shlex.quote(clean(str(path))),
+        folder=shlex.quote(name),
+        again=shlex.quote(f"{name}/{clean(str(example))}"),
+        one_again=str(example) != EXPERIMENT,
     )
 
 
@@ -136,7 +141,7 @@ def _page(**content: Any) -> str:
     environment.filters["number"] = _number
     nothing = dict.fromkeys(
         ("state", "curve", "champion", "played", "film", "weights", "servers", "events", "listed", "left_out", "record",
-         "history", "caveats", "compared", "words", "runs", "settings_of")
+         "history", "caveats", "compared", "words", "runs", "settings_of", "one_again")
     )  # fmt: skip
     page: str = environment.get_template(TEMPLATE).render({**nothing, **content})
     return page
