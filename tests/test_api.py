@@ -163,6 +163,14 @@ def test_a_problem_is_made_of_parts() -> None:
         zswarm.problem("stadium", settings={"agent": 3})
 
 
+def test_problems_and_connections_say_what_they_are() -> None:
+    few = zswarm.problem("emergency-exit", trials=2)
+    assert repr(few) == f"<zswarm.Problem: emergency-exit, 2 trials; fully-meshed, {few.genes} genes>"
+    with zswarm.connect(2, realm="lab", multicast=False) as cluster:
+        assert repr(cluster) == "<zswarm.Connection: 2 servers in realm lab>"
+    assert repr(cluster) == "<zswarm.Connection: closed>"
+
+
 def test_vectors_and_genomes_are_the_same_candidates() -> None:
     problem = zswarm.problem("stadium")
     genomes = problem.random(3, seed=5)

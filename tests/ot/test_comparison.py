@@ -196,3 +196,15 @@ def test_a_long_curve_keeps_its_ends_and_its_extremes() -> None:
     assert len(kept_x) <= curves.POINTS
     assert {9.0, -9.0} <= set(kept_y.tolist())
     assert (np.diff(kept_x) > 0).all()
+
+
+def test_a_difference_that_no_pair_shows_is_explained() -> None:
+    """Kruskal-Wallis finds one, Mann-Whitney with Holm's correction does not."""
+    groups = {"a": ended([4, 8, 9, 11, 12]), "b": ended([2, 7, 10, 13, 14]), "c": ended([0, 1, 3, 5, 6])}
+    found = comparison.of_series(groups, "generations")
+    assert found.kruskal_p is not None
+    assert found.kruskal_p < comparison.LEVEL < min(pair.p_holm for pair in found.pairs)
+    assert comparison.reconciling(found).startswith("That some group differs is shown, but not which")
+    clear = {"a": ended([10, 11, 12, 13, 14]), "b": ended([15, 16, 17, 18, 19]), "c": ended([0, 1, 2, 3, 4])}
+    assert comparison.reconciling(comparison.of_series(clear, "generations")) == ""
+    assert comparison.reconciling(found._replace(pairs=[])) == ""

@@ -136,6 +136,19 @@ def in_words(pair: Pair) -> str:
     return f"no difference between {pair.first} and {pair.second} is shown: it may be chance, or more runs are needed"
 
 
+def reconciling(found: Comparison) -> str:
+    """Where the test over all groups and those of pairs seem to disagree, what that means; else ""."""
+    if found.kruskal_p is None or not found.pairs:
+        return ""
+    shown = any(pair.p_holm < LEVEL for pair in found.pairs)
+    if found.kruskal_p < LEVEL and not shown:
+        return (
+            "That some group differs is shown, but not which: the test of each pair, corrected for their number, asks for more. "
+            "More runs may tell."
+        )
+    return ""
+
+
 def share(p: float) -> str:
     """A probability as a share."""
     return "less than 0.1 %" if p < 0.001 else f"{100 * p:.2g} %"

@@ -50,6 +50,10 @@ class Connection:
         self.closed = False
         self._lock = threading.Lock()  # opening and closing, by any thread
 
+    def __repr__(self) -> str:
+        who = self.who_computes().removeprefix("waiting for ").removeprefix(", and ")
+        return f"<zswarm.Connection: {'closed' if self.closed else who or 'not open'}>"
+
     def __enter__(self) -> Self:
         self.open()
         return self

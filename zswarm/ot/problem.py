@@ -44,6 +44,14 @@ class Problem:
     def __hash__(self) -> int:
         return hash(msgspec.json.encode(self._decisive(), order="sorted"))
 
+    def __repr__(self) -> str:
+        problem, genes = self.experiment.problem, self.genes
+        of = f", {genes} genes" if genes is not None else ""
+        return (
+            f"<zswarm.Problem: {problem.simulator}, {problem.trials} trial{'s' if problem.trials != 1 else ''}; "
+            f"{self.experiment.representation.kind}{of}>"
+        )
+
     def trial_seeds(self, generation: int) -> np.ndarray:
         """(trials,) uint64: the problem's own where it fixes them; else from the run's seed, and the generation if fresh."""
         problem, seed = self.experiment.problem, self.experiment.seed

@@ -113,6 +113,7 @@ def of_study(path: Path, runs: Sequence[Run]) -> str:
         compared=found,
         words=[comparison.in_words(pair) for pair in found.pairs],
         p_value=comparison.p_value,
+        reconciling=comparison.reconciling(found),
         runs=[
             (group, run.name, run.experiment.seed, run.generations(), _number(run.best()), run.history_hash or "not finished")
             for group, members in groups.items()
@@ -141,7 +142,7 @@ def _page(**content: Any) -> str:
     environment.filters["number"] = _number
     nothing = dict.fromkeys(
         ("state", "curve", "champion", "played", "film", "weights", "servers", "events", "listed", "left_out", "record",
-         "history", "caveats", "compared", "words", "runs", "settings_of", "one_again")
+         "history", "caveats", "compared", "words", "runs", "settings_of", "one_again", "reconciling")
     )  # fmt: skip
     page: str = environment.get_template(TEMPLATE).render({**nothing, **content})
     return page

@@ -54,7 +54,9 @@ def show(found: "Comparison") -> None:
     """For people."""
     from zswarm.ot import comparison, terminal
 
-    table = terminal.table("group", "runs", "median", "quartiles", "best", "worst", "evaluations", "time", padding=(0, 1, 0, 0))
+    table = terminal.table(
+        "group", "runs", "median", "quartiles", "best", "worst", "evaluations/run", "time", padding=(0, 1, 0, 0)
+    )
     for row in found.rows:
         quartiles = f"{_number(row.q25)} / {_number(row.q75)}"
         numbers = (_number(row.median), quartiles, _number(row.best), _number(row.worst))
@@ -74,6 +76,8 @@ def show(found: "Comparison") -> None:
             f"Kruskal-Wallis over all groups: {comparison.p_value(found.kruskal_p)}; below {comparison.LEVEL} at least one "
             "group differs from the others."
         )
+    if reconciling := comparison.reconciling(found):
+        terminal.paragraph(reconciling)
     if found.pairs:
         _show_pairs(found)
     if found.untested:
