@@ -3,6 +3,7 @@
 The pages are plain Markdown and can be read as such: links to files that the site does not have lead there all the same.
 """
 
+import re
 from pathlib import Path
 
 from pygments.lexers.special import TextLexer
@@ -46,6 +47,8 @@ copybutton_remove_prompts = True
 # Files of the repository that are pages of the site, too.
 FROM_THE_REPOSITORY = {"CHANGELOG": "changelog", "CONTRIBUTING": "contributing", "SECURITY": "reporting"}
 REPOSITORY = Path(__file__).parent.parent
+# A link that has the name of its file for a text: on the site it has the title of the page or heading.
+BY_FILE = re.compile(r"\[(?:docs/)?(?P<page>[\w-]+)\.md\]\((?P<target>(?P=page)\.md(?:#[\w-]+)?)\)")
 
 
 def within_the_site(app: Sphinx, page: str, source: list[str]) -> None:  # noqa: ARG001  Sphinx calls it so
@@ -59,6 +62,7 @@ def within_the_site(app: Sphinx, page: str, source: list[str]) -> None:  # noqa:
         source[0] = source[0].replace(f"](../{file}.md", f"]({made}.md")
         if name:
             source[0] = source[0].replace(f"]({file}.md", f"]({made}.md")
+    source[0] = BY_FILE.sub(r"[](\g<target>)", source[0])
 
 
 def setup(app: Sphinx) -> None:

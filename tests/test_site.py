@@ -67,6 +67,12 @@ def test_files_of_the_repository_are_pages_with_a_link_for_who_reads_them_as_fil
         assert (DOCS / f"{page}.md").read_text() == f"[{name}.md](../{name}.md)\n"
 
 
+def test_links_by_a_file_s_name_have_the_title_of_the_page_on_the_site() -> None:
+    source = ["see [record.md](record.md#meta), [docs/keys.md](keys.md) and [its tables](record.md)"]
+    module("conf").within_the_site(None, "commands", source)
+    assert source == ["see [](record.md#meta), [](keys.md) and [its tables](record.md)"]
+
+
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_every_link_has_its_target(document: Path) -> None:
     """Also within the page, and to a heading of another."""
