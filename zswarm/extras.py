@@ -1,6 +1,11 @@
 """Packages of the extras: imported when they are used, and named with the command that installs them when they are missing."""
 
 import importlib
+import importlib.util
+import re
+import shlex
+import sys
+from importlib import metadata
 from types import ModuleType
 
 from zswarm.errors import ConfigError
@@ -23,4 +28,22 @@ def need(module: str, extra: str, what: str) -> ModuleType:
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] != package:
             raise  # it is there, and lacks something of its own
-        raise ConfigError(f"{what} needs {package}: pip install 'zswarm[{extra}]'") from None
+        raise ConfigError(f"{what} needs {package}: {how(extra)}") from None
+
+
+def how(*extras: str) -> str:
+    """The command that installs the packages of extras where this program runs, wherever zswarm itself came from."""
+    python = shlex.quote(sys.executable)
+    pip = f"{python} -m pip install" if importlib.util.find_spec("pip") else f"uv pip install --python {python}"
+    names = dict.fromkeys(name for extra in extras for name in packages(extra))
+    return " ".join([pip, *(names or [f"'zswarm[{','.join(extras)}]'"])])
+
+
+def packages(extra: str) -> list[str]:
+    """Names of an extra's packages; none where zswarm runs from its sources and was never installed."""
+    try:
+        required = metadata.requires("zswarm") or []
+    except metadata.PackageNotFoundError:
+        return []
+    found = (re.match(rf"([\w.-]+)[^;]*;\s*extra == ['\"]{re.escape(extra)}['\"]", line) for line in required)
+    return sorted(match[1] for match in found if match)

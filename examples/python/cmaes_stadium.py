@@ -1,6 +1,6 @@
 """CMA-ES evolves controllers for the stadium: an optimizer of another library asks and is told, zswarm evaluates.
 
-Needs the package cmaes: ``pip install 'zswarm[cmaes]'``. Any optimizer that asks and tells takes its place.
+Needs the package cmaes: ``pip install cmaes``. Any optimizer that asks and tells takes its place.
 """
 
 import argparse

@@ -14,6 +14,7 @@ import pytest
 from issuing import NOW, Machine, again
 
 from zswarm.errors import KeysError
+from zswarm.extras import how
 from zswarm.security import authority, cli, install, keyring
 
 LAB = [f"lab-{number:02}" for number in range(1, 21)]
@@ -488,12 +489,12 @@ def test_without_the_package_cryptography_the_remedy_is_told(tmp_path: Path) -> 
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == "zswarm-keys: this needs the package cryptography: pip install 'zswarm[keys]'\n"
+    assert done.stderr == f"zswarm-keys: this needs the package cryptography: {how('keys')}\n"
     (tmp_path / "certificate.pem").touch()
     (tmp_path / "key.pem").touch()
     code = f"{hide}from pathlib import Path; from zswarm.security import keyring; keyring.load(Path({str(tmp_path)!r}), 'ss')"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert "keys need the package cryptography: pip install 'zswarm[keys]'" in done.stderr.splitlines()[-1]
+    assert f"keys need the package cryptography: {how('keys')}" in done.stderr.splitlines()[-1]
 
 
 def test_no_option_takes_a_secret() -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from zswarm import screen
+from zswarm import extras, screen
 from zswarm.errors import ConfigError, KeysError
 from zswarm.protocol import keys
 from zswarm.protocol.codec import clean
@@ -64,7 +64,7 @@ class _Group(click.Group):
         except ModuleNotFoundError as error:
             if (error.name or "").split(".")[0] != "cryptography":
                 raise
-            _complain("this needs the package cryptography: pip install 'zswarm[keys]'")
+            _complain(f"this needs the package cryptography: {extras.how('keys')}")
             sys.exit(EXIT_MISTAKE)
         except OSError as error:
             _complain(f"{error.filename}: {error.strerror}" if error.filename else str(error))

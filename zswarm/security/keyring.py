@@ -10,6 +10,7 @@ from pathlib import Path
 
 import msgspec
 
+from zswarm import extras
 from zswarm.errors import ConfigError, KeysError
 from zswarm.security.members import IN_WORDS, Holder, Members, SignedMembers
 from zswarm.strict import from_json
@@ -76,7 +77,7 @@ def load(folder: Path, role: str = "") -> Keyring:
     try:
         from zswarm.security import certificates
     except ModuleNotFoundError as error:
-        raise KeysError(f"{folder}: keys need the package {error.name}: pip install 'zswarm[keys]'") from None
+        raise KeysError(f"{folder}: keys need the package {error.name}: {extras.how('keys')}") from None
 
     where = f"{folder}/"
     if _installed(folder) is False:

@@ -6,6 +6,7 @@ from socketserver import TCPServer, ThreadingMixIn
 from typing import Any
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
 
+from zswarm import extras
 from zswarm.errors import ConfigError
 from zswarm.ss.view import View
 
@@ -14,7 +15,7 @@ try:
     from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily, Metric
     from prometheus_client.registry import Collector
 except ImportError as error:
-    raise ConfigError(f"--metrics needs the package {error.name}: pip install 'zswarm[metrics]'") from None
+    raise ConfigError(f"--metrics needs the package {error.name}: {extras.how('metrics')}") from None
 
 ADDRESS = "127.0.0.1"
 SCRAPE_S = 5.0  # a connection that is silent for longer is closed

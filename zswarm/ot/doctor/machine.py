@@ -19,6 +19,7 @@ from pathlib import Path
 import zswarm
 from zswarm import jit
 from zswarm.errors import KeysError
+from zswarm.extras import how
 from zswarm.ot import database
 from zswarm.ot.doctor.finding import Finding, broken, ok, warning
 from zswarm.security import keyring
@@ -97,7 +98,7 @@ def extras() -> Iterator[Finding]:
         )
         if names
     ]
-    hint = "" if all(there.values()) else "; get one with: pip install 'zswarm[NAME]'"
+    hint = "" if all(there.values()) else f"; get these with: {how(*(extra for extra, has in there.items() if not has))}"
     yield ok("extras", "; ".join(parts) + hint)
 
 
