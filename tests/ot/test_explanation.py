@@ -58,6 +58,7 @@ def test_more_slots_than_trials_of_a_generation_make_nothing_faster() -> None:
     [
         ("minisim", ["generations=1"], "generations = 1"),
         ("minisim", ["problem.trials=1"], "trials = 1"),
+        ("stadium", ["problem.trials=10"], "trials = 10: the trials do not differ"),
         ("minisim", ["optimizer.population=3"], "only 3 candidates"),
         ("minisim", ["generations=1000000000"], "the record needs about "),
     ],
@@ -94,7 +95,9 @@ def test_check_explains_in_lines_of_the_terminals_width() -> None:
         "50 candidates in the first generation, then 37", "7,413 evaluations", "bit for bit", "zswarm-ot run stadium",
     ):  # fmt: skip
         assert words in flat
-    assert "warning" in check("minisim", "--set", "generations=1")
+    again = check("minisim", "--set", "generations=1", "--set", "cluster.connect=[]")
+    assert "warning" in again
+    assert again.endswith("zswarm-ot run minisim --set generations=1 --set 'cluster.connect=[]'\n")
 
 
 def test_check_counts_the_runs_of_a_study(tmp_path: Path) -> None:

@@ -63,6 +63,7 @@ class Measured(NamedTuple):
 
     trial_s: float
     differs: bool  # one genome's fitness, from seed to seed
+    same: bool  # all that came out of each genome, whatever the seed
     failed: bool  # all of them
     error: str
 
@@ -131,7 +132,7 @@ def measure(problem: Problem, genomes: list[bytes]) -> Measured:
         seeds = seeds if fixed is None else np.array(fixed, np.uint64)
         if fixed is None and seeds[0] == seeds[1]:
             seeds[1] += np.uint64(1)
-    played, taken, number, fitness, error = 0, 0.0, 1, [], ""
+    played, taken, number, fitness, error, same = 0, 0.0, 1, [], "", True
     while taken < MEASURED_S and played < MOST_PLAYED:
         some = [genomes[index % len(genomes)] for index in range(played // 2, played // 2 + number)]
         participants = np.repeat(np.arange(len(some)), len(seeds)).reshape(-1, 1)
@@ -141,10 +142,13 @@ def measure(problem: Problem, genomes: list[bytes]) -> Measured:
         played += len(participants)
         number *= 2
         fitness.append(outcomes.fitness[:, 0].reshape(-1, len(seeds)))
+        metrics = outcomes.metrics.reshape(len(some), len(seeds), -1)
+        same = same and np.array_equal(metrics, np.repeat(metrics[:, :1], len(seeds), axis=1), equal_nan=True)
         error = error or outcomes.error
     together = np.concatenate(fitness)
     whole = together[~np.isnan(together).any(axis=1)]
-    return Measured(taken / played, bool((whole[:, :1] != whole).any()), bool(np.isnan(together).all()), error)
+    differs = bool((whole[:, :1] != whole).any())
+    return Measured(taken / played, differs, same and not differs and len(whole) > 0, bool(np.isnan(together).all()), error)
 
 
 def _seconds(first: int, later: int, complete: Experiment, trial_s: float, slots: int) -> float:
@@ -164,6 +168,11 @@ def _warnings(complete: Experiment, measured: Measured, first: int, record: int,
     if complete.problem.trials == 1 and measured.differs:
         found.append(
             "trials = 1: one trial judges a candidate, and trials differ, so luck decides; problem.trials = 10 judges better"
+        )
+    if complete.problem.trials > 1 and measured.same:
+        found.append(
+            f"trials = {complete.problem.trials}: the trials do not differ, nothing in them depends on the seed; "
+            "problem.trials = 1 finds the same in less time"
         )
     folder = next(path for path in (out.absolute(), *out.absolute().parents) if path.exists())
     if record > (free := shutil.disk_usage(folder).free):

@@ -179,7 +179,14 @@ def _played(champion: Controller, trials: int) -> dict[str, Any]:
         return {"trials": trials, "why_not": clean(str(error)) or "there is not enough memory"}
     summary = {name: _number(value) for name, value in played.fitness_summary().items()}
     metrics = [(clean(name), _number(value)) for name, value in played.metric_means().items()]
-    return {"trials": trials, "why_not": "", "same": summary["q25"] == summary["q75"], **summary, "metrics": metrics}
+    return {
+        "trials": trials,
+        "why_not": "",
+        "alike": played.all_the_same(),
+        "half": summary["q25"] == summary["q75"],
+        **summary,
+        "metrics": metrics,
+    }
 
 
 def _film(champion: Controller) -> str:

@@ -20,6 +20,11 @@ class Played(NamedTuple):
     metrics: np.ndarray  # (trials, metrics) float64
     metric_names: tuple[str, ...]
 
+    def all_the_same(self) -> bool:
+        """Whether several trials had the same fitness and metrics, as where nothing depends on the seed."""
+        numbers = np.column_stack([self.fitness, self.metrics])
+        return len(numbers) > 1 and np.array_equal(numbers, np.broadcast_to(numbers[0], numbers.shape), equal_nan=True)
+
     def fitness_summary(self) -> dict[str, float]:
         """Mean and quartiles."""
         low, median, high = np.percentile(self.fitness, (25, 50, 75)).tolist()

@@ -60,11 +60,11 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         Meta(description="fields drawn from the trial's seed, or FREVO's stadium with 72 agents"),
     ] = "random"
     steps: Annotated[int, Meta(ge=1, le=1_000_000, description="rounds of a trial")] = 50
-    width: Annotated[Length, Meta(description="cells; not above `height`")] = 20
-    height: Annotated[Length, Meta(description="cells")] = 20
-    agents: Annotated[int, Meta(ge=1, le=1_000, description="robots")] = 10
-    exits: Annotated[int, Meta(ge=1, le=10_000, description="exits")] = 5
-    blockades: Annotated[int, Meta(ge=0, le=10_000, description="blocked cells")] = 20
+    width: Annotated[Length, Meta(description="cells of a random field; not above `height`")] = 20
+    height: Annotated[Length, Meta(description="cells of a random field")] = 20
+    agents: Annotated[int, Meta(ge=1, le=1_000, description="robots of a random field; the stadium has 72")] = 10
+    exits: Annotated[int, Meta(ge=1, le=10_000, description="exits of a random field; the stadium has its own")] = 5
+    blockades: Annotated[int, Meta(ge=0, le=10_000, description="blocked cells of a random field")] = 20
     seed: Annotated[int, Meta(ge=0, lt=2**48, description="of the first field; the trials have `seed`, `seed` + 1, ...")] = 0
 
 

@@ -1,5 +1,6 @@
 """``zswarm-ot check``: what an experiment amounts to, without running it."""
 
+import shlex
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -32,6 +33,7 @@ def check(name: str, overrides: tuple[str, ...], look: bool, as_json: bool) -> N
     """  # noqa: D301  click's mark for text that is not to be wrapped
     from zswarm.ot import explanation, terminal
     from zswarm.ot import run as runs
+    from zswarm.protocol.codec import clean
 
     path = experiment.find(name)
     complete = experiment.complete(experiment.load(path, overrides), str(path))
@@ -47,7 +49,7 @@ def check(name: str, overrides: tuple[str, ...], look: bool, as_json: bool) -> N
     for warning in explained.warnings:
         terminal.entry("warning", warning, colour="yellow")
     fine = "the experiment can be run" if explained.warnings else "the experiment is fine"
-    terminal.line(f"{fine}: zswarm-ot run {name}")
+    terminal.line(f"{fine}: {clean(shlex.join(['zswarm-ot', 'run', name, *(w for o in overrides for w in ('--set', o))]))}")
 
 
 def show(explained: "Explanation", complete: Experiment) -> None:

@@ -32,9 +32,13 @@ def evaluate(path: Path, trials: int, seed: int | None, as_json: bool) -> None:
     if as_json:
         terminal.print_json({"trials": trials, **fitness, **metrics})
         return
+    same = played.all_the_same()
     terminal.paragraph(
-        f"{controller.simulator}, champion of {clean(controller.run)} (fitness {controller.fitness:.6g}), {trials} unseen trials"
+        f"{clean(controller.simulator)}, champion of {clean(controller.run)} (fitness {controller.fitness:.6g}), "
+        f"{terminal.plural(trials, 'trial' if same else 'unseen trial')}"
     )
+    if same:
+        terminal.paragraph("every trial was the same: nothing in them depends on the seed")
     quartiles = " / ".join(f"{fitness[key]:.6g}" for key in ("q25", "median", "q75"))
     terminal.line(f"{'fitness':16}mean {fitness['mean']:.6g}, quartiles {quartiles}")
     for name, mean in metrics.items():

@@ -1,0 +1,43 @@
+"""A champion on seeds that evolution never uses, and what is said where the seed changes nothing."""
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from written import written
+
+from zswarm.ot.cli import command
+from zswarm.ot.controller import load_controller
+from zswarm.ot.unseen import Played
+
+ALIKE = "every trial was the same: nothing in them depends on the seed"
+
+
+def evaluate(folder: Path, *arguments: str) -> str:
+    done = CliRunner().invoke(command, ["evaluate", str(folder), *arguments], catch_exceptions=False, env={"COLUMNS": "80"})
+    assert done.exit_code == 0
+    return done.stdout
+
+
+def test_it_is_said_where_nothing_depends_on_the_seed(tmp_path: Path) -> None:
+    """Of the stadium, not of one trial, and not of random fields."""
+    folder = written(tmp_path, [1])
+    told = evaluate(folder, "--trials", "3")
+    assert ALIKE in told
+    assert "3 trials" in told
+    assert "unseen" not in told
+    assert ALIKE not in evaluate(folder, "--trials", "1")
+    random = msgspec.structs.replace(load_controller(folder), simulator_settings={"field": "random"})
+    (tmp_path / "random.zsc").write_bytes(msgspec.msgpack.encode(random))
+    assert "20 unseen trials" in (told := evaluate(tmp_path / "random.zsc", "--trials", "20"))
+    assert ALIKE not in told
+
+
+@pytest.mark.parametrize(
+    ("fitness", "metrics", "same"),
+    [([1, 1], [[2], [2]], True), ([1, 2], [[2], [2]], False), ([1, 1], [[2], [3]], False), ([np.nan, np.nan], [[], []], True)],
+)
+def test_trials_are_the_same_if_fitness_and_metrics_are(fitness: list[float], metrics: list[list[float]], same: bool) -> None:
+    assert Played(np.array(fitness), np.array(metrics, np.float64), ("m",)).all_the_same() is same
