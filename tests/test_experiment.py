@@ -86,7 +86,11 @@ def test_neither_a_file_nor_an_example_is_refused_with_the_nearest(tmp_path: Pat
     text = refusal(experiment.find, "minisin")
     assert text.startswith("minisin: no such file, and no example of that name (did you mean 'minisim'?); examples are ")
     assert "stadium" in text
-    assert refusal(experiment.find, str(tmp_path)).startswith(f"{tmp_path}: no such file")
+    assert refusal(experiment.find, str(tmp_path)).startswith(f"{tmp_path}: a folder; expected a file, or an example: ")
+    (tmp_path / "experiment.toml").write_text(SMALL)
+    assert refusal(experiment.find, str(tmp_path)).endswith(
+        f": zswarm-ot resume goes on with it; its experiment is in {tmp_path}/experiment.toml"
+    )
 
 
 # ---- --set --------------------------------------------------------------------------------------------------------
@@ -140,10 +144,10 @@ def test_an_impossible_override_is_refused(file: Path, override: str, text: str)
         ("name=", "name: expected 1 to 63 of a-z, 0-9 and -, not starting with -, not ''"),
         ("cluster.realm=a/**", "cluster.realm: expected 1 to 63 of a-z, 0-9 and -, not starting with -, not 'a/**'"),
         ("problem.trials=0", "problem.trials: expected int >= 1"),
-        ("problem.seeds=random", "problem.seeds: invalid enum value 'random'"),
+        ("problem.seeds=random", "problem.seeds: expected fixed or fresh, not 'random'"),
         ("problem.settings=5", "problem.settings: expected object, got int"),
         ("cluster.servers=0", "cluster.servers: expected int >= 1"),
-        ("cluster.servers=all", "cluster.servers: invalid enum value 'all'"),
+        ("cluster.servers=all", "cluster.servers: expected auto, local or a number, not 'all'"),
         ("cluster.trial_timeout_s=nan", "cluster.trial_timeout_s: expected float > 0.0"),
         ("cluster.trial_timeout_s=inf", "cluster.trial_timeout_s: expected float <= 1000000000.0"),
         ("cluster.connect=tcp/a:1", "cluster.connect: expected array, got str"),
@@ -152,7 +156,7 @@ def test_an_impossible_override_is_refused(file: Path, override: str, text: str)
             "cluster.connect: expected endpoints such as tcp/192.168.1.5:7467, not 'tcp/a': "
             "HOST:PORT must follow the protocol, an IPv6 address in brackets",
         ),
-        ("cluster.on_fault=ignore", "cluster.on_fault: invalid enum value 'ignore'"),
+        ("cluster.on_fault=ignore", "cluster.on_fault: expected pause or quarantine, not 'ignore'"),
         ("representation.kind=3", 'representation: kind: expected the name of one, such as kind = "..."'),
         ("optimizer=3", "optimizer: expected object, got int"),
     ],

@@ -196,6 +196,13 @@ def find(name: str) -> Path:
     examples = {path.stem: path for path in examples_folder().glob("*.toml")}
     if name in examples:
         return examples[name]
+    if (Path(name) / "experiment.toml").is_file():
+        raise ConfigError(
+            f"{clean(name)}: the folder of a run or study: zswarm-ot resume goes on with it; its experiment is in "
+            f"{clean(str(Path(name) / 'experiment.toml'))}"
+        )
+    if Path(name).is_dir():
+        raise ConfigError(f"{clean(name)}: a folder; expected a file, or an example: {', '.join(sorted(examples))}")
     raise ConfigError(
         f"{name}: no such file, and no example of that name{nearest(name, examples)}; examples are {', '.join(sorted(examples))}"
     )
@@ -417,7 +424,7 @@ def _on_its_line(where: str, said: Mapping[str, Any] | Experiment, *path: str) -
         except (OSError, ValueError, RecursionError):  # the last: nested too deep
             raise error from None
         if line is None:
-            raise
+            raise type(error)(str(error), full) from error
         raise type(error)(f"{where}:{line}{str(error).removeprefix(where)}", full) from error
 
 

@@ -7,9 +7,9 @@ import json
 import math
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar, get_args, get_origin
 
 import msgspec
 
@@ -69,7 +69,7 @@ def convert(mapping: Mapping[str, Any], struct: type[T], where: str) -> T:
     try:
         return msgspec.convert(mapping, struct, strict=True)
     except msgspec.ValidationError as error:
-        path, what = _taken_apart(str(error))
+        path, what = _taken_apart(str(error), struct)
         told = f"{path}: {what}" if path else what
         keys = tuple(path.partition("[")[0].split(".")) if path else ()
         raise ConfigError(f"{where}: {told}", keys) from None
@@ -118,9 +118,32 @@ def _refuse_unknown(mapping: Mapping[str, Any], struct: type[msgspec.Struct], wh
             _refuse_unknown(value, kind, f"{where}: {key}", (*inside, key))
 
 
-def _taken_apart(text: str) -> tuple[str, str]:
+def _taken_apart(text: str, struct: type[msgspec.Struct]) -> tuple[str, str]:
     """msgspec's "Expected `int`, got `str` - at `$.a.b`" as "a.b" and "expected int, got str"."""
-    match = re.fullmatch(r"(?P<what>.*) - at `\$\.?(?P<path>.*)`", text)
+    match = re.fullmatch(r"(?P<what>.*) - at `\$\.?(?P<path>.*)`", text, re.DOTALL)
     what, path = (match["what"], match["path"]) if match else (text, "")
     what = re.sub(r"^Object missing required field `(?P<key>.*)`$", r"key \g<key> is missing", what)
+    if (word := re.fullmatch(r"Invalid enum value '(.*)'", what, re.DOTALL)) and (known := _choices(struct, path)):
+        choices = " or ".join([", ".join(known[:-1]), known[-1]] if known[1:] else known)
+        return path, f"expected {choices}, not '{word[1]}'{nearest(word[1], known)}"
     return path, what[0].lower() + what[1:].replace("`", "")
+
+
+def _choices(struct: type[msgspec.Struct], path: str) -> list[str]:
+    """The texts that a field may be; none where it cannot be told."""
+    kind: Any = struct
+    for key in path.split("."):
+        if not (isinstance(kind, type) and issubclass(kind, msgspec.Struct)):
+            return []
+        kind = next((field.type for field in msgspec.structs.fields(kind) if field.encode_name == key), None)
+    return list(dict.fromkeys(_texts(kind)))
+
+
+def _texts(kind: Any) -> Iterator[str]:
+    if get_origin(kind) is Literal:
+        yield from (text for text in get_args(kind) if isinstance(text, str))
+        return
+    for part in get_args(kind):
+        yield from _texts(part)
+    if kind in (int, float):
+        yield "a number"

@@ -48,6 +48,26 @@ def evolve_rough(tmp_path: Path, rough: str, how: str, *options: str) -> Optimiz
         (["run", "damaged.toml"], 2, "not TOML"),
         (["run", "binary.toml"], 2, "not TOML"),
         (["run", "--set", "optimizer.populatoin=3"], 2, "did you mean 'population'"),
+        (
+            ["run", "--set", "seed=3", "--set", "optimizer.populatoin=3"],
+            2,
+            "--set optimizer.populatoin=3: optimizer: unknown",
+        ),
+        (
+            ["run", "--repeat", "2", "--set", "optimizer.population=x"],
+            2,
+            "--set optimizer.population=x: optimizer: ",
+        ),
+        (
+            ["check", "--set", "problem.seeds=fix", "stadium"],
+            2,
+            "--set problem.seeds=fix: problem.seeds: expected fixed or",
+        ),
+        (["check", "damaged-run"], 2, "zswarm-ot resume goes on with it"),
+        (["evaluate", "nothing.toml"], 2, "an experiment has no champion"),
+        (["evaluate", "damaged-run"], 2, "no champion.zsc in it"),
+        (["evaluate", "study"], 2, "a folder of 2 runs; expected one of them, such as study/a"),
+        (["list", "nofolder"], 2, "nofolder: no such folder"),
         (["run", "--set", "problem.simulator=stage"], 2, "unknown simulator 'stage'"),
         (["run", "--set", "representation.kind=lstm"], 2, "unknown representation 'lstm'"),
         (["run", "--set", "problem.settings.width=30"], 2, "width must not exceed height"),
@@ -68,6 +88,9 @@ def test_a_mistake_is_named_in_one_line(tmp_path: Path, arguments: list[str], co
     (tmp_path / "binary.toml").write_bytes(bytes(range(256)))
     (tmp_path / "damaged.zsc").write_bytes(b"\x81\xa1")
     (tmp_path / "damaged-run").mkdir()
+    for name in ("a", "b"):
+        (tmp_path / "study" / name).mkdir(parents=True)
+        (tmp_path / "study" / name / "champion.zsc").touch()
     example = Path(__file__).parents[2] / "examples" / "emergency-exit.toml"
     (tmp_path / "damaged-run" / "experiment.toml").write_text(example.read_text())
     (tmp_path / "damaged-run" / "run.sqlite").write_bytes(b"SQLite format 3\0" + bytes(range(256)) * 20)

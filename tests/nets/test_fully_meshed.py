@@ -190,7 +190,7 @@ def test_random_weights_and_biases_fill_their_own_ranges() -> None:
     [
         ({"hidden": -1}, "hidden: expected int >= 0"),
         ({"iterations": 0}, "iterations: expected int >= 1"),
-        ({"activation": "tanh"}, "activation: invalid enum value 'tanh'"),
+        ({"activation": "tanh"}, "activation: expected clamp, sigmoid or relu, not 'tanh'"),
         ({"weight_range": 0.0}, "weight_range: expected float > 0.0"),
     ],
 )

@@ -25,7 +25,7 @@ from zswarm.ot.controller import Controller
 from zswarm.ot.dispatch import Counted, Note
 from zswarm.ot.grouping import groups
 from zswarm.ot.reading import Run, listed, runs_below
-from zswarm.ot.record import DATABASE, Record
+from zswarm.ot.record import DATABASE, Record, load_experiment
 from zswarm.ot.workload import Workload
 
 EVIL = "\x1b[31m[bold]<b onload=x>&amp;\u202e\r\n\x00=cmd()"
@@ -524,7 +524,7 @@ def test_runs_are_listed_with_the_damaged_ones_named(folder: Path) -> None:
     (folder.parent / "damaged").mkdir()
     (folder.parent / "damaged" / "run.sqlite").write_bytes(b"no database at all, but long enough to be looked at" * 20)
     found = {Path(row["run"]).name: row for row in listed(folder.parent)}
-    assert "damaged" in found["damaged"]["error"]
+    assert "no experiment.toml" in found["damaged"]["error"]
     assert (found["lab"]["generations"], found["lab"]["best"], found["lab"]["candidates"]) == (2, 2.625, 4)
 
 
@@ -604,3 +604,14 @@ def test_a_run_that_cannot_be_read_is_left_out_of_its_folder_with_a_line(tmp_pat
     for paths in ([broken], [tmp_path]):
         with pytest.raises(ConfigError, match="damaged"):
             runs_below(paths, [])
+
+
+def test_a_run_that_is_named_without_its_parent_is_suggested(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """To whoever resumes, plots or reads it."""
+    make(tmp_path / "runs", "lab")
+    monkeypatch.chdir(tmp_path)
+    for call in (load_experiment, Run, lambda path: runs_below([path])):
+        with pytest.raises(ConfigError, match=r"lab: no run \(did you mean runs/lab\?\); expected"):
+            call(Path("lab"))
+        with pytest.raises(ConfigError, match="nothing: no run; expected"):
+            call(Path("nothing"))

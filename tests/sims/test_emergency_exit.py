@@ -313,7 +313,7 @@ def test_the_defaults_are_frevos_and_the_stadium_has_its_own_sizes() -> None:
         ({"steps": 5.5}, "problem.settings: steps: expected int, got float"),
         ({"seed": -1}, "problem.settings: seed: expected int >= 0"),
         ({"seed": 2**48}, "problem.settings: seed: expected int <= 281474976710655"),
-        ({"field": "maze"}, "problem.settings: field: invalid enum value 'maze'"),
+        ({"field": "maze"}, "problem.settings: field: expected random or stadium, not 'maze'"),
         ({"agent": 3}, "problem.settings: unknown key 'agent' (did you mean 'agents'?)"),
     ],
 )

@@ -95,6 +95,14 @@ def load_controller(path: Path) -> Controller:
         ConfigError: missing or damaged.
     """
     file = path / CHAMPION if path.is_dir() else path
+    shown = codec.clean(str(path))
+    if file != path and not file.exists():
+        if below := sorted(path.glob(f"*/{CHAMPION}")):
+            one = codec.clean(str(below[0].parent))
+            raise ConfigError(f"{shown}: a folder of {len(below)} runs; expected one of them, such as {one}")
+        raise ConfigError(f"{shown}: cannot be read: no {CHAMPION} in it; expected a run that finished a generation")
+    if path.suffix == ".toml":
+        raise ConfigError(f"{shown}: an experiment has no champion; expected the folder of its run, or a {CHAMPION}")
     try:
         return msgspec.msgpack.decode(file.read_bytes(), type=Controller)
     except OSError as error:

@@ -27,6 +27,7 @@ WAIT_FOR_SERVERS_S = 10.0  # for the number of servers asked for
 PREPARING_S = 1.0  # of a server, before the user is told
 PAUSE_S = 3.0  # without any server, before the user is told
 HINT = "zswarm-ot doctor says why, docs/network.md what to do"
+NOBODY_YET = "no slot is ready yet: waiting for one (Ctrl-C stops; nothing is lost)"
 NOBODY = "no server computes now: waiting for one (Ctrl-C stops; nothing is lost)"
 
 Happened = Counted | Retracted | Note
@@ -141,7 +142,7 @@ class Evaluations:
             EvaluationError: trials cannot be evaluated.
             Stopped: ``stop`` was set, or the connection was closed.
         """
-        last_served, told = time.monotonic(), ""
+        last_served, told, served = time.monotonic(), "", False
         for item in self._cluster.evaluate(workload):
             self._look_whether_to_stop()
             yield from self._taken(item, workload)
@@ -149,15 +150,15 @@ class Evaluations:
             idle = time.monotonic() - last_served
             local = self._connection.local
             if self._cluster.standing.serving:
-                last_served, told = time.monotonic(), ""
+                last_served, told, served = time.monotonic(), "", True
             elif local is not None and (words := local.ended()):
                 raise EvaluationError(f"the slots of this machine ended: {words}")
             elif (preparing := self._cluster.standing.preparing) and idle > PREPARING_S and not told:
                 simulator = self._problem.experiment.problem.simulator
-                told = f"{', '.join(preparing)}: compiling {simulator}; done once for this version of zswarm"
+                told = f"{', '.join(preparing)}: getting {simulator} ready; it is compiled once for each version of zswarm"
                 self._logger.on_say(told)
             elif not preparing and idle > PAUSE_S and not told:
-                told = NOBODY
+                told = NOBODY if served or local is None else NOBODY_YET
                 self._logger.on_say(told)
                 if local is None:
                     self._cluster.diagnose()

@@ -23,7 +23,7 @@ from zswarm.files import write_whole
 from zswarm.ot import evolution
 from zswarm.ot.connection import Connection
 from zswarm.ot.dispatch import Note
-from zswarm.ot.evaluations import NOBODY
+from zswarm.ot.evaluations import NOBODY, NOBODY_YET
 from zswarm.ot.evolution import Evolution
 from zswarm.ot.logger import Generation, Logger, Result, Started
 from zswarm.ot.plan import Planned, another
@@ -172,7 +172,7 @@ class Player:
     def _say(self, planned: Planned, line: str) -> None:
         """A line of a run, unless another one said it just now, or only waits until others have done."""
         now = time.monotonic()
-        if now > self._said.get(line, -AGAIN_S) + AGAIN_S and not (line == NOBODY and self._connection.slots):
+        if now > self._said.get(line, -AGAIN_S) + AGAIN_S and not (line in (NOBODY, NOBODY_YET) and self._connection.slots):
             self._said[line] = now
             self._follower.on_say(line, planned)
 

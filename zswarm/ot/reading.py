@@ -27,7 +27,7 @@ from zswarm.experiment import Experiment
 from zswarm.extras import need
 from zswarm.ot.controller import CHAMPION, Controller, load_controller
 from zswarm.ot.database import in_words, passing
-from zswarm.ot.record import DATABASE, EXPERIMENT
+from zswarm.ot.record import DATABASE, EXPERIMENT, meant
 from zswarm.ot.schema import SCHEMA_VERSION, TABLES
 from zswarm.protocol.codec import clean
 
@@ -66,9 +66,7 @@ class Run:
         self.folder, self.name = folder, clean(folder.name or folder.resolve().name)
         self._shown = clean(str(folder))
         if not _is_file(folder / EXPERIMENT) or not _is_file(folder / DATABASE):
-            raise ConfigError(
-                f"{self._shown}: no run; expected a folder with {EXPERIMENT} and {DATABASE}, such as runs/emergency-exit"
-            )
+            raise ConfigError(f"{self._shown}: no run{meant(folder)}; expected a folder with {EXPERIMENT} and {DATABASE}")
         self._meta = dict(self._rows("SELECT key, value FROM meta", tuple[str, Any]))
         self.meta = {
             clean(key): clean(value) if isinstance(value, str) and not _plain(value) else value
@@ -403,7 +401,8 @@ def runs_below(paths: Sequence[Path], left_out: list[str] | None = None) -> list
         folders = folders_below(path)
         if not folders:
             raise ConfigError(
-                f"{clean(str(path))}: no run; expected a folder with {EXPERIMENT} and {DATABASE}, or one that holds such folders"
+                f"{clean(str(path))}: no run{meant(path)}; expected a folder with {EXPERIMENT} and {DATABASE}, or one that holds "
+                "such folders"
             )
         for folder in folders:
             try:
@@ -483,6 +482,8 @@ def _is_file(path: Path) -> bool:
 
 def _listed(folder: Path) -> dict[str, Any]:
     shown = clean(str(folder))
+    if not _is_file(folder / EXPERIMENT):
+        return {"run": shown, "error": f"no {EXPERIMENT} in it"}
     try:
         with opened(folder / DATABASE) as database:
             row = database.execute("SELECT count(*), max(best), sum(evaluations), max(finished_at) FROM generations").fetchone()

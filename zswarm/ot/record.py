@@ -42,6 +42,7 @@ from zswarm.strict import to_json
 
 NOT_DECISIVE = ("generations", "cluster", "study")  # what of an experiment may change while it is run
 DATABASE, EXPERIMENT = "run.sqlite", "experiment.toml"
+RUNS = Path("runs")  # where runs are made unless --out says otherwise
 LOCK_TRIES, LOCK_PAUSE_S = 20, 0.005  # who asks whether a run goes on holds its lock for an instant
 SET_META = "INSERT OR REPLACE INTO meta VALUES (?, ?)"
 ADD_OUTCOMES = "INSERT OR REPLACE INTO outcomes VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
@@ -324,8 +325,15 @@ def load_experiment(folder: Path) -> Experiment:
         ConfigError: no run there.
     """
     if not folder.is_dir() or not (folder / EXPERIMENT).is_file() or not (folder / DATABASE).is_file():
-        raise ConfigError(f"{folder}: no run; expected a folder with {EXPERIMENT} and {DATABASE}, such as runs/emergency-exit")
+        raise ConfigError(f"{folder}: no run{meant(folder)}; expected a folder with {EXPERIMENT} and {DATABASE}")
     return experiment.complete(experiment.load(folder / EXPERIMENT), str(folder / EXPERIMENT))
+
+
+def meant(folder: Path) -> str:
+    """A hint where the folder of that name below ``runs`` is there."""
+    below = RUNS / folder
+    there = folder != below and not folder.exists() and (below / EXPERIMENT).is_file()
+    return f" (did you mean {clean(str(below))}?)" if there else ""
 
 
 def new_folder(parent: Path, name: str) -> Path:

@@ -8,7 +8,7 @@ import click
 from zswarm import experiment
 from zswarm.experiment import Experiment
 from zswarm.ot.commands import suggestions
-from zswarm.ot.commands.options import json_option, set_option
+from zswarm.ot.commands.options import json_option, named, set_option
 
 if TYPE_CHECKING:
     from zswarm.ot.discovery import Found, Survey
@@ -36,7 +36,8 @@ def check(name: str, overrides: tuple[str, ...], look: bool, as_json: bool) -> N
     from zswarm.protocol.codec import clean
 
     path = experiment.find(name)
-    complete = experiment.complete(experiment.load(path, overrides), str(path))
+    with named(overrides, path):
+        complete = experiment.complete(experiment.load(path, overrides), str(path))
     explained = explanation.explain(complete, runs.build(complete))
     survey = _survey(complete) if look else None
     if as_json:

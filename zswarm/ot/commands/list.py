@@ -6,11 +6,14 @@ from pathlib import Path
 import click
 
 from zswarm import experiment, plugins
+from zswarm.errors import ConfigError
 from zswarm.ot.commands.options import json_option
+
+RUNS = Path("runs")  # before the first run it is not there
 
 
 @click.command("list")
-@click.argument("folder", type=click.Path(path_type=Path), default=Path("runs"))
+@click.argument("folder", type=click.Path(path_type=Path), default=RUNS)
 @json_option
 def list_(folder: Path, as_json: bool) -> None:
     """Show runs, examples and what experiments are made of.
@@ -18,7 +21,10 @@ def list_(folder: Path, as_json: bool) -> None:
     The runs below a folder; and the examples, simulators, representations and optimizers that are installed.
     """
     from zswarm.ot import reading, terminal
+    from zswarm.protocol.codec import clean
 
+    if folder != RUNS and not folder.is_dir():
+        raise ConfigError(f"{clean(str(folder))}: no such folder")
     runs = reading.listed(folder)
     parts = {kind: plugins.names(kind) for kind in ("simulator", "representation", "optimizer")}
     examples = sorted(path.stem for path in experiment.examples_folder().glob("*.toml"))

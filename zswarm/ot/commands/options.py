@@ -1,5 +1,7 @@
 """Options that several commands share."""
 
+import contextlib
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +46,19 @@ CLUSTER = [
         help="Reach all servers through a router: one named by --connect, or found by multicast.",
     ),
 ]
+
+
+@contextlib.contextmanager
+def named(overrides: Sequence[str], path: Path) -> Iterator[None]:
+    """What is wrong by a ``--set`` is told with that option, not with the file, which is not at fault."""
+    try:
+        yield
+    except ConfigError as error:
+        key, text = ".".join(error.path), str(error)
+        for override in overrides:
+            if f"{key}.".startswith(f"{override.partition('=')[0].strip()}.") and text.startswith(f"{path}: "):
+                raise type(error)(f"--set {override}{text.removeprefix(str(path))}", error.path) from error
+        raise
 
 
 def cluster_options(command: Any) -> Any:

@@ -15,7 +15,7 @@ import click
 from zswarm import experiment
 from zswarm.errors import ZswarmError
 from zswarm.ot.commands import suggestions
-from zswarm.ot.commands.options import cluster_options, json_option, out_option, set_option, with_cluster
+from zswarm.ot.commands.options import cluster_options, json_option, named, out_option, set_option, with_cluster
 from zswarm.ot.connection import Connection
 from zswarm.ot.exits import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_TERMINATED
 
@@ -56,15 +56,19 @@ def run(
     """  # noqa: D301  click's mark for text that is not to be wrapped
     path = experiment.find(name)
     more = [f"{key}={value}" for key, value in (("seed", seed), ("study.repeat", repeat)) if value is not None]
-    loaded = with_cluster(experiment.load(path, [*overrides, *more]), cluster)
+    with named(overrides, path):
+        loaded = with_cluster(experiment.load(path, [*overrides, *more]), cluster)
     _evaluate_nothing()
     if loaded.study.runs() > 1 or loaded.study.settings() != [{}]:
         from zswarm.ot.study import Study
 
-        with _pictures() as folders, Connection(loaded.cluster) as connection, Study.create(loaded, str(path), out) as study:
+        with contextlib.ExitStack() as stack:
+            folders, connection = stack.enter_context(_pictures()), stack.enter_context(Connection(loaded.cluster))
+            with named(overrides, path):
+                study = stack.enter_context(Study.create(loaded, str(path), out))
             _play(study, connection, folders, as_json=as_json)
         return
-    with _pictures() as folders, Connection(loaded.cluster) as connection:
+    with _pictures() as folders, Connection(loaded.cluster) as connection, named(overrides, path):
         from zswarm.ot import evolution
         from zswarm.ot.display import display
 
