@@ -27,6 +27,7 @@ from zswarm.experiment import Experiment
 from zswarm.extras import need
 from zswarm.ot.controller import CHAMPION, Controller, load_controller
 from zswarm.ot.database import in_words, passing
+from zswarm.ot.logger import Result
 from zswarm.ot.record import DATABASE, EXPERIMENT, meant
 from zswarm.ot.schema import SCHEMA_VERSION, TABLES
 from zswarm.protocol.codec import clean
@@ -382,6 +383,38 @@ class Run:
 
     def _damaged(self, why: str) -> ConfigError:
         return ConfigError(f"{self._shown}/{DATABASE}: damaged: {why}")
+
+
+def outcome(folder: Path, generations: int) -> Result | None:
+    """What a run came to, if it is finished; None also where it cannot be read: whoever goes on with it says why.
+
+    Of one that went on for longer it is what it came to after so many generations: all of a study are of one length.
+    """
+    if not (folder / DATABASE).exists():
+        return None
+    try:
+        recorded = Run(folder)
+        if not recorded.finished or recorded.generations() < generations:
+            return None
+        history = recorded.history()
+        last = history[generations - 1]
+        requeued = sum(event["count"] or 0 for event in recorded.events() if event["event"] == "requeued")
+        with opened(folder / DATABASE) as database:
+            (faulted,) = database.execute("SELECT coalesce(sum(faulted), 0) FROM outcomes").fetchone()
+            (doubtful,) = database.execute("SELECT coalesce(sum(count), 0) FROM outcomes WHERE doubtful").fetchone()
+    except (ConfigError, sqlite3.Error, OSError):
+        return None
+    return Result(
+        str(folder),
+        generations,
+        float("nan") if last["best"] is None else last["best"],
+        last["evaluations"],
+        requeued,
+        recorded.history_hash or "" if last is history[-1] else "",
+        0.0,
+        faulted,
+        doubtful,
+    )
 
 
 def runs_below(paths: Sequence[Path], left_out: list[str] | None = None) -> list[Run]:

@@ -7,7 +7,6 @@ folder's lock keeps other programs out. Who plays the runs: ``playing.py``.
 import contextlib
 import os
 import shutil
-import sqlite3
 import threading
 import time
 from collections.abc import Mapping, Sequence
@@ -24,10 +23,9 @@ from zswarm.files import write_whole
 from zswarm.ot import run
 from zswarm.ot.connection import Connection
 from zswarm.ot.curves import quartiles
-from zswarm.ot.logger import Result
 from zswarm.ot.plan import Planned, identity, label, plan
 from zswarm.ot.playing import Ended, Follower, Player
-from zswarm.ot.reading import Run, opened
+from zswarm.ot.reading import outcome
 from zswarm.ot.record import DATABASE, EXPERIMENT, load_experiment, lock_folder, new_folder
 from zswarm.protocol.codec import clean
 from zswarm.strict import read
@@ -71,7 +69,11 @@ class Study:
 
     def __init__(self, folder: Path, complete: Experiment, planned: list[Planned], lock: int) -> None:
         self.folder, self.experiment, self.planned = folder, complete, planned
-        self.ended = [Ended(one, result, before=True) for one in planned if (result := _finished(folder / one.name, one))]
+        self.ended = [
+            Ended(one, result, before=True)
+            for one in planned
+            if (result := outcome(folder / one.name, one.experiment.generations))
+        ]
         names = {one.name for one in planned}
         self.others = sorted(clean(path.parent.name) for path in folder.glob(f"*/{DATABASE}") if path.parent.name not in names)
         self._lock = lock
@@ -217,38 +219,6 @@ def _checked_plan(complete: Experiment, where: str, found: Mapping[str, str]) ->
             words = label(one.settings, [one.settings])
             raise ConfigError(f"{where}: study: with {words}: {error}" if words else str(error)) from None
     return planned
-
-
-def _finished(folder: Path, planned: Planned) -> Result | None:
-    """What a run came to, if it is finished; None also where it cannot be read: whoever goes on with it says why.
-
-    Of one that went on for longer than the study asks for, it is what it came to by then: all of a study are of one length.
-    """
-    if not (folder / DATABASE).exists():
-        return None
-    try:
-        recorded = Run(folder)
-        if not recorded.finished or recorded.generations() < planned.experiment.generations:
-            return None
-        history = recorded.history()
-        last = history[planned.experiment.generations - 1]
-        requeued = sum(event["count"] or 0 for event in recorded.events() if event["event"] == "requeued")
-        with opened(folder / DATABASE) as database:
-            (faulted,) = database.execute("SELECT coalesce(sum(faulted), 0) FROM outcomes").fetchone()
-            (doubtful,) = database.execute("SELECT coalesce(sum(count), 0) FROM outcomes WHERE doubtful").fetchone()
-    except (ConfigError, sqlite3.Error, OSError):
-        return None
-    return Result(
-        str(folder),
-        planned.experiment.generations,
-        float("nan") if last["best"] is None else last["best"],
-        last["evaluations"],
-        requeued,
-        recorded.history_hash or "" if last is history[-1] else "",
-        0.0,
-        faulted,
-        doubtful,
-    )
 
 
 def _first_of_each(planned: Sequence[Planned]) -> list[Planned]:

@@ -1,0 +1,35 @@
+"""A finished run that is resumed is told again: nothing starts, and its record stays as it is."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from written import written
+
+from zswarm.errors import ConfigError
+from zswarm.ot.cli import command
+from zswarm.ot.commands import run
+from zswarm.ot.reading import Run
+
+
+def test_a_finished_run_is_told_again_and_nothing_starts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = written(tmp_path, [1, 2.5])
+    recorded = (folder / "run.sqlite").read_bytes()
+    monkeypatch.setattr(run, "Connection", None)
+    done = CliRunner().invoke(command, ["resume", str(folder)], catch_exceptions=False)
+    assert "best fitness 2.5 after 2 generations, 6 evaluations" in done.stdout
+    assert f"history {Run(folder).history_hash}" in done.stdout
+    assert f"{folder} is finished; to go on longer" in done.stderr
+    told = CliRunner().invoke(command, ["resume", str(folder), "--json"], catch_exceptions=False).stdout
+    assert (json.loads(told)["event"], json.loads(told)["best"]) == ("done", 2.5)
+    assert (folder / "run.sqlite").read_bytes() == recorded, "nor is it resumed once more"
+
+
+def test_a_finished_run_whose_experiment_was_changed_is_refused(tmp_path: Path) -> None:
+    folder = written(tmp_path, [1, 2.5])
+    file = folder / "experiment.toml"
+    file.write_text(re.sub("(?m)^seed = 1$", "seed = 2", file.read_text()))
+    with pytest.raises(ConfigError):
+        CliRunner().invoke(command, ["resume", str(folder), "--servers", "local"], catch_exceptions=False)
