@@ -151,7 +151,7 @@ def test_a_run_that_is_given_twice_is_one_sample(tmp_path: Path) -> None:
     runs = [reading.Run(folder) for folder in (first, first, again, other)]
     found = comparison.compare(grouping.groups(runs))
     assert [row.runs for row in found.rows] == [2]
-    assert found.notes == [f"{again.name} is left out: its history is that of {first.name}, bit by bit"]
+    assert found.notes == [f"{again} is left out: its history is that of {first}, bit by bit"]
 
 
 def test_unfinished_runs_are_named(tmp_path: Path) -> None:

@@ -275,3 +275,30 @@ def test_figures_of_unknown_axes_and_sizes_are_refused_with_the_choices(tmp_path
         zswarm.plot(run, x="gen")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"size: expected column, page, slides or screen, not 'huge'"):
         zswarm.read(run).plot(size="huge")  # type: ignore[arg-type]
+
+
+def test_without_matplotlib_the_numbers_are_written_all_the_same(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(ConfigError, match="plot needs matplotlib"):
+        invoke("plot", study, "-o", study / "x.png", "--csv", study / "x.csv")
+    assert (study / "x.csv").read_text().startswith('"group",')
+    assert not (study / "x.png").exists()
+
+
+def test_a_figure_and_a_page_are_named_after_what_they_show(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(study)
+    assert invoke("plot", "hidden-1").startswith("hidden-1.pdf: ")
+    assert invoke("plot", "hidden-1", "hidden-2").startswith("comparison.pdf: ")
+    with pytest.raises(ConfigError, match=r"page\.pdf: expected a name that ends in \.html or \.htm"):
+        invoke("report", "hidden-1", "-o", "page.pdf")
+
+
+def test_what_is_piped_is_not_folded(study: Path) -> None:
+    """Names of any length stay whole."""
+    long = study / ("a-long-name-" * 12)
+    (study / "hidden-1").rename(long)
+    environment = {key: value for key, value in os.environ.items() if key != "COLUMNS"}
+    done = subprocess.run(
+        [sys.executable, "-m", "zswarm.ot", "list", str(study)], env=environment, capture_output=True, text=True, check=True
+    )
+    assert f"{long}/" in done.stdout

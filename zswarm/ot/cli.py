@@ -58,14 +58,16 @@ def main() -> None:
         error.show()
         sys.exit(error.exit_code)
     except ConfigError as error:
-        click.echo(f"zswarm-ot: {error}", err=True)
+        _complain(error)
         sys.exit(EXIT_MISTAKE)
     except NoServers as error:
-        click.echo(
-            f"zswarm-ot: {error}; start zswarm-ss on the machines. What is wrong is told by: zswarm-ot doctor (docs/network.md)",
-            err=True,
-        )
+        _complain(error, "; start zswarm-ss on the machines. What is wrong is told by: zswarm-ot doctor (docs/network.md)")
         sys.exit(EXIT_NO_SERVERS)
     except (ZswarmError, sqlite3.Error, OSError) as error:  # the last two: a full disk, a folder that was deleted
-        click.echo(f"zswarm-ot: {error}", err=True)
+        _complain(error)
         sys.exit(EXIT_FAILED)
+
+
+def _complain(error: Exception, more: str = "") -> None:
+    """The reason, and below it how to go on."""
+    click.echo("\n".join([f"zswarm-ot: {error}{more}", *getattr(error, "__notes__", [])]), err=True)

@@ -75,7 +75,9 @@ def distinct(runs: Iterable["Run"]) -> tuple[list["Run"], list[str]]:
         key = run.history_hash or str(run.folder.resolve())
         if key in kept:
             if kept[key].folder.resolve() != run.folder.resolve():
-                left_out.append(f"{run.name} is left out: its history is that of {kept[key].name}, bit by bit")
+                left_out.append(
+                    f"{clean(str(run.folder))} is left out: its history is that of {clean(str(kept[key].folder))}, bit by bit"
+                )
             continue
         kept[key] = run
     return list(kept.values()), left_out

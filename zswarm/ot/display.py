@@ -4,7 +4,7 @@ import sys
 import time
 
 from zswarm.ot.logger import Generation, Logger, Result, Started
-from zswarm.ot.terminal import patience, plural, print_json
+from zswarm.ot.terminal import patience, plural, print_json, wrapped
 from zswarm.screen import console, moves
 
 BAR, WITH_BAR = 8, 60  # columns; it is shown on a terminal of so many
@@ -76,14 +76,14 @@ class LiveDisplay(PlainDisplay):
     def on_start(self, run: Started) -> None:
         """See ``Logger``."""
         self._generations = run.experiment.generations
-        self._task = self._progress.add_task("run", total=run.experiment.generations, text="looking for servers")
+        self._task = self._progress.add_task("run", total=run.experiment.generations, text="getting ready")
         self._progress.start()
 
     def on_say(self, line: str) -> None:
         """See ``Logger``."""
         from rich.text import Text
 
-        self._progress.console.print(Text(line), soft_wrap=True)
+        self._progress.console.print(Text(wrapped(line, self._progress.console.width)), soft_wrap=True)
 
     def on_generation(self, generation: Generation) -> None:
         """See ``Logger``."""

@@ -129,7 +129,7 @@ class LiveFollower(PlainFollower):
         """A line for people."""
         from rich.text import Text
 
-        self._live.console.print(Text(line), soft_wrap=True)
+        self._live.console.print(Text(terminal.wrapped(line, self._live.console.width)), soft_wrap=True)
 
     def on_begin(self, planned: Planned, generation: int) -> None:
         """See ``Follower``."""

@@ -2,6 +2,8 @@
 
 import contextlib
 import errno
+import os
+import sys
 import textwrap
 from collections.abc import Iterator
 from typing import Any
@@ -22,6 +24,7 @@ NUMBERS = {
 }  # columns that stand at the right
 
 
+UNFOLDED = 10_000  # columns, of what goes into a file or another program
 NARROWEST = 10  # column of texts beside numbers
 
 
@@ -39,12 +42,17 @@ def row(table: Table, *cells: object) -> None:
 
 
 def show(table: Table) -> None:
-    """Print a table; numbers are not broken unless nothing else helps. On a narrow terminal each row is a block of lines."""
+    """Print a table; numbers are not broken unless nothing else helps. On a narrow terminal each row is a block of lines.
+
+    Where it is no terminal that it goes to nothing is folded.
+    """
     made = console()
+    if not sys.stdout.isatty() and "COLUMNS" not in os.environ:
+        made.width = UNFOLDED
     numbers = [column for column in table.columns if column.header in NUMBERS]
     texts = [column for column in table.columns if column.header not in NUMBERS]
     widths = [max(len(str(cell)) for cell in (column.header, *column.cells)) for column in numbers]
-    if made.width >= NARROW or made.measure(table, options=made.options.update(max_width=10_000)).maximum <= made.width:
+    if made.width >= NARROW or made.measure(table, options=made.options.update(max_width=UNFOLDED)).maximum <= made.width:
         if sum(widths) + len(texts) * NARROWEST + 2 * len(table.columns) <= made.width:
             for column in numbers:
                 column.no_wrap = True
@@ -64,10 +72,12 @@ def line(text: object, *, stderr: bool = False) -> None:
 
 def paragraph(text: str, *, stderr: bool = False) -> None:
     """Lines of the terminal's width, the second and later ones indented; names are not broken."""
-    lines = textwrap.wrap(
-        text, console(stderr=stderr).width, subsequent_indent="  ", break_on_hyphens=False, break_long_words=False
-    )
-    line("\n".join(lines), stderr=stderr)
+    line(wrapped(text, console(stderr=stderr).width), stderr=stderr)
+
+
+def wrapped(text: str, width: int) -> str:
+    """A text as lines of a paragraph."""
+    return "\n".join(textwrap.wrap(text, width, subsequent_indent="  ", break_on_hyphens=False, break_long_words=False))
 
 
 def entry(about: str, text: str, *, colour: str = "", label: int = LABEL) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from zswarm.errors import ConfigError
-from zswarm.ot.commands.options import json_option
+from zswarm.ot.commands.options import json_lines_option
 from zswarm.ot.exits import EXIT_FAILED
 
 
@@ -19,7 +19,7 @@ from zswarm.ot.exits import EXIT_FAILED
 @click.option(
     "--out", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="Where runs are to be made."
 )
-@json_option
+@json_lines_option
 def doctor(realm: str, connect: tuple[str, ...], multicast: bool, through_router: bool, out: Path, as_json: bool) -> None:
     """Look whether machine and network are fit.
 

@@ -36,7 +36,7 @@ def list_(folder: Path, as_json: bool) -> None:
     if not runs:
         terminal.line(f"{'runs':16}none in {folder}")
         return
-    table = terminal.table("run", "generations", "best", "last at", "history")
+    table = terminal.table("run", "generations", "best", "last at (local time)", "history")
     for row in runs:
         if "error" in row:
             terminal.row(table, row["run"], "", "", "", row["error"])

@@ -12,6 +12,7 @@ from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
 
 json_option = click.option("--json", "as_json", is_flag=True, help="JSON on stdout.")
+json_lines_option = click.option("--json", "as_json", is_flag=True, help="JSON on stdout, an object a line.")
 set_option = click.option(
     "--set",
     "overrides",

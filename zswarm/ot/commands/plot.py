@@ -13,10 +13,8 @@ from zswarm.ot.commands.options import json_option, one_stdout
     "-o",
     "--output",
     type=click.Path(path_type=Path),
-    default=Path("fitness.pdf"),
-    show_default=True,
     metavar="FILE",
-    help="The figure: .pdf, .svg or .png.",
+    help="The figure: .pdf, .svg or .png; by default the folder's name with .pdf, and comparison.pdf for several folders.",
 )
 @click.option("--csv", metavar="FILE", help="Write the numbers that the figure shows, too; - is stdout.")
 @click.option(
@@ -39,7 +37,7 @@ from zswarm.ot.commands.options import json_option, one_stdout
 @json_option
 def plot(
     paths: tuple[Path, ...],
-    output: Path,
+    output: Path | None,
     csv: str | None,
     axis: str,
     size: str,
@@ -57,6 +55,7 @@ def plot(
     from zswarm.protocol.codec import clean
 
     one_stdout(csv, as_json=as_json)
+    output = output or Path(f"{paths[0].resolve().name}.pdf" if len(paths) == 1 else "comparison.pdf")
     figures.format_of(output)
     left_out: list[str] = []
     groups = grouping.groups(reading.runs_below(paths, left_out))

@@ -4,7 +4,10 @@ from pathlib import Path
 
 import click
 
+from zswarm.errors import ConfigError
 from zswarm.ot.commands.options import json_option
+
+ENDINGS = (".html", ".htm")
 
 
 @click.command()
@@ -34,6 +37,8 @@ def report(path: Path, output: Path | None, trials: int, as_json: bool) -> None:
     from zswarm.protocol.codec import clean
 
     output = output or Path(f"{path.resolve().name}.html")
+    if output.suffix.lower() not in ENDINGS:
+        raise ConfigError(f"{clean(str(output))}: expected a name that ends in {' or '.join(ENDINGS)}")
     reports.write(path, output, trials)
     if as_json:
         terminal.print_json({"report": str(output)})

@@ -16,7 +16,7 @@ from zswarm import experiment
 from zswarm.errors import ZswarmError
 from zswarm.experiment import Experiment
 from zswarm.ot.commands import suggestions
-from zswarm.ot.commands.options import cluster_options, json_option, named, out_option, set_option, with_cluster
+from zswarm.ot.commands.options import cluster_options, json_lines_option, named, out_option, set_option, with_cluster
 from zswarm.ot.connection import Connection
 from zswarm.ot.exits import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_TERMINATED
 from zswarm.protocol.codec import clean
@@ -41,7 +41,7 @@ DEFAULT_EXAMPLE = "emergency-exit"
 )
 @cluster_options
 @out_option
-@json_option
+@json_lines_option
 def run(
     name: str, overrides: tuple[str, ...], seed: int | None, repeat: int | None, out: Path, as_json: bool, **cluster: Any
 ) -> None:
@@ -83,7 +83,7 @@ def run(
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path), metavar="RUN|STUDY", shell_complete=suggestions.runs)
 @cluster_options
-@json_option
+@json_lines_option
 def resume(folder: Path, as_json: bool, **cluster: Any) -> None:
     """Go on with a run or a study that was stopped.
 
@@ -141,10 +141,12 @@ def _play(study: "Study", connection: Connection | None, folders: list[Path], *,
     try:
         outcome = study.play(connection, follower(as_json=as_json))
     except (KeyboardInterrupt, SystemExit, ZswarmError, sqlite3.Error, OSError) as error:
-        click.echo(f"stopped; nothing is lost. Go on with: zswarm-ot resume {study.folder}", err=True)
+        _say_how_to_go_on(study.folder, error)
         if study.going_on:  # a second Ctrl-C, or a disk that takes nothing: nobody waits for their threads
             if connection is not None:
                 connection.close()
+            for line in getattr(error, "__notes__", []):
+                click.echo(f"zswarm-ot: {error}\n{line}", err=True)
             codes = {KeyboardInterrupt: EXIT_INTERRUPTED, SystemExit: EXIT_TERMINATED}
             os._exit(codes.get(type(error), EXIT_FAILED))
         raise
@@ -159,10 +161,19 @@ def _resumable(begun: "Evolution") -> Iterator[None]:
     signal.signal(signal.SIGTERM, _terminate)
     try:
         yield
-    except (KeyboardInterrupt, SystemExit, ZswarmError, sqlite3.Error, OSError):
+    except (KeyboardInterrupt, SystemExit, ZswarmError, sqlite3.Error, OSError) as error:
         begun.close()
-        click.echo(f"stopped; nothing is lost. Go on with: zswarm-ot resume {begun.folder}", err=True)
+        _say_how_to_go_on(begun.folder, error)
         raise
+
+
+def _say_how_to_go_on(folder: Path, error: BaseException) -> None:
+    """Where the program ends with a reason, that is said first."""
+    line = f"stopped; nothing is lost. Go on with: zswarm-ot resume {folder}"
+    if isinstance(error, (KeyboardInterrupt, SystemExit)):
+        click.echo(line, err=True)
+    else:
+        error.add_note(line)
 
 
 @contextlib.contextmanager

@@ -112,7 +112,9 @@ def _server_table(found: "list[Found]", realm: str, *, through_router: bool, exp
 
     offers = [server.offer for server in found if server.offer is not None]
     slots, free = sum(offer.capacity for offer in offers), sum(offer.free for offer in offers)
-    terminal.line(f"realm {realm}: {len(found)} server{'s' if len(found) != 1 else ''}, {slots} slots, {free} free\n")
+    terminal.line(
+        f"realm {realm}: {len(found)} server{'s' if len(found) != 1 else ''}, {terminal.plural(slots, 'slot')}, {free} free\n"
+    )
     columns = ("server", "slots", "free", "runs", "zswarm", *(["matches"] if experiment_name else []))
     table = terminal.table(*columns, box=None, padding=(0, 2, 0, 0))
     reasons: dict[str, list[str]] = {}

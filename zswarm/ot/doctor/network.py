@@ -18,6 +18,7 @@ from zswarm import session
 from zswarm.errors import ConfigError
 from zswarm.ot import discovery
 from zswarm.ot.doctor.finding import Finding, broken, ok, warning
+from zswarm.ot.terminal import plural
 from zswarm.protocol.codec import clean
 from zswarm.protocol.messages import Requirements
 from zswarm.session import Reach
@@ -206,7 +207,7 @@ def servers(realm: str, reach: Reach, simulators: Requirements | None = None) ->
     offers = [found for found in survey.servers if found.offer is not None and not found.offer.mismatch]
     if offers:
         slots = sum(found.offer.capacity for found in offers if found.offer)
-        yield ok("servers", f"{len(offers)} in realm {realm} with {slots} slots, of this version: {_names(offers)}")
+        yield ok("servers", f"{len(offers)} in realm {realm} with {plural(slots, 'slot')}, of this version: {_names(offers)}")
     for found in survey.servers:
         why = found.reason or (found.offer.mismatch if found.offer else "")
         if why:
