@@ -160,6 +160,7 @@ def test_servers_that_do_not_match_are_named_with_the_reason(tmp_path: Path) -> 
         assert optimizer.wait() == 4
         assert "no simulator 'emergency-exit' here; there are minisim" in optimizer.err.read_text()
         assert "0 of 1 matching servers" in only_line(optimizer)
+        assert optimizer.err.read_text().splitlines()[-1].startswith("stopped; nothing is lost."), "after the reason"
         seen = Optimizer(tmp_path, "seen", ["servers", "--wait", "1", "--for", "emergency-exit", "--json", *options])
         assert seen.wait() == 0
         assert seen.lines()[0]["mismatch"].startswith("no simulator")

@@ -15,6 +15,7 @@ from termios import TIOCSWINSZ
 import pytest
 
 from zswarm.ot.display import fitting
+from zswarm.ot.terminal import wrapped
 
 DEADLINE_S = 60.0
 UNSET = ("COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR")
@@ -75,3 +76,10 @@ def test_the_line_of_a_run_is_one_line(columns: int, environment: dict[str, str]
     assert coloured == ("NO_COLOR" not in environment)
     if "PYTHONIOENCODING" in environment:
         assert seen.isascii()
+
+
+def test_lines_above_a_live_one_are_broken_between_words() -> None:
+    text = f"lab-01-0123abcd: getting emergency-exit ready {'/a-long-path' * 8}"
+    lines = wrapped(text, 40).splitlines()
+    assert lines[0] == "lab-01-0123abcd: getting emergency-exit"
+    assert [line.strip() for line in lines[1:]] == ["ready", "/a-long-path" * 8]
