@@ -99,7 +99,7 @@ def load_controller(path: Path) -> Controller:
     if file != path and not file.exists():
         if below := sorted(path.glob(f"*/{CHAMPION}")):
             one = codec.clean(str(below[0].parent))
-            raise ConfigError(f"{shown}: a folder of {len(below)} runs; expected one of them, such as {one}")
+            raise ConfigError(f"{shown}: a folder of runs; expected one of them, such as {one}")
         raise ConfigError(f"{shown}: cannot be read: no {CHAMPION} in it; expected a run that finished a generation")
     if path.suffix == ".toml":
         raise ConfigError(f"{shown}: an experiment has no champion; expected the folder of its run, or a {CHAMPION}")
