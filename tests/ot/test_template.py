@@ -25,7 +25,6 @@ def completed(text: str, folder: Path) -> experiment.Experiment:
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("ZSWARM_PLAIN", "1")  # init sets it; it is to be as before
     return tmp_path
 
 

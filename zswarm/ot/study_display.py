@@ -217,7 +217,7 @@ def _of(ended: Ended) -> str:
 
 def _show(outcome: Outcome) -> None:
     """What it came to."""
-    table = terminal.table("setting", "runs", "q25", "median", "q75", "best", "evaluations in all")
+    table = terminal.table("setting", "runs", "q25", "median", "q75", "best", "evaluated")
     for summary in outcome.settings:
         label = summary.label or ("as it is" if len(outcome.settings) > 1 else "all runs")
         values = [_number(value) for value in (summary.q25, summary.median, summary.q75, summary.best)]
