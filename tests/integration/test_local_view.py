@@ -95,6 +95,7 @@ def metrics(port: int) -> dict[str, float]:
 # ---- systemd
 
 
+@pytest.mark.faults
 def test_a_watchdog_is_fed_idle_and_busy_and_not_when_a_slot_is_missed(scene: Scene, systemd: Systemd) -> None:
     """Ready comes when the slots are warm; what is missed is named in the log, to systemd and by status."""
     scene.environment |= systemd.environment
@@ -300,6 +301,7 @@ def test_metrics_agree_with_the_run(scene: Scene) -> None:
     assert f'zswarm_ss_info{{realm="default",server="{ready["server"]}",version="{ready["program"]}"}}' in numbers
 
 
+@pytest.mark.faults
 def test_who_hangs_on_socket_or_port_hurts_no_run(scene: Scene) -> None:
     server, pace, port = metered(scene)
     pace.set(0.05)

@@ -87,7 +87,7 @@ def test_a_killed_optimizer_goes_on_and_repeats_nothing(tmp_path: Path, alone: s
     assert check_run(tmp_path / "runs" / "disturbed").history_hash == alone
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.long)])
 def test_a_stopped_optimizer_says_how_to_go_on(tmp_path: Path, alone: str, number: int, code: int) -> None:
     stopped = run(tmp_path, "stopped", "--servers", "local")
     wait_until(lambda: counted(tmp_path) > 100, "some trials are counted")

@@ -112,6 +112,7 @@ def test_repeat_is_an_option_and_the_end_is_told_to_people(tmp_path: Path) -> No
     assert "\x1b" not in out + "".join(told)
 
 
+@pytest.mark.long
 def test_a_finished_study_is_told_again_and_grows_with_its_file(tmp_path: Path) -> None:
     """Repeats are added; a value that is gone leaves its runs alone; with more generations those that are there go on."""
     first = play(tmp_path, "first", "run", write(tmp_path, GRID))
@@ -159,7 +160,8 @@ def test_a_killed_study_goes_on_and_repeats_nothing(tmp_path: Path, undisturbed:
     assert {name: query(study / name, "SELECT count(*), max(at) FROM outcomes") for name in before} == before
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.long)])
+@pytest.mark.faults
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_stopped_study_says_how_to_go_on(tmp_path: Path, undisturbed: dict[str, str], number: int, code: int) -> None:
     study = tmp_path / "runs" / "sweep"
     stopped = play(tmp_path, "stopped", "run", slow(tmp_path))
