@@ -151,9 +151,10 @@ def test_a_copy_that_is_resumed_takes_over_from_a_stopped_optimizer(scene: Scene
     assert len(server.events("lease_taken_over")) == 1
     scene.go_on(old.process.pid)
     assert old.wait() == 1
-    *_, last = old.err.read_text().splitlines()
-    assert last.startswith("zswarm-ot: ss-")
-    assert last.endswith("the run was taken over: its epoch is 1, not 0")
+    *_, reason, last = old.err.read_text().splitlines()
+    assert reason.startswith("zswarm-ot: ss-")
+    assert last.startswith("stopped; nothing is lost. Go on with: ")
+    assert reason.endswith("the run was taken over: its epoch is 1, not 0")
     assert "Traceback" not in old.err.read_text()
     assert kept <= scene.counted() < undisturbed.trials
     scene.check(scene.optimizer(server.endpoint, resume=scene.run).done(), undisturbed)
