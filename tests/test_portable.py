@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from zswarm.draws import Stream
-from zswarm.portable import INT_MAX, INT_MIN, exp, sigmoid, to_int
+from zswarm.portable import INT_MAX, INT_MIN, exp, sigmoid, tanh, to_int
 
-PLAIN = {function.__name__: getattr(function, "py_func", function) for function in (exp, sigmoid, to_int)}
+PLAIN = {function.__name__: getattr(function, "py_func", function) for function in (exp, sigmoid, tanh, to_int)}
 MANY = np.concatenate(
     [Stream(1).uniform(-746.0, 709.7, 20_000), Stream(2).uniform(-2.0, 2.0, 20_000), np.arange(-745.0, 709.5, 0.25)]
 )
@@ -75,6 +75,28 @@ def test_sigmoid_has_the_right_limits(x: float, value: float) -> None:
 def test_sigmoid_is_within_two_units_in_the_last_place() -> None:
     for x in Stream(4).uniform(-40.0, 40.0, 5000).tolist():
         assert ulps(sigmoid(x), 1.0 / (1.0 + math.exp(-x))) <= 2.0
+
+
+# From 0 over the smallest and the largest to infinity: 100 numbers of each power of two.
+FLOAT32S = np.append(np.arange(0, 0x7F800000, 0x800000 // 100, np.uint32).view(np.float32), np.float32(np.inf))
+
+
+def test_tanh_is_near_its_value_odd_and_never_falls() -> None:
+    values = np.array([tanh(x) for x in FLOAT32S], np.float32)
+    assert np.abs(values - np.tanh(FLOAT32S.astype(np.float64))).max() < 3.7e-5
+    assert (np.diff(values) >= 0).all()
+    assert values[0] == 0.0
+    assert values[-1] == 1.0
+    assert [tanh(-x) for x in FLOAT32S[::50]] == (-values[::50]).tolist()
+    assert math.isnan(tanh(np.float32(math.nan)))
+    assert hashlib.blake2b(values.astype("<f4").tobytes(), digest_size=8).hexdigest() == "52b8656b87634a99"
+
+
+def test_tanh_in_python_gives_the_same_bits_as_the_compiled_form() -> None:
+    for x in np.append(FLOAT32S[::7], Stream(5).uniform(-6.0, 6.0, 2000).astype(np.float32)):
+        plain = PLAIN["tanh"](x)
+        assert plain.dtype == np.float32
+        assert plain == tanh(x)
 
 
 def test_the_bits_are_those_of_every_other_machine() -> None:

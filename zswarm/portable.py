@@ -23,6 +23,15 @@ LARGEST, SMALLEST = 709.782712893383973096, -745.13321910194110842
 LOWEST_POWER = -1075
 POWERS_OF_TWO = np.array([2.0**k for k in range(LOWEST_POWER, 1024)])
 
+# tanh: 1 - 2 / (e^2x + 1), where e^2x is the fourth power of a polynomial close to e^(x/2); coefficients fitted by us to the
+# least greatest error, 3.6e-5. All are positive, so every step grows with x and no rounding makes the whole fall.
+T1 = np.float32(0.49962949)
+T2 = np.float32(0.12714170)
+T3 = np.float32(0.01738343)
+T4 = np.float32(0.00450478)
+ONE, TWO = np.float32(1), np.float32(2)
+FLAT = np.float32(20)  # from here on tanh is 1
+
 INT_MAX, INT_MIN = 2147483647, -2147483648
 
 
@@ -51,6 +60,18 @@ def exp(x):  # type: ignore[no-untyped-def]  # compiled
 def sigmoid(x):  # type: ignore[no-untyped-def]  # compiled
     """1 / (1 + exp(-x)), float64."""
     return 1.0 / (1.0 + exp(-x))
+
+
+@inline
+def tanh(x):  # type: ignore[no-untyped-def]  # compiled
+    """The hyperbolic tangent of a float32, within 3.7e-5 and never above 1; it is odd and never falls as x grows. NaN for NaN."""
+    size = abs(x)
+    if size > FLAT:
+        size = FLAT
+    root = ONE + size * (T1 + size * (T2 + size * (T3 + size * T4)))
+    square = root * root
+    y = ONE - TWO / (square * square + ONE)
+    return y if x >= 0 else -y
 
 
 @inline

@@ -79,8 +79,8 @@ def test_plain_python_decides_the_same_bits_as_the_compiled_step(net: dict[str, 
         assert action.tobytes() == np.array(expected, np.float32).tobytes()
 
 
-def test_clamp_keeps_outputs_between_0_and_1_and_relu_above_0() -> None:
-    for activation, low, high in (("clamp", 0.0, 1.0), ("sigmoid", 0.5, 1.0), ("relu", 0.0, 100.0)):
+def test_every_activation_keeps_its_bounds() -> None:
+    for activation, low, high in (("clamp", 0.0, 1.0), ("sigmoid", 0.5, 1.0), ("relu", 0.0, 100.0), ("tanh", -1.0, 1.0)):
         built = network(hidden=0, inputs=1, outputs=2, iterations=1, activation=activation)
         genome = np.array([[0, 0, 0, -100], [0, 0, 0, 100]], "<f4")
         if activation == "sigmoid":
@@ -97,7 +97,12 @@ def test_every_representation_keeps_the_contract(name: str) -> None:
 
 @pytest.mark.parametrize(
     "settings",
-    [{"hidden": 0}, {"hidden": 7, "iterations": 3, "activation": "sigmoid"}, {"activation": "relu", "iterations": 1}],
+    [
+        {"hidden": 0},
+        {"hidden": 7, "iterations": 3, "activation": "sigmoid"},
+        {"activation": "relu", "iterations": 1},
+        {"activation": "tanh"},
+    ],
 )
 def test_other_settings_keep_the_contract(settings: dict[str, Any]) -> None:
     check_representation(FullyMeshed, settings)
@@ -190,7 +195,7 @@ def test_random_weights_and_biases_fill_their_own_ranges() -> None:
     [
         ({"hidden": -1}, "hidden: expected int >= 0"),
         ({"iterations": 0}, "iterations: expected int >= 1"),
-        ({"activation": "tanh"}, "activation: expected clamp, sigmoid or relu, not 'tanh'"),
+        ({"activation": "step"}, "activation: expected clamp, sigmoid, relu or tanh, not 'step'"),
         ({"weight_range": 0.0}, "weight_range: expected float > 0.0"),
     ],
 )

@@ -3,6 +3,7 @@
 Nodes are numbered inputs, hidden, outputs; every non-input node hears every node, itself included. One decision repeats
 ``iterations`` times: clamp the inputs, compute all activations from the previous outputs, then set all outputs. Outputs
 last from one decision to the next. FREVO's random source (noise on the biases) is not offered: it is off by default there.
+``tanh`` is an activation that FREVO does not have.
 
 Genome: per non-input node (hidden, then outputs) the weights from nodes 0..N-1, then its bias; float32, little-endian.
 """
@@ -17,10 +18,10 @@ from msgspec import Meta
 from zswarm.draws import Stream
 from zswarm.jit import STEP_SIGNATURE, float32, kernel
 from zswarm.nets.representation import Representation
-from zswarm.portable import sigmoid
+from zswarm.portable import sigmoid, tanh
 
-ACTIVATIONS = ("clamp", "sigmoid", "relu")
-CLAMP, SIGMOID, RELU = 0, 1, 2
+ACTIVATIONS = ("clamp", "sigmoid", "relu", "tanh")
+CLAMP, SIGMOID, RELU, TANH = range(4)
 LANES = 4  # neurons computed side by side; the tables are padded to a multiple of it
 HEADER = 4  # iterations, activation, neurons, 0
 ZERO, ONE = np.float32(0), np.float32(1)
@@ -32,8 +33,8 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     hidden: Annotated[int, Meta(ge=0, le=1000, description="nodes beside inputs and outputs")] = 2
     iterations: Annotated[int, Meta(ge=1, le=100, description="updates of all nodes in one decision")] = 2
     activation: Annotated[
-        Literal["clamp", "sigmoid", "relu"],
-        Meta(description="clamp: cut to 0..1; sigmoid: 1 / (1 + e^-x); relu: negative is 0"),
+        Literal["clamp", "sigmoid", "relu", "tanh"],
+        Meta(description="clamp: cut to 0..1; sigmoid: 1 / (1 + e^-x); relu: negative is 0; tanh: -1..1, within 3.7e-5"),
     ] = "clamp"
     weight_range: Annotated[
         float,
@@ -89,6 +90,9 @@ def step(parameters, state, observation, output):  # type: ignore[no-untyped-def
         elif activation == RELU:
             for neuron in range(neurons):
                 outputs[neuron] = max(fresh[neuron], ZERO)
+        elif activation == TANH:
+            for neuron in range(neurons):
+                outputs[neuron] = tanh(fresh[neuron])
         else:
             for neuron in range(neurons):
                 outputs[neuron] = float32(sigmoid(np.float64(fresh[neuron])))
