@@ -1,9 +1,6 @@
 """Emergency exit gives what FREVO recorded, and agrees with a second writing of its data sheet."""
 
 import json
-import os
-import subprocess
-import sys
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -211,40 +208,6 @@ def test_every_simulator_keeps_the_contract(name: str) -> None:
 @pytest.mark.parametrize("settings", UNUSUAL[1:])
 def test_unusual_settings_keep_the_contract(settings: dict[str, Any]) -> None:
     check_simulator(EmergencyExit, settings)
-
-
-PLAIN = """
-import sys
-import numpy as np
-from zswarm import portable
-from zswarm.draws import Stream
-from zswarm.evaluate import build, evaluate
-
-assert (type(portable.exp).__name__ == "function") == (sys.argv[1] == "plain")
-for activation in ("clamp", "sigmoid", "relu"):
-    for problem in ({"steps": 12}, {"steps": 3, "field": "stadium"}):
-        simulator, network = build("emergency-exit", problem, "fully-meshed", {"activation": activation})
-        genomes = network.random(2, Stream(7))
-        outcomes = evaluate(simulator, network, genomes, np.array([[0], [1]]), np.array([4, 5], np.uint64))
-        print(outcomes.fitness.tobytes().hex(), outcomes.metrics.tobytes().hex(), outcomes.error)
-"""
-
-
-def test_plain_python_gives_the_same_bits_as_the_kernel() -> None:
-    printed = {}
-    for form, options in (("compiled", {}), ("plain", {"NUMBA_DISABLE_JIT": "1"}), ("plain", {"ZSWARM_PLAIN": "1"})):
-        done = subprocess.run(
-            [sys.executable, "-c", PLAIN, form],
-            env={**os.environ, "NUMBA_DISABLE_JIT": "0", "ZSWARM_PLAIN": "", **options},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert done.returncode == 0, done.stderr
-        printed[str(options)] = done.stdout
-    assert len(printed) == 3
-    assert len(set(printed.values())) == 1
-    assert len(set(printed["{}"].split())) > 10, "the trials differ from one another"
 
 
 def test_one_seed_lays_out_one_field_whatever_else_is_in_the_batch() -> None:
