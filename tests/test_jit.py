@@ -1,4 +1,4 @@
-"""Compiled code is kept where a change of any code that takes part makes it compile anew."""
+"""Compiled code is kept where a change of any code that takes part, or of the processor, makes it compile anew."""
 
 import os
 import shutil
@@ -68,6 +68,18 @@ def test_a_change_in_a_called_file_gives_the_new_result_and_a_new_cache_folder(t
     callee.write_text(original)
     assert run(DECIDE, tmp_path, cache) == ["0.5", "1", folder], "the first folder still serves the first code"
     assert {path.name for path in cache.iterdir()} == {Path(folder).name, Path(other_folder).name}
+
+
+@pytest.mark.long
+def test_machines_of_unlike_processors_share_a_cache_and_each_finds_its_own_kernels(tmp_path: Path) -> None:
+    """A home folder of the network: code for a newer processor would end the program on the older one."""
+    generic = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
+    first, second = run(DECIDE, PACKAGE.parent, tmp_path), run(DECIDE, PACKAGE.parent, tmp_path, **generic)
+    assert (first[:2], second[:2]) == (["0.5", "0"], ["0.5", "0"]), "each compiles"
+    assert Path(first[2]).parent == Path(second[2]).parent == tmp_path
+    assert first[2] != second[2]
+    assert run(DECIDE, PACKAGE.parent, tmp_path) == ["0.5", "1", first[2]]
+    assert run(DECIDE, PACKAGE.parent, tmp_path, **generic) == ["0.5", "1", second[2]]
 
 
 def test_plain_kernels_need_no_numba(tmp_path: Path) -> None:

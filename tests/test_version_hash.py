@@ -132,3 +132,38 @@ def test_every_module_that_computes_for_a_part_is_hashed(kind: plugins.Kind) -> 
         (own,) = plugins.source_files(kind, name)
         needed = {own} | imported(own) | imported(PACKAGE / "evaluate.py")
         assert {file for file in needed - shared - {own} if file.name not in COMPUTES_NOTHING} == set()
+
+
+X86 = "processor\t: 0\nvendor_id\t: GenuineIntel\nmodel\t\t: 207\ncpu MHz\t\t: 2100.000\nflags\t\t: fpu avx2\n"
+ARM = "processor\t: 0\nBogoMIPS\t: 50.00\nFeatures\t: fp asimd\nCPU part\t: 0xd0c\n"
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "same"),
+    [
+        (X86, X86.replace("2100", "3500"), True),
+        (X86, X86 + "\n" + X86.replace("avx2", "avx"), True),
+        (X86, X86.replace("avx2", "avx"), False),
+        (X86, X86.replace("207", "143"), False),
+        (ARM, ARM.replace("asimd", "asimd sve"), False),
+        (ARM, ARM.replace("0xd0c", "0xd40"), False),
+        (ARM, "", False),
+    ],
+)
+def test_another_processor_has_a_cache_of_its_own(
+    one: str, other: str, same: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And the same version hash: it computes the same."""
+    monkeypatch.setattr(version_hash, "CPUINFO", tmp_path / "cpuinfo")
+    before = fresh()
+    hashes = []
+    for text in (one, other):
+        (tmp_path / "cpuinfo").write_text(text)
+        hashes.append(fresh())
+    assert (hashes[0] == hashes[1]) == same
+    assert {problem for problem, _ in hashes} == {before[0]}
+
+
+def test_where_nothing_tells_the_processor_there_is_a_cache_nevertheless(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(version_hash, "CPUINFO", tmp_path / "none")
+    assert fresh() == fresh()

@@ -1,8 +1,8 @@
 """Compiles kernels with numba: the same bits on every machine, and a cache that notices every change.
 
 numba's own cache looks only at the file a function stands in and would return old results after a change elsewhere.
-So the cache lies in a folder named by the hash of all code that may be compiled (``version_hash.cache_hash``), chosen
-here before numba is imported. Import numba's names from this module only.
+So the cache lies in a folder named by the hash of all code that may be compiled and of the processor
+(``version_hash.cache_hash``), chosen here before numba is imported. Import numba's names from this module only.
 
 With ``ZSWARM_PLAIN=1`` kernels stay Python functions, which do the same, slowly: for tests, and for programs that look at
 genomes but evaluate nothing.

@@ -2,17 +2,28 @@
 
 It covers the shared files, the simulator, the representation, and the versions of the libraries that turn them into
 machine code. Servers whose hash differs from the optimizer's are named and not used.
+
+The cache hash names the folder of the compiled kernels. It covers all code that may be compiled, and the processor: a home
+folder may be shared by machines of unlike processors. numba does tell them apart in one folder, but two that compile at the same
+time choose the same file name, and one of them then runs the other's machine code.
 """
 
 import hashlib
+import os
+import platform
+import re
 from collections.abc import Iterable
 from functools import cache
 from importlib.metadata import version
+from itertools import takewhile
 from pathlib import Path
 
 from zswarm import plugins
 
 LIBRARIES = ("llvmlite", "numba", "numpy", "pymunk")
+CPUINFO = Path("/proc/cpuinfo")
+# What compiled code depends on: x86-64, then aarch64. The rest differs between equal machines, or from day to day.
+KIND = "vendor_id|cpu family|model|flags|CPU implementer|CPU architecture|CPU variant|CPU part|Features"
 SHARED = ("draws.py", "evaluate.py", "jit.py", "portable.py", "nets/representation.py", "sims/simulator.py")
 
 
@@ -25,15 +36,16 @@ def version_hash(simulator: str, representation: str) -> str:
 
 @cache
 def cache_hash() -> str:
-    """32 hex digits for all code that may be compiled on this machine: bundled and plug-ins."""
+    """32 hex digits for all code that may be compiled on this machine, bundled and plug-ins, and for its processor."""
     package = Path(__file__).parent
     bundled = [file for folder in ("nets", "sims") for file in sorted((package / folder).glob("*.py"))]
-    return digest([*bundled, *plugins.plugin_files()])
+    return digest([*bundled, *plugins.plugin_files()], _processor())
 
 
-def digest(files: Iterable[Path]) -> str:
-    """32 hex digits over the shared files, the given ones (name and content) and the libraries' versions."""
+def digest(files: Iterable[Path], text: str = "") -> str:
+    """32 hex digits over the shared files, the given ones (name and content), the libraries' versions, and a text."""
     total = _shared().copy()
+    total.update(text.encode())
     for file in files:
         _add(total, file)
     return total.hexdigest()
@@ -51,3 +63,15 @@ def _shared() -> "hashlib.blake2b":
 
 def _add(total: "hashlib.blake2b", file: Path) -> None:
     total.update(file.name.encode() + hashlib.blake2b(file.read_bytes(), digest_size=16).digest())
+
+
+def _processor() -> str:
+    """Its kind, and the one that numba is told to compile for instead."""
+    told = [os.environ.get(name, "") for name in ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES")]
+    try:
+        with CPUINFO.open() as lines:  # the first processor's; a text for each would take long on a large machine
+            first = "".join(takewhile(str.strip, lines))
+    except OSError:  # macOS
+        first = ""
+    kind = re.findall(rf"^(?:{KIND})\t*:.*", first, re.M)
+    return "\n".join([platform.machine(), *kind, *told])
