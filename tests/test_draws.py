@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from zswarm.draws import Stream, derive_seed, draw_integer
+from zswarm.draws import AHEAD, Stream, derive_seed, draw_integer
 
 KNOWN = [6457827717110365317, 3203168211198807973, 9817491932198370423, 4593380528125082431, 16408922859458223821]
 MASK = 2**64 - 1
@@ -80,7 +80,19 @@ def test_integers_are_drawn_evenly_and_reach_both_ends() -> None:
 
 def test_one_integer_is_one_of_many() -> None:
     one_by_one, at_once = Stream(3), Stream(3)
-    assert [one_by_one.integer(100) for _ in range(50)] == at_once.integers(100, 50).tolist()
+    assert [one_by_one.integer(100) for _ in range(2 * AHEAD + 1)] == at_once.integers(100, 2 * AHEAD + 1).tolist()
+    assert one_by_one.position == at_once.position
+
+
+@given(st.integers(0, MASK), st.lists(st.tuples(st.booleans(), st.integers(0, 2 * AHEAD)), max_size=6))
+def test_integers_drawn_one_by_one_and_words_share_their_stream(seed: int, parts: list[tuple[bool, int]]) -> None:
+    stream, expected = Stream(seed), Stream(seed).words(sum(count for _, count in parts)).tolist()
+    for one_by_one, count in parts:
+        words, expected = expected[:count], expected[count:]
+        if one_by_one:
+            assert [stream.integer(1000) for _ in range(count)] == [(word >> 32) * 1000 >> 32 for word in words]
+        else:
+            assert stream.words(count).tolist() == words
 
 
 @given(st.integers(0, MASK), st.lists(st.integers(1, 2**32 - 1), max_size=10))

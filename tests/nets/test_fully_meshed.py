@@ -11,6 +11,7 @@ import pytest
 from zswarm import plugins
 from zswarm.draws import Stream
 from zswarm.errors import ConfigError
+from zswarm.nets import fully_meshed
 from zswarm.nets.fully_meshed import FullyMeshed, Settings
 from zswarm.strict import convert
 from zswarm.testing import check_representation
@@ -325,17 +326,18 @@ def test_a_recorded_crossover_is_a_child_of_ours() -> None:
         assert expected in {built.crossover(mother, father, Stream(seed)) for seed in range(100)}
 
 
-def test_the_distance_is_the_sum_of_absolute_differences_added_in_gene_order() -> None:
+@pytest.mark.parametrize(("left", "right"), [(1, 1), (1, 2), (2, 1), (2, 5), (23, 1), (1, 40), (40, 40)])
+def test_the_distance_is_the_sum_of_absolute_differences_added_in_gene_order(
+    left: int, right: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fully_meshed, "BLOCK", 60 * 40 * 7)  # 40 rows are no multiple of 7
     built = network()
-    genomes = built.random(5, Stream(8))
-    distances = built.distances(genomes[:2], genomes)
-    flat = tables(built, genomes).reshape(5, -1)
-    for left in range(2):
-        for right in range(5):
-            total = 0.0
-            for a, b in zip(flat[left], flat[right], strict=True):
-                total += float(np.abs(a - b))
-            assert distances[left, right] == total
+    genomes = built.random(80, Stream(8))
+    flat = tables(built, genomes).reshape(80, -1)
+    total = np.zeros((left, right))
+    for gene in flat.T:
+        total += np.abs(gene[:left, None] - gene[-right:])
+    assert built.distances(genomes[:left], genomes[-right:]).tobytes() == total.tobytes()
 
 
 def test_the_recorded_mothers_got_a_father_far_from_them() -> None:

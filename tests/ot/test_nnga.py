@@ -15,6 +15,7 @@ from zswarm.errors import ConfigError
 from zswarm.evaluate import build, evaluate
 from zswarm.nets.fully_meshed import FullyMeshed
 from zswarm.nets.fully_meshed import Settings as NetworkSettings
+from zswarm.ot.history import History
 from zswarm.ot.optimizers import nnga
 from zswarm.ot.optimizers.nnga import NNGA, OPERATORS, REPEATS, Settings
 from zswarm.testing import check_optimizer
@@ -457,6 +458,63 @@ def test_populations_lose_their_diversity_as_fast_as_frevos() -> None:
     recorded = CURVES["stadium"]["diversity_avg_median"][:13]
     assert recorded[12] < 0.65 * recorded[0]
     assert np.allclose(np.median(diversity, axis=0), recorded, rtol=0.08)
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        (Settings(), "47f917bbf9d2a5aafccb6a671fdda2e9"),
+        (Settings(population=23, islands=3, exchange_interval=2), "74252a3707bc6641459b8d9837de383b"),
+        (Settings(population=200, mutation_method=2, probability=0.3), "2d37f001c583259feac1e0c883620c23"),
+    ],
+)
+def test_proposals_are_those_of_yesterday(settings: Settings, expected: str) -> None:
+    """Made once: a run that was begun with an earlier zswarm goes on as it would have there."""
+    optimizer, stream, history = NNGA(settings, FullyMeshed(NetworkSettings(), 10, 2), 5), Stream(6), History()
+    for _ in range(12):
+        genomes = optimizer.ask()
+        fitness = np.floor(stream.uniform(0.0, 9.0, len(genomes)))
+        optimizer.tell(fitness)
+        history.add(genomes, fitness)
+    assert history.hex() == expected
+
+
+class Counting(FullyMeshed):
+    """Counts what is asked of it."""
+
+    def __init__(self) -> None:
+        super().__init__(NetworkSettings(), 10, 2)
+        self.calls: Counter[str] = Counter()
+
+    def random(self, count: int, stream: Stream) -> list[bytes]:
+        self.calls["random"] += 1
+        return super().random(count, stream)
+
+    def mutate(self, genomes: Any, stream: Stream, **options: Any) -> list[bytes]:
+        self.calls["mutate"] += 1
+        return super().mutate(genomes, stream, **options)
+
+    def crossover(self, mother: bytes, father: bytes, stream: Stream) -> bytes:
+        self.calls["crossover"] += 1
+        return super().crossover(mother, father, stream)
+
+    def distances(self, left: Any, right: Any) -> np.ndarray:
+        self.calls["distances"] += 1
+        return super().distances(left, right)
+
+
+@pytest.mark.parametrize("population", [50, 500])
+def test_a_generation_asks_the_representation_once_for_all_and_once_for_each_child(population: int) -> None:
+    """What grows with the square of the population is one array: who differs from whom."""
+    network = Counting()
+    optimizer = evolved(NNGA(Settings(population=population), network, 1), 2)
+    network.calls.clear()
+    optimizer.statistics()
+    assert network.calls == {"distances": 1}
+    network.calls.clear()
+    optimizer.ask()
+    assert 0.3 * population <= network.calls.pop("crossover") <= 0.3 * population + REPEATS
+    assert network.calls == {"random": 1, "mutate": 1, "distances": 1}
 
 
 # ---- the contract -------------------------------------------------------------------------------------------------

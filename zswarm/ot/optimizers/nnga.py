@@ -162,8 +162,8 @@ class NNGA(Optimizer):
         repeats = REPEATS
         while len(children) < self.counts["crossover"]:
             mother, island = stream.integer(len(mothers)), stream.integer(len(islands))
-            suitors = stream.integers(len(islands[island]), SUITORS)
-            father = suitors[np.argmax(distances[island][mother, suitors])]  # the first of equals
+            suitors = [stream.integer(len(islands[island])) for _ in range(SUITORS)]
+            father = max(suitors, key=distances[island][mother].item)  # the first of equals
             child = self.representation.crossover(mothers[mother], islands[island][father], stream)
             if child not in existing:
                 existing.add(child)
@@ -178,7 +178,7 @@ class NNGA(Optimizer):
         """See ``Optimizer.state``."""
         return {
             "generation": self.generation,
-            "islands": [[msgspec.to_builtins(i, builtin_types=(bytes,)) for i in island] for island in self._islands],
+            "islands": msgspec.to_builtins(self._islands, builtin_types=(bytes,)),
             "best": list(self._best),
             "evaluations": self._evaluations,
             "count": self._count,
@@ -220,7 +220,8 @@ class NNGA(Optimizer):
 
     def _pair_distances(self, island: list[Individual]) -> np.ndarray:
         genomes = [individual.genome for individual in island]
-        return self.representation.distances(genomes, genomes)[np.triu_indices(len(genomes), 1)]
+        pairs: np.ndarray = self.representation.distances(genomes, genomes)[~np.tri(len(genomes), dtype=bool)]
+        return pairs
 
 
 def _rank_key(fitness: float) -> tuple[bool, float]:
