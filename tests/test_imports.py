@@ -22,7 +22,7 @@ MODULES = {
     if path.stem != "__init__" and "examples" not in path.parts
 }
 LEAVES = {
-    *("draws", "endpoint", "errors", "extras", "files", "jit", "log", "notify", "plugins", "portable", "screen"),
+    *("draws", "endpoint", "errors", "extras", "files", "jit", "lanes", "log", "notify", "plugins", "portable", "screen"),
     *("settings_sheet", "strict", "toml_line", "version_hash"),
 }
 MAY_IMPORT = {
@@ -43,7 +43,7 @@ MAY_IMPORT = {
 }
 ONLY_IN = {
     "zenoh": {"session", "ot.cluster", "ot.discovery", "ss.presence", "security.refusals"},  # docs/architecture.md says why
-    "numba": {"jit"},
+    "numba": {"jit", "lanes"},
     "cryptography": {"security.authority", "security.certificates", "security.bundle", "security.install"},
     "prometheus_client": {"ss.metrics"},
     "matplotlib": {"ot.figures", "ot.reading", "api"},  # for their types; it is imported by extras.need, as are scipy and jinja2
@@ -214,7 +214,7 @@ def differing_in_kernel(function: ast.FunctionDef) -> list[str]:
     return found
 
 
-COMPUTING = [module for module in MODULES if group(module) in ("nets", "sims") or module in ("portable", "draws")]
+COMPUTING = [module for module in MODULES if group(module) in ("nets", "sims") or module in ("portable", "lanes", "draws")]
 
 
 @pytest.mark.parametrize("module", COMPUTING)

@@ -2,7 +2,8 @@
 
 numba's own cache looks only at the file a function stands in and would return old results after a change elsewhere.
 So the cache lies in a folder named by the hash of all code that may be compiled and of the processor
-(``version_hash.cache_hash``), chosen here before numba is imported. Import numba's names from this module only.
+(``version_hash.cache_hash``), chosen here before numba is imported. Import numba's names from this module only;
+``lanes.py``, which teaches numba a type, imports more.
 
 With ``ZSWARM_PLAIN=1`` kernels stay Python functions, which do the same, slowly: for tests, and for programs that look at
 genomes but evaluate nothing.
@@ -80,8 +81,12 @@ def array(dtype: Any, dimensions: int = 1) -> Any:
 
 
 def kernel(signature: Any) -> Any:
-    """Compile a function for one signature, strictly: no fast-math, no reordering, division by zero as in numpy."""
-    return _as_it_is if PLAIN else numba.njit(signature, cache=True, error_model="numpy")
+    """Compile a function for one signature, strictly: no fast-math, no reordering, division by zero as in numpy.
+
+    A controller's decision makes no arrays: without numba's counting of who uses those that it is given, it costs half.
+    """
+    counts = PLAIN or signature != STEP_SIGNATURE
+    return _as_it_is if PLAIN else numba.njit(signature, cache=True, error_model="numpy", _nrt=counts)  # type: ignore[call-overload]  # private
 
 
 def inline(function: Any) -> Any:

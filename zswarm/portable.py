@@ -8,6 +8,7 @@ take transcendental functions from this file only.
 import numpy as np
 
 from zswarm.jit import inline
+from zswarm.lanes import select
 
 # exp: x = k ln 2 + r, |r| <= ln 2 / 2, and a rational approximation of exp(r) (W. J. Cody, W. Waite, "Software Manual for
 # the Elementary Functions", 1980; constants as in the public fdlibm, e_exp). Error below 1 unit in the last place.
@@ -29,7 +30,7 @@ T1 = np.float32(0.49962949)
 T2 = np.float32(0.12714170)
 T3 = np.float32(0.01738343)
 T4 = np.float32(0.00450478)
-ONE, TWO = np.float32(1), np.float32(2)
+ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
 FLAT = np.float32(20)  # from here on tanh is 1
 
 INT_MAX, INT_MIN = 2147483647, -2147483648
@@ -64,14 +65,14 @@ def sigmoid(x):  # type: ignore[no-untyped-def]  # compiled
 
 @inline
 def tanh(x):  # type: ignore[no-untyped-def]  # compiled
-    """The hyperbolic tangent of a float32, within 3.7e-5 and never above 1; it is odd and never falls as x grows. NaN for NaN."""
-    size = abs(x)
-    if size > FLAT:
-        size = FLAT
+    """The hyperbolic tangent of a float32, or of lanes, within 3.7e-5 and at most 1; odd, never falls as x grows; NaN for NaN."""
+    negative = x < ZERO
+    size = select(negative, ZERO - x, x)
+    size = select(size > FLAT, FLAT, size)
     root = ONE + size * (T1 + size * (T2 + size * (T3 + size * T4)))
     square = root * root
     y = ONE - TWO / (square * square + ONE)
-    return y if x >= 0 else -y
+    return select(negative, ZERO - y, y)
 
 
 @inline

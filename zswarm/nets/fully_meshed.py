@@ -16,13 +16,13 @@ import numpy as np
 from msgspec import Meta
 
 from zswarm.draws import Stream
-from zswarm.jit import STEP_SIGNATURE, float32, kernel
+from zswarm.jit import STEP_SIGNATURE, float32, inline, kernel
+from zswarm.lanes import LANES, fill, load, select, store
 from zswarm.nets.representation import Representation
 from zswarm.portable import sigmoid, tanh
 
 ACTIVATIONS = ("clamp", "sigmoid", "relu", "tanh")
 CLAMP, SIGMOID, RELU, TANH = range(4)
-LANES = 4  # neurons computed side by side; the tables are padded to a multiple of it
 BLOCK = 64_000  # differences of genes that are held at once: 256 kB stay in the processor's cache
 HEADER = 4  # iterations, activation, neurons, 0
 ZERO, ONE = np.float32(0), np.float32(1)
@@ -44,61 +44,100 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     bias_range: Annotated[float, Meta(gt=0, le=1e6, description="the same of biases")] = 2.0
 
 
+@inline
+def activate(activation, state, at, to, wanted):  # type: ignore[no-untyped-def]  # compiled
+    """Eight outputs from eight sums, of which so many are wanted."""
+    sums = load(state, at)
+    if activation == CLAMP:
+        positive = select(sums < ZERO, ZERO, sums)
+        store(state, to, select(positive > ONE, ONE, positive))
+    elif activation == RELU:
+        store(state, to, select(sums < ZERO, ZERO, sums))
+    elif activation == TANH:
+        store(state, to, tanh(sums))
+    else:
+        for lane in range(wanted):
+            state[to + lane] = float32(sigmoid(np.float64(state[at + lane])))
+
+
+@inline
+def take(array, at):  # type: ignore[no-untyped-def]  # compiled
+    """What four neurons have, eight agents each."""
+    return load(array, at), load(array, at + LANES), load(array, at + 2 * LANES), load(array, at + 3 * LANES)
+
+
+@inline
+def put(sums, array, at):  # type: ignore[no-untyped-def]  # compiled
+    """Write it."""
+    for neuron in range(4):
+        store(array, at + neuron * LANES, sums[neuron])
+
+
+@inline
+def add(sums, parameters, at, value):  # type: ignore[no-untyped-def]  # compiled
+    """Add what one source gives to four neurons."""
+    weights = take(parameters, at)
+    return (
+        sums[0] + weights[0] * value,
+        sums[1] + weights[1] * value,
+        sums[2] + weights[2] * value,
+        sums[3] + weights[3] * value,
+    )
+
+
 @kernel(STEP_SIGNATURE)
 def step(parameters, state, observation, output):  # type: ignore[no-untyped-def]  # compiled
-    """One decision; the sums run over the sources in order, several neurons side by side.
+    """One decision; the sums run over the sources in order, eight neurons side by side.
 
     The inputs do not change between iterations, so what they add is summed once and each iteration goes on from there:
     the same additions in the same order as FREVO's.
     """
     iterations, activation, neurons = int(parameters[0]), int(parameters[1]), int(parameters[2])
     padded = state.shape[0] // 3
-    outputs, from_inputs, fresh = state[:padded], state[padded : 2 * padded], state[2 * padded :]
-    sources = observation.shape[0] + neurons
-    biases = parameters[HEADER + sources * padded :]
-    for lane in range(0, padded, LANES):
-        sum0, sum1, sum2, sum3 = ZERO, ZERO, ZERO, ZERO
+    from_inputs, fresh = padded, 2 * padded  # behind the outputs
+    inner = HEADER + observation.shape[0] * padded
+    biases = inner + neurons * padded
+    for first in range(0, padded, LANES):
+        sums = fill(ZERO)
         for source in range(observation.shape[0]):
-            weights = parameters[HEADER + source * padded + lane :]
-            value = observation[source]
-            sum0 = sum0 + weights[0] * value
-            sum1 = sum1 + weights[1] * value
-            sum2 = sum2 + weights[2] * value
-            sum3 = sum3 + weights[3] * value
-        from_inputs[lane], from_inputs[lane + 1], from_inputs[lane + 2], from_inputs[lane + 3] = sum0, sum1, sum2, sum3
+            sums = sums + load(parameters, HEADER + source * padded + first) * observation[source]
+        store(state, from_inputs + first, sums)
     for _ in range(iterations):
-        for lane in range(0, padded, LANES):
-            sum0, sum1, sum2, sum3 = (
-                from_inputs[lane],
-                from_inputs[lane + 1],
-                from_inputs[lane + 2],
-                from_inputs[lane + 3],
-            )
+        for first in range(0, padded, LANES):
+            sums = load(state, from_inputs + first)
             for neuron in range(neurons):
-                weights = parameters[HEADER + (observation.shape[0] + neuron) * padded + lane :]
-                value = outputs[neuron]
-                sum0 = sum0 + weights[0] * value
-                sum1 = sum1 + weights[1] * value
-                sum2 = sum2 + weights[2] * value
-                sum3 = sum3 + weights[3] * value
-            fresh[lane] = biases[lane] + sum0
-            fresh[lane + 1] = biases[lane + 1] + sum1
-            fresh[lane + 2] = biases[lane + 2] + sum2
-            fresh[lane + 3] = biases[lane + 3] + sum3
-        if activation == CLAMP:
-            for neuron in range(neurons):
-                outputs[neuron] = min(max(fresh[neuron], ZERO), ONE)
-        elif activation == RELU:
-            for neuron in range(neurons):
-                outputs[neuron] = max(fresh[neuron], ZERO)
-        elif activation == TANH:
-            for neuron in range(neurons):
-                outputs[neuron] = tanh(fresh[neuron])
-        else:
-            for neuron in range(neurons):
-                outputs[neuron] = float32(sigmoid(np.float64(fresh[neuron])))
+                sums = sums + load(parameters, inner + neuron * padded + first) * state[neuron]
+            store(state, fresh + first, load(parameters, biases + first) + sums)
+        for first in range(0, padded, LANES):
+            activate(activation, state, fresh + first, first, min(LANES, neurons - first))
     for index in range(output.shape[0]):
-        output[index] = outputs[neurons - output.shape[0] + index]
+        output[index] = state[neurons - output.shape[0] + index]
+
+
+@kernel(STEP_SIGNATURE)
+def step_lanes(parameters, state, observation, output):  # type: ignore[no-untyped-def]  # compiled
+    """``step`` of eight agents, one in each lane; the sums of four neurons at a time, for they wait for one another."""
+    iterations, activation, neurons = int(parameters[0]), int(parameters[LANES]), int(parameters[2 * LANES])
+    row = state.shape[0] // 3  # the numbers of all neurons
+    from_inputs, fresh = row, 2 * row
+    inputs, outputs = observation.shape[0] // LANES, output.shape[0] // LANES
+    inner = HEADER * LANES + inputs * row
+    biases = inner + neurons * row
+    for first in range(0, neurons * LANES, 4 * LANES):
+        sums = fill(ZERO), fill(ZERO), fill(ZERO), fill(ZERO)
+        for source in range(inputs):
+            sums = add(sums, parameters, HEADER * LANES + source * row + first, load(observation, source * LANES))
+        put(sums, state, from_inputs + first)
+    for _ in range(iterations):
+        for first in range(0, neurons * LANES, 4 * LANES):
+            sums = take(state, from_inputs + first)
+            for neuron in range(neurons):
+                sums = add(sums, parameters, inner + neuron * row + first, load(state, neuron * LANES))
+            put(add(sums, parameters, biases + first, fill(ONE)), state, fresh + first)
+        for first in range(0, neurons * LANES, LANES):
+            activate(activation, state, fresh + first, first, LANES)
+    for index in range(outputs):
+        store(output, index * LANES, load(state, (neurons - outputs + index) * LANES))
 
 
 class FullyMeshed(Representation):
@@ -106,6 +145,7 @@ class FullyMeshed(Representation):
 
     settings_type = Settings
     step = staticmethod(step)
+    step_lanes = staticmethod(step_lanes)
     settings: Settings
 
     def __init__(self, settings: Settings, inputs: int, outputs: int) -> None:

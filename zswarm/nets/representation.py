@@ -22,6 +22,8 @@ class Representation(ABC):
     Attributes:
         settings_type: the struct of its settings in an experiment file.
         step: one decision, compiled with ``jit.STEP_SIGNATURE``; reads parameters and observation, changes state, fills output.
+        step_lanes: the same decision of eight agents side by side (``lanes.py``), or None. In each of the four arrays number k of
+            the agent in a lane stands at 8 k + lane; each agent has parameters and state of its own. Same bits as ``step``.
         state_size: float32 numbers of state per agent; all zero at the start of a trial.
         genome_bytes: length of every genome, or None where it varies.
         genes: float32 numbers that a genome is a plain list of, any finite ones; None where it is something else.
@@ -29,6 +31,7 @@ class Representation(ABC):
 
     settings_type: ClassVar[type[msgspec.Struct]]
     step: Step
+    step_lanes: Step | None = None
     state_size: int
     genome_bytes: int | None
     genes: int | None = None
