@@ -580,9 +580,15 @@ class OutOfOrder(NNGA):
         return super().ask()
 
 
+class TellsWhatItAsked(NNGA):
+    def statistics(self) -> dict[str, float]:
+        return {**super().statistics(), "renewed": float([i.operator for i in self._islands[0]].count("renew"))}
+
+
 @pytest.mark.parametrize(
     ("broken", "text"),
     [
+        (TellsWhatItAsked, "ask changes best or statistics"),
         (SharedDraws, "the same seed asks other genomes"),
         (DeafToSeeds, "another seed asks the same genomes"),
         (Forgetful, "state and restore change what is asked"),

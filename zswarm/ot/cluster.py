@@ -176,18 +176,18 @@ class Cluster:
     # ---- the caller's thread
 
     def evaluate(self, workload: Workload) -> Iterator[Item | None]:
-        """Evaluate what is not counted yet; yields what is counted and what happens, and None when nothing does for 0.1 s.
+        """Have evaluated what is not counted yet, from now on; yields what is counted and what happens.
 
-        A Disputed or ProbeDisputed wants a call of ``settle``.
+        It yields None when nothing does for 0.1 s. A Disputed or ProbeDisputed wants a call of ``settle``.
 
         Raises:
             EvaluationError: a trial faults again and again, or the run was taken over.
         """
         self._inbox.put(dispatch.Work(workload))
-        while True:
-            item = self._next(FLUSH_S)
-            if isinstance(item, Complete):
-                return
+        return self._until_complete()
+
+    def _until_complete(self) -> Iterator[Item | None]:
+        while not isinstance(item := self._next(FLUSH_S), Complete):
             yield item
 
     def settle(self, settled: Settled | ProbeSettled) -> None:

@@ -136,14 +136,17 @@ class Evaluations:
                 yield from self._taken(item)
 
     def evaluate(self, workload: Workload) -> Iterator[Happened | None]:
-        """Evaluate what is not counted yet; yields what happens, and None when nothing does for 0.1 s.
+        """Have evaluated what is not counted yet, from now on; yields what happens, and None when nothing does for 0.1 s.
 
         Raises:
             EvaluationError: trials cannot be evaluated.
             Stopped: ``stop`` was set, or the connection was closed.
         """
+        return self._follow(workload, self._cluster.evaluate(workload))
+
+    def _follow(self, workload: Workload, items: Iterator[Item | None]) -> Iterator[Happened | None]:
         last_served, told, served = time.monotonic(), "", False
-        for item in self._cluster.evaluate(workload):
+        for item in items:
             self._look_whether_to_stop()
             yield from self._taken(item, workload)
             self._hint()

@@ -14,8 +14,7 @@ class History:
 
     def add(self, genomes: Sequence[bytes], fitness: np.ndarray) -> None:
         """The next generation."""
-        for genome in genomes:
-            self._total.update(genome)
+        self._total.update(b"".join(genomes))
         self._total.update(fitness.astype("<f8").tobytes())
 
     def hex(self) -> str:

@@ -5,6 +5,8 @@ import time
 from collections.abc import Generator
 from typing import NamedTuple
 
+import msgspec
+
 from zswarm import plugins
 from zswarm.draws import derive_seed
 from zswarm.experiment import Experiment
@@ -56,58 +58,67 @@ def evolve(
     begin = time.monotonic()
     (problem, optimizer), complete = parts, parts.problem.experiment
     record.say = logger.on_say
-    resumed = record.resumed()
+    run_id, probe, resumed = record.meta("run_id"), record.meta("probe") or b"", record.resumed()
     if resumed.state is not None:
         optimizer.restore(resumed.state)
         if optimizer.best()[0]:
-            _keep_champion(parts, record)  # the end may have come between a generation and its champion
-    history, improved = record.history(), optimizer.best()[1]
+            _keep_champion(parts, record, run_id)  # the end may have come between a generation and its champion
+    history, improved, candidates = record.history(), optimizer.best()[1], record.evaluations()
     logger.on_start(Started(record.folder, complete, resumed.generation))
     logger.on_say(f"{complete.name}: {connection.who_computes()}")
     evaluations = Evaluations(
         problem,
         connection,
-        run=record.meta("run_id"),
+        run=run_id,
         epoch=record.meta("epoch"),
-        slots=complete.optimizer.settings.get("population", messages.MAX_SLOTS) * complete.problem.trials,
-        probe=record.meta("probe") or b"",
+        slots=(optimizer.candidates or messages.MAX_SLOTS) * complete.problem.trials,
+        probe=probe,
         logger=logger,
         stop=stop,
     )
     with evaluations:
         for early in evaluations.wait():
             _record(early, record)
+        if resumed.generation < complete.generations:
+            workload = problem.workload(optimizer.ask(), resumed.generation)
+            record.begin(resumed.generation, workload)
+            record.restore(workload)
+            happening = evaluations.evaluate(workload)
         for generation in range(resumed.generation, complete.generations):
-            genomes = optimizer.ask()
-            workload = problem.workload(genomes, generation)
-            record.begin(generation, workload)
-            if generation == resumed.generation:
-                record.restore(workload)
-            for happened in evaluations.evaluate(workload):
+            for happened in happening:
                 _record(happened, record, workload)
                 logger.on_progress(generation, int(workload.counted.sum()), len(workload.seeds))
-            fitness = problem.total(workload)
+            genomes, fitness = workload.genomes, problem.total(workload)
             optimizer.tell(fitness)
+            state = msgspec.Raw(msgspec.msgpack.encode(optimizer.state()))  # as it is before the next ask
+            last = generation + 1 == complete.generations
+            if not last:  # the servers have work while this generation is recorded and told
+                workload = problem.workload(optimizer.ask(), generation + 1)
+                happening = evaluations.evaluate(workload)
             history.add(genomes, fitness)
             statistics = optimizer.statistics()
-            record.finish(generation, genomes, fitness, statistics, optimizer.state())
+            record.finish(generation, genomes, fitness, statistics, state)
             if optimizer.best()[1] > improved:
                 improved = optimizer.best()[1]
-                logger.on_champion(_keep_champion(parts, record))
-            if evaluations.probe and not record.meta("probe"):
-                record.set_meta("probe", evaluations.probe)
+                logger.on_champion(_keep_champion(parts, record, run_id))
+            if evaluations.probe and not probe:
+                probe = evaluations.probe
+                record.set_meta("probe", probe)
+            candidates += len(genomes)
             ended = Generation(
-                generation, statistics["best"], statistics["mean"], record.evaluations(), evaluations.servers,
-                evaluations.slots, statistics,
+                generation, statistics["best"], statistics["mean"], candidates, evaluations.servers, evaluations.slots,
+                statistics,
             )  # fmt: skip
             logger.on_generation(ended)
             yield ended
+            if not last:
+                record.begin(generation + 1, workload)
         record.end()
         for late in evaluations.rest():
             _record(late, record)
     record.set_meta("history_hash", history.hex())
     return Result(
-        str(record.folder), complete.generations, improved, record.evaluations(), record.requeued(), history.hex(),
+        str(record.folder), complete.generations, improved, candidates, record.requeued(), history.hex(),
         round(time.monotonic() - begin, 3), record.faulted(), record.doubtful(),
     )  # fmt: skip
 
@@ -125,8 +136,7 @@ def _record(happened: Happened | None, record: Record, workload: Workload | None
             record.flush()
 
 
-def _keep_champion(parts: Parts, record: Record) -> Controller:
-    genome, fitness = parts.optimizer.best()
-    champion = parts.problem.controller(genome, fitness, record.meta("run_id"))
+def _keep_champion(parts: Parts, record: Record, run_id: str) -> Controller:
+    champion = parts.problem.controller(*parts.optimizer.best(), run_id)
     record.champion(champion)
     return champion

@@ -86,7 +86,9 @@ class NNGA(Optimizer):
                 f"optimizer: random, mutation, crossover and renew leave {self.counts['elite']} of {size} individuals to the "
                 "elite; it needs at least 1"
             )
+        self.candidates = size * settings.islands
         self._islands: list[list[Individual]] = []  # each ranked, best first, after a tell
+        self._told: list[list[Individual]] = []  # as they were after the last tell
         self._best = (b"", float("-inf"))
         self._evaluations = 0
         self._effectivity = dict.fromkeys(OPERATORS, 0.0)
@@ -120,6 +122,7 @@ class NNGA(Optimizer):
         elite = [individual.operator for island in self._islands for individual in island[: self.counts["elite"]]]
         self._count = {name: created.count(name) for name in OPERATORS}
         self._effectivity = {name: elite.count(name) / max(1, self._count[name]) for name in OPERATORS}
+        self._told = list(self._islands)
 
     def _untold(self) -> list[Individual]:
         return [individual for island in self._islands for individual in island if not individual.told]
@@ -189,6 +192,7 @@ class NNGA(Optimizer):
         """See ``Optimizer.restore``."""
         self.generation = state["generation"]
         self._islands = [[Individual(**individual) for individual in island] for island in state["islands"]]
+        self._told = list(self._islands)
         self._best = (state["best"][0], state["best"][1])
         self._evaluations = state["evaluations"]
         self._count, self._effectivity = dict(state["count"]), dict(state["effectivity"])
@@ -203,9 +207,9 @@ class NNGA(Optimizer):
         Diversity is the distance between two individuals, over all pairs of an island: average, maximum, minimum and
         standard deviation over all. Effectivity is the share of an operator's individuals that reached the elite.
         """
-        fitness = np.array([individual.fitness for island in self._islands for individual in island])
+        fitness = np.array([individual.fitness for island in self._told for individual in island])
         told = fitness[~np.isnan(fitness)]
-        pairs = np.concatenate([self._pair_distances(island) for island in self._islands])
+        pairs = np.concatenate([self._pair_distances(island) for island in self._told])
         return {
             "best": self._best[1],
             "mean": float(told.mean()) if told.size else float("nan"),

@@ -17,10 +17,12 @@ class Optimizer(ABC):
         settings_type: the struct of its settings in an experiment file.
         portable: whether it does the same on every machine, bit for bit (linear algebra does not).
         generation: generations told.
+        candidates: genomes that one ask gives at most; None: it cannot say.
     """
 
     settings_type: ClassVar[type[msgspec.Struct]]
     portable: ClassVar[bool]
+    candidates: int | None = None
 
     def __init__(self, settings: msgspec.Struct, representation: Representation, seed: int) -> None:
         self.settings = settings
@@ -75,8 +77,11 @@ class Optimizer(ABC):
 
     @abstractmethod
     def best(self) -> tuple[bytes, float]:
-        """The best genome told so far and its fitness; (b"", -inf) before the first."""
+        """The best genome told so far and its fitness; (b"", -inf) before the first. An ask does not change it."""
 
     @abstractmethod
     def statistics(self) -> dict[str, float]:
-        """Numbers about the last generation told; ``best`` and ``mean`` at least."""
+        """Numbers about the last generation told; ``best`` and ``mean`` at least. An ask does not change them.
+
+        The run calls it when servers have the next generation already.
+        """

@@ -1,0 +1,155 @@
+"""The loop of a run: while a generation is recorded and told, servers have the next one."""
+
+import threading
+from collections.abc import Generator, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from zswarm import experiment
+from zswarm.ot import run
+from zswarm.ot.dispatch import Counted
+from zswarm.ot.logger import Generation, Logger, Result
+from zswarm.ot.reading import Run
+from zswarm.ot.record import Record
+from zswarm.ot.workload import Workload
+
+
+class Servers:
+    """Stands for servers and connection: a candidate's fitness is its first gene, the same for each of its trials."""
+
+    servers, slots, probe = 1, 2, b"digest"
+
+    def __init__(self) -> None:
+        self.asked: dict[str, Any] = {}
+        self.handed: list[Workload] = []  # in their order
+
+    def __call__(self, *_args: object, **asked: Any) -> "Servers":
+        self.asked = asked
+        return self
+
+    def __enter__(self) -> "Servers":
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        pass
+
+    def who_computes(self) -> str:
+        return "nobody"
+
+    def wait(self) -> Iterator[None]:
+        return iter(())
+
+    rest = wait
+
+    def evaluate(self, workload: Workload) -> Iterator[Counted]:
+        self.handed.append(workload)
+        return self._evaluate(workload)
+
+    def _evaluate(self, workload: Workload) -> Iterator[Counted]:
+        trials = np.flatnonzero(~workload.counted)
+        genes = np.array([np.frombuffer(genome, "<f4")[0] for genome in workload.genomes])
+        workload.fitness[trials] = genes[workload.participants[trials]]
+        workload.metrics[trials], workload.counted[trials] = 0.0, True
+        yield Counted(trials, "lab-1-0123abcd", 0.01)
+
+
+@pytest.fixture
+def servers(monkeypatch: pytest.MonkeyPatch) -> Servers:
+    made = Servers()
+    monkeypatch.setattr(run, "Evaluations", made)
+    return made
+
+
+def begun(record: Record, complete: experiment.Experiment, servers: Servers) -> Generator[Generation, None, Result]:
+    return run.evolve(run.build(complete), record, servers, Logger(), threading.Event())  # type: ignore[arg-type]
+
+
+def loaded(*overrides: str) -> experiment.Experiment:
+    settings = ["generations=4", "optimizer.population=10", *overrides]
+    return experiment.complete(experiment.load(experiment.find("stadium"), settings), "test")
+
+
+def created(out: Path, complete: experiment.Experiment) -> Record:
+    return Record.create(out, complete, "0" * 32, run.build(complete).problem.simulator.metrics)
+
+
+def result(evolution: Generator[Generation, None, Result]) -> Result:
+    while True:
+        try:
+            next(evolution)
+        except StopIteration as end:
+            return end.value  # type: ignore[no-any-return]
+
+
+def test_a_generation_is_told_when_it_is_on_the_disk_and_servers_have_the_next(tmp_path: Path, servers: Servers) -> None:
+    complete = loaded()
+    with created(tmp_path, complete) as record:
+        evolution = begun(record, complete, servers)
+        for generation in range(4):
+            told = next(evolution)
+            assert told.generation == generation
+            assert [row["generation"] for row in Run(record.folder).history()] == list(range(generation + 1))
+            assert told.evaluations == sum(len(workload.genomes) for workload in servers.handed[: generation + 1])
+            assert len(servers.handed) == min(generation + 2, 4)
+        assert result(evolution).history_hash == record.history().hex()
+
+
+def test_a_run_that_is_left_in_its_loop_goes_on_as_if_it_had_not(tmp_path: Path, servers: Servers) -> None:
+    """Of the generation that servers had by then nothing is recorded; it is asked for again."""
+    complete = loaded()
+    with created(tmp_path / "whole", complete) as record:
+        whole = result(begun(record, complete, servers))
+    with created(tmp_path / "left", complete) as record:
+        evolution = begun(record, complete, servers)
+        for _ in range(2):
+            next(evolution)
+        evolution.close()
+    left = servers.handed[-1].genomes
+    record, complete = Record.open(record.folder)
+    with record:
+        assert record.resumed().generation == 2
+        assert record.evaluations() == 10 + len(servers.handed[-2].genomes)
+        resumed = result(begun(record, complete, servers))
+    assert (resumed.history_hash, resumed.evaluations) == (whole.history_hash, whole.evaluations)
+    assert servers.handed[-2].genomes == left
+
+
+def test_a_finished_run_asks_for_nothing(tmp_path: Path, servers: Servers) -> None:
+    complete = loaded()
+    with created(tmp_path, complete) as record:
+        first = result(begun(record, complete, servers))
+    record, complete = Record.open(record.folder)
+    with record:
+        again = result(begun(record, complete, servers))
+    assert len(servers.handed) == 4
+    assert (again.history_hash, again.evaluations) == (first.history_hash, first.evaluations)
+
+
+@pytest.mark.parametrize(("islands", "trials", "slots"), [(1, 1, 10), (3, 2, 60)])
+def test_slots_are_wanted_for_the_candidates_of_all_islands(
+    tmp_path: Path, servers: Servers, islands: int, trials: int, slots: int
+) -> None:
+    complete = loaded(f"optimizer.islands={islands}", f"problem.trials={trials}", "generations=1")
+    with created(tmp_path, complete) as record:
+        result(begun(record, complete, servers))
+    assert servers.asked["slots"] == slots
+
+
+def test_what_is_written_of_a_generation_is_one_transaction(
+    tmp_path: Path, servers: Servers, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its outcomes are not older than 0.1 s: they wait for it."""
+    complete = loaded("generations=3")
+    monkeypatch.setattr("zswarm.ot.database.COMMIT_S", 3600.0)
+    with created(tmp_path, complete) as record:
+        evolution = begun(record, complete, servers)
+        next(evolution)
+        statements: list[str] = []
+        record._database._connection.set_trace_callback(statements.append)
+        next(evolution)
+        assert [line for line in statements if line.startswith(("BEGIN", "COMMIT"))] == ["BEGIN IMMEDIATE", "COMMIT"]
+        assert not [line for line in statements if line.startswith("SELECT")], "nothing is read in the loop"
+        evolution.close()
