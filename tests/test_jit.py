@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import zswarm
-from zswarm import jit
+from zswarm import jit, plugins
 from zswarm.version_hash import cache_hash
 
 PACKAGE = Path(zswarm.__file__).parent
@@ -27,10 +27,10 @@ print(action[0], sum(FullyMeshed.step.stats.cache_hits.values()), jit.cache_fold
 """
 
 
-def run(code: str, tree: Path, cache: Path, **environment: str) -> list[str]:
+def run(code: str, tree: Path, cache: Path, *arguments: str, **environment: str) -> list[str]:
     """The words that a program prints, with the package of another tree."""
     done = subprocess.run(
-        [sys.executable, "-c", code],
+        [sys.executable, "-c", code, *arguments],
         cwd=tree,
         env={
             **os.environ,
@@ -80,6 +80,75 @@ def test_machines_of_unlike_processors_share_a_cache_and_each_finds_its_own_kern
     assert first[2] != second[2]
     assert run(DECIDE, PACKAGE.parent, tmp_path) == ["0.5", "1", first[2]]
     assert run(DECIDE, PACKAGE.parent, tmp_path, **generic) == ["0.5", "1", second[2]]
+
+
+WARM_UP = """
+import sys
+import numpy as np
+from numba.core import event
+from zswarm import plugins
+plugins.BUNDLED["simulator"]["lazy"] = "lazy:Lazy"
+from zswarm import evaluate
+from zswarm.draws import Stream
+
+simulators = sys.argv[1:] or plugins.names("simulator")
+parts = [(simulator, representation) for simulator in simulators for representation in plugins.names("representation")]
+for simulator, representation in parts:
+    with event.install_recorder("numba:compile") as before:
+        built, network = evaluate.build(simulator, {}, representation, {})
+        evaluate.warm_up(built, network)
+    with event.install_recorder("numba:compile") as after:
+        genomes = network.random(built.participants, Stream(1))
+        evaluate.evaluate(built, network, genomes, np.arange(built.participants).reshape(1, -1), np.array([9], np.uint64))
+    print(simulator, representation, len(before.buffer) > 0, len(after.buffer))
+"""
+LAZY = """
+import msgspec, numba
+import numpy as np
+from zswarm.sims.simulator import Outcome, Simulator, Turn
+
+class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    pass
+
+@numba.njit
+def double(x):
+    return 2.0 * x
+
+class Lazy(Simulator):
+    settings_type = Settings
+    inputs, outputs, owners = 1, 1, (0,)
+
+    def reset(self, seed):
+        return Turn([0], np.ones((1, 1), np.float32))
+
+    def step(self, actions):
+        self.fitness = double(float(actions[0, 0]))
+
+    def outcome(self):
+        return Outcome([self.fitness], [])
+"""
+
+
+@pytest.fixture
+def lazy(tmp_path: Path) -> str:
+    """PYTHONPATH with the module of a simulator that has numba compile when it is called."""
+    (tmp_path / "lazy.py").write_text(LAZY)
+    return os.pathsep.join([str(tmp_path), str(PACKAGE.parent)])
+
+
+def test_what_is_compiled_when_it_is_first_called_is_compiled_by_the_warming_up(lazy: str, tmp_path: Path) -> None:
+    """So no batch waits for it."""
+    said = run(WARM_UP, tmp_path, jit.cache_folder().parent, "lazy", PYTHONPATH=lazy)
+    assert said == ["lazy", "fully-meshed", "True", "0"]
+
+
+@pytest.mark.long
+def test_the_warming_up_compiles_all_that_a_trial_of_any_part_needs(lazy: str, tmp_path: Path) -> None:
+    """With nothing in the cache."""
+    said = run(WARM_UP, tmp_path, tmp_path / "cache", PYTHONPATH=lazy)
+    assert set(said[::4]) >= {*plugins.BUNDLED["simulator"], "lazy"}
+    assert "True" in said[2::4], "there was something to compile"
+    assert set(said[3::4]) == {"0"}
 
 
 def test_plain_kernels_need_no_numba(tmp_path: Path) -> None:
@@ -136,6 +205,30 @@ def test_places_that_are_not_named_are_not_tried(choices: list[Path], monkeypatc
     monkeypatch.delenv("ZSWARM_CACHE")
     monkeypatch.setenv("CACHE_DIRECTORY", "")
     assert jit.cache_folder() == choices[2] / cache_hash()
+
+
+def test_who_is_nowhere_at_home_has_a_temporary_place(choices: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a container's user whom no file names; a relative place would be below whatever folder the program is in."""
+    monkeypatch.delenv("ZSWARM_CACHE")
+    monkeypatch.delenv("CACHE_DIRECTORY")
+    monkeypatch.setattr(jit.platformdirs, "user_cache_dir", lambda name: f"~/.cache/{name}")
+    assert jit.cache_folder() == choices[3] / cache_hash()
+
+    def refuse(name: str) -> str:
+        raise RuntimeError("could not determine the home directory")
+
+    monkeypatch.setattr(jit.platformdirs, "user_cache_dir", refuse)
+    assert jit.cache_folder() == choices[3] / cache_hash()
+
+
+def test_a_named_place_is_used_where_nothing_temporary_can_be_written(
+    choices: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse() -> str:
+        raise FileNotFoundError("no usable temporary directory")
+
+    monkeypatch.setattr(tempfile, "gettempdir", refuse)
+    assert jit.cache_folder() == choices[0] / cache_hash()
 
 
 def test_the_folder_is_closed_to_other_users(choices: list[Path]) -> None:

@@ -9,9 +9,10 @@ With ``ZSWARM_PLAIN=1`` kernels stay Python functions, which do the same, slowly
 genomes but evaluate nothing.
 """
 
+import contextlib
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,14 +24,8 @@ from zswarm.version_hash import cache_hash
 
 def cache_folder() -> Path:
     """The first that can be written of ``$ZSWARM_CACHE``, systemd's ``$CACHE_DIRECTORY``, the user's and a temporary one."""
-    choices = [
-        os.environ.get("ZSWARM_CACHE"),
-        os.environ.get("CACHE_DIRECTORY"),
-        platformdirs.user_cache_dir("zswarm"),
-        f"{tempfile.gettempdir()}/zswarm-{os.getuid()}",
-    ]
-    for choice in filter(None, choices):
-        folder = Path(choice) / cache_hash()
+    for choice in _choices():
+        folder = choice / cache_hash()
         try:
             folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         except OSError:
@@ -38,6 +33,16 @@ def cache_folder() -> Path:
         if os.access(folder, os.W_OK | os.X_OK) and _is_ours(folder.parent) and _is_ours(folder):
             return folder
     return Path(tempfile.mkdtemp(prefix="zswarm-"))
+
+
+def _choices() -> Iterator[Path]:
+    for name in ("ZSWARM_CACHE", "CACHE_DIRECTORY"):
+        if folder := os.environ.get(name):
+            yield Path(folder)
+    with contextlib.suppress(RuntimeError):  # nobody knows where this user is at home, as in a container with users of its own
+        if (folder := platformdirs.user_cache_dir("zswarm")).startswith("/"):  # older versions of platformdirs say it with ~
+            yield Path(folder)
+    yield Path(tempfile.gettempdir(), f"zswarm-{os.getuid()}")
 
 
 def _is_ours(folder: Path) -> bool:

@@ -59,7 +59,11 @@ def command(config: Path | None, log_level: str, until_stdin_closes: bool, **giv
         return
     from zswarm.ss import worker
 
-    worker.start_fork_server()  # it loads numba while this program goes on
+    try:
+        worker.start_fork_server()  # it loads numba while this program goes on
+    except OSError as error:  # no folder for temporary files, no processes left
+        click.echo(f"zswarm-ss: {error}", err=True)
+        sys.exit(1)
     from zswarm import log
     from zswarm.errors import ConfigError
     from zswarm.ss import options
@@ -107,7 +111,7 @@ def _try(call: Callable[[], None]) -> None:
 
     try:
         call()
-    except ZswarmError as error:
+    except (ZswarmError, OSError) as error:
         click.echo(f"zswarm-ss: {error}", err=True)
         sys.exit(1)
 
