@@ -217,6 +217,13 @@ def test_what_a_page_says_works(page: Path, tmp_path: Path) -> None:
         assert expected is None or says(expected, output), f"{page.name}:{block.line}: {command} says\n{output[-3000:]}"
 
 
+def test_the_readme_begins_with_how_to_run_it_and_how_to_test_it() -> None:
+    """And what a change must pass does the same."""
+    first = next(iter(blocks(REPOSITORY / "README.md")))
+    assert re.findall(r"^make \w+", first.text, re.M) == ["make run", "make test"]
+    assert re.search(r"^make test\b", (REPOSITORY / ".ci" / "run").read_text(), re.M)
+
+
 def test_what_is_not_run_is_still_there() -> None:
     """So is the test that runs it instead."""
     there = {(block.document, name) for page in DOCUMENTS for block in blocks(page) for name in (block.first, "*")}
