@@ -82,7 +82,11 @@ ALL = [
 
 
 def test_a_logger_that_overrides_nothing_follows_a_run() -> None:
-    tell(Logger())
+    """The others hear all, and nothing is said about it."""
+    hearing, said = Hearing(), list[str]()
+    tell(Loggers([InBackground(Logger(), said.append), hearing]))
+    assert said == []
+    assert without_progress(hearing.heard) == ALL
 
 
 def test_all_loggers_hear_all() -> None:

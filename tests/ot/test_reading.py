@@ -179,8 +179,16 @@ def test_a_resume_is_not_kept_out_by_somebody_who_looks(folder: Path, monkeypatc
     """Whether a run goes on is asked by its lock, which is held for an instant."""
     looking = os.open(folder / "lock", os.O_RDONLY)
     fcntl.flock(looking, fcntl.LOCK_SH)
-    monkeypatch.setattr(time, "sleep", lambda _seconds: fcntl.flock(looking, fcntl.LOCK_UN))
-    Record.open(folder)[0].close()
+    waited: list[float] = []
+
+    def look_away(seconds: float) -> None:
+        waited.append(seconds)
+        fcntl.flock(looking, fcntl.LOCK_UN)
+
+    monkeypatch.setattr(time, "sleep", look_away)
+    with Record.open(folder)[0]:
+        assert Run(folder).going_on
+    assert len(waited) == 1, "it was tried again when nobody looked any more"
     os.close(looking)
 
 
@@ -382,7 +390,9 @@ def test_an_experiment_in_the_record_that_is_none_is_refused(folder: Path) -> No
     began = json.loads(Run(folder).meta["experiment"])
     for key, value in (("name", EVIL), ("seed", -1), ("problem", {"simulator": 3}), ("extra", 1)):
         edit(folder, "UPDATE meta SET value = ? WHERE key = 'experiment'", json.dumps({**began, key: value}))
-        refusal(folder)
+        why = refusal(folder)
+        assert why.startswith(f"{folder / 'run.sqlite'}: "), why
+        assert key in why.removeprefix(f"{folder}")
 
 
 @settings(derandomize=True, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
