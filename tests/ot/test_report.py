@@ -14,6 +14,7 @@ from written import written
 from zswarm.ot import cli, reading, report
 from zswarm.ot.controller import CHAMPION, load_controller
 from zswarm.ot.dispatch import Note
+from zswarm.sims.emergency_exit import EmergencyExit
 
 EVIL = "</td></table><script src='https://evil.example/x.js'>alert(1)</script>\"' onload=x \x1b[31m \u202e{{ 7 * 7 }}"
 SHOWN = "</td></table><script src='https://evil.example/x.js'>alert(1)</script>\"' onload=x \\x1b[31m \\x202e{{ 7 * 7 }}"
@@ -151,6 +152,18 @@ def test_a_simulator_that_is_not_installed_is_named(tmp_path: Path) -> None:
     page = assert_harmless(report.of_run(reading.Run(folder), trials=10))
     assert "It was not played on unseen seeds: unknown simulator 'not-here'" in page.text
     assert "The champion at work" not in page.text
+
+
+def test_a_simulator_that_cannot_draw_is_told_and_the_rest_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its author must see what it raised."""
+
+    def frame(_self: EmergencyExit) -> None:
+        raise IndexError("no such <cell>\x1b[0m")
+
+    monkeypatch.setattr(EmergencyExit, "frame", frame)
+    page = assert_harmless(report.of_run(reading.Run(written(tmp_path, [1, 2])), trials=1))
+    assert "The first of the unseen trials could not be drawn: IndexError: no such <cell>\\x1b[0m" in page.text
+    assert "Weights of the champion" in page.text
 
 
 def test_a_run_that_only_began_has_a_page(tmp_path: Path) -> None:

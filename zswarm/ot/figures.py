@@ -171,7 +171,7 @@ def leave(folder: Path, say: Callable[[str], None]) -> None:
         groups, _ = curves.load(grouping.groups(reading.runs_below([folder], [])))
         if any(len(run.best) for runs in groups.values() for run in runs):
             save(of_series(groups, title=folder.resolve().name), folder / PICTURE)
-    except Exception as error:  # whatever a library of drawing raises, and a folder that is gone
+    except Exception as error:  # the run is over and safe: whatever drawing raises, or a folder that is gone, is no failure of it
         what = str(error) if isinstance(error, ConfigError) else f"{type(error).__name__}: {error}"
         say(f"no {PICTURE}: {clean(what)}")
 

@@ -83,7 +83,7 @@ def of_run(run: Run, trials: int) -> str:
         curve=_svg(figures.of_series({run.name: [read]}, size="screen")) if len(read.best) else "",
         champion=_champion(champion, complete.problem.trials) if champion else [],
         played=_played(champion, trials) if champion and trials else None,
-        film=_film(champion) if champion else "",
+        **(_film(champion) if champion else {}),
         weights=_weights(champion) if champion else None,
         settings=_settings(complete),
         servers=_servers(servers),
@@ -141,8 +141,8 @@ def _page(**content: Any) -> str:
     )
     environment.filters["number"] = _number
     nothing = dict.fromkeys(
-        ("state", "curve", "champion", "played", "film", "weights", "servers", "events", "listed", "left_out", "record",
-         "history", "caveats", "compared", "words", "runs", "settings_of", "one_again", "reconciling")
+        ("state", "curve", "champion", "played", "film", "no_film", "weights", "servers", "events", "listed", "left_out",
+         "record", "history", "caveats", "compared", "words", "runs", "settings_of", "one_again", "reconciling")
     )  # fmt: skip
     page: str = environment.get_template(TEMPLATE).render({**nothing, **content})
     return page
@@ -189,18 +189,22 @@ def _played(champion: Controller, trials: int) -> dict[str, Any]:
     }
 
 
-def _film(champion: Controller) -> str:
-    """The first of the unseen trials, moving; "" where its simulator is not installed or draws nothing."""
+def _film(champion: Controller) -> dict[str, str]:
+    """The first of the unseen trials, moving, or why there is none; neither where it cannot be played or draws nothing."""
     try:
         simulator, network = evaluate.build(
             champion.simulator, champion.simulator_settings, champion.representation, champion.representation_settings
         )
+    except (ConfigError, MemoryError):
+        return {}
+    try:
         frames = film.frames(simulator, network, champion.genome, unseen.trial_seed(SEED, 0))
-    except Exception:  # whatever the code of a simulator raises: the rest of the page is there without it
-        return ""
+    except Exception as error:  # whatever the code of a simulator raises: the rest of the page is there without it
+        return {"no_film": clean(f"{type(error).__name__}: {error}")}
     if not frames:
-        return ""
-    return film.svg([film.Panel("the first of the unseen trials", frames)]).replace(f' xmlns="{film.NAMESPACE}"', "")
+        return {}
+    panel = film.Panel("the first of the unseen trials", frames)
+    return {"film": film.svg([panel]).replace(f' xmlns="{film.NAMESPACE}"', "")}
 
 
 def _weights(champion: Controller) -> Weights | None:
