@@ -162,7 +162,7 @@ class Farm:
         server.received[key.verb] += 1
         server.bytes[0] += len(body)
         server.queries[id(query)] = query
-        self._handle(server, slots.Asked(id(query), key.user, key.run, codec.decode_request(body), body))
+        self._handle(server, slots.Asked(id(query), key.user, key.run, codec.decode_request(body)))
 
     def _handle(self, server: Server, event: slots.Event) -> None:
         now = time.monotonic()

@@ -181,7 +181,7 @@ class Optimizer(Node[dispatch.Event]):
         state = self.dispatch
         if state._workload is not None:
             out = [batch for server in state.servers.values() for batch in server.batches.values() if not batch.check]
-            places = [piece.trials for piece in state._waiting.pieces] + [batch.trials for batch in out]
+            places = [piece.trials for piece in state._waiting.pieces] + [batch.rest() for batch in out]
             places.append(np.flatnonzero(state._workload.counted))
             if np.bincount(np.concatenate(places), minlength=len(state._workload.seeds)).tolist() != self._once:
                 self.world.fail(f"{self.run}: a trial is lost, or in two places")

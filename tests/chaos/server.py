@@ -34,7 +34,7 @@ class Server(Node[slots.Event]):
         self.trial_s = world.random.choice([0.001, 0.03, 0.2, 0.8, 16.0])
         self.prepare_deaths = 0
         self.pending: dict[int, tuple[Link, int]] = {}  # queries to answer
-        self.ran: set[tuple[bytes, int, int]] = set()  # lease, batch, first trial
+        self.ran: set[tuple[bytes, int, tuple[Trial, ...]]] = set()  # lease, batch, trials
         self.alone = False  # the only server of the world, for one run
         self.finished: set[tuple[bytes, Trial]] = set()  # trials by lease
         capacity = world.random.randint(1, 3)
@@ -61,7 +61,7 @@ class Server(Node[slots.Event]):
         token = getattr(message, "lease", b"")
         if token in self.slots.leases and self.slots.leases[token].setup.nonce != link.optimizer.who.nonce:
             self.world.fail(f"{self.id}: a lease is used by two")
-        self.handle(slots.Asked(query, "user", link.optimizer.run, message, codec.encode(message)))
+        self.handle(slots.Asked(query, "user", link.optimizer.run, message))
 
     def react(self, event: slots.Event) -> None:
         """Give the slot table an event, and carry out what it says."""
@@ -192,12 +192,13 @@ class Worker:
         assert isinstance(batch, messages.Evaluate)
         if self.since is not None:
             world.fail(f"{server.id}: a slot that works is given a batch")
-        if (batch.lease, batch.batch, first) in server.ran:
-            world.fail(f"{server.id}: batch {batch.batch} is run twice")
-        server.ran.add((batch.lease, batch.batch, first))
         participants, seeds = codec.trials(batch, 1)
         self.first, self.since, self.trial_s, self.lease = first, world.now, server.trial_s, batch.lease
         self.trials = [(batch.genomes[i], int(seed)) for i, seed in zip(participants[:, 0], seeds, strict=True)][first:]
+        piece = (batch.lease, batch.batch, tuple(self.trials))
+        if piece in server.ran:
+            world.fail(f"{server.id}: trials of batch {batch.batch} are run twice")
+        server.ran.add(piece)
         if server.alone and any((batch.lease, trial) in server.finished for trial in self.trials):
             world.fail(f"{server.id}: a trial that it has the outcome of is run again")
         exhausted = len(self.trials) > 1 and world.chance(10 * world.failing)

@@ -23,7 +23,8 @@ from zswarm.ot.dispatch import (
     Work,
 )
 from zswarm.ot.workload import Workload
-from zswarm.protocol.messages import Done, Outcomes, Refused, Reply, Running
+from zswarm.protocol import codec
+from zswarm.protocol.messages import Done, Fault, Outcomes, Refused, Reply, Running
 
 # ---- servers that come --------------------------------------------------------------------------------------------
 
@@ -64,7 +65,8 @@ def test_a_server_that_prepares_is_renewed_until_all_slots_are_ready() -> None:
     assert verbs(asks) == [("a", "renew"), ("a", "evaluate"), ("a", "evaluate")]
     assert asks[0].known_ready == 1
     assert optimizer.notes("server_joined") == [Note("server_joined", "a", "", 1)]
-    assert verbs(optimizer.answer(asks[0], lease("a", 2))) == [("a", "evaluate")] * 2
+    assert verbs(optimizer.answer(asks[0], lease("a", 2))) == [("a", "evaluate")], "two trials more"
+    assert len(optimizer.asked["a", "evaluate"].trials) == 2  # type: ignore[arg-type]
     assert optimizer.commands == [command for command in optimizer.commands if isinstance(command, Ask)], "told once"
     assert (optimizer.dispatch.preparing(), optimizer.dispatch.slots()) == ([], 2)
 
@@ -366,6 +368,69 @@ def test_a_running_batch_is_asked_again_at_once_and_its_empty_answers_are_forgot
         assert (ask.verb, ask.batch) == ("evaluate", batch)
 
 
+def test_outcomes_that_are_told_early_are_counted_once_and_a_batch_follows() -> None:
+    """Slots of the server have nothing to do, as one trial of its batch takes long."""
+    optimizer = Optimizer()
+    optimizer.join("a", slots=2)
+    first, second = optimizer.work(8)
+    again, more = optimizer.answer(first, told(first, 1, given=True))
+    assert (again.batch, trials([again])) == (first.batch, trials([first])), "with the whole message"
+    assert more.batch not in (first.batch, second.batch)
+    assert optimizer.counted == [trials([first])[1]]
+    assert optimizer.answer(again, outcomes(again)) == []
+    assert optimizer.counted == [trials([first])[1], trials([first])[0]]
+    assert optimizer.workload.fitness[trials([first]), 0].tolist() == trials([first])
+
+
+def test_what_was_told_early_stays_counted_when_the_rest_goes_elsewhere() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a", slots=2)
+    (ask,) = optimizer.work(2)
+    (again,) = optimizer.answer(ask, told(ask, 0))
+    optimizer.join("b")
+    optimizer.feed(Gone("a"))
+    (moved,) = optimizer.answer(again, None)
+    assert (moved.server, trials([moved])) == ("b", [1])
+    assert optimizer.dispatch.requeued == 1
+
+
+def test_a_batch_told_in_part_is_asked_for_whole_when_its_server_is_back() -> None:
+    """Under its number a server knows it by all of its trials."""
+    optimizer = Optimizer()
+    optimizer.join("a", slots=2)
+    (ask,) = optimizer.work(2)
+    (again,) = optimizer.answer(ask, told(ask, 0))
+    optimizer.feed(Gone("a"))
+    optimizer.answer(again, None)
+    (question,) = optimizer.feed(Seen("a"))
+    (question,) = optimizer.answer(question, offer(2))
+    (once_more,) = optimizer.answer(question, lease("a", 2))
+    assert (once_more.batch, trials([once_more])) == (ask.batch, [0, 1])
+    optimizer.answer(once_more, outcomes(once_more))
+    assert sorted(optimizer.counted) == [0, 1]
+    assert Complete() in optimizer.commands
+
+
+def test_what_a_draining_server_did_not_begin_goes_elsewhere_and_the_rest_is_counted() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a", slots=2)
+    (ask,) = optimizer.work(2)
+    optimizer.feed(Gone("a"))
+    optimizer.join("b")
+    some = Outcomes(batch=ask.batch, fitness=bytes(8), metrics=b"", seconds=1.0, trials=codec.indices([1]))
+    assert trials(optimizer.answer(ask, some)) == [0]
+    assert optimizer.counted == [1]
+
+
+def told(ask: Ask, *rows: int, given: bool = False) -> Running:
+    """That some trials of a batch are done."""
+    assert ask.trials is not None
+    fitness = ask.trials[list(rows)].astype("<f8").tobytes()
+    return Running(
+        batch=ask.batch, done=len(rows), given=given, trials=codec.indices(rows), fitness=fitness, seconds=float(len(rows))
+    )
+
+
 # ---- servers that go ----------------------------------------------------------------------------------------------
 
 
@@ -575,7 +640,15 @@ def infinite(ask: Ask) -> Reply:
     return outcomes(ask, float("inf"))
 
 
-@pytest.mark.parametrize("reply", [wrong_batch, wrong_size, wrong_kind, infinite])
+def early_nonsense(ask: Ask) -> Reply:
+    return told(ask, 0, 0)
+
+
+def no_trial_of_it(ask: Ask) -> Reply:
+    return Fault(batch=ask.batch, kind="crashed", trial=0, reason="", trials=codec.indices([9]), fitness=bytes(8))
+
+
+@pytest.mark.parametrize("reply", [wrong_batch, wrong_size, wrong_kind, infinite, early_nonsense, no_trial_of_it])
 def test_a_server_that_answers_a_batch_with_nonsense_is_released_and_not_used(reply: object) -> None:
     optimizer = Optimizer()
     optimizer.join("a", "b")
@@ -589,15 +662,15 @@ def test_a_server_that_answers_a_batch_with_nonsense_is_released_and_not_used(re
 # ---- batches ------------------------------------------------------------------------------------------------------
 
 
-def test_every_slot_gets_a_batch_before_any_gets_a_second() -> None:
+def test_every_server_gets_a_batch_before_any_gets_a_second() -> None:
+    """Of long trials, one for each slot: the server hands them out."""
     optimizer = Optimizer()
     optimizer.join("a", "b", slots=2)
     asks = optimizer.work(6)
-    assert [ask.server for ask in asks] == ["a", "a", "b", "b", "a", "a"]
-    assert all(len(ask.trials) == 1 for ask in asks)  # type: ignore[arg-type]
+    assert [(ask.server, trials([ask])) for ask in asks] == [("a", [0, 1]), ("b", [2, 3]), ("a", [4, 5])]
 
 
-def test_two_batches_are_out_per_slot_and_an_answer_brings_the_next() -> None:
+def test_two_batches_are_out_per_server_and_an_answer_brings_the_next() -> None:
     optimizer = Optimizer()
     optimizer.join("a", "b")
     asks = optimizer.work(20)
@@ -605,19 +678,41 @@ def test_two_batches_are_out_per_slot_and_an_answer_brings_the_next() -> None:
     assert verbs(optimizer.answer(asks[1], outcomes(asks[1]))) == [("b", "evaluate")]
 
 
-def test_batches_are_of_75_ms_and_shrink_towards_the_end_but_not_below_3_ms() -> None:
-    optimizer = Optimizer()
-    optimizer.join("a", trial_s=0.001)
-    asks = optimizer.work(1000)
-    sizes = []
+def sizes(optimizer: Optimizer, count: int, *, trial_s: float) -> list[int]:
+    """Of the batches of a workload, in the order in which they are sent."""
+    asks, found = optimizer.work(count), []
     while asks:
         ask = asks.pop(0)
-        sizes.append(len(ask.trials))  # type: ignore[arg-type]
-        asks += optimizer.answer(ask, outcomes(ask, seconds=0.001))
-    assert sizes[0] == 75
-    assert sizes == sorted(sizes[:-1], reverse=True) + sizes[-1:]
-    assert sizes[-2] == 3
-    assert sum(sizes) == 1000
+        found.append(len(ask.trials))  # type: ignore[arg-type]
+        asks += optimizer.answer(ask, outcomes(ask, seconds=trial_s))
+    assert sum(found) == count
+    return found
+
+
+def test_batches_are_of_75_ms_for_each_slot_and_shrink_towards_the_end_but_not_below_3_ms() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a", "b", slots=2, trial_s=0.001)
+    found = sizes(optimizer, 2000, trial_s=0.001)
+    assert found[0] == 150
+    assert found == sorted(found[:-1], reverse=True) + found[-1:]
+    assert found[-2] == 6
+
+
+def test_a_server_that_serves_alone_gets_all_in_few_batches() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a", slots=2, trial_s=0.001)
+    assert sizes(optimizer, 400, trial_s=0.001) == [150, 150, 100]
+    assert sizes(optimizer, 37, trial_s=0.001) == [37]
+
+
+def test_an_answer_to_a_workload_takes_messages_by_its_work_and_not_by_its_slots() -> None:
+    """As many for 1,024 servers of 4 slots as for as many of one; each event looks at its own server only."""
+    counts = []
+    for slots in (1, 4):
+        optimizer = Optimizer()
+        optimizer.join(*[f"s{number}" for number in range(64)], slots=slots)
+        counts.append(len(sizes(optimizer, 64 * slots * 4, trial_s=1.0)))
+    assert counts[0] == counts[1] == 64 * 4
 
 
 def test_the_time_of_a_trial_is_measured_and_not_what_the_probe_took() -> None:
@@ -780,6 +875,27 @@ def test_a_fault_blames_one_trial_and_the_others_are_sent_again() -> None:
     assert sorted(optimizer.counted) == list(range(40))
     assert np.flatnonzero(workload.faulted).tolist() == [poison]
     assert np.flatnonzero(np.isnan(workload.fitness)).tolist() == [poison]
+
+
+def test_what_is_done_of_a_batch_that_ends_in_a_fault_is_counted() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a", trial_s=0.01)
+    (ask,) = optimizer.work(4)
+    done = {"trials": codec.indices([0, 3]), "fitness": np.array([1.0, 4.0]).tobytes(), "seconds": 0.02}
+    asks = optimizer.answer(ask, Fault(batch=ask.batch, kind="crashed", trial=1, reason="killed", **done))  # type: ignore[arg-type]
+    assert optimizer.counted == [0, 3]
+    assert trials(asks) == [1, 2]
+    assert optimizer.dispatch.requeued == 2
+
+
+def test_a_fault_of_a_trial_that_is_told_done_is_taken_for_one_of_another() -> None:
+    """Which no server says; it must not end in a trial that nobody has."""
+    optimizer = Optimizer()
+    optimizer.join("a", trial_s=0.01)
+    (ask,) = optimizer.work(2)
+    done = {"trials": codec.indices([0]), "fitness": bytes(8), "seconds": 0.01}
+    asks = optimizer.answer(ask, Fault(batch=ask.batch, kind="crashed", trial=0, reason="", **done))  # type: ignore[arg-type]
+    assert (optimizer.counted, trials(asks)) == ([0], [1])
 
 
 def test_a_fault_is_tried_on_servers_where_it_did_not_happen() -> None:

@@ -59,6 +59,12 @@ REQUESTS = {
     messages.Cancel: {"lease": TOKENS, "batches": st.lists(COUNTS, max_size=4)},
     messages.Release: {"lease": TOKENS},
 }
+TOLD = {
+    "batch": COUNTS,
+    **dict.fromkeys(("trials", "fitness", "metrics"), st.binary(max_size=30)),
+    "seconds": SECONDS,
+    "error": SHOWN,
+}
 REPLIES = {
     messages.Offer: {
         **dict.fromkeys(("server", "program", "machine", "mismatch"), SHOWN),
@@ -73,16 +79,10 @@ REPLIES = {
         "probe": st.binary(max_size=64),
         "reason": SHOWN,
     },
-    Outcomes: {
-        "batch": COUNTS,
-        "fitness": st.binary(max_size=30),
-        "metrics": st.binary(max_size=30),
-        "seconds": SECONDS,
-        "error": SHOWN,
-    },
-    messages.Running: {"batch": COUNTS, "done": COUNTS},
+    Outcomes: TOLD,
+    messages.Running: {"done": COUNTS, "given": st.booleans(), **TOLD},
     messages.Fault: {
-        "batch": COUNTS,
+        **TOLD,
         "kind": st.sampled_from(["crashed", "timeout", "memory"]),
         "trial": COUNTS,
         "reason": SHOWN,
@@ -645,10 +645,37 @@ def test_any_outcomes_are_in_shape_and_not_infinite_or_the_peers_fault(
     if isinstance(decoded, str):
         assert safe_to_show(decoded)
         return
-    told, measured = decoded
+    _, told, measured = decoded
     assert (told.shape, measured.shape) == ((count, k), (count, m))
     assert not np.isinf(told).any()
     assert not np.isinf(measured).any()
+
+
+@FUZZ
+@given(st.lists(st.integers(0, 6), max_size=5), st.integers(0, 6))
+def test_any_trials_that_are_told_are_some_of_the_batch_in_order_or_the_peers_fault(numbers: list[int], count: int) -> None:
+    running = messages.Running(batch=1, done=0, trials=codec.indices(numbers), fitness=bytes(8 * len(numbers)))
+    decoded = ending(codec.outcomes, running, count, 1, 0)
+    in_order = numbers == sorted(set(numbers)) and all(number < count for number in numbers)
+    assert in_order != isinstance(decoded, str)
+    if in_order:
+        assert decoded[0].tolist() == numbers
+
+
+def test_a_part_of_a_batch_has_its_trials_and_the_genomes_between_the_first_and_the_last_that_it_needs() -> None:
+    batch = evaluate(
+        genomes=[b"a", b"b", b"c"], participants=struct.pack("<6I", 0, 0, 2, 1, 1, 2), seeds=struct.pack("<3Q", 5, 6, 7)
+    )
+    part = codec.cut(batch, 1, 3)
+    participants, seeds = codec.trials(part, 2)
+    assert (part.genomes, participants.tolist(), seeds.tolist()) == ([b"b", b"c"], [[1, 0], [0, 1]], [6, 7])
+    assert codec.cut(batch, 0, 3) == batch
+
+
+def test_a_part_of_a_batch_with_a_participant_that_is_not_there_is_refused_as_the_whole() -> None:
+    batch = evaluate(participants=struct.pack("<2I", 0, 7))
+    with pytest.raises(RemoteProtocolError, match="is not among 0 genomes"):
+        codec.trials(codec.cut(batch, 1, 2), 1)
 
 
 @FUZZ
@@ -697,10 +724,11 @@ def outcomes(fitness: list[float], metrics: list[float]) -> Outcomes:
 
 
 def test_outcomes_are_read_in_order() -> None:
-    fitness, metrics = codec.outcomes(outcomes([1.5, float("nan"), 3, 4], [5, 6, 7, 8, 9, 10]), 2, 2, 3)
+    _, fitness, metrics = codec.outcomes(outcomes([1.5, float("nan"), 3, 4], [5, 6, 7, 8, 9, 10]), 2, 2, 3)
     assert np.array_equal(fitness, [[1.5, np.nan], [3, 4]], equal_nan=True)
     assert metrics.tolist() == [[5, 6, 7], [8, 9, 10]]
-    fitness, metrics = codec.outcomes(outcomes([1, 2], []), 2, 1, 0)
+    trials, fitness, metrics = codec.outcomes(outcomes([1, 2], []), 2, 1, 0)
+    assert trials.tolist() == [0, 1]
     assert fitness.shape == (2, 1)
     assert metrics.shape == (2, 0)
 

@@ -82,7 +82,7 @@ class Server:
         """The number of the query."""
         query = next(self.queries)
         self.open.add(query)
-        self.feed(Asked(query, "user", run, message, codec.encode(message)))
+        self.feed(Asked(query, "user", run, message))
         return query
 
     def asked(self, message: Request, run: str = "a") -> Reply:
@@ -98,11 +98,11 @@ class Server:
     def reserve(self, run: str = "a", **fields: object) -> Lease:
         return self.answer(self.ask(reserve(**fields), run), Lease)
 
-    def ready(self, run: str = "a", **fields: object) -> bytes:
+    def ready(self, run: str = "a", trial_s: float = 0.5, **fields: object) -> bytes:
         """The token of a lease whose slots are all prepared."""
         lease = self.reserve(run, **fields)
         for slot in self.slots.leases[lease.lease].slots:
-            self.feed(Prepared(slot.index, PROBE, 0.5))
+            self.feed(Prepared(slot.index, PROBE, trial_s))
         return lease.lease
 
     def evaluate(self, lease: bytes, *batches: int, run: str = "a") -> list[int]:
@@ -123,12 +123,11 @@ class Server:
         return [slot.state.name for slot in self.slots.slots]
 
 
-def running_one() -> tuple[Server, bytes, int]:
+def running_one(trials: int = 1) -> tuple[Server, bytes, int]:
     """A server of one slot that runs batch 1 of a lease; the lease and the query."""
     server = Server(1)
     lease = server.ready()
-    (query,) = server.evaluate(lease, 1)
-    return server, lease, query
+    return server, lease, server.ask(evaluate(lease, 1, trials))
 
 
 def reserve(nonce: int = 1, epoch: int = 0, slots: int = 100, simulator: str = "minisim", memory_mb: int = 0) -> Reserve:
@@ -139,12 +138,23 @@ def reserve(nonce: int = 1, epoch: int = 0, slots: int = 100, simulator: str = "
     )  # fmt: skip
 
 
-def evaluate(lease: bytes, batch: int) -> Evaluate:
-    return Evaluate(lease=lease, batch=batch, genomes=[b"g"], participants=b"\0" * 4, seeds=b"\0" * 8)
+def evaluate(lease: bytes, batch: int, trials: int = 1) -> Evaluate:
+    """Every trial has a genome of its own."""
+    numbers = range(trials)
+    return Evaluate(
+        lease=lease, batch=batch, genomes=[b"%d" % number for number in numbers], participants=codec.indices(numbers),
+        seeds=b"".join(number.to_bytes(8, "little") for number in numbers),
+    )  # fmt: skip
 
 
-def run(slot: int, lease: bytes, batch: int, first: int = 0, alone: int = -1) -> Run:
-    return Run(slot, codec.encode(evaluate(lease, batch)), first, alone)
+def run(slot: int, lease: bytes, batch: int, first: int = 0, alone: int = -1, trials: int = 1) -> Run:
+    return Run(slot, codec.encode(evaluate(lease, batch, trials)), first, alone)
+
+
+def seeds(commands: list[object]) -> list[tuple[int, list[int]]]:
+    """What slots are given: slot, and the seeds of the trials."""
+    pieces = [(command.slot, codec.decode_request(command.body)) for command in commands if isinstance(command, Run)]
+    return [(slot, codec.array(piece.seeds, "<u8").tolist()) for slot, piece in pieces if isinstance(piece, Evaluate)]
 
 
 def outcomes(batch: int) -> Outcomes:
@@ -550,7 +560,10 @@ def test_a_long_batch_is_answered_running_whether_it_runs_or_waits_and_can_be_as
         server.wait(7.5)
     assert not set(queries) & set(server.answers)
     server.wait(0.25)
-    assert [server.answers[query] for query in queries] == [Running(batch=1, done=3), Running(batch=2, done=0)]
+    assert [server.answers[query] for query in queries] == [
+        Running(batch=1, done=3, given=True),
+        Running(batch=2, done=0),
+    ]
     again = server.evaluate(lease, 1, 2)
     server.finish(0, 1)
     server.finish(0, 2)
@@ -590,6 +603,135 @@ def test_a_slot_that_finishes_what_it_was_not_given_is_a_bug() -> None:
     server.ready()
     with pytest.raises(LocalProtocolError):
         server.finish(0, 1)
+
+
+# ---- pieces -------------------------------------------------------------------------------------------------------
+
+
+def played(first: int, end: int, *, trial_s: float = 0.5) -> bytes:
+    """Outcomes of these trials, which say their numbers; no metrics."""
+    return codec.encode(
+        Outcomes(batch=1, fitness=bytes(range(first, end)), metrics=b"", seconds=trial_s * (end - first))
+    )  # fmt: skip
+
+
+def test_a_batch_is_shared_by_the_slots_piece_by_piece_smaller_ones_towards_the_end() -> None:
+    server = Server(2)
+    lease = server.ready()
+    query = server.ask(evaluate(lease, 1, 12))
+    given = seeds(server.commands)
+    assert given == [(0, [0, 1, 2]), (1, [3, 4, 5])]
+    ends = {0: 3, 1: 6}
+    for slot in itertools.cycle([0, 1]):
+        first = next(trials[0] for s, trials in reversed(given) if s == slot)
+        given += seeds(server.feed(Finished(slot, played(first, ends[slot]))))
+        if query in server.answers:
+            break
+        ends = {slot: trials[-1] + 1 for slot, trials in given}
+    assert [len(trials) for _, trials in given] == [3, 3, 2, 1, 1, 1, 1]
+    answer = server.answer(query, Outcomes)
+    assert (answer.trials, answer.fitness, answer.seconds) == (b"", bytes(range(12)), 6.0)
+
+
+def test_little_work_is_cut_into_one_piece_for_each_idle_slot() -> None:
+    server = Server(2)
+    lease = server.ready(trial_s=1e-5)
+    server.ask(evaluate(lease, 1, 37))
+    assert [len(trials) for _, trials in seeds(server.commands)] == [19, 18]
+
+
+def test_a_piece_has_the_genomes_of_its_trials_only() -> None:
+    server = Server(2)
+    lease = server.ready()
+    server.ask(evaluate(lease, 1, 4))
+    piece = codec.decode_request(server.commands[1].body)  # type: ignore[attr-defined]
+    assert piece == Evaluate(
+        lease=lease, batch=1, genomes=[b"1"], participants=codec.indices([0]), seeds=(1).to_bytes(8, "little")
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"seeds": b""}, {"seeds": b"", "participants": b""}, {"participants": b"\0" * 6}, {"participants": b""}]
+)
+def test_a_batch_that_cannot_be_cut_goes_to_a_slot_whole_which_refuses_it(wrong: dict[str, bytes]) -> None:
+    server = Server(2)
+    lease = server.ready()
+    message = Evaluate(lease=lease, batch=1, **{"genomes": [b"g"], "participants": bytes(8), "seeds": bytes(16)} | wrong)  # type: ignore[arg-type]
+    query = server.ask(message)
+    whole = wrong == {"participants": b""}  # two trials that nobody plays can be cut
+    assert len(server.commands) == (2 if whole else 1)
+    refused = Refused(code="malformed", reason="no")
+    for slot in range(len(server.commands)):
+        server.feed(Finished(slot, codec.encode(refused), played=False))
+    assert server.answers[query] == refused
+
+
+def test_slots_that_have_nothing_to_do_have_outcomes_told_that_wait_for_others() -> None:
+    """So the run sends more; the last answer has all outcomes again, for a run that did not get the first one."""
+    server = Server(2)
+    lease = server.ready()
+    query = server.ask(evaluate(lease, 1, 2))
+    server.now += 5.0
+    server.feed(Finished(1, played(1, 2)))
+    assert query not in server.answers
+    assert server.slots.next_time() == server.now + slots.HUNGRY_S
+    server.now += slots.HUNGRY_S
+    server.feed(Tick((0, 0)))
+    told = Running(batch=1, done=1, given=True, trials=codec.indices([1]), fitness=b"\1", seconds=0.5)
+    assert server.answers[query] == told
+    assert server.slots.next_time() == float("inf")
+    again = server.ask(evaluate(lease, 1, 2))
+    server.wait(5.0)
+    assert again not in server.answers, "once"
+    server.feed(Finished(0, played(0, 1)))
+    assert server.answers[again] == Outcomes(batch=1, fitness=b"\0\1", metrics=b"", seconds=1.0)
+
+
+def test_outcomes_are_not_told_early_while_something_waits_or_is_sent_at_once() -> None:
+    server = Server(2)
+    lease = server.ready()
+    server.ask(evaluate(lease, 1, 2))
+    server.feed(Finished(1, played(1, 2)))
+    server.evaluate(lease, 2, 3)
+    assert server.slots.next_time() == float("inf")
+
+
+def test_a_fault_ends_its_batch_when_the_other_slots_are_done_and_their_outcomes_are_told() -> None:
+    server = Server(3)
+    lease = server.ready()
+    query = server.ask(evaluate(lease, 1, 9))
+    assert seeds(server.commands) == [(0, [0, 1]), (1, [2, 3]), (2, [4])]
+    server.finish(2, 1)
+    assert server.feed(Died(1, 1, "crash"))[0] == Prepare(1, reserve(), probe=False)
+    assert query not in server.answers
+    assert server.feed(Finished(0, played(0, 2))) == [], "nothing more of it is handed out"
+    server.feed(Died(2, 0, "crash"))
+    answer = server.answer(query, Fault)
+    assert (answer.trial, answer.trials) == (3, codec.indices([0, 1, 4]))
+    assert server.asked(evaluate(lease, 1, 9)) == answer
+
+
+def test_a_cancelled_batch_is_stopped_in_all_slots_and_answered_when_all_have_ended() -> None:
+    server = Server(2)
+    lease = server.ready()
+    query = server.ask(evaluate(lease, 1, 8))
+    server.ask(Cancel(lease=lease, batches=[1]))
+    assert server.commands == [Stop(0), Stop(1)]
+    assert server.finish(0, 1) == []
+    assert query not in server.answers
+    server.finish(1, 1)
+    assert code(server.answers[query]) == "cancelled"
+
+
+def test_what_a_draining_server_began_of_a_batch_is_told() -> None:
+    server = Server(2)
+    lease = server.ready()
+    query = server.ask(evaluate(lease, 1, 8))
+    server.feed(Drain())
+    server.feed(Finished(0, played(0, 2)))
+    assert Drained() in server.feed(Finished(1, played(2, 4)))
+    answer = server.answer(query, Outcomes)
+    assert (answer.trials, answer.fitness) == (codec.indices(range(4)), bytes(range(4)))
 
 
 # ---- cancelling ---------------------------------------------------------------------------------------------------
@@ -826,12 +968,13 @@ def test_a_worn_process_of_an_ended_lease_is_not_taken_for_prepared() -> None:
 
 def test_a_batch_that_its_process_has_no_memory_for_goes_on_where_it_stopped_and_is_answered_whole() -> None:
     server = Server(1)
-    lease = server.ready()
-    query, second = server.evaluate(lease, 1, 2)
+    lease = server.ready(trial_s=1e-6)
+    query = server.ask(evaluate(lease, 1, 8))
+    (second,) = server.evaluate(lease, 2)
     assert server.feed(Exhausted(0, some(0, 0), 0, alone=5)) == [Kill(0), Prepare(0, reserve(), probe=False)]
-    assert server.feed(Prepared(0, b"", 0.0)) == [run(0, lease, 1, first=0, alone=5)], "before the batch that waits"
+    assert server.feed(Prepared(0, b"", 0.0)) == [run(0, lease, 1, first=0, alone=5, trials=8)], "before the batch that waits"
     server.feed(Exhausted(0, some(0, 5), 5, alone=5))
-    assert server.feed(Prepared(0, b"", 0.0)) == [run(0, lease, 1, first=5, alone=5)]
+    assert server.feed(Prepared(0, b"", 0.0)) == [run(0, lease, 1, first=5, alone=5, trials=8)]
     assert not {query, second} & set(server.answers)
     assert server.feed(Finished(0, codec.encode(some(5, 8)))) == [run(0, lease, 2)]
     whole = Outcomes(
@@ -844,22 +987,24 @@ def test_a_batch_that_its_process_has_no_memory_for_goes_on_where_it_stopped_and
 def test_another_slot_that_is_ready_goes_on_with_it() -> None:
     server = Server(2)
     lease = server.ready()
-    server.evaluate(lease, 1)
-    assert server.feed(Exhausted(0, some(0, 2), 2, alone=-1)) == [
+    server.ask(evaluate(lease, 1))
+    assert server.feed(Exhausted(0, some(0, 0), 0, alone=0)) == [
         Kill(0),
         Prepare(0, reserve(), probe=False),
-        run(1, lease, 1, first=2),
+        run(1, lease, 1, alone=0),
     ]
 
 
 def test_the_trials_before_are_counted_when_the_rest_of_a_batch_ends_in_a_fault_or_is_refused() -> None:
-    server, lease, query = running_one()
+    server = Server(1)
+    lease = server.ready(trial_s=1e-6)
+    query = server.ask(evaluate(lease, 1, 4))
     server.feed(Exhausted(0, some(0, 2), 2, alone=2))
     server.feed(Prepared(0, b"", 0.0))
     server.feed(Died(0, 2, "more than 512 MB", "memory"))
     answer = server.answer(query, Fault)
-    assert answer.trial == 2
-    (query,) = server.evaluate(lease, 2)
+    assert (answer.trial, answer.trials, answer.fitness, answer.seconds) == (2, codec.indices([0, 1]), bytes([0, 1]), 2.0)
+    query = server.ask(evaluate(lease, 2, 4))
     server.feed(Prepared(0, b"", 0.0))
     server.feed(Exhausted(0, some(0, 2), 2, alone=2))
     server.feed(Prepared(0, b"", 0.0))
@@ -868,9 +1013,11 @@ def test_the_trials_before_are_counted_when_the_rest_of_a_batch_ends_in_a_fault_
     assert server.answers[query] == refused
 
 
-@pytest.mark.parametrize(("end", "why"), [("cancel", "cancelled"), ("release", "lease-lost"), ("drain", "draining")])
+@pytest.mark.parametrize(("end", "why"), [("cancel", "cancelled"), ("release", "lease-lost"), ("drain", "")])
 def test_a_batch_that_ended_meanwhile_does_not_go_on(end: str, why: str) -> None:
-    server, lease, query = running_one()
+    server = Server(1)
+    lease = server.ready(trial_s=1e-6)
+    query = server.ask(evaluate(lease, 1, 4))
     match end:
         case "cancel":
             server.ask(Cancel(lease=lease, batches=[1]))
@@ -880,19 +1027,25 @@ def test_a_batch_that_ended_meanwhile_does_not_go_on(end: str, why: str) -> None
             server.feed(Drain())
     commands = server.feed(Exhausted(0, some(0, 2), 2, alone=-1))
     assert commands[0] == Kill(0)
-    assert code(server.answers[query]) == why
+    if end == "drain":
+        assert server.answer(query, Outcomes).trials == codec.indices([0, 1]), "what was played is not lost"
+    else:
+        assert code(server.answers[query]) == why
     assert (Drained() in commands) == (end == "drain")
     if end == "cancel":
         assert server.feed(Prepared(0, b"", 0.0)) == []
 
 
 def test_a_batch_that_goes_on_is_held_like_one_that_waits() -> None:
-    server, lease, query = running_one()
+    server = Server(1)
+    lease = server.ready(trial_s=1e-6)
+    query = server.ask(evaluate(lease, 1, 4))
     server.feed(Exhausted(0, some(0, 2), 2, alone=-1))
     server.wait(30.0)
     assert query not in server.answers
     server.wait(0.25)
-    assert server.answers[query] == Running(batch=1, done=2)
+    answer = server.answer(query, Running)
+    assert (answer.done, answer.given, answer.trials, answer.fitness) == (2, False, codec.indices([0, 1]), bytes([0, 1]))
     (again,) = server.evaluate(lease, 1)
     server.feed(Prepared(0, b"", 0.0))
     server.feed(Finished(0, codec.encode(some(2, 4))))

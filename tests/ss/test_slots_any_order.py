@@ -25,7 +25,9 @@ ANSWERS: dict[type[messages.Request], tuple[tuple[type[messages.Reply], ...], se
 TRIALS = 6  # in every batch
 RUNS = [("ada", "one"), ("ada", "two"), ("bob", "one")]
 UNKNOWN = b"no such lease..."
-WORK: dict[str, Any] = {"genomes": [b""], "participants": bytes(4 * TRIALS), "seeds": bytes(8 * TRIALS)}
+WORK: dict[str, Any] = {
+    "genomes": [b""], "participants": bytes(4 * TRIALS), "seeds": b"".join(trial.to_bytes(8, "little") for trial in range(TRIALS))
+}  # fmt: skip
 
 
 def outcomes(first: int, end: int) -> Outcomes:
@@ -40,7 +42,8 @@ class Process:
         self.does = ""  # "prepare", "evaluate", or nothing
         self.prepared = ""  # the problem
         self.worn = False
-        self.first, self.alone = 0, -1
+        self.trials = range(0)  # of its piece
+        self.first = 0
 
     def end(self) -> None:
         self.does, self.prepared, self.worn = "", "", False
@@ -86,9 +89,13 @@ class Server:
                     assert process.prepared, "a slot that is not prepared is given a batch"
                     assert not process.worn, "a worn process is given a batch"
                     assert not process.does, "a slot that works is given a batch"
-                    process.does, process.first, process.alone = "evaluate", command.first, command.alone
-                    assert 0 <= command.first < TRIALS
-                    assert -1 <= command.alone < TRIALS
+                    piece = codec.decode_request(command.body)
+                    assert isinstance(piece, Evaluate)
+                    seeds = codec.array(piece.seeds, "<u8").tolist()
+                    process.does, process.first, process.trials = "evaluate", command.first, range(seeds[0], seeds[-1] + 1)
+                    assert [*process.trials] == seeds
+                    assert 0 <= command.first < len(seeds)
+                    assert -1 <= command.alone < len(seeds)
                     self.seen["goes on"] += command.first > 0
                 case slots.Kill():
                     self.processes[command.slot].end()
@@ -100,13 +107,16 @@ class Server:
         kinds, codes = ANSWERS[type(request)]
         assert isinstance(reply, kinds) or (isinstance(reply, Refused) and reply.code in codes), f"{reply} to {request}"
         self.seen[reply.code if isinstance(reply, Refused) else type(reply).__name__] += 1
-        if isinstance(reply, Outcomes):
-            assert reply.fitness == outcomes(0, TRIALS).fitness, "a trial's outcome is missing, twice or at a wrong place"
+        if isinstance(reply, Outcomes | Running | Fault):
+            told = codec.array(reply.trials, "<u4").tolist() or ([*range(TRIALS)] if isinstance(reply, Outcomes) else [])
+            right = b"".join(outcomes(trial, trial + 1).fitness for trial in told)
+            assert reply.fitness == right, "a trial's outcome is missing, twice or at a wrong place"
+            self.seen["told early"] += isinstance(reply, Running) and bool(told)
 
     def ask(self, who: tuple[str, str], message: messages.Request) -> None:
         self.queries += 1
         self.open[self.queries] = message
-        self.feed(slots.Asked(self.queries, *who, message, codec.encode(message)))
+        self.feed(slots.Asked(self.queries, *who, message))
 
     # ---- what may happen
 
@@ -172,13 +182,15 @@ class Server:
             process.prepared = "a problem"
             self.feed(slots.Prepared(slot, b"digest", 0.1))
         elif does == "evaluate" and how == "exhausted":
-            process.worn = True
-            done = self.random.randint(process.first, TRIALS - 1)
-            alone = self.random.choice([-1, *range(done, TRIALS)])
-            self.feed(slots.Exhausted(slot, outcomes(process.first, done), done, alone))
+            process.worn, trials = True, process.trials
+            done = self.random.randint(process.first, len(trials) - 1)
+            alone = self.random.choice([-1, *range(done, len(trials))])
+            part = outcomes(trials.start + process.first, trials.start + done)
+            self.feed(slots.Exhausted(slot, part, done, alone))
         elif does == "evaluate":
-            process.worn = how == "worn"
-            self.feed(slots.Finished(slot, codec.encode(outcomes(process.first, TRIALS)), worn=process.worn))
+            process.worn, trials = how == "worn", process.trials
+            reply = outcomes(trials.start + process.first, trials.stop)
+            self.feed(slots.Finished(slot, codec.encode(reply), worn=process.worn))
 
     def time_passes(self) -> None:
         """Mostly as the clock ticks; sometimes the server stood still, or a trial hangs."""
@@ -208,10 +220,15 @@ class Server:
             idle = any(slot.state == SlotState.READY for slot in lease.slots)
             assert not (idle and lease.waiting), "a batch waits beside a slot that is ready"
             assert not lease.slots or any(slot.state != SlotState.ASSIGNED for slot in lease.slots), "nobody prepares a slot"
-        waiting = [batch for lease in self.slots.leases.values() for batch in lease.waiting]
-        running = [slot.batch for slot in self.slots.slots if slot.batch is not None]
+            assert lease.rest == sum(batch.rests() for batch in lease.batches.values()), "trials wait and are not counted as such"
+            assert [*lease.waiting] == [batch for batch in lease.waiting if batch.rests()]
+            pieces = [slot.piece for slot in lease.slots if slot.piece is not None]
+            for batch in lease.batches.values():
+                assert batch.running == sum(piece.batch is batch for piece in pieces)
+                assert batch.running or batch in lease.waiting, "a batch is forgotten"
+        held_batches = [batch for lease in self.slots.leases.values() for batch in lease.batches.values()]
         renewals = {query for lease in self.slots.leases.values() for query, _, _ in lease.renewals}
-        assert set(self.open) <= {batch.query for batch in [*waiting, *running]} | renewals, "a query is forgotten"
+        assert set(self.open) <= {batch.query for batch in held_batches} | renewals, "a query is forgotten"
 
 
 def play(seed: int) -> Server:
@@ -242,3 +259,4 @@ def test_whatever_is_asked_in_any_order_is_answered_once_and_nothing_leaks() -> 
     every = {"Outcomes", "Running", "Fault", "Lease", "Offer", "Done", "lease-lost", "busy", "mismatch", "cancelled", "draining"}
     assert {what for what in every if not seen[what]} == set(), "too little happens"
     assert seen["goes on"] > 100
+    assert seen["told early"] > 20

@@ -32,7 +32,7 @@ from zswarm.ot.newcomers import Newcomers
 from zswarm.ot.requests import Wanted, Who, request
 from zswarm.ot.workload import Workload
 from zswarm.protocol import codec, keys, messages
-from zswarm.protocol.messages import Outcomes
+from zswarm.protocol.messages import Outcomes, Running
 from zswarm.security import refusals
 from zswarm.security.keyring import Keyring
 from zswarm.session import Reach
@@ -279,7 +279,7 @@ class Cluster:
                     if isinstance(event, dispatch.Work):
                         self._workload = event.workload
                     commands = self._dispatch.handle(event, time.monotonic())
-                    changed |= not (isinstance(event, dispatch.Answered) and isinstance(event.reply, Outcomes))
+                    changed |= not (isinstance(event, dispatch.Answered) and isinstance(event.reply, Outcomes | Running))
                     for command in commands:
                         if isinstance(command, Ask):
                             self._ask(command)

@@ -1,11 +1,13 @@
 """Which server evaluates what: a pure state machine. Events and the time go in, commands come out.
 
-A server is seen, asked for its offer, reserved, prepared, and then kept with two batches per slot. A batch is as large as
-50-100 ms of measured work, and shrinks towards the end of a workload. Every trial is counted once: a result that comes a
-second time is dropped, and what a server did not answer goes elsewhere, or is asked for again when the server is back first.
+A server is seen, asked for its offer, reserved, prepared, and then kept with two batches, which it hands out to its slots by
+itself. A batch is as large as 75 ms of measured work for each of these slots, and shrinks towards the end of a workload that
+several servers share. Every trial is counted once: a result that comes a second time is dropped, and what a server did not
+answer goes elsewhere, or is asked for again when the server is back first.
 A share of the trials may be evaluated a second time elsewhere; a server that computes other bits is used no more.
 """
 
+from collections.abc import Sequence
 from enum import Enum, auto
 from typing import Literal
 
@@ -32,9 +34,9 @@ from zswarm.protocol.messages import (
     Running,
 )
 
-DEPTH = 2  # batches out per slot: one runs, one waits
-BATCH_S = 0.075  # of work in a batch, by measured time
-SMALLEST_BATCH_S = 0.003  # of work: shorter than the way to a server and back, two batches would not keep a slot busy
+DEPTH = 2  # batches out per server: of one trials run, the other waits
+BATCH_S = 0.075  # of work in a batch for each slot, by measured time
+SMALLEST_BATCH_S = 0.003  # of work for each slot: shorter than the way to a server and back, two batches would not keep it busy
 RENEW_S = 20.0  # a third of the lease time
 RETRY_S = (0.05, 0.2, 1.0)  # before asking again after an empty answer; then the server is put aside
 PAUSE_S = 1.0  # before a server that has no room, or not our lease any more, is asked again
@@ -185,6 +187,16 @@ class Batch(msgspec.Struct, eq=False):
     avoid: frozenset[str] = frozenset()  # servers on which a trial of it ended in a fault
     check: bool = False  # its trials are counted: evaluated a second time, to compare
     empties: int = 0  # empty answers in a row
+    given: bool = False  # none of it waits for a slot any more
+    left: int = -1  # trials whose outcomes did not come
+    told: np.ndarray | None = None  # (trials,) bool, whether the outcome came; None: of none
+
+    def __post_init__(self) -> None:
+        self.left = len(self.rest())
+
+    def rest(self) -> np.ndarray:
+        """These trials."""
+        return self.trials if self.told is None else self.trials[~self.told]
 
 
 class Server(msgspec.Struct, eq=False):
@@ -203,6 +215,7 @@ class Server(msgspec.Struct, eq=False):
     renewing: bool = False
     paused_until: float = 0.0  # it had no room for a batch
     batches: dict[int, Batch] = {}
+    left: dict[int, Batch] = {}  # batches that it may still have, and that wait for whoever is first
     abandoned: list[int] = []  # batches of its lease that it may still have and that nobody wants any more
     counted: int = 0  # trials
     blamed: int = 0  # trials that ended in a fault here and in an outcome elsewhere
@@ -337,7 +350,7 @@ class Dispatch:
         if server is None:
             return
         if server.phase == Phase.LEASED:
-            self._note("server_left", id_, f"{sum(len(b.trials) for b in server.batches.values())} trials were with it")
+            self._note("server_left", id_, f"{sum(batch.left for batch in server.batches.values())} trials were with it")
             server.phase = Phase.LEAVING
             self._changed = True
             for batch in [batch for batch in server.batches.values() if batch.empties]:
@@ -368,12 +381,15 @@ class Dispatch:
             server.abandoned.append(batch.id)
             self._give_back(batch)
         else:
-            self._requeue(batch.trials, batch.avoid, (server.id, batch.id))
+            batch.empties = 0
+            server.left[batch.id] = batch
+            self._requeue(batch.rest(), batch.avoid, (server.id, batch.id))
 
     def _return_to(self, server: Server, now: float) -> None:
         """The lease of before stands: ask for what it has and still is wanted, and cancel the rest."""
-        for number, piece in self._waiting.take_left(server.id):
-            batch = server.batches[number] = Batch(number, piece.trials, piece.avoid)
+        for number, _ in self._waiting.take_left(server.id):
+            batch = msgspec.structs.replace(server.left.pop(number))  # another one: answers of before are not for it
+            server.batches[number] = batch
             self._ask(server, "evaluate", now, batch=batch)
         if server.abandoned:
             self._ask(server, "cancel", now, batches=tuple(server.abandoned))
@@ -381,7 +397,7 @@ class Dispatch:
 
     def _end_former(self, server: Server) -> None:
         """The lease of before has ended, and with it what the server had."""
-        server.former, server.abandoned = b"", []
+        server.former, server.abandoned, server.left = b"", [], {}
         self._waiting.forget_left(server.id)
 
     def _put_aside(self, server: Server, time: float) -> None:
@@ -515,15 +531,21 @@ class Dispatch:
         if reply is None:
             self._abandon(server, batch)
         elif isinstance(reply, Running):
-            batch.empties = 0
-            self._ask(server, "evaluate", now, batch=batch)
+            batch.empties, batch.given = 0, batch.given or reply.given
+            if self._count(server, batch, reply, now):
+                if batch.left:
+                    self._ask(server, "evaluate", now, batch=batch)
+                else:
+                    del server.batches[batch.id]
         else:
             del server.batches[batch.id]
             match reply:
                 case Outcomes():
-                    self._count(server, batch, reply, now)
+                    if self._count(server, batch, reply, now):
+                        self._give_back(batch)
                 case Fault():
-                    self._faulted(server, batch, reply.trial, f"{reply.kind}: {reply.reason}", now)
+                    if self._count(server, batch, reply, now):
+                        self._faulted(server, batch, reply.trial, f"{reply.kind}: {reply.reason}", now)
                 case Refused(code="malformed"):
                     self._faulted(server, batch, 0, f"refused: {reply.reason}", now)
                 case Refused():
@@ -547,31 +569,42 @@ class Dispatch:
             case "mismatch":
                 self._drop(server, "server_refused", refused.reason, now)
 
-    def _count(self, server: Server, batch: Batch, reply: Outcomes, now: float) -> None:
+    def _count(self, server: Server, batch: Batch, reply: Outcomes | Running | Fault, now: float) -> bool:
+        """Take the outcomes that are new; False: they are none of the batch's, and the server is used no more."""
         workload = self._workload
         assert workload is not None  # noqa: S101  the server's batches are of it
         try:
             if reply.batch != batch.id:
                 raise RemoteProtocolError(f"batch {batch.id} was answered with batch {reply.batch}")
-            fitness, metrics = codec.outcomes(reply, len(batch.trials), self._participants, self._metrics)
+            rows, fitness, metrics = codec.outcomes(reply, len(batch.trials), self._participants, self._metrics)
         except RemoteProtocolError as error:
-            self._give_back(batch)
+            if server.batches.pop(batch.id, None) is not None or not isinstance(reply, Running):
+                self._give_back(batch)
             self._drop(server, "malformed", str(error), now)
-            return
-        measured = reply.seconds / len(batch.trials)
+            return False
+        if not len(rows):
+            return True
+        measured = reply.seconds / len(rows)
         server.trial_s = measured if not server.trial_s else 0.7 * server.trial_s + 0.3 * measured
-        if reply.error:
+        if batch.told is None:
+            batch.told = np.zeros(len(batch.trials), bool)
+        elif len(new := np.flatnonzero(~batch.told[rows])) < len(rows):
+            rows, fitness, metrics = rows[new], fitness[new], metrics[new]
+        batch.told[rows] = True
+        batch.left -= len(rows)
+        trials, fitness, metrics = batch.trials[rows], one_nan(fitness), one_nan(metrics)
+        if reply.error and np.isnan(fitness).any():
             self._note("simulator_raised", server.id, reply.error, int(np.isnan(fitness).any(axis=1).sum()))
-        fitness, metrics = one_nan(fitness), one_nan(metrics)
         if batch.check:
-            self._compare(server, batch.trials, fitness, metrics)
-            return
-        workload.fitness[batch.trials], workload.metrics[batch.trials] = fitness, metrics
-        server.counted += len(batch.trials)
-        self._choose_checks(batch.trials)
-        self._mark_counted(batch.trials, server.id, reply.seconds)
+            self._compare(server, trials, fitness, metrics)
+            return True
+        workload.fitness[trials], workload.metrics[trials] = fitness, metrics
+        server.counted += len(trials)
+        self._choose_checks(trials, [server.id] * len(trials))
+        self._mark_counted(trials, server.id, measured * len(trials))
         if self._faults:
-            self._clear_of_blame(batch.trials, server, now)
+            self._clear_of_blame(trials, server, now)
+        return True
 
     def _mark_counted(self, trials: np.ndarray, server: str, seconds: float) -> None:
         workload = self._workload
@@ -593,10 +626,14 @@ class Dispatch:
     def _faulted(self, server: Server, batch: Batch, index: int, text: str, now: float) -> None:
         workload = self._workload
         assert workload is not None  # noqa: S101  the server's batches are of it
-        index = min(index, len(batch.trials) - 1)
-        guilty, innocent = batch.trials[index : index + 1], np.delete(batch.trials, index)
-        self._give_back(Batch(batch.id, innocent, batch.avoid, batch.check))
-        trial = int(guilty[0])
+        rest = batch.rest()
+        if not len(rest):
+            return  # it blames a trial whose outcome it told
+        trial = int(batch.trials[min(index, len(batch.trials) - 1)])
+        if trial not in rest:
+            trial = int(rest[0])
+        guilty = rest[rest == trial]
+        self._give_back(Batch(batch.id, rest[rest != trial], batch.avoid, batch.check))
         if batch.check:
             self._note("fault", server.id, f"{text} (trial {trial}, when it was verified)")
             self._checks.drop([trial])
@@ -637,8 +674,8 @@ class Dispatch:
 
     # ---- verification
 
-    def _choose_checks(self, trials: np.ndarray) -> None:
-        self._checks.choose(trials)
+    def _choose_checks(self, trials: np.ndarray, sources: Sequence[str]) -> None:
+        self._checks.choose(trials, sources)
         self._changed |= bool(self._checks.waiting)  # others may be idle
 
     def _compare(self, server: Server, trials: np.ndarray, fitness: np.ndarray, metrics: np.ndarray) -> None:
@@ -689,9 +726,7 @@ class Dispatch:
 
     def _do_without_checks(self) -> None:
         """Trials are counted unverified when there is no second server."""
-        workload = self._workload
-        assert workload is not None  # noqa: S101  callers have one
-        lonely = self._checks.lonely(set(self._serving), workload)
+        lonely = self._checks.lonely(self._serving.keys())
         if lonely and not self._alone:
             self._note("unverified", text="no second server is there to verify with")
         self._alone = bool(lonely)
@@ -712,7 +747,8 @@ class Dispatch:
         self._rest = len(trials)
         if len(trials):
             self._waiting.put(trials)
-        self._choose_checks(np.flatnonzero(workload.source != ""))  # restored: counted, and perhaps not verified
+        restored = np.flatnonzero(workload.source != "")
+        self._choose_checks(restored, workload.source[restored].tolist())  # counted, and perhaps not verified
         self._complete_if_done()
 
     def _end_workload(self, now: float) -> None:
@@ -731,6 +767,7 @@ class Dispatch:
     def _leave_behind(self, server: str, batch: int) -> None:
         """Nobody wants any more what a server was left with."""
         self.servers[server].abandoned.append(batch)
+        del self.servers[server].left[batch]
 
     def _leave(self, now: float) -> None:
         self._end_workload(now)
@@ -740,12 +777,13 @@ class Dispatch:
             server.phase, server.lease = Phase.IDLE, b""
 
     def _give_back(self, batch: Batch) -> None:
-        """A batch, or what is left of it, that its server does not have any more."""
-        if batch.check:
-            self._changed = True
-            self._checks.give_back(batch.trials)
-        else:
-            self._requeue(batch.trials, batch.avoid)
+        """What is left of a batch that its server does not have any more."""
+        rest = batch.rest()
+        if batch.check and self._workload is not None:
+            self._changed |= bool(len(rest))
+            self._checks.give_back(rest, self._workload)
+        elif not batch.check:
+            self._requeue(rest, batch.avoid)
 
     def _requeue(self, trials: np.ndarray, avoid: frozenset[str] = frozenset(), left: tuple[str, int] | None = None) -> None:
         if len(trials):
@@ -755,7 +793,7 @@ class Dispatch:
             self._note("requeued", count=len(trials))
 
     def _fill(self, now: float) -> None:
-        """Keep servers with two batches per slot: first one for every slot of all, then the second."""
+        """Keep servers with two batches to hand out to their slots: first one for all servers, then the second."""
         hungry, self._hungry = self._hungry, None
         if self._workload is None or not (self._waiting.trials or self._checks.waiting):
             return
@@ -774,8 +812,8 @@ class Dispatch:
             servers = [hungry] if hungry is not None and hungry.id in self._serving else []
         for depth in range(1, DEPTH + 1):
             for server in servers:
-                while len(server.batches) < depth * server.ready:
-                    batch = self._take(server)
+                while size := self._size(server, depth):
+                    batch = self._take(server, size)
                     if batch is None:
                         break
                     server.batches[batch.id] = batch
@@ -783,27 +821,36 @@ class Dispatch:
         if self._checks.waiting and not self._rest:
             self._do_without_checks()
 
-    def _take(self, server: Server) -> Batch | None:
+    def _take(self, server: Server, size: int) -> Batch | None:
         """A batch for a server, or None when all that waits should go elsewhere; trials to verify come last."""
-        workload = self._workload
-        assert workload is not None  # noqa: S101  the caller has one
-        size = self._size(server)
         piece = self._waiting.take(server.id, size, self._serving)
         if piece is None:
-            checks = self._checks.take(server.id, size, workload) if self._checks.waiting else None
+            checks = self._checks.take(server.id, size) if self._checks.waiting else None
             return Batch(self._next_number(), checks, check=True) if checks is not None else None
         if piece.left:
             self._leave_behind(*piece.left)
         return Batch(self._next_number(), piece.trials, piece.avoid)
 
-    def _size(self, server: Server) -> int:
-        if not server.trial_s:
-            return 1
-        share = self._waiting.trials / (2 * self._slots * DEPTH)
-        smallest, largest = SMALLEST_BATCH_S / server.trial_s, BATCH_S / server.trial_s
+    def _size(self, server: Server, depth: int) -> int:
+        """Trials of the next batch for a server that is to have so many batches; 0: it has them.
+
+        Of long trials it has as many for each slot. When it serves alone, what waits is not kept back for others.
+        """
+        batches = server.batches.values()
+        missing = depth * server.ready - sum(batch.left for batch in batches)
+        enough = missing <= 0 and sum(not batch.given for batch in batches) >= depth
+        if enough or len(batches) >= DEPTH * server.ready:
+            return 0
+        least = max(1, missing)
+        if server.trial_s:
+            parts = 2 * DEPTH if len(self._serving) > 1 else 1
+            share = self._waiting.trials * server.ready / (self._slots * parts)
+            smallest = server.ready * SMALLEST_BATCH_S / server.trial_s
+            largest = server.ready * max(1.0, BATCH_S / server.trial_s)
+            least = max(least, int(min(max(share, smallest), largest)))
         trial_bytes = (self._genome_bytes + 16) * self._participants + 16
         fits = min(MAX_TRIALS, MAX_GENOMES // self._participants, MAX_MESSAGE // 2 // trial_bytes)
-        return int(max(1, min(max(share, smallest), largest, fits)))
+        return max(1, min(least, fits))
 
     # ---- questions
 

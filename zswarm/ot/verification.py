@@ -1,5 +1,6 @@
 """Counted trials that a second server evaluates too, and who is wrong when the outcomes differ."""
 
+import itertools
 from collections.abc import Iterable
 
 import numpy as np
@@ -16,7 +17,7 @@ class Checks:
         """Start with none; ``share`` of the trials will be chosen."""
         self.verified = 0  # trials that two servers gave the same outcome
         self.open: set[int] = set()
-        self.waiting: list[int] = []  # of them, with no server
+        self.waiting: dict[str, dict[int, None]] = {}  # of them, with no server, in order, by the one who was counted
         self._share = share
         self._drawn = 0  # trials that were chosen or not
         self._disputes: dict[int, dict[str, bytes]] = {}  # what is claimed, by trial and server
@@ -27,34 +28,52 @@ class Checks:
         self.waiting.clear()
         self._disputes.clear()
 
-    def choose(self, trials: np.ndarray) -> None:
-        """Choose from counted trials."""
+    def choose(self, trials: np.ndarray, sources: Iterable[str]) -> None:
+        """Choose from counted trials, each with the server whose outcome was counted."""
         if not self._share:
             return
         numbers = np.arange(self._drawn, self._drawn + len(trials))
         self._drawn += len(trials)
-        chosen = trials[numbers * GOLDEN % 1.0 < self._share].tolist()
-        self.open.update(chosen)
-        self.waiting += chosen
+        chosen = numbers * GOLDEN % 1.0 < self._share
+        for trial, source in itertools.compress(zip(trials.tolist(), sources, strict=True), chosen.tolist()):
+            self.open.add(trial)
+            self.waiting.setdefault(source, {})[trial] = None
 
-    def take(self, server: str, limit: int, workload: Workload) -> np.ndarray | None:
+    def take(self, server: str, limit: int) -> np.ndarray | None:
         """Trials for a server, none of them its own; None when there are none."""
-        taken = [trial for trial in self.waiting if workload.source[trial] != server][:limit]
-        self.waiting = sorted(set(self.waiting) - set(taken))
-        return np.array(taken) if taken else None
+        taken: list[int] = []
+        for source in [source for source in self.waiting if source != server]:
+            trials = self.waiting[source]
+            for trial in list(itertools.islice(trials, limit - len(taken))):
+                del trials[trial]
+                taken.append(trial)
+            if not trials:
+                del self.waiting[source]
+            if len(taken) == limit:
+                break
+        return np.array(sorted(taken)) if taken else None
 
-    def give_back(self, trials: np.ndarray) -> None:
+    def give_back(self, trials: np.ndarray, workload: Workload) -> None:
         """A server does not have them any more."""
-        self.waiting += [trial for trial in trials.tolist() if trial in self.open]
+        for trial in trials.tolist():
+            if trial in self.open:
+                self.waiting.setdefault(workload.source[trial], {})[trial] = None
 
     def drop(self, trials: Iterable[int]) -> None:
         """Leave trials unverified."""
         self.open.difference_update(trials)
-        self.waiting = [trial for trial in self.waiting if trial in self.open]
+        left = {source: {trial: None for trial in waiting if trial in self.open} for source, waiting in self.waiting.items()}
+        self.waiting = {source: waiting for source, waiting in left.items() if waiting}
 
-    def lonely(self, servers: set[str], workload: Workload) -> list[int]:
+    def lonely(self, servers: Iterable[str]) -> list[int]:
         """Waiting trials for which none of these servers is a second one."""
-        return [trial for trial in self.waiting if not servers - {workload.source[trial]}]
+        servers = list(servers)
+        return [
+            trial
+            for source, waiting in self.waiting.items()
+            if not any(server != source for server in servers)
+            for trial in waiting
+        ]
 
     def compare(self, server: str, trials: np.ndarray, fitness: np.ndarray, metrics: np.ndarray, workload: Workload) -> list[int]:
         """Compare a second server's outcomes bit by bit; the trials where they differ, which are open until settled."""

@@ -2,6 +2,7 @@
 
 import math
 import unicodedata
+from collections.abc import Iterable
 from typing import Any, TypeVar
 
 import msgspec
@@ -75,9 +76,11 @@ def decode_reply(body: bytes) -> Reply:
             lists = {name: [clean(text) for text in getattr(message, name)] for name in ("simulators", "representations")}
             texts = {name: clean(getattr(message, name)) for name in ("server", "program", "machine", "mismatch")}
             return msgspec.structs.replace(message, **lists, **texts)
-        case messages.Lease() | messages.Fault() | messages.Refused():
+        case messages.Lease() | messages.Refused():
             return msgspec.structs.replace(message, reason=clean(message.reason))
-        case messages.Outcomes() if message.error:
+        case messages.Fault():
+            return msgspec.structs.replace(message, reason=clean(message.reason), error=clean(message.error))
+        case messages.Outcomes() | messages.Running() if message.error:
             return msgspec.structs.replace(message, error=clean(message.error))
     return message
 
@@ -102,21 +105,51 @@ def trials(message: messages.Evaluate, participants_per_trial: int) -> tuple[np.
     return participants.astype(np.int64).reshape(len(seeds), participants_per_trial), seeds
 
 
-def outcomes(message: messages.Outcomes, count: int, participants: int, metrics: int) -> tuple[np.ndarray, np.ndarray]:
-    """Fitness (count, participants) and metrics (count, metrics), float64.
+def cut(message: messages.Evaluate, first: int, end: int) -> messages.Evaluate:
+    """A batch of some trials of a batch, from first to before end, with the genomes that they need."""
+    count = len(message.seeds) // 8
+    if (first, end) == (0, count):
+        return message
+    participants = np.frombuffer(message.participants, "<u4").reshape(count, -1)[first:end]
+    lowest, highest = (int(participants.min()), int(participants.max())) if participants.size else (0, -1)
+    return messages.Evaluate(
+        lease=message.lease,
+        batch=message.batch,
+        genomes=message.genomes[lowest : highest + 1],
+        participants=(participants - np.uint32(lowest)).astype("<u4").tobytes(),
+        seeds=message.seeds[8 * first : 8 * end],
+    )
+
+
+def indices(numbers: Iterable[int]) -> bytes:
+    """Trials of a batch, as they are sent."""
+    return np.fromiter(numbers, "<u4").tobytes()
+
+
+def outcomes(
+    message: messages.Outcomes | messages.Running | messages.Fault, count: int, participants: int, metrics: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Trials (told,) as indices into the batch, their fitness (told, participants) and metrics (told, metrics), float64.
 
     Raises:
-        RemoteProtocolError: wrong sizes, or an infinite number.
+        RemoteProtocolError: wrong sizes, no trial of the batch or one twice, or an infinite number.
     """
+    if not message.trials and isinstance(message, messages.Outcomes):
+        trials = np.arange(count)
+    else:
+        trials = array(message.trials, "<u4").astype(np.int64)
+        if len(trials) and (trials[-1] >= count or (trials[1:] <= trials[:-1]).any()):
+            raise RemoteProtocolError(f"trials of a batch of {count} are told in rising order, each once")
+    told = len(trials)
     fitness, measured = array(message.fitness, "<f8"), array(message.metrics, "<f8")
-    if fitness.size != count * participants or measured.size != count * metrics:
+    if fitness.size != told * participants or measured.size != told * metrics:
         raise RemoteProtocolError(
-            f"{count} trials need {count * participants} fitness numbers and {count * metrics} metrics, "
+            f"{told} trials need {told * participants} fitness numbers and {told * metrics} metrics, "
             f"not {fitness.size} and {measured.size}"
         )
     if np.isinf(fitness).any() or np.isinf(measured).any():
         raise RemoteProtocolError("an outcome is infinite")
-    return fitness.reshape(count, participants), measured.reshape(count, metrics)
+    return trials, fitness.reshape(told, participants), measured.reshape(told, metrics)
 
 
 def array(raw: bytes, dtype: str) -> np.ndarray:

@@ -132,24 +132,36 @@ class Outcomes(Message, frozen=True, tag="outcomes"):
     batch: BatchId
     fitness: bytes  # (trials, k) float64, NaN where the simulator raised
     metrics: bytes  # (trials, m) float64
-    seconds: Seconds  # spent computing
+    seconds: Seconds  # spent computing, by all slots together
+    trials: bytes = b""  # (trials,) uint32, those of the batch that these are of, rising; b"": all. The others go elsewhere
     error: Text = ""  # what the simulator raised first
 
 
 class Running(Message, frozen=True, tag="running"):
-    """The batch still runs: ask again with the same id."""
+    """The batch still runs: ask again with the same id. With outcomes of trials that are done and were not told yet."""
 
     batch: BatchId
     done: Count  # trials
+    given: bool = False  # none of it waits for a slot
+    trials: bytes = b""  # of these, as in Outcomes; b"": of none
+    fitness: bytes = b""
+    metrics: bytes = b""
+    seconds: Seconds = 0.0
+    error: Text = ""
 
 
 class Fault(Message, frozen=True, tag="fault"):
-    """The machine or the simulator's process failed at one trial; the others of the batch are without blame."""
+    """The machine or the simulator's process failed at one trial; the others are without blame, some of them done."""
 
     batch: BatchId
     kind: FaultKind
     trial: Count
     reason: Text
+    trials: bytes = b""  # of those that are done, as in Outcomes; b"": of none
+    fitness: bytes = b""
+    metrics: bytes = b""
+    seconds: Seconds = 0.0
+    error: Text = ""
 
 
 class Refused(Message, frozen=True, tag="refused"):

@@ -176,7 +176,7 @@ class Server:
             if self._private:
                 poll.register(sys.stdin.fileno(), select.POLLIN)
             next_start = min(worker.start_at for worker in self.workers)
-            until = min(next_start, self._look_at, self._return_at)
+            until = min(next_start, self._look_at, self._return_at, self.slots.next_time())
             if self.slots.busy() or self.slots.draining or self._signals:
                 until = min(until, next_tick)
             if self._control is not None:
@@ -210,8 +210,8 @@ class Server:
                     self._handle(item)
                     if isinstance(item, slots.HolderGone):
                         self._presence.forget(f"{item.user}/{item.run}")
-            if time.monotonic() >= next_tick:
-                next_tick = time.monotonic() + TICK_S
+            if (now := time.monotonic()) >= min(next_tick, self.slots.next_time()):
+                next_tick = now + TICK_S
                 self._handle(slots.Tick(tuple(worker.trial() for worker in self.workers)))
             self._look(time.monotonic(), new=bool(ready))
 
@@ -277,7 +277,7 @@ class Server:
             self._presence.answer(question, "malformed", codec.encode(Refused(code="malformed", reason=str(error))))
             return
         self._questions[id(question)] = (question, f"{key.user}/{key.run}")
-        self._handle(slots.Asked(id(question), key.user, key.run, message, question.body))
+        self._handle(slots.Asked(id(question), key.user, key.run, message))
 
     def _start_workers(self) -> None:
         now = time.monotonic()

@@ -2,15 +2,17 @@
 
 A lease holds slots for one run. Free slots go to the leases that want more, in the order the leases were made; a lease
 that takes over another one takes its place. A slot is prepared once for its lease's problem; the first compiles, and the
-others are prepared when it is ready, so that they find the compiled code. A lease holds one batch running and one waiting
-per slot, and outcomes are kept for a run that asks again. A process that has little memory left is replaced by a new one.
-Every query is answered once.
+others are prepared when it is ready, so that they find the compiled code. A batch is handed out to all slots of its lease,
+piece by piece, smaller ones towards the end; its query is answered when the last piece is done, or earlier when slots have
+nothing to do while outcomes are there that the run does not know. Outcomes are kept for a run that asks again. A process that
+has little memory left is replaced by a new one. Every query is answered once.
 """
 
+import math
 from collections import Counter, OrderedDict, deque
 from collections.abc import Callable
 from enum import Enum, auto
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 
@@ -18,6 +20,7 @@ from zswarm.errors import LocalProtocolError
 from zswarm.protocol import codec
 from zswarm.protocol.messages import (
     MAX_TEXT,
+    MAX_TRIALS,
     PROBE_GENOMES,
     PROBE_SEEDS,
     Cancel,
@@ -45,6 +48,8 @@ LEASE_S = 60.0  # after the last message
 GRACE_S = 30.0  # after the holder's token vanished
 HOLD_QUERY_S = 30.0  # a batch that runs longer is answered "running"
 HOLD_RENEWAL_S = 10.0
+HUNGRY_S = 0.01  # a slot without work for longer, and outcomes are told that wait for others of their batch
+PIECE_S = 0.001  # of work in a piece at least: as long as the way to a slot's process and back costs a tenth of it
 STOP_S = 2.0  # a batch told to stop that goes on longer is killed
 PREPARE_S = 60.0  # to compile; a preparation may take this and the time of the probe's trials
 STALL_S = 2.0  # without an event although slots work: the server itself stood still, and that is no slot's fault
@@ -58,13 +63,12 @@ Query = int  # stands for a query to answer
 
 
 class Asked(msgspec.Struct, frozen=True):
-    """A run asks; ``body`` is the message as it came."""
+    """A run asks."""
 
     query: Query
     user: str
     run: str
     message: Request
-    body: bytes
 
 
 class HolderSeen(msgspec.Struct, frozen=True):
@@ -97,7 +101,7 @@ class Unprepared(msgspec.Struct, frozen=True):
 
 
 class Finished(msgspec.Struct, frozen=True):
-    """A slot's batch ended; ``reply`` is the encoded answer."""
+    """A slot's piece ended; ``reply`` is the encoded answer."""
 
     slot: int
     reply: bytes
@@ -106,16 +110,16 @@ class Finished(msgspec.Struct, frozen=True):
 
 
 class Exhausted(msgspec.Struct, frozen=True):
-    """A slot's process has no memory left for the rest of its batch, though no single trial is to blame yet."""
+    """A slot's process has no memory left for the rest of its piece, though no single trial is to blame yet."""
 
     slot: int
     part: Outcomes  # of the trials that it finished
-    done: int  # trials of the batch that are finished, with those of the processes before
+    done: int  # trials of the piece that are finished, with those of the processes before
     alone: int  # the trial to be played by itself, to see whether it is to blame; -1: none
 
 
 class Died(msgspec.Struct, frozen=True):
-    """A slot's process ended by itself, in the given trial of its batch; a new one was started."""
+    """A slot's process ended by itself, in the given trial of its piece; a new one was started."""
 
     slot: int
     trial: int
@@ -124,7 +128,7 @@ class Died(msgspec.Struct, frozen=True):
 
 
 class Tick(msgspec.Struct, frozen=True):
-    """Time passed; ``trials`` are the trials that the slots are at."""
+    """Time passed; ``trials`` are the trials of their pieces that the slots are at."""
 
     trials: tuple[int, ...]
 
@@ -156,16 +160,16 @@ class Prepare(msgspec.Struct, frozen=True):
 
 
 class Run(msgspec.Struct, frozen=True):
-    """Evaluate a batch in a slot; answered by Finished, Exhausted or Died."""
+    """Evaluate a piece of a batch in a slot; answered by Finished, Exhausted or Died."""
 
     slot: int
-    body: bytes
+    body: bytes  # an encoded Evaluate
     first: int = 0  # trial to begin with
     alone: int = -1  # trial to play by itself
 
 
 class Stop(msgspec.Struct, frozen=True):
-    """Let a slot's batch end before its next trial."""
+    """Let a slot's piece end before its next trial."""
 
     slot: int
 
@@ -201,22 +205,48 @@ class SlotState(Enum):
     PREPARING = auto()
     READY = auto()
     BUSY = auto()
-    STOPPING = auto()  # its lease ended; its batch or preparation goes on a little
+    STOPPING = auto()  # its lease ended; its piece or preparation goes on a little
 
 
 class Batch(msgspec.Struct, eq=False):
     """Work of a lease that is not finished."""
 
-    id: int
-    body: bytes
+    message: Evaluate
     query: Query | None
     since: float  # when the query came
     trials: int
-    begun: float = 0.0  # in its slot
+    whole: bool  # it cannot be cut: a slot will refuse it
+    given: int = 0  # trials that were handed out
+    again: list["Piece"] = []  # handed out, and to be gone on with in another process
+    running: int = 0  # pieces in slots
+    parts: list["Part"] = []
+    told: int = 0  # of these
+    fault: Fault | None = None
+    refusal: Refused | None = None  # by a slot
     cancelled: bool = False
+
+    def rests(self) -> int:
+        """Trials that wait for a slot."""
+        return self.trials - self.given + sum(piece.end - piece.first - piece.done for piece in self.again)
+
+
+class Part(msgspec.Struct, eq=False):
+    """Outcomes of some trials of a batch, from first to before end."""
+
+    first: int
+    end: int
+    outcomes: Outcomes
+
+
+class Piece(msgspec.Struct, eq=False):
+    """Trials of a batch that a slot has, from first to before end."""
+
+    batch: Batch
+    first: int
+    end: int
+    begun: float = 0.0  # in its slot
     done: int = 0  # trials, by processes that ran out of memory
     alone: int = -1  # the trial to play by itself
-    parts: list[Outcomes] = []  # of these trials
 
 
 class Slot(msgspec.Struct, eq=False):
@@ -226,7 +256,7 @@ class Slot(msgspec.Struct, eq=False):
     state: SlotState = SlotState.FREE
     lease: "Held | None" = None
     setup: Reserve | None = None  # what its process is prepared for
-    batch: Batch | None = None
+    piece: Piece | None = None
     trial: int = -1
     since: float = 0.0  # in this trial, preparing or stopping since then
     deaths: int = 0  # while it was prepared for this lease, in a row
@@ -246,10 +276,14 @@ class Held(msgspec.Struct, eq=False):
     trials: int = 0  # whose outcomes are there
     gone_since: float | None = None
     slots: list[Slot] = []
-    waiting: deque[Batch] = msgspec.field(default_factory=deque)
+    batches: dict[int, Batch] = {}  # that are not answered for good
+    waiting: deque[Batch] = msgspec.field(default_factory=deque)  # of them, with trials to hand out
+    rest: int = 0  # these trials
+    hungry_since: float | None = None  # a slot has nothing to do
     renewals: list[tuple[Query, int, float]] = []  # query, ready slots known, since
     probe: bytes = b""
-    trial_s: float = 0.0
+    probe_s: float = 0.0  # of one trial of the probe
+    trial_s: float = 0.0  # measured
     failure: str = ""
 
     def ready(self) -> int:
@@ -322,12 +356,17 @@ class Slots:
             case Tick():
                 self._tick(event.trials, now)
             case Drain():
-                self._drain()
+                self._drain(now)
         if self.draining and not any(slot.state == SlotState.BUSY for slot in self.slots):
             for lease in self.leases.values():
                 self._answer_renewals(lease, now, hold=False)
             self._do(Drained())
         return self._commands
+
+    def next_time(self) -> float:
+        """When a Tick is due before the next one of the clock."""
+        hungry = [lease.hungry_since for lease in self.leases.values() if lease.hungry_since is not None]
+        return min(hungry) + HUNGRY_S if hungry else math.inf
 
     def busy(self) -> bool:
         """Whether something needs ticks: a lease, or a slot that stops."""
@@ -405,32 +444,80 @@ class Slots:
         if kept is not None:
             self._do(Answer(event.query, kept))
             return
-        running = [slot.batch for slot in lease.slots if slot.batch is not None]
-        for batch in [*running, *lease.waiting]:
-            if batch.id == message.batch:
-                self._refuse(batch.query, "cancelled", "asked again")
-                batch.query, batch.since = event.query, now
-                return
-        going_on = sum(not batch.cancelled for batch in running)
+        if (batch := lease.batches.get(message.batch)) is not None:
+            self._refuse(batch.query, "cancelled", "asked again")
+            batch.query, batch.since = event.query, now
+            self._start(lease, now)
+            return
+        most = 2 * len(lease.slots)
         if self.draining:
             self._refuse(event.query, "draining", "the server is draining")
         elif lease.failure:
             self._refuse(event.query, "mismatch", lease.failure)
-        elif going_on + len(lease.waiting) >= 2 * len(lease.slots):
-            self._refuse(event.query, "busy", f"{len(lease.slots)} slots take {2 * len(lease.slots)} batches at once")
+        elif sum(not batch.cancelled for batch in lease.batches.values()) >= most:
+            self._refuse(event.query, "busy", f"{len(lease.slots)} slots take {most} batches at once")
         else:
-            lease.waiting.append(Batch(message.batch, event.body, event.query, now, len(message.seeds) // 8))
+            trials = len(message.seeds) // 8
+            whole = not 1 <= trials <= MAX_TRIALS or len(message.seeds) % 8 > 0 or len(message.participants) % (4 * trials) > 0
+            batch = lease.batches[message.batch] = Batch(message, event.query, now, max(1, trials), whole)
+            lease.waiting.append(batch)
+            lease.rest += batch.trials
             self._start(lease, now)
 
     def _cancel(self, lease: Held, ids: set[int], now: float) -> None:
-        for batch in [batch for batch in lease.waiting if batch.id in ids]:
+        for batch in [lease.batches[id_] for id_ in ids if id_ in lease.batches]:
+            if batch.cancelled:
+                continue
+            batch.cancelled = True
+            self._close(lease, batch)
+            for slot in lease.slots:
+                if slot.piece is not None and slot.piece.batch is batch:
+                    slot.since = now
+                    self._do(Stop(slot.index))
+            self._conclude_if_done(lease, batch, now)
+
+    def _close(self, lease: Held, batch: Batch) -> None:
+        """Hand nothing more of a batch out; what runs may end."""
+        if batch in lease.waiting:
             lease.waiting.remove(batch)
+            lease.rest -= batch.rests()
+        batch.given, batch.again = batch.trials, []
+
+    def _conclude_if_done(self, lease: Held, batch: Batch, now: float) -> None:
+        """Answer a batch of which nothing runs or waits any more."""
+        if batch.running or batch.again or batch.given < batch.trials:
+            return
+        del lease.batches[batch.message.batch]
+        if batch.cancelled:
             self._refuse(batch.query, "cancelled", "cancelled")
-        for slot in lease.slots:
-            if slot.batch is not None and slot.batch.id in ids and not slot.batch.cancelled:
-                slot.batch.cancelled = True
-                slot.since = now
-                self._do(Stop(slot.index))
+            return
+        outcomes = self._outcomes(batch.parts)
+        if batch.refusal is not None:
+            reply: Message = batch.refusal
+        elif batch.fault is not None:
+            reply = msgspec.structs.replace(batch.fault, **outcomes)
+        elif not batch.parts:
+            self._refuse(batch.query, "draining", "the server is draining")
+            return
+        else:
+            every = sum(part.end - part.first for part in batch.parts) == batch.trials
+            reply = Outcomes(batch=batch.message.batch, **outcomes | ({"trials": b""} if every else {}))
+        body = codec.encode(reply)
+        self.kept.put(lease.token, batch.message.batch, body, now)
+        if batch.query is not None:
+            self._do(Answer(batch.query, body))
+
+    def _outcomes(self, parts: list[Part]) -> dict[str, Any]:
+        """Fields that tell outcomes, in the order of the trials."""
+        parts = sorted(parts, key=lambda part: part.first)
+        pieces = [part.outcomes for part in parts]
+        return {
+            "trials": codec.indices(trial for part in parts for trial in range(part.first, part.end)),
+            "fitness": b"".join(piece.fitness for piece in pieces),
+            "metrics": b"".join(piece.metrics for piece in pieces),
+            "seconds": sum(piece.seconds for piece in pieces),
+            "error": next((piece.error for piece in pieces if piece.error), ""),
+        }
 
     # ---- slots
 
@@ -468,7 +555,7 @@ class Slots:
             return
         slot.state, slot.deaths = SlotState.READY, 0
         if not lease.probe:
-            lease.probe, lease.trial_s = event.probe, event.trial_s
+            lease.probe, lease.probe_s, lease.trial_s = event.probe, event.trial_s, event.trial_s
             self._log("lease_ready", user=lease.user, run=lease.run, trial_s=event.trial_s)
         self._prepare(lease, now)
         self._start(lease, now)
@@ -488,66 +575,100 @@ class Slots:
         self._assign(now)
 
     def _start(self, lease: Held, now: float) -> None:
-        for slot in lease.slots:
+        """Hand out what waits to the slots that are ready."""
+        idle = [slot for slot in lease.slots if slot.state == SlotState.READY]
+        for number, slot in enumerate(idle):
             if not lease.waiting:
-                return
-            if slot.state == SlotState.READY:
-                slot.batch = lease.waiting.popleft()
-                slot.state, slot.trial, slot.since, slot.batch.begun = SlotState.BUSY, -1, now, now
-                self._do(Run(slot.index, slot.batch.body, slot.batch.done, slot.batch.alone))
+                break
+            piece = slot.piece = self._next_piece(lease, len(idle) - number)
+            slot.state, slot.trial, slot.since, piece.begun = SlotState.BUSY, -1, now, now
+            piece.batch.running += 1
+            message = piece.batch.message if piece.batch.whole else codec.cut(piece.batch.message, piece.first, piece.end)
+            self._do(Run(slot.index, codec.encode(message), piece.done, piece.alone))
+        hungry = not lease.waiting and any(slot.state == SlotState.READY for slot in idle)
+        untold = hungry and any(batch.told < len(batch.parts) and batch.query is not None for batch in lease.batches.values())
+        lease.hungry_since = (lease.hungry_since or now) if untold else None
+
+    def _next_piece(self, lease: Held, idle: int) -> Piece:
+        """Half of a slot's share of what waits, a little work at least; little work is shared by the slots that are idle."""
+        batch = lease.waiting[0]
+        if batch.again:
+            piece = batch.again.pop(0)
+        else:
+            least = PIECE_S / lease.trial_s if lease.trial_s else 1.0
+            size = math.ceil(min(max(lease.rest / (2 * len(lease.slots)), least), lease.rest / idle))
+            first = batch.given
+            batch.given = batch.trials if batch.whole else min(first + size, batch.trials)
+            piece = Piece(batch, first, batch.given)
+        lease.rest -= piece.end - piece.first - piece.done
+        if not batch.again and batch.given == batch.trials:
+            lease.waiting.popleft()
+        return piece
 
     def _finished(self, slot: Slot, event: Finished, now: float) -> None:
-        lease, batch = slot.lease, self._leave_batch(slot, now)
+        lease, piece = slot.lease, self._leave_piece(slot, now)
         if event.worn:
             self._renew_process(slot)
         if lease is None:
             self._release(slot, now)
             return
-        if batch is None:
+        if piece is None:
             raise LocalProtocolError(f"slot {slot.index} finished a batch it does not have")
         slot.state = SlotState.ASSIGNED if event.worn else SlotState.READY
-        if batch.cancelled:
-            self._refuse(batch.query, "cancelled", "cancelled")
-        else:
-            reply = _joined(batch.parts, event.reply)
-            if event.played:
-                lease.trials += batch.trials
-                self.trials += batch.trials
-            self.kept.put(lease.token, batch.id, reply, now)
-            if batch.query is not None:
-                self._do(Answer(batch.query, reply))
+        batch = piece.batch
+        if not batch.cancelled:
+            reply = codec.decode_reply(event.reply)
+            if isinstance(reply, Outcomes):
+                self._add(lease, batch, Part(piece.first + piece.done, piece.end, reply))
+            elif isinstance(reply, Refused):
+                batch.refusal = reply
+                self._close(lease, batch)
+        self._conclude_if_done(lease, batch, now)
         if event.worn:
             self._prepare(lease, now)
             self._answer_renewals(lease, now)
         self._start(lease, now)
 
+    def _add(self, lease: Held, batch: Batch, part: Part) -> None:
+        """Outcomes are there."""
+        if trials := part.end - part.first:
+            batch.parts.append(part)
+            lease.trials += trials
+            self.trials += trials
+            measured = part.outcomes.seconds / trials
+            lease.trial_s = measured if not lease.trial_s else 0.7 * lease.trial_s + 0.3 * measured
+
     def _exhausted(self, slot: Slot, event: Exhausted, now: float) -> None:
-        """The batch goes on in whatever slot is ready first; this one gets a new process."""
-        lease, batch = slot.lease, self._leave_batch(slot, now)
+        """The piece goes on in whatever slot is ready first; this one gets a new process."""
+        lease, piece = slot.lease, self._leave_piece(slot, now)
         self._renew_process(slot)
         if lease is None:
             self._release(slot, now)
             return
-        if batch is None:
+        if piece is None:
             raise LocalProtocolError(f"slot {slot.index} ran out of memory for a batch it does not have")
         slot.state = SlotState.ASSIGNED
-        if batch.cancelled:
-            self._refuse(batch.query, "cancelled", "cancelled")
-        elif self.draining:
-            self._refuse(batch.query, "draining", "the server is draining")
-        else:
-            batch.done, batch.alone = event.done, event.alone
-            batch.parts = [*batch.parts, event.part]
-            lease.waiting.appendleft(batch)
+        batch = piece.batch
+        if not batch.cancelled:
+            self._add(lease, batch, Part(piece.first + piece.done, piece.first + event.done, event.part))
+            if not (self.draining or batch.fault or batch.refusal):
+                piece.done, piece.alone = event.done, event.alone
+                batch.again.append(piece)
+                if batch in lease.waiting:
+                    lease.waiting.remove(batch)
+                lease.waiting.appendleft(batch)
+                lease.rest += piece.end - piece.first - piece.done
+        self._conclude_if_done(lease, batch, now)
         self._prepare(lease, now)
         self._start(lease, now)
         self._answer_renewals(lease, now)
 
-    def _leave_batch(self, slot: Slot, now: float) -> Batch | None:
-        batch, slot.batch = slot.batch, None
-        if batch is not None:
-            self.seconds += now - batch.begun
-        return batch
+    def _leave_piece(self, slot: Slot, now: float) -> Piece | None:
+        piece, slot.piece = slot.piece, None
+        if piece is not None:
+            self.seconds += now - piece.begun
+            piece.batch.running -= 1
+        return piece
 
     def _renew_process(self, slot: Slot) -> None:
         self._log("slot_worn", slot=slot.index)
@@ -556,20 +677,19 @@ class Slots:
 
     def _died(self, slot: Slot, kind: FaultKind | Literal["stopped"], trial: int, reason: str, now: float) -> None:
         """The slot's process ended, or was killed, and a new one is there, prepared for nothing."""
-        lease, batch = slot.lease, self._leave_batch(slot, now)
+        lease, piece = slot.lease, self._leave_piece(slot, now)
         slot.setup = None
         self.faults[kind] += 1
         if lease is None:
             self._release(slot, now)
             return
         self._log("slot_died", slot=slot.index, kind=kind, trial=trial, reason=reason)
-        if batch is not None and batch.cancelled:
-            self._refuse(batch.query, "cancelled", "cancelled")
-        elif batch is not None:
-            fault = Fault(batch=batch.id, kind="crashed" if kind == "stopped" else kind, trial=trial, reason=reason[:MAX_TEXT])
-            self.kept.put(lease.token, batch.id, codec.encode(fault), now)
-            if batch.query is not None:
-                self._answer(batch.query, fault)
+        if piece is not None:
+            batch, blame = piece.batch, "crashed" if kind == "stopped" else kind
+            if not batch.cancelled and batch.fault is None:
+                batch.fault = Fault(batch=batch.message.batch, kind=blame, trial=piece.first + trial, reason=reason[:MAX_TEXT])
+                self._close(lease, batch)
+            self._conclude_if_done(lease, batch, now)
         slot.deaths += slot.state == SlotState.PREPARING
         slot.state = SlotState.ASSIGNED
         if slot.deaths < PREPARE_ATTEMPTS:
@@ -584,7 +704,7 @@ class Slots:
 
     def _release(self, slot: Slot, now: float) -> None:
         """A slot has done with its ended lease."""
-        slot.state, slot.lease, slot.batch = SlotState.FREE, None, None
+        slot.state, slot.lease, slot.piece = SlotState.FREE, None, None
         self._assign(now)
 
     # ---- ends
@@ -600,8 +720,9 @@ class Slots:
 
     def _let_go(self, lease: Held, code: Refusal, reason: str, now: float) -> None:
         """Refuse a lease's batches and free its slots; one that computes is told to stop first."""
-        for batch in [*lease.waiting, *(slot.batch for slot in lease.slots if slot.batch)]:
+        for batch in lease.batches.values():
             self._refuse(batch.query, code, reason)
+        lease.batches, lease.rest, lease.hungry_since = {}, 0, None
         lease.waiting.clear()
         for slot in lease.slots:
             slot.lease = None
@@ -613,12 +734,12 @@ class Slots:
                 slot.state = SlotState.FREE
         lease.slots = []
 
-    def _drain(self) -> None:
+    def _drain(self, now: float) -> None:
         self.draining = True
         for lease in self.leases.values():
-            for batch in lease.waiting:
-                self._refuse(batch.query, "draining", "the server is draining")
-            lease.waiting.clear()
+            for batch in list(lease.waiting):
+                self._close(lease, batch)
+                self._conclude_if_done(lease, batch, now)
 
     def _tick(self, trials: tuple[int, ...], now: float) -> None:
         for lease in list(self.leases.values()):
@@ -627,10 +748,8 @@ class Slots:
                 self._end(lease, "expired", now)
                 continue
             self._answer_renewals(lease, now)
-            for batch in lease.waiting:
-                self._hold(batch, batch.done, now)
         for slot in self.slots:
-            if slot.state == SlotState.STOPPING and now - slot.since > (STOP_S if slot.batch else PREPARE_S):
+            if slot.state == SlotState.STOPPING and now - slot.since > (STOP_S if slot.piece else PREPARE_S):
                 self._do(Kill(slot.index))
                 self._died(slot, "stopped", slot.trial, "told to stop", now)
             elif slot.state == SlotState.PREPARING and slot.lease is not None:
@@ -638,11 +757,16 @@ class Slots:
                 if now - slot.since > limit_s:
                     self._do(Kill(slot.index))
                     self._unprepared(slot, f"the simulator's first trials took longer than {limit_s:g} s", now)
-            elif slot.state == SlotState.BUSY and slot.batch is not None and slot.lease is not None:
-                self._watch(slot, slot.batch, slot.lease.setup.trial_timeout_s, trials[slot.index], now)
+            elif slot.state == SlotState.BUSY and slot.piece is not None and slot.lease is not None:
+                self._watch(slot, slot.piece, slot.lease.setup.trial_timeout_s, trials[slot.index], now)
+        for lease in self.leases.values():
+            for batch in lease.batches.values():
+                self._hold(lease, batch, now)
+            if lease.hungry_since is not None and now - lease.hungry_since >= HUNGRY_S:
+                lease.hungry_since = None
 
-    def _watch(self, slot: Slot, batch: Batch, timeout_s: float, trial: int, now: float) -> None:
-        if batch.cancelled:
+    def _watch(self, slot: Slot, piece: Piece, timeout_s: float, trial: int, now: float) -> None:
+        if piece.batch.cancelled:
             if now - slot.since > STOP_S:
                 self._do(Kill(slot.index))
                 self._died(slot, "stopped", trial, "told to stop", now)
@@ -652,13 +776,19 @@ class Slots:
         if now - slot.since > timeout_s:
             self._do(Kill(slot.index))
             self._died(slot, "timeout", trial, f"one trial took longer than {timeout_s:g} s", now)
-        else:
-            self._hold(batch, trial, now)
 
-    def _hold(self, batch: Batch, done: int, now: float) -> None:
-        """Answer a query that was held for long; the run asks again."""
-        if batch.query is not None and now - batch.since > HOLD_QUERY_S:
-            self._answer(batch.query, Running(batch=batch.id, done=done))
+    def _hold(self, lease: Held, batch: Batch, now: float) -> None:
+        """Answer a query that was held for long, or of which outcomes are there while slots have nothing to do.
+
+        The run asks again.
+        """
+        hungry = lease.hungry_since is not None and now - lease.hungry_since >= HUNGRY_S and batch.told < len(batch.parts)
+        if batch.query is not None and not batch.cancelled and (hungry or now - batch.since > HOLD_QUERY_S):
+            done = sum(part.end - part.first for part in batch.parts)
+            done += sum(max(0, slot.trial - slot.piece.done) for slot in lease.slots if slot.piece and slot.piece.batch is batch)
+            told, batch.told = batch.told, len(batch.parts)
+            outcomes = self._outcomes(batch.parts[told:])
+            self._answer(batch.query, Running(batch=batch.message.batch, done=done, given=not batch.rests(), **outcomes))
             batch.query = None
 
     # ---- answers
@@ -682,7 +812,7 @@ class Slots:
             ready=ready,
             lease_s=LEASE_S,
             probe=lease.probe,
-            trial_s=lease.trial_s,
+            trial_s=lease.probe_s,
             reason=lease.failure,
         )
 
@@ -706,23 +836,4 @@ def _same_problem(left: Reserve | None, right: Reserve) -> bool:
         right.representation,
         right.version_hash,
         right.trial_memory_mb,
-    )
-
-
-def _joined(parts: list[Outcomes], last: bytes) -> bytes:
-    """The answer to a batch that several processes played, each some trials; the last one's where it is no outcomes."""
-    if not parts:
-        return last
-    rest = codec.decode_reply(last)
-    if not isinstance(rest, Outcomes):
-        return last
-    pieces = [*parts, rest]
-    return codec.encode(
-        Outcomes(
-            batch=rest.batch,
-            fitness=b"".join(piece.fitness for piece in pieces),
-            metrics=b"".join(piece.metrics for piece in pieces),
-            seconds=sum(piece.seconds for piece in pieces),
-            error=next((piece.error for piece in pieces if piece.error), ""),
-        )
     )
