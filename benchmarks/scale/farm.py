@@ -47,6 +47,7 @@ class Server:
         self.queries: dict[int, zenoh.Query] = {}
         self.turns = [0] * CAPACITY  # a slot's timer counts when it is of the slot's last turn
         self.running = [(0.0, 0.0)] * CAPACITY  # since when, and seconds of work
+        self.tick_at = float("inf")  # before the next one of the clock
         self.clear()
         offer = messages.Offer(
             server=self.id, program="scale", machine="none", capacity=CAPACITY, free=CAPACITY, leases=0,
@@ -124,7 +125,10 @@ class Farm:
             now = time.monotonic()
             while self._timers and self._timers[0][0] <= now:
                 _, _, server, slot, turn, event = heapq.heappop(self._timers)
-                if turn == server.turns[slot]:
+                if isinstance(event, slots.Tick):
+                    server.tick_at = float("inf")
+                    self._handle(server, event)
+                elif turn == server.turns[slot]:
                     self._slot_done(server, slot, event)
             if now >= next_tick:
                 next_tick = now + TICK_S
@@ -179,6 +183,9 @@ class Farm:
                     if isinstance(command, slots.Stop):
                         refused = codec.encode(messages.Refused(code="cancelled", reason="cancelled"))
                         self._later(server, command.slot, now, slots.Finished(command.slot, refused))
+        if (tick_at := server.slots.next_time()) < server.tick_at:
+            server.tick_at = tick_at
+            self._later(server, 0, tick_at, slots.Tick((0,) * CAPACITY))
 
     def _run(self, server: Server, command: slots.Run, now: float) -> None:
         batch = codec.decode_request(command.body)
