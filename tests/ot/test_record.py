@@ -22,7 +22,7 @@ from zswarm.ot.controller import Controller, load_controller
 from zswarm.ot.dispatch import Counted, Note
 from zswarm.ot.history import History
 from zswarm.ot.reading import listed
-from zswarm.ot.record import Record, load_experiment
+from zswarm.ot.record import CANDIDATES_AT_ONCE, Record, load_experiment
 from zswarm.ot.workload import Workload
 
 STATISTICS = {"best": 1.0, "mean": float("-inf")}
@@ -118,6 +118,14 @@ def test_a_finished_generation_is_read_back_to_the_same_history(record: Record) 
     assert record.history().hex() == told.hex()
     assert record.resumed() == (2, {"at": 1})
     assert record.evaluations() == 4
+
+
+def test_a_large_generation_is_recorded_whole_and_in_order(record: Record) -> None:
+    count = 2 * CANDIDATES_AT_ONCE + 1
+    genomes, fitness = [b"%d" % candidate for candidate in range(count)], np.arange(count) / 7
+    record.finish(0, genomes, fitness, STATISTICS, {})
+    rows = query(record.folder, "SELECT candidate, genome, fitness FROM candidates WHERE generation = 0 ORDER BY candidate")
+    assert rows == list(zip(range(count), genomes, fitness.tolist(), strict=True))
 
 
 def test_the_history_hash_is_blake2b_of_genomes_and_numbers() -> None:

@@ -47,7 +47,8 @@ LOCK_TRIES, LOCK_PAUSE_S = 20, 0.005  # who asks whether a run goes on holds its
 SET_META = "INSERT OR REPLACE INTO meta VALUES (?, ?)"
 ADD_OUTCOMES = "INSERT OR REPLACE INTO outcomes VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
 ADD_EVENT = "INSERT OR REPLACE INTO events (rowid, at, generation, event, server, text, count) VALUES (?, ?, ?, ?, ?, ?, ?)"
-ADD_CANDIDATE = "INSERT OR REPLACE INTO candidates VALUES (?, ?, ?, ?)"
+ADD_CANDIDATES = "INSERT OR REPLACE INTO candidates VALUES "
+A_CANDIDATE, CANDIDATES_AT_ONCE = "(?, ?, ?, ?)", 200  # every SQLite takes 999 parameters in a statement
 ADD_GENERATION = "INSERT OR REPLACE INTO generations VALUES (?, ?, ?, ?, ?, ?)"
 SET_OPTIMIZER = "INSERT OR REPLACE INTO optimizer VALUES (0, ?, ?)"
 
@@ -234,11 +235,15 @@ class Record:
         Args:
             state: None: the optimizer was another program, and the run cannot be resumed.
         """
-        rows = zip(genomes, fitness.tolist(), strict=True)
         best, mean = statistics["best"], statistics["mean"]
-        whole: list[Statement] = [
-            (ADD_CANDIDATE, (generation, candidate, genome, value)) for candidate, (genome, value) in enumerate(rows)
+        rows = [
+            (generation, candidate, genome, value)
+            for candidate, (genome, value) in enumerate(zip(genomes, fitness.tolist(), strict=True))
         ]
+        whole: list[Statement] = []
+        for begin in range(0, len(rows), CANDIDATES_AT_ONCE):
+            part = rows[begin : begin + CANDIDATES_AT_ONCE]
+            whole.append((ADD_CANDIDATES + ", ".join([A_CANDIDATE] * len(part)), tuple(itertools.chain.from_iterable(part))))
         whole.append((ADD_GENERATION, (generation, time.time(), best, mean, len(genomes), to_json(statistics))))
         if state is not None:
             whole.append((SET_OPTIMIZER, (generation, msgspec.msgpack.encode(state))))
