@@ -45,7 +45,7 @@ for _command in (init, check, run, resume, evaluate, plot, compare, report, list
 
 
 def main() -> None:
-    """Entry point: errors that are the user's to mend end in one line."""
+    """Run a command; errors that are the user's to mend end in one line."""
     screen.prepare()
     try:
         command.main(standalone_mode=False)
