@@ -94,9 +94,16 @@ def kernel(signature: Any) -> Any:
     return _as_it_is if PLAIN else numba.njit(signature, cache=True, error_model="numpy", _nrt=counts)  # type: ignore[call-overload]  # private
 
 
-def inline(function: Any) -> Any:
-    """Compile a function into the kernels that call it."""
-    return function if PLAIN else numba.njit(function, error_model="numpy", cache=True)
+def inline(function: Any = None, *, counts: bool = True) -> Any:
+    """Compile a function into the kernels that call it.
+
+    Without ``counts`` it becomes a part of them, and numba does not count who uses an array, which costs two atomic additions for
+    each that a function is given or takes a row of. Such a function must make no arrays.
+    """
+    if function is None:
+        return lambda function: inline(function, counts=counts)
+    lean: dict[str, Any] = {} if counts else {"_nrt": False, "forceinline": True}
+    return function if PLAIN else numba.njit(function, error_model="numpy", cache=True, **lean)
 
 
 def _as_it_is(function: Any) -> Any:
@@ -109,3 +116,23 @@ FLOATS = array(float32)
 STEP_SIGNATURE = void(FLOATS, FLOATS, FLOATS, FLOATS)
 STEP = None if PLAIN else numba.types.FunctionType(STEP_SIGNATURE)
 Step = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], None]
+
+
+def sqrt(x: Any) -> Any:
+    """The square root, rounded once; NaN of what is negative. numba's ``np.sqrt`` is a call, and is never vectorized."""
+    return np.sqrt(x)
+
+
+if not PLAIN:
+
+    @numba.extending.intrinsic
+    def _root(_, x):  # type: ignore[no-untyped-def]  # numba looks at its arguments
+        def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+            root = builder.module.declare_intrinsic("llvm.sqrt", [context.get_value_type(signature.return_type)])
+            return builder.call(root, arguments)
+
+        return (x(x), generate) if isinstance(x, numba.types.Float) else None
+
+    @numba.extending.overload(sqrt)
+    def _sqrt(x):  # type: ignore[no-untyped-def]  # noqa: ARG001
+        return lambda x: _root(x)  # type: ignore[call-arg]

@@ -20,6 +20,7 @@ Kind = Literal["simulator", "representation", "optimizer"]
 
 BUNDLED: dict[Kind, dict[str, str]] = {
     "simulator": {
+        "arena": "zswarm.sims.arena:Arena",
         "emergency-exit": "zswarm.sims.emergency_exit:EmergencyExit",
         "minisim": "zswarm.sims.minisim:Minisim",
     },
@@ -70,11 +71,13 @@ def nearest(word: str, known: Any) -> str:
 def source_files(kind: Kind, name: str) -> list[Path]:
     """The Python files whose change can change what a part computes, without importing it.
 
-    For a bundled part its own module; for a plug-in every file of its top-level package.
+    For a bundled part its own module and those beside it whose names begin with its name (``arena_world.py``); for a plug-in
+    every file of its top-level package.
     """
     module = _installed(kind)[name].module
     if name in BUNDLED[kind]:
-        return [Path(__file__).parent.joinpath(*module.split(".")[1:]).with_suffix(".py")]
+        *folders, own = module.split(".")[1:]
+        return sorted(Path(__file__).parent.joinpath(*folders).glob(f"{own}*.py"))
     return list(_package_files(module.split(".")[0]))
 
 

@@ -73,7 +73,7 @@ class Simulator(ABC):
     """
 
     settings_type: ClassVar[type[msgspec.Struct]]
-    metrics: ClassVar[tuple[str, ...]] = ()
+    metrics: tuple[str, ...] = ()
     participants: int = 1
     inputs: int
     outputs: int

@@ -1,0 +1,186 @@
+"""The world of ``arena``: a square room with walls, and round robots on two wheels that see, hear and push one another.
+
+All is ``+ - * /`` and square roots of float32. A heading is a unit vector and turns by 2 atan(t), which needs no sine:
+cos = (1 - t^2) / (1 + t^2) and sin = 2 t / (1 + t^2).
+
+Robots are sorted into cells no narrower than their sight in each step, so that each looks at those of nine cells only: a step
+takes time in proportion to the robots. Rays are computed side by side, for which their number comes with their table.
+"""
+
+import numpy as np
+
+from zswarm.jit import inline, sqrt
+
+ZERO, HALF, ONE, THREE_HALVES, TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(1.5), np.float32(2)
+TINY = np.float32(1e-6)  # no ray is taken to be nearer to a wall's direction, no two robots nearer in metres: divisors
+DIAGONAL = np.float32(0.70710678)
+RAYS = np.array(  # (2, 8): x and y in a robot's frame, 45 degrees apart, the first ahead
+    [
+        [ONE, DIAGONAL, ZERO, -DIAGONAL, -ONE, -DIAGONAL, ZERO, DIAGONAL],
+        [ZERO, DIAGONAL, ONE, DIAGONAL, ZERO, -DIAGONAL, -ONE, -DIAGONAL],
+    ]
+)
+WORLD_INPUTS = 8 + 2
+
+# ``robots``: a row of float32 for each of these, a number per robot; the last three in the order of cells.
+X, Y, HEADING_X, HEADING_Y, PUSH_X, PUSH_Y, NEIGHBOURS, NEAREST, SAID, HEARD, SORTED_X, SORTED_Y, SORTED_SAID = range(13)
+WORLD_ROWS = 13
+# ``places``: a row of int32 for each. Of a robot its cell; the robots in the order of cells; where in that order neighbours are.
+CELL, ORDER, NEAR = range(3)
+PLACE_ROWS = 3
+# ``lengths``: float32, from the settings. HALF_STRIDE is half the way of a step at full speed, HALF_TURN is t per difference of
+# the wheels, each from -1 to 1.
+SIDE, SIGHT, RADIUS, HALF_STRIDE, HALF_TURN, CELLS_PER_METRE = range(6)
+WORLD_LENGTHS = 6
+
+
+def cells_per_side(side: float, sight: float, robots: int) -> int:
+    """How many rows and columns of cells the room has; 1 where more would leave nobody out."""
+    cells = min(int(0.999 * side / sight), int(robots**0.5))
+    return cells if cells > 2 else 1
+
+
+@inline(counts=False)
+def cut(output):  # type: ignore[no-untyped-def]  # compiled
+    """An output cut to 0..1; NaN is 0."""
+    positive = output if output > ZERO else ZERO
+    return positive if positive < ONE else ONE
+
+
+@inline(counts=False)
+def at_least(number, least):  # type: ignore[no-untyped-def]  # compiled
+    """The greater of two; Python's ``max`` cannot be computed side by side."""
+    return number if number > least else least
+
+
+@inline(counts=False)
+def sort(robots, places, cells, per_side, lengths):  # type: ignore[no-untyped-def]  # compiled
+    """Put robots in the order of cells, row after row, those of a cell by index; a cell begins where ``cells`` says."""
+    cells[:] = 0
+    for robot in range(robots.shape[1]):
+        column = min(int(robots[X, robot] * lengths[CELLS_PER_METRE]), per_side - 1)
+        row = min(int(robots[Y, robot] * lengths[CELLS_PER_METRE]), per_side - 1)
+        places[CELL, robot] = row * per_side + column
+        cells[row * per_side + column + 2] += 1
+    for cell in range(2, cells.shape[0]):
+        cells[cell] += cells[cell - 1]
+    for robot in range(robots.shape[1]):
+        after = places[CELL, robot] + 1  # begins one too far left until all are placed
+        at = cells[after]
+        cells[after] += 1
+        places[ORDER, at] = robot
+        robots[SORTED_X, at], robots[SORTED_Y, at] = robots[X, robot], robots[Y, robot]
+        robots[SORTED_SAID, at] = robots[SAID, robot]
+
+
+@inline(counts=False)
+def look(robots, places, cells, per_side, rays, lengths, observations):  # type: ignore[no-untyped-def]  # compiled
+    """Write what all robots see, what they hear, and how they are pushed.
+
+    Returns:
+        how many robots overlap another; each once per other.
+    """
+    sort(robots, places, cells, per_side, lengths)
+    contacts = 0
+    for row in range(per_side):
+        for column in range(per_side):
+            cell = row * per_side + column
+            for place in range(cells[cell], cells[cell + 1]):
+                robot = places[ORDER, place]
+                see_walls(robot, robots, rays, lengths, observations)
+                near = find(place, row, column, robots, places, cells, per_side, lengths)
+                contacts += meet(robot, near, robots, places, rays, lengths, observations)
+    return contacts
+
+
+@inline(counts=False)
+def see_walls(robot, robots, rays, lengths, observations):  # type: ignore[no-untyped-def]  # compiled
+    """Write how far each ray reaches: to a wall, or as far as sight."""
+    x, y, heading_x, heading_y = robots[X, robot], robots[Y, robot], robots[HEADING_X, robot], robots[HEADING_Y, robot]
+    to_right, to_bottom, sight = lengths[SIDE] - x, lengths[SIDE] - y, lengths[SIGHT]
+    for ray in range(rays.shape[1]):
+        along_x = heading_x * rays[0, ray] - heading_y * rays[1, ray]
+        along_y = heading_y * rays[0, ray] + heading_x * rays[1, ray]
+        wall_x = (to_right if along_x > ZERO else x) / at_least(abs(along_x), TINY)
+        wall_y = (to_bottom if along_y > ZERO else y) / at_least(abs(along_y), TINY)
+        wall = wall_x if wall_x < wall_y else wall_y
+        observations[robot, ray] = wall if wall < sight else sight
+
+
+@inline(counts=False)
+def find(place, row, column, robots, places, cells, per_side, lengths):  # type: ignore[no-untyped-def]  # compiled
+    """List the neighbours of the robot at a place of the order; returns their number. Without a branch that none can foresee."""
+    x, y, seen = robots[SORTED_X, place], robots[SORTED_Y, place], lengths[SIGHT] * lengths[SIGHT]
+    first, last = max(column - 1, 0), min(column + 1, per_side - 1)
+    near = 0
+    for other_row in range(max(row - 1, 0), min(row + 2, per_side)):
+        begin = other_row * per_side
+        for at in range(cells[begin + first], cells[begin + last + 1]):
+            dx, dy = robots[SORTED_X, at] - x, robots[SORTED_Y, at] - y
+            places[NEAR, near] = at
+            near += 1 if (dx * dx + dy * dy < seen) & (at != place) else 0
+    return near
+
+
+@inline(counts=False)
+def meet(robot, near, robots, places, rays, lengths, observations):  # type: ignore[no-untyped-def]  # compiled
+    """Let a robot's rays end at its neighbours, write where they are on average, hear them, and be pushed by them.
+
+    Returns:
+        how many overlap it.
+    """
+    x, y, heading_x, heading_y = robots[X, robot], robots[Y, robot], robots[HEADING_X, robot], robots[HEADING_Y, robot]
+    sight, disc, touch = lengths[SIGHT], lengths[RADIUS] * lengths[RADIUS], lengths[RADIUS] + lengths[RADIUS]
+    sum_x, sum_y, push_x, push_y, heard, nearest = ZERO, ZERO, ZERO, ZERO, ZERO, sight * sight
+    contacts = 0
+    for neighbour in range(near):
+        at = places[NEAR, neighbour]
+        dx, dy = robots[SORTED_X, at] - x, robots[SORTED_Y, at] - y
+        ahead, aside = dx * heading_x + dy * heading_y, dy * heading_x - dx * heading_y
+        sum_x, sum_y, heard = sum_x + ahead, sum_y + aside, heard + robots[SORTED_SAID, at]
+        for ray in range(rays.shape[1]):
+            centre = ahead * rays[0, ray] + aside * rays[1, ray]
+            off = aside * rays[0, ray] - ahead * rays[1, ray]
+            chord = disc - off * off  # square of half of what the ray's line has within the robot
+            hit = centre - sqrt(chord if chord > ZERO else ZERO)
+            hit = hit if chord > ZERO else sight
+            hit = hit if centre > ZERO else sight
+            reach = observations[robot, ray]
+            observations[robot, ray] = hit if hit < reach else reach
+        square = dx * dx + dy * dy
+        nearest = square if square < nearest else nearest
+        if square < touch * touch:
+            contacts += 1
+            distance = sqrt(square)
+            share = HALF * (touch - distance) / at_least(distance, TINY)
+            push_x, push_y = push_x - share * dx, push_y - share * dy
+    per_sight, number = ONE / sight, np.float32(max(near, 1))
+    for ray in range(rays.shape[1]):
+        observations[robot, ray] = ONE - observations[robot, ray] * per_sight
+    observations[robot, rays.shape[1]] = sum_x * (per_sight / number)
+    observations[robot, rays.shape[1] + 1] = sum_y * (per_sight / number)
+    robots[PUSH_X, robot], robots[PUSH_Y, robot] = push_x, push_y
+    robots[NEIGHBOURS, robot], robots[NEAREST, robot] = np.float32(near), sqrt(nearest)
+    robots[HEARD, robot] = heard / number if near > 0 else robots[SAID, robot]
+    return contacts
+
+
+@inline(counts=False)
+def drive(actions, robots, lengths):  # type: ignore[no-untyped-def]  # compiled
+    """Turn and move all robots by their wheels and by those that push them; walls hold them."""
+    low, high = lengths[RADIUS], lengths[SIDE] - lengths[RADIUS]
+    for robot in range(robots.shape[1]):
+        left, right = TWO * cut(actions[robot, 0]) - ONE, TWO * cut(actions[robot, 1]) - ONE
+        t, forward = (right - left) * lengths[HALF_TURN], (left + right) * lengths[HALF_STRIDE]
+        per_square = ONE / (ONE + t * t)
+        cosine, sine = (ONE - t * t) * per_square, (t + t) * per_square
+        heading_x, heading_y = robots[HEADING_X, robot], robots[HEADING_Y, robot]
+        turned_x = cosine * heading_x - sine * heading_y
+        turned_y = cosine * heading_y + sine * heading_x
+        per_length = THREE_HALVES - HALF * (turned_x * turned_x + turned_y * turned_y)  # a step of Newton's
+        turned_x, turned_y = turned_x * per_length, turned_y * per_length
+        x = robots[X, robot] + forward * turned_x + robots[PUSH_X, robot]
+        y = robots[Y, robot] + forward * turned_y + robots[PUSH_Y, robot]
+        x, y = at_least(x, low), at_least(y, low)
+        robots[X, robot], robots[Y, robot] = x if x < high else high, y if y < high else high
+        robots[HEADING_X, robot], robots[HEADING_Y, robot] = turned_x, turned_y
