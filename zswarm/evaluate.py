@@ -80,8 +80,8 @@ def evaluate(
     Args:
         participants: (trials, simulator.participants) int64, indices into genomes.
         seeds: (trials,) uint64.
-        progress: (2,) int64, shared with a watcher: [0] is set to the index of the trial that runs, and not zero in [1] ends
-            the batch before the next trial (the outcomes are then worthless).
+        progress: (2,) int64, shared with a watcher: [0] is set to the index of the trial that runs, or of the first of some that
+            run side by side, and not zero in [1] ends the batch before the next one (the outcomes are then worthless).
 
     Raises:
         ValueError: a genome does not fit the network, or a shape or index does not fit.
@@ -97,8 +97,11 @@ def evaluate(
     metrics = np.full((len(seeds), len(simulator.metrics)), np.nan)
     error = ""
     if isinstance(simulator, CompiledSimulator):
-        state_size = representation.state_size
-        simulator.play(representation.step, state_size, parameters, participants, seeds, progress, fitness, metrics)
+        step, step_lanes, state_size = representation.step, representation.step_lanes, representation.state_size
+        if step_lanes is None:
+            simulator.play(step, state_size, parameters, participants, seeds, progress, fitness, metrics)
+        else:
+            simulator.play_lanes(step_lanes, step, state_size, parameters, participants, seeds, progress, fitness, metrics)
     else:
         for trial, seed in enumerate(seeds):
             progress[0] = trial

@@ -1,6 +1,6 @@
 """Eight numbers side by side, which a processor adds, multiplies or compares at once.
 
-A *lane* is a place among the eight. ``load`` reads eight numbers from an array, operators (``+ - * / < <= > >= == & |``)
+A *lane* is a place among the eight. ``load`` reads eight numbers from an array, operators (``+ - * / < <= > >= == != & |``)
 work lane by lane, ``select`` stands for a branch, ``store`` writes. In a kernel eight numbers are one vector register, or two
 of four numbers where the processor has no wider ones; in Python they are a numpy array. Both round each operation once and
 reorder nothing, so the bits are those of eight scalars. Elements are float32, int32, or what a comparison gives.
@@ -134,6 +134,11 @@ if not PLAIN:
     _binary(operator.or_, _arithmetic("or_", "or_"), (types.boolean,))
     for compare, sign in ((operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">="), (operator.eq, "==")):
         _binary(compare, _comparison(sign), NUMBERS, types.boolean)
+    _binary(
+        operator.ne,
+        lambda builder, floats, left, right: (builder.fcmp_unordered if floats else builder.icmp_signed)("!=", left, right),
+        *(NUMBERS, types.boolean),
+    )
 
     def _is_flat(array: Any) -> bool:
         return isinstance(array, types.Array) and array.ndim == 1 and array.layout == "C" and array.dtype in NUMBERS

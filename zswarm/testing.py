@@ -10,6 +10,7 @@ Run them over a part of your own in its tests::
 Each check raises ``AssertionError`` with a text that names what is wrong; what the part itself raises passes through.
 """
 
+import copy
 import os
 from collections.abc import Callable, Mapping
 from itertools import pairwise
@@ -22,6 +23,7 @@ from zswarm import plugins
 from zswarm.draws import Stream
 from zswarm.evaluate import evaluate, play_in_turns
 from zswarm.jit import PLAIN, STEP_SIGNATURE
+from zswarm.lanes import LANES
 from zswarm.nets.representation import Representation
 from zswarm.ot.optimizers.optimizer import Optimizer
 from zswarm.sims.simulator import CompiledSimulator, Frame, Outcome, Simulator, Turn
@@ -93,11 +95,12 @@ def check_simulator(simulator_class: type[Simulator], settings: Mapping[str, Any
             "over from earlier trials, and all randomness comes from the seed",
         )
     if isinstance(simulator, CompiledSimulator):
+        assert isinstance(fresh, CompiledSimulator)  # noqa: S101  of the same class
         _check_compiled(fresh, network, genomes, participants, seeds, in_turns)
 
 
 def _check_compiled(
-    simulator: Simulator,
+    simulator: CompiledSimulator,
     network: Representation,
     genomes: list[bytes],
     participants: np.ndarray,
@@ -107,10 +110,14 @@ def _check_compiled(
     name = type(simulator).__name__
     progress = np.zeros(2, np.int64)
     batch = evaluate(simulator, network, genomes, participants, seeds, progress)
+    aside = 1 if type(simulator).play_lanes is CompiledSimulator.play_lanes else LANES
     _require(
-        progress[0] == len(seeds) - 1,
-        f"{name}.play: progress[0] must be the index of the trial that runs, {len(seeds) - 1} in the last, not {progress[0]}",
+        len(seeds) - aside <= progress[0] < len(seeds),
+        f"{name}.play: progress[0] must be the index of the trial that runs, {len(seeds) - 1} in the last, not {progress[0]}"
+        + (f", or of the first of {LANES} at most that run side by side" if aside > 1 else ""),
     )
+    one_by_one = _with_step_alone(network)
+    scalar = evaluate(simulator, one_by_one, genomes, participants, seeds)
     for trial in range(len(seeds)):
         one = slice(trial, trial + 1)
         alone = evaluate(simulator, network, genomes, participants[one], seeds[one])
@@ -120,12 +127,23 @@ def _check_compiled(
             f"{name}.play: seed {seeds[trial]} alone has another outcome than as trial {trial} of a batch",
         )
         _require(
+            scalar.fitness[trial].tobytes() + scalar.metrics[trial].tobytes() == compiled,
+            f"{name}.play_lanes: seed {seeds[trial]} has another outcome than in play",
+        )
+        _require(
             compiled == in_turns[trial],
             f"{name}: the turns and the compiled form differ, seed {seeds[trial]}: fitness and metrics "
             f"{np.frombuffer(in_turns[trial])} in turns, {np.frombuffer(compiled)} compiled",
         )
     stopped = evaluate(simulator, network, genomes, participants, seeds, np.array([0, 1]))
     _require(np.isnan(stopped.fitness).all(), f"{name}.play: must end before the next trial when progress[1] is not 0")
+
+
+def _with_step_alone(network: Representation) -> Representation:
+    """The same network as one that decides for one agent at a time only."""
+    alone = copy.copy(network)
+    alone.step_lanes = None
+    return alone
 
 
 class _CheckedSimulator(Simulator):
@@ -310,15 +328,16 @@ def _check_decisions(name: str, network: Representation, genomes: list[bytes], i
         np.array_equal(network.parameters(genomes[1:2])[0, : parameters.shape[1]], parameters[1]) or network.genome_bytes is None,
         f"{name}.parameters: a genome's row depends on the other genomes",
     )
-    step = type(network).step
+    step, step_lanes = type(network).step, type(network).step_lanes
     if not PLAIN and os.environ.get("NUMBA_DISABLE_JIT", "0") == "0":
-        compiled = getattr(step, "signatures", ())
-        _require(STEP_SIGNATURE.args in compiled, f"{name}.step must be compiled with jit.STEP_SIGNATURE")
+        for what, function in (("step", step), ("step_lanes", step_lanes)):
+            compiled = function is None or STEP_SIGNATURE.args in getattr(function, "signatures", ())
+            _require(compiled, f"{name}.{what} must be compiled with jit.STEP_SIGNATURE")
 
     observations = Stream(4).uniform(-3.0, 3.0, DECISIONS * inputs).reshape(DECISIONS, inputs).astype(np.float32)
     kept = parameters.copy(), observations.copy()
 
-    def decide(row: np.ndarray) -> bytes:
+    def decide(row: np.ndarray, observations: np.ndarray = observations) -> bytes:
         state = np.zeros(network.state_size, np.float32)
         actions = np.full((DECISIONS, outputs), np.nan, np.float32)
         for observation, action in zip(observations, actions, strict=True):
@@ -333,6 +352,20 @@ def _check_decisions(name: str, network: Representation, genomes: list[bytes], i
         np.array_equal(kept[0], parameters) and np.array_equal(kept[1], observations),
         f"{name}.step must change only state and output",
     )
+    if step_lanes is not None:
+        rows = [row % len(parameters) for row in range(LANES)]
+        packed = parameters[rows].T.reshape(-1)  # number k of a lane at 8 k + lane
+        state = np.zeros(LANES * network.state_size, np.float32)
+        actions = np.full((DECISIONS, outputs * LANES), np.nan, np.float32)
+        for number in range(DECISIONS):
+            seen = observations[[(number + lane) % DECISIONS for lane in range(LANES)]].T.reshape(-1)
+            step_lanes(packed, state, seen, actions[number])
+        for lane in range(LANES):
+            observed = observations[[(number + lane) % DECISIONS for number in range(DECISIONS)]]
+            _require(
+                actions[:, lane::LANES].tobytes() == decide(parameters[rows[lane]], observed),
+                f"{name}.step_lanes: an agent decides otherwise than with step",
+            )
 
 
 # ---- optimizers ---------------------------------------------------------------------------------------------------

@@ -39,7 +39,7 @@ def recorded(net: dict[str, Any]) -> tuple[FullyMeshed, np.ndarray]:
     return built, built.parameters([np.array(table, "<f4").tobytes()])[0]
 
 
-def decide(built: FullyMeshed, parameters: np.ndarray, state: np.ndarray, observations: list[list[float]]) -> np.ndarray:
+def decide(built: FullyMeshed, parameters: np.ndarray, state: np.ndarray, observations: Any) -> np.ndarray:
     actions = np.empty((len(observations), built.outputs), np.float32)
     for observation, action in zip(np.array(observations, np.float32), actions, strict=True):
         FullyMeshed.step(parameters, state, observation, action)
@@ -78,6 +78,23 @@ def test_plain_python_decides_the_same_bits_as_the_compiled_step(net: dict[str, 
     for observation, expected in list(zip(net["in"], net["out"], strict=True))[:20]:
         plain(parameters, state, np.array(observation, np.float32), action)
         assert action.tobytes() == np.array(expected, np.float32).tobytes()
+
+
+@pytest.mark.parametrize("activation", ["clamp", "sigmoid", "relu", "tanh"])
+@pytest.mark.parametrize("hidden", [0, 2, 7, 15])
+@pytest.mark.parametrize("wild", [1.0, 1e38])
+def test_eight_agents_side_by_side_decide_as_one_by_one(activation: str, hidden: int, wild: float) -> None:
+    """Also with sums that are infinite or no number, which become outputs that are none."""
+    built = network(hidden=hidden, inputs=3, outputs=2, activation=activation, iterations=3)
+    genomes = (np.frombuffer(b"".join(built.random(8, Stream(hidden))), "<f4") * np.float32(wild)).reshape(8, -1)
+    rows = built.parameters([genome.tobytes() for genome in genomes])
+    seen = Stream(6).uniform(-9.0, 9.0, 20 * 8 * 3).astype(np.float32).reshape(20, 8, 3)
+    alone = np.array([decide(built, rows[lane], np.zeros(built.state_size, np.float32), seen[:, lane]) for lane in range(8)])
+    state, together = np.zeros(8 * built.state_size, np.float32), np.empty((20, 2, 8), np.float32)
+    for observations, outputs in zip(seen, together, strict=True):
+        FullyMeshed.step_lanes(rows.T.reshape(-1), state, observations.T.reshape(-1), outputs.reshape(-1))
+    assert np.array_equal(together.transpose(2, 0, 1), alone, equal_nan=True)
+    assert np.isfinite(alone).all() or wild > 1.0
 
 
 def test_every_activation_keeps_its_bounds() -> None:
@@ -147,6 +164,8 @@ def not_compiled(parameters, state, observation, output):
         ("parameters", never_refusing, "must refuse a genome"),
         ("mutate", losing_one, "6 genomes gave 5"),
         ("step", staticmethod(not_compiled), "must be compiled"),
+        ("step_lanes", staticmethod(not_compiled), "step_lanes must be compiled"),
+        ("step_lanes", staticmethod(FullyMeshed.step), "an agent decides otherwise than with step"),
     ],
 )
 def test_the_contract_check_names_what_is_broken(attribute: str, fault: Any, text: str) -> None:

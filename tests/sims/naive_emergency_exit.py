@@ -82,7 +82,7 @@ class NaiveEmergencyExit:
 
 
 def velocity(output: float) -> int:
-    for limit, cells in ((0.25, -1), (0.75, 0), (1.25, 1)):
+    for limit, cells in ((-0.25, 0), (0.25, -1), (0.75, 0), (1.25, 1)):
         if output < limit:
             return cells
     return 0

@@ -1,6 +1,10 @@
 """Emergency exit gives what FREVO recorded, and agrees with a second writing of its data sheet."""
 
+import copy
 import json
+import os
+import subprocess
+import sys
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -171,7 +175,7 @@ def naive(simulator: EmergencyExit, seed: int) -> NaiveEmergencyExit:
 
 
 @pytest.mark.parametrize("settings", UNUSUAL)
-@pytest.mark.parametrize("activation", ["clamp", "relu", "sigmoid"])
+@pytest.mark.parametrize("activation", ["clamp", "relu", "sigmoid", "tanh"])
 def test_the_kernel_agrees_with_a_naive_reference_bit_for_bit(settings: dict[str, Any], activation: str) -> None:
     simulator, built = build("emergency-exit", settings, "fully-meshed", {"activation": activation})
     assert isinstance(simulator, EmergencyExit)
@@ -208,6 +212,80 @@ def test_every_simulator_keeps_the_contract(name: str) -> None:
 @pytest.mark.parametrize("settings", UNUSUAL[1:])
 def test_unusual_settings_keep_the_contract(settings: dict[str, Any]) -> None:
     check_simulator(EmergencyExit, settings)
+
+
+PLAIN = """
+import sys
+import numpy as np
+from zswarm import portable
+from zswarm.draws import Stream
+from zswarm.evaluate import build, evaluate
+
+assert (type(portable.exp).__name__ == "function") == (sys.argv[1] == "plain")
+for activation in ("clamp", "sigmoid", "relu", "tanh"):
+    for problem in ({"steps": 6}, {"steps": 1, "field": "stadium"}):
+        simulator, network = build("emergency-exit", problem, "fully-meshed", {"activation": activation})
+        genomes = network.random(3, Stream(7))
+        participants = np.arange(9)[:, None] % 3  # eight side by side, and one more
+        outcomes = evaluate(simulator, network, genomes, participants, np.arange(9, dtype=np.uint64))
+        print(outcomes.fitness.tobytes().hex(), outcomes.metrics.tobytes().hex(), outcomes.error)
+"""
+
+
+def test_plain_python_gives_the_same_bits_as_eight_trials_side_by_side() -> None:
+    printed = {}
+    for form, options in (("compiled", {}), ("plain", {"NUMBA_DISABLE_JIT": "1"}), ("plain", {"ZSWARM_PLAIN": "1"})):
+        done = subprocess.run(
+            [sys.executable, "-c", PLAIN, form],
+            env={**os.environ, "NUMBA_DISABLE_JIT": "0", "ZSWARM_PLAIN": "", **options},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        printed[str(options)] = done.stdout
+    assert len(printed) == 3
+    assert len(set(printed.values())) == 1
+    assert len(set(printed["{}"].split())) > 10, "the trials differ from one another"
+
+
+@pytest.mark.parametrize("activation", ["clamp", "relu", "sigmoid", "tanh"])
+@pytest.mark.parametrize("wild", [1.0, 1e19, 1e38])
+def test_trials_side_by_side_end_as_those_one_after_another(activation: str, wild: float) -> None:
+    """Any number of trials, agents that leave at different times, and sums beyond all numbers in the network."""
+    simulator, built = build("emergency-exit", {"steps": 40, "agents": 5}, "fully-meshed", {"activation": activation})
+    random = np.frombuffer(b"".join(built.random(16, Stream(9))), "<f4") * np.float32(wild)
+    genomes = [network(NETS[3])[1], *(row.tobytes() for row in random.reshape(16, -1))]
+    alone = copy.copy(built)
+    alone.step_lanes = None
+    rounds = set()
+    for trials in (1, 2, 7, 8, 9, 17, 24):
+        participants, seeds = np.arange(trials)[:, None] * 3 % len(genomes), np.arange(trials, dtype=np.uint64)
+        together, one_by_one = (evaluate(simulator, net, genomes, participants, seeds) for net in (built, alone))
+        assert together.fitness.tobytes() == one_by_one.fitness.tobytes()
+        assert together.metrics.tobytes() == one_by_one.metrics.tobytes()
+        rounds |= set(together.metrics[:, 1])
+    assert len(rounds) > 1 or activation != "clamp", "some were out before others"
+
+
+def test_fields_are_laid_out_again_when_too_many_were_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    simulator, built = build("emergency-exit", {"steps": 5}, "fully-meshed", {})
+    assert isinstance(simulator, EmergencyExit)
+    monkeypatch.setattr("zswarm.sims.emergency_exit.MOST_KEPT", 5 * simulator.cells)
+    genomes = built.random(1, Stream(3))
+
+    def fitness(seeds: list[int]) -> list[float]:
+        return (
+            evaluate(simulator, built, genomes, np.zeros((len(seeds), 1), np.int64), np.array(seeds, np.uint64))
+            .fitness[:, 0]
+            .tolist()
+        )
+
+    first = fitness([1, 2, 3])
+    assert fitness([3, 9, 8, 7]) == [first[2], *fitness([9, 8, 7])]
+    assert len(simulator._row_of) == 6
+    assert fitness([11, 2, 1]) == [*fitness([11]), first[1], first[0]]
+    assert len(simulator._row_of) == 3
 
 
 def test_one_seed_lays_out_one_field_whatever_else_is_in_the_batch() -> None:

@@ -4,14 +4,15 @@ Every constant and every order of operations is FREVO's; recorded runs of it are
 """
 
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import msgspec
 import numpy as np
 from msgspec import Meta
 
 from zswarm.errors import ConfigError
-from zswarm.jit import STEP, Step, array, float32, float64, inline, int32, int64, kernel, uint64, void
+from zswarm.jit import STEP, Step, array, float32, float64, inline, int32, int64, kernel, lean, uint64, void
+from zswarm.lanes import LANES, any_of, fill, load, scatter, select, store, window
 from zswarm.sims.simulator import Body, CompiledSimulator, Frame, Outcome, Place, Turn
 
 INPUTS, OUTPUTS = 10, 2
@@ -19,7 +20,8 @@ INPUTS, OUTPUTS = 10, 2
 NEIGHBOUR_X = np.array([0, 1, 1, 1, 0, -1, -1, -1])
 NEIGHBOUR_Y = np.array([-1, -1, 0, 1, 1, 1, 0, -1])
 FREE, BLOCKED = np.float32(1), np.float32(0)
-HALF, ONE, TWO = np.float32(0.5), np.float32(1), np.float32(2)
+ZERO, HALF, ONE, TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
+LEFT, STILL, RIGHT = np.int32(-1), np.int32(0), np.int32(1)
 
 STADIUM = """
 ####################
@@ -49,6 +51,10 @@ STADIUM_AGENTS = """
 12,1 13,2 14,3 15,4 16,5 17,6 18,7 18,5 17,4 16,3 15,2 14,1 16,1 17,2 18,3 18,1 8,2 11,2 10,1 9,1 8,17 10,18 11,17 9,18
 """.split()
 
+MOST_KEPT = 1_000_000  # cells of fields that are kept for the trials to come
+LANES_REACH = 2**31  # lanes find a cell by a 32-bit index
+FEWEST = 2  # trials from which on playing eight side by side is sooner done than one after the other
+
 Length = Annotated[int, Meta(ge=1, le=1_000)]
 
 
@@ -66,6 +72,14 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     exits: Annotated[int, Meta(ge=1, le=10_000, description="exits of a random field; the stadium has its own")] = 5
     blockades: Annotated[int, Meta(ge=0, le=10_000, description="blocked cells of a random field")] = 20
     seed: Annotated[int, Meta(ge=0, lt=2**48, description="of the first field; the trials have `seed`, `seed` + 1, ...")] = 0
+
+
+class Fields(NamedTuple):
+    """Fields as kernels want them, one row per field."""
+
+    free: np.ndarray  # (fields, cells) float32, FREE or BLOCKED
+    to_exit: np.ndarray  # (fields, 2 cells + 2) float32: dx and dy of each cell to its nearest exit, and two that nobody reads
+    starts: np.ndarray  # (fields, agents) int32, cells
 
 
 class EmergencyExit(CompiledSimulator):
@@ -107,6 +121,7 @@ class EmergencyExit(CompiledSimulator):
         self.stride = self.width + 2  # a ring of blocked cells lies around the field
         self.cells = self.stride * (self.height + 2)
         self.owners = (0,) * self.agents
+        self._row_of: dict[int, int] = {}  # of a seed: where its field is in ``_kept``
 
     def fixed_seeds(self, trials: int) -> Sequence[int]:
         """Field seeds one after another from the settings' ``seed``."""
@@ -114,8 +129,8 @@ class EmergencyExit(CompiledSimulator):
 
     def reset(self, seed: int) -> Turn:
         """Lay out the field of a seed; the first agent acts next."""
-        free, exit_x, exit_y, starts = self._fields(np.array([seed], np.uint64))
-        self._free, self._exit_x, self._exit_y, self._cell = free[0], exit_x[0], exit_y[0], starts[0]
+        free, to_exit, starts = self._fields(np.array([seed], np.uint64))
+        self._free, self._to_exit, self._cell = free[0], to_exit[0], starts[0]
         self._inside = np.ones(self.agents, np.uint8)
         for agent in range(self.agents):
             self._free[self._cell[agent]] = BLOCKED
@@ -124,7 +139,7 @@ class EmergencyExit(CompiledSimulator):
 
     def step(self, actions: np.ndarray) -> Turn | None:
         """Move the agent of the last turn; the next one inside acts next."""
-        act(self._agent, actions[0], self._cell, self._inside, self._free, self._exit_x, self._exit_y, self.stride)
+        act(self._agent, actions[0], self._cell, self._inside, self._free, self._to_exit, self.stride)
         self._agent += 1
         while self._round < self.settings.steps:
             while self._agent < self.agents:
@@ -142,8 +157,7 @@ class EmergencyExit(CompiledSimulator):
         judge(
             self._cell,
             self._inside,
-            self._exit_x,
-            self._exit_y,
+            self._to_exit,
             self._first_all_out,
             self.settings.steps,
             fitness,
@@ -179,20 +193,57 @@ class EmergencyExit(CompiledSimulator):
         fitness: np.ndarray,
         metrics: np.ndarray,
     ) -> None:
-        """See ``CompiledSimulator.play``; every distinct field is laid out once for the whole batch."""
-        distinct, field_of_trial = np.unique(seeds, return_inverse=True)
-        if self.settings.field == "stadium":
-            distinct, field_of_trial = distinct[:1], np.zeros_like(field_of_trial)
+        """See ``CompiledSimulator.play``."""
+        rows = self._rows(seeds)
+        self._play_from(0, rows, step, state_size, parameters, participants, progress, fitness, metrics)
+
+    def play_lanes(
+        self,
+        step_lanes: Step,
+        step: Step,
+        state_size: int,
+        parameters: np.ndarray,
+        participants: np.ndarray,
+        seeds: np.ndarray,
+        progress: np.ndarray,
+        fitness: np.ndarray,
+        metrics: np.ndarray,
+    ) -> None:
+        """See ``CompiledSimulator.play_lanes``: eight trials side by side, each in a lane."""
+        rows = self._rows(seeds)
+        together = len(rows) if len(rows) % LANES >= FEWEST else len(rows) - len(rows) % LANES
+        if 2 * self._kept.to_exit.size + 2 * LANES * self.cells >= LANES_REACH:
+            together = 0
+        if together:
+            states = np.zeros((self.agents, LANES * state_size), np.float32)
+            play_side_by_side(
+                step_lanes, parameters, participants, rows[:together], *self._kept, states, self.stride, self.settings.steps,
+                progress, fitness, metrics,
+            )  # fmt: skip
+        if together < len(rows):
+            self._play_from(together, rows, step, state_size, parameters, participants, progress, fitness, metrics)
+
+    def _play_from(
+        self,
+        first: int,
+        rows: np.ndarray,
+        step: Step,
+        state_size: int,
+        parameters: np.ndarray,
+        participants: np.ndarray,
+        progress: np.ndarray,
+        fitness: np.ndarray,
+        metrics: np.ndarray,
+    ) -> None:
         states = np.zeros((self.agents, state_size), np.float32)
-        fields = self._fields(distinct)
         play_trials(
-            step, parameters, participants, field_of_trial, *fields, states, self.stride, self.settings.steps,
+            step, parameters, participants, rows, *self._kept, states, self.stride, self.settings.steps, first,
             progress, fitness, metrics,
         )  # fmt: skip
 
     def _turn(self) -> Turn:
         observation = np.empty((1, INPUTS), np.float32)
-        observe(self._cell[self._agent], self._free, self._exit_x, self._exit_y, self.stride, observation[0])
+        observe(self._cell[self._agent], self._free, self._to_exit, self.stride, observation[0])
         return Turn((self._agent,), observation)
 
     def _places(self) -> list[tuple[int, int]]:
@@ -200,16 +251,34 @@ class EmergencyExit(CompiledSimulator):
 
     def _nearest(self, place: tuple[int, int]) -> tuple[float, float]:
         cell = (place[1] + 1) * self.stride + place[0] + 1
-        return float(self._exit_x[cell]), float(self._exit_y[cell])
+        return float(self._to_exit[2 * cell]), float(self._to_exit[2 * cell + 1])
 
-    def _fields(self, seeds: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Free cells, offsets to the nearest exit, and the agents' start cells, one row per seed."""
+    def _rows(self, seeds: np.ndarray) -> np.ndarray:
+        """Where the field of each seed is in ``_kept``, after those that are new were laid out."""
+        if self.settings.field == "stadium":
+            if not self._row_of:
+                self._row_of[0], self._kept = 0, self._fields(seeds[:1])
+            return np.zeros(len(seeds), np.int64)
+        wanted = seeds.tolist()
+        new = [seed for seed in dict.fromkeys(wanted) if seed not in self._row_of]
+        if new:
+            if len(self._row_of) * self.cells > MOST_KEPT:
+                self._row_of.clear()
+                new = list(dict.fromkeys(wanted))
+            laid_out = self._fields(np.array(new, np.uint64))
+            if self._row_of:
+                laid_out = Fields(*(np.concatenate(both) for both in zip(self._kept, laid_out, strict=True)))
+            self._kept = laid_out
+            self._row_of.update(zip(new, range(len(self._row_of), len(self._row_of) + len(new)), strict=True))
+        return np.array([self._row_of[seed] for seed in wanted], np.int64)
+
+    def _fields(self, seeds: np.ndarray) -> Fields:
         things = self._stadium(len(seeds)) if self.settings.field == "stadium" else self._random_fields(seeds)
         agents, exits, blockades = things
         free = np.full((len(seeds), self.cells), BLOCKED)
-        exit_x, exit_y = np.zeros_like(free), np.zeros_like(free)
-        lay_out(exits, blockades, self.width, self.height, free, exit_x, exit_y)
-        return free, exit_x, exit_y, agents
+        to_exit = np.zeros((len(seeds), 2 * self.cells + 2), np.float32)
+        lay_out(exits, blockades, self.width, self.height, free, to_exit)
+        return Fields(free, to_exit, agents)
 
     def _random_fields(self, seeds: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         counts = (self.settings.agents, self.settings.exits, self.settings.blockades)
@@ -264,8 +333,8 @@ def place(seeds, width, stride, cells, placed):  # type: ignore[no-untyped-def] 
             placed[row, thing] = cell
 
 
-@kernel(void(CELL_TABLE, CELL_TABLE, int64, int64, GRIDS, GRIDS, GRIDS))
-def lay_out(exits, blockades, width, height, free, exit_x, exit_y):  # type: ignore[no-untyped-def]  # compiled
+@kernel(void(CELL_TABLE, CELL_TABLE, int64, int64, GRIDS, GRIDS))
+def lay_out(exits, blockades, width, height, free, to_exit):  # type: ignore[no-untyped-def]  # compiled
     """Per field mark the free cells and write the offset to the nearest exit (the first of equals) on each."""
     stride = width + 2
     for row in range(free.shape[0]):
@@ -279,17 +348,17 @@ def lay_out(exits, blockades, width, height, free, exit_x, exit_y):  # type: ign
                     dy = exits[row, i] // stride - y
                     if dx * dx + dy * dy < best:
                         best = dx * dx + dy * dy
-                        exit_x[row, cell] = float32(dx)
-                        exit_y[row, cell] = float32(dy)
+                        to_exit[row, 2 * cell] = float32(dx)
+                        to_exit[row, 2 * cell + 1] = float32(dy)
         for i in range(blockades.shape[1]):
             free[row, blockades[row, i]] = BLOCKED
 
 
 @inline
-def observe(cell, free, exit_x, exit_y, stride, observation):  # type: ignore[no-untyped-def]  # compiled
+def observe(cell, free, to_exit, stride, observation):  # type: ignore[no-untyped-def]  # compiled
     """What an agent on a cell observes."""
-    observation[0] = exit_x[cell]
-    observation[1] = exit_y[cell]
+    observation[0] = to_exit[2 * cell]
+    observation[1] = to_exit[2 * cell + 1]
     observation[2] = free[cell - stride]
     observation[3] = free[cell - stride + 1]
     observation[4] = free[cell + 1]
@@ -301,16 +370,21 @@ def observe(cell, free, exit_x, exit_y, stride, observation):  # type: ignore[no
 
 
 @inline
-def velocity(output):  # type: ignore[no-untyped-def]  # compiled
-    """round(2 o - 1) as Java's float arithmetic has it; what is not -1, 0 or 1 then, or NaN, means no move."""
+def turned(output):  # type: ignore[no-untyped-def]  # compiled
+    """Whether 2 o - 1, rounded as Java's float arithmetic has it, is -1, and whether it is 1; works on lanes, too."""
     moved = TWO * output - ONE
-    if moved < -HALF:
-        return -1 if moved >= -ONE - HALF else 0
-    return 1 if HALF <= moved < ONE + HALF else 0
+    return (moved < -HALF) & (moved >= -ONE - HALF), (moved >= HALF) & (moved < ONE + HALF)
 
 
 @inline
-def act(agent, action, cells, inside, free, exit_x, exit_y, stride):  # type: ignore[no-untyped-def]  # compiled
+def velocity(output):  # type: ignore[no-untyped-def]  # compiled
+    """-1, 0 or 1; what is rounded to another number, or NaN, means no move."""
+    back, forth = turned(output)
+    return int(forth) - int(back)
+
+
+@inline
+def act(agent, action, cells, inside, free, to_exit, stride):  # type: ignore[no-untyped-def]  # compiled
     """Move one agent if the cell is free, and let it out on an exit."""
     here = cells[agent]
     there = here + velocity(action[1]) * stride + velocity(action[0])
@@ -318,19 +392,19 @@ def act(agent, action, cells, inside, free, exit_x, exit_y, stride):  # type: ig
         there = here
     free[here] = FREE
     cells[agent] = there
-    if exit_x[there] == 0 and exit_y[there] == 0:
+    if to_exit[2 * there] == 0 and to_exit[2 * there + 1] == 0:
         inside[agent] = 0
     else:
         free[there] = BLOCKED
 
 
 @inline
-def judge(cells, inside, exit_x, exit_y, first_all_out, steps, fitness, metrics):  # type: ignore[no-untyped-def]  # compiled
+def judge(cells, inside, to_exit, first_all_out, steps, fitness, metrics):  # type: ignore[no-untyped-def]  # compiled
     """Fitness and metrics of a trial that ended."""
     total = 0.0
     escaped = 0
     for agent in range(cells.shape[0]):
-        dx, dy = np.float64(exit_x[cells[agent]]), np.float64(exit_y[cells[agent]])
+        dx, dy = np.float64(to_exit[2 * cells[agent]]), np.float64(to_exit[2 * cells[agent] + 1])
         total += np.sqrt(dx * dx + dy * dy)
         escaped += 1 - inside[agent]
     fitness[0] = (steps - first_all_out) / steps - total
@@ -338,38 +412,170 @@ def judge(cells, inside, exit_x, exit_y, first_all_out, steps, fitness, metrics)
     metrics[1] = min(first_all_out + 1, steps)
 
 
+@lean
+def play_rounds(  # type: ignore[no-untyped-def]  # compiled
+    step, controller, states, exits, grid, cells, inside, observation, action, stride, steps
+):
+    """The first round after which everybody is out, or ``steps``."""
+    remaining = states.shape[0]
+    for round_ in range(steps):
+        for agent in range(states.shape[0]):
+            if inside[agent]:
+                observe(cells[agent], grid, exits, stride, observation)
+                step(controller, states[agent], observation, action)
+                act(agent, action, cells, inside, grid, exits, stride)
+                remaining -= 1 - inside[agent]
+        if remaining == 0:
+            return round_
+    return steps
+
+
 @kernel(
-    void(STEP, GRIDS, array(int64, 2), array(int64), GRIDS, GRIDS, GRIDS, CELL_TABLE, GRIDS, int64, int64,
+    void(STEP, GRIDS, array(int64, 2), array(int64), GRIDS, GRIDS, CELL_TABLE, GRIDS, int64, int64, int64,
          array(int64), array(float64, 2), array(float64, 2))
 )  # fmt: skip
 def play_trials(  # type: ignore[no-untyped-def]  # compiled
-    step, parameters, participants, field_of_trial, free, exit_x, exit_y, starts, states, stride, steps,
+    step, parameters, participants, field_of_trial, free, to_exit, starts, states, stride, steps, first,
     progress, fitness, metrics,
 ):  # fmt: skip
-    """All trials of a batch, see ``CompiledSimulator.play``."""
+    """All trials of a batch from one on, see ``CompiledSimulator.play``."""
     agents = starts.shape[1]
     observation, action = np.empty(INPUTS, np.float32), np.empty(OUTPUTS, np.float32)
     grid, cells, inside = np.empty(free.shape[1], np.float32), np.empty(agents, np.int32), np.empty(agents, np.uint8)
-    for trial in range(field_of_trial.shape[0]):
+    for trial in range(first, field_of_trial.shape[0]):
         progress[0] = trial
         if progress[1] != 0:
             return
         field = field_of_trial[trial]
-        controller, to_x, to_y = parameters[participants[trial, 0]], exit_x[field], exit_y[field]
+        controller, exits = parameters[participants[trial, 0]], to_exit[field]
         grid[:], cells[:] = free[field], starts[field]
         inside[:] = 1
         states[:] = 0
         for agent in range(agents):
             grid[cells[agent]] = BLOCKED
-        first_all_out, remaining = steps, agents
-        for round_ in range(steps):
+        first_all_out = play_rounds(step, controller, states, exits, grid, cells, inside, observation, action, stride, steps)
+        judge(cells, inside, exits, first_all_out, steps, fitness[trial], metrics[trial])
+
+
+@lean
+def observe_lanes(here, exits, grid, stride, observation):  # type: ignore[no-untyped-def]  # compiled
+    """``observe`` in each lane; gives the nine cells around and below the agents, row by row."""
+    north = window(grid, here, -stride - 1)
+    middle = window(grid, here, -1)
+    south = window(grid, here, stride - 1)
+    for sensor, numbers in enumerate(
+        (exits[0], exits[1], north[1], north[2], middle[2], south[2], south[1], south[0], middle[0], north[0])
+    ):
+        store(observation, sensor * LANES, numbers)
+    return north, middle, south
+
+
+@lean
+def ahead(action, around):  # type: ignore[no-untyped-def]  # compiled
+    """Directions of all lanes, and whether the cell there is free."""
+    west, east = turned(load(action, 0))
+    up, down = turned(load(action, LANES))
+    north, middle, south = around
+    left = select(up, north[0], select(down, south[0], middle[0]))
+    same = select(up, north[1], select(down, south[1], BLOCKED))
+    right = select(up, north[2], select(down, south[2], middle[2]))
+    x = select(east, RIGHT, select(west, LEFT, STILL))
+    y = select(down, RIGHT, select(up, LEFT, STILL))
+    return x, y, select(east, right, select(west, left, same)) != BLOCKED
+
+
+@lean
+def play_rounds_of_lanes(  # type: ignore[no-untyped-def]  # compiled
+    step, packed, states, exit_table, offsets, grid, cells, nearest, observation, action, stride, steps, first_all_out
+):
+    """``play_rounds`` in each lane, until everybody is out in all of them.
+
+    Nothing is decided by a branch for one lane: an agent that is out takes part, and stays where it is.
+    """
+    remaining, first_out, offset = fill(np.int32(states.shape[0])), fill(np.int32(steps)), load(offsets, 0)
+    for round_ in range(steps):
+        for agent in range(states.shape[0]):
+            exits = load(nearest, 2 * agent * LANES), load(nearest, (2 * agent + 1) * LANES)
+            is_inside = (exits[0] != ZERO) | (exits[1] != ZERO)
+            if any_of(is_inside):
+                here = load(cells, agent * LANES)
+                around = observe_lanes(here, exits, grid, stride, observation)
+                step(packed, states[agent], observation, action)
+                x, y, is_free = ahead(action, around)
+                there = select(is_inside & is_free, here + y * np.int32(stride) + x, here)
+                there_x, there_y, _, _ = window(exit_table, there + there + offset, 0)
+                stays = (there_x != ZERO) | (there_y != ZERO)
+                scatter(grid, here, fill(FREE))
+                scatter(grid, there, select(stays, BLOCKED, FREE))
+                store(cells, agent * LANES, there)
+                store(nearest, 2 * agent * LANES, there_x)
+                store(nearest, (2 * agent + 1) * LANES, there_y)
+                remaining = remaining - select(is_inside, RIGHT, STILL) + select(stays, RIGHT, STILL)
+        first_out = select((remaining == STILL) & (first_out == np.int32(steps)), np.int32(round_), first_out)
+        if not any_of(remaining != STILL):
+            break
+    store(first_all_out, 0, first_out)
+
+
+@inline
+def begin_lanes(  # type: ignore[no-untyped-def]  # compiled
+    first, parameters, participants, field_of_trial, free, to_exit, starts, packed, grid, cells, nearest, offsets
+):
+    """Put eight trials into the lanes; the last trial of the batch into those that are left."""
+    count, agents = free.shape[1], starts.shape[1]
+    for lane in range(LANES):
+        trial = min(first + lane, field_of_trial.shape[0] - 1)
+        field = field_of_trial[trial]
+        for number in range(parameters.shape[1]):
+            packed[number * LANES + lane] = parameters[participants[trial, 0], number]
+        grid[lane * count : (lane + 1) * count] = free[field]
+        offsets[lane] = field * to_exit.shape[1] - 2 * lane * count
+        for agent in range(agents):
+            cell = starts[field, agent]
+            grid[lane * count + cell] = BLOCKED
+            cells[agent * LANES + lane] = lane * count + cell
+            nearest[2 * agent * LANES + lane] = to_exit[field, 2 * cell]
+            nearest[(2 * agent + 1) * LANES + lane] = to_exit[field, 2 * cell + 1]
+
+
+@kernel(
+    void(STEP, GRIDS, array(int64, 2), array(int64), GRIDS, GRIDS, CELL_TABLE, GRIDS, int64, int64,
+         array(int64), array(float64, 2), array(float64, 2))
+)  # fmt: skip
+def play_side_by_side(  # type: ignore[no-untyped-def]  # compiled
+    step, parameters, participants, field_of_trial, free, to_exit, starts, states, stride, steps,
+    progress, fitness, metrics,
+):  # fmt: skip
+    """Trials of a batch, eight side by side; each lane has a field of its own, one behind the other in ``grid``."""
+    agents, count = starts.shape[1], free.shape[1]
+    exit_table = to_exit.reshape(to_exit.size)
+    packed = np.empty(parameters.shape[1] * LANES, np.float32)
+    grid = np.ones(count * LANES + 4, np.float32)
+    cells, nearest = np.empty(agents * LANES, np.int32), np.empty(2 * agents * LANES, np.float32)
+    offsets, first_out = np.empty(LANES, np.int32), np.empty(LANES, np.int32)
+    observation, action = np.empty(INPUTS * LANES, np.float32), np.empty(OUTPUTS * LANES, np.float32)
+    last_cells, inside = np.empty(agents, np.int32), np.empty(agents, np.uint8)
+    for first in range(0, field_of_trial.shape[0], LANES):
+        progress[0] = first
+        if progress[1] != 0:
+            return
+        begin_lanes(first, parameters, participants, field_of_trial, free, to_exit, starts, packed, grid, cells, nearest, offsets)
+        states[:] = 0
+        play_rounds_of_lanes(
+            step, packed, states, exit_table, offsets, grid, cells, nearest, observation, action, stride, steps, first_out
+        )
+        for trial in range(first, min(first + LANES, field_of_trial.shape[0])):
+            lane = trial - first
             for agent in range(agents):
-                if inside[agent]:
-                    observe(cells[agent], grid, to_x, to_y, stride, observation)
-                    step(controller, states[agent], observation, action)
-                    act(agent, action, cells, inside, grid, to_x, to_y, stride)
-                    remaining -= 1 - inside[agent]
-            if remaining == 0:
-                first_all_out = round_
-                break
-        judge(cells, inside, to_x, to_y, first_all_out, steps, fitness[trial], metrics[trial])
+                at = agent * LANES + lane
+                last_cells[agent] = cells[at] - lane * count
+                inside[agent] = nearest[at + agent * LANES] != ZERO or nearest[at + (agent + 1) * LANES] != ZERO
+            judge(
+                last_cells,
+                inside,
+                to_exit[field_of_trial[trial]],
+                np.int64(first_out[lane]),
+                steps,
+                fitness[trial],
+                metrics[trial],
+            )

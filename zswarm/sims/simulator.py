@@ -136,3 +136,24 @@ class CompiledSimulator(Simulator):
             fitness: (trials, k) float64, filled.
             metrics: (trials, len(self.metrics)) float64, filled.
         """
+
+    def play_lanes(
+        self,
+        step_lanes: Step,  # noqa: ARG002  for those that override it
+        step: Step,
+        state_size: int,
+        parameters: np.ndarray,
+        participants: np.ndarray,
+        seeds: np.ndarray,
+        progress: np.ndarray,
+        fitness: np.ndarray,
+        metrics: np.ndarray,
+    ) -> None:
+        """``play`` where the controllers decide for eight agents at once, too; a simulator that gains from it overrides this.
+
+        Bits must be those of ``play``. Trials that are played side by side set ``progress[0]`` once, to the first of them.
+
+        Args:
+            step_lanes: the decision of eight agents, see ``Representation.step_lanes``.
+        """
+        self.play(step, state_size, parameters, participants, seeds, progress, fitness, metrics)
