@@ -398,7 +398,7 @@ def act(agent, action, cells, inside, free, to_exit, stride):  # type: ignore[no
         free[there] = BLOCKED
 
 
-@inline
+@lean
 def judge(cells, inside, to_exit, first_all_out, steps, fitness, metrics):  # type: ignore[no-untyped-def]  # compiled
     """Fitness and metrics of a trial that ended."""
     total = 0.0
@@ -448,10 +448,12 @@ def play_trials(  # type: ignore[no-untyped-def]  # compiled
             return
         field = field_of_trial[trial]
         controller, exits = parameters[participants[trial, 0]], to_exit[field]
-        grid[:], cells[:] = free[field], starts[field]
         inside[:] = 1
         states[:] = 0
+        for cell in range(free.shape[1]):  # compiling what numba does on arrays of unequal length would take 2 s
+            grid[cell] = free[field, cell]
         for agent in range(agents):
+            cells[agent] = starts[field, agent]
             grid[cells[agent]] = BLOCKED
         first_all_out = play_rounds(step, controller, states, exits, grid, cells, inside, observation, action, stride, steps)
         judge(cells, inside, exits, first_all_out, steps, fitness[trial], metrics[trial])
@@ -517,7 +519,7 @@ def play_rounds_of_lanes(  # type: ignore[no-untyped-def]  # compiled
     store(first_all_out, 0, first_out)
 
 
-@inline
+@lean
 def begin_lanes(  # type: ignore[no-untyped-def]  # compiled
     first, parameters, participants, field_of_trial, free, to_exit, starts, packed, grid, cells, nearest, offsets
 ):
@@ -528,7 +530,8 @@ def begin_lanes(  # type: ignore[no-untyped-def]  # compiled
         field = field_of_trial[trial]
         for number in range(parameters.shape[1]):
             packed[number * LANES + lane] = parameters[participants[trial, 0], number]
-        grid[lane * count : (lane + 1) * count] = free[field]
+        for cell in range(count):
+            grid[lane * count + cell] = free[field, cell]
         offsets[lane] = field * to_exit.shape[1] - 2 * lane * count
         for agent in range(agents):
             cell = starts[field, agent]
@@ -550,7 +553,7 @@ def play_side_by_side(  # type: ignore[no-untyped-def]  # compiled
     agents, count = starts.shape[1], free.shape[1]
     exit_table = to_exit.reshape(to_exit.size)
     packed = np.empty(parameters.shape[1] * LANES, np.float32)
-    grid = np.ones(count * LANES + 4, np.float32)
+    grid = np.empty(count * LANES + 4, np.float32)  # windows of the last cells reach behind them
     cells, nearest = np.empty(agents * LANES, np.int32), np.empty(2 * agents * LANES, np.float32)
     offsets, first_out = np.empty(LANES, np.int32), np.empty(LANES, np.int32)
     observation, action = np.empty(INPUTS * LANES, np.float32), np.empty(OUTPUTS * LANES, np.float32)
