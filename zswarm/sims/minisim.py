@@ -12,7 +12,8 @@ from msgspec import Meta
 
 from zswarm.draws import draw_integer
 from zswarm.errors import ConfigError
-from zswarm.jit import STEP, Step, array, float32, float64, inline, int64, kernel, uint64, void
+from zswarm.jit import STEP, Step, array, float32, float64, inline, int64, kernel, lean, uint64, void
+from zswarm.lanes import LANES
 from zswarm.sims.simulator import Body, CompiledSimulator, Frame, Outcome, Place, Turn
 
 INPUTS, OUTPUTS = 9, 2
@@ -150,7 +151,26 @@ class Minisim(CompiledSimulator):
         """See ``CompiledSimulator.play``."""
         states = np.zeros((self.settings.robots, state_size), np.float32)
         play_trials(
-            step, parameters, participants, seeds.astype(np.uint64), states, *self._tables(), self._rules,
+            step, 1, parameters, participants, seeds.astype(np.uint64), states, *self._tables(), self._rules,
+            progress, fitness, metrics
+        )  # fmt: skip
+
+    def play_lanes(
+        self,
+        step_lanes: Step,
+        step: Step,  # noqa: ARG002  not for the rest either: eight decisions at once take as long as two
+        state_size: int,
+        parameters: np.ndarray,
+        participants: np.ndarray,
+        seeds: np.ndarray,
+        progress: np.ndarray,
+        fitness: np.ndarray,
+        metrics: np.ndarray,
+    ) -> None:
+        """See ``CompiledSimulator.play_lanes``: eight robots of a trial decide at once."""
+        states = np.zeros((-(-self.settings.robots // LANES), LANES * state_size), np.float32)
+        play_trials(
+            step_lanes, LANES, parameters, participants, seeds.astype(np.uint64), states, *self._tables(), self._rules,
             progress, fitness, metrics
         )  # fmt: skip
 
@@ -163,7 +183,7 @@ class Minisim(CompiledSimulator):
     def _turn(self) -> Turn:
         observations = np.empty((self.settings.robots, INPUTS), np.float32)
         for robot in range(self.settings.robots):
-            observe(robot, *self._state, self._rules, observations[robot])
+            observe(robot, *self._state, self._rules, observations[robot], 1)
         return Turn(range(self.settings.robots), observations)
 
 
@@ -204,7 +224,7 @@ def start(seed, robots, defenders, stand, game, rules):  # type: ignore[no-untyp
 
 
 @inline
-def sense(x, y, others, itself, sight, observation, at):  # type: ignore[no-untyped-def]  # compiled
+def sense(x, y, others, itself, sight, observation, at, stride):  # type: ignore[no-untyped-def]  # compiled
     """Write where the nearest of the others is, if nearer than ``sight``; the nearer, the longer the arrow."""
     least, dx, dy = sight, 0, 0
     for other in range(others.shape[0]):
@@ -212,29 +232,29 @@ def sense(x, y, others, itself, sight, observation, at):  # type: ignore[no-unty
         if distance(to_x, to_y) < least and other != itself:
             least, dx, dy = distance(to_x, to_y), to_x, to_y
     nearness = np.float32(sight - least) / np.float32(sight)
-    observation[at] = np.float32(dx) / np.float32(max(least, 1)) * nearness
-    observation[at + 1] = np.float32(dy) / np.float32(max(least, 1)) * nearness
+    observation[at * stride] = np.float32(dx) / np.float32(max(least, 1)) * nearness
+    observation[(at + 1) * stride] = np.float32(dy) / np.float32(max(least, 1)) * nearness
 
 
 @inline
-def observe(robot, robots, defenders, stand, game, rules, observation):  # type: ignore[no-untyped-def]  # compiled
-    """What a robot observes."""
+def observe(robot, robots, defenders, stand, game, rules, observation, stride):  # type: ignore[no-untyped-def]  # compiled
+    """What a robot observes, written so far apart."""
     x, y, carries, sight = robots[robot, X], robots[robot, Y], game[CARRIER] == robot, rules[ROBOT_SIGHT]
     dx, dy = (-x, 0) if carries else (stand[X] - x, stand[Y] - y)
     away = distance(dx, dy)
     observation[0] = np.float32(dx) / np.float32(max(away, 1))
-    observation[1] = np.float32(dy) / np.float32(max(away, 1))
-    observation[2] = ONE - np.float32(away) / np.float32(max(rules[WIDTH], rules[HEIGHT]))
-    sense(x, y, defenders, NOBODY, sight, observation, 3)
-    sense(x, y, robots, robot, sight, observation, 5)
-    observation[7] = ONE if carries else ZERO
-    observation[8] = ONE if game[CARRIER] != NOBODY and not carries else ZERO
+    observation[stride] = np.float32(dy) / np.float32(max(away, 1))
+    observation[2 * stride] = ONE - np.float32(away) / np.float32(max(rules[WIDTH], rules[HEIGHT]))
+    sense(x, y, defenders, NOBODY, sight, observation, 3, stride)
+    sense(x, y, robots, robot, sight, observation, 5, stride)
+    observation[7 * stride] = ONE if carries else ZERO
+    observation[8 * stride] = ONE if game[CARRIER] != NOBODY and not carries else ZERO
 
 
 @inline
 def velocity(output):  # type: ignore[no-untyped-def]  # compiled
     """-1, 0 or 1; NaN means no move."""
-    return -1 if output < BACK else (1 if output > FORTH else 0)
+    return int(output > FORTH) - int(output < BACK)
 
 
 @inline
@@ -311,25 +331,41 @@ def judge(stand, game, rules, fitness, metrics):  # type: ignore[no-untyped-def]
     metrics[0], metrics[1], metrics[2] = game[CAPTURES], game[STEALS], game[TAGGED]
 
 
+@lean
+def play_steps(  # type: ignore[no-untyped-def]  # compiled
+    step, together, controller, states, robots, defenders, stand, game, rules, observations, outputs, actions
+):
+    """Play a trial that was laid out; so many robots decide together, the last one again where there are fewer."""
+    last = robots.shape[0] - 1
+    for _ in range(rules[STEPS]):
+        for group in range(states.shape[0]):
+            for lane in range(together):
+                observe(min(group * together + lane, last), robots, defenders, stand, game, rules, observations[lane:], together)
+            step(controller, states[group], observations, outputs)
+            for lane in range(min(together, robots.shape[0] - group * together)):
+                actions[group * together + lane, X] = outputs[lane]
+                actions[group * together + lane, Y] = outputs[together + lane]
+        act(actions, robots, defenders, stand, game, rules)
+
+
 @kernel(
-    void(STEP, GRIDS, array(int64, 2), array(uint64), GRIDS, TABLE, TABLE, NUMBERS, NUMBERS, NUMBERS, NUMBERS,
+    void(STEP, int64, GRIDS, array(int64, 2), array(uint64), GRIDS, TABLE, TABLE, NUMBERS, NUMBERS, NUMBERS, NUMBERS,
          array(float64, 2), array(float64, 2))
 )  # fmt: skip
 def play_trials(  # type: ignore[no-untyped-def]  # compiled
-    step, parameters, participants, seeds, states, robots, defenders, stand, game, rules, progress, fitness, metrics
+    step, together, parameters, participants, seeds, states, robots, defenders, stand, game, rules, progress, fitness, metrics
 ):
-    """All trials of a batch, see ``CompiledSimulator.play``."""
-    observation, actions = np.empty(INPUTS, np.float32), np.empty((robots.shape[0], OUTPUTS), np.float32)
+    """All trials of a batch, see ``CompiledSimulator.play``; ``step`` decides for so many robots together."""
+    observations, outputs = np.empty(INPUTS * together, np.float32), np.empty(OUTPUTS * together, np.float32)
+    controller = np.empty(parameters.shape[1] * together, np.float32)
+    actions = np.empty((robots.shape[0], OUTPUTS), np.float32)
     for trial in range(seeds.shape[0]):
         progress[0] = trial
         if progress[1] != 0:
             return
-        controller = parameters[participants[trial, 0]]
+        for number in range(parameters.shape[1]):
+            controller[number * together : (number + 1) * together] = parameters[participants[trial, 0], number]
         states[:] = 0
         start(seeds[trial], robots, defenders, stand, game, rules)
-        for _ in range(rules[STEPS]):
-            for robot in range(robots.shape[0]):
-                observe(robot, robots, defenders, stand, game, rules, observation)
-                step(controller, states[robot], observation, actions[robot])
-            act(actions, robots, defenders, stand, game, rules)
+        play_steps(step, together, controller, states, robots, defenders, stand, game, rules, observations, outputs, actions)
         judge(stand, game, rules, fitness[trial], metrics[trial])
