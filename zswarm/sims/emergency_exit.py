@@ -51,7 +51,7 @@ STADIUM_AGENTS = """
 12,1 13,2 14,3 15,4 16,5 17,6 18,7 18,5 17,4 16,3 15,2 14,1 16,1 17,2 18,3 18,1 8,2 11,2 10,1 9,1 8,17 10,18 11,17 9,18
 """.split()
 
-MOST_KEPT = 1_000_000  # cells of fields that are kept for the trials to come
+MOST_KEPT = 100_000  # cells of fields that are kept for the trials to come
 LANES_REACH = 2**31  # lanes find a cell by a 32-bit index
 FEWEST = 2  # trials from which on playing eight side by side is sooner done than one after the other
 
