@@ -283,8 +283,15 @@ class Sender:
         self._thread = threading.Thread(target=self._work, name=f"send-{name}", daemon=True)
         self._thread.start()
 
-    def send(self, call: Callable[[], None]) -> bool:
-        """Have a call made, in order; False when too many wait already."""
+    def send(self, call: Callable[[], None], *, at_once: bool = False) -> bool:
+        """Have a call made, in order; False when too many wait already.
+
+        Args:
+            at_once: it does not block: make it in this thread if no other is waited for.
+        """
+        if at_once and not self._calls.unfinished_tasks:
+            call()
+            return True
         try:
             self._calls.put_nowait(call)
         except queue.Full:
@@ -299,3 +306,4 @@ class Sender:
     def _work(self) -> None:
         while (call := self._calls.get()) is not None:
             call()
+            self._calls.task_done()

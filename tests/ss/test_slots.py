@@ -633,11 +633,14 @@ def test_a_batch_is_shared_by_the_slots_piece_by_piece_smaller_ones_towards_the_
     assert (answer.trials, answer.fitness, answer.seconds) == (b"", bytes(range(12)), 6.0)
 
 
-def test_little_work_is_cut_into_one_piece_for_each_idle_slot() -> None:
+@pytest.mark.parametrize(("trial_s", "sizes"), [(1e-4, [19, 18]), (1e-5, [37])])
+def test_little_work_is_cut_into_one_piece_for_each_idle_slot_and_very_little_not_at_all(
+    trial_s: float, sizes: list[int]
+) -> None:
     server = Server(2)
-    lease = server.ready(trial_s=1e-5)
+    lease = server.ready(trial_s=trial_s)
     server.ask(evaluate(lease, 1, 37))
-    assert [len(trials) for _, trials in seeds(server.commands)] == [19, 18]
+    assert [len(trials) for _, trials in seeds(server.commands)] == sizes
 
 
 def test_a_piece_has_the_genomes_of_its_trials_only() -> None:

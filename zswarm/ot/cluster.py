@@ -1,11 +1,14 @@
-"""The optimizer's side of the network: a thread around ``Dispatch``. Zenoh's callbacks only enqueue; the thread owns all state.
+"""The optimizer's side of the network: a shell around ``Dispatch``, whose state belongs to whoever holds its lock.
 
-The caller's thread hands in a workload and takes what is counted, in the order it comes.
+The caller's thread hands in a workload and takes what is counted, in the order it comes. What arrives while nothing else goes
+on is handled in the thread it arrives in, for waking another one takes longer than that; all else waits in a queue for a
+thread of its own, which looks at the clock, too. Zenoh's callbacks never wait, neither for the lock nor for a link.
 """
 
 import queue
 import threading
 import time
+from collections import Counter
 from collections.abc import Iterator
 from types import TracebackType
 from typing import NamedTuple, Self
@@ -42,6 +45,7 @@ TOLD_AT_ONCE = 100  # things for the caller that are kept back at most while mor
 QUERY_S = {"offer": discovery.OFFER_S, "reserve": 10.0, "renew": 25.0, "evaluate": 60.0, "cancel": 3.0, "release": 3.0}
 CONTROL = zenoh.Priority.INTERACTIVE_HIGH  # overtakes batches on the way
 RELEASE_S = 2.0  # at most, on leaving
+AT_ONCE = 12_000  # bytes of a message that zenoh takes without waiting, on a link on which nothing is unanswered
 ALONE_S = 5.0  # with this machine's slots only, before it is found out where the servers in ``connect`` are
 
 
@@ -59,6 +63,10 @@ class Stopped(NamedTuple):
     """The thread ended by an error."""
 
     error: BaseException
+
+
+class Woken(NamedTuple):
+    """The thread is to look at the clock earlier than it would."""
 
 
 Item = Counted | Note | Disputed | ProbeDisputed | Retracted
@@ -97,7 +105,13 @@ class Cluster:
         self._leaving = threading.Event()
         self._alone = threading.Timer(ALONE_S, self._on_alone)
         self._alone.daemon = True
-        self._inbox: queue.SimpleQueue[dispatch.Event | None] = queue.SimpleQueue()
+        self._owner = threading.Lock()  # of the state: the dispatch, and what is up to the outbox
+        self._inbox: queue.SimpleQueue[dispatch.Event | Woken | None] = queue.SimpleQueue()
+        self._told: list[Item | Complete | Failed] = []  # for the caller, once the standing is of after them
+        self._changed = False  # the standing
+        self._unanswered: dict[int, str] = {}  # questions that carry batches, with the server
+        self._waited_for = Counter[str]()  # these questions, by server
+        self._awake_at = 0.0  # the thread looks at the clock then
         self._newcomers = Newcomers[str]()
         self._outbox: queue.SimpleQueue[Item | Complete | Failed | Stopped] = queue.SimpleQueue()
         self._senders: dict[str, session.Sender] = {}
@@ -183,7 +197,7 @@ class Cluster:
         Raises:
             EvaluationError: a trial faults again and again, or the run was taken over.
         """
-        self._inbox.put(dispatch.Work(workload))
+        self._happened(dispatch.Work(workload), may_send=True)
         return self._until_complete()
 
     def _until_complete(self) -> Iterator[Item | None]:
@@ -260,49 +274,83 @@ class Cluster:
         self._home[key.server] = opened
         self._inbox.put(dispatch.Seen(key.server) if seen else dispatch.Gone(key.server))
 
-    # ---- the owner's thread
+    # ---- the owner of the state
+
+    def _happened(self, event: dispatch.Event, *, may_send: bool) -> None:
+        """Handle it here and now if nothing else goes on, or have it handled.
+
+        Args:
+            may_send: this thread may wait for a lock of zenoh's.
+        """
+        if not self._inbox.empty() or not self._owner.acquire(blocking=False):
+            self._inbox.put(event)
+            return
+        try:
+            self._handle(event, may_send=may_send)
+            self._tell()
+            if self._dispatch.next_time() < self._awake_at:
+                self._inbox.put(Woken())
+        except BaseException as error:  # as in the thread
+            self._stop(error)
+        finally:
+            self._owner.release()
 
     def _work(self) -> None:
-        told: list[Item | Complete | Failed] = []  # for the caller, once the standing is of after them
-        changed = False
+        """The thread's."""
         try:
             while True:
-                if self._inbox.empty() or len(told) >= TOLD_AT_ONCE:  # a look at all servers, not for every event
-                    if changed:
-                        self.standing, changed = self._standing(), False
-                    for item in told:
-                        self._outbox.put(item)
-                    told.clear()
+                if self._inbox.empty() or len(self._told) >= TOLD_AT_ONCE:  # a look at all servers, not for every event
+                    with self._owner:
+                        self._tell()
                 for event in self._take():
                     if event is None:
                         return
-                    if isinstance(event, dispatch.Work):
-                        self._workload = event.workload
-                    commands = self._dispatch.handle(event, time.monotonic())
-                    changed |= not (isinstance(event, dispatch.Answered) and isinstance(event.reply, Outcomes | Running))
-                    for command in commands:
-                        if isinstance(command, Ask):
-                            self._ask(command)
-                        else:
-                            told.append(command)
-                    lost = any(isinstance(command, Note) and command.event == "server_lost" for command in commands)
-                    if lost or isinstance(event, dispatch.Gone):
-                        self._hang_up()
+                    with self._owner:
+                        self._handle(event, may_send=True)
         except BaseException as error:  # a bug, or a panic in zenoh, which is no Exception: the caller's thread raises it
-            for last in (*told, Stopped(error)):
-                self._outbox.put(last)
+            self._stop(error)
+
+    def _stop(self, error: BaseException) -> None:
+        for last in (*self._told, Stopped(error)):
+            self._outbox.put(last)
+
+    def _tell(self) -> None:
+        if self._changed:
+            self.standing, self._changed = self._standing(), False
+        for item in self._told:
+            self._outbox.put(item)
+        self._told.clear()
+
+    def _handle(self, event: dispatch.Event, *, may_send: bool) -> None:
+        if isinstance(event, dispatch.Work):
+            self._workload = event.workload
+        elif isinstance(event, dispatch.Answered) and (server := self._unanswered.pop(event.question, "")):
+            self._waited_for[server] -= 1
+        commands = self._dispatch.handle(event, time.monotonic())
+        self._changed |= not (isinstance(event, dispatch.Answered) and isinstance(event.reply, Outcomes | Running))
+        for command in commands:
+            if isinstance(command, Ask):
+                self._ask(command, may_send=may_send)
+            else:
+                self._told.append(command)
+        lost = any(isinstance(command, Note) and command.event == "server_lost" for command in commands)
+        if lost or isinstance(event, dispatch.Gone):
+            self._hang_up()
 
     def _take(self) -> list[dispatch.Event | None]:
         """The next events; a Tick when it is time for one."""
         now = time.monotonic()
         if new := self._newcomers.take(now):
             return [dispatch.Seen(server) for server in new]
-        tick_at = self._dispatch.next_time()
+        with self._owner:
+            tick_at = self._awake_at = self._dispatch.next_time()
         wait = min(tick_at, self._newcomers.due) - now
         try:
             event = self._inbox.get(timeout=max(0.0, wait)) if wait < 3600 else self._inbox.get()
         except queue.Empty:
             return [dispatch.Tick()] if time.monotonic() >= tick_at else []
+        if isinstance(event, Woken):
+            return []
         if isinstance(event, dispatch.Seen):
             self._newcomers.add(event.server, time.monotonic())
             return []
@@ -314,12 +362,13 @@ class Cluster:
         """End the senders of servers that left: one that is restarted is another server."""
         for server in [server for server in self._senders if self._dispatch.servers[server].phase == dispatch.Phase.IDLE]:
             self._senders.pop(server).close()
+            del self._waited_for[server]
 
     def _standing(self) -> Standing:
         state = self._dispatch
         return Standing(state.serving(), state.preparing(), state.leased(), state.slots(), state.probe)
 
-    def _ask(self, ask: Ask) -> None:
+    def _ask(self, ask: Ask, *, may_send: bool) -> None:
         question, verb = ask.question, ask.verb
         if verb == "offer":
             key = keys.offer(self.who.realm, ask.server)
@@ -332,7 +381,11 @@ class Cluster:
             nonlocal answered
             if reply.ok is not None and not answered:
                 answered = True
-                self._inbox.put(dispatch.Answered(question, _decode(reply.ok.payload.to_bytes())))
+                event = dispatch.Answered(question, _decode(reply.ok.payload.to_bytes()))
+                if verb == "evaluate":
+                    self._happened(event, may_send=False)
+                else:
+                    self._inbox.put(event)
 
         def on_end() -> None:
             if not answered:
@@ -355,7 +408,11 @@ class Cluster:
 
         if ask.server not in self._senders:
             self._senders[ask.server] = session.Sender(ask.server)
-        if not self._senders[ask.server].send(send):
+        at_once = may_send and len(body) < AT_ONCE and not self._waited_for[ask.server]
+        if verb == "evaluate":
+            self._unanswered[question] = ask.server
+            self._waited_for[ask.server] += 1
+        if not self._senders[ask.server].send(send, at_once=at_once):
             self._inbox.put(dispatch.Answered(question, None))
 
 

@@ -49,7 +49,8 @@ GRACE_S = 30.0  # after the holder's token vanished
 HOLD_QUERY_S = 30.0  # a batch that runs longer is answered "running"
 HOLD_RENEWAL_S = 10.0
 HUNGRY_S = 0.01  # a slot without work for longer, and outcomes are told that wait for others of their batch
-PIECE_S = 0.001  # of work in a piece at least: as long as the way to a slot's process and back costs a tenth of it
+PIECE_S = 0.003  # of work in a piece, at least: some twenty times as long as a slot waits for the next one
+SHARED_S = 0.00025  # of work in a piece, at least, where little work is shared by idle slots
 STOP_S = 2.0  # a batch told to stop that goes on longer is killed
 PREPARE_S = 60.0  # to compile; a preparation may take this and the time of the probe's trials
 STALL_S = 2.0  # without an event although slots work: the server itself stood still, and that is no slot's fault
@@ -595,9 +596,11 @@ class Slots:
         if batch.again:
             piece = batch.again.pop(0)
         else:
-            least = PIECE_S / lease.trial_s if lease.trial_s else 1.0
-            size = math.ceil(min(max(lease.rest / (2 * len(lease.slots)), least), lease.rest / idle))
+            least, shared = (PIECE_S / lease.trial_s, SHARED_S / lease.trial_s) if lease.trial_s else (1.0, 1.0)
+            size = math.ceil(max(shared, min(max(lease.rest / (2 * len(lease.slots)), least), lease.rest / idle)))
             first = batch.given
+            if batch.trials - first - size < shared / 2:
+                size = batch.trials - first
             batch.given = batch.trials if batch.whole else min(first + size, batch.trials)
             piece = Piece(batch, first, batch.given)
         lease.rest -= piece.end - piece.first - piece.done
