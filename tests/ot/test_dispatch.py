@@ -1,7 +1,10 @@
 """Dispatch: events and plain times in, commands out."""
 
+from collections import deque
+
 import numpy as np
 import pytest
+from counting import instructions
 from dispatching import NAN, PROBE, Optimizer, fault, lease, offer, outcomes, trials, verbs
 
 from zswarm.errors import LocalProtocolError
@@ -713,6 +716,25 @@ def test_an_answer_to_a_workload_takes_messages_by_its_work_and_not_by_its_slots
         optimizer.join(*[f"s{number}" for number in range(64)], slots=slots)
         counts.append(len(sizes(optimizer, 64 * slots * 4, trial_s=1.0)))
     assert counts[0] == counts[1] == 64 * 4
+
+
+@pytest.mark.parametrize("verify", [0.0, 1.0])
+def test_the_work_of_a_workload_grows_with_its_trials_and_not_with_their_square(verify: float) -> None:
+    """Counted in Python's instructions, with a message for every trial."""
+
+    def of(count: int) -> int:
+        optimizer = Optimizer(verify=verify)
+        optimizer.join("a", "b", "c")
+        return instructions(lambda: play(optimizer, count))
+
+    def play(optimizer: Optimizer, count: int) -> None:
+        asks = deque(optimizer.work(count))
+        while asks:
+            ask = asks.popleft()
+            asks += optimizer.answer(ask, outcomes(ask))
+        assert optimizer.dispatch._checks.verified == verify * count
+
+    assert of(160) < 5 * of(40)
 
 
 def test_the_time_of_a_trial_is_measured_and_not_what_the_probe_took() -> None:

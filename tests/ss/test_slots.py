@@ -4,6 +4,7 @@ import itertools
 from typing import TypeVar
 
 import pytest
+from counting import instructions
 
 from zswarm.errors import LocalProtocolError
 from zswarm.protocol import codec
@@ -610,9 +611,8 @@ def test_a_slot_that_finishes_what_it_was_not_given_is_a_bug() -> None:
 
 def played(first: int, end: int, *, trial_s: float = 0.5) -> bytes:
     """Outcomes of these trials, which say their numbers; no metrics."""
-    return codec.encode(
-        Outcomes(batch=1, fitness=bytes(range(first, end)), metrics=b"", seconds=trial_s * (end - first))
-    )  # fmt: skip
+    fitness = bytes(number % 256 for number in range(first, end))
+    return codec.encode(Outcomes(batch=1, fitness=fitness, metrics=b"", seconds=trial_s * (end - first)))
 
 
 def test_a_batch_is_shared_by_the_slots_piece_by_piece_smaller_ones_towards_the_end() -> None:
@@ -667,6 +667,20 @@ def test_a_batch_that_cannot_be_cut_goes_to_a_slot_whole_which_refuses_it(wrong:
     for slot in range(len(server.commands)):
         server.feed(Finished(slot, codec.encode(refused), played=False))
     assert server.answers[query] == refused
+
+
+def test_handing_out_a_piece_costs_the_same_however_much_waits() -> None:
+    """Counted in Python's instructions."""
+
+    def of(trials: int) -> int:
+        server = Server(2)
+        lease = server.ready()
+        server.ask(evaluate(lease, 1, trials))
+        (_, [first, *others]), _ = seeds(server.commands)
+        finished = Finished(0, played(first, first + len(others) + 1))
+        return instructions(lambda: server.feed(finished))
+
+    assert of(100) == of(1000)
 
 
 def test_slots_that_have_nothing_to_do_have_outcomes_told_that_wait_for_others() -> None:

@@ -730,8 +730,9 @@ class Dispatch:
         if lonely and not self._alone:
             self._note("unverified", text="no second server is there to verify with")
         self._alone = bool(lonely)
-        self._checks.drop(lonely)
-        self._complete_if_done()
+        if lonely:
+            self._checks.drop(lonely)
+            self._complete_if_done()
 
     def _fail(self, reason: str, now: float) -> None:
         self._end_workload(now)
