@@ -36,6 +36,7 @@ from zswarm.protocol.messages import (
 
 DEPTH = 2  # batches out per server: of one trials run, the other waits
 BATCH_S = 0.075  # of work in a batch for each slot, by measured time
+SERVER_S = 0.002  # of work for each slot for each server that serves: messages cost the optimizer a quarter of its time at most
 SMALLEST_BATCH_S = 0.003  # of work for each slot: shorter than the way to a server and back, two batches would not keep it busy
 RENEW_S = 20.0  # a third of the lease time
 RETRY_S = (0.05, 0.2, 1.0)  # before asking again after an empty answer; then the server is put aside
@@ -847,7 +848,7 @@ class Dispatch:
             parts = 2 * DEPTH if len(self._serving) > 1 else 1
             share = self._waiting.trials * server.ready / (self._slots * parts)
             smallest = server.ready * SMALLEST_BATCH_S / server.trial_s
-            largest = server.ready * max(1.0, BATCH_S / server.trial_s)
+            largest = server.ready * max(1.0, BATCH_S / server.trial_s, len(self._serving) * SERVER_S / server.trial_s)
             least = max(least, int(min(max(share, smallest), largest)))
         trial_bytes = (self._genome_bytes + 16) * self._participants + 16
         fits = min(MAX_TRIALS, MAX_GENOMES // self._participants, MAX_MESSAGE // 2 // trial_bytes)
