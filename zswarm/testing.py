@@ -377,8 +377,9 @@ def check_optimizer(
     """Evolve small fully-meshed networks towards zero weights and check the contract of ``Optimizer``.
 
     Checked are: the order of ask and tell; that a seed gives the same genomes again and another one others; that
-    ``state`` survives msgpack and ``restore`` goes on with the same genomes; that an ask changes neither ``best`` nor
-    ``statistics``; that NaN fitness does no harm; that ``best`` is the best of all told, and improves.
+    ``state`` survives msgpack and ``restore`` goes on with the same genomes; that an ask gives no more than ``candidates``
+    and changes neither ``best`` nor ``statistics``; that NaN fitness does no harm; that ``best`` is the best of all told,
+    and improves.
 
     Args:
         optimizer_class: the class to check.
@@ -430,6 +431,8 @@ def _check_repeats(name: str, new: Callable[[int], Optimizer]) -> None:
         genomes = first.ask()
         if generation:
             _require(_same((first.best(), first.statistics()), told), f"{name}.ask changes best or statistics {where}")
+        most = first.candidates
+        _require(most is None or len(genomes) <= most, f"{name}.ask gives {len(genomes)} genomes; candidates says {most} {where}")
         _require(again.ask() == genomes, f"{name}: the same seed asks other genomes {where}")
         _require(revived.ask() == genomes, f"{name}: state and restore change what is asked {where}")
         if generation == 0:

@@ -585,9 +585,16 @@ class TellsWhatItAsked(NNGA):
         return {**super().statistics(), "renewed": float([i.operator for i in self._islands[0]].count("renew"))}
 
 
+class SaysTooFew(NNGA):
+    def ask(self) -> list[bytes]:
+        self.candidates = 10
+        return super().ask()
+
+
 @pytest.mark.parametrize(
     ("broken", "text"),
     [
+        (SaysTooFew, "ask gives 50 genomes; candidates says 10"),
         (TellsWhatItAsked, "ask changes best or statistics"),
         (SharedDraws, "the same seed asks other genomes"),
         (DeafToSeeds, "another seed asks the same genomes"),
