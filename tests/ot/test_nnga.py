@@ -17,7 +17,7 @@ from zswarm.nets.fully_meshed import FullyMeshed
 from zswarm.nets.fully_meshed import Settings as NetworkSettings
 from zswarm.ot.history import History
 from zswarm.ot.optimizers import nnga
-from zswarm.ot.optimizers.nnga import NNGA, OPERATORS, REPEATS, Settings
+from zswarm.ot.optimizers.nnga import NNGA, OPERATORS, REPEATS, STRIP, Settings
 from zswarm.testing import check_optimizer
 
 GOLDEN = Path(__file__).parents[1] / "golden"
@@ -443,6 +443,17 @@ def test_statistics_describe_the_whole_population() -> None:
     assert statistics["diversity_deviation"] == pytest.approx(np.std(pairs))
 
 
+def test_diversity_is_over_every_pair_once_in_the_order_of_the_ranking() -> None:
+    """Strips of the table of distances hold the pairs of the whole one, to the last bit of their mean."""
+    network = FullyMeshed(NetworkSettings(), 10, 2)
+    optimizer = evolved(NNGA(Settings(population=2 * STRIP + 3), network, 1), 1)
+    genomes = population(optimizer)
+    pairs = network.distances(genomes, genomes)[np.triu_indices(len(genomes), 1)]
+    statistics = optimizer.statistics()
+    found = [statistics[f"diversity_{name}"] for name in ("mean", "max", "min", "deviation")]
+    assert found == [pairs.mean(), pairs.max(), pairs.min(), pairs.std()]
+
+
 def test_populations_lose_their_diversity_as_fast_as_frevos() -> None:
     """In the stadium; the median over runs of the mean distance between two individuals, generation by generation."""
     simulator, network = build("emergency-exit", {"field": "stadium"}, "fully-meshed", {})
@@ -505,12 +516,12 @@ class Counting(FullyMeshed):
 
 @pytest.mark.parametrize("population", [50, 500])
 def test_a_generation_asks_the_representation_once_for_all_and_once_for_each_child(population: int) -> None:
-    """What grows with the square of the population is one array: who differs from whom."""
+    """What grows with the square of the population are numbers in arrays: who differs from whom."""
     network = Counting()
     optimizer = evolved(NNGA(Settings(population=population), network, 1), 2)
     network.calls.clear()
     optimizer.statistics()
-    assert network.calls == {"distances": 1}
+    assert network.calls == {"distances": -(-population // STRIP)}
     network.calls.clear()
     optimizer.ask()
     assert 0.3 * population <= network.calls.pop("crossover") <= 0.3 * population + REPEATS

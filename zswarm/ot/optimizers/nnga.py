@@ -28,6 +28,7 @@ from zswarm.ot.optimizers.optimizer import Optimizer
 
 REPEATS = 100  # of rejected crossovers, in a generation of one island
 SUITORS = 11  # fathers to choose from
+STRIP = 64  # individuals whose distances to others are computed at once
 OPERATORS = ("elite", "random", "mutation", "crossover", "renew")
 
 Share = Annotated[float, Meta(ge=0, le=1)]
@@ -223,9 +224,13 @@ class NNGA(Optimizer):
         }
 
     def _pair_distances(self, island: list[Individual]) -> np.ndarray:
+        """Of each individual to those that come after it, in their order; (pairs,) float64."""
         genomes = [individual.genome for individual in island]
-        pairs: np.ndarray = self.representation.distances(genomes, genomes)[~np.tri(len(genomes), dtype=bool)]
-        return pairs
+        pairs = []
+        for begin in range(0, len(genomes), STRIP):
+            strip, others = genomes[begin : begin + STRIP], genomes[begin:]
+            pairs.append(self.representation.distances(strip, others)[~np.tri(len(strip), len(others), dtype=bool)])
+        return np.concatenate(pairs)
 
 
 def _rank_key(fitness: float) -> tuple[bool, float]:
