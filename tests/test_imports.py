@@ -170,6 +170,13 @@ def test_what_evaluates_nothing_runs_without_the_compiler(module: str) -> None:
     assert (done.stdout, done.stderr) == ("False\n", "")
 
 
+def test_a_run_that_is_not_refused_waits_for_no_logs() -> None:
+    """They bring all of rich."""
+    code = "import sys, zswarm.ot.evolution; print({'structlog', 'rich'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == ("set()\n", "")
+
+
 # ---- arithmetic ---------------------------------------------------------------------------------------------------
 
 

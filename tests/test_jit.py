@@ -151,6 +151,13 @@ def test_the_warming_up_compiles_all_that_a_trial_of_any_part_needs(lazy: str, t
     assert set(said[3::4]) == {"0"}
 
 
+def test_what_numba_loads_for_the_first_kernel_is_loaded_with_it() -> None:
+    """So the fork server has it: slots that load it themselves take 20 MB more each."""
+    code = "import sys, zswarm.jit; before = set(sys.modules); import zswarm.nets.fully_meshed; print(set(sys.modules) - before)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "numba" not in done.stdout, done.stdout
+
+
 def test_plain_kernels_need_no_numba(tmp_path: Path) -> None:
     code = """
 import sys

@@ -70,6 +70,9 @@ else:
     import numba  # the two settings above are read by this import
 
     numba.config.reload_config()  # or they are read now: somebody imported numba before
+    # What numba loads for the first kernel. Here the fork server of the slots has it, so that they share it.
+    numba.core.registry.cpu_target.typing_context.refresh()
+    numba.core.registry.cpu_target.target_context.refresh()
 
     uint8, int32, int64, uint64 = numba.types.uint8, numba.types.int32, numba.types.int64, numba.types.uint64
     float32, float64 = numba.types.float32, numba.types.float64

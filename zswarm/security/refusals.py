@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import structlog
 import zenoh
 
 from zswarm import endpoint
@@ -40,8 +39,6 @@ REASONS = {
     "BadCertificate": "it does not accept this machine's certificate",
 }
 
-log = structlog.get_logger()
-
 
 def watch_links() -> None:
     """Log whatever handshake zenoh refuses, from now on; standard output is zenoh's then."""
@@ -53,9 +50,15 @@ def watch_links() -> None:
     threading.Thread(target=_read, args=(reading,), name="refusals", daemon=True).start()
 
 
+def _log() -> Any:
+    import structlog  # of daemons: it brings all of rich, for which a run that only looks who refuses it would wait
+
+    return structlog.get_logger()
+
+
 def log_stranger(certificate: str, address: str, reason: str) -> None:
     """For a daemon."""
-    log.warning("member_unknown", certificate=certificate, address=address, reason=reason)
+    _log().warning("member_unknown", certificate=certificate, address=address, reason=reason)
 
 
 def watch_members(session: zenoh.Session, keyring: Keyring, tell: Callable[[str, str, str], None] = log_stranger) -> None:
@@ -95,7 +98,7 @@ def watch_routers(connect: Sequence[str], keyring: Keyring | None) -> None:
             if not reason and keyring is None and handshake.speaks_tls(at):
                 reason = "it lets in members only: zswarm-keys join BUNDLE"
             if reason:
-                log.warning("router_refused", endpoint=text, reason=reason)
+                _log().warning("router_refused", endpoint=text, reason=reason)
 
     if connect:
         timer = threading.Timer(DIALLED_S, look)
@@ -144,6 +147,6 @@ def _read(reading: int) -> None:
             if "RUST_LOG" in os.environ:  # somebody wants to see all of it
                 sys.stderr.write(line)
             if (denied := another_users(line)) and told.now(denied[0]):
-                log.warning("member_refused", certificate=denied[0], key=denied[1], reason="the key is not of its own name")
+                _log().warning("member_refused", certificate=denied[0], key=denied[1], reason="the key is not of its own name")
             elif (reason := in_words(line)) and told.now(reason):
-                log.warning("link_refused", reason=reason)
+                _log().warning("link_refused", reason=reason)
