@@ -1,5 +1,6 @@
 """A champion on seeds that evolution never uses, and what is said where the seed changes nothing."""
 
+import json
 from pathlib import Path
 
 import msgspec
@@ -11,6 +12,7 @@ from written import written
 from zswarm.ot.cli import command
 from zswarm.ot.controller import load_controller
 from zswarm.ot.unseen import Played
+from zswarm.sims.emergency_exit import EmergencyExit
 
 ALIKE = "every trial was the same: nothing in them depends on the seed"
 
@@ -33,6 +35,17 @@ def test_it_is_said_where_nothing_depends_on_the_seed(tmp_path: Path) -> None:
     (tmp_path / "random.zsc").write_bytes(msgspec.msgpack.encode(random))
     assert "20 unseen trials" in (told := evaluate(tmp_path / "random.zsc", "--trials", "20"))
     assert ALIKE not in told
+
+
+def test_a_metric_may_have_any_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In JSON it takes the place of no other number."""
+    folder = written(tmp_path, [1])
+    plain = json.loads(evaluate(folder, "--trials", "2", "--json"))
+    monkeypatch.setattr(EmergencyExit, "metrics", ("mean", "trials"))
+    renamed = json.loads(evaluate(folder, "--trials", "2", "--json"))
+    assert set(plain) == {"trials", "mean", "q25", "median", "q75", "metrics"}
+    assert list(renamed.pop("metrics").values()) == list(plain.pop("metrics").values())
+    assert renamed == plain
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,7 @@ def evaluate(path: Path, trials: int, seed: int | None, as_json: bool) -> None:
     played = unseen.play(controller, trials, seed or 0)
     fitness, metrics = played.fitness_summary(), played.metric_means()
     if as_json:
-        terminal.print_json({"trials": trials, **fitness, **metrics})
+        terminal.print_json({"trials": trials, **fitness, "metrics": metrics})
         return
     same = played.all_the_same()
     terminal.paragraph(
