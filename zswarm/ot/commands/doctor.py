@@ -6,16 +6,12 @@ from pathlib import Path
 
 import click
 
-from zswarm.errors import ConfigError
-from zswarm.ot.commands.options import json_lines_option
+from zswarm.ot.commands.options import check_looking, json_lines_option, looking_options
 from zswarm.ot.exits import EXIT_FAILED
 
 
 @click.command()
-@click.option("--realm", default="default", show_default=True, help="Realm to look in for servers.")
-@click.option("--connect", multiple=True, metavar="EP", help="Server or router to dial; may be repeated.")
-@click.option("--multicast/--no-multicast", default=True, help="Find servers by multicast.  [default: multicast]")
-@click.option("--through-router", is_flag=True, help="Look through a router: one named by --connect, or found by multicast.")
+@looking_options
 @click.option(
     "--out", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="Where runs are to be made."
 )
@@ -31,16 +27,12 @@ def doctor(realm: str, connect: tuple[str, ...], multicast: bool, through_router
       zswarm-ot doctor --connect tcp/192.168.1.5:7467
     """  # noqa: D301  click's mark for text that is not to be wrapped
     os.environ["ZSWARM_PLAIN"] = "1"  # nothing is evaluated
-    from zswarm import endpoint
     from zswarm.ot import terminal
     from zswarm.ot.doctor.examination import examine
-    from zswarm.protocol import keys
     from zswarm.protocol.codec import clean
     from zswarm.session import Reach
 
-    if not keys.is_id(realm):
-        raise ConfigError(f"--realm: expected {keys.ID_RULE}, not {realm!r}")
-    endpoint.check(connect, "--connect")
+    check_looking(realm, connect)
     states = set()
     for finding in examine(realm, out, Reach(connect, multicast, through_router)):
         states.add(finding.state)

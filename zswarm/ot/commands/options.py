@@ -48,6 +48,13 @@ CLUSTER = [
     ),
 ]
 
+LOOKING = [
+    click.option("--realm", default="default", show_default=True, help="Realm to look in."),
+    click.option("--connect", multiple=True, metavar="EP", help="Server or router to dial; may be repeated."),
+    click.option("--multicast/--no-multicast", default=True, help="Find servers by multicast.  [default: multicast]"),
+    click.option("--through-router", is_flag=True, help="Look through a router: one named by --connect, or found by multicast."),
+]
+
 
 @contextlib.contextmanager
 def named(overrides: Sequence[str], path: Path) -> Iterator[None]:
@@ -64,7 +71,30 @@ def named(overrides: Sequence[str], path: Path) -> Iterator[None]:
 
 def cluster_options(command: Any) -> Any:
     """The options that change an experiment's ``[cluster]``."""
-    for option in reversed(CLUSTER):
+    return _with(CLUSTER, command)
+
+
+def looking_options(command: Any) -> Any:
+    """The options that say where to look for servers, without an experiment."""
+    return _with(LOOKING, command)
+
+
+def check_looking(realm: str, connect: Sequence[str]) -> None:
+    """Refuse a realm or an endpoint that is none.
+
+    Raises:
+        ConfigError: naming the option.
+    """
+    from zswarm import endpoint
+    from zswarm.protocol import keys
+
+    if not keys.is_id(realm):
+        raise ConfigError(f"--realm: expected {keys.ID_RULE}, not {realm!r}")
+    endpoint.check(connect, "--connect")
+
+
+def _with(options: Sequence[Any], command: Any) -> Any:
+    for option in reversed(options):
         command = option(command)
     return command
 

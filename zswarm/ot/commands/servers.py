@@ -8,9 +8,8 @@ import click
 import msgspec
 
 from zswarm import __version__, experiment
-from zswarm.errors import ConfigError
 from zswarm.ot.commands import suggestions
-from zswarm.ot.commands.options import json_option
+from zswarm.ot.commands.options import check_looking, json_option, looking_options
 from zswarm.ot.exits import EXIT_NO_SERVERS
 
 if TYPE_CHECKING:
@@ -20,10 +19,7 @@ NAME_WIDTH = 40  # of a server: with the other columns it fits into 80
 
 
 @click.command()
-@click.option("--realm", default="default", show_default=True, help="Realm to look in.")
-@click.option("--connect", multiple=True, metavar="EP", help="Server or router to dial; may be repeated.")
-@click.option("--multicast/--no-multicast", default=True, help="Find servers by multicast.  [default: multicast]")
-@click.option("--through-router", is_flag=True, help="Look through a router: one named by --connect, or found by multicast.")
+@looking_options
 @click.option(
     "--wait",
     "wait_s",
@@ -52,17 +48,13 @@ def servers(
       zswarm-ot servers
       zswarm-ot servers --for my.toml
     """  # noqa: D301  click's mark for text that is not to be wrapped
-    from zswarm import endpoint
     from zswarm.ot import discovery
-    from zswarm.protocol import keys
     from zswarm.protocol.messages import Requirements
     from zswarm.security import keyring
     from zswarm.session import Reach
     from zswarm.version_hash import version_hash
 
-    if not keys.is_id(realm):
-        raise ConfigError(f"--realm: expected {keys.ID_RULE}, not {realm!r}")
-    endpoint.check(connect, "--connect")
+    check_looking(realm, connect)
     requirements = Requirements()
     if name:
         loaded = experiment.load(experiment.find(name))
