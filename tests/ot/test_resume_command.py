@@ -3,14 +3,17 @@
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
 from written import written
 
+import zswarm
 from zswarm.errors import ConfigError
 from zswarm.ot.cli import command
 from zswarm.ot.commands import run
+from zswarm.ot.logger import Logger, Result, Started
 from zswarm.ot.reading import Run
 
 
@@ -25,6 +28,27 @@ def test_a_finished_run_is_told_again_and_nothing_starts(tmp_path: Path, monkeyp
     told = CliRunner().invoke(command, ["resume", str(folder), "--json"], catch_exceptions=False).stdout
     assert (json.loads(told)["event"], json.loads(told)["best"]) == ("done", 2.5)
     assert (folder / "run.sqlite").read_bytes() == recorded, "nor is it resumed once more"
+
+
+def test_a_program_that_resumes_a_finished_run_is_told_what_it_came_to(tmp_path: Path) -> None:
+    """Nothing is evaluated, and its record stays as it is."""
+    folder = written(tmp_path, [1, 2.5])
+    recorded = (folder / "run.sqlite").read_bytes()
+    heard: list[Any] = []
+
+    class Hearing(Logger):
+        def on_start(self, run: Started) -> None:
+            heard.append(run.generation)
+
+        def on_end(self, result: Result | None) -> None:
+            heard.append(result)
+
+    with zswarm.resume(folder, loggers=Hearing()) as evolution:
+        assert list(evolution) == []
+    assert evolution.result is not None
+    assert (evolution.result.best, evolution.result.history_hash) == (2.5, Run(folder).history_hash)
+    assert heard == [2, evolution.result]
+    assert (folder / "run.sqlite").read_bytes() == recorded
 
 
 def test_a_finished_run_whose_experiment_was_changed_is_refused(tmp_path: Path) -> None:

@@ -2,7 +2,8 @@
 
 import contextlib
 import threading
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
+from functools import partial
 from pathlib import Path
 
 from msgspec import structs
@@ -11,11 +12,13 @@ from zswarm import experiment
 from zswarm.experiment import Experiment, Study
 from zswarm.ot import run
 from zswarm.ot.connection import Connection
-from zswarm.ot.logger import Generation, Logger, Result
-from zswarm.ot.reading import Run
-from zswarm.ot.record import Record
+from zswarm.ot.logger import Generation, Logger, Result, Started
+from zswarm.ot.reading import Run, told_again
+from zswarm.ot.record import Record, load_experiment
 from zswarm.ot.run import Parts
 from zswarm.version_hash import version_hash
+
+Evolve = Callable[[threading.Event], Generator[Generation, None, Result]]  # until the event is set
 
 
 class Evolution:
@@ -26,12 +29,12 @@ class Evolution:
         result: once the last generation is over.
     """
 
-    def __init__(self, parts: Parts, record: Record, connection: Connection, logger: Logger) -> None:
-        self.folder = record.folder
+    def __init__(self, folder: Path, evolve: Evolve, logger: Logger) -> None:
+        self.folder = folder
         self.result: Result | None = None
         self._stop = threading.Event()
         self._logger = logger
-        self._generations = self._evolve(parts, record, connection)
+        self._generations = self._follow(evolve(self._stop))
 
     def __iter__(self) -> Iterator[Generation]:
         return self._generations
@@ -61,10 +64,9 @@ class Evolution:
         """Stop it; from the thread that iterates, between two generations."""
         self._generations.close()
 
-    def _evolve(self, parts: Parts, record: Record, connection: Connection) -> Generator[Generation, None, None]:
+    def _follow(self, generations: Generator[Generation, None, Result]) -> Generator[Generation, None, None]:
         try:
-            with connection.run():
-                self.result = yield from run.evolve(parts, record, connection, self._logger, self._stop)
+            self.result = yield from generations
         finally:
             self._logger.on_end(self.result)
 
@@ -87,7 +89,7 @@ def start(
     code = version_hash(complete.problem.simulator, complete.representation.kind)
     _ = connection.reach  # refuses unusable keys before there is a folder
     record = Record.create(out, complete, code, parts.problem.simulator.metrics, name=name)
-    with record, contextlib.closing(Evolution(parts, record, connection, logger)) as begun:
+    with record, contextlib.closing(_evolution(parts, record, connection, logger)) as begun:
         if record.on_network:
             logger.on_say(f"{record.folder} is on a network file system: the record is kept without a write-ahead log there")
         yield begun
@@ -95,11 +97,17 @@ def start(
 
 @contextlib.contextmanager
 def resume(folder: Path, connection: Connection, logger: Logger) -> Iterator[Evolution]:
-    """A run that was stopped, from the last thing it recorded.
+    """A run that was stopped, from the last thing it recorded. One that is finished is told again: its record stays as it is.
 
     Raises:
         ConfigError: there is none, it is damaged or in use, or its experiment was changed.
     """
+    loaded = load_experiment(folder)
+    if (result := told_again(folder, loaded)) is not None:
+        started = Started(folder, loaded, loaded.generations)
+        with contextlib.closing(Evolution(folder, partial(_tell_again, started, result, logger), logger)) as ended:
+            yield ended
+        return
     record, complete = Record.open(folder)
     with record:
         parts = run.build(complete)
@@ -109,5 +117,19 @@ def resume(folder: Path, connection: Connection, logger: Logger) -> Iterator[Evo
             logger.on_say("the code that computes was changed since this run began; results may differ from here on")
         if record.on_network:
             logger.on_say(f"{record.folder} is on a network file system: the record is kept without a write-ahead log there")
-        with contextlib.closing(Evolution(parts, record, connection, logger)) as begun:
+        with contextlib.closing(_evolution(parts, record, connection, logger)) as begun:
             yield begun
+
+
+def _evolution(parts: Parts, record: Record, connection: Connection, logger: Logger) -> Evolution:
+    def evolve(stop: threading.Event) -> Generator[Generation, None, Result]:
+        with connection.run():
+            return (yield from run.evolve(parts, record, connection, logger, stop))
+
+    return Evolution(record.folder, evolve, logger)
+
+
+def _tell_again(started: Started, result: Result, logger: Logger, _stop: threading.Event) -> Generator[Generation, None, Result]:
+    logger.on_start(started)
+    yield from ()
+    return result

@@ -385,6 +385,14 @@ class Run:
         return ConfigError(f"{self._shown}/{DATABASE}: damaged: {why}")
 
 
+def told_again(folder: Path, complete: Experiment) -> Result | None:
+    """What a finished run came to, by its folder's experiment; None where there is something to do, or to refuse."""
+    recorded = Run(folder)
+    if recorded.generations() != complete.generations or recorded.changed:
+        return None
+    return outcome(folder, complete.generations)
+
+
 def outcome(folder: Path, generations: int) -> Result | None:
     """What a run came to, if it is finished; None also where it cannot be read: whoever goes on with it says why.
 

@@ -14,7 +14,6 @@ import click
 
 from zswarm import experiment
 from zswarm.errors import ZswarmError
-from zswarm.experiment import Experiment
 from zswarm.ot.commands import suggestions
 from zswarm.ot.commands.options import cluster_options, json_lines_option, named, out_option, set_option, with_cluster
 from zswarm.ot.connection import Connection
@@ -23,7 +22,6 @@ from zswarm.protocol.codec import clean
 
 if TYPE_CHECKING:
     from zswarm.ot.evolution import Evolution
-    from zswarm.ot.logger import Result
     from zswarm.ot.study import Study
 
 DEFAULT_EXAMPLE = "emergency-exit"
@@ -94,6 +92,7 @@ def resume(folder: Path, as_json: bool, **cluster: Any) -> None:
     """  # noqa: D301  click's mark for text that is not to be wrapped
     _evaluate_nothing()
     from zswarm.ot.display import display
+    from zswarm.ot.reading import told_again
     from zswarm.ot.record import DATABASE, load_experiment
 
     if not (folder / DATABASE).exists() and _is_study(folder):  # a run's program starts without what studies import
@@ -105,7 +104,7 @@ def resume(folder: Path, as_json: bool, **cluster: Any) -> None:
                 _play(study, connection, folders, as_json=as_json)
         return
     complete = with_cluster(load_experiment(folder), cluster)
-    if (told := _told_again(folder, complete)) is not None:
+    if (told := told_again(folder, complete)) is not None:
         click.echo(f"{clean(str(folder))} is finished; to go on longer, raise generations in its experiment.toml", err=True)
         display(as_json=as_json).on_end(told)
         return
@@ -115,16 +114,6 @@ def resume(folder: Path, as_json: bool, **cluster: Any) -> None:
         with evolution.resume(folder, connection, display(as_json=as_json)) as begun, _resumable(begun):
             folders.append(begun.folder)
             begun.finish()
-
-
-def _told_again(folder: Path, complete: Experiment) -> "Result | None":
-    """What a finished run came to; None where there is something to do, or to refuse."""
-    from zswarm.ot.reading import Run, outcome
-
-    recorded = Run(folder)
-    if recorded.generations() != complete.generations or recorded.changed:
-        return None
-    return outcome(folder, complete.generations)
 
 
 def _is_study(folder: Path) -> bool:
