@@ -4,30 +4,18 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from small import SMALL, small
 
 from zswarm import experiment
 from zswarm.errors import ConfigError, UnknownPlugin
 from zswarm.experiment import Experiment, complete, load, to_toml, with_cluster
 
-SMALL = """
-name = "small"
-seed = 1
-generations = 3
-[problem]
-simulator = "emergency-exit"
-[representation]
-kind = "fully-meshed"
-[optimizer]
-kind = "nnga"
-"""
 EXAMPLES = sorted(experiment.examples_folder().glob("*.toml"))
 
 
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL)
-    return path
+    return small(tmp_path)
 
 
 def completed(path: Path, *overrides: str) -> Experiment:
@@ -46,7 +34,7 @@ def refusal(call: Any, *arguments: Any) -> str:
 
 def test_the_defaults_are_written_out(file: Path) -> None:
     whole = completed(file)
-    assert (whole.name, whole.seed, whole.generations) == ("small", 1, 3)
+    assert (whole.name, whole.seed, whole.generations) == ("small", 7, 3)
     assert (whole.problem.trials, whole.problem.seeds) == (1, "fixed")
     assert whole.problem.settings["agents"] == 10
     assert whole.representation.settings["hidden"] == 2
@@ -202,7 +190,7 @@ def test_an_unknown_part_is_refused_with_what_is_known(file: Path, override: str
         (b"name = 3\nname = 4", ": not TOML: Cannot overwrite a value"),
         (b"\xff\xfe\x00", ": not TOML: 'utf-8' codec"),
         (b"", ": key name is missing"),
-        (SMALL.replace("seed = 1", "").encode(), ": key seed is missing"),
+        (SMALL.replace("seed = 7", "").encode(), ": key seed is missing"),
         (SMALL.replace('kind = "nnga"', "").encode(), ":9: optimizer: kind: expected the name of one"),
         (SMALL.replace("[problem]", "[[problem]]").encode(), ":5: problem: expected object, got array"),
         ((SMALL + "[clustr]").encode(), ":11: unknown key 'clustr' (did you mean 'cluster'?); known are: name, seed, "),

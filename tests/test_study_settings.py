@@ -5,29 +5,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from small import SMALL, small, study
 
 from zswarm import experiment
 from zswarm.errors import ConfigError, UnknownPlugin
-from zswarm.experiment import Experiment, Study, complete, load, to_toml, variants
-
-SMALL = """
-name = "small"
-seed = 7
-generations = 3
-[problem]
-simulator = "emergency-exit"
-[representation]
-kind = "fully-meshed"
-[optimizer]
-kind = "nnga"
-population = 20
-"""
-
-
-def study(folder: Path, text: str) -> Experiment:
-    path = folder / "small.toml"
-    path.write_text(f"{SMALL}\n{text}")
-    return complete(load(path), path.name)
+from zswarm.experiment import Study, complete, load, to_toml, variants
 
 
 def settings(folder: Path, text: str) -> list[dict[str, Any]]:
@@ -155,8 +137,8 @@ def test_a_setting_that_names_another_kind_has_the_defaults_of_that_kind(tmp_pat
             "small.toml: study: the same setting twice: generations = 1, and generations = 1",
         ),
         (
-            "[[study.list]]\n[[study.list]]\n'optimizer.population' = 20",
-            "small.toml: study: the same setting twice: nothing changed, and optimizer.population = 20",
+            "[[study.list]]\n[[study.list]]\n'optimizer.population' = 50",
+            "small.toml: study: the same setting twice: nothing changed, and optimizer.population = 50",
         ),
         ("[study]\nrepeat = 5001\n[study.grid]\ngenerations = [1, 2]", "small.toml: study: 10,002 runs; expected 10,000 at most"),
         ("[study.grid]\n'optimizer' = [1]", "small.toml: study: with optimizer = 1: optimizer: expected object, got int"),
@@ -180,8 +162,7 @@ def test_an_unknown_kind_in_a_late_setting_is_refused(tmp_path: Path) -> None:
 
 
 def test_seeds_beyond_the_last_one_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL)
+    path = small(tmp_path)
     last = experiment.LAST_SEED
     assert load(path, [f"seed={last - 2}", "study.repeat=3"]).study.repeat == 3
     with pytest.raises(ConfigError, match=r"study: repeat: the last seed, seed \+ repeat - 1, is"):
@@ -193,6 +174,5 @@ def test_a_long_value_is_shown_short(tmp_path: Path) -> None:
 
 
 def test_options_set_a_study(tmp_path: Path) -> None:
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL)
+    path = small(tmp_path)
     assert load(path, ["study.grid.optimizer.population=[5, 6]", "study.repeat=2"]).study.runs() == 4

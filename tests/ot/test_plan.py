@@ -6,28 +6,10 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from small import study
 
-from zswarm.experiment import Experiment, complete, load
 from zswarm.ot.plan import MOST_AT_ONCE, Planned, another, identity, label, plan
 from zswarm.protocol import keys
-
-SMALL = """
-name = "small"
-seed = 7
-generations = 3
-[problem]
-simulator = "emergency-exit"
-[representation]
-kind = "fully-meshed"
-[optimizer]
-kind = "nnga"
-"""
-
-
-def study(folder: Path, text: str) -> Experiment:
-    path = folder / "small.toml"
-    path.write_text(f"{SMALL}\n{text}")
-    return complete(load(path), path.name)
 
 
 def names(folder: Path, text: str) -> list[str]:

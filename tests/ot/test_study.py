@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from msgspec import structs
+from small import SMALL, small
 from written import EXPERIMENT, written
 
 from zswarm import experiment
@@ -13,24 +14,10 @@ from zswarm.experiment import load
 from zswarm.ot.record import Record
 from zswarm.ot.study import Study, is_study, load_study
 
-SMALL = """
-name = "small"
-seed = 7
-generations = 1
-[problem]
-simulator = "emergency-exit"
-[representation]
-kind = "fully-meshed"
-[optimizer]
-kind = "nnga"
-"""
-
 
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
-    path = tmp_path / "small.toml"
-    path.write_text(f"{SMALL}\n[study]\nrepeat = 2")
-    return path
+    return small(tmp_path, "[study]\nrepeat = 2")
 
 
 @pytest.fixture
@@ -82,7 +69,7 @@ def test_a_study_in_use_is_refused(folder: Path) -> None:
 
 def test_what_cannot_be_built_is_refused_before_there_is_a_folder(file: Path) -> None:
     """The optimizer refuses it, not the type of the setting."""
-    file.write_text(f"{SMALL}\n[study.grid]\n'optimizer.mutation' = [0.4, 0.9]")
+    small(file.parent, "[study.grid]\n'optimizer.mutation' = [0.4, 0.9]")
     with pytest.raises(ConfigError, match=r"^small.toml: study: with mutation 0.9: .*"):
         Study.create(load(file), "small.toml", file.parent / "runs")
     assert not (file.parent / "runs").exists()
@@ -100,7 +87,7 @@ def test_a_folder_that_is_no_study_is_refused(tmp_path: Path, folder: Path) -> N
     [("[study", "not TOML"), ("[study]\nrepeat = 0", "study.repeat: expected int >= 1"), ("[study]\nx=1", "study")],
 )
 def test_a_damaged_file_is_refused(folder: Path, text: str, said: str) -> None:
-    (folder / "experiment.toml").write_text(f"{SMALL}\n{text}")
+    (folder / "experiment.toml").write_text(SMALL + text)
     assert said in refusal(folder)
 
 

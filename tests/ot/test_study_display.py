@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from rich.console import Console
+from small import small
 
 from zswarm.experiment import load
 from zswarm.ot.logger import Generation, Result
@@ -15,16 +16,7 @@ from zswarm.ot.playing import Ended, Follower
 from zswarm.ot.study import Study
 from zswarm.ot.study_display import JsonFollower, LiveFollower, PlainFollower, follower
 
-SMALL = """
-name = "small"
-seed = 7
-generations = 10
-[problem]
-simulator = "emergency-exit"
-[representation]
-kind = "fully-meshed"
-[optimizer]
-kind = "nnga"
+STUDY = """
 [study]
 repeat = 5
 [study.grid]
@@ -37,8 +29,7 @@ NAN = float("nan")
 def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Study]:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "80")
-    Path("small.toml").write_text(SMALL)
-    with Study.create(load(Path("small.toml")), "small.toml", Path("runs")) as study:
+    with Study.create(load(small(tmp_path, STUDY), ["generations=10"]), "small.toml", Path("runs")) as study:
         yield study
 
 
