@@ -2,7 +2,7 @@
 
 For every simulator with every representation, in all the ways that their settings name: the outcomes of some trials, and of
 one in turns; what the representation's operators make; and what short runs of the optimizers propose, are told and keep. With
-``few``: fewer trials, and no runs.
+``short``: trials of few steps, for plain Python; with ``few`` few of these, and no runs.
 """
 
 import hashlib
@@ -19,6 +19,7 @@ from zswarm.draws import Stream
 from zswarm.ot.history import History
 
 FEW = sys.argv[1:] == ["few"]
+STEPS = 25 if sys.argv[1:] else None  # of a trial, if not as many as the simulator's settings say
 GENOMES = 2 if FEW else 6
 SEEDS = np.array([1] if FEW else [1, 2**63 + 5], np.uint64)
 GENERATIONS = 3
@@ -39,12 +40,14 @@ def problems() -> Iterator[tuple[str, Any, Any]]:
     """Every simulator with every representation, and each choice of either."""
     for simulator in plugins.names("simulator"):
         for representation in plugins.names("representation"):
-            of_simulator = ways(plugins.load("simulator", simulator).settings_type)
+            settings = plugins.load("simulator", simulator).settings_type
+            of_simulator = ways(settings)
             of_network = ways(plugins.load("representation", representation).settings_type)
             next(of_network)
             for rules, shape in [*((chosen, {}) for chosen in of_simulator), *(({}, chosen) for chosen in of_network)]:
                 name = " ".join([simulator, representation, *(f"{key}={value}" for key, value in {**rules, **shape}.items())])
-                yield name, *evaluate.build(simulator, rules, representation, shape)
+                steps = {"steps": STEPS} if STEPS and hasattr(settings, "steps") else {}
+                yield name, *evaluate.build(simulator, rules | steps, representation, shape)
 
 
 def played(simulator: Any, network: Any) -> bytes:
