@@ -130,19 +130,24 @@ Step = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], None]
 
 
 def sqrt(x: Any) -> Any:
-    """The square root, rounded once; NaN of what is negative. numba's ``np.sqrt`` is a call, and is never vectorized."""
+    """The square root of a number or of lanes, rounded once; NaN of what is negative. numba's ``np.sqrt`` is a slow call."""
     return np.sqrt(x)
 
 
 if not PLAIN:
+    import llvmlite.ir
 
     @numba.extending.intrinsic
     def _root(_, x):  # type: ignore[no-untyped-def]  # numba looks at its arguments
         def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-            root = builder.module.declare_intrinsic("llvm.sqrt", [context.get_value_type(signature.return_type)])
+            kind = context.get_value_type(signature.return_type)
+            suffix = f"v{kind.count}{kind.element.intrinsic_name}" if hasattr(kind, "count") else kind.intrinsic_name
+            root = numba.core.cgutils.get_or_insert_function(
+                builder.module, llvmlite.ir.FunctionType(kind, [kind]), f"llvm.sqrt.{suffix}"
+            )
             return builder.call(root, arguments)
 
-        return (x(x), generate) if isinstance(x, numba.types.Float) else None
+        return (x(x), generate) if isinstance(getattr(x, "element", x), numba.types.Float) else None
 
     @numba.extending.overload(sqrt)
     def _sqrt(x):  # type: ignore[no-untyped-def]  # noqa: ARG001

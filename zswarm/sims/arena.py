@@ -180,7 +180,7 @@ class Arena(CompiledSimulator):
         """See ``CompiledSimulator.play``."""
         states = np.zeros((self.settings.robots, state_size), np.float32)
         actions = np.empty((self.settings.robots, self.outputs), np.float32)
-        observations = np.empty((self.settings.robots, self.inputs), np.float32)
+        observations = np.empty(self.settings.robots * self.inputs, np.float32)
         play_trials(
             step, parameters, participants, seeds.astype(np.uint64), states, observations, actions, *self._tables(),
             self._lengths, RAYS, self._per_side, self.task, self.settings.steps, progress, fitness, metrics,
@@ -200,12 +200,12 @@ class Arena(CompiledSimulator):
         )
 
     def _turn(self) -> Turn:
-        observations = np.empty((self.settings.robots, self.inputs), np.float32)
+        observations = np.empty(self.settings.robots * self.inputs, np.float32)
         observe(
             self.task, self._robots, self._places, self._cells, self._per_side, RAYS, self._items, self._tally, self._lengths,
             observations,
         )  # fmt: skip
-        return Turn(range(self.settings.robots), observations)
+        return Turn(range(self.settings.robots), observations.reshape(self.settings.robots, self.inputs))
 
 
 @inline(counts=False)
@@ -218,8 +218,9 @@ def observe(task, robots, places, cells, per_side, rays, items, tally, lengths, 
 @inline(counts=False)
 def decide(step, controller, states, observations, actions):  # type: ignore[no-untyped-def]  # compiled
     """Ask the controllers of all robots."""
+    inputs = observations.shape[0] // states.shape[0]
     for robot in range(states.shape[0]):
-        step(controller, states[robot], observations[robot], actions[robot])
+        step(controller, states[robot], observations[robot * inputs : (robot + 1) * inputs], actions[robot])
 
 
 @inline(counts=False)
@@ -233,11 +234,12 @@ def act(task, steps, actions, robots, items, stream, tally, lengths):  # type: i
 
 
 GRIDS = array(float32, 2)
+NUMBERS = array(float32)
 
 
 @kernel(
-    void(STEP, GRIDS, array(int64, 2), array(uint64), GRIDS, GRIDS, GRIDS, GRIDS, array(int32, 2), array(int32), GRIDS,
-         array(uint64), array(float64), array(float32), GRIDS, int64, int64, int64, array(int64), array(float64, 2),
+    void(STEP, GRIDS, array(int64, 2), array(uint64), GRIDS, NUMBERS, GRIDS, GRIDS, array(int32, 2), array(int32), GRIDS,
+         array(uint64), array(float64), NUMBERS, NUMBERS, int64, int64, int64, array(int64), array(float64, 2),
          array(float64, 2))
 )  # fmt: skip
 def play_trials(  # type: ignore[no-untyped-def]  # compiled

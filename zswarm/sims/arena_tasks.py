@@ -102,8 +102,10 @@ def place_item(item, items, stream, lengths):  # type: ignore[no-untyped-def]  #
 @inline(counts=False)
 def sense_task(task, robots, items, lengths, observations):  # type: ignore[no-untyped-def]  # compiled
     """Write what each robot senses for its task."""
+    inputs = observations.shape[0] // robots.shape[1]
     if task == FORAGING:
         for robot in range(robots.shape[1]):
+            at = inputs * robot + WORLD_INPUTS
             x, y, heading_x, heading_y = robots[X, robot], robots[Y, robot], robots[HEADING_X, robot], robots[HEADING_Y, robot]
             least, to_x, to_y = lengths[SIGHT] * lengths[SIGHT], ZERO, ZERO
             for item in range(items.shape[1]):
@@ -112,15 +114,16 @@ def sense_task(task, robots, items, lengths, observations):  # type: ignore[no-u
                 if square < least:
                     least, to_x, to_y = square, dx, dy
             distance = at_least(sqrt(least), lengths[RADIUS])
-            observations[robot, WORLD_INPUTS] = (to_x * heading_x + to_y * heading_y) / distance
-            observations[robot, WORLD_INPUTS + 1] = (to_y * heading_x - to_x * heading_y) / distance
-            observations[robot, WORLD_INPUTS + 2] = -heading_x
-            observations[robot, WORLD_INPUTS + 3] = heading_y
-            observations[robot, WORLD_INPUTS + 4] = robots[CARRIES, robot]
+            observations[at] = (to_x * heading_x + to_y * heading_y) / distance
+            observations[at + 1] = (to_y * heading_x - to_x * heading_y) / distance
+            observations[at + 2] = -heading_x
+            observations[at + 3] = heading_y
+            observations[at + 4] = robots[CARRIES, robot]
     elif task == CONSENSUS:
         for robot in range(robots.shape[1]):
-            observations[robot, WORLD_INPUTS] = robots[READING, robot]
-            observations[robot, WORLD_INPUTS + 1] = robots[HEARD, robot]
+            at = inputs * robot + WORLD_INPUTS
+            observations[at] = robots[READING, robot]
+            observations[at + 1] = robots[HEARD, robot]
 
 
 @inline(counts=False)

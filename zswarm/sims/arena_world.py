@@ -4,23 +4,24 @@ All is ``+ - * /`` and square roots of float32. A heading is a unit vector and t
 cos = (1 - t^2) / (1 + t^2) and sin = 2 t / (1 + t^2).
 
 Robots are sorted into cells no narrower than their sight in each step, so that each looks at those of nine cells only: a step
-takes time in proportion to the robots. Rays are computed side by side, for which their number comes with their table.
+takes time in proportion to the robots. The eight rays are computed side by side.
 """
 
 import numpy as np
 
 from zswarm.jit import inline, sqrt
+from zswarm.lanes import LANES, load, select, store
 
 ZERO, HALF, ONE, THREE_HALVES, TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(1.5), np.float32(2)
 TINY = np.float32(1e-6)  # no ray is taken to be nearer to a wall's direction, no two robots nearer in metres: divisors
 DIAGONAL = np.float32(0.70710678)
-RAYS = np.array(  # (2, 8): x and y in a robot's frame, 45 degrees apart, the first ahead
+RAYS = np.array(  # x and then y in a robot's frame, 45 degrees apart, the first ahead
     [
-        [ONE, DIAGONAL, ZERO, -DIAGONAL, -ONE, -DIAGONAL, ZERO, DIAGONAL],
-        [ZERO, DIAGONAL, ONE, DIAGONAL, ZERO, -DIAGONAL, -ONE, -DIAGONAL],
+        *(ONE, DIAGONAL, ZERO, -DIAGONAL, -ONE, -DIAGONAL, ZERO, DIAGONAL),
+        *(ZERO, DIAGONAL, ONE, DIAGONAL, ZERO, -DIAGONAL, -ONE, -DIAGONAL),
     ]
 )
-WORLD_INPUTS = 8 + 2
+WORLD_INPUTS = LANES + 2
 
 # ``robots``: a row of float32 for each of these, a number per robot; the last three in the order of cells.
 X, Y, HEADING_X, HEADING_Y, PUSH_X, PUSH_Y, NEIGHBOURS, NEAREST, SAID, HEARD, SORTED_X, SORTED_Y, SORTED_SAID = range(13)
@@ -81,30 +82,33 @@ def look(robots, places, cells, per_side, rays, lengths, observations):  # type:
         how many robots overlap another; each once per other.
     """
     sort(robots, places, cells, per_side, lengths)
+    ray_x, ray_y = load(rays, 0), load(rays, LANES)
+    inputs = observations.shape[0] // robots.shape[1]
     contacts = 0
     for row in range(per_side):
         for column in range(per_side):
             cell = row * per_side + column
             for place in range(cells[cell], cells[cell + 1]):
                 robot = places[ORDER, place]
-                see_walls(robot, robots, rays, lengths, observations)
                 near = find(place, row, column, robots, places, cells, per_side, lengths)
-                contacts += meet(robot, near, robots, places, rays, lengths, observations)
+                contacts += meet(robot, near, robots, places, ray_x, ray_y, lengths, observations, inputs * robot)
     return contacts
 
 
 @inline(counts=False)
-def see_walls(robot, robots, rays, lengths, observations):  # type: ignore[no-untyped-def]  # compiled
-    """Write how far each ray reaches: to a wall, or as far as sight."""
-    x, y, heading_x, heading_y = robots[X, robot], robots[Y, robot], robots[HEADING_X, robot], robots[HEADING_Y, robot]
-    to_right, to_bottom, sight = lengths[SIDE] - x, lengths[SIDE] - y, lengths[SIGHT]
-    for ray in range(rays.shape[1]):
-        along_x = heading_x * rays[0, ray] - heading_y * rays[1, ray]
-        along_y = heading_y * rays[0, ray] + heading_x * rays[1, ray]
-        wall_x = (to_right if along_x > ZERO else x) / at_least(abs(along_x), TINY)
-        wall_y = (to_bottom if along_y > ZERO else y) / at_least(abs(along_y), TINY)
-        wall = wall_x if wall_x < wall_y else wall_y
-        observations[robot, ray] = wall if wall < sight else sight
+def to_walls(x, y, heading_x, heading_y, ray_x, ray_y, side):  # type: ignore[no-untyped-def]  # compiled
+    """How far it is along the rays to a wall."""
+    along_x, along_y = heading_x * ray_x - heading_y * ray_y, heading_y * ray_x + heading_x * ray_y
+    wall_x = select(along_x > ZERO, side - x, x) / divisor(along_x)
+    wall_y = select(along_y > ZERO, side - y, y) / divisor(along_y)
+    return select(wall_x < wall_y, wall_x, wall_y)
+
+
+@inline(counts=False)
+def divisor(numbers):  # type: ignore[no-untyped-def]  # compiled
+    """Without signs, and not zero."""
+    sizes = select(numbers < ZERO, ZERO - numbers, numbers)
+    return select(sizes > TINY, sizes, TINY)
 
 
 @inline(counts=False)
@@ -123,8 +127,8 @@ def find(place, row, column, robots, places, cells, per_side, lengths):  # type:
 
 
 @inline(counts=False)
-def meet(robot, near, robots, places, rays, lengths, observations):  # type: ignore[no-untyped-def]  # compiled
-    """Let a robot's rays end at its neighbours, write where they are on average, hear them, and be pushed by them.
+def meet(robot, near, robots, places, ray_x, ray_y, lengths, observations, at):  # type: ignore[no-untyped-def]  # compiled
+    """Write from ``at`` on how far a robot's rays reach, and where its neighbours are on average; it hears and is pushed by them.
 
     Returns:
         how many overlap it.
@@ -132,21 +136,18 @@ def meet(robot, near, robots, places, rays, lengths, observations):  # type: ign
     x, y, heading_x, heading_y = robots[X, robot], robots[Y, robot], robots[HEADING_X, robot], robots[HEADING_Y, robot]
     sight, disc, touch = lengths[SIGHT], lengths[RADIUS] * lengths[RADIUS], lengths[RADIUS] + lengths[RADIUS]
     sum_x, sum_y, push_x, push_y, heard, nearest = ZERO, ZERO, ZERO, ZERO, ZERO, sight * sight
+    reach = to_walls(x, y, heading_x, heading_y, ray_x, ray_y, lengths[SIDE])
+    reach = select(reach < sight, reach, sight)
     contacts = 0
     for neighbour in range(near):
-        at = places[NEAR, neighbour]
-        dx, dy = robots[SORTED_X, at] - x, robots[SORTED_Y, at] - y
+        other = places[NEAR, neighbour]
+        dx, dy = robots[SORTED_X, other] - x, robots[SORTED_Y, other] - y
         ahead, aside = dx * heading_x + dy * heading_y, dy * heading_x - dx * heading_y
-        sum_x, sum_y, heard = sum_x + ahead, sum_y + aside, heard + robots[SORTED_SAID, at]
-        for ray in range(rays.shape[1]):
-            centre = ahead * rays[0, ray] + aside * rays[1, ray]
-            off = aside * rays[0, ray] - ahead * rays[1, ray]
-            chord = disc - off * off  # square of half of what the ray's line has within the robot
-            hit = centre - sqrt(chord if chord > ZERO else ZERO)
-            hit = hit if chord > ZERO else sight
-            hit = hit if centre > ZERO else sight
-            reach = observations[robot, ray]
-            observations[robot, ray] = hit if hit < reach else reach
+        sum_x, sum_y, heard = sum_x + ahead, sum_y + aside, heard + robots[SORTED_SAID, other]
+        centre, off = ahead * ray_x + aside * ray_y, aside * ray_x - ahead * ray_y
+        chord = disc - off * off  # square of half of what the ray's line has within the robot
+        hit = centre - sqrt(select(chord > ZERO, chord, ZERO))
+        reach = select((chord > ZERO) & (centre > ZERO) & (hit < reach), hit, reach)
         square = dx * dx + dy * dy
         nearest = square if square < nearest else nearest
         if square < touch * touch:
@@ -155,10 +156,9 @@ def meet(robot, near, robots, places, rays, lengths, observations):  # type: ign
             share = HALF * (touch - distance) / at_least(distance, TINY)
             push_x, push_y = push_x - share * dx, push_y - share * dy
     per_sight, number = ONE / sight, np.float32(max(near, 1))
-    for ray in range(rays.shape[1]):
-        observations[robot, ray] = ONE - observations[robot, ray] * per_sight
-    observations[robot, rays.shape[1]] = sum_x * (per_sight / number)
-    observations[robot, rays.shape[1] + 1] = sum_y * (per_sight / number)
+    store(observations, at, ONE - reach * per_sight)
+    observations[at + LANES] = sum_x * (per_sight / number)
+    observations[at + LANES + 1] = sum_y * (per_sight / number)
     robots[PUSH_X, robot], robots[PUSH_Y, robot] = push_x, push_y
     robots[NEIGHBOURS, robot], robots[NEAREST, robot] = np.float32(near), sqrt(nearest)
     robots[HEARD, robot] = heard / number if near > 0 else robots[SAID, robot]

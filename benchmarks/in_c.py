@@ -1,0 +1,50 @@
+"""The kernels of zswarm once more in C, ``kernels/*.c``: compiled here, called through ctypes.
+
+Compiled with ``EXACT`` they have the same bits as zswarm's; ``FAST`` is what they are timed with.
+"""
+
+import ctypes
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+EXACT = ("-O2", "-ffp-contract=off")
+FAST = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math")
+SOURCES = Path(__file__).parent / "kernels"
+
+
+def compiler() -> str | None:
+    """The C compiler of this machine, if there is one."""
+    return shutil.which("gcc") or shutil.which("cc")
+
+
+def library(name: str, options: tuple[str, ...]) -> ctypes.CDLL:
+    """``kernels/<name>.c``, compiled and loaded."""
+    with tempfile.TemporaryDirectory() as folder:
+        built = Path(folder) / f"{name}.so"
+        command = [str(compiler()), *options, "-std=gnu11", "-shared", "-fPIC", SOURCES / f"{name}.c", "-o", built, "-lm"]
+        subprocess.run(command, check=True)
+        return ctypes.CDLL(str(built))
+
+
+class Arena:
+    """Plays what ``evaluate.evaluate`` plays, for aggregation with a tanh network of 8 neurons and one iteration."""
+
+    def __init__(self, options: tuple[str, ...]) -> None:
+        self._play = library("arena", options).play
+
+    def evaluate(self, simulator: Any, network: Any, genomes: list[bytes], participants: np.ndarray, seeds: np.ndarray) -> Any:
+        """Fitness (trials,) and metrics (trials, 3)."""
+        rows = np.ascontiguousarray(network.parameters(genomes)[participants[:, 0]])
+        seeds = seeds.astype(np.uint64)
+        fitness, metrics = np.empty(len(seeds)), np.empty((len(seeds), 3))
+        numbers = (len(seeds), simulator.settings.steps, simulator.settings.robots, simulator._per_side)
+        self._play(
+            *map(ctypes.c_int64, numbers), simulator._lengths.ctypes, rows.ctypes, ctypes.c_int64(rows.shape[1]), seeds.ctypes,
+            fitness.ctypes, metrics.ctypes,
+        )  # fmt: skip
+        return fitness, metrics
