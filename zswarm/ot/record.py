@@ -1,7 +1,7 @@
 """What a run leaves on disk: a folder with the complete experiment, the record in SQLite, and the champion.
 
 Finished means recorded: outcomes are committed at least every 0.1 s, a generation with the optimizer's state in one
-transaction before the next begins, each synced to the disk. What a full disk does not take waits in memory. The tables:
+transaction before it is told, each synced to the disk. What a full disk does not take waits in memory. The tables:
 docs/record.md.
 """
 

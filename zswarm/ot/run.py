@@ -47,6 +47,8 @@ def evolve(
 ) -> Generator[Generation, None, Result]:
     """Evolve to the last generation, from wherever the record is; yields each generation once it is recorded.
 
+    Servers have the next one by then: it is evaluated while this one is recorded and whoever iterates looks at it.
+
     Args:
         stop: ends the run within a moment when it is set; closing the generator ends it, too. Nothing is lost.
 
