@@ -89,12 +89,22 @@ def array(dtype: Any, dimensions: int = 1) -> Any:
 
 
 def kernel(signature: Any) -> Any:
-    """Compile a function for one signature, strictly: no fast-math, no reordering, division by zero as in numpy.
+    """Compile a function for one signature, strictly: no fast-math, no reordering, division by zero as in numpy."""
+    if signature == STEP_SIGNATURE and not PLAIN:
+        return _decision
+    return _as_it_is if PLAIN else numba.njit(signature, cache=True, error_model="numpy")
 
-    A controller's decision makes no arrays: without numba's counting of who uses those that it is given, it costs half.
+
+def _decision(function: Any) -> Any:
+    """Compile a controller's decision. It makes no arrays, so numba need not count who uses those that it is given.
+
+    numba asks for the compiled form whenever a kernel is called with it, and looks for it 25 us long.
     """
-    counts = PLAIN or signature != STEP_SIGNATURE
-    return _as_it_is if PLAIN else numba.njit(signature, cache=True, error_model="numpy", _nrt=counts)  # type: ignore[call-overload]  # private
+    step = numba.njit(STEP_SIGNATURE, cache=True, error_model="numpy", _nrt=False)(function)  # type: ignore[call-overload]  # private
+    if hasattr(step, "get_compile_result"):  # not with NUMBA_DISABLE_JIT
+        compiled = step.get_compile_result(STEP_SIGNATURE)
+        step.get_compile_result = lambda _: compiled
+    return step
 
 
 def inline(function: Any = None, *, counts: bool = True) -> Any:
@@ -110,7 +120,7 @@ def inline(function: Any = None, *, counts: bool = True) -> Any:
 
 
 def lean(function: Any) -> Any:
-    """``inline`` for a function that makes no arrays, nor calls one that does, and runs long or often.
+    """``inline`` for a function that makes and returns no arrays, nor calls one that does, and runs long or often.
 
     Without numba's counting of who uses those that it is given, every slice of an array costs two locked instructions less.
     """

@@ -21,7 +21,8 @@ class Representation(ABC):
 
     Attributes:
         settings_type: the struct of its settings in an experiment file.
-        step: one decision, compiled with ``jit.STEP_SIGNATURE``; reads parameters and observation, changes state, fills output.
+        step: one decision, compiled with ``jit.STEP_SIGNATURE``; reads parameters and observation, changes
+            state, fills output; makes no arrays.
         step_lanes: the same decision of eight agents side by side (``lanes.py``), or None. In each of the four arrays number k of
             the agent in a lane stands at 8 k + lane; each agent has parameters and state of its own. Same bits as ``step``.
         state_size: float32 numbers of state per agent; all zero at the start of a trial.
