@@ -6,7 +6,7 @@ TESTS ?= -n $$((2 * $$(nproc))) --dist worksteal  # many wait for programs; neig
 
 KILLS ?= 200
 
-.PHONY: run test long chaos faults machines units kills lint format docs docs-commands reference bench bench-peers scale soak clean
+.PHONY: run test long chaos faults machines units kills lint format docs docs-commands reference bench bench-quick scale soak clean
 
 run: $(READY)
 	$(BIN)/zswarm-ot run $(or $(ARGS),stadium)
@@ -58,12 +58,14 @@ docs-commands: $(READY)
 reference: $(READY)
 	$(BIN)/python docs/reference.py
 
-bench: $(READY)
-	$(BIN)/python benchmarks/quick.py
+# Everything, and docs/benchmarks.md made from it: half an hour. Others are in an environment of their own: nothing of theirs comes
+# into .venv.
+bench: $(READY) build/peers/ready
+	$(BIN)/python benchmarks/bench.py $(ARGS)
 
-# Beside others, in an environment of its own: nothing of theirs comes into .venv.
-bench-peers: build/peers/ready
-	build/peers/bin/python benchmarks/dispatch.py $(ARGS)
+# Ratios beside those that are checked in.
+bench-quick: $(READY)
+	$(BIN)/python benchmarks/ratios.py $(ARGS)
 
 scale: $(READY)
 	cd benchmarks && ../$(BIN)/python -m scale $(ARGS)
@@ -92,8 +94,8 @@ build/peers/ready: pyproject.toml benchmarks/requirements.txt
 	build/peers/bin/python -m pip install --quiet --disable-pip-version-check --editable .
 	@rm -f build/peers/*.refused
 	@grep -v '^#' benchmarks/requirements.txt | while read -r peer; do \
-	    name=$$(echo "$$peer" | sed 's/[^a-z-].*//'); echo "installing $$peer"; \
-	    build/peers/bin/python -m pip install --quiet --disable-pip-version-check "$$peer" 2> build/peers/said || \
+	    name=$$(echo "$$peer" | sed 's/[^a-z0-9-].*//'); echo "installing $$peer"; \
+	    build/peers/bin/python -m pip install --quiet --disable-pip-version-check $$peer 2> build/peers/said || \
 	        { grep '^ERROR' build/peers/said | tail -n 1 > "build/peers/$$name.refused"; cat "build/peers/$$name.refused"; }; \
 	done
 	@ls build/peers/*.refused >/dev/null 2>&1 || touch $@

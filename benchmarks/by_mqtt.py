@@ -8,7 +8,6 @@ and fitness, and a sensor and an actuator message per agent and step. Nothing is
 As a program it is a server: ``by_mqtt.py PORT NUMBER NODELAY``.
 """
 
-import shutil
 import socket
 import struct
 import subprocess
@@ -22,20 +21,21 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from quick import free_port
-from work import noop, sleep
+from leased import free_port
+from machine import program_of
+from work import WORKS
 
 DEPTH = 2  # messages out per slot
 AGENTS, STEPS = 8, 50
 SENSOR, ACTUATOR = bytes(40), bytes(8)  # ten sensors, two actuators, float32
 WAIT_S = 60.0
-HEAD = struct.Struct("<IIB")  # number of the message, candidates in it, whether they sleep
+HEAD = struct.Struct("<IIB")  # number of the message, candidates in it, their work
+WORK = {work: number for number, work in enumerate(WORKS)}
 
 
 def mosquitto() -> str:
-    """The broker's program, which may be where only root looks."""
-    found = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/local/sbin:/usr/sbin:/sbin")
-    if found is None:
+    """The broker's program."""
+    if (found := program_of("mosquitto")) is None:
         raise FileNotFoundError("mosquitto is not installed (Debian: apt install mosquitto)")
     return found
 
@@ -93,10 +93,10 @@ class Broker(AbstractContextManager["Broker"]):
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self._stack.close()
 
-    def in_parts(self, genomes: list[bytes], sleeping: bool, chunk: int) -> list[float]:
+    def in_parts(self, genomes: list[bytes], work: str, chunk: int) -> list[float]:
         """Whole evaluations, so many in a message, two messages out per slot; sent on in the thread of the connection."""
         parts = [genomes[begin : begin + chunk] for begin in range(0, len(genomes), chunk)]
-        bodies = [HEAD.pack(number, len(part), sleeping) + b"".join(part) for number, part in enumerate(parts)]
+        bodies = [HEAD.pack(number, len(part), WORK[work]) + b"".join(part) for number, part in enumerate(parts)]
         results: list[Sequence[float]] = [()] * len(parts)
         waiting = iter(bodies)
         left = len(parts)
@@ -120,7 +120,7 @@ class Broker(AbstractContextManager["Broker"]):
         assert done.wait(WAIT_S), "MQTT: an answer did not come"
         return [fitness for part in results for fitness in part]
 
-    def in_steps(self, genomes: list[bytes], sleeping: bool, steps: int) -> list[float]:
+    def in_steps(self, genomes: list[bytes], work: str, _chunk: int, *, steps: int) -> list[float]:
         """The messages of the paper, one simulation at a time per server; sent on in the thread of the connection."""
         results = [0.0] * len(genomes)
         looking: set[int] = set()  # candidates that look for a server
@@ -143,8 +143,8 @@ class Broker(AbstractContextManager["Broker"]):
                 if candidate in looking and server not in used:
                     looking.discard(candidate)
                     used[server] = candidate
-                    client.publish(f"ss/{server}/parameters", HEAD.pack(candidate, steps, sleeping) + genomes[candidate])
-                    client.publish(f"ss/{server}/control", HEAD.pack(candidate, steps, sleeping))
+                    client.publish(f"ss/{server}/parameters", HEAD.pack(candidate, steps, WORK[work]) + genomes[candidate])
+                    client.publish(f"ss/{server}/control", HEAD.pack(candidate, steps, WORK[work]))
             elif message.topic == "fitness":
                 (results[candidate],) = struct.unpack_from("<d", message.payload, 8)
                 del used[server]
@@ -191,12 +191,13 @@ def serve(port: int, number: int, nodelay: bool) -> None:
     client = connected(port, nodelay)
     me = struct.pack("<I", number)
     genome, turns, busy = b"", 0, False
+    judges = list(WORKS.values())
 
     def on_message(client: Any, _data: object, message: Any) -> None:
         nonlocal genome, turns, busy
-        candidate, count, sleeping = HEAD.unpack_from(message.payload)
+        candidate, count, work = HEAD.unpack_from(message.payload)
         body = message.payload[HEAD.size :]
-        judge = sleep if sleeping else noop
+        judge = judges[work]
         who = me + struct.pack("<I", candidate)
         match message.topic.rpartition("/")[2]:
             case "evaluate":

@@ -1,4 +1,7 @@
-"""Where something was measured, with what, and the file that a script of this folder leaves: ``build/bench/<script>.json``."""
+"""Where something was measured, with what, and the file that a script of this folder leaves.
+
+It is ``build/bench/<script>.json``, or lies in the folder ``$ZSWARM_BENCH``.
+"""
 
 import datetime
 import importlib.metadata
@@ -13,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
-RESULTS = HERE.parent / "build" / "bench"
+RESULTS = Path(os.environ.get("ZSWARM_BENCH") or HERE.parent / "build" / "bench")
 OURS = ("zswarm", "eclipse-zenoh", "numba", "numpy")
 QUIET = 0.5  # the load of a machine that does nothing else
 
@@ -65,16 +68,13 @@ def warn_if_busy() -> None:
         print(f"the load is {load:.1f}: something else runs here, and the figures will be worse than they are", flush=True)
 
 
-def write(
-    script: str, rows: Sequence[dict[str, Any]], packages: Sequence[str] = (), *, folder: Path | None = None, **about: Any
-) -> Path:
+def write(script: str, rows: Sequence[dict[str, Any]], packages: Sequence[str] = (), **about: Any) -> Path:
     """Leave what a script measured, whole or not at all.
 
     Args:
         script: its name, without ``.py``.
         rows: one for each thing measured; one that could not be has ``missing``, the reason.
         packages: distributions and programs beside ours whose versions belong to it.
-        folder: other than ``build/bench``.
         about: of the whole, such as ``rounds``.
     """
     found = {
@@ -85,7 +85,7 @@ def write(
         **about,
         "rows": list(rows),
     }
-    file = (folder or RESULTS) / f"{script}.json"
+    file = RESULTS / f"{script}.json"
     file.parent.mkdir(parents=True, exist_ok=True)
     part = file.with_suffix(".part")
     part.write_text(json.dumps(found, indent=1) + "\n")

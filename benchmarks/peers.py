@@ -2,45 +2,52 @@
 
 import functools
 import os
-import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import quick
+import leased
 from by_mqtt import STEPS, Broker
-from work import SLEEP_S, each, noop, sleep
+from work import WORKS, each
 
-CHUNKS = (1, 25, 100)  # of 400 candidates with 4 workers: one by one, four parts for each worker, one part for each
-BY_ITSELF = 0  # the peer chooses
+BY_ITSELF, ONE, QUARTERS, WHOLES = "by itself", "1", "4 per worker", "1 per worker"  # how a generation is cut into messages
+CUTS = (ONE, QUARTERS, WHOLES)
 
 
 class Way(NamedTuple):
     """A way to have candidates evaluated.
 
     Attributes:
-        evaluate: genomes, and whether to sleep -> fitness, in their order.
-        chunk: candidates in a message.
+        form: which of a peer's ways.
+        cut: the candidates of one message, or how many messages for each worker.
+        evaluate: genomes, the work, candidates in a message -> fitness, in their order.
         most: candidates of a generation at most, where one takes long.
-        sleeps: whether it is measured with candidates that sleep.
+        works: what it is measured with.
+        aside: it is not the peer's usual way: it is measured in one place only.
     """
 
     form: str
-    chunk: int
-    evaluate: Callable[[list[bytes], bool], list[float]]
+    cut: str
+    evaluate: Callable[[list[bytes], str, int], list[float]]
     most: int = 10**9
-    sleeps: bool = True
+    works: tuple[str, ...] = tuple(WORKS)
+    aside: bool = False
 
 
 Peer = Callable[[int], AbstractContextManager[list[Way]]]
 
 
-def parts(genomes: list[bytes], chunk: int) -> list[list[bytes]]:
+def chunk(cut: str, candidates: int, workers: int) -> int:
+    """Candidates in a message; 0 where the peer chooses."""
+    per_worker = {QUARTERS: 4, WHOLES: 1}
+    return {BY_ITSELF: 0, ONE: 1}[cut] if cut not in per_worker else max(1, candidates // (per_worker[cut] * workers))
+
+
+def parts(genomes: list[bytes], size: int) -> list[list[bytes]]:
     """Of so many, the last one may be smaller."""
-    return [genomes[begin : begin + chunk] for begin in range(0, len(genomes), chunk)]
+    return [genomes[begin : begin + size] for begin in range(0, len(genomes), size)]
 
 
 @contextmanager
@@ -48,56 +55,22 @@ def zswarm_here(slots: int) -> Iterator[list[Way]]:
     """The slots of this machine, which ``zswarm-ot run`` has by itself."""
     from zswarm.ot.local import LocalServer
 
-    with _bench_simulator(), LocalServer(slots, "default") as local, Leases(local.endpoint, slots) as leases:
-        yield [Way("this machine's slots", BY_ITSELF, leases.evaluate)]
+    with leased.bench_simulator(), LocalServer(slots, "default") as local, leased.Lease(local.endpoint, slots) as lease:
+        yield [Way("this machine's slots", BY_ITSELF, lease.evaluate)]
 
 
 @contextmanager
 def zswarm_by_tcp(slots: int) -> Iterator[list[Way]]:
     """A daemon, reached as one of another machine is."""
-    endpoint = f"tcp/127.0.0.1:{quick.free_port()}"
-    options = ["--capacity", str(slots), "--listen", endpoint, "--no-multicast", "--log-level", "warning"]
-    with (
-        _bench_simulator(),
-        subprocess.Popen(
-            [sys.executable, "-m", "zswarm.ss", *options, "--until-stdin-closes"],
-            env={key: value for key, value in os.environ.items() if key != "ZSWARM_PLAIN"},  # it does evaluate
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-        ),  # leaving closes its stdin and waits
-        Leases(endpoint, slots) as leases,
-    ):
-        yield [Way("a daemon, by TCP", BY_ITSELF, leases.evaluate)]
+    endpoint = f"tcp/127.0.0.1:{leased.free_port()}"
+    with leased.bench_simulator(), leased.daemon(slots, endpoint), leased.Lease(endpoint, slots) as lease:
+        yield [Way("a daemon, by TCP", BY_ITSELF, lease.evaluate)]
 
 
 @contextmanager
-def _bench_simulator() -> Iterator[None]:
-    os.environ["ZSWARM_PLAIN"] = "1"  # as zswarm-ot run has it: this process evaluates nothing
-    os.environ["ZSWARM_KEYS"] = "none"  # in the clear, as the others are
-    with tempfile.TemporaryDirectory() as folder:
-        quick.install_plugin(Path(folder))
-        yield
-
-
-class Leases(AbstractContextManager["Leases"]):
-    """The slots of a server, for no-ops or for sleeps: another problem is another lease."""
-
-    def __init__(self, endpoint: str, slots: int) -> None:
-        self._endpoint, self._slots = endpoint, slots
-        self._lease = ExitStack()
-        self._opened: Any = None
-        self._sleeping: bool | None = None
-
-    def __exit__(self, *_: object) -> None:
-        self._lease.close()
-
-    def evaluate(self, genomes: list[bytes], sleeping: bool) -> list[float]:
-        """A generation."""
-        if sleeping != self._sleeping:
-            self._lease.close()
-            self._opened = self._lease.enter_context(quick.leased(self._endpoint, self._slots, SLEEP_S * sleeping))
-            self._sleeping = sleeping
-        return quick.evaluated(self._opened, genomes)
+def loop(_slots: int) -> Iterator[list[Way]]:
+    """No dispatch at all: what one process does by itself."""
+    yield [Way("a loop in one process", ONE, lambda genomes, work, _chunk: each(WORKS[work], genomes))]
 
 
 @contextmanager
@@ -106,10 +79,10 @@ def process_pool_executor(slots: int) -> Iterator[list[Way]]:
 
     with ProcessPoolExecutor(slots) as pool:
 
-        def evaluate(genomes: list[bytes], sleeping: bool, chunk: int) -> list[float]:
-            return list(pool.map(sleep if sleeping else noop, genomes, chunksize=chunk))
+        def evaluate(genomes: list[bytes], work: str, chunk: int) -> list[float]:
+            return list(pool.map(WORKS[work], genomes, chunksize=chunk))
 
-        yield [Way("map", chunk, functools.partial(evaluate, chunk=chunk)) for chunk in CHUNKS]
+        yield [Way("map", cut, evaluate) for cut in CUTS]
 
 
 @contextmanager
@@ -118,10 +91,10 @@ def multiprocessing_pool(slots: int) -> Iterator[list[Way]]:
 
     with multiprocessing.Pool(slots) as pool:
 
-        def evaluate(genomes: list[bytes], sleeping: bool, chunk: int) -> list[float]:
-            return pool.map(sleep if sleeping else noop, genomes, chunksize=chunk)
+        def evaluate(genomes: list[bytes], work: str, chunk: int) -> list[float]:
+            return pool.map(WORKS[work], genomes, chunksize=chunk)
 
-        yield [Way("map", chunk, functools.partial(evaluate, chunk=chunk)) for chunk in CHUNKS]
+        yield [Way("map", cut, evaluate) for cut in CUTS]
 
 
 @contextmanager
@@ -129,16 +102,15 @@ def joblib_loky(slots: int) -> Iterator[list[Way]]:
     from joblib import Parallel, delayed
 
     with ExitStack() as stack:
-        ways = []
-        for chunk in (BY_ITSELF, *CHUNKS):
-            how: Any = {"batch_size": chunk, "pre_dispatch": "all"} if chunk else {}  # by itself it learns as it sends
-            parallel = stack.enter_context(Parallel(slots, backend="loky", **how))  # all of them share the processes
+        opened: dict[int, Parallel] = {}  # all of them share the processes
 
-            def evaluate(genomes: list[bytes], sleeping: bool, parallel: Parallel = parallel) -> list[float]:
-                return parallel(delayed(sleep if sleeping else noop)(genome) for genome in genomes)
+        def evaluate(genomes: list[bytes], work: str, chunk: int) -> list[float]:
+            if chunk not in opened:
+                how: Any = {"batch_size": chunk, "pre_dispatch": "all"} if chunk else {}  # by itself it learns as it sends
+                opened[chunk] = stack.enter_context(Parallel(slots, backend="loky", **how))
+            return opened[chunk](delayed(WORKS[work])(genome) for genome in genomes)
 
-            ways.append(Way("Parallel", chunk, evaluate))
-        yield ways
+        yield [Way("Parallel", cut, evaluate) for cut in (BY_ITSELF, *CUTS)]
 
 
 @contextmanager
@@ -151,14 +123,13 @@ def dask_distributed(slots: int) -> Iterator[list[Way]]:
     ):
         client.wait_for_workers(slots)
 
-        def evaluate(genomes: list[bytes], sleeping: bool, chunk: int) -> list[float]:
-            judge = sleep if sleeping else noop
+        def evaluate(genomes: list[bytes], work: str, chunk: int) -> list[float]:
             if chunk == 1:
-                return client.gather(client.map(judge, genomes, pure=False))
-            futures = client.map(functools.partial(each, judge), parts(genomes, chunk), pure=False)
+                return client.gather(client.map(WORKS[work], genomes, pure=False))
+            futures = client.map(functools.partial(each, WORKS[work]), parts(genomes, chunk), pure=False)
             return [fitness for part in client.gather(futures) for fitness in part]
 
-        yield [Way("Client.map", chunk, functools.partial(evaluate, chunk=chunk)) for chunk in CHUNKS]
+        yield [Way("Client.map", cut, evaluate) for cut in CUTS]
 
 
 @contextmanager
@@ -175,57 +146,81 @@ def ray_local(slots: int) -> Iterator[list[Way]]:
             def each(self, judge: Callable[[bytes], float], genomes: list[bytes]) -> list[float]:
                 return each(judge, genomes)
 
-        single = {judge: ray.remote(judge) for judge in (noop, sleep)}
+        single = {work: ray.remote(judge) for work, judge in WORKS.items()}
         workers: list[Any] = []
 
-        def by_tasks(genomes: list[bytes], sleeping: bool, chunk: int) -> list[float]:
-            judge = sleep if sleeping else noop
+        def by_tasks(genomes: list[bytes], work: str, chunk: int) -> list[float]:
             if chunk == 1:
-                return ray.get([single[judge].remote(genome) for genome in genomes])
-            found = ray.get([task.remote(judge, part) for part in parts(genomes, chunk)])
+                return ray.get([single[work].remote(genome) for genome in genomes])
+            found = ray.get([task.remote(WORKS[work], part) for part in parts(genomes, chunk)])
             return [fitness for part in found for fitness in part]
 
-        def by_actors(genomes: list[bytes], sleeping: bool, chunk: int) -> list[float]:
+        def by_actors(genomes: list[bytes], work: str, chunk: int) -> list[float]:
             if not workers:  # after the tasks: they hold the cores
                 workers.extend(ray.remote(num_cpus=1)(Worker).remote() for _ in range(slots))
-            judge = sleep if sleeping else noop
-            calls = [workers[n % slots].each.remote(judge, part) for n, part in enumerate(parts(genomes, chunk))]
+            calls = [workers[n % slots].each.remote(WORKS[work], part) for n, part in enumerate(parts(genomes, chunk))]
             return [fitness for part in ray.get(calls) for fitness in part]
 
-        yield [
-            *(Way("tasks", chunk, functools.partial(by_tasks, chunk=chunk)) for chunk in CHUNKS),
-            Way("actors in turn", 1, functools.partial(by_actors, chunk=1)),
-        ]
+        yield [*(Way("tasks", cut, by_tasks) for cut in CUTS), Way("actors in turn", ONE, by_actors, aside=True)]
     finally:
         ray.shutdown()
 
 
 @contextmanager
+def mpi_futures(slots: int) -> Iterator[list[Way]]:
+    """With the processes that it spawns itself, as without ``mpiexec``."""
+    programs = str(Path(sys.executable).parent)  # where MPI is that pip installed
+    os.environ["PATH"] = os.pathsep.join([programs, os.environ.get("PATH", "")])
+    from mpi4py.futures import MPIPoolExecutor
+
+    with MPIPoolExecutor(slots, path=[str(Path(__file__).parent)]) as pool:
+
+        def evaluate(genomes: list[bytes], work: str, chunk: int) -> list[float]:
+            return list(pool.map(WORKS[work], genomes, chunksize=chunk))
+
+        yield [Way("map", cut, evaluate) for cut in CUTS]
+
+
+@contextmanager
 def mqtt(slots: int, nodelay: bool) -> Iterator[list[Way]]:
     """Request and reply for whole evaluations; and the messages of the paper that zswarm began from."""
+    paper = functools.partial(Way, cut=ONE, aside=True)
     with Broker(slots, nodelay) as broker:
         yield [
-            *(Way("two messages out per slot", chunk, functools.partial(broker.in_parts, chunk=chunk)) for chunk in CHUNKS),
-            Way("the paper's messages, no step", 1, functools.partial(broker.in_steps, steps=0), most=40),
-            Way("the paper's messages, 8 agents, 50 steps", 1, functools.partial(broker.in_steps, steps=STEPS), 8, False),
+            *(Way("two messages out per slot", cut, broker.in_parts) for cut in CUTS),
+            paper(
+                "the paper's messages, no step",
+                evaluate=functools.partial(broker.in_steps, steps=0),
+                most=40,
+                works=("noop", "sleep"),
+            ),
+            paper(
+                "the paper's messages, 8 agents, 50 steps",
+                evaluate=functools.partial(broker.in_steps, steps=STEPS),
+                most=8,
+                works=("noop",),
+            ),
         ]
 
 
 class Known(NamedTuple):
-    """A peer, and the distribution whose version tells which one it is."""
+    """A peer, and the distributions whose versions tell which one it is."""
 
     peer: Peer
-    distribution: str | None  # None: Python's own
+    distributions: tuple[str, ...] = ()  # none: Python's own
+    slots: tuple[int, ...] = ()  # numbers of workers that it is measured with, where not all
 
 
 PEERS = {
-    "zswarm": Known(zswarm_here, "zswarm"),
-    "zswarm (TCP)": Known(zswarm_by_tcp, "zswarm"),
-    "ProcessPoolExecutor": Known(process_pool_executor, None),
-    "multiprocessing.Pool": Known(multiprocessing_pool, None),
-    "joblib (loky)": Known(joblib_loky, "joblib"),
-    "Dask distributed": Known(dask_distributed, "distributed"),
-    "Ray": Known(ray_local, "ray"),
-    "MQTT (stock)": Known(functools.partial(mqtt, nodelay=False), "paho-mqtt"),
-    "MQTT (TCP_NODELAY)": Known(functools.partial(mqtt, nodelay=True), "paho-mqtt"),
+    "zswarm": Known(zswarm_here, ("zswarm",)),
+    "zswarm (TCP)": Known(zswarm_by_tcp, ("zswarm",), (4,)),
+    "no dispatch": Known(loop, (), (1,)),
+    "ProcessPoolExecutor": Known(process_pool_executor),
+    "multiprocessing.Pool": Known(multiprocessing_pool),
+    "joblib (loky)": Known(joblib_loky, ("joblib",)),
+    "Dask distributed": Known(dask_distributed, ("distributed",)),
+    "Ray": Known(ray_local, ("ray",)),
+    "mpi4py.futures": Known(mpi_futures, ("mpi4py", "mpich", "openmpi")),
+    "MQTT (stock)": Known(functools.partial(mqtt, nodelay=False), ("paho-mqtt", "mosquitto")),
+    "MQTT (TCP_NODELAY)": Known(functools.partial(mqtt, nodelay=True), ("paho-mqtt", "mosquitto")),
 }

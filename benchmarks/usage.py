@@ -46,6 +46,27 @@ def children(pid: int) -> list[int]:
     return sorted(found)
 
 
+def tree(pid: int) -> list[int]:
+    """A process and all that it started, directly or not."""
+    return [pid, *(below for child in children(pid) for below in tree(child))]
+
+
+def memory_mb(pid: int) -> tuple[float, float]:
+    """What is a process's own alone, and with its share of what it shares with others (PSS)."""
+    lines = (Path("/proc") / str(pid) / "smaps_rollup").read_text().splitlines()[1:]
+    kb = {name.rstrip(":"): int(value) for name, value, *_ in map(str.split, lines)}
+    return (kb["Private_Clean"] + kb["Private_Dirty"]) / 1e3, kb["Pss"] / 1e3
+
+
+def tree_mb(pid: int) -> float:
+    """Of a process and all that it started, what they share counted once."""
+    total = 0.0
+    for each in tree(pid):
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError, PermissionError, ValueError):
+            total += memory_mb(each)[1]
+    return total
+
+
 def _targets(folder: Path) -> list[str]:
     """What the links in a folder point to; one that has just gone is left out."""
     found = []

@@ -12,13 +12,16 @@ what starting those twice would win. The charts go to benchmarks/scale.png.
 
 import argparse
 import statistics
+import time
 from pathlib import Path
+
+import machine
 
 from scale.farm import running
 from scale.ideal import Schedule, schedule
 from scale.life import live
 from scale.pretended import Times, work
-from scale.report import Results, draw, print_tables
+from scale.report import Results, draw, print_tables, rows
 
 TAILS = {
     "all alike": Times(0.5),
@@ -59,7 +62,9 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="a small version, for looking whether it works")
     parser.add_argument("--chart", type=Path, default=Path(__file__).parent.with_suffix(".png"), help="where the charts go")
     options = parser.parse_args()
+    begin = time.monotonic()
     results = measure(quick=options.quick)
+    machine.write("scale", rows(results), seconds=round(time.monotonic() - begin))
     print_tables(results)
     draw(results, options.chart)
 

@@ -96,6 +96,22 @@ def print_tables(results: Results) -> None:
     )  # fmt: skip
 
 
+def rows(results: Results) -> list[dict[str, object]]:
+    """For docs/benchmarks.md: how servers were found, then how slots were used."""
+    found: list[dict[str, object]] = [
+        {"servers": size, "ready_s": median(runs, "ready_s"), "cpu_s": median(runs, "cpu_s"), "mb": median(runs, "mb"),
+         "never_found": max(size - run.found.servers for run in runs)}
+        for size, runs in results.found.items()
+    ]  # fmt: skip
+    for (size, mean_s), run in results.used.items():
+        optimizer_us, servers_us = cpu(run)
+        found.append(
+            {"slots": size * CAPACITY, "trial_s": mean_s, "evaluations": run.uses[0].evaluations,
+             "efficiency": mean(run, "efficiency"), "optimizer_us": optimizer_us, "servers_us": servers_us}
+        )  # fmt: skip
+    return found
+
+
 def draw(results: Results, file: Path) -> None:
     """The charts."""
     import matplotlib as mpl

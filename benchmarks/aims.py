@@ -1,0 +1,115 @@
+"""The numbers to hold, and whether they are held: each is found in what the scripts left."""
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import tables
+from tables import FREVO, Found, figure, share
+
+Results = dict[str, Found]  # by script
+
+
+class Aim(NamedTuple):
+    """A number to hold.
+
+    Attributes:
+        key: by which ``missed.toml`` says why it is missed.
+        value: what was measured; None where it was not.
+        at_least: else at most.
+    """
+
+    key: str
+    what: str
+    wanted: float
+    at_least: bool
+    value: float | None
+    written: Callable[[float], str] = figure
+
+    @property
+    def held(self) -> bool:
+        """Whether it was measured and is as wanted."""
+        return self.value is not None and (self.value >= self.wanted if self.at_least else self.value <= self.wanted)
+
+    @property
+    def row(self) -> list[str]:
+        """Of the table: what, wanted, measured, held or by how much it is missed."""
+        wanted = f"{'at least' if self.at_least else 'at most'} {self.written(self.wanted)}"
+        if self.value is None:
+            return [self.what, wanted, "", "not measured"]
+        by = self.wanted / self.value if self.at_least else self.value / self.wanted
+        return [self.what, wanted, self.written(self.value), "held" if self.held else f"missed by a factor of {by:.2f}"]
+
+
+def aims(results: Results) -> Iterator[Aim]:
+    """All of them, in their order."""
+    yield from of_dispatch(results.get("dispatch"))
+    yield from of_scale(results.get("scale"))
+    yield from of_startup(results.get("startup"))
+    yield from of_kernels(results.get("kernels"))
+    yield from of_runs(results.get("runs"))
+
+
+def of_dispatch(found: Found | None) -> Iterator[Aim]:
+    """No-ops beside others, and efficiency."""
+
+    def value(peer: str, work: str, slots: int) -> float | None:
+        row = tables.main_way(found, peer, work, slots, 400) if found else None
+        return row and row.get("us", row.get("efficiency"))
+
+    ours = value("zswarm", "noop", 4)
+    yield Aim("noop", "no-op, 400 candidates, 4 slots: us per candidate", 20, False, ours)
+    for peer, wanted in (("Ray", 25), ("Dask distributed", 40), ("MQTT (stock)", 12), ("ProcessPoolExecutor", 4)):
+        theirs = value(peer, "noop", 4)
+        yield Aim(f"noop-{peer}", f"the same, times faster than {peer}", wanted, True, theirs / ours if theirs and ours else None)
+    for slots, wanted in ((2, 0.95), (4, 0.95), (8, 0.95), (16, 0.92)):
+        what = f"efficiency, sleep 5 ms, 400 candidates, {slots} slots"
+        yield Aim(f"sleep-{slots}", what, wanted, True, value("zswarm", "sleep", slots), share)
+    cores = found["machine"]["cores"] if found else 2
+    what = "efficiency, 5 ms of a core, 400 candidates, a slot per core"
+    yield Aim("cpu", what, 0.95, True, value("zswarm", "cpu", cores), share)
+
+
+def of_scale(found: Found | None) -> Iterator[Aim]:
+    """Many simulated servers."""
+    rows = found["rows"] if found else []
+    used = [row["efficiency"] for row in rows if (row.get("slots"), row.get("trial_s")) == (4096, 1.0)]
+    ready = [row["ready_s"] for row in rows if row.get("servers") == 256 and "ready_s" in row]
+    yield Aim("scale", "efficiency, 4,096 simulated slots, trials of 1 s", 0.9, True, next(iter(used), None), share)
+    what = "discovery and handshake, 256 servers: s"
+    yield Aim("discovery", what, 1.0, False, next(iter(ready), None), "{:.2f}".format)
+
+
+def of_startup(found: Found | None) -> Iterator[Aim]:
+    """First result and memory."""
+    rows = found["rows"] if found else []
+    warm = [row["s"] for row in rows if (row["of"], row.get("how")) == ("zswarm-ot run", "warm")]
+    slot = [tables.mib(row["own_mb"]) for row in rows if (row["what"], row["of"]) == ("memory", "slot")]
+    what = "first result, this machine's slots, warm cache: s from pressing return"
+    yield Aim("first", what, 1.0, False, next(iter(warm), None), "{:.2f}".format)
+    yield Aim("memory", "private memory of a slot: MiB", 40, False, next(iter(slot), None))
+
+
+def of_kernels(found: Found | None) -> Iterator[Aim]:
+    """Beside C, pymunk and VMAS; per core."""
+    rows = [row for row in found["rows"] if "agent_steps_per_s" in row] if found else []
+    rate = {(row["kernel"], row["variant"], row["agents"]): row["agent_steps_per_s"] for row in rows}
+    flagship = next((kernel for kernel, *_ in rate if kernel.startswith("arena")), "arena")
+    compared = [(kernel, agents) for kernel, variant, agents in rate if variant == "C"] or [(flagship, 8)]
+    for kernel, agents in compared:
+        theirs, ours = rate.get((kernel, "C", agents)), rate.get((kernel, "numba", agents))
+        value = theirs / ours if theirs and ours else None
+        what = f"{kernel}, {agents} agents: times the time of tuned C"
+        yield Aim(f"C-{kernel}-{agents}", what, 1.25, False, value, "{:.2f}".format)
+    for variant, wanted in (("pymunk", 50), ("vmas flocking", 30)):
+        theirs = next((one for (_, named, agents), one in rate.items() if (named, agents) == (variant, 8)), None)
+        ours = rate.get((flagship, "numba", 8))
+        name = "VMAS flocking" if variant.startswith("vmas") else variant
+        yield Aim(variant, f"{flagship}, 8 agents: times {name}", wanted, True, ours / theirs if theirs and ours else None)
+
+
+def of_runs(found: Found | None) -> Iterator[Aim]:
+    """Whole runs beside FREVO's figures."""
+    per_s = {row["field"]: row["per_s"] for row in found["rows"]} if found else {}
+    for field, times in (("stadium", 20), ("random", 10)):
+        what = f"EmergencyExit, NNGA 50 x 200, {field}: times FREVO's {FREVO[field]:,.0f} simulations/s"
+        yield Aim(f"run-{field}", what, times, True, per_s[field] / FREVO[field] if field in per_s else None)

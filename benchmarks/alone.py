@@ -1,0 +1,34 @@
+"""The evolution of ``runs.py`` in a loop of one process, without servers or a record: ``alone.py FIELD GENERATIONS``.
+
+Prints simulations per second.
+"""
+
+import sys
+import time
+
+from runs import FIELDS
+
+from zswarm import evaluate, experiment
+from zswarm.ot import run
+
+
+def simulations_per_s(field: str, generations: int) -> float:
+    """Of the same candidates in the same order."""
+    example = experiment.find(FIELDS[field])
+    problem, optimizer = run.build(experiment.complete(experiment.load(example), str(example)))
+    simulator, representation = problem.simulator, problem.representation
+    simulations = 0
+    begin = time.perf_counter()
+    for generation in range(generations):
+        if generation == 1:
+            simulations, begin = 0, time.perf_counter()  # kernels are there
+        workload = problem.workload(optimizer.ask(), generation)
+        played = evaluate.evaluate(simulator, representation, workload.genomes, workload.participants, workload.seeds)
+        workload.fitness[:] = played.fitness
+        optimizer.tell(problem.total(workload))
+        simulations += len(workload.seeds)
+    return simulations / (time.perf_counter() - begin)
+
+
+if __name__ == "__main__":
+    print(simulations_per_s(sys.argv[1], int(sys.argv[2])))

@@ -1,0 +1,64 @@
+"""Measures everything and makes docs/benchmarks.md: `make bench`, about 25 minutes in which nothing else should run.
+
+Each script is a program of its own, in the environment that has the peers. What it leaves in ``build/bench`` takes the place of
+what ``results.json`` has of it. With ``--quick`` nothing of the repository is changed: the page goes to ``build/bench-quick``.
+"""
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import machine
+import page
+
+HERE = Path(__file__).resolve().parent
+BUILD = HERE.parent / "build"
+PYTHON = BUILD / "peers" / "bin" / "python"
+COMMANDS = {script: [f"{script}.py"] for script in ("runs", "startup", "scaling", "kernels", "dispatch")}
+COMMANDS["scale"] = ["-m", "scale"]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--only", help=f"parts of it, with commas between [default: all of {', '.join(COMMANDS)}]")
+    parser.add_argument("--quick", action="store_true", help="small rounds, some minutes: whether it works")
+    options = parser.parse_args()
+    names = options.only.split(",") if options.only else list(COMMANDS)
+    if unknown := set(names) - set(COMMANDS):
+        parser.error(f"no such part: {', '.join(sorted(unknown))}; there are {', '.join(COMMANDS)}")
+    to = BUILD / "bench-quick" if options.quick else HERE.parent
+    folder = to if options.quick else machine.RESULTS
+    begin, failed = time.monotonic(), []
+    for name in names:
+        print(f"\n# {name}\n", flush=True)
+        command = [PYTHON, *COMMANDS[name], *(["--quick"] if options.quick else [])]
+        if subprocess.run(command, cwd=HERE, env=os.environ | {"ZSWARM_BENCH": str(folder)}, check=False).returncode:
+            failed.append(name)
+    file = merged(names, folder, to / "results.json" if options.quick else page.RESULTS)
+    if options.quick:
+        (to / "docs").mkdir(exist_ok=True)
+        shutil.copy(HERE.parent / "README.md", to)
+    print(f"\n# the page, after {(time.monotonic() - begin) / 60:.0f} minutes\n", flush=True)
+    made = subprocess.run([sys.executable, HERE / "page.py", "--results", file, "--to", to], check=False).returncode
+    if failed:
+        sys.exit(f"failed: {', '.join(failed)}; what they left before is still in the page")
+    sys.exit(made)
+
+
+def merged(names: list[str], folder: Path, file: Path) -> Path:
+    """What was measured anew in the place of what was there before."""
+    results = json.loads(file.read_text()) if file.exists() else {}
+    for name in names:
+        if (left := folder / f"{name}.json").exists():
+            results[name] = json.loads(left.read_text())
+    file.write_text(json.dumps(results, indent=1, sort_keys=True) + "\n")
+    return file
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,114 @@
+"""The charts of docs/benchmarks.md, in colours that the colour-blind can tell apart (Okabe and Ito), each with a marker too."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import tables
+from aims import Results
+from tables import Found
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+COLOURS = ("#000000", "#0072B2", "#56B4E9", "#009E73", "#D55E00", "#E69F00", "#CC79A7", "#8C8C8C", "#5D3A9B")
+MARKERS = "os^DvPX*<"
+CHARTS = {  # name: the script, and words for who does not see it
+    "dispatch": ("dispatch", "Cost of a candidate that does nothing, and efficiency with 5 ms of sleep, by slots"),
+    "kernels": ("kernels", "Agent-steps per second and core of each variant"),
+    "scaling": ("scaling", "Time of an optimization by servers, with sleeps and with real evaluations"),
+}
+ASIDE = ("zswarm (TCP)", "no dispatch")
+
+
+def draw(results: Results, folder: Path) -> None:
+    """All for which there are results."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    plt.rcParams.update({"font.size": 10, "axes.grid": True, "grid.alpha": 0.3, "axes.axisbelow": True, "lines.markersize": 6})
+    drawn: dict[str, Callable[[Found, Any], None]] = {"dispatch": dispatch, "kernels": kernels, "scaling": scaling}
+    for name, (script, _) in CHARTS.items():
+        if script in results:
+            figure = plt.figure(figsize=(11, 4.8), layout="constrained")
+            drawn[name](results[script], figure)
+            figure.savefig(folder / f"bench-{name}.png", dpi=110, metadata={"Software": None})
+            plt.close(figure)
+
+
+def dispatch(found: Found, figure: Any) -> None:
+    """400 candidates, one in a message where the peer does not choose."""
+    noop, sleep = figure.subplots(1, 2)
+    slots = sorted({row["slots"] for row in found["rows"] if "work" in row})
+    named = [peer for peer in tables.peers(found) if peer not in ASIDE]
+    for number, peer in enumerate(named):
+        for axes, work, what in ((noop, "noop", "us"), (sleep, "sleep", "efficiency")):
+            rows = {size: tables.main_way(found, peer, work, size, 400) for size in slots}
+            points = [(size, row[what]) for size, row in rows.items() if row]
+            if points:
+                line(axes, points, number, peer)
+    noop.set(title="A candidate that does nothing", ylabel="us per candidate", xscale="log", yscale="log")
+    sleep.set(title="Candidates that sleep 5 ms", ylabel="ideal time / time", xscale="log", ylim=(0, 1.02))
+    for axes in (noop, sleep):
+        axes.set_xticks(slots, [str(size) for size in slots])
+        axes.minorticks_off()
+        axes.set_xlabel("slots (worker processes)")
+    figure.legend(*noop.get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize=9)
+    figure.suptitle("400 distinct candidates in a generation", fontsize=11)
+
+
+def line(axes: "Axes", points: list[tuple[float, float]], number: int, label: str) -> None:
+    """Ours, the first, is the thick one."""
+    x, y = zip(*points, strict=True)
+    width = 2.5 if number == 0 else 1.3
+    axes.plot(x, y, color=COLOURS[number % 9], marker=MARKERS[number % 9], linewidth=width, label=label)
+
+
+def kernels(found: Found, figure: Any) -> None:
+    """The flagship kernel: a group of bars for each number of agents."""
+    rows = [row for row in found["rows"] if "agent_steps_per_s" in row]
+    flagship = next((row["kernel"] for row in rows if row["kernel"].startswith("arena")), rows[0]["kernel"])
+    sizes = sorted({row["agents"] for row in rows if row["kernel"] == flagship})
+    rate = {
+        (row["variant"], row["agents"]): row["agent_steps_per_s"]
+        for row in rows
+        if row["kernel"] == flagship or row["variant"].startswith("vmas")
+    }
+    variants = sorted(
+        dict.fromkeys(variant for variant, _ in rate), key=lambda each: -max(r for (v, _), r in rate.items() if v == each)
+    )
+    axes = figure.subplots()
+    width = 0.8 / len(variants)
+    for number, variant in enumerate(variants):
+        places = [place for place, agents in enumerate(sizes) if (variant, agents) in rate]
+        values = [rate[variant, sizes[place]] for place in places]
+        label = "zswarm (numba)" if variant == "numba" else variant
+        middles = [place + (number - len(variants) / 2 + 0.5) * width for place in places]
+        bars = axes.bar(middles, values, width * 0.95, label=label, color=COLOURS[number % 9])
+        axes.bar_label(bars, [f"{value / 1e3:,.0f}k" if value < 1e6 else f"{value / 1e6:.1f}M" for value in values], fontsize=8)
+    axes.set(title=f"{flagship}, one core", ylabel="agent-steps per second", yscale="log")
+    axes.set_xticks(range(len(sizes)), [f"{agents} agents" for agents in sizes])
+    axes.grid(visible=False, axis="x")
+    figure.legend(loc="outside right center", fontsize=9)
+
+
+def scaling(found: Found, figure: Any) -> None:
+    """Seconds over servers, with the ideal."""
+    sleep, real = figure.subplots(1, 2)
+    cores = found["machine"]["cores"]
+    for axes, work, title in ((sleep, "sleep", "Evaluations that sleep 20 ms"), (real, "real", f"Real ones, on {cores} cores")):
+        points = [(row["servers"], row["s"]) for row in found["rows"] if row["work"] == work]
+        line(axes, points, 0, "measured")
+        first = points[0][1]
+        limit = max(x for x, _ in points) if work == "sleep" else cores
+        ideal = [(x, first / min(x, limit)) for x, _ in points]
+        axes.plot(*zip(*ideal, strict=True), color=COLOURS[4], linestyle="--", label="ideal: one server's time / servers"
+                  if work == "sleep" else f"ideal, with {cores} cores")  # fmt: skip
+        axes.set(title=title, xlabel="servers of one slot", ylabel="s for the optimization", xscale="log", yscale="log")
+        axes.set_xticks([x for x, _ in points], [str(x) for x, _ in points])
+        axes.minorticks_off()
+        ticks = [tick for tick in (0.2, 0.5, 1, 2, 5, 10, 20) if min(y for _, y in points) / 2 < tick < first * 2]
+        axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+        axes.legend(fontsize=9)

@@ -1,0 +1,165 @@
+"""Slots of zswarm's that do nothing, sleep or burn time, and generations on them, as a run uses them."""
+
+import contextlib
+import os
+import secrets
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from work import TASK_S
+
+HIDDEN = 15  # with one input and one output: genomes of 288 float32
+
+PLUGIN = '''
+import time
+import msgspec
+import numpy as np
+from zswarm.nets.fully_meshed import HEADER
+from zswarm.sims.simulator import CompiledSimulator, Outcome, Turn
+
+
+class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    sleep_s: float = 0.0
+    cpu_s: float = 0.0
+
+
+class Bench(CompiledSimulator):
+    """Sleeps or burns time and says the genome's first number: a trial that costs nothing but its dispatch."""
+
+    settings_type = Settings
+    inputs, outputs, owners = 1, 1, (0,)
+
+    def reset(self, seed):
+        return Turn((0,), np.zeros((1, 1), np.float32))
+
+    def step(self, actions):
+        return None
+
+    def outcome(self):
+        return Outcome([0.0], [])
+
+    def play(self, step, state_size, parameters, participants, seeds, progress, fitness, metrics):
+        fitness[:, 0] = parameters[participants[:, 0], HEADER]
+        if self.settings.sleep_s or self.settings.cpu_s:
+            for trial in range(len(seeds)):
+                progress[0] = trial
+                time.sleep(self.settings.sleep_s)
+                end = time.thread_time() + self.settings.cpu_s
+                while self.settings.cpu_s and time.thread_time() < end:
+                    pass
+'''
+SETTINGS = {"noop": {}, "sleep": {"sleep_s": TASK_S}, "cpu": {"cpu_s": TASK_S}}
+
+
+@contextlib.contextmanager
+def bench_simulator() -> Iterator[None]:
+    """The simulator ``bench``, known to this process, which evaluates nothing itself, and to its children."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "zswarm_bench.py").write_text(PLUGIN)
+        metadata = folder / "zswarm_bench-1.0.dist-info"
+        metadata.mkdir()
+        (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: zswarm-bench\nVersion: 1.0\n")
+        (metadata / "entry_points.txt").write_text("[zswarm.simulators]\nbench = zswarm_bench:Bench\n")
+        sys.path.insert(0, name)
+        os.environ["PYTHONPATH"] = os.pathsep.join([name, os.environ.get("PYTHONPATH", "")])
+        os.environ["ZSWARM_PLAIN"] = "1"  # as zswarm-ot run has it
+        os.environ["ZSWARM_KEYS"] = "none"  # in the clear, as others are
+        yield
+
+
+@contextlib.contextmanager
+def daemon(slots: int, endpoint: str, *more: str) -> Iterator["subprocess.Popen[bytes]"]:
+    """A zswarm-ss of this machine; it ends on leaving."""
+    options = ["--capacity", str(slots), "--listen", endpoint, "--no-multicast", "--log-level", "warning", *more]
+    with subprocess.Popen(
+        [sys.executable, "-m", "zswarm.ss", *options, "--until-stdin-closes"],
+        env={key: value for key, value in os.environ.items() if key != "ZSWARM_PLAIN"},  # it does evaluate
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+    ) as process:  # leaving closes its stdin and waits
+        yield process
+
+
+@contextlib.contextmanager
+def leased(endpoints: Sequence[str], slots: int, settings: dict[str, Any]) -> Iterator[object]:
+    """An optimizer that has all slots of some servers ready, with the options that a run has by itself."""
+    from zswarm import experiment
+    from zswarm.ot.cluster import Cluster
+    from zswarm.ot.requests import Wanted, Who
+    from zswarm.protocol.messages import Part
+    from zswarm.session import Reach
+    from zswarm.version_hash import version_hash
+
+    options = experiment.Cluster()
+    wanted = Wanted(
+        Part("bench", settings), Part("fully-meshed", {"hidden": HIDDEN}), version_hash("bench", "fully-meshed"),
+        participants=1, metrics=0, trial_timeout_s=options.trial_timeout_s, trial_memory_mb=options.trial_memory_mb,
+        slots=slots, quarantine=False, verify=options.verify, probe=b"",
+    )  # fmt: skip
+    who = Who("default", "bench", f"bench-{secrets.token_hex(4)}", 0, secrets.token_bytes(16))
+    with Cluster(who, wanted, reach=Reach(list(endpoints), multicast=False)) as opened:
+        for _ in opened.wait(1, 60.0):
+            pass
+        while opened.standing.slots < slots:
+            time.sleep(0.01)
+        yield opened
+
+
+class Lease(contextlib.AbstractContextManager["Lease"]):
+    """The slots of a server, for one kind of work at a time: another problem is another lease."""
+
+    def __init__(self, endpoint: str, slots: int) -> None:
+        self._endpoint, self._slots = endpoint, slots
+        self._lease = contextlib.ExitStack()
+        self._opened: Any = None
+        self._work = ""
+
+    def __exit__(self, *_: object) -> None:
+        self._lease.close()
+
+    def evaluate(self, genomes: list[bytes], work: str, _chunk: int = 0) -> list[float]:
+        """A generation; the dispatch itself says how many go into a message."""
+        if work != self._work:
+            self._lease.close()
+            self._opened = self._lease.enter_context(leased([self._endpoint], self._slots, SETTINGS[work]))
+            self._work = work
+        return evaluated(self._opened, genomes)
+
+
+def free_port() -> int:
+    """A port of this machine that nobody listens at."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        return free.getsockname()[1]
+
+
+def random_genomes(size: int) -> list[bytes]:
+    """Distinct candidates of 1152 bytes."""
+    import numpy as np
+
+    numbers = (HIDDEN + 1) * (HIDDEN + 3)
+    return [genome.tobytes() for genome in np.random.default_rng().uniform(-2, 2, (size, numbers)).astype("<f4")]
+
+
+def evaluated(opened: Any, genomes: list[bytes]) -> list[float]:
+    """The fitness of each."""
+    import numpy as np
+
+    from zswarm.ot.workload import Workload
+
+    workload = Workload(genomes, np.arange(len(genomes)).reshape(-1, 1), np.zeros(len(genomes), np.uint64), 0)
+    for _ in opened.evaluate(workload):
+        pass
+    return workload.fitness[:, 0].tolist()
+
+
+def right(genomes: list[bytes]) -> list[float]:
+    """What the fitness of each must be."""
+    return [struct.unpack_from("<f", genome)[0] for genome in genomes]

@@ -1,0 +1,195 @@
+"""What the scripts measured, as Markdown: a function for each script, of what it left in ``build/bench``."""
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+Found = dict[str, Any]  # what a script left: see machine.py
+Row = dict[str, Any]
+
+FREVO = {"stadium": 838.0, "random": 12_740.0}  # simulations per second, quoted: measured elsewhere, on two cores of an EPYC
+ARGOS = 107_000.0  # agent-steps per second and core, quoted: ARGoS 3, diffusion of 8 foot-bots
+
+
+def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def figure(value: float) -> str:
+    """Three digits or more, below a hundred one after the point."""
+    return f"{value:,.1f}" if abs(value) < 100 else f"{value:,.0f}"
+
+
+def share(value: float) -> str:
+    """As .957."""
+    return f"{value:.3f}".removeprefix("0")
+
+
+def spread(row: Row, what: str, written: Callable[[float], str]) -> str:
+    """The median, and from where to where."""
+    return f"{written(row[what])} ({written(row[what + '_least'])} to {written(row[what + '_most'])})"
+
+
+def missing(rows: Iterable[Row], name: str) -> str:
+    """The reasons of what could not be measured, one line each."""
+    reasons = dict.fromkeys(f"- {row[name]}: not measured: {row['missing']}\n" for row in rows if "missing" in row)
+    return "".join(["\n", *reasons]) if reasons else ""
+
+
+# ---- dispatch -----------------------------------------------------------------------------------------------------
+
+ONE_BY_ONE = ("by itself", "1")  # where a peer chooses how many candidates go into a message, that; else one
+WORKS = {"noop": "No-op, us per candidate", "sleep": "Sleep 5 ms, efficiency", "cpu": "5 ms of a core, efficiency"}
+
+
+def peers(found: Found) -> list[str]:
+    """In their order."""
+    return list(dict.fromkeys(row["peer"] for row in found["rows"]))
+
+
+def main_way(found: Found, peer: str, work: str, slots: int, population: int) -> Row | None:
+    """How somebody would use it who does not cut the generation by hand; None if that was not measured."""
+    asked = {"peer": peer, "work": work, "slots": slots, "population": population}
+    rows = [row for row in found["rows"] if asked.items() <= row.items() and row["cut"] in ONE_BY_ONE]
+    return min(rows, key=lambda row: ONE_BY_ONE.index(row["cut"]), default=None)
+
+
+def cell(row: Row | None) -> str:
+    """The value of a row of dispatch."""
+    if row is None:
+        return ""
+    return figure(row["us"]) if "us" in row else share(row["efficiency"])
+
+
+def by_slots(found: Found, work: str) -> str:
+    """A line for each peer, a column for each population and number of slots."""
+    measured = [row for row in found["rows"] if row.get("work") == work]
+    columns = sorted({(row["population"], row["slots"]) for row in measured})
+    lines = []
+    for peer in peers(found):
+        cells = [cell(main_way(found, peer, work, slots, population)) for population, slots in columns]
+        if any(cells):
+            lines.append([peer, *cells])
+    head = [f"{population}: {slots}" if slots == columns[0][1] else str(slots) for population, slots in columns]
+    return markdown(["candidates: slots", *head], lines)
+
+
+def ways(found: Found, slots: int = 4, population: int = 400) -> str:
+    """All ways of all peers, with one number of slots and of candidates."""
+    here = [row for row in found["rows"] if (row.get("slots"), row.get("population")) == (slots, population)]
+    ours = main_way(found, "zswarm", "noop", slots, population)
+    lines, before = [], ""
+    for peer, form, cut in dict.fromkeys((row["peer"], row["form"], row["cut"]) for row in here):
+        values = {row["work"]: row for row in here if (row["peer"], row["form"], row["cut"]) == (peer, form, cut)}
+        noop = values.get("noop")
+        lines.append(
+            [
+                peer if peer != before else "",
+                form,
+                cut,
+                spread(noop, "us", figure) if noop else "",
+                figure(noop["us"] / ours["us"]) if noop and ours else "",
+                *(spread(values[work], "efficiency", share) if work in values else "" for work in ("sleep", "cpu")),
+            ]
+        )
+        before = peer
+    head = ["", "form", "candidates in a message", "no-op, us per candidate", "times zswarm"]
+    return markdown([*head, "sleep 5 ms, efficiency", "5 ms of a core, efficiency"], lines)
+
+
+def dispatch(found: Found) -> str:
+    """All of it."""
+    parts = [f"{words}:\n\n{by_slots(found, work)}" for work, words in WORKS.items()]
+    parts.append(f"Every way, 400 candidates, 4 slots:\n\n{ways(found)}")
+    return "\n".join(parts) + missing(found["rows"], "peer")
+
+
+# ---- the others ---------------------------------------------------------------------------------------------------
+
+
+def kernels(found: Found) -> str:
+    """A line for each kernel and variant, a column for each number of agents; per core."""
+    rows = [row for row in found["rows"] if "missing" not in row]
+    lines = []
+    for kernel in dict.fromkeys(row["kernel"] for row in rows):
+        sizes = sorted({row["agents"] for row in rows if row["kernel"] == kernel})
+        rate = {
+            (row["variant"], row["agents"]): row["agent_steps_per_s"]
+            for row in rows
+            if row["kernel"] == kernel and "agent_steps_per_s" in row
+        }
+        for variant in dict.fromkeys(variant for variant, _ in rate):
+            cells = []
+            for agents in sizes:
+                mine, ours = rate.get((variant, agents)), rate.get(("numba", agents))
+                times = f", zswarm {ours / mine:,.2f}x" if mine and ours and variant != "numba" else ""
+                cells.append(f"{agents}: {mine / 1e3:,.0f} k{times}" if mine else "")
+            lines.append([kernel, variant, "; ".join(filter(None, cells))])
+    head = ["model", "variant", "agents: agent-steps per second and core; how many times as many zswarm does"]
+    return markdown(head, lines) + missing(({**row, "of": f"{row['kernel']}, {row['variant']}"} for row in found["rows"]), "of")
+
+
+def startup(found: Found) -> str:
+    """First results, then memory."""
+    first = [row for row in found["rows"] if row["what"] == "first result" and "s" in row]
+    used = [row for row in found["rows"] if row["what"] == "memory"]
+    return (
+        markdown(["first result", "", "s"], [[row["of"], row["how"], spread(row, "s", "{:.2f}".format)] for row in first])
+        + missing((row for row in found["rows"] if row["what"] == "first result"), "of")
+        + "\n"
+        + markdown(
+            ["memory of a", "for itself alone, MiB", "with its share of what is shared, MiB"],
+            [[row["of"], f"{mib(row['own_mb']):.1f}", f"{mib(row['pss_mb']):.1f}"] for row in used],
+        )
+    )
+
+
+def mib(megabytes: float) -> float:
+    """Of 2^20 bytes."""
+    return megabytes * 1e6 / 2**20
+
+
+def scaling(found: Found) -> str:
+    """A line for each number of servers."""
+    by = {(row["work"], row["servers"]): row for row in found["rows"]}
+    lines = []
+    for servers in sorted({row["servers"] for row in found["rows"]}):
+        sleeps, real = by["sleep", servers], by["real", servers]
+        lines.append(
+            [str(servers), spread(sleeps, "s", "{:.2f}".format), share(sleeps["efficiency"]), spread(real, "s", "{:.2f}".format)]
+        )
+    return markdown(["servers", "evaluations that sleep 20 ms, s", "efficiency", "real ones, s"], lines)
+
+
+def runs(found: Found) -> str:
+    """Simulations per second of whole runs."""
+    return markdown(
+        ["field", "simulations/s", "times FREVO"],
+        [[row["field"], spread(row, "per_s", figure), f"{row['per_s'] / FREVO[row['field']]:.1f}"] for row in found["rows"]],
+    )
+
+
+def scale(found: Found) -> str:
+    """Finding servers, and the use of many slots."""
+    servers = [row for row in found["rows"] if "ready_s" in row]
+    slots = [row for row in found["rows"] if "efficiency" in row]
+    return (
+        markdown(
+            ["servers", "all slots ready, s", "optimizer's CPU, s", "memory, MB"],
+            [[f"{row['servers']:,}", f"{row['ready_s']:.2f}", f"{row['cpu_s']:.2f}", f"{row['mb']:.0f}"] for row in servers],
+        )
+        + "\n"
+        + markdown(
+            ["slots", "a trial, s", "efficiency", "us of CPU per evaluation: optimizer, servers"],
+            [
+                [
+                    f"{row['slots']:,}",
+                    f"{row['trial_s']:g}",
+                    share(row["efficiency"]),
+                    f"{row['optimizer_us']:.0f}, {row['servers_us']:.0f}",
+                ]
+                for row in slots
+            ],
+        )
+    )
