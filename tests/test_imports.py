@@ -203,7 +203,7 @@ def differing(source: str) -> list[str]:
 
 def is_kernel(function: ast.FunctionDef) -> bool:
     names = (decorator.func if isinstance(decorator, ast.Call) else decorator for decorator in function.decorator_list)
-    return any(isinstance(name, ast.Name) and name.id in ("kernel", "inline", "lean") for name in names)
+    return any(isinstance(name, ast.Name) and name.id in ("kernel", "inline") for name in names)
 
 
 def differing_in_kernel(function: ast.FunctionDef) -> list[str]:
@@ -272,4 +272,4 @@ def test_the_compiler_is_asked_for_nothing_loose() -> None:
     source = MODULES["jit"].read_text()
     assert "fastmath" not in source.replace("no fast-math", "")
     assert "parallel" not in source
-    assert source.count("numba.njit(") == 4, "all kernels go through kernel() (two), inline() and lean()"
+    assert source.count("numba.njit(") == 3, "all kernels go through kernel(), for decisions apart, and inline()"

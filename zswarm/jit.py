@@ -111,20 +111,12 @@ def inline(function: Any = None, *, counts: bool = True) -> Any:
     """Compile a function into the kernels that call it.
 
     Without ``counts`` it becomes a part of them, and numba does not count who uses an array, which costs two atomic additions for
-    each that a function is given or takes a row of. Such a function must make no arrays.
+    each that a function is given or takes a row of. Such a function must make no arrays and return none, nor call one that does.
     """
     if function is None:
         return lambda function: inline(function, counts=counts)
-    lean: dict[str, Any] = {} if counts else {"_nrt": False, "forceinline": True}
-    return function if PLAIN else numba.njit(function, error_model="numpy", cache=True, **lean)
-
-
-def lean(function: Any) -> Any:
-    """``inline`` for a function that makes and returns no arrays, nor calls one that does, and runs long or often.
-
-    Without numba's counting of who uses those that it is given, every slice of an array costs two locked instructions less.
-    """
-    return function if PLAIN else numba.njit(function, error_model="numpy", cache=True, _nrt=False)  # type: ignore[call-overload]  # private
+    options: dict[str, Any] = {} if counts else {"_nrt": False, "forceinline": True}
+    return function if PLAIN else numba.njit(function, error_model="numpy", cache=True, **options)
 
 
 def _as_it_is(function: Any) -> Any:

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import Meta
 
 from zswarm.errors import ConfigError
-from zswarm.jit import STEP, Step, array, float32, float64, inline, int32, int64, kernel, lean, uint64, void
+from zswarm.jit import STEP, Step, array, float32, float64, inline, int32, int64, kernel, uint64, void
 from zswarm.lanes import LANES, any_of, fill, load, scatter, select, store, window
 from zswarm.sims.simulator import Body, CompiledSimulator, Frame, Outcome, Place, Turn
 
@@ -398,7 +398,7 @@ def act(agent, action, cells, inside, free, to_exit, stride):  # type: ignore[no
         free[there] = BLOCKED
 
 
-@lean
+@inline(counts=False)
 def judge(cells, inside, to_exit, first_all_out, steps, fitness, metrics):  # type: ignore[no-untyped-def]  # compiled
     """Fitness and metrics of a trial that ended."""
     total = 0.0
@@ -412,7 +412,7 @@ def judge(cells, inside, to_exit, first_all_out, steps, fitness, metrics):  # ty
     metrics[1] = min(first_all_out + 1, steps)
 
 
-@lean
+@inline(counts=False)
 def play_rounds(  # type: ignore[no-untyped-def]  # compiled
     step, controller, states, exits, grid, cells, inside, observation, action, stride, steps
 ):
@@ -459,7 +459,7 @@ def play_trials(  # type: ignore[no-untyped-def]  # compiled
         judge(cells, inside, exits, first_all_out, steps, fitness[trial], metrics[trial])
 
 
-@lean
+@inline(counts=False)
 def observe_lanes(here, exits, grid, stride, observation):  # type: ignore[no-untyped-def]  # compiled
     """``observe`` in each lane; gives the nine cells around and below the agents, row by row."""
     north = window(grid, here, -stride - 1)
@@ -472,7 +472,7 @@ def observe_lanes(here, exits, grid, stride, observation):  # type: ignore[no-un
     return north, middle, south
 
 
-@lean
+@inline(counts=False)
 def ahead(action, around):  # type: ignore[no-untyped-def]  # compiled
     """Directions of all lanes, and whether the cell there is free."""
     west, east = turned(load(action, 0))
@@ -486,7 +486,7 @@ def ahead(action, around):  # type: ignore[no-untyped-def]  # compiled
     return x, y, select(east, right, select(west, left, same)) != BLOCKED
 
 
-@lean
+@inline(counts=False)
 def play_rounds_of_lanes(  # type: ignore[no-untyped-def]  # compiled
     step, packed, states, exit_table, offsets, grid, cells, nearest, observation, action, stride, steps, first_all_out
 ):
@@ -519,7 +519,7 @@ def play_rounds_of_lanes(  # type: ignore[no-untyped-def]  # compiled
     store(first_all_out, 0, first_out)
 
 
-@lean
+@inline(counts=False)
 def begin_lanes(  # type: ignore[no-untyped-def]  # compiled
     first, parameters, participants, field_of_trial, free, to_exit, starts, packed, grid, cells, nearest, offsets
 ):

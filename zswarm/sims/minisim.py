@@ -12,7 +12,7 @@ from msgspec import Meta
 
 from zswarm.draws import draw_integer
 from zswarm.errors import ConfigError
-from zswarm.jit import STEP, Step, array, float32, float64, inline, int64, kernel, lean, uint64, void
+from zswarm.jit import STEP, Step, array, float32, float64, inline, int64, kernel, uint64, void
 from zswarm.lanes import LANES
 from zswarm.sims.simulator import Body, CompiledSimulator, Frame, Outcome, Place, Turn
 
@@ -331,7 +331,7 @@ def judge(stand, game, rules, fitness, metrics):  # type: ignore[no-untyped-def]
     metrics[0], metrics[1], metrics[2] = game[CAPTURES], game[STEALS], game[TAGGED]
 
 
-@lean
+@inline(counts=False)
 def play_steps(  # type: ignore[no-untyped-def]  # compiled
     step, together, controller, states, robots, defenders, stand, game, rules, observations, outputs, actions
 ):
