@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-EXACT = ("-O2", "-ffp-contract=off")
+EXACT = ("-O2", "-ffp-contract=off", "-Wno-psabi")
 FAST = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math")
 SOURCES = Path(__file__).parent / "kernels"
 

@@ -1,0 +1,267 @@
+"""How fast whole simulations are on one core, beside other ways to compute the same.
+
+Agent-steps per second of ``arena`` (aggregation; a robot per m2; 8 -> 6 + 2 neurons of tanh, 152 genes; 500 steps), compiled by
+numba, in plain Python, and in C (``kernels/arena.c``, -O3 -march=native); pymunk's physics and segment queries with the same
+network in numpy; VMAS's flocking, 512 environments at once, whose model is another. Of zswarm also the other tasks and
+simulators. Each measurement is a process of its own, of CPU time of one thread; the ways take turns, and medians count.
+"""
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import machine
+
+HERE = Path(__file__).resolve().parent
+PEERS = HERE.parent / "build" / "peers" / "bin" / "python"
+STEPS = 500
+AGENTS = (8, 32, 128)
+FLAGSHIP = "arena-aggregation"
+NETWORK = {"hidden": 6, "iterations": 1, "activation": "tanh"}
+LEAST_S = 0.3  # of CPU time in a measurement
+ROUNDS, QUICK_ROUNDS = 5, 3
+
+Row = dict[str, Any]
+
+
+class NotThereError(Exception):
+    """A variant cannot be measured here."""
+
+
+def timed(work: Callable[[], object], simulations: float, agent_steps: int, least_s: float = LEAST_S) -> Row:
+    """A row: so many simulations and agent-steps are in one call, which is repeated for a while."""
+    work()
+    calls, begin = 0, time.thread_time()
+    while (elapsed := time.thread_time() - begin) < least_s:
+        work()
+        calls += 1
+    return {"agent_steps_per_s": agent_steps * calls / elapsed, "seconds_per_simulation": elapsed / calls / simulations}
+
+
+# ---- zswarm, and C ----------------------------------------------------------------------------------------------------
+
+
+def problem(kernel: str, agents: int) -> tuple[Any, Any]:
+    """Simulator and network."""
+    from zswarm.evaluate import build
+
+    if kernel.startswith("arena-"):
+        settings = {"task": kernel.removeprefix("arena-"), "robots": agents, "side": agents**0.5, "steps": STEPS}
+        return build("arena", settings, "fully-meshed", NETWORK)
+    if kernel == "minisim":
+        return build("minisim", {}, "fully-meshed", {})
+    field = "stadium" if kernel == "emergency-exit stadium" else "random"
+    return build("emergency-exit", {"field": field}, "fully-meshed", {})
+
+
+def trials(kernel: str, agents: int, count: int) -> tuple[Any, ...]:
+    """What ``evaluate.evaluate`` takes."""
+    import numpy as np
+
+    from zswarm.draws import Stream
+
+    simulator, network = problem(kernel, agents)
+    genomes = network.random(count, Stream(1))
+    seeds = simulator.fixed_seeds(count) or range(count)
+    return simulator, network, genomes, np.arange(count)[:, None], np.array(seeds, np.uint64)
+
+
+def steps_of(simulator: Any, outcomes: Any) -> int:
+    """Agent-steps of the trials; robots that are out of emergency-exit act no more, its rounds are counted with all."""
+    agents = len(simulator.owners)
+    if "rounds" in simulator.metrics:
+        return int(outcomes.metrics[:, simulator.metrics.index("rounds")].sum()) * agents
+    return simulator.settings.steps * agents * len(outcomes.fitness)
+
+
+def with_numba(kernel: str, agents: int) -> Row:
+    from zswarm.evaluate import evaluate
+
+    prepared = trials(kernel, agents, max(256 // agents, 4))
+    outcomes = evaluate(*prepared)
+    return timed(lambda: evaluate(*prepared), len(outcomes.fitness), steps_of(prepared[0], outcomes))
+
+
+def in_plain_python(kernel: str, agents: int) -> Row:
+    from zswarm.evaluate import evaluate
+
+    if kernel.startswith("arena-") and agents > AGENTS[0]:
+        raise NotThereError(f"measured at {AGENTS[0]} agents only: it takes minutes")
+    prepared = trials(kernel, agents, 1)
+    begin = time.thread_time()
+    outcomes = evaluate(*prepared)
+    elapsed = time.thread_time() - begin
+    return {"agent_steps_per_s": steps_of(prepared[0], outcomes) / elapsed, "seconds_per_simulation": elapsed}
+
+
+def with_c(kernel: str, agents: int) -> Row:
+    import in_c
+
+    if in_c.compiler() is None:
+        raise NotThereError("no C compiler")
+    arena = in_c.Arena(in_c.FAST)
+    prepared = trials(kernel, agents, max(256 // agents, 4))
+    count = len(prepared[-1])
+    return timed(lambda: arena.evaluate(*prepared), count, count * agents * STEPS)
+
+
+# ---- others -----------------------------------------------------------------------------------------------------------
+
+
+def with_pymunk(_: str, agents: int) -> Row:
+    """Bodies that are pushed apart by its solver, eight segment queries per robot and step, the network in numpy."""
+    import math
+
+    import numpy as np
+    import pymunk
+
+    side, sight, radius, random = agents**0.5, 1.2, 0.1, np.random.default_rng(1)
+    ways = [(math.cos(angle), math.sin(angle)) for angle in (ray * math.pi / 4 for ray in range(8))]
+    weights, biases = random.uniform(-2, 2, (8, 18)).astype(np.float32), random.uniform(-2, 2, 8).astype(np.float32)
+    everything, steps = pymunk.ShapeFilter(), 50
+
+    def simulate() -> None:
+        space, bodies = pymunk.Space(), []
+        corners = [(0, 0), (side, 0), (side, side), (0, side), (0, 0)]
+        space.add(*(pymunk.Segment(space.static_body, corners[i], corners[i + 1], 0.01) for i in range(4)))
+        for _ in range(agents):
+            body = pymunk.Body(1, 1)
+            body.position, body.angle = tuple(random.uniform(radius, side - radius, 2)), random.uniform(0, 2 * np.pi)
+            space.add(body, pymunk.Circle(body, radius))
+            bodies.append(body)
+        seen = np.zeros((agents, 18), np.float32)
+        for _ in range(steps):
+            places = np.array([tuple(body.position) for body in bodies])
+            offsets = places - places[:, None]
+            near = (offsets**2).sum(axis=2) < sight**2
+            means = (offsets * near[:, :, None]).sum(axis=1) / np.maximum(near.sum(axis=1) - 1, 1)[:, None] / sight
+            headings = []
+            for number, body in enumerate(bodies):
+                (x, y), (mean_x, mean_y) = places[number].tolist(), means[number].tolist()
+                cosine, sine = math.cos(body.angle), math.sin(body.angle)
+                headings.append((cosine, sine))
+                row = []
+                for u, v in ways:
+                    way_x, way_y = cosine * u - sine * v, sine * u + cosine * v
+                    begin = x + way_x * (radius + 0.001), y + way_y * (radius + 0.001)
+                    hit = space.segment_query_first(begin, (x + way_x * sight, y + way_y * sight), 0, everything)
+                    row.append(1 - hit.alpha if hit else 0.0)
+                seen[number, :10] = *row, mean_x * cosine + mean_y * sine, mean_y * cosine - mean_x * sine
+            seen[:, 10:] = np.tanh(seen @ weights.T + biases)
+            for body, (cosine, sine), (left, right) in zip(bodies, headings, seen[:, 16:].tolist(), strict=True):
+                left, right = 2 * min(max(left, 0), 1) - 1, 2 * min(max(right, 0), 1) - 1
+                body.velocity = 0.15 * (left + right) * cosine, 0.15 * (left + right) * sine
+                body.angular_velocity = 1.5 * (right - left)
+            space.step(0.1)
+
+    return timed(simulate, steps / STEPS, steps * agents)
+
+
+def with_vmas(_: str, agents: int) -> Row:
+    """Its flocking, whose robots have 12 rays, 512 environments; a small network in torch."""
+    try:
+        import torch
+        import vmas
+    except ImportError as error:
+        raise NotThereError(f"{error}; `make bench-peers` installs it") from error
+    if agents > AGENTS[0]:
+        raise NotThereError(f"measured at {AGENTS[0]} agents only")
+    torch.set_num_threads(1)
+    environments = vmas.make_env(scenario="flocking", num_envs=512, device="cpu", n_agents=agents, seed=1)
+    seen = environments.reset()
+    network = torch.nn.Sequential(torch.nn.Linear(seen[0].shape[-1], 8), torch.nn.Tanh(), torch.nn.Linear(8, 2), torch.nn.Tanh())
+
+    def step() -> None:
+        nonlocal seen
+        with torch.no_grad():
+            seen = environments.step([network(one) for one in seen])[0]
+
+    return timed(step, 512 / STEPS, 512 * agents, 1.0)
+
+
+WAYS: dict[str, Callable[[str, int], Row]] = {
+    "numba": with_numba,
+    "C": with_c,
+    "pymunk": with_pymunk,
+    "plain": in_plain_python,
+    "vmas flocking": with_vmas,
+}
+OTHERS = {  # and how many agents they have
+    "arena-dispersion": 8,
+    "arena-foraging": 8,
+    "arena-consensus": 8,
+    "emergency-exit stadium": 72,
+    "emergency-exit random": 10,
+    "minisim": 8,
+}
+
+
+def wanted(*, quick: bool) -> list[tuple[str, str, int]]:
+    """Kernel, variant, agents."""
+    if quick:
+        return [(FLAGSHIP, variant, agents) for agents in AGENTS for variant in ("numba", "C")]
+    flagship = [(FLAGSHIP, variant, agents) for agents in AGENTS for variant in WAYS if variant in ("numba", "C", "pymunk")]
+    slow = [(FLAGSHIP, variant, AGENTS[0]) for variant in ("plain", "vmas flocking")]
+    return [*flagship, *slow, *((kernel, way, agents) for kernel, agents in OTHERS.items() for way in ("numba", "plain"))]
+
+
+def measured(kernel: str, variant: str, agents: int) -> Row:
+    """One measurement, in a process of its own."""
+    python = PEERS if variant == "vmas flocking" and PEERS.exists() else sys.executable
+    environment = os.environ | {"ZSWARM_PLAIN": "1" if variant == "plain" else ""}
+    command = [python, HERE / "kernels.py", "--one", kernel, variant, str(agents)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    if done.returncode:
+        return {"missing": (done.stderr.strip().splitlines() or ["it ended without a word"])[-1]}
+    row: Row = json.loads(done.stdout.splitlines()[-1])
+    return row
+
+
+def one(kernel: str, variant: str, agents: int) -> None:
+    """The process of a measurement."""
+    try:
+        row = WAYS[variant](kernel, agents)
+    except NotThereError as error:
+        row = {"missing": str(error)}
+    print(json.dumps(row))
+
+
+def main() -> None:
+    """Measure, print and leave ``kernels.json``."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="zswarm and C only")
+    parser.add_argument("--folder", type=Path, help="of the results")
+    parser.add_argument("--one", nargs=3, metavar=("KERNEL", "VARIANT", "AGENTS"), help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.one:
+        one(arguments.one[0], arguments.one[1], int(arguments.one[2]))
+        return
+    machine.warn_if_busy()
+    found: dict[tuple[str, str, int], list[Row]] = {}
+    for number in range(QUICK_ROUNDS if arguments.quick else ROUNDS):
+        for way in wanted(quick=arguments.quick):
+            slow = way[1] not in ("numba", "C")
+            if number == 0 or not (slow or "missing" in found[way][0]):
+                found.setdefault(way, []).append(measured(*way))
+    rows = []
+    for (kernel, variant, agents), some in found.items():
+        row: Row = {"kernel": kernel, "variant": variant, "agents": agents}
+        if "missing" in some[0]:
+            row["missing"] = some[0]["missing"]
+        else:
+            row |= {key: statistics.median(each[key] for each in some if key in each) for key in some[0]}
+        rows.append(row)
+        said = row.get("missing") or f"{row['agent_steps_per_s'] / 1e3:,.0f} k agent-steps/s"
+        print(f"{kernel:24} {variant:14} {agents:4} agents  {said}", flush=True)
+    machine.write("kernels", rows, ["pymunk", "vmas", "torch", "gcc"], folder=arguments.folder)
+
+
+if __name__ == "__main__":
+    main()
