@@ -77,6 +77,8 @@ def of_scale(found: Found | None) -> Iterator[Aim]:
     yield Aim("scale", "efficiency, 4,096 simulated slots, trials of 1 s", 0.9, True, next(iter(used), None), share)
     what = "discovery and handshake, 256 servers: s"
     yield Aim("discovery", what, 1.0, False, next(iter(ready), None), "{:.2f}".format)
+    sent = [max(row["messages"].values()) for row in rows if row.get("servers") == 256]
+    yield Aim("messages", "the same: messages each way per server, renewals apart", 2, False, next(iter(sent), None))
 
 
 def of_startup(found: Found | None) -> Iterator[Aim]:

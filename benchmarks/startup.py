@@ -10,7 +10,6 @@ import argparse
 import contextlib
 import json
 import os
-import signal
 import statistics
 import subprocess
 import sys
@@ -81,7 +80,7 @@ def run(*more: str, environment: dict[str, str] | None = None) -> Iterator["subp
         try:
             yield process
         finally:
-            process.send_signal(signal.SIGINT)
+            process.terminate()  # not as Ctrl-C does: whoever was begun in the background of a shell does not hear it
             process.communicate()
 
 

@@ -176,8 +176,17 @@ def scale(found: Found) -> str:
     slots = [row for row in found["rows"] if "efficiency" in row]
     return (
         markdown(
-            ["servers", "all slots ready, s", "optimizer's CPU, s", "memory, MB"],
-            [[f"{row['servers']:,}", f"{row['ready_s']:.2f}", f"{row['cpu_s']:.2f}", f"{row['mb']:.0f}"] for row in servers],
+            ["servers", "all slots ready, s", "optimizer's CPU, s", "memory, MB", "messages to a server and from it"],
+            [
+                [
+                    f"{row['servers']:,}",
+                    f"{row['ready_s']:.2f}",
+                    f"{row['cpu_s']:.2f}",
+                    f"{row['mb']:.0f}",
+                    ", ".join(f"{row['messages'][side]:.1f}" for side in ("received", "sent")),
+                ]
+                for row in servers
+            ],
         )
         + "\n"
         + markdown(

@@ -96,11 +96,20 @@ def print_tables(results: Results) -> None:
     )  # fmt: skip
 
 
+def handshake(run: Run) -> dict[str, float]:
+    """Messages to a server and from it until it is used; each answer to a renewal is a lease, too."""
+    told = run.messages
+    received = told.get("received offer", 0.0) + told.get("received reserve", 0.0)
+    sent = told.get("sent offer", 0.0) + told.get("sent lease", 0.0) - told.get("received renew", 0.0)
+    return {"received": received, "sent": sent}
+
+
 def rows(results: Results) -> list[dict[str, object]]:
     """For docs/benchmarks.md: how servers were found, then how slots were used."""
     found: list[dict[str, object]] = [
         {"servers": size, "ready_s": median(runs, "ready_s"), "cpu_s": median(runs, "cpu_s"), "mb": median(runs, "mb"),
-         "never_found": max(size - run.found.servers for run in runs)}
+         "never_found": max(size - run.found.servers for run in runs),
+         "messages": {side: statistics.mean(handshake(run)[side] for run in runs) for side in ("received", "sent")}}
         for size, runs in results.found.items()
     ]  # fmt: skip
     for (size, mean_s), run in results.used.items():
