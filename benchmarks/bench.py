@@ -6,7 +6,6 @@ what ``results.json`` has of it. With ``--quick`` nothing of the repository is c
 
 import argparse
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -36,8 +35,8 @@ def main() -> None:
     begin, failed = time.monotonic(), []
     for name in names:
         print(f"\n# {name}\n", flush=True)
-        command = [PYTHON, *COMMANDS[name], *(["--quick"] if options.quick else [])]
-        if subprocess.run(command, cwd=HERE, env=os.environ | {"ZSWARM_BENCH": str(folder)}, check=False).returncode:
+        command = [PYTHON, *COMMANDS[name], "--folder", folder, *(["--quick"] if options.quick else [])]
+        if subprocess.run(command, cwd=HERE, check=False).returncode:
             failed.append(name)
     file = merged(names, folder, to / "results.json" if options.quick else page.RESULTS)
     if options.quick:

@@ -43,6 +43,7 @@ def main() -> None:
     parser.add_argument("--warm-s", type=float, default=WARM_S, help=f"of each peer, in each round [default: {WARM_S:g}]")
     parser.add_argument("--only", help=f"peers, with commas between [default: all of {', '.join(PEERS)}]")
     parser.add_argument("--quick", action="store_true", help="one round, 2 and 4 slots: whether it works")
+    parser.add_argument("--folder", type=Path, help="where the results go [default: build/bench]")
     parser.add_argument("--one", help=argparse.SUPPRESS)  # measures one peer once, and prints JSON
     parser.add_argument("--works", default=",".join(WORKS), help=argparse.SUPPRESS)
     parser.add_argument("--begun", type=float, help=argparse.SUPPRESS)  # time.monotonic() of the start of this process
@@ -60,7 +61,9 @@ def main() -> None:
     rounds = [one_round(number, names, options) for number in range(options.rounds)]
     rows = summary([row for one in rounds for row in one])
     packages = [package for name in names for package in PEERS[name].distributions]
-    file = machine.write("dispatch", rows, packages, rounds=options.rounds, seconds=round(time.monotonic() - begin))
+    file = machine.write(
+        "dispatch", rows, packages, folder=options.folder, rounds=options.rounds, seconds=round(time.monotonic() - begin)
+    )
     print(f"\n{tables.dispatch(json.loads(file.read_text()))}\n{file}, {time.monotonic() - begin:.0f} s")
 
 

@@ -1,7 +1,4 @@
-"""Where something was measured, with what, and the file that a script of this folder leaves.
-
-It is ``build/bench/<script>.json``, or lies in the folder ``$ZSWARM_BENCH``.
-"""
+"""Where something was measured, with what, and the file that a script of this folder leaves: ``build/bench/<script>.json``."""
 
 import datetime
 import importlib.metadata
@@ -16,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
-RESULTS = Path(os.environ.get("ZSWARM_BENCH") or HERE.parent / "build" / "bench")
+RESULTS = HERE.parent / "build" / "bench"
 OURS = ("zswarm", "eclipse-zenoh", "numba", "numpy")
 QUIET = 0.5  # the load of a machine that does nothing else
 
@@ -68,13 +65,16 @@ def warn_if_busy() -> None:
         print(f"the load is {load:.1f}: something else runs here, and the figures will be worse than they are", flush=True)
 
 
-def write(script: str, rows: Sequence[dict[str, Any]], packages: Sequence[str] = (), **about: Any) -> Path:
+def write(
+    script: str, rows: Sequence[dict[str, Any]], packages: Sequence[str] = (), *, folder: Path | None = None, **about: Any
+) -> Path:
     """Leave what a script measured, whole or not at all.
 
     Args:
         script: its name, without ``.py``.
         rows: one for each thing measured; one that could not be has ``missing``, the reason.
         packages: distributions and programs beside ours whose versions belong to it.
+        folder: other than ``build/bench``.
         about: of the whole, such as ``rounds``.
     """
     found = {
@@ -85,7 +85,7 @@ def write(script: str, rows: Sequence[dict[str, Any]], packages: Sequence[str] =
         **about,
         "rows": list(rows),
     }
-    file = RESULTS / f"{script}.json"
+    file = (folder or RESULTS) / f"{script}.json"
     file.parent.mkdir(parents=True, exist_ok=True)
     part = file.with_suffix(".part")
     part.write_text(json.dumps(found, indent=1) + "\n")

@@ -120,8 +120,8 @@ def kernel() -> dict[str, float]:
     if not (HERE / "kernels.py").exists():
         return {}
     with tempfile.TemporaryDirectory() as folder:
-        environment = {key: value for key, value in os.environ.items() if key != "ZSWARM_PLAIN"} | {"ZSWARM_BENCH": folder}
-        command = [sys.executable, HERE / "kernels.py", "--quick"]
+        environment = {key: value for key, value in os.environ.items() if key != "ZSWARM_PLAIN"}
+        command = [sys.executable, HERE / "kernels.py", "--quick", "--folder", folder]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL, timeout=KERNEL_S, env=environment)
         rows = json.loads((Path(folder) / "kernels.json").read_text())["rows"]
     rate = {(row["kernel"], row["variant"], row["agents"]): row["agent_steps_per_s"] for row in rows if "missing" not in row}

@@ -20,6 +20,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=ROUNDS, help=f"[default: {ROUNDS}]")
     parser.add_argument("--quick", action="store_true", help="one round of 20 generations: whether it works")
+    parser.add_argument("--folder", type=Path, help="where the results go [default: build/bench]")
     options = parser.parse_args()
     os.environ["ZSWARM_PLAIN"] = "1"  # this process evaluates nothing
     machine.warn_if_busy()
@@ -33,7 +34,7 @@ def main() -> None:
         {"field": field, "per_s": statistics.median(all_), "per_s_least": min(all_), "per_s_most": max(all_)}
         for field, all_ in rates.items()
     ]
-    file = machine.write("runs", rows, rounds=rounds, seconds=round(time.monotonic() - begin))
+    file = machine.write("runs", rows, folder=options.folder, rounds=rounds, seconds=round(time.monotonic() - begin))
     print(f"{tables.runs(json.loads(file.read_text()))}\n{file}, {time.monotonic() - begin:.0f} s")
 
 

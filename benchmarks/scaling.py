@@ -40,6 +40,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--rounds", type=int, default=ROUNDS, help=f"[default: {ROUNDS}]")
     parser.add_argument("--quick", action="store_true", help="one round, up to two servers: whether it works")
+    parser.add_argument("--folder", type=Path, help="where the results go [default: build/bench]")
     options = parser.parse_args()
     rounds, sizes = (1, SERVERS[:2]) if options.quick else (options.rounds, SERVERS)
     machine.warn_if_busy()
@@ -49,6 +50,8 @@ def main() -> None:
         endpoints = [f"tcp/127.0.0.1:{leased.free_port()}" for _ in range(max(sizes))]
         for number, endpoint in enumerate(endpoints):
             stack.enter_context(leased.daemon(1, endpoint, "--name", f"s{number}"))
+        for endpoint in endpoints:
+            leased.wait_for_port(int(endpoint.rpartition(":")[2]))
         for work in WORKS:
             optimize(work, endpoints)  # once to warm all of them up
         for number in range(rounds):
@@ -64,7 +67,7 @@ def main() -> None:
         if work == "sleep":
             row["efficiency"] = row["evaluations"] * SLEEP_S / size / row["s"]
         rows.append(row)
-    file = machine.write("scaling", rows, rounds=rounds, seconds=round(time.monotonic() - begin))
+    file = machine.write("scaling", rows, folder=options.folder, rounds=rounds, seconds=round(time.monotonic() - begin))
     print(f"{tables.scaling(json.loads(file.read_text()))}\n{file}, {time.monotonic() - begin:.0f} s")
 
 

@@ -16,6 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import leased
@@ -36,6 +37,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--rounds", type=int, default=ROUNDS, help=f"[default: {ROUNDS}]")
     parser.add_argument("--quick", action="store_true", help="one round, without others: whether it works")
+    parser.add_argument("--folder", type=Path, help="where the results go [default: build/bench]")
     options = parser.parse_args()
     rounds = 1 if options.quick else options.rounds
     machine.warn_if_busy()
@@ -62,7 +64,7 @@ def main() -> None:
     rows += [{"what": "first result", "of": name, "missing": reason} for name, reason in missing.items()]
     rows += memory()
     packages = [package for known in PEERS.values() for package in known.distributions]
-    file = machine.write("startup", rows, packages, rounds=rounds, seconds=round(time.monotonic() - begin))
+    file = machine.write("startup", rows, packages, folder=options.folder, rounds=rounds, seconds=round(time.monotonic() - begin))
     print(f"{tables.startup(json.loads(file.read_text()))}\n{file}, {time.monotonic() - begin:.0f} s")
 
 

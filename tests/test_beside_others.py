@@ -1,7 +1,6 @@
 """The measurement beside others works: real peers, rows, and a peer that is not there is named."""
 
 import json
-import os
 import struct
 import subprocess
 import sys
@@ -26,9 +25,8 @@ def dispatch() -> ModuleType:
 
 def test_zswarm_and_a_process_pool_are_measured_side_by_side(tmp_path: Path) -> None:
     names = ["zswarm", "ProcessPoolExecutor"]
-    command = [sys.executable, BENCHMARKS / "dispatch.py", "--only", ",".join(names), "--rounds", "1"]
-    environment = os.environ | {"ZSWARM_BENCH": str(tmp_path)}
-    subprocess.run([*command, "--populations", "8", "--slots", "2", "--warm-s", "0"], check=True, timeout=120, env=environment)
+    command = [sys.executable, BENCHMARKS / "dispatch.py", "--only", ",".join(names), "--folder", tmp_path]
+    subprocess.run([*command, "--rounds", "1", "--populations", "8", "--slots", "2", "--warm-s", "0"], check=True, timeout=120)
     found = json.loads((tmp_path / "dispatch.json").read_text())
     assert {"machine", "versions", "when"} <= set(found)
     for name in names:

@@ -61,10 +61,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="How zswarm scales, on this machine.")
     parser.add_argument("--quick", action="store_true", help="a small version, for looking whether it works")
     parser.add_argument("--chart", type=Path, default=Path(__file__).parent.with_suffix(".png"), help="where the charts go")
+    parser.add_argument("--folder", type=Path, help="where the results go [default: build/bench]")
     options = parser.parse_args()
     begin = time.monotonic()
     results = measure(quick=options.quick)
-    machine.write("scale", rows(results), seconds=round(time.monotonic() - begin))
+    machine.write("scale", rows(results), folder=options.folder, seconds=round(time.monotonic() - begin))
     print_tables(results)
     draw(results, options.chart)
 
