@@ -209,13 +209,62 @@ def test_the_same_nonce_gets_the_same_lease() -> None:
 
 
 def test_a_run_waits_for_slots_until_another_one_releases_them() -> None:
-    server = Server()
+    server = Server(1)
     first = server.ready("a")
     waiting = server.reserve("b")
     assert (waiting.state, waiting.slots) == ("waiting", 0)
     assert server.asked(Release(lease=first), "a") == Done()
     assert server.commands == [Prepare(0, reserve(), probe=True, known=True)]
-    assert server.reserve("b").slots == 2
+    assert server.reserve("b").slots == 1
+
+
+def test_a_run_that_comes_gets_its_share_of_idle_slots_at_once_and_of_others_piece_by_piece() -> None:
+    """Nothing that runs is stopped; the run that gives slots back learns it from the renewal that it keeps open."""
+    server = Server(4)
+    first = server.ready("a")
+    queries = server.evaluate(first, 1, 2, 3)
+    renewal = server.ask(Renew(lease=first, known_ready=4), "a")
+    lease = server.reserve("b")
+    assert (lease.state, lease.slots) == ("preparing", 1), "the idle one"
+    assert server.answer(renewal, Lease).ready == 3
+    server.evaluate(first, 4)
+    assert server.finish(0, 1) == [], "it is assigned, and waits for the first one of its lease"
+    assert server.answers[queries[0]] == outcomes(1)
+    assert server.finish(1, 2) == [run(1, first, 4)], "and no more than the share"
+    assert [server.reserve(name).slots for name in "ab"] == [2, 2]
+
+
+def test_shares_are_even_as_far_as_runs_want_slots_and_the_earlier_ones_get_what_is_left_over() -> None:
+    server = Server(8)
+    for name, wanted in (("a", 100), ("b", 1), ("c", 100), ("d", 100)):
+        server.ready(name, slots=wanted)
+    assert [server.reserve(name).slots for name in "abcd"] == [3, 1, 2, 2]
+
+
+def test_what_a_run_gives_back_to_others_it_gets_again_when_these_end() -> None:
+    server = Server(2)
+    server.ready("a")
+    second = server.ready("b")
+    assert [server.reserve(name).slots for name in "ab"] == [1, 1]
+    server.ask(Release(lease=second), "b")
+    assert server.reserve("a").slots == 2
+
+
+def test_more_runs_than_slots_do_not_take_them_from_each_other() -> None:
+    server = Server(2)
+    for name in "abc":
+        server.ready(name)
+    assert [server.reserve(name).slots for name in "abc"] == [1, 1, 0]
+
+
+def test_a_slot_that_is_prepared_for_a_run_of_too_many_goes_to_another_when_that_is_done() -> None:
+    server = Server(2)
+    server.reserve("a", simulator="other")
+    server.feed(Prepared(0, PROBE, 0.5))
+    server.reserve("b")
+    assert server.states() == ["PREPARING", "PREPARING"], "the idle one is prepared anew"
+    server.feed(Prepared(0, PROBE, 0.5))
+    assert [server.reserve(name, simulator=kind).slots for name, kind in (("a", "other"), ("b", "minisim"))] == [1, 1]
 
 
 def test_free_slots_go_to_leases_in_the_order_the_leases_were_made() -> None:
@@ -233,8 +282,8 @@ def test_a_slot_prepared_for_the_same_problem_is_ready_at_once() -> None:
     first = server.ready("a", slots=2)
     server.ready("b", slots=1)
     server.ask(reserve(slots=3), "c")
-    server.ask(Release(lease=first), "a")
     assert server.commands == [Prepare(0, reserve(slots=3), probe=True, known=True)]  # its probe is not known yet
+    server.ask(Release(lease=first), "a")
     assert server.feed(Prepared(0, PROBE, 0.5)) == []
     assert server.reserve("c").ready == 2
 
@@ -426,10 +475,10 @@ def test_a_higher_epoch_takes_the_slots_over() -> None:
 
 
 def test_who_takes_over_does_not_queue_behind_those_who_waited_meanwhile() -> None:
-    server = Server()
+    server = Server(1)
     server.ready("a", nonce=1, epoch=0)
     server.reserve("b")
-    assert server.reserve("a", nonce=2, epoch=1).slots == 2
+    assert server.reserve("a", nonce=2, epoch=1).slots == 1
     assert server.reserve("b").slots == 0
 
 
@@ -521,7 +570,7 @@ def test_batches_wait_for_slots_that_are_prepared() -> None:
 
 
 def test_a_lease_without_slots_takes_no_batch() -> None:
-    server = Server()
+    server = Server(1)
     server.ready("a")
     lease = server.reserve("b").lease
     assert code(server.asked(evaluate(lease, 1), "b")) == "busy"
@@ -853,7 +902,6 @@ def test_a_free_slot_whose_process_died_is_not_taken_for_prepared() -> None:
     server = Server(2)
     first = server.ready("a", slots=1)
     server.ready("b", slots=2)
-    server.ask(reserve(slots=2), "c")
     server.ask(Release(lease=first), "a")
     assert server.reserve("b").ready == 2
     server.feed(Died(0, 0, "killed"))
@@ -861,7 +909,7 @@ def test_a_free_slot_whose_process_died_is_not_taken_for_prepared() -> None:
 
 
 def test_a_problem_that_cannot_be_prepared_fails_the_lease_and_frees_its_slots() -> None:
-    server = Server()
+    server = Server(1)
     lease = server.reserve("a").lease
     server.ask(reserve(simulator="other"), "b")
     queries = [*server.evaluate(lease, 1), server.ask(Renew(lease=lease, known_ready=0))]

@@ -214,6 +214,10 @@ class Server:
             assert works == bool(process.does), f"slot {slot.index} is {slot.state}, its process does {process.does!r}"
             assert slot.state not in (SlotState.READY, SlotState.BUSY) or process.prepared
             assert process.prepared or slot.setup is None or process.does, "a fresh process is taken for prepared"
+        shares, free = self.slots._shares(), sum(slot.state == SlotState.FREE for slot in self.slots.slots)
+        if free and not self.slots.draining:
+            short = [token for token, share in shares.items() if len(self.slots.leases[token].slots) < share]
+            assert not short, "a slot is free, and a run has less than its share"
         assert self.slots.kept.leases() <= set(self.slots.leases)
         assert bool(self.slots.kept.bytes) == bool(self.slots.kept.leases())
         for lease in self.slots.leases.values():

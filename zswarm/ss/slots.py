@@ -1,11 +1,12 @@
 """Slots, leases and batches of a server: a pure state machine. Events and the time go in, commands come out.
 
-A lease holds slots for one run. Free slots go to the leases that want more, in the order the leases were made; a lease
-that takes over another one takes its place. A slot is prepared once for its lease's problem; the first compiles, and the
-others are prepared when it is ready, so that they find the compiled code. A batch is handed out to all slots of its lease,
-piece by piece, smaller ones towards the end; its query is answered when the last piece is done, or earlier when slots have
-nothing to do while outcomes are there that the run does not know. Outcomes are kept for a run that asks again. A process that
-has little memory left is replaced by a new one. Every query is answered once.
+A lease holds slots for one run. Leases share the slots evenly: one that has more gives slots back, each when its piece is done,
+as soon as another one has fewer; a lease that takes over another one takes its place. A slot is prepared once for its lease's
+problem; the first compiles, and the others are prepared when it is ready, so that they find the compiled code.
+
+A batch is handed out to all slots of its lease, piece by piece, smaller ones towards the end; its query is answered when the
+last piece is done, or earlier when slots have nothing to do while outcomes are there that the run does not know. Outcomes are
+kept for a run that asks again. A process that has little memory left is replaced by a new one. Every query is answered once.
 """
 
 import math
@@ -523,18 +524,51 @@ class Slots:
     # ---- slots
 
     def _assign(self, now: float) -> None:
-        """Give free slots to the leases that want more, prefering slots that are prepared already."""
-        for lease in sorted(self.leases.values(), key=lambda lease: lease.place):
-            if lease.failure or self.draining:
-                continue
+        """Give slots to the leases that have less than their share, prefering slots that are prepared already."""
+        if self.draining:
+            return
+        shares = self._shares()
+        leases = sorted((self.leases[token] for token in shares), key=lambda lease: lease.place)
+        for slot in [slot for lease in leases for slot in lease.slots if slot.state in (SlotState.READY, SlotState.ASSIGNED)]:
+            self._give_back(slot, shares, now)
+        for lease in leases:
             free = [slot for slot in self.slots if slot.state == SlotState.FREE]
             free.sort(key=lambda slot: not _same_problem(slot.setup, lease.setup))
-            for slot in free[: max(0, lease.wanted - len(lease.slots))]:
+            for slot in free[: max(0, shares[lease.token] - len(lease.slots))]:
                 slot.state, slot.lease, slot.deaths = SlotState.ASSIGNED, lease, 0
                 lease.slots.append(slot)
             self._prepare(lease, now)
             self._start(lease, now)
             self._answer_renewals(lease, now)
+
+    def _shares(self) -> dict[bytes, int]:
+        """Slots by lease: as many for each, as far as it wants them; of what cannot be divided the earlier ones have more."""
+        leases = [lease for lease in self.leases.values() if not lease.failure]
+        leases = sorted(leases, key=lambda lease: lease.place)[: len(self.slots)]
+        shares, left = {lease.token: 0 for lease in self.leases.values() if not lease.failure}, len(self.slots)
+        for number, lease in enumerate(sorted(leases, key=lambda lease: (lease.wanted, -lease.place))):
+            shares[lease.token] = min(lease.wanted, left // (len(leases) - number))
+            left -= shares[lease.token]
+        return shares
+
+    def _give_back(self, slot: Slot, shares: dict[bytes, int], now: float) -> bool:
+        """Free a slot that does nothing if its lease has more than its share, and another one less than that is coming for."""
+        lease = slot.lease
+        if lease is None or len(lease.slots) <= shares.get(lease.token, len(self.slots)):
+            return False
+        missing = sum(max(0, share - len(self.leases[token].slots)) for token, share in shares.items())
+        if missing <= sum(slot.state in (SlotState.FREE, SlotState.STOPPING) for slot in self.slots):
+            return False
+        lease.slots.remove(slot)
+        slot.state, slot.lease = SlotState.FREE, None
+        self._log("slot_given_back", user=lease.user, run=lease.run, slot=slot.index)
+        self._answer_renewals(lease, now)
+        return True
+
+    def _share(self, slot: Slot, now: float) -> None:
+        """A slot has done its piece, or was prepared: it may be another lease's turn."""
+        if len(self.leases) > 1 and not self.draining and self._give_back(slot, self._shares(), now):
+            self._assign(now)
 
     def _prepare(self, lease: Held, now: float) -> None:
         preparing = any(slot.state == SlotState.PREPARING for slot in lease.slots)
@@ -558,6 +592,7 @@ class Slots:
         if not lease.probe:
             lease.probe, lease.probe_s, lease.trial_s = event.probe, event.trial_s, event.trial_s
             self._log("lease_ready", user=lease.user, run=lease.run, trial_s=event.trial_s)
+        self._share(slot, now)
         self._prepare(lease, now)
         self._start(lease, now)
         self._answer_renewals(lease, now)
@@ -627,6 +662,7 @@ class Slots:
                 batch.refusal = reply
                 self._close(lease, batch)
         self._conclude_if_done(lease, batch, now)
+        self._share(slot, now)
         if event.worn:
             self._prepare(lease, now)
             self._answer_renewals(lease, now)
