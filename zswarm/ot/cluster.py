@@ -408,8 +408,9 @@ class Cluster:
 
         if ask.server not in self._senders:
             self._senders[ask.server] = session.Sender(ask.server)
-        at_once = may_send and len(body) < AT_ONCE and not self._waited_for[ask.server]
+        at_once = False
         if verb == "evaluate":
+            at_once = may_send and len(body) < AT_ONCE and not self._waited_for[ask.server]
             self._unanswered[question] = ask.server
             self._waited_for[ask.server] += 1
         if not self._senders[ask.server].send(send, at_once=at_once):
