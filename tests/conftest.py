@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 
 import pytest
@@ -13,6 +15,19 @@ settings.load_profile("ci" if os.environ.get("CI") else "local")
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # begun in the background of a shell: programs that tests start hear Ctrl-C
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+EVERY_KERNEL = """
+from zswarm import plugins
+for kind in ("representation", "simulator"):
+    for name in plugins.BUNDLED[kind]:
+        plugins.load(kind, name)
+"""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile what is not in the cache before there are several workers: each would compile all of it."""
+    if not hasattr(config, "workerinput") and config.getoption("numprocesses", None):
+        subprocess.run([sys.executable, "-c", EVERY_KERNEL], capture_output=True, check=False)  # what fails fails in its test
 
 
 @pytest.fixture(autouse=True)
