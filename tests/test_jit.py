@@ -7,10 +7,12 @@ import sys
 import tempfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import zswarm
 from zswarm import jit, plugins
+from zswarm.lanes import load, store
 from zswarm.version_hash import cache_hash
 
 PACKAGE = Path(zswarm.__file__).parent
@@ -249,3 +251,18 @@ def test_the_cache_is_ours_when_the_program_imported_numba_before(tmp_path: Path
     folder, without_svml = run(code, tmp_path, tmp_path / "cache", PYTHONPATH=str(PACKAGE.parent))
     assert Path(folder) == tmp_path / "cache" / cache_hash()
     assert without_svml == "1"
+
+
+@jit.kernel(jit.void(jit.array(jit.float32), jit.array(jit.float32)))
+def roots(numbers, made):  # type: ignore[no-untyped-def]  # compiled
+    """The first eight as lanes, the others one by one."""
+    store(made, 0, jit.sqrt(load(numbers, 0)))
+    for index in range(8, numbers.shape[0]):
+        made[index] = jit.sqrt(numbers[index])
+
+
+def test_square_roots_are_those_of_numpy_in_kernels_and_in_lanes() -> None:
+    numbers = np.concatenate([np.float32([0, 1, 2, np.inf, 1e-45]), np.arange(1000, dtype=np.float32) / 7])
+    made = np.empty_like(numbers)
+    roots(numbers, made)
+    assert made.tobytes() == jit.sqrt(numbers).tobytes() == np.sqrt(numbers).tobytes()
