@@ -170,7 +170,7 @@ def with_vmas(_: str, agents: int) -> Row:
         import torch
         import vmas
     except ImportError as error:
-        raise NotThereError(f"{error}; `make bench-peers` installs it") from error
+        raise NotThereError(f"{error}; `make bench` installs it") from error
     if agents > AGENTS[0]:
         raise NotThereError(f"measured at {AGENTS[0]} agents only")
     torch.set_num_threads(1)
