@@ -234,7 +234,7 @@ def test_random_controllers_do_badly_and_one_written_by_hand_does_better(task: s
 @pytest.mark.long
 @pytest.mark.parametrize("task", TASKS)
 def test_evolving_beats_the_controller_written_by_hand_or_in_foraging_is_level_with_it_on_unseen_seeds(task: str) -> None:
-    """As the example of the task has it; up to half a minute of computing each. More generations than the example's do not help foraging."""
+    """As the example of the task has it; up to half a minute of computing each. More generations do not help foraging."""
     example = experiment.load(experiment.find(f"arena-{task}"), [])
     parts = run.build(experiment.complete(example, "test"))
     problem, champion, best = parts.problem, b"", -np.inf
