@@ -19,7 +19,7 @@ HERE = Path(__file__).resolve().parent
 BUILD = HERE.parent / "build"
 PYTHON = BUILD / "peers" / "bin" / "python"
 COMMANDS = {script: [f"{script}.py"] for script in ("runs", "startup", "scaling", "kernels", "dispatch")}
-COMMANDS["scale"] = ["-m", "scale"]
+COMMANDS["scale"] = ["-m", "scale"]  # of zswarm alone, with a chart: in the environment of this
 
 
 def main() -> None:
@@ -35,7 +35,9 @@ def main() -> None:
     begin, failed = time.monotonic(), []
     for name in names:
         print(f"\n# {name}\n", flush=True)
-        command = [PYTHON, *COMMANDS[name], "--folder", folder, *(["--quick"] if options.quick else [])]
+        command = [sys.executable if name == "scale" else PYTHON, *COMMANDS[name], "--folder", folder]
+        if options.quick:
+            command += ["--quick", *(["--chart", to / "scale.png"] if name == "scale" else [])]
         if subprocess.run(command, cwd=HERE, check=False).returncode:
             failed.append(name)
     file = merged(names, folder, to / "results.json" if options.quick else page.RESULTS)
@@ -43,7 +45,8 @@ def main() -> None:
         (to / "docs").mkdir(exist_ok=True)
         shutil.copy(HERE.parent / "README.md", to)
     print(f"\n# the page, after {(time.monotonic() - begin) / 60:.0f} minutes\n", flush=True)
-    made = subprocess.run([sys.executable, HERE / "page.py", "--results", file, "--to", to], check=False).returncode
+    command = [sys.executable, HERE / "page.py", "--results", file, "--to", to, *(["--draft"] if options.quick else [])]
+    made = subprocess.run(command, check=False).returncode
     if failed:
         sys.exit(f"failed: {', '.join(failed)}; what they left before is still in the page")
     sys.exit(made)

@@ -14,13 +14,14 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from leased import free_port, wait_for_port
+from leased import free_port
 from machine import program_of
 from work import WORKS
 
@@ -69,7 +70,7 @@ class Broker(AbstractContextManager["Broker"]):
                 f"max_queued_messages 0\nset_tcp_nodelay {'true' if self.nodelay else 'false'}\n"
             )
             _started(stack, [program, "-c", str(settings)])
-            wait_for_port(port)
+            _wait_for_port(port)
             self.client = connected(port, self.nodelay)
             stack.callback(self.client.disconnect)
             ready, subscribed = threading.Semaphore(0), threading.Event()
@@ -171,6 +172,18 @@ def _started(stack: ExitStack, command: list[str]) -> None:
             process.wait()
 
     stack.callback(end)
+
+
+def _wait_for_port(port: int) -> None:
+    deadline = time.monotonic() + WAIT_S
+    while True:
+        try:
+            socket.create_connection(("127.0.0.1", port), 1.0).close()
+            return
+        except OSError:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.02)
 
 
 def serve(port: int, number: int, nodelay: bool) -> None:

@@ -15,7 +15,6 @@ from typing import Any
 
 from work import TASK_S
 
-WAIT_S = 120.0
 HIDDEN = 15  # with one input and one output: genomes of 288 float32
 
 PLUGIN = '''
@@ -139,19 +138,6 @@ def free_port() -> int:
     """A port of this machine that nobody listens at."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         return free.getsockname()[1]
-
-
-def wait_for_port(port: int) -> None:
-    """Until somebody listens there."""
-    deadline = time.monotonic() + WAIT_S
-    while True:
-        try:
-            socket.create_connection(("127.0.0.1", port), 1.0).close()
-            return
-        except OSError:
-            if time.monotonic() > deadline:
-                raise
-            time.sleep(0.02)
 
 
 def random_genomes(size: int) -> list[bytes]:

@@ -50,8 +50,8 @@ def main() -> None:
         endpoints = [f"tcp/127.0.0.1:{leased.free_port()}" for _ in range(max(sizes))]
         for number, endpoint in enumerate(endpoints):
             stack.enter_context(leased.daemon(1, endpoint, "--name", f"s{number}"))
-        for endpoint in endpoints:
-            leased.wait_for_port(int(endpoint.rpartition(":")[2]))
+        with leased.leased(endpoints, len(endpoints), {}):
+            pass  # now all of them are there: a run waits 10 s for the number that it is told
         for work in WORKS:
             optimize(work, endpoints)  # once to warm all of them up
         for number in range(rounds):
