@@ -88,7 +88,7 @@ def kernels(found: Found, figure: Any) -> None:
         middles = [place + (number - len(variants) / 2 + 0.5) * width for place in places]
         bars = axes.bar(middles, values, width * 0.95, label=label, color=COLOURS[number % 9])
         axes.bar_label(bars, [f"{value / 1e3:,.0f}k" if value < 1e6 else f"{value / 1e6:.1f}M" for value in values], fontsize=8)
-    axes.set(title=f"{flagship}, one core", ylabel="agent-steps per second", yscale="log")
+    axes.set(title=f"{flagship}, one core", ylabel="agent-steps per second", yscale="log", ylim=(1e3, 3 * max(rate.values())))
     axes.set_xticks(range(len(sizes)), [f"{agents} agents" for agents in sizes])
     axes.grid(visible=False, axis="x")
     figure.legend(loc="outside right center", fontsize=9)
