@@ -920,6 +920,16 @@ def test_a_fault_of_a_trial_that_is_told_done_is_taken_for_one_of_another() -> N
     assert (optimizer.counted, trials(asks)) == ([0], [1])
 
 
+def test_a_fault_that_tells_the_last_outcomes_is_nobodys() -> None:
+    """Which no server says, either; the workload is complete."""
+    optimizer = Optimizer()
+    optimizer.join("a")
+    (ask,) = optimizer.work(1)
+    done = {"trials": codec.indices([0]), "fitness": bytes(8), "seconds": 1.0}
+    assert optimizer.answer(ask, Fault(batch=ask.batch, kind="crashed", trial=0, reason="", **done)) == []  # type: ignore[arg-type]
+    assert optimizer.commands[-1] == Complete()
+
+
 def test_a_fault_is_tried_on_servers_where_it_did_not_happen() -> None:
     optimizer = Optimizer()
     optimizer.join("a", "b", "c")

@@ -168,6 +168,23 @@ def test_what_a_wrong_server_counted_for_is_evaluated_again_elsewhere() -> None:
     assert set(workload.source) == {"b"}
 
 
+def test_a_check_of_what_was_retracted_may_come_after_the_end() -> None:
+    """The trials were counted anew by others; by these checks they are not verified again."""
+    optimizer = Optimizer(verify=0.3)
+    optimizer.join("a", slots=3)
+    (ask,) = optimizer.work(3)
+    optimizer.join("b", "c")
+    late, check = optimizer.answer(ask, outcomes(ask))
+    assert (late.server, trials([late]), check.server, trials([check])) == ("b", [0], "c", [2])
+    optimizer.answer(check, outcomes(check, 7.0))
+    asks = [ask for ask in optimizer.feed(settle(2, 7.0)) if ask.verb == "evaluate"]
+    while asks:
+        asks += optimizer.answer(asks[0], outcomes(asks.pop(0)))
+    assert optimizer.commands[-1] == Complete()
+    assert optimizer.answer(late, outcomes(late)) == []
+    assert optimizer.commands == []
+
+
 def test_both_are_used_no_more_when_both_were_wrong() -> None:
     optimizer, check = verified_once()
     optimizer.answer(check, outcomes(check, 8.0))

@@ -516,7 +516,7 @@ class Dispatch:
         self._put_aside(server, now + ASIDE_S)
 
     def _batch_answered(self, server: Server, batch: Batch, reply: Reply | None, now: float) -> None:
-        if server.batches.get(batch.id) is not batch:
+        if self._workload is None or server.batches.get(batch.id) is not batch:
             if isinstance(reply, Outcomes):
                 self.late += len(batch.trials)  # it was given elsewhere, or its workload ended
             return
@@ -579,8 +579,8 @@ class Dispatch:
                 raise RemoteProtocolError(f"batch {batch.id} was answered with batch {reply.batch}")
             rows, fitness, metrics = codec.outcomes(reply, len(batch.trials), self._participants, self._metrics)
         except RemoteProtocolError as error:
-            if server.batches.pop(batch.id, None) is not None or not isinstance(reply, Running):
-                self._give_back(batch)
+            server.batches.pop(batch.id, None)
+            self._give_back(batch)
             self._drop(server, "malformed", str(error), now)
             return False
         if not len(rows):
@@ -625,11 +625,9 @@ class Dispatch:
     # ---- faults
 
     def _faulted(self, server: Server, batch: Batch, index: int, text: str, now: float) -> None:
-        workload = self._workload
-        assert workload is not None  # noqa: S101  the server's batches are of it
-        rest = batch.rest()
-        if not len(rest):
-            return  # it blames a trial whose outcome it told
+        workload, rest = self._workload, batch.rest()
+        if workload is None or not len(rest):
+            return  # it blames a trial whose outcome it told, or that nobody waits for any more
         trial = int(batch.trials[min(index, len(batch.trials) - 1)])
         if trial not in rest:
             trial = int(rest[0])
