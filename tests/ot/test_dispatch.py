@@ -27,7 +27,7 @@ from zswarm.ot.dispatch import (
 )
 from zswarm.ot.workload import Workload
 from zswarm.protocol import codec
-from zswarm.protocol.messages import Done, Fault, Outcomes, Refused, Reply, Running
+from zswarm.protocol.messages import MAX_MESSAGE, Done, Fault, Outcomes, Refused, Reply, Running
 
 # ---- servers that come --------------------------------------------------------------------------------------------
 
@@ -764,6 +764,19 @@ def test_a_batch_fits_into_a_message_whatever_genome_is_the_largest() -> None:
     (first, _) = optimizer.feed(Work(Workload(genomes, np.arange(100).reshape(-1, 1), np.zeros(100, np.uint64), 0)))
     sent, _, _ = optimizer.workload.batch(first.trials)  # type: ignore[arg-type]
     assert sum(map(len, sent)) < 8 << 20
+
+
+def test_the_outcomes_of_a_batch_fit_into_a_message_however_many_metrics_there_are() -> None:
+    """One that is too large is dropped whenever it is asked for: the run would not go on."""
+    optimizer = Optimizer()
+    optimizer.dispatch = Dispatch(1, 1000, wanted_slots=100, quarantine=False)
+    optimizer.join("a", slots=64, trial_s=1e-4)
+    count = 1500
+    asks = optimizer.feed(Work(Workload([b"g"], np.zeros((count, 1), int), np.zeros(count, np.uint64), 1000)))
+    told = len(asks[0].trials)  # type: ignore[arg-type]
+    assert told > 64
+    answer = Outcomes(batch=asks[0].batch, fitness=bytes(8 * told), metrics=bytes(8000 * told), seconds=1.0)
+    assert len(codec.encode(answer)) <= MAX_MESSAGE
 
 
 def test_a_batch_holds_the_genomes_its_trials_need_and_indices_into_these() -> None:

@@ -848,8 +848,9 @@ class Dispatch:
             smallest = server.ready * SMALLEST_BATCH_S / server.trial_s
             largest = server.ready * max(1.0, BATCH_S / server.trial_s, len(self._serving) * SERVER_S / server.trial_s)
             least = max(least, int(min(max(share, smallest), largest)))
-        trial_bytes = (self._genome_bytes + 16) * self._participants + 16
-        fits = min(MAX_TRIALS, MAX_GENOMES // self._participants, MAX_MESSAGE // 2 // trial_bytes)
+        sent = (self._genome_bytes + 16) * self._participants + 16
+        answered = 8 * (self._participants + self._metrics) + 4
+        fits = min(MAX_TRIALS, MAX_GENOMES // self._participants, MAX_MESSAGE // 2 // max(sent, answered))
         return max(1, min(least, fits))
 
     # ---- questions
