@@ -5,21 +5,28 @@ import threading
 import time
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 import zenoh
 
 from zswarm import session
 from zswarm.ot import cluster
 from zswarm.ot.cluster import Cluster
+from zswarm.ot.dispatch import Answered, Event, Gone, Seen, Verb, Work
 from zswarm.ot.requests import Wanted, Who
+from zswarm.ot.workload import Workload
 from zswarm.protocol import codec, keys
-from zswarm.protocol.messages import Offer, Part
+from zswarm.protocol.messages import Lease, Offer, Part, Reply
 from zswarm.session import Reach
 
 WANTED = Wanted(
     Part("none", {}), Part("none", {}), "", 1, 0, 60.0, trial_memory_mb=0, slots=1, quarantine=False, verify=0.0, probe=b""
 )
 WHO = Who("default", "ada", "run-1", 0, bytes(16))
+
+
+OFFER = Offer(server="", program="", machine="", capacity=1, free=1, leases=0, simulators=[], representations=[])
+LEASE = Lease(lease=bytes(16), state="ready", slots=1, ready=1, lease_s=60.0, probe=b"digest", trial_s=1.0)
 
 
 def free_port() -> int:
@@ -76,3 +83,79 @@ def test_an_answer_counts_when_it_comes_not_when_the_query_ends(monkeypatch: pyt
             query.drop()
     token.undeclare()
     session.close(listening)
+
+
+# ---- batches that go without a server's own thread ----------------------------------------------------------------
+
+
+class Asking:
+    """A cluster whose sessions send nothing, and who was asked by which thread."""
+
+    def __init__(self, *, through_router: bool = False) -> None:
+        self.cluster = Cluster(WHO, WANTED, reach=Reach(["tcp/127.0.0.1:1"], multicast=False, through_router=through_router))
+        self.batches: list[tuple[str, str]] = []  # server and thread
+        self._here = threading.current_thread()
+
+    def get(self, key: str, *_: object, **__: object) -> None:
+        """As of a session."""
+        server, verb = key.split("/")[4], key.split("/")[-1]
+        if verb == "evaluate":
+            thread = threading.current_thread()
+            self.batches.append((server, "this one" if thread is self._here else thread.name))
+
+    def feed(self, event: Event) -> None:
+        self.cluster._happened(event, may_send=True)
+
+    def join(self, server: str) -> None:
+        self.cluster._home[server] = self  # type: ignore[assignment]
+        self.feed(Seen(server))
+        self.answer(server, "offer", OFFER)
+        self.answer(server, "reserve", LEASE)
+
+    def answer(self, server: str, verb: Verb, reply: Reply | None) -> None:
+        questions = self.cluster._dispatch._questions.items()
+        (number,) = [number for number, question in questions if (question.server, question.verb) == (server, verb)]
+        self.feed(Answered(number, reply))
+
+    def work(self, trials: int) -> None:
+        """Until its batches, one for each trial, are on the way."""
+        already = len(self.batches)
+        self.feed(Work(Workload([b"g"], np.zeros((trials, 1), int), np.zeros(trials, np.uint64), 0)))
+        wait_until(lambda: len(self.batches) == already + trials, "batches are sent")
+
+    def close(self) -> None:
+        for sender in self.cluster._senders.values():
+            sender.close()
+
+
+@pytest.mark.parametrize(("through_router", "second"), [(False, "this one"), (True, "send-lab-2")])
+def test_a_batch_goes_at_once_while_nothing_is_unanswered_on_its_link(through_router: bool, second: str) -> None:
+    """Through a router all servers are behind one link, on which a large batch to another one may wait."""
+    asking = Asking(through_router=through_router)
+    asking.join("lab-1")
+    asking.join("lab-2")
+    asking.work(2)
+    assert sorted(asking.batches) == [("lab-1", "this one"), ("lab-2", second)]
+    asking.close()
+
+
+def test_a_batch_waits_for_the_servers_thread_while_one_is_unanswered() -> None:
+    asking = Asking()
+    asking.join("lab-1")
+    asking.work(2)
+    assert asking.batches == [("lab-1", "this one"), ("lab-1", "send-lab-1")]
+    asking.close()
+
+
+def test_a_server_that_is_back_is_not_taken_for_one_that_owes_answers_or_has_too_many_given() -> None:
+    asking = Asking()
+    asking.join("lab-1")
+    asking.work(1)
+    asking.work(0)  # what is out is cancelled
+    asking.feed(Gone("lab-1"))
+    asking.answer("lab-1", "evaluate", None)
+    asking.join("lab-1")
+    asking.batches.clear()
+    asking.work(2)
+    assert asking.batches == [("lab-1", "this one"), ("lab-1", "send-lab-1")]
+    asking.close()

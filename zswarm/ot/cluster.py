@@ -326,6 +326,8 @@ class Cluster:
             self._workload = event.workload
         elif isinstance(event, dispatch.Answered) and (server := self._unanswered.pop(event.question, "")):
             self._waited_for[server] -= 1
+            if not self._waited_for[server]:
+                del self._waited_for[server]
         commands = self._dispatch.handle(event, time.monotonic())
         self._changed |= not (isinstance(event, dispatch.Answered) and isinstance(event.reply, Outcomes | Running))
         for command in commands:
@@ -362,7 +364,6 @@ class Cluster:
         """End the senders of servers that left: one that is restarted is another server."""
         for server in [server for server in self._senders if self._dispatch.servers[server].phase == dispatch.Phase.IDLE]:
             self._senders.pop(server).close()
-            del self._waited_for[server]
 
     def _standing(self) -> Standing:
         state = self._dispatch
@@ -410,7 +411,8 @@ class Cluster:
             self._senders[ask.server] = session.Sender(ask.server)
         at_once = False
         if verb == "evaluate":
-            at_once = may_send and len(body) < AT_ONCE and not self._waited_for[ask.server]
+            waited_for = self._unanswered if self._reach.through_router else self._waited_for[ask.server]  # on its link
+            at_once = may_send and len(body) < AT_ONCE and not waited_for
             self._unanswered[question] = ask.server
             self._waited_for[ask.server] += 1
         if not self._senders[ask.server].send(send, at_once=at_once):
