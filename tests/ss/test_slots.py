@@ -714,7 +714,7 @@ def test_a_batch_that_cannot_be_cut_goes_to_a_slot_whole_which_refuses_it(wrong:
     assert len(server.commands) == (2 if whole else 1)
     refused = Refused(code="malformed", reason="no")
     for slot in range(len(server.commands)):
-        server.feed(Finished(slot, codec.encode(refused), played=False))
+        server.feed(Finished(slot, codec.encode(refused)))
     assert server.answers[query] == refused
 
 
@@ -1202,7 +1202,7 @@ def test_trials_are_counted_when_their_outcomes_are_there() -> None:
     held = server.slots.leases[lease]
     assert (server.slots.trials, held.trials, server.slots.seconds) == (1, 1, 0.5)
     server.now += 0.25
-    server.feed(Finished(0, codec.encode(Refused(code="malformed", reason="it does not fit")), played=False))
+    server.feed(Finished(0, codec.encode(Refused(code="malformed", reason="it does not fit"))))
     assert (server.slots.trials, held.trials, server.slots.seconds) == (1, 1, 0.75)
     server.evaluate(lease, 3)
     server.ask(Cancel(lease=lease, batches=[3]))

@@ -314,7 +314,7 @@ class Server:
                 worker.kill()
                 return slots.Died(index, trial, body.decode(), "memory")
             case _:
-                return slots.Finished(index, body, worn=letter == b"W", played=letter != b"B")
+                return slots.Finished(index, body, worn=letter == b"W")
 
     def _handle(self, event: slots.Event) -> None:
         for command in self.slots.handle(event, time.monotonic()):

@@ -103,12 +103,11 @@ class Unprepared(msgspec.Struct, frozen=True):
 
 
 class Finished(msgspec.Struct, frozen=True):
-    """A slot's piece ended; ``reply`` is the encoded answer."""
+    """A slot's piece ended; ``reply`` is the encoded answer: outcomes, or why it is no batch."""
 
     slot: int
     reply: bytes
     worn: bool = False  # its process has little memory left
-    played: bool = True  # the reply is outcomes
 
 
 class Exhausted(msgspec.Struct, frozen=True):

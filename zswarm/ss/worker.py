@@ -2,9 +2,9 @@
 
 Children are forked from a fork server that has numba loaded and never touched zenoh. A frame on the pipe is one letter and
 a body: ``P`` prepare with the probe, ``Q`` prepare without, ``E`` evaluate; back come ``H`` here (once, when the process is
-warm), ``R`` ready, ``F`` failed, ``O`` done, ``B`` done but no batch, ``W`` done and worn (little memory is left), ``X``
-exhausted (no memory is left for the rest of the batch), and ``M`` (one trial, or preparing, took all memory). A child ends when
-its pipe closes, and is killed when the fork server ends.
+warm), ``R`` ready, ``F`` failed, ``O`` done, ``W`` done and worn (little memory is left), ``X`` exhausted (no memory is left
+for the rest of the batch), and ``M`` (one trial, or preparing, took all memory). A child ends when its pipe closes, and is
+killed when the fork server ends.
 
 The fork server starts processes and reports how they ended; while it stands still it does neither. So a thread asks it for
 processes, and what was killed is waited for no longer than a moment: the caller never hangs.
@@ -344,7 +344,7 @@ class Evaluator:
                 raise RemoteProtocolError("not a batch")
             done, alone, pieces = self._play(batch, progress)
         except (ValueError, RemoteProtocolError) as error:
-            return b"B", codec.encode(Refused(code="malformed", reason=codec.clean(str(error))))
+            return b"O", codec.encode(Refused(code="malformed", reason=codec.clean(str(error))))
         outcomes = Outcomes(
             batch=batch.batch,
             fitness=b"".join(piece.fitness.astype("<f8", copy=False).tobytes() for piece in pieces),
