@@ -147,7 +147,7 @@ def test_a_run_that_was_taken_over_fails() -> None:
 # ---- leases that last and end -------------------------------------------------------------------------------------
 
 
-def test_a_lease_is_renewed_when_nothing_was_asked_for_a_while() -> None:
+def test_a_lease_is_renewed_after_a_while() -> None:
     optimizer = Optimizer()
     optimizer.join("a")
     assert optimizer.dispatch.next_time() == optimizer.now + RENEW_S
@@ -172,13 +172,18 @@ def test_a_renewal_is_not_asked_twice_whatever_else_is_answered() -> None:
     assert optimizer.feed(Tick()) == []
 
 
-def test_work_that_is_asked_puts_the_renewal_off() -> None:
+def test_a_run_that_always_asks_hears_that_slots_went_to_others() -> None:
     optimizer = Optimizer()
-    optimizer.join("a")
+    optimizer.join("a", slots=4)
     optimizer.wait(RENEW_S - 1.0)
-    assert len(optimizer.work(1)) == 1
-    assert optimizer.wait(RENEW_S - 1.0) == []
+    asks = optimizer.work(100)
     assert verbs(optimizer.wait(1.0)) == [("a", "renew")]
+    optimizer.answer(optimizer.asked["a", "renew"], lease("a", 2))
+    assert optimizer.dispatch.slots() == 2
+    assert optimizer.asked["a", "renew"].known_ready == 2, "the server is to say when they come back"
+    assert [len(ask.trials) for ask in asks] == [4, 4]  # type: ignore[arg-type]
+    (ask,) = optimizer.answer(asks[0], outcomes(asks[0]))
+    assert len(ask.trials) == 2  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("verb", ["renew", "evaluate"])

@@ -38,7 +38,7 @@ DEPTH = 2  # batches out per server: of one trials run, the other waits
 BATCH_S = 0.075  # of work in a batch for each slot, by measured time
 SERVER_S = 0.002  # of work for each slot for each server that serves: messages cost the optimizer a quarter of its time at most
 SMALLEST_BATCH_S = 0.003  # of work for each slot: shorter than the way to a server and back, two batches would not keep it busy
-RENEW_S = 20.0  # a third of the lease time
+RENEW_S = 20.0  # a third of the lease time; whatever else is asked, for slots may have gone to other runs
 RETRY_S = (0.05, 0.2, 1.0)  # before asking again after an empty answer; then the server is put aside
 PAUSE_S = 1.0  # before a server that has no room, or not our lease any more, is asked again
 ASIDE_S = 30.0  # before a server that did not answer is looked at again, unless it is seen again before
@@ -212,7 +212,7 @@ class Server(msgspec.Struct, eq=False):
     slots: int = 0
     ready: int = 0
     trial_s: float = 0.0  # measured, 0.0: not yet
-    last_asked: float = 0.0
+    renewed: float = 0.0  # its lease was asked for then
     renewing: bool = False
     paused_until: float = 0.0  # it had no room for a batch
     batches: dict[int, Batch] = {}
@@ -438,7 +438,7 @@ class Dispatch:
         if not server.trial_s:
             server.trial_s = lease.trial_s
         self._changed |= lease.ready != was_ready
-        self._renew_by(server.last_asked + RENEW_S)
+        self._renew_by(server.renewed + RENEW_S)
         if lease.ready and not was_ready:
             self._note("server_joined", server.id, count=lease.ready)
         if server.ready < min(self._wanted, server.capacity):
@@ -467,7 +467,7 @@ class Dispatch:
             return
         if verb == "renew" and question.lease == server.lease:
             server.renewing = False
-            self._renew_by(server.last_asked + RENEW_S)
+            self._renew_by(server.renewed + RENEW_S)
         if server.phase != ASKED_IN.get(verb) or question.lease != server.lease:
             return  # to a cancel or release, or to what has changed since
         if reply is not None:
@@ -857,8 +857,9 @@ class Dispatch:
 
     def _ask(self, server: Server, verb: Verb, now: float, *, batch: Batch | None = None, batches: tuple[int, ...] = ()) -> None:
         number = self._next_number()
-        server.last_asked = now
-        self._renew_by(now + RENEW_S)
+        if verb in ("reserve", "renew"):
+            server.renewed = now
+            self._renew_by(now + RENEW_S)
         self._questions[number] = Question(server.id, verb, server.lease, batch)
         self._commands.append(
             Ask(
@@ -890,10 +891,10 @@ class Dispatch:
                 else:
                     self._ask(server, question.verb, now)
         for server in self.servers.values():
-            if server.phase == Phase.LEASED and server.last_asked + RENEW_S <= now:
+            if server.phase == Phase.LEASED and server.renewed + RENEW_S <= now:
                 self._renew(server, now)
         self._renewal = min(
-            (s.last_asked + RENEW_S for s in self.servers.values() if s.phase == Phase.LEASED and not s.renewing),
+            (s.renewed + RENEW_S for s in self.servers.values() if s.phase == Phase.LEASED and not s.renewing),
             default=float("inf"),
         )
 
