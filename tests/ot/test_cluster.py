@@ -119,7 +119,8 @@ class Asking:
 
     def work(self, trials: int) -> None:
         """Until its batches, one for each trial, are on the way."""
-        already = len(self.batches)
+        already, senders = len(self.batches), self.cluster._senders.values()
+        wait_until(lambda: not any(sender._calls.unfinished_tasks for sender in senders), "nothing else is")
         self.feed(Work(Workload([b"g"], np.zeros((trials, 1), int), np.zeros(trials, np.uint64), 0)))
         wait_until(lambda: len(self.batches) == already + trials, "batches are sent")
 
