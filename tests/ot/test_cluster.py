@@ -3,7 +3,7 @@
 import socket
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ import zenoh
 
 from zswarm import session
 from zswarm.ot import cluster
-from zswarm.ot.cluster import Cluster
+from zswarm.ot.cluster import Cluster, Item
 from zswarm.ot.dispatch import Answered, Event, Gone, Seen, Verb, Work
 from zswarm.ot.requests import Wanted, Who
 from zswarm.ot.workload import Workload
@@ -88,6 +88,10 @@ def test_an_answer_counts_when_it_comes_not_when_the_query_ends(monkeypatch: pyt
 # ---- batches that go without a server's own thread ----------------------------------------------------------------
 
 
+def interrupted(*_: object, **__: object) -> None:
+    raise KeyboardInterrupt
+
+
 class Asking:
     """A cluster whose sessions send nothing, and who was asked by which thread."""
 
@@ -117,12 +121,21 @@ class Asking:
         (number,) = [number for number, question in questions if (question.server, question.verb) == (server, verb)]
         self.feed(Answered(number, reply))
 
+    def idle(self) -> None:
+        senders = self.cluster._senders.values()
+        wait_until(lambda: not any(sender._calls.unfinished_tasks for sender in senders), "nothing is on the way")
+
     def work(self, trials: int) -> None:
         """Until its batches, one for each trial, are on the way."""
-        already, senders = len(self.batches), self.cluster._senders.values()
-        wait_until(lambda: not any(sender._calls.unfinished_tasks for sender in senders), "nothing else is")
+        self.idle()
+        already = len(self.batches)
         self.feed(Work(Workload([b"g"], np.zeros((trials, 1), int), np.zeros(trials, np.uint64), 0)))
         wait_until(lambda: len(self.batches) == already + trials, "batches are sent")
+
+    def ctrl_c(self) -> Iterator[Item | None]:
+        """Asked for work, but for Ctrl-C while it is sent."""
+        self.get = interrupted  # type: ignore[method-assign]
+        return self.cluster.evaluate(Workload([b"g"], np.zeros((1, 1), int), np.zeros(1, np.uint64), 0))
 
     def close(self) -> None:
         for sender in self.cluster._senders.values():
@@ -159,4 +172,14 @@ def test_a_server_that_is_back_is_not_taken_for_one_that_owes_answers_or_has_too
     asking.batches.clear()
     asking.work(2)
     assert asking.batches == [("lab-1", "this one"), ("lab-1", "send-lab-1")]
+    asking.close()
+
+
+def test_ctrl_c_while_work_is_handed_in_is_raised_at_once_and_keeps_nobody_out() -> None:
+    asking = Asking()
+    asking.join("lab-1")
+    asking.idle()
+    with pytest.raises(KeyboardInterrupt):
+        asking.ctrl_c()
+    assert not asking.cluster._owner.locked()
     asking.close()

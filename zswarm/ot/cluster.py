@@ -280,7 +280,7 @@ class Cluster:
         """Handle it here and now if nothing else goes on, or have it handled.
 
         Args:
-            may_send: this thread may wait for a lock of zenoh's.
+            may_send: this is the caller's thread, which may wait for a lock of zenoh's.
         """
         if not self._inbox.empty() or not self._owner.acquire(blocking=False):
             self._inbox.put(event)
@@ -291,6 +291,8 @@ class Cluster:
             if self._dispatch.next_time() < self._awake_at:
                 self._inbox.put(Woken())
         except BaseException as error:  # as in the thread
+            if may_send:  # Ctrl-C, most times: it is not kept until the caller asks what happened
+                raise
             self._stop(error)
         finally:
             self._owner.release()
