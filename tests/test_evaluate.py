@@ -134,6 +134,17 @@ def test_no_trials_have_no_outcomes(duel: Duel, network: FullyMeshed) -> None:
     assert outcomes.metrics.shape == (0, 2)
 
 
+@pytest.mark.parametrize("settings", [{"field": "random"}, {"field": "stadium"}])
+def test_no_trials_leave_nothing_behind_in_a_kernel(settings: dict[str, Any]) -> None:
+    """Trials that come later find the fields that they need."""
+    simulator, network = build("emergency-exit", settings | {"steps": 3}, "fully-meshed", {})
+    none = evaluate(simulator, network, [], np.zeros((0, 1), np.int64), np.zeros(0, np.uint64))
+    assert (none.fitness.shape, none.metrics.shape) == ((0, 1), (0, 2))
+    genomes, one = network.random(1, Stream(1)), (np.zeros((1, 1), np.int64), np.ones(1, np.uint64))
+    fresh, _ = build("emergency-exit", settings | {"steps": 3}, "fully-meshed", {})
+    assert evaluate(simulator, network, genomes, *one).fitness == evaluate(fresh, network, genomes, *one).fitness
+
+
 # ---- what a simulator does wrong ----------------------------------------------------------------------------------
 
 

@@ -91,6 +91,8 @@ def evaluate(
         raise ValueError(f"participants must be ({len(seeds)}, {simulator.participants}), not {participants.shape}")
     if participants.size and not 0 <= participants.min() <= participants.max() < len(genomes):
         raise ValueError(f"a participant is not among the {len(genomes)} genomes")
+    if not len(seeds):
+        return Outcomes(np.empty(participants.shape), np.empty((0, len(simulator.metrics))), "")
     parameters = representation.parameters(genomes)
     progress = np.zeros(2, np.int64) if progress is None else progress
     fitness = np.full(participants.shape, np.nan)
