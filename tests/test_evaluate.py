@@ -339,6 +339,16 @@ def deaf(self: Minisim, *arguments: Any) -> None:
     Minisim.play(self, *arguments)
 
 
+def drifting_aside(self: Minisim, *arguments: Any) -> None:
+    Minisim.play_lanes(self, *arguments)
+    arguments[-2][:] += 1e-12
+
+
+def deaf_aside(self: Minisim, *arguments: Any) -> None:
+    arguments[-3][1] = 0
+    Minisim.play_lanes(self, *arguments)
+
+
 def test_a_sound_simulator_passes_the_check() -> None:
     check_simulator(Duel)
     check_simulator(Duel, {"rounds": 1})
@@ -360,7 +370,9 @@ def test_a_sound_simulator_passes_the_check() -> None:
         (ChangesActions, "must not change the actions"),
         (BadSeeds, "fixed_seeds"),
         (type("Drifting", (Minisim,), {"play": drawing_elsewhere}), "the turns and the compiled form differ"),
-        (type("Deaf", (Minisim,), {"play": deaf}), "must end before the next trial"),
+        (type("Deaf", (Minisim,), {"play": deaf}), "Deaf.play: must end before the next trial"),
+        (type("Drifting", (Minisim,), {"play_lanes": drifting_aside}), "play_lanes: seed 0 has another outcome than in play"),
+        (type("Deaf", (Minisim,), {"play_lanes": deaf_aside}), "Deaf.play_lanes: must end before the next trial"),
     ],
 )
 def test_the_check_names_what_is_broken(broken: type[Simulator], text: str) -> None:

@@ -108,35 +108,49 @@ def _check_compiled(
     in_turns: list[bytes],
 ) -> None:
     name = type(simulator).__name__
+    one_by_one = _with_step_alone(network)
+    scalar = _played(simulator, one_by_one, genomes, participants, seeds, "play", 1)
+    for trial in range(len(seeds)):
+        _require(
+            scalar[trial] == in_turns[trial],
+            f"{name}: the turns and the compiled form differ, seed {seeds[trial]}: fitness and metrics "
+            f"{np.frombuffer(in_turns[trial])} in turns, {np.frombuffer(scalar[trial])} compiled",
+        )
+    if type(simulator).play_lanes is not CompiledSimulator.play_lanes:
+        lanes = _played(simulator, network, genomes, participants, seeds, "play_lanes", LANES)
+        for trial in range(len(seeds)):
+            _require(lanes[trial] == scalar[trial], f"{name}.play_lanes: seed {seeds[trial]} has another outcome than in play")
+
+
+def _played(
+    simulator: CompiledSimulator,
+    network: Representation,
+    genomes: list[bytes],
+    participants: np.ndarray,
+    seeds: np.ndarray,
+    method: str,
+    aside: int,
+) -> list[bytes]:
+    """Outcomes of the trials in a batch, checked to be those of each alone; so many may run side by side."""
+    where = f"{type(simulator).__name__}.{method}"
     progress = np.zeros(2, np.int64)
     batch = evaluate(simulator, network, genomes, participants, seeds, progress)
-    aside = 1 if type(simulator).play_lanes is CompiledSimulator.play_lanes else LANES
     _require(
         len(seeds) - aside <= progress[0] < len(seeds),
-        f"{name}.play: progress[0] must be the index of the trial that runs, {len(seeds) - 1} in the last, not {progress[0]}"
-        + (f", or of the first of {LANES} at most that run side by side" if aside > 1 else ""),
+        f"{where}: progress[0] must be the index of the trial that runs, {len(seeds) - 1} in the last, not {progress[0]}"
+        + (f", or of the first of {aside} at most that run side by side" if aside > 1 else ""),
     )
-    one_by_one = _with_step_alone(network)
-    scalar = evaluate(simulator, one_by_one, genomes, participants, seeds)
+    outcomes = [batch.fitness[trial].tobytes() + batch.metrics[trial].tobytes() for trial in range(len(seeds))]
     for trial in range(len(seeds)):
         one = slice(trial, trial + 1)
         alone = evaluate(simulator, network, genomes, participants[one], seeds[one])
-        compiled = batch.fitness[trial].tobytes() + batch.metrics[trial].tobytes()
         _require(
-            alone.fitness[0].tobytes() + alone.metrics[0].tobytes() == compiled,
-            f"{name}.play: seed {seeds[trial]} alone has another outcome than as trial {trial} of a batch",
-        )
-        _require(
-            scalar.fitness[trial].tobytes() + scalar.metrics[trial].tobytes() == compiled,
-            f"{name}.play_lanes: seed {seeds[trial]} has another outcome than in play",
-        )
-        _require(
-            compiled == in_turns[trial],
-            f"{name}: the turns and the compiled form differ, seed {seeds[trial]}: fitness and metrics "
-            f"{np.frombuffer(in_turns[trial])} in turns, {np.frombuffer(compiled)} compiled",
+            alone.fitness[0].tobytes() + alone.metrics[0].tobytes() == outcomes[trial],
+            f"{where}: seed {seeds[trial]} alone has another outcome than as trial {trial} of a batch",
         )
     stopped = evaluate(simulator, network, genomes, participants, seeds, np.array([0, 1]))
-    _require(np.isnan(stopped.fitness).all(), f"{name}.play: must end before the next trial when progress[1] is not 0")
+    _require(np.isnan(stopped.fitness).all(), f"{where}: must end before the next trial when progress[1] is not 0")
+    return outcomes
 
 
 def _with_step_alone(network: Representation) -> Representation:
