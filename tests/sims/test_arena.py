@@ -263,6 +263,7 @@ def test_evolving_beats_the_controller_written_by_hand_or_in_foraging_is_level_w
         ({"task": "foraging", "nest": 0.1}, "arena: nest 0.1 must be between radius 0.1 and side - radius, 3.9: robots come in"),
         ({"task": "agregation"}, "problem.settings: task: "),
         ({"robots": 0}, "problem.settings: robots: expected int >= 1"),
+        ({"radius": 1e-30, "sight": 1e-29}, "problem.settings: radius: expected float >= 0.001"),  # it would turn by no number
         ({"speed": -1.0}, "problem.settings: speed: "),
     ],
 )

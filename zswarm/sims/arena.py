@@ -32,7 +32,7 @@ from zswarm.sims.simulator import Body, CompiledSimulator, Frame, Outcome, Place
 
 ITEM_RADIUS = 0.05  # m, in pictures
 
-Metres = Annotated[float, Meta(gt=0, le=1e4)]
+Metres = Annotated[float, Meta(ge=1e-3, le=1e4)]
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -90,7 +90,7 @@ class Arena(CompiledSimulator):
         ``side`` - r.
     End: after ``steps`` steps.
     Fitness (float64 but for means over robots; other means are over the measured steps):
-        aggregation: 1 - spread / (.3826 ``side``): 0 on average if strewn evenly, 1 in one point. spread: mean distance to the
+        aggregation: 1 - spread / (.3826 ``side``): 0 for many strewn evenly, 1 in one point. spread: mean distance to the
         mean place. dispersion: nearest / ``sight``. nearest: mean distance to the nearest neighbour, ``sight`` without any.
         foraging: (delivered + found) / 2. consensus: 1 - 4 error: 0 on average for whoever says .5. error: mean distance of what
         is said from the truth.

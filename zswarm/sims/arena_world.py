@@ -37,7 +37,7 @@ WORLD_LENGTHS = 6
 
 def cells_per_side(side: float, sight: float, robots: int) -> int:
     """How many rows and columns of cells the room has; 1 where more would leave nobody out."""
-    cells = min(int(0.999 * side / sight), int(robots**0.5))
+    cells = min(int(0.999 * side / sight), int(np.sqrt(robots)))
     return cells if cells > 2 else 1
 
 
