@@ -48,3 +48,24 @@ class Arena:
             fitness.ctypes, metrics.ctypes,
         )  # fmt: skip
         return fitness, metrics
+
+
+class EmergencyExit:
+    """The same for emergency-exit with a clamp network of two hidden neurons and two iterations, in fields that zswarm laid out."""
+
+    def __init__(self, options: tuple[str, ...], *, side_by_side: bool) -> None:
+        built = library("emergency_exit", options)
+        self._play = built.play_eight if side_by_side else built.play
+
+    def evaluate(self, simulator: Any, network: Any, genomes: list[bytes], participants: np.ndarray, seeds: np.ndarray) -> Any:
+        """Fitness (trials,) and metrics (trials, 2)."""
+        rows = np.ascontiguousarray(network.parameters(genomes)[participants[:, 0]])
+        field_of_trial = simulator._rows(seeds)
+        fields = simulator._kept
+        fitness, metrics = np.empty(len(seeds)), np.empty((len(seeds), 2))
+        numbers = (len(seeds), simulator.settings.steps, simulator.agents, simulator.stride, simulator.cells)
+        self._play(
+            *map(ctypes.c_int64, numbers), fields.free.ctypes, fields.to_exit.ctypes, fields.starts.ctypes, field_of_trial.ctypes,
+            rows.ctypes, ctypes.c_int64(rows.shape[1]), fitness.ctypes, metrics.ctypes,
+        )  # fmt: skip
+        return fitness, metrics
