@@ -1,0 +1,146 @@
+"""Arena's aggregation once more in numpy, float32: a batch of candidates at once, with the network of ``in_c.Arena``.
+
+Every number of a robot is a row of an array, with a column for each robot of each candidate. Pairs of neighbours are listed in
+each step, and rays computed for these alone. Sums run in other orders than zswarm's, so the last bits differ.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from zswarm.draws import Stream
+from zswarm.portable import T1, T2, T3, T4
+from zswarm.sims.arena_world import HALF_STRIDE, HALF_TURN, LANES, RADIUS, RAYS, SIDE, SIGHT, TINY
+
+INPUTS, NEURONS, HEADER = 10, 8, 4
+RAY_X, RAY_Y = RAYS[:LANES], RAYS[LANES:]
+# (ahead, aside) of a neighbour to how far it is along the first four rays and off them; the others look the opposite way.
+ALONG_AND_OFF = np.concatenate([np.stack([RAY_X[:4], RAY_Y[:4]], axis=1), np.stack([-RAY_Y[:4], RAY_X[:4]], axis=1)])
+# A heading to the first four rays in the room, x and then y.
+IN_ROOM = np.concatenate([np.stack([RAY_X[:4], -RAY_Y[:4]], axis=1), np.stack([RAY_Y[:4], RAY_X[:4]], axis=1)])
+FAR = np.float32(np.inf)
+
+
+class Arena:
+    """Trials of one simulator that are played together, each by a candidate of its own."""
+
+    def __init__(self, simulator: Any, network: Any, genomes: list[bytes], participants: np.ndarray, seeds: np.ndarray) -> None:
+        self.steps, self.lengths = simulator.settings.steps, simulator._lengths
+        self.shape = candidates, robots = len(seeds), simulator.settings.robots
+        rows = network.parameters(genomes)[participants[:, 0]]
+        weights = rows[:, HEADER:].reshape(candidates, INPUTS + NEURONS + 1, NEURONS)
+        self.weights = np.ascontiguousarray(weights.transpose(0, 2, 1))
+        starts = [start(Stream(seed), robots, self.lengths) for seed in seeds.tolist()]
+        self.starts = np.array(starts, np.float32).transpose(2, 0, 1)  # x, y, heading x, heading y
+        self._dx, self._dy, self._square, self._part = (np.empty((candidates, robots, robots), np.float32) for _ in range(4))
+
+    def play(self) -> tuple[np.ndarray, np.ndarray]:
+        """Fitness (trials,) and metrics (trials, 3)."""
+        candidates, robots = self.shape
+        self.x, self.y, self.heading_x, self.heading_y = self.starts.reshape(4, -1).copy()
+        # What the network hears: what a robot observes, what its neurons said before, and 1 for the bias.
+        self.heard = np.zeros((INPUTS + NEURONS + 1, candidates * robots), np.float32)
+        self.heard[-1] = 1
+        heard = self.heard.reshape(-1, candidates, robots).transpose(1, 0, 2)
+        spread, near_by, contacts = np.zeros(candidates), np.zeros(candidates), 0.0
+        for step in range(1, self.steps + 1):
+            neighbours, overlaps, push_x, push_y = self._look()
+            contacts = contacts + overlaps
+            outputs = tanh(np.matmul(self.weights, heard))
+            self.heard[INPUTS:-1] = outputs.transpose(1, 0, 2).reshape(NEURONS, -1)
+            if 2 * step > self.steps:
+                x, y = self.x.reshape(self.shape), self.y.reshape(self.shape)
+                dx, dy = x - x.mean(axis=1, keepdims=True), y - y.mean(axis=1, keepdims=True)
+                spread += np.sqrt(dx * dx + dy * dy).mean(axis=1)
+                near_by += neighbours.reshape(self.shape).mean(axis=1)
+            self._drive(self.heard[-3], self.heard[-2], push_x, push_y)
+        measured = self.steps - self.steps // 2
+        metrics = np.stack([spread / measured, near_by / measured, contacts / 2 / self.steps], axis=1)
+        return 1 - metrics[:, 0] / (0.3826 * float(self.lengths[SIDE])), metrics
+
+    def _look(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Write what robots observe; gives their numbers of neighbours, overlaps of each candidate, and how they are pushed."""
+        candidates, robots = self.shape
+        sight, radius = self.lengths[SIGHT], self.lengths[RADIUS]
+        touch, columns = radius + radius, candidates * robots
+        x, y = self.x.reshape(self.shape), self.y.reshape(self.shape)
+        np.subtract(x[:, None, :], x[:, :, None], out=self._dx)
+        np.subtract(y[:, None, :], y[:, :, None], out=self._dy)
+        np.multiply(self._dx, self._dx, out=self._square)
+        np.multiply(self._dy, self._dy, out=self._part)
+        np.add(self._square, self._part, out=self._square)
+        self._square.reshape(candidates, -1)[:, :: robots + 1] = FAR  # nobody is a neighbour of itself
+        pairs = np.flatnonzero(self._square < sight * sight)
+        robot = pairs // robots
+        dx, dy, square = self._dx.take(pairs), self._dy.take(pairs), self._square.take(pairs)
+        heading_x, heading_y = self.heading_x[robot], self.heading_y[robot]
+        place = np.stack([dx * heading_x + dy * heading_y, dy * heading_x - dx * heading_y])
+
+        along, off = np.matmul(ALONG_AND_OFF, place).reshape(2, 4, -1)
+        chord = radius * radius - off * off
+        hit = np.where(chord > 0, np.abs(along) - np.sqrt(np.maximum(chord, 0)), FAR)
+        hits = np.concatenate([np.where(along > 0, hit, FAR), np.where(along < 0, hit, FAR)])
+        first = np.flatnonzero(np.diff(robot, prepend=-1))
+        seeing = robot[first]
+        reach = np.minimum(self._to_walls(), sight)
+        reach[:, seeing] = np.minimum(reach[:, seeing], np.minimum.reduceat(hits, first, axis=1))
+        neighbours = np.bincount(robot, minlength=columns)
+        self.heard[:LANES] = 1 - reach / sight
+        self.heard[LANES:INPUTS] = 0
+        self.heard[LANES:INPUTS, seeing] = np.add.reduceat(place, first, axis=1) / (sight * neighbours[seeing].astype(np.float32))
+
+        touching = np.flatnonzero(square < touch * touch)
+        robot, distance = robot[touching], np.sqrt(square[touching])
+        share = np.float32(0.5) * (touch - distance) / np.maximum(distance, TINY)
+        push_x, push_y = (np.bincount(robot, -share * way[touching], columns).astype(np.float32) for way in (dx, dy))
+        return neighbours, np.bincount(robot // robots, minlength=candidates), push_x, push_y
+
+    def _to_walls(self) -> np.ndarray:
+        """How far it is along the eight rays to a wall."""
+        along_x, along_y = np.matmul(IN_ROOM, np.stack([self.heading_x, self.heading_y])).reshape(2, 4, -1)
+        size_x, size_y = np.maximum(np.abs(along_x), TINY), np.maximum(np.abs(along_y), TINY)
+        side = self.lengths[SIDE]
+        low_x, high_x, low_y, high_y = self.x / size_x, (side - self.x) / size_x, self.y / size_y, (side - self.y) / size_y
+        right, down = along_x > 0, along_y > 0
+        ahead = np.minimum(np.where(right, high_x, low_x), np.where(down, high_y, low_y))
+        behind = np.minimum(np.where(right, low_x, high_x), np.where(down, low_y, high_y))
+        return np.concatenate([ahead, behind])
+
+    def _drive(self, left: np.ndarray, right: np.ndarray, push_x: np.ndarray, push_y: np.ndarray) -> None:
+        """Turn and move all robots."""
+        low, high = self.lengths[RADIUS], self.lengths[SIDE] - self.lengths[RADIUS]
+        left, right = 2 * np.clip(left, 0, 1) - 1, 2 * np.clip(right, 0, 1) - 1
+        t, forward = (right - left) * self.lengths[HALF_TURN], (left + right) * self.lengths[HALF_STRIDE]
+        per_square = 1 / (1 + t * t)
+        cosine, sine = (1 - t * t) * per_square, (t + t) * per_square
+        x, y = cosine * self.heading_x - sine * self.heading_y, cosine * self.heading_y + sine * self.heading_x
+        per_length = np.float32(1.5) - np.float32(0.5) * (x * x + y * y)
+        self.heading_x, self.heading_y = x * per_length, y * per_length
+        self.x = np.clip(self.x + forward * self.heading_x + push_x, low, high)
+        self.y = np.clip(self.y + forward * self.heading_y + push_y, low, high)
+
+
+def start(stream: Stream, robots: int, lengths: np.ndarray) -> list[tuple[float, float, float, float]]:
+    """Where robots are, and their headings."""
+
+    def draw(low: float, high: float) -> float:
+        return low + stream.integer(1 << 24) * 2.0**-24 * (high - low)
+
+    low, high = float(lengths[RADIUS]), float(lengths[SIDE] - lengths[RADIUS])
+    places = []
+    for _ in range(robots):
+        x, y, square = draw(low, high), draw(low, high), 0.0
+        while not 0.01 <= square <= 1:
+            heading_x, heading_y = draw(-1, 1), draw(-1, 1)
+            square = heading_x**2 + heading_y**2
+        places.append((x, y, heading_x / square**0.5, heading_y / square**0.5))
+    return places
+
+
+def tanh(x: np.ndarray) -> np.ndarray:
+    """zswarm's, a rational function."""
+    size = np.minimum(np.abs(x), np.float32(20))
+    root = 1 + size * (T1 + size * (T2 + size * (T3 + size * T4)))
+    root *= root
+    root *= root
+    return np.copysign(1 - 2 / (root + 1), x)
