@@ -4,9 +4,10 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import tables
-from tables import FREVO, Found, figure, share
+from tables import FLAGSHIP, FREVO, Found, figure, share
 
 Results = dict[str, Found]  # by script
+BESIDE_C = ((FLAGSHIP, 8), (FLAGSHIP, 32), (FLAGSHIP, 128), ("emergency-exit stadium", 72), ("emergency-exit random", 10))
 
 
 class Aim(NamedTuple):
@@ -95,18 +96,15 @@ def of_kernels(found: Found | None) -> Iterator[Aim]:
     """Beside C, pymunk and VMAS; per core."""
     rows = [row for row in found["rows"] if "agent_steps_per_s" in row] if found else []
     rate = {(row["kernel"], row["variant"], row["agents"]): row["agent_steps_per_s"] for row in rows}
-    flagship = next((kernel for kernel, *_ in rate if kernel.startswith("arena")), "arena")
-    compared = [(kernel, agents) for kernel, variant, agents in rate if variant == "C"] or [(flagship, 8)]
-    for kernel, agents in compared:
+    for kernel, agents in BESIDE_C:
         theirs, ours = rate.get((kernel, "C", agents)), rate.get((kernel, "numba", agents))
         value = theirs / ours if theirs and ours else None
         what = f"{kernel}, {agents} agents: times the time of tuned C"
         yield Aim(f"C-{kernel}-{agents}", what, 1.25, False, value, "{:.2f}".format)
     for variant, wanted in (("pymunk", 50), ("vmas flocking", 30)):
-        theirs = next((one for (_, named, agents), one in rate.items() if (named, agents) == (variant, 8)), None)
-        ours = rate.get((flagship, "numba", 8))
+        theirs, ours = rate.get((FLAGSHIP, variant, 8)), rate.get((FLAGSHIP, "numba", 8))
         name = "VMAS flocking" if variant.startswith("vmas") else variant
-        yield Aim(variant, f"{flagship}, 8 agents: times {name}", wanted, True, ours / theirs if theirs and ours else None)
+        yield Aim(variant, f"{FLAGSHIP}, 8 agents: times {name}", wanted, True, ours / theirs if theirs and ours else None)
 
 
 def of_runs(found: Found | None) -> Iterator[Aim]:

@@ -67,31 +67,37 @@ def line(axes: "Axes", points: list[tuple[float, float]], number: int, label: st
 
 
 def kernels(found: Found, figure: Any) -> None:
-    """The flagship kernel: a group of bars for each number of agents."""
+    """The flagship kernel, a group of bars for each number of agents; beside it emergency-exit, one for each field."""
     rows = [row for row in found["rows"] if "agent_steps_per_s" in row]
-    flagship = next((row["kernel"] for row in rows if row["kernel"].startswith("arena")), rows[0]["kernel"])
-    sizes = sorted({row["agents"] for row in rows if row["kernel"] == flagship})
-    rate = {
-        (row["variant"], row["agents"]): row["agent_steps_per_s"]
-        for row in rows
-        if row["kernel"] == flagship or row["variant"].startswith("vmas")
-    }
-    variants = sorted(
-        dict.fromkeys(variant for variant, _ in rate), key=lambda each: -max(r for (v, _), r in rate.items() if v == each)
-    )
-    axes = figure.subplots()
-    width = 0.8 / len(variants)
-    for number, variant in enumerate(variants):
-        places = [place for place, agents in enumerate(sizes) if (variant, agents) in rate]
-        values = [rate[variant, sizes[place]] for place in places]
-        label = "zswarm (numba)" if variant == "numba" else variant
-        middles = [place + (number - len(variants) / 2 + 0.5) * width for place in places]
-        bars = axes.bar(middles, values, width * 0.95, label=label, color=COLOURS[number % 9])
-        axes.bar_label(bars, [f"{value / 1e3:,.0f}k" if value < 1e6 else f"{value / 1e6:.1f}M" for value in values], fontsize=8)
-    axes.set(title=f"{flagship}, one core", ylabel="agent-steps per second", yscale="log", ylim=(1e3, 3 * max(rate.values())))
-    axes.set_xticks(range(len(sizes)), [f"{agents} agents" for agents in sizes])
-    axes.grid(visible=False, axis="x")
-    figure.legend(loc="outside right center", fontsize=9)
+    rate = {(row["kernel"], row["agents"], row["variant"]): row["agent_steps_per_s"] for row in rows}
+    flagship = sorted({(kernel, agents) for kernel, agents, _ in rate if kernel == tables.FLAGSHIP})
+    exits = list(dict.fromkeys((kernel, agents) for kernel, agents, _ in rate if kernel.startswith("emergency-exit")))
+    shown = [key for key in rate if key[:2] in flagship + exits]
+    variants = sorted(dict.fromkeys(key[2] for key in shown), key=lambda each: -max(rate[key] for key in shown if key[2] == each))
+    colours = dict(zip(variants, COLOURS, strict=False))
+    words = [f"{agents} agents" for _, agents in flagship], [kernel.removeprefix("emergency-exit ") for kernel, _ in exits]
+    parts = [(tables.FLAGSHIP, flagship, words[0]), ("emergency-exit", exits, words[1])]
+    parts = [part for part in parts if part[1]]
+    ratios = [len(groups) for _, groups, _ in parts]
+    for axes, (title, groups, labels) in zip(
+        figure.subplots(1, len(parts), sharey=True, squeeze=False, width_ratios=ratios)[0], parts, strict=True
+    ):
+        here = [variant for variant in variants if any((*group, variant) in rate for group in groups)]
+        width = 0.9 / len(here)
+        for number, variant in enumerate(here):
+            places = [place for place, group in enumerate(groups) if (*group, variant) in rate]
+            values = [rate[(*groups[place], variant)] for place in places]
+            middles = [place + (number - len(here) / 2 + 0.5) * width for place in places]
+            label = "zswarm (numba)" if variant == "numba" else tables.named(variant, rows)
+            bars = axes.bar(middles, values, width * 0.95, label=label, color=colours[variant])
+            said = [f"{value / 1e3:,.0f}k" if value < 1e6 else f"{value / 1e6:.1f}M" for value in values]
+            axes.bar_label(bars, said, fontsize=6.5)
+        axes.set(title=f"{title}, one core", yscale="log", ylim=(1e3, 3 * max(rate[key] for key in shown)))
+        axes.set_xticks(range(len(groups)), labels)
+        axes.grid(visible=False, axis="x")
+    figure.axes[0].set_ylabel("agent-steps per second")
+    entries = {label: bars for axes in figure.axes for bars, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=5, fontsize=9)
 
 
 def scaling(found: Found, figure: Any) -> None:

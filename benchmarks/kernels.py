@@ -1,9 +1,11 @@
 """How fast whole simulations are on one core, beside other ways to compute the same.
 
 Agent-steps per second of ``arena`` (aggregation; a robot per m2; 8 -> 6 + 2 neurons of tanh, 152 genes; 500 steps), compiled by
-numba, in plain Python, and in C (``kernels/arena.c``, -O3 -march=native); pymunk's physics and segment queries with the same
-network in numpy; VMAS's flocking, 512 environments at once, whose model is another. Of zswarm also the other tasks and
-simulators. Each measurement is a process of its own, of CPU time of one thread; the ways take turns, and medians count.
+numba, in plain Python, in C (``kernels/arena.c``, -O3 -march=native) and in numpy, 64 candidates at once; pymunk's physics and
+segment queries with the same network in numpy; VMAS's flocking, 512 environments at once, whose model is another. EmergencyExit
+likewise in C (``kernels/emergency_exit.c``), eight trials side by side and one by one; of zswarm also the other tasks and
+Minisim. Each measurement is a process of its own, of CPU time of one thread; the ways take turns, and medians count. What is
+quoted was measured elsewhere.
 """
 
 import argparse
@@ -18,13 +20,15 @@ from pathlib import Path
 from typing import Any
 
 import machine
+from tables import ARGOS, FLAGSHIP, FREVO
 
 HERE = Path(__file__).resolve().parent
 PEERS = HERE.parent / "build" / "peers" / "bin" / "python"
 STEPS = 500
 AGENTS = (8, 32, 128)
-FLAGSHIP = "arena-aggregation"
 NETWORK = {"hidden": 6, "iterations": 1, "activation": "tanh"}
+BATCH = 64  # candidates at once in numpy
+ROUNDS_OF_EXIT = 50  # of emergency-exit
 LEAST_S = 0.3  # of CPU time in a measurement
 ROUNDS, QUICK_ROUNDS = 5, 3
 
@@ -57,36 +61,41 @@ def problem(kernel: str, agents: int) -> tuple[Any, Any]:
         return build("arena", settings, "fully-meshed", NETWORK)
     if kernel == "minisim":
         return build("minisim", {}, "fully-meshed", {})
-    field = "stadium" if kernel == "emergency-exit stadium" else "random"
-    return build("emergency-exit", {"field": field}, "fully-meshed", {})
+    return build("emergency-exit", {"field": kernel.split()[1], "steps": ROUNDS_OF_EXIT}, "fully-meshed", {})
 
 
 def trials(kernel: str, agents: int, count: int) -> tuple[Any, ...]:
-    """What ``evaluate.evaluate`` takes."""
+    """What ``evaluate.evaluate`` takes: so many candidates, each in ten rooms where these are drawn, as experiments have them."""
     import numpy as np
 
     from zswarm.draws import Stream
 
     simulator, network = problem(kernel, agents)
+    rooms = 10 if kernel == "emergency-exit random" and count > 1 else 1
     genomes = network.random(count, Stream(1))
-    seeds = simulator.fixed_seeds(count) or range(count)
-    return simulator, network, genomes, np.arange(count)[:, None], np.array(seeds, np.uint64)
+    seeds = range(count) if rooms == 1 else [*range(rooms)] * count
+    return simulator, network, genomes, np.arange(count).repeat(rooms)[:, None], np.array(seeds, np.uint64)
 
 
-def steps_of(simulator: Any, outcomes: Any) -> int:
+def candidates(kernel: str, agents: int) -> int:
+    """In one call."""
+    return BATCH if kernel.startswith("emergency-exit") else max(256 // agents, 4)
+
+
+def steps_of(simulator: Any, fitness: Any, metrics: Any) -> int:
     """Agent-steps of the trials; robots that are out of emergency-exit act no more, its rounds are counted with all."""
     agents = len(simulator.owners)
     if "rounds" in simulator.metrics:
-        return int(outcomes.metrics[:, simulator.metrics.index("rounds")].sum()) * agents
-    return simulator.settings.steps * agents * len(outcomes.fitness)
+        return int(metrics[:, simulator.metrics.index("rounds")].sum()) * agents
+    return simulator.settings.steps * agents * len(fitness)
 
 
 def with_numba(kernel: str, agents: int) -> Row:
     from zswarm.evaluate import evaluate
 
-    prepared = trials(kernel, agents, max(256 // agents, 4))
-    outcomes = evaluate(*prepared)
-    return timed(lambda: evaluate(*prepared), len(outcomes.fitness), steps_of(prepared[0], outcomes))
+    prepared = trials(kernel, agents, candidates(kernel, agents))
+    fitness, metrics, _ = evaluate(*prepared)
+    return timed(lambda: evaluate(*prepared), len(fitness), steps_of(prepared[0], fitness, metrics))
 
 
 def in_plain_python(kernel: str, agents: int) -> Row:
@@ -96,20 +105,32 @@ def in_plain_python(kernel: str, agents: int) -> Row:
         raise NotThereError(f"measured at {AGENTS[0]} agents only: it takes minutes")
     prepared = trials(kernel, agents, 1)
     begin = time.thread_time()
-    outcomes = evaluate(*prepared)
+    fitness, metrics, _ = evaluate(*prepared)
     elapsed = time.thread_time() - begin
-    return {"agent_steps_per_s": steps_of(prepared[0], outcomes) / elapsed, "seconds_per_simulation": elapsed}
+    return {"agent_steps_per_s": steps_of(prepared[0], fitness, metrics) / elapsed, "seconds_per_simulation": elapsed}
 
 
-def with_c(kernel: str, agents: int) -> Row:
+def with_c(kernel: str, agents: int, *, side_by_side: bool = True) -> Row:
     import in_c
 
     if in_c.compiler() is None:
         raise NotThereError("no C compiler")
-    arena = in_c.Arena(in_c.FAST)
-    prepared = trials(kernel, agents, max(256 // agents, 4))
-    count = len(prepared[-1])
-    return timed(lambda: arena.evaluate(*prepared), count, count * agents * STEPS)
+    arena = kernel.startswith("arena-")
+    in_that = in_c.Arena(in_c.FAST) if arena else in_c.EmergencyExit(in_c.FAST, side_by_side=side_by_side)
+    prepared = trials(kernel, agents, candidates(kernel, agents))
+    fitness, metrics = in_that.evaluate(*prepared)
+    return timed(lambda: in_that.evaluate(*prepared), len(fitness), steps_of(prepared[0], fitness, metrics))
+
+
+def with_c_one_by_one(kernel: str, agents: int) -> Row:
+    return with_c(kernel, agents, side_by_side=False)
+
+
+def with_numpy(kernel: str, agents: int) -> Row:
+    import in_numpy
+
+    arena = in_numpy.Arena(*trials(kernel, agents, BATCH))
+    return timed(arena.play, BATCH, BATCH * agents * STEPS)
 
 
 # ---- others -----------------------------------------------------------------------------------------------------------
@@ -189,6 +210,8 @@ def with_vmas(_: str, agents: int) -> Row:
 WAYS: dict[str, Callable[[str, int], Row]] = {
     "numba": with_numba,
     "C": with_c,
+    "C, one by one": with_c_one_by_one,
+    "numpy batch": with_numpy,
     "pymunk": with_pymunk,
     "plain": in_plain_python,
     "vmas flocking": with_vmas,
@@ -203,19 +226,36 @@ OTHERS = {  # and how many agents they have
 }
 
 
+def quoted() -> list[Row]:
+    """What others measured elsewhere, for one core; in FREVO all agents act in all rounds."""
+    rows: list[Row] = [
+        {"kernel": FLAGSHIP, "variant": "ARGoS diffusion", "agents": 8, "agent_steps_per_s": ARGOS, "quoted": True}
+    ]
+    for field, per_s in FREVO.items():
+        kernel = f"emergency-exit {field}"
+        rate = {"agent_steps_per_s": per_s / 2 * OTHERS[kernel] * ROUNDS_OF_EXIT, "seconds_per_simulation": 2 / per_s}
+        rows.append({"kernel": kernel, "variant": "FREVO", "agents": OTHERS[kernel], **rate, "quoted": True})
+    return rows
+
+
 def wanted(*, quick: bool) -> list[tuple[str, str, int]]:
     """Kernel, variant, agents."""
+    exits = [(kernel, agents) for kernel, agents in OTHERS.items() if kernel.startswith("emergency-exit")]
+    fast = [(FLAGSHIP, agents) for agents in AGENTS] + exits
+    beside_c = [(kernel, variant, agents) for kernel, agents in fast for variant in ("numba", "C")]
     if quick:
-        return [(FLAGSHIP, variant, agents) for agents in AGENTS for variant in ("numba", "C")]
-    flagship = [(FLAGSHIP, variant, agents) for agents in AGENTS for variant in WAYS if variant in ("numba", "C", "pymunk")]
-    slow = [(FLAGSHIP, variant, AGENTS[0]) for variant in ("plain", "vmas flocking")]
-    return [*flagship, *slow, *((kernel, way, agents) for kernel, agents in OTHERS.items() for way in ("numba", "plain"))]
+        return beside_c
+    others = [(FLAGSHIP, variant, agents) for agents in AGENTS for variant in ("numpy batch", "pymunk")]
+    others += [(FLAGSHIP, variant, AGENTS[0]) for variant in ("plain", "vmas flocking")]
+    others += [(kernel, "C, one by one", agents) for kernel, agents in exits]
+    ours = [(kernel, variant, agents) for kernel, agents in OTHERS.items() for variant in ("numba", "plain")]
+    return list(dict.fromkeys([*beside_c, *others, *ours]))
 
 
 def measured(kernel: str, variant: str, agents: int) -> Row:
     """One measurement, in a process of its own."""
     python = PEERS if variant == "vmas flocking" and PEERS.exists() else sys.executable
-    environment = os.environ | {"ZSWARM_PLAIN": "1" if variant == "plain" else ""}
+    environment = os.environ | {"ZSWARM_PLAIN": "1" if variant == "plain" else "", "OPENBLAS_NUM_THREADS": "1"}
     command = [python, HERE / "kernels.py", "--one", kernel, variant, str(agents)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     if done.returncode:
@@ -247,8 +287,8 @@ def main() -> None:
     found: dict[tuple[str, str, int], list[Row]] = {}
     for number in range(QUICK_ROUNDS if arguments.quick else ROUNDS):
         for way in wanted(quick=arguments.quick):
-            slow = way[1] not in ("numba", "C")
-            if number == 0 or not (slow or "missing" in found[way][0]):
+            fast = way[1] in ("numba", "C", "C, one by one", "numpy batch")
+            if number == 0 or (fast and "missing" not in found[way][0]):
                 found.setdefault(way, []).append(measured(*way))
     rows = []
     for (kernel, variant, agents), some in found.items():
@@ -260,6 +300,7 @@ def main() -> None:
         rows.append(row)
         said = row.get("missing") or f"{row['agent_steps_per_s'] / 1e3:,.0f} k agent-steps/s"
         print(f"{kernel:24} {variant:14} {agents:4} agents  {said}", flush=True)
+    rows += [] if arguments.quick else quoted()
     machine.write("kernels", rows, ["pymunk", "vmas", "torch", "gcc"], folder=arguments.folder)
 
 

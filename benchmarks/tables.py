@@ -6,6 +6,7 @@ from typing import Any
 Found = dict[str, Any]  # what a script left: see machine.py
 Row = dict[str, Any]
 
+FLAGSHIP = "arena-aggregation"  # the kernel that is measured beside all others
 FREVO = {"stadium": 838.0, "random": 12_740.0}  # simulations per second, quoted: measured elsewhere, on two cores of an EPYC
 ARGOS = 107_000.0  # agent-steps per second and core, quoted: ARGoS 3, diffusion of 8 foot-bots
 
@@ -109,7 +110,7 @@ def dispatch(found: Found) -> str:
 
 
 def kernels(found: Found) -> str:
-    """A line for each kernel and variant, a column for each number of agents; per core."""
+    """A line for each kernel and variant, per core; simulations per second where there is one number of agents only."""
     rows = [row for row in found["rows"] if "missing" not in row]
     lines = []
     for kernel in dict.fromkeys(row["kernel"] for row in rows):
@@ -119,15 +120,22 @@ def kernels(found: Found) -> str:
             for row in rows
             if row["kernel"] == kernel and "agent_steps_per_s" in row
         }
+        seconds = {row["variant"]: row.get("seconds_per_simulation") for row in rows if row["kernel"] == kernel}
         for variant in dict.fromkeys(variant for variant, _ in rate):
             cells = []
             for agents in sizes:
                 mine, ours = rate.get((variant, agents)), rate.get(("numba", agents))
                 times = f", zswarm {ours / mine:,.2f}x" if mine and ours and variant != "numba" else ""
                 cells.append(f"{agents}: {mine / 1e3:,.0f} k{times}" if mine else "")
-            lines.append([kernel, variant, "; ".join(filter(None, cells))])
-    head = ["model", "variant", "agents: agent-steps per second and core; how many times as many zswarm does"]
+            each = figure(1 / seconds[variant]) if len(sizes) == 1 and seconds[variant] else ""
+            lines.append([kernel, named(variant, rows), "; ".join(filter(None, cells)), each])
+    head = ["model", "variant", "agents: agent-steps per second and core; how many times as many zswarm does", "simulations/s"]
     return markdown(head, lines) + missing(({**row, "of": f"{row['kernel']}, {row['variant']}"} for row in found["rows"]), "of")
+
+
+def named(variant: str, rows: Iterable[Row]) -> str:
+    """A variant, and whether it is quoted."""
+    return f"{variant} (quoted)" if any(row.get("quoted") for row in rows if row["variant"] == variant) else variant
 
 
 def startup(found: Found) -> str:
