@@ -51,7 +51,7 @@ class Arena:
 
 
 class EmergencyExit:
-    """The same for emergency-exit, whose fields zswarm lays out, with a clamp network of two hidden neurons and two iterations."""
+    """The same for emergency-exit, in fields that zswarm laid out, with a clamp network of two hidden neurons, two iterations."""
 
     def __init__(self, options: tuple[str, ...], *, side_by_side: bool) -> None:
         built = library("emergency_exit", options)
