@@ -44,6 +44,17 @@ def any_of(which: np.ndarray) -> bool:
     return bool(which.any())
 
 
+def list_true(which: np.ndarray, first: int, array: np.ndarray, at: int) -> int:
+    """Write the numbers of the true lanes, which are counted from ``first``, from ``array[at]`` on, an int32 array.
+
+    Returns:
+        how many they are. All up to ``array[at + 7]`` must be in the array; what comes behind them may be overwritten.
+    """
+    lanes = np.flatnonzero(which)
+    array[at : at + len(lanes)] = first + lanes
+    return len(lanes)
+
+
 def window(array: np.ndarray, places: np.ndarray, offset: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Each lane's numbers at its place + offset, + 1, + 2 and + 3, of a flat float32 array; all four must be in it."""
     return (array[places + offset], array[places + (offset + 1)], array[places + (offset + 2)], array[places + (offset + 3)])
@@ -60,6 +71,7 @@ def scatter(array: np.ndarray, places: np.ndarray, numbers: np.ndarray) -> None:
 if not PLAIN:
     from llvmlite import ir
     from numba import types
+    from numba.core.cgutils import global_constant
     from numba.core.typing.templates import AbstractTemplate, infer_global, signature
     from numba.extending import lower_builtin, models, register_model
 
@@ -194,6 +206,30 @@ if not PLAIN:
     def _any_of(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         bits = ir.IntType(LANES)
         return builder.icmp_unsigned("!=", builder.bitcast(args[0], bits), ir.Constant(bits, 0))
+
+    ORDERS = [sorted(range(LANES), key=lambda lane: not bits >> lane & 1) for bits in range(1 << LANES)]  # true lanes first
+
+    @_operation(
+        list_true,
+        lambda which, first, array, at: (
+            signature(types.intp, which, types.intp, array, types.intp)
+            if which == Lanes(types.boolean) and _is_flat(array) and array.dtype == types.int32
+            else None
+        ),
+        *(types.Any, types.Any, types.Any, types.Any),
+    )
+    def _list_true(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        """The lanes stand in a table, for each of the 256 ways to be true or not: no branch, none that is hard to foresee."""
+        byte, word, size = ir.IntType(8), ir.IntType(32), ir.IntType(64)
+        rows = [ir.Constant(ir.ArrayType(byte, LANES), row) for row in ORDERS]
+        table = global_constant(builder, "orders", ir.Constant(ir.ArrayType(rows[0].type, len(rows)), rows))
+        bits = builder.bitcast(args[0], byte)
+        row = builder.gep(table, [ir.Constant(size, 0), builder.zext(bits, size)])
+        lanes = builder.load(builder.bitcast(row, ir.VectorType(byte, LANES).as_pointer()), align=1)
+        vector = ir.VectorType(word, LANES)
+        numbers = builder.add(builder.zext(lanes, vector), _as_lanes(builder, types.int32, builder.trunc(args[1], word)))
+        builder.store(numbers, _address(context, builder, sig.args[2], args[2], args[3], vector), align=4)
+        return builder.zext(builder.ctpop(bits), size)
 
     @_operation(
         window,
