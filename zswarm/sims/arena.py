@@ -11,6 +11,7 @@ from msgspec import Meta
 
 from zswarm.errors import ConfigError
 from zswarm.jit import STEP, Step, array, float32, float64, inline, int32, int64, kernel, uint64, void
+from zswarm.lanes import LANES
 from zswarm.sims.arena_tasks import (
     CARRIES,
     CONTACTS,
@@ -27,7 +28,7 @@ from zswarm.sims.arena_tasks import (
     sense_task,
     start,
 )
-from zswarm.sims.arena_world import PLACE_ROWS, RAYS, X, Y, cells_per_side, drive, look
+from zswarm.sims.arena_world import PLACE_ROWS, QUEUE_ROWS, RAYS, X, Y, cells_per_side, drive, look
 from zswarm.sims.simulator import Body, CompiledSimulator, Frame, Outcome, Place, Turn
 
 ITEM_RADIUS = 0.05  # m, in pictures
@@ -140,13 +141,14 @@ class Arena(CompiledSimulator):
 
     def reset(self, seed: int) -> Turn:
         """Lay out the start of a seed; all robots act next."""
-        self._robots, self._places, self._cells, self._items, self._stream, self._tally = self._tables()
+        self._robots, self._queue, self._places, self._cells, self._items, self._stream, self._tally = self._tables()
         start(np.uint64(seed), self.task, self._robots, self._items, self._stream, self._tally, self._lengths)
         return self._turn()
 
     def step(self, actions: np.ndarray) -> Turn | None:
         """Let the robots drive; all act next."""
-        act(self.task, self.settings.steps, actions, self._robots, self._items, self._stream, self._tally, self._lengths)
+        turned = np.ascontiguousarray(actions.T)
+        act(self.task, self.settings.steps, turned, self._robots, self._items, self._stream, self._tally, self._lengths)
         return self._turn() if self._tally[STEP_NUMBER] < self.settings.steps else None
 
     def outcome(self) -> Outcome:
@@ -179,20 +181,51 @@ class Arena(CompiledSimulator):
     ) -> None:
         """See ``CompiledSimulator.play``."""
         states = np.zeros((self.settings.robots, state_size), np.float32)
-        actions = np.empty((self.settings.robots, self.outputs), np.float32)
-        observations = np.empty(self.settings.robots * self.inputs, np.float32)
+        self._play(step, 1, states, parameters, participants, seeds, progress, fitness, metrics)
+
+    def play_lanes(
+        self,
+        step_lanes: Step,
+        step: Step,  # noqa: ARG002  not for the rest either: eight decisions at once take as long as two
+        state_size: int,
+        parameters: np.ndarray,
+        participants: np.ndarray,
+        seeds: np.ndarray,
+        progress: np.ndarray,
+        fitness: np.ndarray,
+        metrics: np.ndarray,
+    ) -> None:
+        """See ``CompiledSimulator.play_lanes``: eight robots of a trial decide at once."""
+        states = np.zeros((-(-self.settings.robots // LANES), LANES * state_size), np.float32)
+        self._play(step_lanes, LANES, states, parameters, participants, seeds, progress, fitness, metrics)
+
+    def _play(
+        self,
+        step: Step,
+        together: int,
+        states: np.ndarray,
+        parameters: np.ndarray,
+        participants: np.ndarray,
+        seeds: np.ndarray,
+        *results: np.ndarray,
+    ) -> None:
+        """So many robots decide together."""
+        robots, sizes = self.settings.robots, (parameters.shape[1], self.inputs, self.outputs)
+        controller, seen, said = (np.empty(size * together, np.float32) for size in sizes)
+        observations, actions = np.empty(robots * self.inputs, np.float32), np.empty((self.outputs, robots), np.float32)
         play_trials(
-            step, parameters, participants, seeds.astype(np.uint64), states, observations, actions, *self._tables(),
-            self._lengths, RAYS, self._per_side, self.task, self.settings.steps, progress, fitness, metrics,
+            step, together, parameters, participants, seeds.astype(np.uint64), controller, states, seen, said, observations,
+            actions, *self._tables(), self._lengths, RAYS, self._per_side, self.task, self.settings.steps, *results,
         )  # fmt: skip
 
-    def _tables(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Robots, places, cells, items, stream and tally, for ``start`` to fill."""
+    def _tables(self) -> tuple[np.ndarray, ...]:
+        """Robots, queue, places, cells, items, stream and tally, for ``start`` to fill."""
         number = self.settings.robots
         items = self.settings.items if self.settings.task == "foraging" else 0
         return (
             np.zeros((ROWS, number), np.float32),
-            np.zeros((PLACE_ROWS, number + 1), np.int32),
+            np.zeros((QUEUE_ROWS, number + LANES), np.float32),
+            np.zeros((PLACE_ROWS, number + LANES), np.int32),
             np.zeros(self._per_side**2 + 2, np.int32),
             np.zeros((2, items), np.float32),
             np.zeros(1, np.uint64),
@@ -202,25 +235,35 @@ class Arena(CompiledSimulator):
     def _turn(self) -> Turn:
         observations = np.empty(self.settings.robots * self.inputs, np.float32)
         observe(
-            self.task, self._robots, self._places, self._cells, self._per_side, RAYS, self._items, self._tally, self._lengths,
-            observations,
+            self.task, self._robots, self._queue, self._places, self._cells, self._per_side, RAYS, self._items, self._tally,
+            self._lengths, observations,
         )  # fmt: skip
         return Turn(range(self.settings.robots), observations.reshape(self.settings.robots, self.inputs))
 
 
 @inline(counts=False)
-def observe(task, robots, places, cells, per_side, rays, items, tally, lengths, observations):  # type: ignore[no-untyped-def]  # compiled
+def observe(  # type: ignore[no-untyped-def]  # compiled
+    task, robots, queue, places, cells, per_side, rays, items, tally, lengths, observations
+):
     """Write what all robots observe."""
-    tally[CONTACTS] += look(robots, places, cells, per_side, rays, lengths, observations)
+    tally[CONTACTS] += look(robots, queue, places, cells, per_side, rays, lengths, observations)
     sense_task(task, robots, items, lengths, observations)
 
 
 @inline(counts=False)
-def decide(step, controller, states, observations, actions):  # type: ignore[no-untyped-def]  # compiled
-    """Ask the controllers of all robots."""
-    inputs = observations.shape[0] // states.shape[0]
-    for robot in range(states.shape[0]):
-        step(controller, states[robot], observations[robot * inputs : (robot + 1) * inputs], actions[robot])
+def decide(step, together, controller, states, seen, said, observations, actions):  # type: ignore[no-untyped-def]  # compiled
+    """Ask the controllers of all robots; so many decide together, the last one again where there are fewer."""
+    inputs, (outputs, robots) = seen.shape[0] // together, actions.shape
+    for group in range(states.shape[0]):
+        first = group * together
+        for lane in range(together):
+            at = inputs * min(first + lane, robots - 1)
+            for number in range(inputs):
+                seen[number * together + lane] = observations[at + number]
+        step(controller, states[group], seen, said)
+        for lane in range(min(together, robots - first)):
+            for number in range(outputs):
+                actions[number, first + lane] = said[number * together + lane]
 
 
 @inline(counts=False)
@@ -238,24 +281,26 @@ NUMBERS = array(float32)
 
 
 @kernel(
-    void(STEP, GRIDS, array(int64, 2), array(uint64), GRIDS, NUMBERS, GRIDS, GRIDS, array(int32, 2), array(int32), GRIDS,
-         array(uint64), array(float64), NUMBERS, NUMBERS, int64, int64, int64, array(int64), array(float64, 2),
-         array(float64, 2))
+    void(STEP, int64, GRIDS, array(int64, 2), array(uint64), NUMBERS, GRIDS, NUMBERS, NUMBERS, NUMBERS, GRIDS, GRIDS, GRIDS,
+         array(int32, 2), array(int32), GRIDS, array(uint64), array(float64), NUMBERS, NUMBERS, int64, int64, int64, array(int64),
+         array(float64, 2), array(float64, 2))
 )  # fmt: skip
 def play_trials(  # type: ignore[no-untyped-def]  # compiled
-    step, parameters, participants, seeds, states, observations, actions, robots, places, cells, items, stream, tally,
-    lengths, rays, per_side, task, steps, progress, fitness, metrics,
+    step, together, parameters, participants, seeds, controller, states, seen, said, observations, actions, robots, queue, places,
+    cells, items, stream, tally, lengths, rays, per_side, task, steps, progress, fitness, metrics,
 ):  # fmt: skip
-    """All trials of a batch, see ``CompiledSimulator.play``."""
+    """All trials of a batch, see ``CompiledSimulator.play``; ``step`` decides for so many robots together."""
     for trial in range(seeds.shape[0]):
         progress[0] = trial
         if progress[1] != 0:
             return
-        controller = parameters[participants[trial, 0]]
+        for number in range(parameters.shape[1]):
+            for lane in range(together):
+                controller[number * together + lane] = parameters[participants[trial, 0], number]
         states[:] = 0
         start(seeds[trial], task, robots, items, stream, tally, lengths)
         for _ in range(steps):
-            observe(task, robots, places, cells, per_side, rays, items, tally, lengths, observations)
-            decide(step, controller, states, observations, actions)
+            observe(task, robots, queue, places, cells, per_side, rays, items, tally, lengths, observations)
+            decide(step, together, controller, states, seen, said, observations, actions)
             act(task, steps, actions, robots, items, stream, tally, lengths)
         judge(task, tally, lengths, fitness[trial], metrics[trial])

@@ -123,7 +123,8 @@ def sense_task(task, robots, items, lengths, observations):  # type: ignore[no-u
         for robot in range(robots.shape[1]):
             at = inputs * robot + WORLD_INPUTS
             observations[at] = robots[READING, robot]
-            observations[at + 1] = robots[HEARD, robot]
+            number = robots[NEIGHBOURS, robot]
+            observations[at + 1] = robots[HEARD, robot] / number if number > ZERO else robots[SAID, robot]
 
 
 @inline(counts=False)
@@ -147,7 +148,7 @@ def happen(task, actions, robots, items, stream, tally, lengths):  # type: ignor
                         break
     elif task == CONSENSUS:
         for robot in range(robots.shape[1]):
-            robots[SAID, robot] = cut(actions[robot, 2])
+            robots[SAID, robot] = cut(actions[2, robot])
 
 
 @inline(counts=False)
@@ -169,7 +170,7 @@ def measure(task, robots, tally):  # type: ignore[no-untyped-def]  # compiled
             second = second + robots[NEIGHBOURS, robot]
     elif task == DISPERSION:
         for robot in range(number):
-            first = first + robots[NEAREST, robot]
+            first = first + sqrt(robots[NEAREST, robot])
             second = second + robots[NEIGHBOURS, robot]
     elif task == CONSENSUS:
         truth, middle = np.float32(tally[TRUTH]), ZERO

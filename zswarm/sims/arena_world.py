@@ -10,7 +10,7 @@ takes time in proportion to the robots. The eight rays are computed side by side
 import numpy as np
 
 from zswarm.jit import inline, sqrt
-from zswarm.lanes import LANES, load, select, store
+from zswarm.lanes import LANES, list_true, load, select, store
 
 ZERO, HALF, ONE, THREE_HALVES, TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(1.5), np.float32(2)
 TINY = np.float32(1e-6)  # no ray is taken to be nearer to a wall's direction, no two robots nearer in metres: divisors
@@ -23,9 +23,13 @@ RAYS = np.array(  # x and then y in a robot's frame, 45 degrees apart, the first
 )
 WORLD_INPUTS = LANES + 2
 
-# ``robots``: a row of float32 for each of these, a number per robot; the last three in the order of cells.
-X, Y, HEADING_X, HEADING_Y, PUSH_X, PUSH_Y, NEIGHBOURS, NEAREST, SAID, HEARD, SORTED_X, SORTED_Y, SORTED_SAID = range(13)
-WORLD_ROWS = 13
+# ``robots``: a row of float32 for each of these, a number per robot.
+X, Y, HEADING_X, HEADING_Y, PUSH_X, PUSH_Y, NEIGHBOURS, NEAREST, SAID, HEARD = range(10)
+WORLD_ROWS = 10
+# ``queue``: the first rows again, and what was said, in the order of cells; as ``places``, it is eight longer, for all lanes.
+QUEUE_SAID = 2
+QUEUE_ROWS = 3
+COUNT = np.arange(LANES, dtype=np.int32)
 # ``places``: a row of int32 for each. Of a robot its cell; the robots in the order of cells; where in that order neighbours are.
 CELL, ORDER, NEAR = range(3)
 PLACE_ROWS = 3
@@ -44,45 +48,52 @@ def cells_per_side(side: float, sight: float, robots: int) -> int:
 @inline(counts=False)
 def cut(output):  # type: ignore[no-untyped-def]  # compiled
     """An output cut to 0..1; NaN is 0."""
-    positive = output if output > ZERO else ZERO
-    return positive if positive < ONE else ONE
+    positive = select(output > ZERO, output, ZERO)
+    return select(positive < ONE, positive, ONE)
 
 
 @inline(counts=False)
 def at_least(number, least):  # type: ignore[no-untyped-def]  # compiled
     """The greater of two; Python's ``max`` cannot be computed side by side."""
-    return number if number > least else least
+    return select(number > least, number, least)
 
 
 @inline(counts=False)
-def sort(robots, places, cells, per_side, lengths):  # type: ignore[no-untyped-def]  # compiled
+def sort(robots, queue, places, cells, per_side, lengths):  # type: ignore[no-untyped-def]  # compiled
     """Put robots in the order of cells, row after row, those of a cell by index; a cell begins where ``cells`` says."""
+    number, per_metre = robots.shape[1], lengths[CELLS_PER_METRE]
     cells[:] = 0
-    for robot in range(robots.shape[1]):
-        column = min(int(robots[X, robot] * lengths[CELLS_PER_METRE]), per_side - 1)
-        row = min(int(robots[Y, robot] * lengths[CELLS_PER_METRE]), per_side - 1)
+    if per_side == 1:  # they are in order
+        cells[1:] = number
+        for robot in range(number):
+            places[ORDER, robot] = robot
+            queue[X, robot], queue[Y, robot], queue[QUEUE_SAID, robot] = robots[X, robot], robots[Y, robot], robots[SAID, robot]
+        return
+    for robot in range(number):
+        column = min(int(robots[X, robot] * per_metre), per_side - 1)
+        row = min(int(robots[Y, robot] * per_metre), per_side - 1)
         places[CELL, robot] = row * per_side + column
         cells[row * per_side + column + 2] += 1
     for cell in range(2, cells.shape[0]):
         cells[cell] += cells[cell - 1]
-    for robot in range(robots.shape[1]):
+    for robot in range(number):
         after = places[CELL, robot] + 1  # begins one too far left until all are placed
         at = cells[after]
         cells[after] += 1
         places[ORDER, at] = robot
-        robots[SORTED_X, at], robots[SORTED_Y, at] = robots[X, robot], robots[Y, robot]
-        robots[SORTED_SAID, at] = robots[SAID, robot]
+        queue[X, at], queue[Y, at], queue[QUEUE_SAID, at] = robots[X, robot], robots[Y, robot], robots[SAID, robot]
 
 
 @inline(counts=False)
-def look(robots, places, cells, per_side, rays, lengths, observations):  # type: ignore[no-untyped-def]  # compiled
+def look(robots, queue, places, cells, per_side, rays, lengths, observations):  # type: ignore[no-untyped-def]  # compiled
     """Write what all robots see, what they hear, and how they are pushed.
 
     Returns:
         how many robots overlap another; each once per other.
     """
-    sort(robots, places, cells, per_side, lengths)
-    ray_x, ray_y = load(rays, 0), load(rays, LANES)
+    sort(robots, queue, places, cells, per_side, lengths)
+    ray_x, ray_y, side, sight, radius = load(rays, 0), load(rays, LANES), lengths[SIDE], lengths[SIGHT], lengths[RADIUS]
+    per_sight = ONE / sight
     inputs = observations.shape[0] // robots.shape[1]
     contacts = 0
     for row in range(per_side):
@@ -90,8 +101,10 @@ def look(robots, places, cells, per_side, rays, lengths, observations):  # type:
             cell = row * per_side + column
             for place in range(cells[cell], cells[cell + 1]):
                 robot = places[ORDER, place]
-                near = find(place, row, column, robots, places, cells, per_side, lengths)
-                contacts += meet(robot, near, robots, places, ray_x, ray_y, lengths, observations, inputs * robot)
+                near = find(place, row, column, queue, places, cells, per_side, sight * sight)
+                contacts += meet(
+                    robot, near, robots, queue, places, ray_x, ray_y, side, sight, radius, per_sight, observations, inputs * robot
+                )
     return contacts
 
 
@@ -112,75 +125,99 @@ def divisor(numbers):  # type: ignore[no-untyped-def]  # compiled
 
 
 @inline(counts=False)
-def find(place, row, column, robots, places, cells, per_side, lengths):  # type: ignore[no-untyped-def]  # compiled
-    """List the neighbours of the robot at a place of the order; returns their number. Without a branch that none can foresee."""
-    x, y, seen = robots[SORTED_X, place], robots[SORTED_Y, place], lengths[SIGHT] * lengths[SIGHT]
+def find(place, row, column, queue, places, cells, per_side, seen):  # type: ignore[no-untyped-def]  # compiled
+    """List those nearer than the root of ``seen`` to the robot at a place of the queue, eight candidates at once.
+
+    Returns:
+        their number.
+    """
+    x, y, count = queue[X, place], queue[Y, place], load(COUNT, 0)
     first, last = max(column - 1, 0), min(column + 1, per_side - 1)
     near = 0
     for other_row in range(max(row - 1, 0), min(row + 2, per_side)):
-        begin = other_row * per_side
-        for at in range(cells[begin + first], cells[begin + last + 1]):
-            dx, dy = robots[SORTED_X, at] - x, robots[SORTED_Y, at] - y
-            places[NEAR, near] = at
-            near += 1 if (dx * dx + dy * dy < seen) & (at != place) else 0
+        end = cells[other_row * per_side + last + 1]
+        for at in range(cells[other_row * per_side + first], end, LANES):
+            dx, dy = load(queue[X], at) - x, load(queue[Y], at) - y
+            which = (dx * dx + dy * dy < seen) & (count < end - at) & (count != place - at)
+            near += list_true(which, at, places[NEAR], near)
     return near
 
 
 @inline(counts=False)
-def meet(robot, near, robots, places, ray_x, ray_y, lengths, observations, at):  # type: ignore[no-untyped-def]  # compiled
+def meet(  # type: ignore[no-untyped-def]  # compiled
+    robot, near, robots, queue, places, ray_x, ray_y, side, sight, radius, per_sight, observations, at
+):
     """Write from ``at`` on how far a robot's rays reach, and where its neighbours are on average; it hears and is pushed by them.
 
     Returns:
         how many overlap it.
     """
     x, y, heading_x, heading_y = robots[X, robot], robots[Y, robot], robots[HEADING_X, robot], robots[HEADING_Y, robot]
-    sight, disc, touch = lengths[SIGHT], lengths[RADIUS] * lengths[RADIUS], lengths[RADIUS] + lengths[RADIUS]
+    disc, touch = radius * radius, radius + radius
     sum_x, sum_y, push_x, push_y, heard, nearest = ZERO, ZERO, ZERO, ZERO, ZERO, sight * sight
-    reach = to_walls(x, y, heading_x, heading_y, ray_x, ray_y, lengths[SIDE])
+    reach = to_walls(x, y, heading_x, heading_y, ray_x, ray_y, side)
     reach = select(reach < sight, reach, sight)
     contacts = 0
     for neighbour in range(near):
         other = places[NEAR, neighbour]
-        dx, dy = robots[SORTED_X, other] - x, robots[SORTED_Y, other] - y
+        dx, dy = queue[X, other] - x, queue[Y, other] - y
         ahead, aside = dx * heading_x + dy * heading_y, dy * heading_x - dx * heading_y
-        sum_x, sum_y, heard = sum_x + ahead, sum_y + aside, heard + robots[SORTED_SAID, other]
+        sum_x, sum_y, heard = sum_x + ahead, sum_y + aside, heard + queue[QUEUE_SAID, other]
         centre, off = ahead * ray_x + aside * ray_y, aside * ray_x - ahead * ray_y
         chord = disc - off * off  # square of half of what the ray's line has within the robot
         hit = centre - sqrt(select(chord > ZERO, chord, ZERO))
         reach = select((chord > ZERO) & (centre > ZERO) & (hit < reach), hit, reach)
         square = dx * dx + dy * dy
-        nearest = square if square < nearest else nearest
+        nearest = select(square < nearest, square, nearest)
         if square < touch * touch:
             contacts += 1
             distance = sqrt(square)
             share = HALF * (touch - distance) / at_least(distance, TINY)
             push_x, push_y = push_x - share * dx, push_y - share * dy
-    per_sight, number = ONE / sight, np.float32(max(near, 1))
+    per_neighbour = per_sight / np.float32(max(near, 1))
     store(observations, at, ONE - reach * per_sight)
-    observations[at + LANES] = sum_x * (per_sight / number)
-    observations[at + LANES + 1] = sum_y * (per_sight / number)
+    observations[at + LANES] = sum_x * per_neighbour
+    observations[at + LANES + 1] = sum_y * per_neighbour
     robots[PUSH_X, robot], robots[PUSH_Y, robot] = push_x, push_y
-    robots[NEIGHBOURS, robot], robots[NEAREST, robot] = np.float32(near), sqrt(nearest)
-    robots[HEARD, robot] = heard / number if near > 0 else robots[SAID, robot]
+    robots[NEIGHBOURS, robot], robots[NEAREST, robot], robots[HEARD, robot] = np.float32(near), nearest, heard
     return contacts
 
 
 @inline(counts=False)
 def drive(actions, robots, lengths):  # type: ignore[no-untyped-def]  # compiled
-    """Turn and move all robots by their wheels and by those that push them; walls hold them."""
-    low, high = lengths[RADIUS], lengths[SIDE] - lengths[RADIUS]
-    for robot in range(robots.shape[1]):
-        left, right = TWO * cut(actions[robot, 0]) - ONE, TWO * cut(actions[robot, 1]) - ONE
-        t, forward = (right - left) * lengths[HALF_TURN], (left + right) * lengths[HALF_STRIDE]
-        per_square = ONE / (ONE + t * t)
-        cosine, sine = (ONE - t * t) * per_square, (t + t) * per_square
-        heading_x, heading_y = robots[HEADING_X, robot], robots[HEADING_Y, robot]
-        turned_x = cosine * heading_x - sine * heading_y
-        turned_y = cosine * heading_y + sine * heading_x
-        per_length = THREE_HALVES - HALF * (turned_x * turned_x + turned_y * turned_y)  # a step of Newton's
-        turned_x, turned_y = turned_x * per_length, turned_y * per_length
-        x = robots[X, robot] + forward * turned_x + robots[PUSH_X, robot]
-        y = robots[Y, robot] + forward * turned_y + robots[PUSH_Y, robot]
-        x, y = at_least(x, low), at_least(y, low)
-        robots[X, robot], robots[Y, robot] = x if x < high else high, y if y < high else high
-        robots[HEADING_X, robot], robots[HEADING_Y, robot] = turned_x, turned_y
+    """Turn and move all robots by their wheels and by those that push them, eight at once; walls hold them."""
+    low, high, half_turn, half_stride = lengths[RADIUS], lengths[SIDE] - lengths[RADIUS], lengths[HALF_TURN], lengths[HALF_STRIDE]
+    rest = robots.shape[1] // LANES * LANES
+    for first in range(0, rest, LANES):
+        to_x, to_y, heading_x, heading_y = drive_on(
+            load(actions[0], first), load(actions[1], first), load(robots[X], first), load(robots[Y], first),
+            load(robots[HEADING_X], first), load(robots[HEADING_Y], first), load(robots[PUSH_X], first),
+            load(robots[PUSH_Y], first), half_turn, half_stride, low, high,
+        )  # fmt: skip
+        store(robots[X], first, to_x)
+        store(robots[Y], first, to_y)
+        store(robots[HEADING_X], first, heading_x)
+        store(robots[HEADING_Y], first, heading_y)
+    for robot in range(rest, robots.shape[1]):
+        robots[X, robot], robots[Y, robot], robots[HEADING_X, robot], robots[HEADING_Y, robot] = drive_on(
+            actions[0, robot], actions[1, robot], robots[X, robot], robots[Y, robot],
+            robots[HEADING_X, robot], robots[HEADING_Y, robot], robots[PUSH_X, robot],
+            robots[PUSH_Y, robot], half_turn, half_stride, low, high,
+        )  # fmt: skip
+
+
+@inline(counts=False)
+def drive_on(  # type: ignore[no-untyped-def]  # compiled
+    left, right, x, y, heading_x, heading_y, push_x, push_y, half_turn, half_stride, low, high
+):
+    """Where one robot, or eight, are after a step, and their heading."""
+    left, right = TWO * cut(left) - ONE, TWO * cut(right) - ONE
+    t, forward = (right - left) * half_turn, (left + right) * half_stride
+    per_square = ONE / (ONE + t * t)
+    cosine, sine = (ONE - t * t) * per_square, (t + t) * per_square
+    turned_x = cosine * heading_x - sine * heading_y
+    turned_y = cosine * heading_y + sine * heading_x
+    per_length = THREE_HALVES - HALF * (turned_x * turned_x + turned_y * turned_y)  # a step of Newton's
+    turned_x, turned_y = turned_x * per_length, turned_y * per_length
+    to_x, to_y = at_least(x + forward * turned_x + push_x, low), at_least(y + forward * turned_y + push_y, low)
+    return select(to_x < high, to_x, high), select(to_y < high, to_y, high), turned_x, turned_y
