@@ -75,7 +75,7 @@ def test_an_example_is_no_mistake(name: str) -> None:
 
 
 def test_a_simulator_that_always_fails_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Minisim, "play", lambda *_arguments: None)  # the outcomes stay NaN
+    monkeypatch.setattr(Minisim, "play_lanes", lambda *_arguments: None)  # the outcomes stay NaN
     assert explained("minisim").warnings == ["every trial that was tried failed; nothing can evolve"]
 
 
