@@ -908,6 +908,19 @@ def test_a_free_slot_whose_process_died_is_not_taken_for_prepared() -> None:
     assert server.reserve("b").ready == 1
 
 
+def test_a_run_that_shares_does_without_the_slot_alone_that_could_not_be_prepared() -> None:
+    """Not without those, too, that others have for now."""
+    server = Server(6)
+    lease = server.ready("a")
+    other = server.ready("b")
+    assert [server.reserve(name).slots for name in "ab"] == [3, 3]
+    broken = server.slots.leases[lease].slots[0].index
+    for _ in range(1 + slots.PREPARE_ATTEMPTS):  # the first one while it is idle
+        server.feed(Died(broken, 0, "killed"))
+    server.ask(Release(lease=other), "b")
+    assert server.reserve("a").slots == 5
+
+
 def test_a_problem_that_cannot_be_prepared_fails_the_lease_and_frees_its_slots() -> None:
     server = Server(1)
     lease = server.reserve("a").lease

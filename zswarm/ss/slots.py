@@ -734,7 +734,7 @@ class Slots:
             self._prepare(lease, now)
         elif lease.probe and len(lease.slots) > 1:  # as when the machine has memory for the others only: do without it
             lease.slots.remove(slot)
-            lease.wanted = len(lease.slots)
+            lease.wanted = min(lease.wanted, len(self.slots)) - 1
             self._release(slot, now)
         else:
             self._unprepared(slot, f"the simulator's process ended while it was prepared: {reason}", now)
