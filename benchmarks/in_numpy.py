@@ -13,12 +13,10 @@ from zswarm.portable import T1, T2, T3, T4
 from zswarm.sims.arena_world import HALF_STRIDE, HALF_TURN, LANES, RADIUS, RAYS, SIDE, SIGHT, TINY
 
 INPUTS, NEURONS, HEADER = 10, 8, 4
-RAY_X, RAY_Y = RAYS[:LANES], RAYS[LANES:]
-# (ahead, aside) of a neighbour to how far it is along the first four rays and off them; the others look the opposite way.
-ALONG_AND_OFF = np.concatenate([np.stack([RAY_X[:4], RAY_Y[:4]], axis=1), np.stack([-RAY_Y[:4], RAY_X[:4]], axis=1)])
-# A heading to the first four rays in the room, x and then y.
-IN_ROOM = np.concatenate([np.stack([RAY_X[:4], -RAY_Y[:4]], axis=1), np.stack([RAY_Y[:4], RAY_X[:4]], axis=1)])
+# The first four rays, x and then y in a robot's frame; the others look the opposite way.
+RAY_X, RAY_Y = RAYS[: LANES // 2, None], RAYS[LANES : LANES + LANES // 2, None]
 FAR = np.float32(np.inf)
+BLOCK = 1 << 17  # pairs that are measured at once: they stay in the processor's cache
 
 
 class Arena:
@@ -32,7 +30,9 @@ class Arena:
         self.weights = np.ascontiguousarray(weights.transpose(0, 2, 1))
         starts = [start(Stream(seed), robots, self.lengths) for seed in seeds.tolist()]
         self.starts = np.array(starts, np.float32).transpose(2, 0, 1)  # x, y, heading x, heading y
-        self._dx, self._dy, self._square, self._part = (np.empty((candidates, robots, robots), np.float32) for _ in range(4))
+        together = max(1, BLOCK // robots**2)
+        self._blocks = [slice(first, first + together) for first in range(0, candidates, together)]
+        self._dx, self._dy, self._square, self._part = (np.empty((together, robots, robots), np.float32) for _ in range(4))
 
     def play(self) -> tuple[np.ndarray, np.ndarray]:
         """Fitness (trials,) and metrics (trials, 3)."""
@@ -63,31 +63,24 @@ class Arena:
         candidates, robots = self.shape
         sight, radius = self.lengths[SIGHT], self.lengths[RADIUS]
         touch, columns = radius + radius, candidates * robots
-        x, y = self.x.reshape(self.shape), self.y.reshape(self.shape)
-        np.subtract(x[:, None, :], x[:, :, None], out=self._dx)
-        np.subtract(y[:, None, :], y[:, :, None], out=self._dy)
-        np.multiply(self._dx, self._dx, out=self._square)
-        np.multiply(self._dy, self._dy, out=self._part)
-        np.add(self._square, self._part, out=self._square)
-        self._square.reshape(candidates, -1)[:, :: robots + 1] = FAR  # nobody is a neighbour of itself
-        pairs = np.flatnonzero(self._square < sight * sight)
-        robot = pairs // robots
-        dx, dy, square = self._dx.take(pairs), self._dy.take(pairs), self._square.take(pairs)
-        heading_x, heading_y = self.heading_x[robot], self.heading_y[robot]
-        place = np.stack([dx * heading_x + dy * heading_y, dy * heading_x - dx * heading_y])
+        found = zip(*(self._neighbours(block) for block in self._blocks), strict=True)
+        robot, dx, dy, square = (np.concatenate(parts) if len(parts) > 1 else parts[0] for parts in found)
+        heading_x, heading_y = self.heading_x.take(robot), self.heading_y.take(robot)
+        ahead, aside = dx * heading_x + dy * heading_y, dy * heading_x - dx * heading_y
 
-        along, off = np.matmul(ALONG_AND_OFF, place).reshape(2, 4, -1)
-        chord = radius * radius - off * off
-        hit = np.where(chord > 0, np.abs(along) - np.sqrt(np.maximum(chord, 0)), FAR)
-        hits = np.concatenate([np.where(along > 0, hit, FAR), np.where(along < 0, hit, FAR)])
-        first = np.flatnonzero(np.diff(robot, prepend=-1))
-        seeing = robot[first]
         reach = np.minimum(self._to_walls(), sight)
-        reach[:, seeing] = np.minimum(reach[:, seeing], np.minimum.reduceat(hits, first, axis=1))
+        off = aside * RAY_X - ahead * RAY_Y
+        chord = radius * radius - off * off
+        met = np.flatnonzero(chord > 0)
+        line, pair = np.divmod(met, len(robot))
+        along = ahead.take(pair) * RAY_X.take(line) + aside.take(pair) * RAY_Y.take(line)
+        ray = line + (along < 0) * (LANES // 2)
+        np.minimum.at(reach.reshape(-1), ray * columns + robot.take(pair), np.abs(along) - np.sqrt(chord.take(met)))
         neighbours = np.bincount(robot, minlength=columns)
+        scale = sight * np.maximum(neighbours, 1)
         self.heard[:LANES] = 1 - reach / sight
-        self.heard[LANES:INPUTS] = 0
-        self.heard[LANES:INPUTS, seeing] = np.add.reduceat(place, first, axis=1) / (sight * neighbours[seeing].astype(np.float32))
+        self.heard[LANES] = np.bincount(robot, ahead, columns) / scale
+        self.heard[LANES + 1] = np.bincount(robot, aside, columns) / scale
 
         touching = np.flatnonzero(square < touch * touch)
         robot, distance = robot[touching], np.sqrt(square[touching])
@@ -95,29 +88,44 @@ class Arena:
         push_x, push_y = (np.bincount(robot, -share * way[touching], columns).astype(np.float32) for way in (dx, dy))
         return neighbours, np.bincount(robot // robots, minlength=candidates), push_x, push_y
 
+    def _neighbours(self, block: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Pairs that see each other in some candidates: the one's column, to the other in x and y, and the distance's square."""
+        x, y = self.x.reshape(self.shape)[block], self.y.reshape(self.shape)[block]
+        count, robots = x.shape
+        dx, dy, square, part = self._dx[:count], self._dy[:count], self._square[:count], self._part[:count]
+        np.subtract(x[:, None, :], x[:, :, None], out=dx)
+        np.subtract(y[:, None, :], y[:, :, None], out=dy)
+        np.multiply(dx, dx, out=square)
+        np.multiply(dy, dy, out=part)
+        np.add(square, part, out=square)
+        square.reshape(count, -1)[:, :: robots + 1] = FAR  # nobody is a neighbour of itself
+        pairs = np.flatnonzero(square < self.lengths[SIGHT] * self.lengths[SIGHT])
+        return block.start * robots + pairs // robots, dx.take(pairs), dy.take(pairs), square.take(pairs)
+
     def _to_walls(self) -> np.ndarray:
         """How far it is along the eight rays to a wall."""
-        along_x, along_y = np.matmul(IN_ROOM, np.stack([self.heading_x, self.heading_y])).reshape(2, 4, -1)
-        size_x, size_y = np.maximum(np.abs(along_x), TINY), np.maximum(np.abs(along_y), TINY)
-        side = self.lengths[SIDE]
-        low_x, high_x, low_y, high_y = self.x / size_x, (side - self.x) / size_x, self.y / size_y, (side - self.y) / size_y
-        right, down = along_x > 0, along_y > 0
-        ahead = np.minimum(np.where(right, high_x, low_x), np.where(down, high_y, low_y))
-        behind = np.minimum(np.where(right, low_x, high_x), np.where(down, low_y, high_y))
-        return np.concatenate([ahead, behind])
+        half = self.lengths[SIDE] * np.float32(0.5)
+        reaches = []
+        for place, way in (
+            (self.x, self.heading_x * RAY_X - self.heading_y * RAY_Y),
+            (self.y, self.heading_y * RAY_X + self.heading_x * RAY_Y),
+        ):
+            per_size, beyond = 1 / np.maximum(np.abs(way), TINY), np.sign(way) * (place - half)
+            reaches.append(np.concatenate([(half - beyond) * per_size, (half + beyond) * per_size]))
+        return np.minimum(*reaches)
 
     def _drive(self, left: np.ndarray, right: np.ndarray, push_x: np.ndarray, push_y: np.ndarray) -> None:
         """Turn and move all robots."""
         low, high = self.lengths[RADIUS], self.lengths[SIDE] - self.lengths[RADIUS]
-        left, right = 2 * np.clip(left, 0, 1) - 1, 2 * np.clip(right, 0, 1) - 1
+        left, right = 2 * cut(left, 0, 1) - 1, 2 * cut(right, 0, 1) - 1
         t, forward = (right - left) * self.lengths[HALF_TURN], (left + right) * self.lengths[HALF_STRIDE]
         per_square = 1 / (1 + t * t)
         cosine, sine = (1 - t * t) * per_square, (t + t) * per_square
         x, y = cosine * self.heading_x - sine * self.heading_y, cosine * self.heading_y + sine * self.heading_x
         per_length = np.float32(1.5) - np.float32(0.5) * (x * x + y * y)
         self.heading_x, self.heading_y = x * per_length, y * per_length
-        self.x = np.clip(self.x + forward * self.heading_x + push_x, low, high)
-        self.y = np.clip(self.y + forward * self.heading_y + push_y, low, high)
+        self.x = cut(self.x + forward * self.heading_x + push_x, low, high)
+        self.y = cut(self.y + forward * self.heading_y + push_y, low, high)
 
 
 def start(stream: Stream, robots: int, lengths: np.ndarray) -> list[tuple[float, float, float, float]]:
@@ -135,6 +143,11 @@ def start(stream: Stream, robots: int, lengths: np.ndarray) -> list[tuple[float,
             square = heading_x**2 + heading_y**2
         places.append((x, y, heading_x / square**0.5, heading_y / square**0.5))
     return places
+
+
+def cut(x: np.ndarray, low: float, high: float) -> np.ndarray:
+    """What ``np.clip`` gives, sooner."""
+    return np.minimum(np.maximum(x, low), high)
 
 
 def tanh(x: np.ndarray) -> np.ndarray:
