@@ -234,23 +234,14 @@ class Arena(CompiledSimulator):
 
     def _turn(self) -> Turn:
         observations = np.empty(self.settings.robots * self.inputs, np.float32)
-        observe(
-            self.task, self._robots, self._queue, self._places, self._cells, self._per_side, RAYS, self._items, self._tally,
-            self._lengths, observations,
-        )  # fmt: skip
+        self._tally[CONTACTS] += look(
+            self._robots, self._queue, self._places, self._cells, self._per_side, RAYS, self._lengths, observations
+        )
+        sense_task(self.task, self._robots, self._items, self._lengths, observations)
         return Turn(range(self.settings.robots), observations.reshape(self.settings.robots, self.inputs))
 
 
-@inline(counts=False)
-def observe(  # type: ignore[no-untyped-def]  # compiled
-    task, robots, queue, places, cells, per_side, rays, items, tally, lengths, observations
-):
-    """Write what all robots observe."""
-    tally[CONTACTS] += look(robots, queue, places, cells, per_side, rays, lengths, observations)
-    sense_task(task, robots, items, lengths, observations)
-
-
-@inline(counts=False)
+@inline(counts=False, inner=True)
 def decide(step, together, controller, states, seen, said, observations, actions):  # type: ignore[no-untyped-def]  # compiled
     """Ask the controllers of all robots; so many decide together, the last one again where there are fewer."""
     inputs, (outputs, robots) = seen.shape[0] // together, actions.shape
@@ -300,7 +291,8 @@ def play_trials(  # type: ignore[no-untyped-def]  # compiled
         states[:] = 0
         start(seeds[trial], task, robots, items, stream, tally, lengths)
         for _ in range(steps):
-            observe(task, robots, queue, places, cells, per_side, rays, items, tally, lengths, observations)
+            tally[CONTACTS] += look(robots, queue, places, cells, per_side, rays, lengths, observations)
+            sense_task(task, robots, items, lengths, observations)
             decide(step, together, controller, states, seen, said, observations, actions)
             act(task, steps, actions, robots, items, stream, tally, lengths)
         judge(task, tally, lengths, fitness[trial], metrics[trial])

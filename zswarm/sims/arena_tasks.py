@@ -57,7 +57,7 @@ SHORTEST = np.float32(0.01)
 MIDDLE = 0.3826  # mean distance of a square's points to its centre, in its sides
 
 
-@inline(counts=False)
+@inline(counts=False, inner=True)
 def draw(stream, low, high):  # type: ignore[no-untyped-def]  # compiled
     """A float32 from low to high: low + u (high - low), u a multiple of 2**-24 below 1."""
     return low + np.float32(draw_integer(stream, DRAW)) * UNIT * (high - low)
@@ -92,7 +92,7 @@ def start(seed, task, robots, items, stream, tally, lengths):  # type: ignore[no
         place_item(item, items, stream, lengths)
 
 
-@inline(counts=False)
+@inline(counts=False, inner=True)
 def place_item(item, items, stream, lengths):  # type: ignore[no-untyped-def]  # compiled
     """Put an item somewhere outside the nest."""
     items[X, item] = draw(stream, lengths[NEST], lengths[SIDE] - lengths[RADIUS])
@@ -127,7 +127,7 @@ def sense_task(task, robots, items, lengths, observations):  # type: ignore[no-u
             observations[at + 1] = robots[HEARD, robot] / number if number > ZERO else robots[SAID, robot]
 
 
-@inline(counts=False)
+@inline(counts=False, inner=True)
 def happen(task, actions, robots, items, stream, tally, lengths):  # type: ignore[no-untyped-def]  # compiled
     """After the robots have moved: items are found and brought home, words are said."""
     if task == FORAGING:
@@ -151,7 +151,7 @@ def happen(task, actions, robots, items, stream, tally, lengths):  # type: ignor
             robots[SAID, robot] = cut(actions[2, robot])
 
 
-@inline(counts=False)
+@inline(counts=False, inner=True)
 def measure(task, robots, tally):  # type: ignore[no-untyped-def]  # compiled
     """Add to the tally what counts of the present state."""
     tally[MEASURED] += 1.0

@@ -45,20 +45,20 @@ def cells_per_side(side: float, sight: float, robots: int) -> int:
     return cells if cells > 2 else 1
 
 
-@inline(counts=False)
+@inline(counts=False, inner=True)
 def cut(output):  # type: ignore[no-untyped-def]  # compiled
     """An output cut to 0..1; NaN is 0."""
     positive = select(output > ZERO, output, ZERO)
     return select(positive < ONE, positive, ONE)
 
 
-@inline(counts=False)
+@inline(counts=False, inner=True)
 def at_least(number, least):  # type: ignore[no-untyped-def]  # compiled
     """The greater of two; Python's ``max`` cannot be computed side by side."""
     return select(number > least, number, least)
 
 
-@inline(counts=False)
+@inline(counts=False, inner=True)
 def sort(robots, queue, places, cells, per_side, lengths):  # type: ignore[no-untyped-def]  # compiled
     """Put robots in the order of cells, row after row, those of a cell by index; a cell begins where ``cells`` says."""
     number, per_metre = robots.shape[1], lengths[CELLS_PER_METRE]
@@ -108,7 +108,7 @@ def look(robots, queue, places, cells, per_side, rays, lengths, observations):  
     return contacts
 
 
-@inline(counts=False)
+@inline(counts=False, inner=True)
 def to_walls(x, y, heading_x, heading_y, ray_x, ray_y, side):  # type: ignore[no-untyped-def]  # compiled
     """How far it is along the rays to a wall."""
     along_x, along_y = heading_x * ray_x - heading_y * ray_y, heading_y * ray_x + heading_x * ray_y
@@ -117,14 +117,14 @@ def to_walls(x, y, heading_x, heading_y, ray_x, ray_y, side):  # type: ignore[no
     return select(wall_x < wall_y, wall_x, wall_y)
 
 
-@inline(counts=False)
+@inline(counts=False, inner=True)
 def divisor(numbers):  # type: ignore[no-untyped-def]  # compiled
     """Without signs, and not zero."""
     sizes = select(numbers < ZERO, ZERO - numbers, numbers)
     return select(sizes > TINY, sizes, TINY)
 
 
-@inline(counts=False)
+@inline(counts=False, inner=True)
 def find(place, row, column, queue, places, cells, per_side, seen):  # type: ignore[no-untyped-def]  # compiled
     """List those nearer than the root of ``seen`` to the robot at a place of the queue, eight candidates at once.
 
@@ -143,7 +143,7 @@ def find(place, row, column, queue, places, cells, per_side, seen):  # type: ign
     return near
 
 
-@inline(counts=False)
+@inline(counts=False, inner=True)
 def meet(  # type: ignore[no-untyped-def]  # compiled
     robot, near, robots, queue, places, ray_x, ray_y, side, sight, radius, per_sight, observations, at
 ):
@@ -183,7 +183,7 @@ def meet(  # type: ignore[no-untyped-def]  # compiled
     return contacts
 
 
-@inline(counts=False)
+@inline(counts=False, inner=True)
 def drive(actions, robots, lengths):  # type: ignore[no-untyped-def]  # compiled
     """Turn and move all robots by their wheels and by those that push them, eight at once; walls hold them."""
     low, high, half_turn, half_stride = lengths[RADIUS], lengths[SIDE] - lengths[RADIUS], lengths[HALF_TURN], lengths[HALF_STRIDE]
@@ -206,7 +206,7 @@ def drive(actions, robots, lengths):  # type: ignore[no-untyped-def]  # compiled
         )  # fmt: skip
 
 
-@inline(counts=False)
+@inline(counts=False, inner=True)
 def drive_on(  # type: ignore[no-untyped-def]  # compiled
     left, right, x, y, heading_x, heading_y, push_x, push_y, half_turn, half_stride, low, high
 ):
