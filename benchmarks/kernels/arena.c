@@ -7,6 +7,7 @@
 
 typedef float eight __attribute__((vector_size(32), aligned(4), may_alias));
 typedef int32_t which __attribute__((vector_size(32)));
+typedef float floats __attribute__((vector_size(32)));
 
 #define MOST 1024 /* robots */
 #define RAYS 8
@@ -22,8 +23,9 @@ static const eight RAY_X = {1, S, 0, -S, -1, -S, 0, S};
 static const eight RAY_Y = {0, S, 1, S, 0, -S, -1, -S};
 
 static float x[MOST], y[MOST], heading_x[MOST], heading_y[MOST], push_x[MOST], push_y[MOST];
-static float sorted_x[MOST], sorted_y[MOST], neighbours[MOST], seen[MOST][INPUTS + 6], state[MOST][NEURONS], action[MOST][2];
-static int cell_of[MOST], order[MOST], near[MOST + 1], cells[MOST + 2];
+static float sorted_x[MOST + 8], sorted_y[MOST + 8], neighbours[MOST], seen[MOST][INPUTS + 6], state[MOST][NEURONS], action[MOST][2];
+static int cell_of[MOST], order[MOST], near[MOST + 8], cells[MOST + 2];
+static uint8_t set_bits[256][8]; /* of a byte, the lowest first */
 
 static inline uint64_t draw_integer(uint64_t *stream, uint64_t bound) {
     uint64_t word = *stream += 0x9E3779B97F4A7C15u;
@@ -60,6 +62,18 @@ static inline eight roots(eight a) {
     return made;
 }
 
+static const which COUNT = {0, 1, 2, 3, 4, 5, 6, 7};
+
+static inline uint32_t to_bits(which yes) {
+#ifdef __AVX__
+    return __builtin_ia32_movmskps256((floats)yes);
+#else
+    uint32_t bits = 0;
+    for (int lane = 0; lane < 8; lane++) bits |= (yes[lane] & 1u) << lane;
+    return bits;
+#endif
+}
+
 static void start(int robots, uint64_t seed, const float *lengths) {
     float low = lengths[RADIUS], high = lengths[SIDE] - lengths[RADIUS];
     for (int i = 0; i < robots; i++) {
@@ -78,6 +92,14 @@ static void start(int robots, uint64_t seed, const float *lengths) {
 }
 
 static void sort(int robots, int per_side, const float *lengths) {
+    if (per_side == 1) {
+        cells[0] = 0;
+        cells[1] = robots;
+        for (int i = 0; i < robots; i++) order[i] = i;
+        memcpy(sorted_x, x, sizeof x[0] * robots);
+        memcpy(sorted_y, y, sizeof y[0] * robots);
+        return;
+    }
     memset(cells, 0, sizeof cells[0] * (per_side * per_side + 2));
     for (int i = 0; i < robots; i++) {
         int column = (int)(x[i] * lengths[CELLS_PER_METRE]), row = (int)(y[i] * lengths[CELLS_PER_METRE]);
@@ -142,10 +164,12 @@ static int look(int robots, int per_side, const float *lengths) {
                 for (int other = row > 0 ? row - 1 : 0; other < row + 2 && other < per_side; other++) {
                     int first = other * per_side + (column > 0 ? column - 1 : 0);
                     int last = other * per_side + (column + 1 < per_side ? column + 1 : per_side - 1);
-                    for (int at = cells[first]; at < cells[last + 1]; at++) {
-                        float dx = sorted_x[at] - px, dy = sorted_y[at] - py;
-                        near[found] = at;
-                        found += (dx * dx + dy * dy < square) & (at != place);
+                    for (int at = cells[first]; at < cells[last + 1]; at += 8) {
+                        eight dx = *(eight *)(sorted_x + at) - px, dy = *(eight *)(sorted_y + at) - py;
+                        which close = (dx * dx + dy * dy < square) & (COUNT < cells[last + 1] - at) & (COUNT != place - at);
+                        uint32_t bits = to_bits(close);
+                        for (int lane = 0; lane < 8; lane++) near[found + lane] = at + set_bits[bits][lane];
+                        found += __builtin_popcount(bits);
                     }
                 }
                 contacts += meet(order[place], found, lengths);
@@ -203,6 +227,9 @@ static void drive(int robots, const float *lengths) {
 /* parameters: rows of `row` float32 as the representation makes them, one for each trial. metrics: three for each. */
 void play(int64_t trials, int64_t steps, int64_t robots, int64_t per_side, const float *lengths, const float *parameters,
           int64_t row, const uint64_t *seeds, double *fitness, double *metrics) {
+    for (int bits = 0; bits < 256; bits++)
+        for (int lane = 0, next = 0; lane < 8; lane++)
+            if (bits >> lane & 1) set_bits[bits][next++] = lane;
     for (int64_t trial = 0; trial < trials; trial++) {
         double first = 0, second = 0, contacts = 0, measured = 0;
         start(robots, seeds[trial], lengths);
