@@ -11,7 +11,7 @@ from msgspec import Meta
 
 from zswarm.errors import ConfigError
 from zswarm.jit import STEP, Step, array, float32, float64, inline, int32, int64, kernel, uint64, void
-from zswarm.lanes import LANES
+from zswarm.lanes import LANES, load, select, store, window
 from zswarm.sims.arena_tasks import (
     CARRIES,
     CONTACTS,
@@ -28,7 +28,7 @@ from zswarm.sims.arena_tasks import (
     sense_task,
     start,
 )
-from zswarm.sims.arena_world import PLACE_ROWS, QUEUE_ROWS, RAYS, X, Y, cells_per_side, drive, look
+from zswarm.sims.arena_world import COUNT, PLACE_ROWS, QUEUE_ROWS, RAYS, X, Y, cells_per_side, drive, look
 from zswarm.sims.simulator import Body, CompiledSimulator, Frame, Outcome, Place, Turn
 
 ITEM_RADIUS = 0.05  # m, in pictures
@@ -210,12 +210,13 @@ class Arena(CompiledSimulator):
         *results: np.ndarray,
     ) -> None:
         """So many robots decide together."""
-        robots, sizes = self.settings.robots, (parameters.shape[1], self.inputs, self.outputs)
+        robots, sizes = self.settings.robots, (parameters.shape[1], self.inputs + 3, self.outputs)
         controller, seen, said = (np.empty(size * together, np.float32) for size in sizes)
-        observations, actions = np.empty(robots * self.inputs, np.float32), np.empty((self.outputs, robots), np.float32)
+        observations = np.zeros(robots * self.inputs + 3, np.float32)  # three more, as in ``seen``: four are read at once
+        actions = np.empty((self.outputs, robots), np.float32)
         play_trials(
-            step, together, parameters, participants, seeds.astype(np.uint64), controller, states, seen, said, observations,
-            actions, *self._tables(), self._lengths, RAYS, self._per_side, self.task, self.settings.steps, *results,
+            step, together, self.inputs, parameters, participants, seeds.astype(np.uint64), controller, states, seen, said,
+            observations, actions, *self._tables(), self._lengths, RAYS, self._per_side, self.task, self.settings.steps, *results,
         )  # fmt: skip
 
     def _tables(self) -> tuple[np.ndarray, ...]:
@@ -242,19 +243,30 @@ class Arena(CompiledSimulator):
 
 
 @inline(counts=False, inner=True)
-def decide(step, together, controller, states, seen, said, observations, actions):  # type: ignore[no-untyped-def]  # compiled
+def decide(step, together, inputs, controller, states, seen, said, observations, actions):  # type: ignore[no-untyped-def]  # compiled
     """Ask the controllers of all robots; so many decide together, the last one again where there are fewer."""
-    inputs, (outputs, robots) = seen.shape[0] // together, actions.shape
+    outputs, robots = actions.shape
     for group in range(states.shape[0]):
         first = group * together
-        for lane in range(together):
-            at = inputs * min(first + lane, robots - 1)
+        if together == 1:
             for number in range(inputs):
-                seen[number * together + lane] = observations[at + number]
-        step(controller, states[group], seen, said)
-        for lane in range(min(together, robots - first)):
-            for number in range(outputs):
-                actions[number, first + lane] = said[number * together + lane]
+                seen[number] = observations[inputs * first + number]
+        else:  # rows become columns, four at once
+            lanes = load(COUNT, 0) + first
+            rows = select(lanes < robots, lanes, robots - 1) * inputs
+            for number in range(0, inputs, 4):
+                columns = window(observations, rows, number)
+                store(seen, number * LANES, columns[0])
+                store(seen, (number + 1) * LANES, columns[1])
+                store(seen, (number + 2) * LANES, columns[2])
+                store(seen, (number + 3) * LANES, columns[3])
+        step(controller, states[group], seen[: inputs * together], said)
+        for number in range(outputs):
+            if first + LANES <= robots and together == LANES:
+                store(actions[number], first, load(said, number * LANES))
+            else:
+                for lane in range(min(together, robots - first)):
+                    actions[number, first + lane] = said[number * together + lane]
 
 
 @inline(counts=False)
@@ -272,15 +284,16 @@ NUMBERS = array(float32)
 
 
 @kernel(
-    void(STEP, int64, GRIDS, array(int64, 2), array(uint64), NUMBERS, GRIDS, NUMBERS, NUMBERS, NUMBERS, GRIDS, GRIDS, GRIDS,
-         array(int32, 2), array(int32), GRIDS, array(uint64), array(float64), NUMBERS, NUMBERS, int64, int64, int64, array(int64),
-         array(float64, 2), array(float64, 2))
+    void(STEP, int64, int64, GRIDS, array(int64, 2), array(uint64), NUMBERS, GRIDS, NUMBERS, NUMBERS, NUMBERS, GRIDS, GRIDS,
+         GRIDS, array(int32, 2), array(int32), GRIDS, array(uint64), array(float64), NUMBERS, NUMBERS, int64, int64, int64,
+         array(int64), array(float64, 2), array(float64, 2))
 )  # fmt: skip
 def play_trials(  # type: ignore[no-untyped-def]  # compiled
-    step, together, parameters, participants, seeds, controller, states, seen, said, observations, actions, robots, queue, places,
-    cells, items, stream, tally, lengths, rays, per_side, task, steps, progress, fitness, metrics,
+    step, together, inputs, parameters, participants, seeds, controller, states, seen, said, observations, actions, robots, queue,
+    places, cells, items, stream, tally, lengths, rays, per_side, task, steps, progress, fitness, metrics,
 ):  # fmt: skip
     """All trials of a batch, see ``CompiledSimulator.play``; ``step`` decides for so many robots together."""
+    rows = observations[: inputs * robots.shape[1]]
     for trial in range(seeds.shape[0]):
         progress[0] = trial
         if progress[1] != 0:
@@ -291,8 +304,8 @@ def play_trials(  # type: ignore[no-untyped-def]  # compiled
         states[:] = 0
         start(seeds[trial], task, robots, items, stream, tally, lengths)
         for _ in range(steps):
-            tally[CONTACTS] += look(robots, queue, places, cells, per_side, rays, lengths, observations)
-            sense_task(task, robots, items, lengths, observations)
-            decide(step, together, controller, states, seen, said, observations, actions)
+            tally[CONTACTS] += look(robots, queue, places, cells, per_side, rays, lengths, rows)
+            sense_task(task, robots, items, lengths, rows)
+            decide(step, together, inputs, controller, states, seen, said, observations, actions)
             act(task, steps, actions, robots, items, stream, tally, lengths)
         judge(task, tally, lengths, fitness[trial], metrics[trial])

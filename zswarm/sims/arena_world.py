@@ -65,7 +65,13 @@ def sort(robots, queue, places, cells, per_side, lengths):  # type: ignore[no-un
     cells[:] = 0
     if per_side == 1:  # they are in order
         cells[1:] = number
-        for robot in range(number):
+        rest = number // LANES * LANES
+        for first in range(0, rest, LANES):
+            store(places[ORDER], first, load(COUNT, 0) + first)
+            store(queue[X], first, load(robots[X], first))
+            store(queue[Y], first, load(robots[Y], first))
+            store(queue[QUEUE_SAID], first, load(robots[SAID], first))
+        for robot in range(rest, number):
             places[ORDER, robot] = robot
             queue[X, robot], queue[Y, robot], queue[QUEUE_SAID, robot] = robots[X, robot], robots[Y, robot], robots[SAID, robot]
         return
