@@ -233,8 +233,8 @@ def test_random_controllers_do_badly_and_one_written_by_hand_does_better(task: s
 
 @pytest.mark.long
 @pytest.mark.parametrize("task", TASKS)
-def test_evolving_beats_the_controller_written_by_hand_or_in_foraging_is_level_with_it_on_unseen_seeds(task: str) -> None:
-    """As the example of the task has it; up to half a minute of computing each. More generations do not help foraging."""
+def test_evolving_beats_the_controller_written_by_hand_on_unseen_seeds(task: str) -> None:
+    """As the example of the task has it; up to two minutes of computing each."""
     example = experiment.load(experiment.find(f"arena-{task}"), [])
     parts = run.build(experiment.complete(example, "test"))
     problem, champion, best = parts.problem, b"", -np.inf
@@ -248,7 +248,7 @@ def test_evolving_beats_the_controller_written_by_hand_or_in_foraging_is_level_w
         parts.optimizer.tell(fitness)
     participants = np.zeros((len(UNSEEN), 1), np.int64)
     unseen = evaluate(problem.simulator, problem.representation, [champion], participants, UNSEEN)
-    assert unseen.fitness.mean() > (0.95 if task == "foraging" else 1.02) * by_hand(task, UNSEEN)
+    assert unseen.fitness.mean() > (1.05 if task == "foraging" else 1.02) * by_hand(task, UNSEEN)
 
 
 @pytest.mark.parametrize(
