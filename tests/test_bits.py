@@ -19,13 +19,8 @@ OLDEST_NUMPY = {"NPY_DISABLE_CPU_FEATURES": " ".join(NUMPY_FEATURES)}
 SETTINGS: dict[str, dict[str, str]] = {
     "plain": {"ZSWARM_PLAIN": "1"},
     "plain, numba there": {"NUMBA_DISABLE_JIT": "1"},
-    "oldest processor": OLDEST,
-    "oldest processor for numpy": OLDEST_NUMPY,
-    "oldest processor for both": OLDEST | OLDEST_NUMPY,
-    "plain, oldest processor for numpy": {"ZSWARM_PLAIN": "1"} | OLDEST_NUMPY,
+    "oldest processor": OLDEST | OLDEST_NUMPY,
     "compiled without optimization": {"NUMBA_OPT": "0"},
-    "compiled with little optimization": {"NUMBA_OPT": "1"},
-    "compiled without vectors": {"NUMBA_LOOP_VECTORIZE": "0", "NUMBA_SLP_VECTORIZE": "0"},
     "compiled with all vectors": {"NUMBA_OPT": "max", "NUMBA_LOOP_VECTORIZE": "1", "NUMBA_SLP_VECTORIZE": "1"},
 }
 SAID = {"whole": [], "short": ["short"]}  # to bits.py, of the trials
