@@ -211,9 +211,10 @@ def test_a_room_of_a_thousand_robots_is_played() -> None:
 # ---- the tasks -----------------------------------------------------------------------------------------------------
 
 
-def by_hand(task: str, seeds: np.ndarray) -> float:
-    """Mean fitness of the controller that somebody wrote."""
-    simulator, policy, fitness = Arena(Settings(task=task)), getattr(arena_controllers, task), []  # type: ignore[arg-type]
+def by_hand(task: str, seeds: np.ndarray, controller: str = "") -> float:
+    """Mean fitness of a controller that somebody wrote; it has the task's name if no other."""
+    policy, fitness = getattr(arena_controllers, controller or task), []
+    simulator = Arena(Settings(task=task))  # type: ignore[arg-type]
     for seed in seeds:
         turn = simulator.reset(int(seed))
         while turn is not None:
@@ -232,11 +233,11 @@ def test_random_controllers_do_badly_and_one_written_by_hand_does_better(task: s
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("task", "share"), [("aggregation", 1.02), ("dispersion", 1.02), ("foraging", 1.05), ("consensus", 0.7)])
-def test_evolving_beats_the_controller_written_by_hand_on_unseen_seeds_but_not_in_consensus(task: str, share: float) -> None:
+@pytest.mark.parametrize(("task", "share"), [("aggregation", 1.5), ("dispersion", 1.1), ("foraging", 1.05), ("consensus", 1.1)])
+def test_evolving_beats_the_controller_written_by_hand_on_unseen_seeds(task: str, share: float) -> None:
     """As the example of the task has it, its run seed included; up to two minutes of computing each.
 
-    Foraging depends on the run seed: with seed 2 evolution is level. In consensus it stays behind.
+    Foraging depends on the run seed: with seed 2 evolution is level. In consensus evolution stays behind the best that is known.
     """
     example = experiment.load(experiment.find(f"arena-{task}"), [])
     parts = run.build(experiment.complete(example, "test"))
@@ -252,6 +253,8 @@ def test_evolving_beats_the_controller_written_by_hand_on_unseen_seeds_but_not_i
     participants = np.zeros((len(UNSEEN), 1), np.int64)
     unseen = evaluate(problem.simulator, problem.representation, [champion], participants, UNSEEN)
     assert unseen.fitness.mean() > share * by_hand(task, UNSEEN)
+    if task == "consensus":
+        assert 0.75 < unseen.fitness.mean() / by_hand(task, UNSEEN, "patient_consensus") < 1
 
 
 @pytest.mark.parametrize(
