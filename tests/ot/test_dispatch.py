@@ -16,6 +16,7 @@ from zswarm.ot.dispatch import (
     RETRY_S,
     Ask,
     Complete,
+    Counted,
     Dispatch,
     Failed,
     Gone,
@@ -388,6 +389,19 @@ def test_outcomes_that_are_told_early_are_counted_once_and_a_batch_follows() -> 
     assert optimizer.answer(again, outcomes(again)) == []
     assert optimizer.counted == [trials([first])[1], trials([first])[0]]
     assert optimizer.workload.fitness[trials([first]), 0].tolist() == trials([first])
+
+
+def test_a_fault_that_tells_nothing_new_counts_nothing() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a", slots=2)
+    (ask,) = optimizer.work(2)
+    (again,) = optimizer.answer(ask, told(ask, 0))
+    some = told(ask, 0)
+    fault = Fault(
+        batch=ask.batch, kind="timeout", trial=1, reason="late", trials=some.trials, fitness=some.fitness, seconds=some.seconds
+    )
+    assert trials(optimizer.answer(again, fault)) == [1]
+    assert not any(isinstance(command, Counted) for command in optimizer.commands)
 
 
 def test_what_was_told_early_stays_counted_when_the_rest_goes_elsewhere() -> None:

@@ -590,6 +590,8 @@ class Dispatch:
         if batch.told is None:
             batch.told = np.zeros(len(batch.trials), bool)
         elif len(new := np.flatnonzero(~batch.told[rows])) < len(rows):
+            if not len(new):
+                return True
             rows, fitness, metrics = rows[new], fitness[new], metrics[new]
         batch.told[rows] = True
         batch.left -= len(rows)
