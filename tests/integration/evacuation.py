@@ -23,7 +23,7 @@ COUNTED = "SELECT coalesce(sum(count), 0) FROM outcomes"
 
 
 def write(folder: Path, name: str, steps: int, more: str = "") -> str:
-    """Put it into a folder; 400 steps take a millisecond."""
+    """Put it into a folder; 4,000 steps take a millisecond."""
     file = folder / "experiment.toml"
     file.write_text(EXPERIMENT.format(name=name, steps=steps) + more)
     return str(file)

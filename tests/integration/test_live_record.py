@@ -17,7 +17,7 @@ def read(folder: Path) -> Run | None:
 def test_a_run_is_read_while_it_goes_on_and_not_disturbed(tmp_path: Path) -> None:
     """What is read later goes on from what was read before; at the end all is there."""
     local = ["--servers", "local", "--set", "cluster.local_slots=1", "--json"]
-    experiment = evacuation.write(tmp_path, "watched", 200)
+    experiment = evacuation.write(tmp_path, "watched", 1500)
     watched = Optimizer(tmp_path, "watched", ["run", experiment, *local])
     folder = tmp_path / "runs" / "watched"
     seen: list[list[dict[str, object]]] = []

@@ -30,7 +30,7 @@ generations = 4
 simulator = "emergency-exit"
 trials = 20
 [problem.settings]
-steps = 1000
+steps = 8000
 agents = 20
 [representation]
 kind = "fully-meshed"

@@ -322,8 +322,8 @@ def test_a_user_is_no_server(lab: Lab, tmp_path: Path) -> None:
 @pytest.mark.faults
 def test_a_run_outlives_reloads_of_its_server(lab: Lab, server: Server, tmp_path: Path) -> None:
     """Each is a new session with the keys of then; lease, batches and results stay."""
-    plain = evolve(tmp_path, "alone", "none", "--servers", "local", "--out", "alone", steps=400).done()
-    running = evolve(tmp_path, "alice", lab.keys("alice"), "--servers", "1", f"--connect={server.endpoint}", steps=400)
+    plain = evolve(tmp_path, "alone", "none", "--servers", "local", "--out", "alone", steps=3000).done()
+    running = evolve(tmp_path, "alice", lab.keys("alice"), "--servers", "1", f"--connect={server.endpoint}", steps=3000)
     record = tmp_path / "runs" / "keyed"
     for reload in (1, 2):
         before = int((query(record, COUNTED) or [(0,)])[0][0])

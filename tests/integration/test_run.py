@@ -9,7 +9,7 @@ from evacuation import COUNTED, TRIALS
 from programs import Optimizer, Server, free_port, query, wait_until
 from promise import check_run
 
-STEPS = 400  # a run takes some seconds: long enough to disturb it
+STEPS = 3_000  # a run takes some seconds: long enough to disturb it
 
 
 @pytest.fixture(scope="module")

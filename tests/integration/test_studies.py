@@ -46,7 +46,7 @@ def write(folder: Path, study: str, *, name: str = "sweep", generations: int = 3
 
 def slow(folder: Path) -> str:
     """Takes some seconds: long enough to disturb it."""
-    return write(folder, GRID, generations=3, trials=20, steps=400)
+    return write(folder, GRID, generations=3, trials=20, steps=3000)
 
 
 def play(folder: Path, name: str, *arguments: str, **environment: str) -> Optimizer:

@@ -160,7 +160,7 @@ class Evaluations:
                 simulator = self._problem.experiment.problem.simulator
                 told = f"{', '.join(preparing)}: getting {simulator} ready; it is compiled once for each version of zswarm"
                 self._logger.on_say(told)
-            elif not preparing and idle > PAUSE_S and not told:
+            elif not preparing and idle > PAUSE_S and told not in (NOBODY, NOBODY_YET):  # one that got ready may be gone
                 told = NOBODY if served or local is None else NOBODY_YET
                 self._logger.on_say(told)
                 if local is None:
