@@ -21,7 +21,7 @@ from zswarm.ot.record import Record
 
 pytestmark = pytest.mark.faults
 
-STEPS = 16_000  # a run takes some seconds: long enough to disturb it
+STEPS = 6_000  # a run takes some seconds: long enough to disturb it
 CLUSTER = """
 [cluster]
 servers = "local"

@@ -30,7 +30,7 @@ generations = 4
 simulator = "emergency-exit"
 trials = 20
 [problem.settings]
-steps = 8000
+steps = 6000
 agents = 20
 [representation]
 kind = "fully-meshed"

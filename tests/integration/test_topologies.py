@@ -15,7 +15,7 @@ from programs import Optimizer, Program, query, wait_until
 
 pytestmark = pytest.mark.faults
 
-STEPS = 8_000  # a run takes some seconds: long enough to disturb it
+STEPS = 6_000  # a run takes some seconds: long enough to disturb it
 SERVED = "SELECT count(DISTINCT server) FROM outcomes"
 
 
