@@ -25,7 +25,7 @@ from zswarm.evaluate import evaluate, play_in_turns
 from zswarm.jit import PLAIN, STEP_SIGNATURE
 from zswarm.lanes import LANES
 from zswarm.nets.representation import Representation
-from zswarm.ot.optimizers.optimizer import Optimizer
+from zswarm.ot.optimizers.optimizer import Optimizer, Told
 from zswarm.sims.simulator import CompiledSimulator, Frame, Outcome, Simulator, Turn
 from zswarm.strict import convert
 
@@ -421,21 +421,25 @@ def _check_order(name: str, optimizer: Optimizer) -> None:
     _require(genome == b"" and not np.isfinite(fitness), f"{name}.best before the first tell must be without a genome")
     _require_raises(RuntimeError, lambda: optimizer.tell(np.zeros(1)), f"{name}.tell before an ask")
     genomes = optimizer.ask()
+    measures = _toy_measures(genomes, len(optimizer.measures))
     _require(bool(genomes), f"{name}.ask must give a genome at least")
     _require_raises(RuntimeError, optimizer.ask, f"{name}.ask before the last one was told")
     for wrong in (np.zeros(len(genomes) + 1), np.zeros((len(genomes), 1))):
-        _require_raises(ValueError, lambda wrong=wrong: optimizer.tell(wrong), f"{name}.tell with shape {wrong.shape}")  # type: ignore[misc]
+        _require_raises(ValueError, lambda wrong=wrong: optimizer.tell(wrong, measures), f"{name}.tell with shape {wrong.shape}")  # type: ignore[misc]
     _require(optimizer.generation == 0, f"{name}.generation counts a tell that was refused")
-    optimizer.tell(_toy_fitness(genomes))
+    if optimizer.measures:
+        _require_raises(ValueError, lambda: optimizer.tell(_toy_fitness(genomes)), f"{name}.tell without its measures")
+    optimizer.tell(_toy_fitness(genomes), measures)
     _require(optimizer.generation == 1, f"{name}.generation must be 1 after the first tell, not {optimizer.generation}")
-    _require_raises(RuntimeError, lambda: optimizer.tell(np.zeros(len(genomes))), f"{name}.tell a second time")
+    _require_raises(RuntimeError, lambda: optimizer.tell(np.zeros(len(genomes)), measures), f"{name}.tell a second time")
 
 
 def _check_repeats(name: str, new: Callable[[int], Optimizer]) -> None:
     first, again = new(1), new(1)
+    before: list[Told] = []
     for generation in range(6):
         revived = new(1)
-        revived.restore(msgspec.msgpack.decode(msgspec.msgpack.encode(first.state())))
+        revived.restore(msgspec.msgpack.decode(msgspec.msgpack.encode(first.state())), before)
         where = f"in generation {generation}"
         _require(revived.generation == first.generation, f"{name}.restore: another generation {where}")
         _require(_same(revived.best(), first.best()), f"{name}.restore: another best {where}")
@@ -451,9 +455,10 @@ def _check_repeats(name: str, new: Callable[[int], Optimizer]) -> None:
         _require(revived.ask() == genomes, f"{name}: state and restore change what is asked {where}")
         if generation == 0:
             _require(new(2).ask() != genomes, f"{name}: another seed asks the same genomes")
-        fitness = _toy_fitness(genomes)
+        fitness, measures = _toy_fitness(genomes), _toy_measures(genomes, len(first.measures))
         for optimizer in (first, again, revived):
-            optimizer.tell(fitness)
+            optimizer.tell(fitness, measures)
+        before.append(Told(genomes, fitness, measures))
         _require(
             msgspec.msgpack.encode(revived.state()) == msgspec.msgpack.encode(first.state()),
             f"{name}: a restored optimizer told the same has another state {where}",
@@ -461,14 +466,17 @@ def _check_repeats(name: str, new: Callable[[int], Optimizer]) -> None:
 
 
 def _check_not_a_number(name: str, optimizer: Optimizer) -> None:
-    optimizer.tell(np.full(len(optimizer.ask()), np.nan))
+    failed = len(optimizer.ask())
+    optimizer.tell(np.full(failed, np.nan), np.full((failed, len(optimizer.measures)), np.nan))
     best = float("-inf")
     for generation in range(4):
         genomes = optimizer.ask()
         fitness = _toy_fitness(genomes)
         if generation % 2:
             fitness[::2] = np.nan
-        optimizer.tell(fitness)
+        measures = _toy_measures(genomes, len(optimizer.measures))
+        measures[np.isnan(fitness)] = np.nan
+        optimizer.tell(fitness, measures)
         best = max(best, float(np.nanmax(fitness, initial=float("-inf"))))
         _require(optimizer.best()[1] == best, f"{name}.best after NaN fitness must be {best}, not {optimizer.best()[1]}")
         statistics = optimizer.statistics()
@@ -483,7 +491,7 @@ def _check_improvement(name: str, optimizer: Optimizer, generations: int) -> Non
     for _ in range(generations):
         genomes = optimizer.ask()
         fitness = _toy_fitness(genomes)
-        optimizer.tell(fitness)
+        optimizer.tell(fitness, _toy_measures(genomes, len(optimizer.measures)))
         told = max([told, *fitness.tolist()])
         genome, best = optimizer.best()
         _require(best == told, f"{name}.best must be the best of all told, {told}, not {best}")
@@ -498,6 +506,11 @@ def _check_improvement(name: str, optimizer: Optimizer, generations: int) -> Non
 def _toy_fitness(genomes: list[bytes]) -> np.ndarray:
     """Minus the sum of the squares of a genome's float32 numbers: all negative, at most 0."""
     return np.array([-sum(float(number) ** 2 for number in np.frombuffer(genome, "<f4")) for genome in genomes])
+
+
+def _toy_measures(genomes: list[bytes], count: int) -> np.ndarray:
+    """(genomes, count): the first numbers of each genome."""
+    return np.array([np.frombuffer(genome, "<f4", count) for genome in genomes], np.float64).reshape(len(genomes), count)
 
 
 def _fully_meshed(inputs: int, outputs: int) -> Representation:

@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from zswarm.nets.fully_meshed import Settings as NetworkSettings
 from zswarm.ot.history import History
 from zswarm.ot.optimizers import nnga
 from zswarm.ot.optimizers.nnga import NNGA, OPERATORS, REPEATS, STRIP, Settings
+from zswarm.ot.optimizers.optimizer import Told
 from zswarm.testing import check_optimizer
 
 GOLDEN = Path(__file__).parents[1] / "golden"
@@ -562,8 +563,8 @@ class DeafToSeeds(NNGA):
 
 
 class Forgetful(NNGA):
-    def restore(self, state: Mapping[str, Any]) -> None:
-        super().restore(state)
+    def restore(self, state: Mapping[str, Any], told: Iterable[Told]) -> None:
+        super().restore(state, told)
         self._islands = [island[::-1] for island in self._islands]
 
 
@@ -581,8 +582,8 @@ class BestIsLast(NNGA):
 
 
 class FooledByNaN(NNGA):
-    def _tell(self, fitness: np.ndarray) -> None:
-        super()._tell(np.where(np.isnan(fitness), 1.0, fitness))
+    def _tell(self, fitness: np.ndarray, measures: np.ndarray) -> None:
+        super()._tell(np.where(np.isnan(fitness), 1.0, fitness), measures)
 
 
 class OutOfOrder(NNGA):

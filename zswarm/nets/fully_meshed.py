@@ -159,6 +159,7 @@ class FullyMeshed(Representation):
         self.state_size = 3 * self._padded
         self._ranges = np.full(self.shape, settings.weight_range)
         self._ranges[:, -1] = settings.bias_range
+        self.ranges = self._ranges.ravel()
 
     def parameters(self, genomes: Sequence[bytes]) -> np.ndarray:
         """Header, then per source its weights to all neurons (padded with zeros), then the biases."""

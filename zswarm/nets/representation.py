@@ -28,6 +28,7 @@ class Representation(ABC):
         state_size: float32 numbers of state per agent; all zero at the start of a trial.
         genome_bytes: length of every genome, or None where it varies.
         genes: float32 numbers that a genome is a plain list of, any finite ones; None where it is something else.
+        ranges: (genes,) float64, new genomes are uniform in plus or minus these; None where ``genes`` is.
     """
 
     settings_type: ClassVar[type[msgspec.Struct]]
@@ -36,6 +37,7 @@ class Representation(ABC):
     state_size: int
     genome_bytes: int | None
     genes: int | None = None
+    ranges: np.ndarray | None = None
 
     def __init__(self, settings: msgspec.Struct, inputs: int, outputs: int) -> None:
         self.settings = settings

@@ -17,7 +17,7 @@ import shutil
 import sqlite3
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
@@ -35,6 +35,7 @@ from zswarm.ot.controller import CHAMPION, Controller
 from zswarm.ot.database import Database, Statement, connect, in_words, on_network, passing, transact
 from zswarm.ot.dispatch import Counted, Note
 from zswarm.ot.history import History
+from zswarm.ot.optimizers.optimizer import Told
 from zswarm.ot.schema import CREATE, MIGRATIONS, SCHEMA_VERSION
 from zswarm.ot.workload import Workload
 from zswarm.protocol.codec import clean
@@ -290,14 +291,20 @@ class Record:
             restored += len(indices)
         return restored
 
-    def history(self) -> History:
-        """The hash of all that was told so far."""
-        history = History()
+    def told(self) -> Iterator[Told]:
+        """The finished generations, in order."""
         for (generation,) in self._database.rows("SELECT generation FROM generations ORDER BY generation"):
             rows = self._database.rows(
                 "SELECT genome, fitness FROM candidates WHERE generation = ? ORDER BY candidate", generation
             )
-            history.add([row[0] for row in rows], np.array([np.nan if row[1] is None else row[1] for row in rows]))
+            fitness = np.array([np.nan if row[1] is None else row[1] for row in rows])
+            yield Told([row[0] for row in rows], fitness, np.empty((len(rows), 0)))
+
+    def history(self) -> History:
+        """The hash of all that was told so far."""
+        history = History()
+        for told in self.told():
+            history.add(told.genomes, told.fitness)
         return history
 
     def evaluations(self) -> int:

@@ -62,7 +62,7 @@ def evolve(
     record.say = logger.on_say
     run_id, probe, resumed = record.meta("run_id"), record.meta("probe") or b"", record.resumed()
     if resumed.state is not None:
-        optimizer.restore(resumed.state)
+        optimizer.restore(resumed.state, record.told())
         if optimizer.best()[0]:
             _keep_champion(parts, record, run_id)  # the end may have come between a generation and its champion
     history, improved, candidates = record.history(), optimizer.best()[1], record.evaluations()

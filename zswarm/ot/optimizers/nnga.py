@@ -14,7 +14,7 @@ Mended:
 Elites and survivors keep their fitness and are not evaluated again.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -24,7 +24,7 @@ from msgspec import Meta
 from zswarm.draws import Stream, derive_seed
 from zswarm.errors import ConfigError
 from zswarm.nets.representation import Representation
-from zswarm.ot.optimizers.optimizer import Optimizer
+from zswarm.ot.optimizers.optimizer import Optimizer, Told
 
 REPEATS = 100  # of rejected crossovers, in a generation of one island
 SUITORS = 11  # fathers to choose from
@@ -75,6 +75,7 @@ class NNGA(Optimizer):
 
     settings_type = Settings
     portable = True
+    competes = True
     settings: Settings
 
     def __init__(self, settings: Settings, representation: Representation, seed: int) -> None:
@@ -109,9 +110,15 @@ class NNGA(Optimizer):
             for index in range(self.settings.islands):
                 self._islands[index] = self._evolve(index, fathers, stream)
                 fathers[index] = [individual.genome for individual in self._islands[index][:places]]
+        if self.relative:
+            for island in self._islands:
+                for individual in island:
+                    individual.told = False
         return [individual.genome for individual in self._untold()]
 
-    def _tell(self, fitness: np.ndarray) -> None:
+    def _tell(self, fitness: np.ndarray, measures: np.ndarray) -> None:  # noqa: ARG002  it wants none
+        if self.relative:
+            self._best = (b"", float("-inf"))
         for individual, value in zip(self._untold(), fitness, strict=True):
             individual.fitness, individual.told = float(value), True
             if value > self._best[1]:
@@ -189,7 +196,7 @@ class NNGA(Optimizer):
             "effectivity": self._effectivity,
         }
 
-    def restore(self, state: Mapping[str, Any]) -> None:
+    def restore(self, state: Mapping[str, Any], told: Iterable[Told]) -> None:  # noqa: ARG002  the state is all
         """See ``Optimizer.restore``."""
         self.generation = state["generation"]
         self._islands = [[Individual(**individual) for individual in island] for island in state["islands"]]
