@@ -45,11 +45,11 @@ class Bench(CompiledSimulator):
     def outcome(self):
         return Outcome([0.0], [])
 
-    def play(self, step, state_size, parameters, participants, seeds, progress, fitness, metrics):
-        fitness[:, 0] = parameters[participants[:, 0], HEADER]
+    def play(self, step, batch):
+        batch.fitness[:, 0] = batch.parameters[batch.participants[:, 0], HEADER]
         if self.settings.sleep_s or self.settings.cpu_s:
-            for trial in range(len(seeds)):
-                progress[0] = trial
+            for trial in range(len(batch.seeds)):
+                batch.progress[0] = trial
                 time.sleep(self.settings.sleep_s)
                 end = time.thread_time() + self.settings.cpu_s
                 while self.settings.cpu_s and time.thread_time() < end:

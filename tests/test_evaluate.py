@@ -14,7 +14,7 @@ from zswarm.evaluate import MAX_ERROR_TEXT, Outcomes, build, evaluate
 from zswarm.nets.fully_meshed import FullyMeshed
 from zswarm.nets.fully_meshed import Settings as NetworkSettings
 from zswarm.sims.minisim import Minisim
-from zswarm.sims.simulator import Outcome, Simulator, Turn
+from zswarm.sims.simulator import Batch, Outcome, Simulator, Turn
 from zswarm.testing import check_simulator
 
 CANONICAL = np.array([np.nan]).tobytes()
@@ -328,25 +328,24 @@ class BadSeeds(Duel):
         return [-1] * trials
 
 
-def drawing_elsewhere(self: Minisim, *arguments: Any) -> None:
-    Minisim.play(self, *arguments)
-    arguments[-2][:] += 1e-12
+def drawing_elsewhere(self: Minisim, step: Any, batch: Batch) -> None:
+    Minisim.play(self, step, batch)
+    batch.fitness[:] += 1e-12
 
 
-def deaf(self: Minisim, *arguments: Any) -> None:
-    progress = arguments[-3]
-    progress[1] = 0
-    Minisim.play(self, *arguments)
+def deaf(self: Minisim, step: Any, batch: Batch) -> None:
+    batch.progress[1] = 0
+    Minisim.play(self, step, batch)
 
 
-def drifting_aside(self: Minisim, *arguments: Any) -> None:
-    Minisim.play_lanes(self, *arguments)
-    arguments[-2][:] += 1e-12
+def drifting_aside(self: Minisim, step_lanes: Any, step: Any, batch: Batch) -> None:
+    Minisim.play_lanes(self, step_lanes, step, batch)
+    batch.fitness[:] += 1e-12
 
 
-def deaf_aside(self: Minisim, *arguments: Any) -> None:
-    arguments[-3][1] = 0
-    Minisim.play_lanes(self, *arguments)
+def deaf_aside(self: Minisim, step_lanes: Any, step: Any, batch: Batch) -> None:
+    batch.progress[1] = 0
+    Minisim.play_lanes(self, step_lanes, step, batch)
 
 
 def test_a_sound_simulator_passes_the_check() -> None:

@@ -17,7 +17,7 @@ from zswarm.draws import Stream, derive_seed
 from zswarm.errors import ConfigError
 from zswarm.nets.representation import Representation
 from zswarm.protocol.messages import PROBE_GENOMES, PROBE_SEEDS
-from zswarm.sims.simulator import CompiledSimulator, Simulator, Turn
+from zswarm.sims.simulator import Batch, CompiledSimulator, Simulator, Turn
 from zswarm.strict import convert
 
 MAX_ERROR_TEXT = 300
@@ -99,11 +99,11 @@ def evaluate(
     metrics = np.full((len(seeds), len(simulator.metrics)), np.nan)
     error = ""
     if isinstance(simulator, CompiledSimulator):
-        step, step_lanes, state_size = representation.step, representation.step_lanes, representation.state_size
-        if step_lanes is None:
-            simulator.play(step, state_size, parameters, participants, seeds, progress, fitness, metrics)
+        batch = Batch(representation.state_size, parameters, participants, seeds.astype(np.uint64), progress, fitness, metrics)
+        if representation.step_lanes is None:
+            simulator.play(representation.step, batch)
         else:
-            simulator.play_lanes(step_lanes, step, state_size, parameters, participants, seeds, progress, fitness, metrics)
+            simulator.play_lanes(representation.step_lanes, representation.step, batch)
     else:
         for trial, seed in enumerate(seeds):
             progress[0] = trial

@@ -29,7 +29,7 @@ from zswarm.sims.arena_tasks import (
     start,
 )
 from zswarm.sims.arena_world import COUNT, PLACE_ROWS, QUEUE_ROWS, RAYS, X, Y, cells_per_side, drive, look
-from zswarm.sims.simulator import Body, CompiledSimulator, Frame, Outcome, Place, Turn
+from zswarm.sims.simulator import Batch, Body, CompiledSimulator, Frame, Outcome, Place, Turn
 
 ITEM_RADIUS = 0.05  # m, in pictures
 
@@ -168,55 +168,25 @@ class Arena(CompiledSimulator):
         bodies += [Body("item", x, y, ITEM_RADIUS) for x, y in zip(items[X], items[Y], strict=True)]
         return Frame(s.side, s.side, [Place("nest", 0, 0, s.nest, s.side)] if s.task == "foraging" else [], bodies)
 
-    def play(
-        self,
-        step: Step,
-        state_size: int,
-        parameters: np.ndarray,
-        participants: np.ndarray,
-        seeds: np.ndarray,
-        progress: np.ndarray,
-        fitness: np.ndarray,
-        metrics: np.ndarray,
-    ) -> None:
+    def play(self, step: Step, batch: Batch) -> None:
         """See ``CompiledSimulator.play``."""
-        states = np.zeros((self.settings.robots, state_size), np.float32)
-        self._play(step, 1, states, parameters, participants, seeds, progress, fitness, metrics)
+        self._play(step, 1, batch)
 
-    def play_lanes(
-        self,
-        step_lanes: Step,
-        step: Step,  # noqa: ARG002  not for the rest either: eight decisions at once take as long as two
-        state_size: int,
-        parameters: np.ndarray,
-        participants: np.ndarray,
-        seeds: np.ndarray,
-        progress: np.ndarray,
-        fitness: np.ndarray,
-        metrics: np.ndarray,
-    ) -> None:
+    def play_lanes(self, step_lanes: Step, step: Step, batch: Batch) -> None:  # noqa: ARG002  eight at once take as long as two
         """See ``CompiledSimulator.play_lanes``: eight robots of a trial decide at once."""
-        states = np.zeros((-(-self.settings.robots // LANES), LANES * state_size), np.float32)
-        self._play(step_lanes, LANES, states, parameters, participants, seeds, progress, fitness, metrics)
+        self._play(step_lanes, LANES, batch)
 
-    def _play(
-        self,
-        step: Step,
-        together: int,
-        states: np.ndarray,
-        parameters: np.ndarray,
-        participants: np.ndarray,
-        seeds: np.ndarray,
-        *results: np.ndarray,
-    ) -> None:
+    def _play(self, step: Step, together: int, batch: Batch) -> None:
         """So many robots decide together."""
-        robots, sizes = self.settings.robots, (parameters.shape[1], self.inputs + 3, self.outputs)
+        robots, sizes = self.settings.robots, (batch.parameters.shape[1], self.inputs + 3, self.outputs)
+        states = np.zeros((-(-robots // together), together * batch.state_size), np.float32)
         controller, seen, said = (np.empty(size * together, np.float32) for size in sizes)
         observations = np.zeros(robots * self.inputs + 3, np.float32)  # three more, as in ``seen``: four are read at once
         actions = np.empty((self.outputs, robots), np.float32)
         play_trials(
-            step, together, self.inputs, parameters, participants, seeds.astype(np.uint64), controller, states, seen, said,
-            observations, actions, *self._tables(), self._lengths, RAYS, self._per_side, self.task, self.settings.steps, *results,
+            step, together, self.inputs, batch.parameters, batch.participants, batch.seeds, controller, states, seen, said,
+            observations, actions, *self._tables(), self._lengths, RAYS, self._per_side, self.task, self.settings.steps,
+            batch.progress, batch.fitness, batch.metrics,
         )  # fmt: skip
 
     def _tables(self) -> tuple[np.ndarray, ...]:

@@ -13,7 +13,7 @@ from msgspec import Meta
 from zswarm.errors import ConfigError
 from zswarm.jit import STEP, Step, array, float32, float64, inline, int32, int64, kernel, uint64, void
 from zswarm.lanes import LANES, any_of, fill, load, scatter, select, store, window
-from zswarm.sims.simulator import Body, CompiledSimulator, Frame, Outcome, Place, Turn
+from zswarm.sims.simulator import Batch, Body, CompiledSimulator, Frame, Outcome, Place, Turn
 
 INPUTS, OUTPUTS = 10, 2
 # Sensors 2-9 look at the eight cells around, from north clockwise; y grows downward.
@@ -182,63 +182,30 @@ class EmergencyExit(CompiledSimulator):
             ],
         )
 
-    def play(
-        self,
-        step: Step,
-        state_size: int,
-        parameters: np.ndarray,
-        participants: np.ndarray,
-        seeds: np.ndarray,
-        progress: np.ndarray,
-        fitness: np.ndarray,
-        metrics: np.ndarray,
-    ) -> None:
+    def play(self, step: Step, batch: Batch) -> None:
         """See ``CompiledSimulator.play``."""
-        rows = self._rows(seeds)
-        self._play_from(0, rows, step, state_size, parameters, participants, progress, fitness, metrics)
+        self._play_from(0, self._rows(batch.seeds), step, batch)
 
-    def play_lanes(
-        self,
-        step_lanes: Step,
-        step: Step,
-        state_size: int,
-        parameters: np.ndarray,
-        participants: np.ndarray,
-        seeds: np.ndarray,
-        progress: np.ndarray,
-        fitness: np.ndarray,
-        metrics: np.ndarray,
-    ) -> None:
+    def play_lanes(self, step_lanes: Step, step: Step, batch: Batch) -> None:
         """See ``CompiledSimulator.play_lanes``: eight trials side by side, each in a lane."""
-        rows = self._rows(seeds)
+        rows = self._rows(batch.seeds)
         together = len(rows) if len(rows) % LANES >= FEWEST else len(rows) - len(rows) % LANES
         if 2 * self._kept.to_exit.size + 2 * LANES * self.cells >= LANES_REACH:
             together = 0
         if together:
-            states = np.zeros((self.agents, LANES * state_size), np.float32)
+            states = np.zeros((self.agents, LANES * batch.state_size), np.float32)
             play_side_by_side(
-                step_lanes, parameters, participants, rows[:together], *self._kept, states, self.stride, self.settings.steps,
-                progress, fitness, metrics,
+                step_lanes, batch.parameters, batch.participants, rows[:together], *self._kept, states, self.stride,
+                self.settings.steps, batch.progress, batch.fitness, batch.metrics,
             )  # fmt: skip
         if together < len(rows):
-            self._play_from(together, rows, step, state_size, parameters, participants, progress, fitness, metrics)
+            self._play_from(together, rows, step, batch)
 
-    def _play_from(
-        self,
-        first: int,
-        rows: np.ndarray,
-        step: Step,
-        state_size: int,
-        parameters: np.ndarray,
-        participants: np.ndarray,
-        progress: np.ndarray,
-        fitness: np.ndarray,
-        metrics: np.ndarray,
-    ) -> None:
-        states = np.zeros((self.agents, state_size), np.float32)
+    def _play_from(self, first: int, rows: np.ndarray, step: Step, batch: Batch) -> None:
+        states = np.zeros((self.agents, batch.state_size), np.float32)
         play_trials(
-            step, parameters, participants, rows, *self._kept, states, self.stride, self.settings.steps, first,
-            progress, fitness, metrics,
+            step, batch.parameters, batch.participants, rows, *self._kept, states, self.stride, self.settings.steps, first,
+            batch.progress, batch.fitness, batch.metrics,
         )  # fmt: skip
 
     def _turn(self) -> Turn:

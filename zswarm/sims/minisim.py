@@ -14,7 +14,7 @@ from zswarm.draws import draw_integer
 from zswarm.errors import ConfigError
 from zswarm.jit import STEP, Step, array, float32, float64, inline, int64, kernel, uint64, void
 from zswarm.lanes import LANES
-from zswarm.sims.simulator import Body, CompiledSimulator, Frame, Outcome, Place, Turn
+from zswarm.sims.simulator import Batch, Body, CompiledSimulator, Frame, Outcome, Place, Turn
 
 INPUTS, OUTPUTS = 9, 2
 BACK, FORTH = np.float32(0.25), np.float32(0.75)  # an output below the first steps back, above the second forth
@@ -137,41 +137,20 @@ class Minisim(CompiledSimulator):
         places = [Place("home", 0, 0, 1, self.settings.height), Place("flag's stand", stand[X], stand[Y], 1, 1)]
         return Frame(self.settings.width, self.settings.height, places, bodies)
 
-    def play(
-        self,
-        step: Step,
-        state_size: int,
-        parameters: np.ndarray,
-        participants: np.ndarray,
-        seeds: np.ndarray,
-        progress: np.ndarray,
-        fitness: np.ndarray,
-        metrics: np.ndarray,
-    ) -> None:
+    def play(self, step: Step, batch: Batch) -> None:
         """See ``CompiledSimulator.play``."""
-        states = np.zeros((self.settings.robots, state_size), np.float32)
-        play_trials(
-            step, 1, parameters, participants, seeds.astype(np.uint64), states, *self._tables(), self._rules,
-            progress, fitness, metrics
-        )  # fmt: skip
+        self._play(step, 1, batch)
 
-    def play_lanes(
-        self,
-        step_lanes: Step,
-        step: Step,  # noqa: ARG002  not for the rest either: eight decisions at once take as long as two
-        state_size: int,
-        parameters: np.ndarray,
-        participants: np.ndarray,
-        seeds: np.ndarray,
-        progress: np.ndarray,
-        fitness: np.ndarray,
-        metrics: np.ndarray,
-    ) -> None:
+    def play_lanes(self, step_lanes: Step, step: Step, batch: Batch) -> None:  # noqa: ARG002  eight at once take as long as two
         """See ``CompiledSimulator.play_lanes``: eight robots of a trial decide at once."""
-        states = np.zeros((-(-self.settings.robots // LANES), LANES * state_size), np.float32)
+        self._play(step_lanes, LANES, batch)
+
+    def _play(self, step: Step, together: int, batch: Batch) -> None:
+        """So many robots decide together."""
+        states = np.zeros((-(-self.settings.robots // together), together * batch.state_size), np.float32)
         play_trials(
-            step_lanes, LANES, parameters, participants, seeds.astype(np.uint64), states, *self._tables(), self._rules,
-            progress, fitness, metrics
+            step, together, batch.parameters, batch.participants, batch.seeds, states, *self._tables(), self._rules,
+            batch.progress, batch.fitness, batch.metrics
         )  # fmt: skip
 
     def _tables(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -109,46 +109,30 @@ class Simulator(ABC):
         return None
 
 
+class Batch(NamedTuple):
+    """Trials that a kernel plays, and what it fills."""
+
+    state_size: int  # float32 numbers of state per agent, zero at the start of each trial
+    parameters: np.ndarray  # (genomes, P) float32
+    participants: np.ndarray  # (trials, k) int64, rows of ``parameters``
+    seeds: np.ndarray  # (trials,) uint64
+    progress: np.ndarray  # (2,) int64
+    fitness: np.ndarray  # (trials, k) float64, filled
+    metrics: np.ndarray  # (trials, len(Simulator.metrics)) float64, filled
+
+
 class CompiledSimulator(Simulator):
     """A simulator that plays whole trials in a compiled kernel."""
 
     @abstractmethod
-    def play(
-        self,
-        step: Step,
-        state_size: int,
-        parameters: np.ndarray,
-        participants: np.ndarray,
-        seeds: np.ndarray,
-        progress: np.ndarray,
-        fitness: np.ndarray,
-        metrics: np.ndarray,
-    ) -> None:
+    def play(self, step: Step, batch: Batch) -> None:
         """Play trials in order; before each set ``progress[0]`` to its index and stop if ``progress[1]`` is not zero.
 
         Args:
             step: the controllers' compiled decision.
-            state_size: float32 numbers of state per agent, zero at the start of each trial.
-            parameters: (genomes, P) float32.
-            participants: (trials, k) int64, rows of ``parameters``.
-            seeds: (trials,) uint64.
-            progress: (2,) int64.
-            fitness: (trials, k) float64, filled.
-            metrics: (trials, len(self.metrics)) float64, filled.
         """
 
-    def play_lanes(
-        self,
-        step_lanes: Step,  # noqa: ARG002  for those that override it
-        step: Step,
-        state_size: int,
-        parameters: np.ndarray,
-        participants: np.ndarray,
-        seeds: np.ndarray,
-        progress: np.ndarray,
-        fitness: np.ndarray,
-        metrics: np.ndarray,
-    ) -> None:
+    def play_lanes(self, step_lanes: Step, step: Step, batch: Batch) -> None:  # noqa: ARG002  for those that override it
         """``play`` where the controllers decide for eight agents at once, too; a simulator that gains from it overrides this.
 
         Bits must be those of ``play``. Trials that are played side by side set ``progress[0]`` once, to the first of them.
@@ -156,4 +140,4 @@ class CompiledSimulator(Simulator):
         Args:
             step_lanes: the decision of eight agents, see ``Representation.step_lanes``.
         """
-        self.play(step, state_size, parameters, participants, seeds, progress, fitness, metrics)
+        self.play(step, batch)
