@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from zswarm.draws import Stream
-from zswarm.portable import FAR, INT_MAX, INT_MIN, atan2, cos, exp, log, log, remainder, sigmoid, sin, tanh, to_int
+from zswarm.portable import FAR, INT_MAX, INT_MIN, atan2, cos, exp, log, remainder, sigmoid, sin, tanh, to_int
 
 FUNCTIONS = (exp, sigmoid, tanh, to_int, sin, cos, atan2, remainder)
 PLAIN = {function.__name__: getattr(function, "py_func", function) for function in FUNCTIONS}
