@@ -34,7 +34,13 @@ BUNDLED: dict[Kind, dict[str, str]] = {
         "three-layer": "zswarm.nets.feed_forward:ThreeLayer",
     },
     "optimizer": {
+        "cea2d": "zswarm.ot.optimizers.cea2d:CEA2D",
+        "cuckoo": "zswarm.ot.optimizers.cuckoo:CuckooSearch",
         "nnga": "zswarm.ot.optimizers.nnga:NNGA",
+        "novelty": "zswarm.ot.optimizers.novelty:Novelty",
+        "openai-es": "zswarm.ot.optimizers.openai_es:OpenAIES",
+        "pso": "zswarm.ot.optimizers.pso:PSO",
+        "random": "zswarm.ot.optimizers.random_search:RandomSearch",
     },
     "ranking": {
         "absolute": "zswarm.ot.rankings.absolute:Absolute",
