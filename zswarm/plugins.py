@@ -22,6 +22,8 @@ BUNDLED: dict[Kind, dict[str, str]] = {
     "simulator": {
         "arena": "zswarm.sims.arena:Arena",
         "emergency-exit": "zswarm.sims.emergency_exit:EmergencyExit",
+        "inverted-pendulum": "zswarm.sims.inverted_pendulum:InvertedPendulum",
+        "light": "zswarm.sims.light:Light",
         "minisim": "zswarm.sims.minisim:Minisim",
         "simplified-emergency-exit": "zswarm.sims.simplified_emergency_exit:SimplifiedEmergencyExit",
         "xor": "zswarm.sims.xor:XOR",
