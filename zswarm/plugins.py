@@ -28,6 +28,7 @@ BUNDLED: dict[Kind, dict[str, str]] = {
         "fully-meshed": "zswarm.nets.fully_meshed:FullyMeshed",
     },
     "optimizer": {
+        "cmaes": "zswarm.ot.optimizers.cmaes:CMAES",
         "nnga": "zswarm.ot.optimizers.nnga:NNGA",
     },
 }
