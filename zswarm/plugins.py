@@ -37,6 +37,7 @@ BUNDLED: dict[Kind, dict[str, str]] = {
     },
     "optimizer": {
         "cea2d": "zswarm.ot.optimizers.cea2d:CEA2D",
+        "cmaes": "zswarm.ot.optimizers.cmaes:CMAES",
         "cuckoo": "zswarm.ot.optimizers.cuckoo:CuckooSearch",
         "nnga": "zswarm.ot.optimizers.nnga:NNGA",
         "novelty": "zswarm.ot.optimizers.novelty:Novelty",
