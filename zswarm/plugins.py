@@ -29,10 +29,21 @@ BUNDLED: dict[Kind, dict[str, str]] = {
         "xor": "zswarm.sims.xor:XOR",
     },
     "representation": {
+        "ctrnn": "zswarm.nets.ctrnn:CTRNN",
+        "feed-forward": "zswarm.nets.feed_forward:FeedForward",
         "fully-meshed": "zswarm.nets.fully_meshed:FullyMeshed",
+        "hebbian": "zswarm.nets.hebbian:Hebbian",
+        "three-layer": "zswarm.nets.feed_forward:ThreeLayer",
     },
     "optimizer": {
+        "cea2d": "zswarm.ot.optimizers.cea2d:CEA2D",
+        "cmaes": "zswarm.ot.optimizers.cmaes:CMAES",
+        "cuckoo": "zswarm.ot.optimizers.cuckoo:CuckooSearch",
         "nnga": "zswarm.ot.optimizers.nnga:NNGA",
+        "novelty": "zswarm.ot.optimizers.novelty:Novelty",
+        "openai-es": "zswarm.ot.optimizers.openai_es:OpenAIES",
+        "pso": "zswarm.ot.optimizers.pso:PSO",
+        "random": "zswarm.ot.optimizers.random_search:RandomSearch",
     },
     "ranking": {
         "absolute": "zswarm.ot.rankings.absolute:Absolute",
