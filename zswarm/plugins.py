@@ -28,8 +28,10 @@ BUNDLED: dict[Kind, dict[str, str]] = {
     },
     "representation": {
         "fully-meshed": "zswarm.nets.fully_meshed:FullyMeshed",
+        "neat": "zswarm.nets.neat:Neat",
     },
     "optimizer": {
+        "neat": "zswarm.ot.optimizers.neat:NEAT",
         "nnga": "zswarm.ot.optimizers.nnga:NNGA",
     },
 }

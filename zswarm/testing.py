@@ -386,9 +386,13 @@ def _check_decisions(name: str, network: Representation, genomes: list[bytes], i
 
 
 def check_optimizer(
-    optimizer_class: type[Optimizer], settings: Mapping[str, Any] | None = None, *, generations: int = 25
+    optimizer_class: type[Optimizer],
+    settings: Mapping[str, Any] | None = None,
+    *,
+    generations: int = 25,
+    representation: Callable[[], Representation] | None = None,
 ) -> None:
-    """Evolve small fully-meshed networks towards zero weights and check the contract of ``Optimizer``.
+    """Evolve small networks and check the contract of ``Optimizer``.
 
     Checked are: the order of ask and tell; that a seed gives the same genomes again and another one others; that
     ``state`` survives msgpack and ``restore`` goes on with the same genomes; that an ask gives no more than ``candidates``
@@ -399,6 +403,8 @@ def check_optimizer(
         optimizer_class: the class to check.
         settings: as in ``[optimizer]`` without ``kind``; the defaults where left out.
         generations: after which the best fitness must have improved.
+        representation: makes the representation of the networks, for optimizers that take one kind only; its genomes are judged
+            by what they decide. Where left out, fully-meshed networks evolve towards zero weights.
 
     Raises:
         AssertionError: a rule is broken; the text says which.
@@ -406,7 +412,7 @@ def check_optimizer(
     name = optimizer_class.__name__
 
     def new(seed: int = 1) -> Optimizer:
-        network = _fully_meshed(3, 1)
+        network = _fully_meshed(3, 1) if representation is None else representation()
         return optimizer_class(convert(settings or {}, optimizer_class.settings_type, "settings"), network, seed)
 
     _require(isinstance(optimizer_class.portable, bool), f"{name}.portable must be True or False")
@@ -428,8 +434,8 @@ def _check_order(name: str, optimizer: Optimizer) -> None:
         _require_raises(ValueError, lambda wrong=wrong: optimizer.tell(wrong, measures), f"{name}.tell with shape {wrong.shape}")  # type: ignore[misc]
     _require(optimizer.generation == 0, f"{name}.generation counts a tell that was refused")
     if optimizer.measures:
-        _require_raises(ValueError, lambda: optimizer.tell(_toy_fitness(genomes)), f"{name}.tell without its measures")
-    optimizer.tell(_toy_fitness(genomes), measures)
+        _require_raises(ValueError, lambda: optimizer.tell(_toy_fitness(optimizer, genomes)), f"{name}.tell without its measures")
+    optimizer.tell(_toy_fitness(optimizer, genomes), measures)
     _require(optimizer.generation == 1, f"{name}.generation must be 1 after the first tell, not {optimizer.generation}")
     _require_raises(RuntimeError, lambda: optimizer.tell(np.zeros(len(genomes)), measures), f"{name}.tell a second time")
 
@@ -455,7 +461,7 @@ def _check_repeats(name: str, new: Callable[[int], Optimizer]) -> None:
         _require(revived.ask() == genomes, f"{name}: state and restore change what is asked {where}")
         if generation == 0:
             _require(new(2).ask() != genomes, f"{name}: another seed asks the same genomes")
-        fitness, measures = _toy_fitness(genomes), _toy_measures(genomes, len(first.measures))
+        fitness, measures = _toy_fitness(first, genomes), _toy_measures(genomes, len(first.measures))
         for optimizer in (first, again, revived):
             optimizer.tell(fitness, measures)
         before.append(Told(genomes, fitness, measures))
@@ -471,7 +477,7 @@ def _check_not_a_number(name: str, optimizer: Optimizer) -> None:
     best = float("-inf")
     for generation in range(4):
         genomes = optimizer.ask()
-        fitness = _toy_fitness(genomes)
+        fitness = _toy_fitness(optimizer, genomes)
         if generation % 2:
             fitness[::2] = np.nan
         measures = _toy_measures(genomes, len(optimizer.measures))
@@ -490,12 +496,12 @@ def _check_improvement(name: str, optimizer: Optimizer, generations: int) -> Non
     told = float("-inf")
     for _ in range(generations):
         genomes = optimizer.ask()
-        fitness = _toy_fitness(genomes)
+        fitness = _toy_fitness(optimizer, genomes)
         optimizer.tell(fitness, _toy_measures(genomes, len(optimizer.measures)))
         told = max([told, *fitness.tolist()])
         genome, best = optimizer.best()
         _require(best == told, f"{name}.best must be the best of all told, {told}, not {best}")
-        _require(_toy_fitness([genome])[0] == best, f"{name}.best: the genome is not the one of that fitness")
+        _require(_toy_fitness(optimizer, [genome])[0] == best, f"{name}.best: the genome is not the one of that fitness")
         history.append(best)
     _require(
         history[-1] > history[0],
@@ -503,9 +509,18 @@ def _check_improvement(name: str, optimizer: Optimizer, generations: int) -> Non
     )
 
 
-def _toy_fitness(genomes: list[bytes]) -> np.ndarray:
-    """Minus the sum of the squares of a genome's float32 numbers: all negative, at most 0."""
-    return np.array([-sum(float(number) ** 2 for number in np.frombuffer(genome, "<f4")) for genome in genomes])
+def _toy_fitness(optimizer: Optimizer, genomes: list[bytes]) -> np.ndarray:
+    """Minus the sum of the squares of a genome's numbers, or of what it decides less 1/3: all negative, at most 0."""
+    network = optimizer.representation
+    if network.genes is not None:
+        return np.array([-sum(float(number) ** 2 for number in np.frombuffer(genome, "<f4")) for genome in genomes])
+    fitness = np.zeros(len(genomes))
+    action = np.empty(network.outputs, np.float32)
+    for index, row in enumerate(network.parameters(genomes)):
+        for observation in np.eye(network.inputs, dtype=np.float32):
+            type(network).step(row, np.zeros(network.state_size, np.float32), observation, action)
+            fitness[index] -= (float(action[0]) - 1 / 3) ** 2
+    return fitness
 
 
 def _toy_measures(genomes: list[bytes], count: int) -> np.ndarray:
