@@ -1,8 +1,8 @@
-"""Simulators, representations and optimizers by name: the bundled tables, and what other packages add.
+"""Simulators, representations, optimizers and rankings by name: the bundled tables, and what other packages add.
 
-A package adds its own through the entry-point groups ``zswarm.simulators``, ``zswarm.representations`` and
-``zswarm.optimizers``. A part is imported when it is asked for, never by listing it, so a broken plug-in hurts nobody
-who does not use it.
+A package adds its own through the entry-point groups ``zswarm.simulators``, ``zswarm.representations``, ``zswarm.optimizers``
+and ``zswarm.rankings``. A part is imported when it is asked for, never by listing it, so a broken plug-in hurts nobody who does
+not use it.
 """
 
 import difflib
@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 from zswarm.errors import UnknownPlugin
 
-Kind = Literal["simulator", "representation", "optimizer"]
+Kind = Literal["simulator", "representation", "optimizer", "ranking"]
 
 BUNDLED: dict[Kind, dict[str, str]] = {
     "simulator": {
@@ -29,6 +29,12 @@ BUNDLED: dict[Kind, dict[str, str]] = {
     },
     "optimizer": {
         "nnga": "zswarm.ot.optimizers.nnga:NNGA",
+    },
+    "ranking": {
+        "absolute": "zswarm.ot.rankings.absolute:Absolute",
+        "full-tournament": "zswarm.ot.rankings.full_tournament:FullTournament",
+        "multi-swiss": "zswarm.ot.rankings.multi_swiss:MultiSwiss",
+        "swiss": "zswarm.ot.rankings.swiss:Swiss",
     },
 }
 
