@@ -63,6 +63,8 @@ def experiment_page() -> str:
         before, found, after = text.partition(f"\n{heading}\n")
         if not found:
             sys.exit(f"docs/experiment.md has no section {heading!r}")
+        if not keys:
+            continue
         text = before + found + TABLE.sub(lambda _, keys=keys: settings_sheet.markdown(keys), after, count=1)
     return text
 

@@ -53,6 +53,9 @@ ONLY_IN = {
     "matplotlib": {"ot.figures", "ot.reading", "api"},  # for their types; it is imported by extras.need, as are scipy and jinja2
     "scipy": set(),
     "jinja2": set(),
+    "cmaes": set(),  # the packages of optimizers, likewise
+    "ribs": set(),
+    "threadpoolctl": set(),
     "pickle": set(),
     "marshal": set(),
     "shelve": set(),

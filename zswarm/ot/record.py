@@ -309,6 +309,13 @@ class Record:
             restored += len(indices)
         return restored
 
+    def forget_others(self) -> int:
+        """Forget outcomes of the begun generation that are of other candidates than it has now; how many trials."""
+        other = "FROM outcomes WHERE generation = ? AND asked <> ?"
+        found = int(self._database.rows(f"SELECT coalesce(sum(count), 0) {other}", self._generation, self._asked)[0][0])
+        self._database.write((f"DELETE {other}", (self._generation, self._asked)))
+        return found
+
     def told(self) -> Iterator[Told]:
         """The finished generations, in order."""
         for (generation,) in self._database.rows("SELECT generation FROM generations ORDER BY generation"):

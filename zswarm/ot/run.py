@@ -97,6 +97,9 @@ def evolve(
     history, improved, candidates = record.history(), optimizer.best()[1], record.evaluations()
     logger.on_start(Started(record.folder, complete, resumed.generation))
     logger.on_say(f"{complete.name}: {connection.who_computes()}")
+    if optimizer.strayed is not None:
+        otherwise = f"would have proposed other candidates from generation {optimizer.strayed} on"
+        logger.on_say(f"{complete.optimizer.kind} {otherwise}; it goes on from those that were recorded")
     evaluations = Evaluations(
         problem,
         connection,
