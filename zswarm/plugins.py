@@ -30,7 +30,9 @@ BUNDLED: dict[Kind, dict[str, str]] = {
         "fully-meshed": "zswarm.nets.fully_meshed:FullyMeshed",
     },
     "optimizer": {
+        "cma-me": "zswarm.ot.optimizers.elites:CmaMe",
         "cmaes": "zswarm.ot.optimizers.cmaes:CMAES",
+        "map-elites": "zswarm.ot.optimizers.elites:MapElites",
         "nnga": "zswarm.ot.optimizers.nnga:NNGA",
     },
 }
