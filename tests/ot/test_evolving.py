@@ -13,6 +13,7 @@ from zswarm import experiment, plugins
 from zswarm.errors import ConfigError
 from zswarm.nets.representation import Representation
 from zswarm.ot import run
+from zswarm.ot.assessment import Assessment
 from zswarm.ot.dispatch import Counted
 from zswarm.ot.logger import Generation, Logger, Result
 from zswarm.ot.optimizers.cmaes import CMAES
@@ -282,7 +283,7 @@ def test_measures_that_are_no_metric_are_refused_with_those_that_are(tmp_path: P
 @pytest.mark.parametrize("metrics", [[np.nan, 1.0], [1.7e308, 1.7e308], [-np.inf, 1.0]])
 def test_a_mean_that_is_not_finite_is_the_one_nan(metrics: list[float]) -> None:
     problem = run.build(loaded("problem.trials=2")).problem
-    workload = problem.workload(problem.random(2), 0)
-    workload.metrics[:] = 0.5
-    workload.metrics[2:, 1] = metrics
-    assert problem.measures(workload, ["rounds"]).tobytes() == np.array([0.5, np.nan]).tobytes()
+    assessment = Assessment(problem, problem.random(2), 0)
+    assessment.workload.metrics[:] = 0.5
+    assessment.workload.metrics[2:, 1] = metrics
+    assert assessment.measures(["rounds"]).tobytes() == np.array([0.5, np.nan]).tobytes()
