@@ -39,9 +39,11 @@ BUNDLED: dict[Kind, dict[str, str]] = {
     },
     "optimizer": {
         "cea2d": "zswarm.ot.optimizers.cea2d:CEA2D",
+        "cma-me": "zswarm.ot.optimizers.elites:CmaMe",
         "cmaes": "zswarm.ot.optimizers.cmaes:CMAES",
         "cuckoo": "zswarm.ot.optimizers.cuckoo:CuckooSearch",
         "neat": "zswarm.ot.optimizers.neat:NEAT",
+        "map-elites": "zswarm.ot.optimizers.elites:MapElites",
         "nnga": "zswarm.ot.optimizers.nnga:NNGA",
         "novelty": "zswarm.ot.optimizers.novelty:Novelty",
         "openai-es": "zswarm.ot.optimizers.openai_es:OpenAIES",
