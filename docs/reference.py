@@ -59,10 +59,12 @@ def experiment_page() -> str:
         for name in bundled:
             sheets[f"### {name}"] = settings_sheet.keys(plugins.load(kind, name).settings_type)
     text = (DOCS / "experiment.md").read_text(encoding="utf-8")
-    for heading, keys in sheets.items():
+    for heading, keys in ((heading, keys) for heading, keys in sheets.items() if keys):
         before, found, after = text.partition(f"\n{heading}\n")
         if not found:
             sys.exit(f"docs/experiment.md has no section {heading!r}")
+        if not keys:
+            continue
         text = before + found + TABLE.sub(lambda _, keys=keys: settings_sheet.markdown(keys), after, count=1)
     return text
 
