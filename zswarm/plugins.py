@@ -25,7 +25,11 @@ BUNDLED: dict[Kind, dict[str, str]] = {
         "minisim": "zswarm.sims.minisim:Minisim",
     },
     "representation": {
+        "ctrnn": "zswarm.nets.ctrnn:CTRNN",
+        "feed-forward": "zswarm.nets.feed_forward:FeedForward",
         "fully-meshed": "zswarm.nets.fully_meshed:FullyMeshed",
+        "hebbian": "zswarm.nets.hebbian:Hebbian",
+        "three-layer": "zswarm.nets.feed_forward:ThreeLayer",
     },
     "optimizer": {
         "nnga": "zswarm.ot.optimizers.nnga:NNGA",
