@@ -59,7 +59,7 @@ def experiment_page() -> str:
         for name in bundled:
             sheets[f"### {name}"] = settings_sheet.keys(plugins.load(kind, name).settings_type)
     text = (DOCS / "experiment.md").read_text(encoding="utf-8")
-    for heading, keys in sheets.items():
+    for heading, keys in ((heading, keys) for heading, keys in sheets.items() if keys):
         before, found, after = text.partition(f"\n{heading}\n")
         if not found:
             sys.exit(f"docs/experiment.md has no section {heading!r}")

@@ -1,20 +1,53 @@
 """The loop of a run: while a generation is recorded and told, servers have the next one."""
 
+import hashlib
 import threading
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from zswarm import experiment
+from zswarm import experiment, plugins
+from zswarm.errors import ConfigError
+from zswarm.nets.representation import Representation
 from zswarm.ot import run
+from zswarm.ot.assessment import Assessment
 from zswarm.ot.dispatch import Counted
 from zswarm.ot.logger import Generation, Logger, Result
+from zswarm.ot.optimizers.cmaes import CMAES
+from zswarm.ot.optimizers.nnga import NNGA, Settings
+from zswarm.ot.optimizers.optimizer import Told
 from zswarm.ot.reading import Run
 from zswarm.ot.record import Record
 from zswarm.ot.workload import Workload
+
+
+class MeasuringSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Those of NNGA, and names of metrics."""
+
+    measures: tuple[str, ...] = ()
+
+
+class Measuring(NNGA):
+    """NNGA that is told measures, too, and keeps them."""
+
+    settings_type = MeasuringSettings
+    settings: MeasuringSettings
+
+    def __init__(self, settings: MeasuringSettings, representation: Representation, seed: int) -> None:
+        super().__init__(settings, representation, seed)
+        self.measures = settings.measures
+        self.told: list[np.ndarray] = []
+
+    def _tell(self, fitness: np.ndarray, measures: np.ndarray) -> None:
+        super()._tell(fitness, measures)
+        self.told.append(measures)
+
+    def restore(self, state: Mapping[str, Any], told: Iterable[Told]) -> None:
+        super().restore(state, told)
+        self.told = [generation.measures for generation in told]
 
 
 class Servers:
@@ -52,7 +85,8 @@ class Servers:
         trials = np.flatnonzero(~workload.counted)
         genes = np.array([np.frombuffer(genome, "<f4")[0] for genome in workload.genomes])
         workload.fitness[trials] = genes[workload.participants[trials]]
-        workload.metrics[trials], workload.counted[trials] = 0.0, True
+        workload.metrics[trials] = np.stack([workload.seeds[trials] % 7 / 3, workload.fitness[trials, 0]], axis=1)
+        workload.counted[trials] = True
         yield Counted(trials, "lab-1-0123abcd", 0.01)
 
 
@@ -97,9 +131,16 @@ def test_a_generation_is_told_when_it_is_on_the_disk_and_servers_have_the_next(t
         assert result(evolution).history_hash == record.history().hex()
 
 
-def test_a_run_that_is_left_in_its_loop_goes_on_as_if_it_had_not(tmp_path: Path, servers: Servers) -> None:
+def with_cmaes(*overrides: str) -> experiment.Experiment:
+    mapping = experiment.to_mapping(loaded(*overrides)) | {"optimizer": {"kind": "cmaes", "population": 10}}
+    return experiment.complete(experiment.check(mapping, "test"), "test")
+
+
+@pytest.mark.parametrize("complete", [loaded(), with_cmaes()], ids=["nnga", "cmaes"])
+def test_a_run_that_is_left_in_its_loop_goes_on_as_if_it_had_not(
+    tmp_path: Path, servers: Servers, complete: experiment.Experiment
+) -> None:
     """Of the generation that servers had by then nothing is recorded; it is asked for again."""
-    complete = loaded()
     with created(tmp_path / "whole", complete) as record:
         whole = result(begun(record, complete, servers))
     with created(tmp_path / "left", complete) as record:
@@ -153,3 +194,96 @@ def test_what_is_written_of_a_generation_is_one_transaction(
         assert [line for line in statements if line.startswith(("BEGIN", "COMMIT"))] == ["BEGIN IMMEDIATE", "COMMIT"]
         assert not [line for line in statements if line.startswith("SELECT")], "nothing is read in the loop"
         evolution.close()
+
+
+class Said(Logger):
+    """Keeps the lines for the user."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def on_say(self, line: str) -> None:
+        self.lines.append(line)
+
+
+def test_where_an_optimizer_proposes_otherwise_than_before_the_run_goes_on_and_says_so(
+    tmp_path: Path, servers: Servers, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On another processor, or with another version of its package: here its draws are others from the third generation on."""
+    complete = with_cmaes()
+    with created(tmp_path, complete) as record:
+        evolution = begun(record, complete, servers)
+        for _ in range(3):
+            next(evolution)
+        evolution.close()
+    propose = CMAES._propose
+    monkeypatch.setattr(CMAES, "_propose", lambda self: propose(self) + (0.1 if self.generation >= 2 else 0.0))
+    record, complete = Record.open(record.folder)
+    said = Said()
+    with record:
+        record.begin(3, servers.handed[-1])
+        for counted in servers._evaluate(servers.handed[-1]):
+            record.add(counted, servers.handed[-1])
+        ended = result(run.evolve(run.build(complete), record, servers, said, threading.Event()))  # type: ignore[arg-type]
+    assert said.lines[1:] == [
+        "cmaes would have proposed other candidates from generation 2 on; it goes on from those that were recorded",
+        "generation 3 was begun with other candidates: 10 trials are forgotten",
+    ]
+    assert ended.evaluations == 40
+    genomes = [[row["genome"] for row in Run(record.folder).candidates(generation)] for generation in range(4)]
+    assert genomes[:3] == [workload.genomes for workload in servers.handed[:3]]
+    assert genomes[3] == servers.handed[-1].genomes != servers.handed[3].genomes
+
+
+@pytest.fixture
+def measuring(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setitem(plugins.BUNDLED["optimizer"], "measuring", f"{__name__}:Measuring")
+    plugins._installed.cache_clear()
+    yield
+    plugins._installed.cache_clear()
+
+
+@pytest.mark.usefixtures("measuring")
+def test_measures_are_means_of_metrics_in_trial_order_told_hashed_and_recorded(tmp_path: Path, servers: Servers) -> None:
+    """Also to an optimizer that goes on from the record; what they are added in changes bits."""
+    complete = loaded("optimizer.kind=measuring", "optimizer.measures=['rounds', 'escaped']", "problem.trials=3", "generations=3")
+    assert run.build(complete).problem.simulator.metrics == ("escaped", "rounds")
+    parts = run.build(complete)
+    with created(tmp_path, complete) as record:
+        evolution = run.evolve(parts, record, servers, Logger(), threading.Event())  # type: ignore[arg-type]
+        for _ in range(2):
+            next(evolution)
+        evolution.close()
+    record, complete = Record.open(record.folder)
+    parts = run.build(complete)
+    with record:
+        ended = result(run.evolve(parts, record, servers, Logger(), threading.Event()))  # type: ignore[arg-type]
+        recorded = list(record.told())
+    told = parts.optimizer.told  # type: ignore[attr-defined]
+    assert len(told) == len(recorded) == 3
+    hashed = hashlib.blake2b(digest_size=16)
+    for workload, measures, generation in zip((*servers.handed[:2], servers.handed[-1]), told, recorded, strict=True):
+        metrics = workload.metrics.reshape(-1, 3, 2)
+        expected = ((metrics[:, 0] + metrics[:, 1] + metrics[:, 2]) / 3)[:, ::-1]
+        assert measures.tobytes() == generation.measures.tobytes() == expected.tobytes()
+        hashed.update(b"".join(generation.genomes) + generation.fitness.tobytes() + expected.tobytes())
+    assert ended.history_hash == hashed.hexdigest()
+
+
+@pytest.mark.usefixtures("measuring")
+def test_measures_that_are_no_metric_are_refused_with_those_that_are(tmp_path: Path) -> None:
+    complete = loaded("optimizer.kind=measuring", "optimizer.measures=['rounds', 'spread']")
+    with pytest.raises(ConfigError) as refusal:
+        run.build(complete)
+    words = "optimizer: measures: emergency-exit has no metric 'spread'; it has: escaped, rounds"
+    assert str(refusal.value) == words
+
+
+@pytest.mark.usefixtures("measuring")
+@pytest.mark.parametrize("metrics", [[np.nan, 1.0], [1.7e308, 1.7e308], [-np.inf, 1.0]])
+def test_a_mean_that_is_not_finite_is_the_one_nan(metrics: list[float]) -> None:
+    problem = run.build(loaded("problem.trials=2")).problem
+    assessment = Assessment(problem, problem.random(2), 0)
+    assessment.workload.metrics[:] = 0.5
+    assessment.workload.metrics[2:, 1] = metrics
+    assert assessment.measures(["rounds"]).tobytes() == np.array([0.5, np.nan]).tobytes()
