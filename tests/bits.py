@@ -87,7 +87,7 @@ def evolved(optimizer: Any, simulator: Any, network: Any) -> bytes:
 def drawn() -> bytes:
     """Random numbers of every kind."""
     stream = Stream(draws.derive_seed(1, "bits", 2))
-    numbers = stream.words(1000), stream.uniform(-2.0, 3.0, 1000), stream.integers(77, 1000)
+    numbers = stream.words(1000), stream.uniform(-2.0, 3.0, 1000), stream.integers(77, 1000), stream.normal(0.0, 1.0, 1000)
     return b"".join(array.tobytes() for array in numbers) + str([stream.integer(1000) for _ in range(100)]).encode()
 
 

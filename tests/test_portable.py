@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from zswarm.draws import Stream
-from zswarm.portable import INT_MAX, INT_MIN, exp, sigmoid, tanh, to_int
+from zswarm.portable import INT_MAX, INT_MIN, exp, log, sigmoid, tanh, to_int
 
 PLAIN = {function.__name__: getattr(function, "py_func", function) for function in (exp, sigmoid, tanh, to_int)}
 MANY = np.concatenate(
@@ -77,6 +77,16 @@ def test_sigmoid_is_within_two_units_in_the_last_place() -> None:
         assert ulps(sigmoid(x), 1.0 / (1.0 + math.exp(-x))) <= 2.0
 
 
+POSITIVE = np.concatenate([Stream(6).uniform(0.5, 2.0, 20_000), 2.0 ** Stream(7).uniform(-1022.0, 1023.9, 20_000)])
+
+
+def test_log_is_within_one_unit_in_the_last_place() -> None:
+    ends = np.array([5e-324, 2.0**-1022, 1.0 - 2.0**-53, 1.0 + 2.0**-52, 2.0, 1.7976931348623157e308])
+    numbers = np.concatenate([POSITIVE, ends])
+    assert max(map(ulps, log(numbers).tolist(), map(math.log, numbers.tolist()))) <= 1.0
+    assert log(np.ones(1)).tolist() == [0.0]
+
+
 # From 0 over the smallest and the largest to infinity: 100 numbers of each power of two.
 FLOAT32S = np.append(np.arange(0, 0x7F800000, 0x800000 // 100, np.uint32).view(np.float32), np.float32(np.inf))
 
@@ -104,6 +114,11 @@ def test_the_bits_are_those_of_every_other_machine() -> None:
     values = np.array([[exp(x), sigmoid(x)] for x in MANY.tolist()], "<f8")
     assert hashlib.blake2b(MANY.astype("<f8").tobytes(), digest_size=8).hexdigest() == "e999c357037467e4"
     assert hashlib.blake2b(values.tobytes(), digest_size=8).hexdigest() == "896396ac685c3fc4"
+
+
+def test_the_logarithm_has_the_bits_of_every_other_machine() -> None:
+    numbers = np.arange(1, 5000) / 1000.0
+    assert hashlib.blake2b(log(numbers).astype("<f8").tobytes(), digest_size=8).hexdigest() == "37d0b0346cc444eb"
 
 
 @given(st.floats())

@@ -24,6 +24,17 @@ LARGEST, SMALLEST = 709.782712893383973096, -745.13321910194110842
 LOWEST_POWER = -1075
 POWERS_OF_TWO = np.array([2.0**k for k in range(LOWEST_POWER, 1024)])
 
+# log: x = 2^k (1 + f), 1 + f within a factor of sqrt 2 of 1, and a polynomial in s = f / (2 + f) (constants as in the public
+# fdlibm, e_log). Error below 1 unit in the last place.
+L1 = 6.666666666666735130e-01
+L2 = 3.999999999940941908e-01
+L3 = 2.857142874366239149e-01
+L4 = 2.222219843214978396e-01
+L5 = 1.818357216161805012e-01
+L6 = 1.531383769920937332e-01
+L7 = 1.479819860511658591e-01
+ROOT_HALF = 7.07106781186547524401e-01
+
 # tanh: 1 - 2 / (e^2x + 1), where e^2x is the fourth power of a polynomial close to e^(x/2); coefficients fitted by us to the
 # least greatest error, 3.6e-5. All are positive, so every step grows with x and no rounding makes the whole fall.
 T1 = np.float32(0.49962949)
@@ -55,6 +66,21 @@ def exp(x):  # type: ignore[no-untyped-def]  # compiled
     if k == 1024:  # 2 ** 1024 is no number, twice 2 ** 1023 times y < 1 is
         return y * 2.0 * POWERS_OF_TWO[1023 - LOWEST_POWER]
     return y * POWERS_OF_TWO[k - LOWEST_POWER]
+
+
+def log(x: np.ndarray) -> np.ndarray:
+    """The natural logarithm of positive float64 numbers, an array of them: numpy's, for kernels need none."""
+    mantissa, k = np.frexp(x)  # exact, mantissa in [1/2, 1)
+    small = mantissa < ROOT_HALF
+    f = np.where(small, 2.0 * mantissa, mantissa) - 1.0
+    k = (k - small).astype(np.float64)
+    s = f / (2.0 + f)
+    z = s * s
+    w = z * z
+    r = w * (L2 + w * (L4 + w * L6)) + z * (L1 + w * (L3 + w * (L5 + w * L7)))
+    half = 0.5 * f * f
+    y: np.ndarray = k * LN2_HIGH - ((half - (s * (half + r) + k * LN2_LOW)) - f)
+    return y
 
 
 @inline
