@@ -28,7 +28,13 @@ BUNDLED: dict[Kind, dict[str, str]] = {
         "fully-meshed": "zswarm.nets.fully_meshed:FullyMeshed",
     },
     "optimizer": {
+        "cea2d": "zswarm.ot.optimizers.cea2d:CEA2D",
+        "cuckoo": "zswarm.ot.optimizers.cuckoo:CuckooSearch",
         "nnga": "zswarm.ot.optimizers.nnga:NNGA",
+        "novelty": "zswarm.ot.optimizers.novelty:Novelty",
+        "openai-es": "zswarm.ot.optimizers.openai_es:OpenAIES",
+        "pso": "zswarm.ot.optimizers.pso:PSO",
+        "random": "zswarm.ot.optimizers.random_search:RandomSearch",
     },
 }
 
