@@ -9,6 +9,7 @@ evaluated again, by ``zswarm.evaluate`` (with ZSWARM_PLAIN=1 without the compile
 
 import argparse
 import hashlib
+import json
 import math
 import random
 import re
@@ -75,17 +76,19 @@ class _Check:
         self.folder, self.experiment = folder, experiment
         self.trials = int(experiment["problem"].get("trials", 1))
         self.meta = dict(database.execute("SELECT key, value FROM meta"))
-        self.claim(self.meta.get("schema_version") in (1, 2, 3), f"schema {self.meta.get('schema_version')}")
+        self.claim(self.meta.get("schema_version") in (1, 2, 3, 4), f"schema {self.meta.get('schema_version')}")
         self.generations = database.execute(
             "SELECT generation, best, evaluations, finished_at FROM generations ORDER BY generation"
         ).fetchall()
         self.candidates: dict[int, list[tuple[bytes, float | None]]] = {}
-        for generation, candidate, genome, fitness in database.execute(
-            "SELECT generation, candidate, genome, fitness FROM candidates ORDER BY generation, candidate"
+        self.measures: dict[int, list[bytes]] = {}
+        for generation, candidate, genome, fitness, *measures in database.execute(
+            "SELECT * FROM candidates ORDER BY generation, candidate"
         ):
             of = self.candidates.setdefault(generation, [])
             self.claim(candidate == len(of), f"generation {generation}: candidate {candidate} comes after {len(of) - 1}")
             of.append((genome, fitness))
+            self.measures.setdefault(generation, []).append((*measures, None)[0] or b"")  # none in schema 3
         rows = database.execute("SELECT * FROM outcomes ORDER BY id").fetchall()
         self.rows = [(*row, 0)[:12] for row in rows]  # nothing is doubtful in schema 1
         self.events = database.execute("SELECT generation, event, server, count, at FROM events ORDER BY rowid").fetchall()
@@ -175,9 +178,25 @@ class _Check:
                     bits(told) == bits(total),
                     f"{where}: candidate {candidate} was told as {told!r}, but the sum of its trials is {total!r}",
                 )
+                self.check_measures(where, generation, candidate)
                 best_yet = max(best_yet, -math.inf if math.isnan(told) else told)
             if best_yet > -math.inf:
                 self.claim(best == best_yet, f"{where}: best {best!r}, but the best fitness so far is {best_yet!r}")
+
+    def check_measures(self, where: str, generation: int, candidate: int) -> None:
+        """They are the means of the metrics that the optimizer names."""
+        named = self.experiment["optimizer"].get("measures", [])
+        told = self.measures[generation][candidate]
+        self.claim(len(told) == 8 * len(named), f"{where}: candidate {candidate} has {len(told)} bytes of measures")
+        names = json.loads(self.meta.get("metrics", "[]"))
+        for column, name in enumerate(named):
+            total = 0.0
+            for trial in range(candidate * self.trials, (candidate + 1) * self.trials):
+                total += struct.unpack_from("<d", self.outcomes[generation, trial], 8 + 8 * names.index(name))[0]
+            self.claim(
+                told[8 * column : 8 * column + 8] == bits(total / self.trials),
+                f"{where}: candidate {candidate}'s {name} is not the mean of its trials",
+            )
 
     def check_events(self) -> None:
         """They are sane, and so is the epoch."""
@@ -201,6 +220,7 @@ class _Check:
                 total.update(genome)
             for _, fitness in self.candidates[generation]:
                 total.update(NAN if fitness is None else struct.pack("<d", fitness))
+            total.update(b"".join(self.measures[generation]))
             told.append(total.copy().hexdigest())
         if (recorded := self.meta.get("history_hash")) is not None:
             wanted = self.experiment["generations"]

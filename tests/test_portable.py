@@ -2,6 +2,8 @@
 
 import hashlib
 import math
+from collections.abc import Callable
+from decimal import Decimal, localcontext
 
 import numpy as np
 import pytest
@@ -9,9 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from zswarm.draws import Stream
-from zswarm.portable import INT_MAX, INT_MIN, exp, log, sigmoid, tanh, to_int
+from zswarm.portable import FAR, INT_MAX, INT_MIN, atan2, cos, exp, log, remainder, sigmoid, sin, tanh, to_int
 
-PLAIN = {function.__name__: getattr(function, "py_func", function) for function in (exp, sigmoid, tanh, to_int)}
+FUNCTIONS = (exp, sigmoid, tanh, to_int, sin, cos, atan2, remainder)
+PLAIN = {function.__name__: getattr(function, "py_func", function) for function in FUNCTIONS}
 MANY = np.concatenate(
     [Stream(1).uniform(-746.0, 709.7, 20_000), Stream(2).uniform(-2.0, 2.0, 20_000), np.arange(-745.0, 709.5, 0.25)]
 )
@@ -107,6 +110,116 @@ def test_tanh_in_python_gives_the_same_bits_as_the_compiled_form() -> None:
         plain = PLAIN["tanh"](x)
         assert plain.dtype == np.float32
         assert plain == tanh(x)
+
+
+# Angles near 0, anywhere up to where the error is promised, and near multiples of a quarter turn, where little is left of them.
+ANGLES = np.concatenate(
+    [Stream(6).uniform(-7.0, 7.0, 500), Stream(7).uniform(-FAR, FAR, 500), Stream(8).integers(636_000, 300) * (math.pi / 2)]
+)
+PI = Decimal("3.14159265358979323846264338327950288419716939937510582097494459")
+
+
+def sine(angle: Decimal) -> Decimal:
+    """With 40 digits: Taylor's series of what full turns leave."""
+    x = angle - (angle / (2 * PI)).to_integral_value() * 2 * PI
+    total = term = x
+    for n in range(1, 45, 2):
+        term = -term * x * x / ((n + 1) * (n + 2))
+        total += term
+    return total
+
+
+def test_sin_and_cos_are_within_a_unit_in_the_last_place() -> None:
+    """Which is the .8 that the docstring states."""
+    with localcontext(prec=60):
+        for angle in ANGLES.tolist():
+            exact = Decimal(angle)
+            assert abs(Decimal(sin(angle)) - sine(exact)) <= Decimal(0.8 * math.ulp(sin(angle)))
+            assert abs(Decimal(cos(angle)) - sine(exact + PI / 2)) <= Decimal(0.8 * math.ulp(cos(angle)))
+
+
+def test_atan2_is_within_one_and_a_third_units_in_the_last_place() -> None:
+    """For all directions, lengths and ratios; 1.3 as the docstring states."""
+    directions, sizes = Stream(9).uniform(-math.pi, math.pi, 600), 10.0 ** Stream(10).uniform(-4.0, 4.0, 600)
+    with localcontext(prec=60):
+        for y, x in zip((np.sin(directions) * sizes).tolist(), np.cos(directions).tolist(), strict=True):
+            angle = atan2(y, x)
+            s, c = sine(Decimal(angle)), sine(Decimal(angle) + PI / 2)
+            off = (Decimal(y) * c - Decimal(x) * s) / (Decimal(x) * c + Decimal(y) * s)  # its tangent
+            assert abs(off) <= Decimal(1.3 * math.ulp(angle))
+
+
+@pytest.mark.parametrize(
+    ("y", "x", "angle"),
+    [
+        (0.0, 1.0, 0.0),
+        (1.0, 0.0, math.pi / 2),
+        (0.0, -1.0, math.pi),
+        (-0.0, -1.0, math.pi),
+        (-5e-324, -1.0, -math.pi),
+        (-1.0, 0.0, -math.pi / 2),
+        (1.0, 1.0, math.pi / 4),
+        (-1.0, -1.0, -3 * math.pi / 4),
+        (0.0, 0.0, 0.0),
+        (1e308, -1e-308, math.pi / 2),
+        (1e-308, 1e308, 0.0),
+        (math.inf, -1e308, math.pi / 2),
+        (1e308, -math.inf, math.pi),
+        (-1.0, math.inf, 0.0),
+        (math.inf, -math.inf, math.nan),
+        (math.nan, 1.0, math.nan),
+        (1.0, math.nan, math.nan),
+    ],
+)
+def test_atan2_has_the_right_quadrants_and_limits(y: float, x: float, angle: float) -> None:
+    assert atan2(y, x) == pytest.approx(angle, rel=2.3e-16, abs=0, nan_ok=True)
+
+
+@pytest.mark.parametrize("function", [sin, cos])
+def test_sin_and_cos_of_what_is_not_finite_are_nan(function: Callable[[float], float]) -> None:
+    assert all(math.isnan(function(x)) for x in (math.nan, math.inf, -math.inf))
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False))
+def test_sin_is_odd_and_cos_is_even_and_both_stay_within_one(x: float) -> None:
+    """Also far out, where the angle is off."""
+    assert sin(-x) == -sin(x)
+    assert cos(-x) == cos(x)
+    assert sin(x) ** 2 + cos(x) ** 2 == pytest.approx(1.0, abs=1e-15)
+
+
+def test_sin_far_out_is_that_of_an_angle_a_little_off() -> None:
+    """By 4e-17 of it: what float64's pi lacks, as often as it is in the angle."""
+    with localcontext(prec=60):
+        for angle in Stream(11).uniform(FAR, 1e12, 200).tolist():
+            assert abs(Decimal(sin(angle)) - sine(Decimal(angle))) <= Decimal(4e-17 * angle)
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False), st.floats(1e-300, 1e300))
+def test_remainder_is_exact_and_has_the_sign_of_what_was_divided(x: float, divisor: float) -> None:
+    assert remainder(x, divisor) == math.fmod(x, divisor)
+
+
+def test_remainder_of_what_is_not_finite_is_nan() -> None:
+    assert all(math.isnan(remainder(x, 360.0)) for x in (math.nan, math.inf, -math.inf))
+
+
+@given(st.floats(), st.floats())
+def test_functions_of_angles_have_the_same_bits_in_python_and_compiled(x: float, y: float) -> None:
+    """Of Python's numbers and of those that numpy's arrays hold."""
+    for compiled, plain, single in (
+        (sin(x), PLAIN["sin"](x), PLAIN["sin"](np.float64(x))),
+        (cos(x), PLAIN["cos"](x), PLAIN["cos"](np.float64(x))),
+        (atan2(y, x), PLAIN["atan2"](y, x), PLAIN["atan2"](np.float64(y), np.float64(x))),
+        (remainder(x, 360.0), PLAIN["remainder"](x, 360.0), PLAIN["remainder"](np.float64(x), 360.0)),
+    ):
+        assert str(compiled) == str(plain) == str(float(single))
+
+
+def test_angles_have_the_bits_of_every_other_machine() -> None:
+    """A digest of many values, made once, as below."""
+    values = [[sin(x), cos(x), atan2(x, 3.0), atan2(2.0, x), remainder(x, 360.0)] for x in (ANGLES * 1.25).tolist()]
+    assert hashlib.blake2b(np.array(values, "<f8").tobytes(), digest_size=8).hexdigest() == "d4261e2be6473637"
 
 
 def test_the_bits_are_those_of_every_other_machine() -> None:

@@ -23,6 +23,8 @@ BUNDLED: dict[Kind, dict[str, str]] = {
         "arena": "zswarm.sims.arena:Arena",
         "emergency-exit": "zswarm.sims.emergency_exit:EmergencyExit",
         "minisim": "zswarm.sims.minisim:Minisim",
+        "simplified-emergency-exit": "zswarm.sims.simplified_emergency_exit:SimplifiedEmergencyExit",
+        "xor": "zswarm.sims.xor:XOR",
     },
     "representation": {
         "fully-meshed": "zswarm.nets.fully_meshed:FullyMeshed",

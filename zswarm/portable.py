@@ -1,8 +1,8 @@
 """Functions with the same bits everywhere: Python, numba on any CPU, C.
 
 ``exp`` and its like differ between numpy, numba, CPUs and C libraries in 10-40 % of float32 values. Here they are made of
-``+ - * /`` in a fixed order, which IEEE 754 rounds the same everywhere. Simulators, networks and exported controllers
-take transcendental functions from this file only.
+``+ - * /`` in a fixed order, which IEEE 754 rounds the same everywhere, and of remainders, which are exact. Simulators,
+networks and exported controllers take transcendental functions from this file only.
 """
 
 import numpy as np
@@ -43,6 +43,33 @@ T3 = np.float32(0.01738343)
 T4 = np.float32(0.00450478)
 ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
 FLAT = np.float32(20)  # from here on tanh is 1
+
+# sin, cos: |x| = k pi/2 + r, |r| <= pi/4, with pi/2 in three parts, of which the first two have 33 bits, so that k times each is
+# exact; then polynomials (W. J. Cody, W. Waite, as above; constants as in the public fdlibm, e_rem_pio2, k_sin and k_cos).
+LARGEST_FLOAT = 1.7976931348623157e308
+PI = 3.14159265358979311600e00
+FAR = 1e6  # from here on |x| is first divided by 2 pi as float64 has it
+PER_QUARTER = 6.36619772367581382433e-01  # 2 / pi
+QUARTER_1, QUARTER_2, QUARTER_3 = 1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624879595063154e-21
+S1, S2, S3 = -1.66666666666666324348e-01, 8.33333333332248946124e-03, -1.98412698298579493134e-04
+S4, S5, S6 = 2.75573137070700676789e-06, -2.50507602534068634195e-08, 1.58969099521155010221e-10
+C1, C2, C3 = 4.16666666666666019037e-02, -1.38888888888741095749e-03, 2.48015872894767294178e-05
+C4, C5, C6 = -2.75573143513906633035e-07, 2.08757232129817482790e-09, -1.13596475577881948265e-11
+
+# atan2: atan(s) = atan(c) + atan(t), t = (s - c) / (1 + c s), for c in 0, 1/2, 1, 3/2 and infinity, so that |t| <= 7/16; then a
+# polynomial (constants as in the public fdlibm, s_atan).
+ATAN_HIGH = np.array(
+    [0.0, 4.63647609000806093515e-01, 7.85398163397448278999e-01, 9.82793723247329054082e-01, 1.57079632679489655800e00]
+)
+ATAN_LOW = np.array(
+    [0.0, 2.26987774529616870924e-17, 3.06161699786838301793e-17, 1.39033110312309984516e-17, 6.12323399573676603587e-17]
+)
+A1, A2, A3 = 3.33333333333329318027e-01, -1.99999999998764832476e-01, 1.42857142725034663711e-01
+A4, A5, A6 = -1.11111104054623557880e-01, 9.09088713343650656196e-02, -7.69187620504482999495e-02
+A7, A8, A9 = 6.66107313738753120669e-02, -5.83357013379057348645e-02, 4.97687799461593236017e-02
+A10, A11 = -3.65315727442169155270e-02, 1.62858201153657823623e-02
+PI_LOW = 1.2246467991473531772e-16  # what float64's pi lacks
+STEEP = 2.0**-60  # a slope of more than its inverse is straight up
 
 INT_MAX, INT_MIN = 2147483647, -2147483648
 
@@ -99,6 +126,113 @@ def tanh(x):  # type: ignore[no-untyped-def]  # compiled
     square = root * root
     y = ONE - TWO / (square * square + ONE)
     return select(negative, ZERO - y, y)
+
+
+@inline
+def sin(x):  # type: ignore[no-untyped-def]  # compiled
+    """The sine of an angle in radians, float64; NaN for what is not finite.
+
+    Within .8 units in the last place up to |x| = 10^6. Beyond, |x| is divided by float64's 2 pi first: the error is that of an
+    angle off by |x| 4e-17, and the bits are still the same everywhere.
+    """
+    if not abs(x) <= LARGEST_FLOAT:
+        return np.nan
+    k, r, tail = split_quarters(abs(x))
+    y = cos_near(r, tail) if k & 1 else sin_near(r, tail)
+    return -y if (k & 2 != 0) != (x < 0.0) else y
+
+
+@inline
+def cos(x):  # type: ignore[no-untyped-def]  # compiled
+    """The cosine of an angle in radians, float64; otherwise as ``sin``."""
+    if not abs(x) <= LARGEST_FLOAT:
+        return np.nan
+    k, r, tail = split_quarters(abs(x))
+    y = sin_near(r, tail) if k & 1 else cos_near(r, tail)
+    return -y if (k + 1) & 2 else y
+
+
+@inline
+def split_quarters(size):  # type: ignore[no-untyped-def]  # compiled
+    """Whole quarter turns in an angle from 0 up (beyond ``FAR`` less full turns), and the rest as the sum of two numbers."""
+    if size > FAR:
+        size = size % (2.0 * PI)
+    k = int(size * PER_QUARTER + 0.5)
+    most = size - k * QUARTER_1
+    second = k * QUARTER_2
+    rest = most - second
+    lost = k * QUARTER_3 - ((most - rest) - second)
+    r = rest - lost
+    return k, r, (rest - r) - lost
+
+
+@inline
+def sin_near(r, tail):  # type: ignore[no-untyped-def]  # compiled
+    """The sine of r + tail, within pi/4 of 0."""
+    z = r * r
+    v = z * r
+    p = S2 + z * (S3 + z * (S4 + z * (S5 + z * S6)))
+    return r - ((z * (0.5 * tail - v * p) - tail) - v * S1)
+
+
+@inline
+def cos_near(r, tail):  # type: ignore[no-untyped-def]  # compiled
+    """The cosine of r + tail, within pi/4 of 0."""
+    z = r * r
+    p = z * (C1 + z * (C2 + z * (C3 + z * (C4 + z * (C5 + z * C6)))))
+    half = 0.5 * z
+    w = 1.0 - half
+    return w + (((1.0 - w) - half) + (z * p - r * tail))
+
+
+@inline
+def atan2(y, x):  # type: ignore[no-untyped-def]  # compiled
+    """The angle of the vector (x, y) in radians, -pi to pi, float64, within 1.3 units in the last place.
+
+    The sign of a zero does not matter: (0, 0) has the angle 0, and below the x axis begins where y < 0. NaN for NaN, and where
+    both are infinite.
+    """
+    size_x, size_y = abs(x), abs(y)
+    if size_x > LARGEST_FLOAT and size_y > LARGEST_FLOAT:
+        return np.nan
+    if size_x == 0.0 and size_y == 0.0:
+        return 0.0
+    if size_y * STEEP > size_x:
+        angle = PI / 2.0
+    else:
+        angle = atan_of_size(size_y / size_x)
+        if x < 0.0:
+            angle = PI - (angle - PI_LOW)
+    return -angle if y < 0.0 else angle
+
+
+@inline
+def atan_of_size(s):  # type: ignore[no-untyped-def]  # compiled
+    """The arc tangent of a number from 0 up."""
+    if s < 0.4375:
+        which, t = 0, s
+    elif s < 0.6875:
+        which, t = 1, (2.0 * s - 1.0) / (2.0 + s)
+    elif s < 1.1875:
+        which, t = 2, (s - 1.0) / (s + 1.0)
+    elif s < 2.4375:
+        which, t = 3, (s - 1.5) / (1.0 + 1.5 * s)
+    else:
+        which, t = 4, -1.0 / s
+    z = t * t
+    w = z * z
+    odd = z * (A1 + w * (A3 + w * (A5 + w * (A7 + w * (A9 + w * A11)))))
+    even = w * (A2 + w * (A4 + w * (A6 + w * (A8 + w * A10))))
+    return ATAN_HIGH[which] - ((t * (odd + even) - ATAN_LOW[which]) - t)
+
+
+@inline
+def remainder(x, divisor):  # type: ignore[no-untyped-def]  # compiled
+    """What division by a number above 0 leaves, exact, with the sign of x, as Java's %; float64; NaN for what is not finite."""
+    if not abs(x) <= LARGEST_FLOAT:
+        return np.nan
+    rest = abs(x) % divisor
+    return -rest if x < 0.0 else rest
 
 
 @inline

@@ -4,6 +4,7 @@ import contextlib
 import os
 import random
 import signal
+import sys
 import time
 from pathlib import Path
 
@@ -14,14 +15,15 @@ import zenoh
 from programs import Optimizer, Server, free_port, query, wait_until
 
 from zswarm import session
+from zswarm.ot import cli
 
 GARBAGE_S = float(os.environ.get("ZSWARM_GARBAGE_S", "4"))
+NOBODY = ["--servers", "1", "--no-multicast"]  # no slots of this machine are started
 SMALL = ["--set", "generations=2", "--set", "optimizer.population=10", "--set", "problem.trials=2"]
 
 
-def only_line(optimizer: Optimizer) -> str:
+def only_line(text: str) -> str:
     """The one line on stderr that says what is wrong."""
-    text = optimizer.err.read_text()
     assert "Traceback" not in text
     lines = [line for line in text.splitlines() if line.startswith("zswarm-ot: ")]
     assert len(lines) == 1, text
@@ -49,12 +51,12 @@ def evolve_rough(tmp_path: Path, rough: str, how: str, *options: str) -> Optimiz
         (["run", "binary.toml"], 2, "not TOML"),
         (["run", "--set", "optimizer.populatoin=3"], 2, "did you mean 'population'"),
         (
-            ["run", "--set", "seed=3", "--set", "optimizer.populatoin=3"],
+            ["run", *NOBODY, "--set", "seed=3", "--set", "optimizer.populatoin=3"],
             2,
             "--set optimizer.populatoin=3: optimizer: unknown",
         ),
         (
-            ["run", "--repeat", "2", "--set", "optimizer.population=x"],
+            ["run", *NOBODY, "--repeat", "2", "--set", "optimizer.population=x"],
             2,
             "--set optimizer.population=x: optimizer: ",
         ),
@@ -68,10 +70,10 @@ def evolve_rough(tmp_path: Path, rough: str, how: str, *options: str) -> Optimiz
         (["evaluate", "damaged-run"], 2, "no champion.zsc in it"),
         (["evaluate", "study"], 2, "a folder of runs; expected one of them, such as study/a"),
         (["list", "nofolder"], 2, "nofolder: no such folder"),
-        (["run", "--set", "problem.simulator=stage"], 2, "unknown simulator 'stage'"),
-        (["run", "--set", "representation.kind=lstm"], 2, "unknown representation 'lstm'"),
-        (["run", "--set", "problem.settings.width=30"], 2, "width must not exceed height"),
-        (["run", "--set", "problem.settings.agents=ten"], 2, "agents: expected int, got str"),
+        (["run", *NOBODY, "--set", "problem.simulator=stage"], 2, "unknown simulator 'stage'"),
+        (["run", *NOBODY, "--set", "representation.kind=lstm"], 2, "unknown representation 'lstm'"),
+        (["run", *NOBODY, "--set", "problem.settings.width=30"], 2, "width must not exceed height"),
+        (["run", *NOBODY, "--set", "problem.settings.agents=ten"], 2, "agents: expected int, got str"),
         (["run", "--servers", "many"], 2, "expected auto, local or a number"),
         (["run", "--servers", "1", "--connect", "nonsense", "--no-multicast"], 2, "expected endpoints such as"),
         (["run", "--through-router", "--no-multicast"], 2, "name the router in cluster.connect"),
@@ -83,7 +85,14 @@ def evolve_rough(tmp_path: Path, rough: str, how: str, *options: str) -> Optimiz
         (["evaluate", "nothing"], 2, "cannot be read"),
     ],
 )
-def test_a_mistake_is_named_in_one_line(tmp_path: Path, arguments: list[str], code: int, words: str) -> None:
+def test_a_mistake_is_named_in_one_line(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    arguments: list[str],
+    code: int,
+    words: str,
+) -> None:
     (tmp_path / "damaged.toml").write_text("name = ")
     (tmp_path / "binary.toml").write_bytes(bytes(range(256)))
     (tmp_path / "damaged.zsc").write_bytes(b"\x81\xa1")
@@ -94,9 +103,12 @@ def test_a_mistake_is_named_in_one_line(tmp_path: Path, arguments: list[str], co
     example = Path(__file__).parents[2] / "examples" / "emergency-exit.toml"
     (tmp_path / "damaged-run" / "experiment.toml").write_text(example.read_text())
     (tmp_path / "damaged-run" / "run.sqlite").write_bytes(b"SQLite format 3\0" + bytes(range(256)) * 20)
-    optimizer = Optimizer(tmp_path, "ot", arguments)
-    assert optimizer.wait() == code
-    assert words in only_line(optimizer)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["zswarm-ot", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == code
+    assert words in only_line(capfd.readouterr().err)
     assert not (tmp_path / "runs").exists()
 
 
@@ -149,7 +161,7 @@ def test_a_server_whose_slots_have_too_little_memory_is_named(tmp_path: Path) ->
 def test_more_memory_than_this_machine_has_is_named(tmp_path: Path) -> None:
     optimizer = Optimizer(tmp_path, "ot", ["run", "--servers", "local", "--set", "cluster.trial_memory_mb=1000000000"])
     assert optimizer.wait() == 1
-    assert "the run asks for 1000000000" in only_line(optimizer)
+    assert "the run asks for 1000000000" in only_line(optimizer.err.read_text())
 
 
 def test_servers_that_do_not_match_are_named_with_the_reason(tmp_path: Path) -> None:
@@ -159,7 +171,7 @@ def test_servers_that_do_not_match_are_named_with_the_reason(tmp_path: Path) -> 
         optimizer = Optimizer(tmp_path, "ot", ["run", "--servers", "1", *options])
         assert optimizer.wait() == 4
         assert "no simulator 'emergency-exit' here; there are minisim" in optimizer.err.read_text()
-        assert "0 of 1 matching servers" in only_line(optimizer)
+        assert "0 of 1 matching servers" in only_line(optimizer.err.read_text())
         assert optimizer.err.read_text().splitlines()[-1].startswith("stopped; nothing is lost."), "after the reason"
         seen = Optimizer(tmp_path, "seen", ["servers", "--wait", "1", "--for", "emergency-exit", "--json", *options])
         assert seen.wait() == 0
@@ -202,7 +214,7 @@ def test_a_simulator_that_ends_its_process_pauses_the_run_and_names_the_cause(
 ) -> None:
     optimizer = evolve_rough(tmp_path, rough, how)
     assert optimizer.wait() == 1
-    assert words in only_line(optimizer)
+    assert words in only_line(optimizer.err.read_text())
     assert "zswarm-ot resume runs/rough" in optimizer.err.read_text()
 
 
@@ -238,19 +250,19 @@ def test_a_simulator_that_ends_its_process_once_or_leaks_changes_nothing(tmp_pat
 def test_a_simulator_that_needs_too_much_memory_from_the_start_is_named(tmp_path: Path, rough: str) -> None:
     optimizer = evolve_rough(tmp_path, rough, "too-large")
     assert optimizer.wait() == 1
-    assert "it needs more than the 512 MB of cluster.trial_memory_mb" in only_line(optimizer)
+    assert "it needs more than the 512 MB of cluster.trial_memory_mb" in only_line(optimizer.err.read_text())
 
 
 def test_a_simulator_that_cannot_be_set_up_is_named(tmp_path: Path, rough: str) -> None:
     optimizer = evolve_rough(tmp_path, rough, "refuses")
     assert optimizer.wait() == 2
-    assert "no licence found" in only_line(optimizer)
+    assert "no licence found" in only_line(optimizer.err.read_text())
 
 
 def test_a_plug_in_that_cannot_be_imported_is_named_and_hurts_no_other(tmp_path: Path, rough: str) -> None:
     broken = Optimizer(tmp_path, "broken", ["run", "--set", "problem.simulator=broken"], PYTHONPATH=rough)
     assert broken.wait() == 2
-    assert "simulator 'broken' cannot be imported: ModuleNotFoundError" in only_line(broken)
+    assert "simulator 'broken' cannot be imported: ModuleNotFoundError" in only_line(broken.err.read_text())
     evolve_rough(tmp_path, rough, "fine").done()
 
 

@@ -11,7 +11,7 @@ import pytest
 from zswarm import plugins
 from zswarm.draws import Stream
 from zswarm.errors import ConfigError
-from zswarm.nets import fully_meshed
+from zswarm.nets import vector
 from zswarm.nets.fully_meshed import FullyMeshed, Settings
 from zswarm.strict import convert
 from zswarm.testing import check_representation
@@ -349,7 +349,7 @@ def test_a_recorded_crossover_is_a_child_of_ours() -> None:
 def test_the_distance_is_the_sum_of_absolute_differences_added_in_gene_order(
     left: int, right: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(fully_meshed, "BLOCK", 60 * 40 * 7)  # 40 rows are no multiple of 7
+    monkeypatch.setattr(vector, "BLOCK", 60 * 40 * 7)  # 40 rows are no multiple of 7
     built = network()
     genomes = built.random(80, Stream(8))
     flat = tables(built, genomes).reshape(80, -1)

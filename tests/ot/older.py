@@ -22,7 +22,7 @@ CREATE VIEW servers AS
     FROM outcomes WHERE server <> '' GROUP BY server;
 """
 SCHEMA_2 = SCHEMA_1.replace("    at REAL NOT NULL);", "    at REAL NOT NULL, doubtful INTEGER NOT NULL DEFAULT 0);")
-SCHEMAS = {1: SCHEMA_1, 2: SCHEMA_2}
+SCHEMAS = {1: SCHEMA_1, 2: SCHEMA_2, 3: SCHEMA_2}  # 3: no new columns
 
 
 def as_schema(version: int, folder: Path) -> None:

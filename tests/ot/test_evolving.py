@@ -1,20 +1,51 @@
 """The loop of a run: while a generation is recorded and told, servers have the next one."""
 
+import hashlib
 import threading
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from zswarm import experiment
+from zswarm import experiment, plugins
+from zswarm.errors import ConfigError
+from zswarm.nets.representation import Representation
 from zswarm.ot import run
 from zswarm.ot.dispatch import Counted
 from zswarm.ot.logger import Generation, Logger, Result
+from zswarm.ot.optimizers.nnga import NNGA, Settings
+from zswarm.ot.optimizers.optimizer import Told
 from zswarm.ot.reading import Run
 from zswarm.ot.record import Record
 from zswarm.ot.workload import Workload
+
+
+class MeasuringSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Those of NNGA, and names of metrics."""
+
+    measures: tuple[str, ...] = ()
+
+
+class Measuring(NNGA):
+    """NNGA that is told measures, too, and keeps them."""
+
+    settings_type = MeasuringSettings
+    settings: MeasuringSettings
+
+    def __init__(self, settings: MeasuringSettings, representation: Representation, seed: int) -> None:
+        super().__init__(settings, representation, seed)
+        self.measures = settings.measures
+        self.told: list[np.ndarray] = []
+
+    def _tell(self, fitness: np.ndarray, measures: np.ndarray) -> None:
+        super()._tell(fitness, measures)
+        self.told.append(measures)
+
+    def restore(self, state: Mapping[str, Any], told: Iterable[Told]) -> None:
+        super().restore(state, told)
+        self.told = [generation.measures for generation in told]
 
 
 class Servers:
@@ -52,7 +83,8 @@ class Servers:
         trials = np.flatnonzero(~workload.counted)
         genes = np.array([np.frombuffer(genome, "<f4")[0] for genome in workload.genomes])
         workload.fitness[trials] = genes[workload.participants[trials]]
-        workload.metrics[trials], workload.counted[trials] = 0.0, True
+        workload.metrics[trials] = np.stack([workload.seeds[trials] % 7 / 3, workload.fitness[trials, 0]], axis=1)
+        workload.counted[trials] = True
         yield Counted(trials, "lab-1-0123abcd", 0.01)
 
 
@@ -153,3 +185,57 @@ def test_what_is_written_of_a_generation_is_one_transaction(
         assert [line for line in statements if line.startswith(("BEGIN", "COMMIT"))] == ["BEGIN IMMEDIATE", "COMMIT"]
         assert not [line for line in statements if line.startswith("SELECT")], "nothing is read in the loop"
         evolution.close()
+
+
+@pytest.fixture
+def measuring(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setitem(plugins.BUNDLED["optimizer"], "measuring", f"{__name__}:Measuring")
+    plugins._installed.cache_clear()
+    yield
+    plugins._installed.cache_clear()
+
+
+@pytest.mark.usefixtures("measuring")
+def test_measures_are_means_of_metrics_in_trial_order_told_hashed_and_recorded(tmp_path: Path, servers: Servers) -> None:
+    """Also to an optimizer that goes on from the record; what they are added in changes bits."""
+    complete = loaded("optimizer.kind=measuring", "optimizer.measures=['rounds', 'escaped']", "problem.trials=3", "generations=3")
+    assert run.build(complete).problem.simulator.metrics == ("escaped", "rounds")
+    parts = run.build(complete)
+    with created(tmp_path, complete) as record:
+        evolution = run.evolve(parts, record, servers, Logger(), threading.Event())  # type: ignore[arg-type]
+        for _ in range(2):
+            next(evolution)
+        evolution.close()
+    record, complete = Record.open(record.folder)
+    parts = run.build(complete)
+    with record:
+        ended = result(run.evolve(parts, record, servers, Logger(), threading.Event()))  # type: ignore[arg-type]
+        recorded = list(record.told())
+    told = parts.optimizer.told  # type: ignore[attr-defined]
+    assert len(told) == len(recorded) == 3
+    hashed = hashlib.blake2b(digest_size=16)
+    for workload, measures, generation in zip((*servers.handed[:2], servers.handed[-1]), told, recorded, strict=True):
+        metrics = workload.metrics.reshape(-1, 3, 2)
+        expected = ((metrics[:, 0] + metrics[:, 1] + metrics[:, 2]) / 3)[:, ::-1]
+        assert measures.tobytes() == generation.measures.tobytes() == expected.tobytes()
+        hashed.update(b"".join(generation.genomes) + generation.fitness.tobytes() + expected.tobytes())
+    assert ended.history_hash == hashed.hexdigest()
+
+
+@pytest.mark.usefixtures("measuring")
+def test_measures_that_are_no_metric_are_refused_with_those_that_are(tmp_path: Path) -> None:
+    complete = loaded("optimizer.kind=measuring", "optimizer.measures=['rounds', 'spread']")
+    with pytest.raises(ConfigError) as refusal:
+        run.build(complete)
+    words = "optimizer: measures: emergency-exit has no metric 'spread'; it has: escaped, rounds"
+    assert str(refusal.value) == words
+
+
+@pytest.mark.usefixtures("measuring")
+@pytest.mark.parametrize("metrics", [[np.nan, 1.0], [1.7e308, 1.7e308], [-np.inf, 1.0]])
+def test_a_mean_that_is_not_finite_is_the_one_nan(metrics: list[float]) -> None:
+    problem = run.build(loaded("problem.trials=2")).problem
+    workload = problem.workload(problem.random(2), 0)
+    workload.metrics[:] = 0.5
+    workload.metrics[2:, 1] = metrics
+    assert problem.measures(workload, ["rounds"]).tobytes() == np.array([0.5, np.nan]).tobytes()

@@ -223,7 +223,7 @@ def test_resume_brings_an_older_record_to_this_schema(folder: Path, version: int
     as_schema(version, folder)
     Record.open(folder)[0].close()
     migrated = Run(folder)
-    assert migrated.meta["schema_version"] == 3
+    assert migrated.meta["schema_version"] == 4
     assert migrated.history() == before
     new = Record.create(folder.parent, complete(), "hash")
     new.close()
@@ -245,11 +245,11 @@ def test_a_view_of_ones_own_is_replaced_by_that_of_the_schema(folder: Path) -> N
     assert "evaluations" in views(folder)["history"]
 
 
-@pytest.mark.parametrize("found", [4, 99, "x", 0, None, 1.5])
+@pytest.mark.parametrize("found", [5, 99, "x", 0, None, 1.5])
 def test_a_record_of_an_unknown_schema_is_refused(folder: Path, found: object) -> None:
     edit(folder, "UPDATE meta SET value = ? WHERE key = 'schema_version'", found)
     edit(folder, "UPDATE meta SET value = ? WHERE key = 'zswarm'", EVIL)
-    words = f"has schema {found}, of zswarm" if isinstance(found, int) and found > 3 else "damaged: it names no schema"
+    words = f"has schema {found}, of zswarm" if isinstance(found, int) and found > 4 else "damaged: it names no schema"
     assert words in refusal(folder)
 
 

@@ -136,6 +136,28 @@ def test_the_history_hash_is_blake2b_of_genomes_and_numbers() -> None:
     assert history.hex() == expected.hexdigest()
 
 
+def test_measures_come_after_the_fitness_of_their_generation_in_the_history_hash() -> None:
+    history = History()
+    history.add([b"one", b"two"], np.array([1.5, -2.0]), np.array([[3.0, 4.0], [5.0, np.nan]]))
+    history.add([b"three"], np.array([0.25]), np.empty((1, 0)))
+    told = struct.pack("<6d", 1.5, -2.0, 3.0, 4.0, 5.0, np.nan)
+    expected = hashlib.blake2b(b"onetwo" + told + b"three" + struct.pack("<d", 0.25), digest_size=16)
+    assert history.hex() == expected.hexdigest()
+
+
+def test_measures_are_read_back_as_they_were_told(record: Record) -> None:
+    """A generation whose optimizer was told none has none, of the right shape."""
+    told = History()
+    fitness, measures = np.array([0.5, np.nan]), np.array([[1.0, np.nan], [-3.0, 1e300]])
+    for generation, these in enumerate((measures, np.empty((2, 0)), None)):
+        told.add([b"a", b"b"], fitness, these)
+        record.finish(generation, [b"a", b"b"], fitness, STATISTICS, {}, these)
+    first, *others = record.told()
+    assert first.measures.tobytes() == measures.tobytes()
+    assert [other.measures.shape for other in others] == [(2, 0), (2, 0)]
+    assert record.history().hex() == told.hex()
+
+
 def test_half_a_generation_is_never_committed(record: Record, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(state: object) -> bytes:
         raise KeyboardInterrupt
@@ -189,22 +211,23 @@ def test_a_newer_schema_is_refused_with_the_zswarm_that_is_needed(record: Record
     record.set_meta("schema_version", 99)
     record.set_meta("zswarm", "7.0")
     record.close()
-    words = r"has schema 99, of zswarm 7\.0; .* up to 3: go on with the zswarm that made it, or a newer one"
+    words = r"has schema 99, of zswarm 7\.0; .* up to 4: go on with the zswarm that made it, or a newer one"
     with pytest.raises(ConfigError, match=words):
         Record.open(record.folder)
 
 
-def test_a_run_of_schema_1_is_brought_to_this_one_with_all_it_holds(record: Record, tmp_path: Path) -> None:
+@pytest.mark.parametrize("schema", [1, 2, 3])
+def test_a_run_of_an_older_schema_is_brought_to_this_one_with_all_it_holds(record: Record, tmp_path: Path, schema: int) -> None:
     work = workload()
     record.begin(0, work)
     record.add(count(work, [0, 1, 2], -1.5), work)
     record.finish(0, work.genomes, np.full(3, -1.5), STATISTICS, {"at": 0})
     history = record.history().hex()
     record.close()
-    as_schema(1, record.folder)
+    as_schema(schema, record.folder)
     assert listed(tmp_path)[0]["generations"] == 1, "list reads the old schema"
     with Record.open(record.folder)[0] as resumed:
-        assert (resumed.meta("schema_version"), resumed.meta("epoch")) == (3, 1)
+        assert (resumed.meta("schema_version"), resumed.meta("epoch")) == (4, 1)
         assert resumed.history().hex() == history
         assert resumed.resumed() == (1, {"at": 0})
         resumed.begin(1, work)

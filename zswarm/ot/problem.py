@@ -75,6 +75,15 @@ class Problem:
         """(candidates,) float64: the sum over a candidate's trials, added in trial order; never -0.0, which SQLite drops."""
         return np.cumsum(workload.fitness[:, 0].reshape(-1, self.experiment.problem.trials), axis=1)[:, -1] + 0.0
 
+    def measures(self, workload: Workload, names: Sequence[str]) -> np.ndarray:
+        """(candidates, names) float64: of each metric the mean over a candidate's trials, added in trial order."""
+        columns = [self.simulator.metrics.index(name) for name in names]
+        trials = self.experiment.problem.trials
+        each = workload.metrics[:, columns].reshape(len(workload.genomes), trials, len(columns))
+        with np.errstate(over="ignore", invalid="ignore"):  # told below
+            mean = np.cumsum(each, axis=1)[:, -1] / trials + 0.0
+        return np.where(np.isfinite(mean), mean, np.nan)
+
     def controller(self, genome: bytes, fitness: float, run: str) -> Controller:
         """A genome with all that is needed to run it."""
         complete, simulator = self.experiment, self.simulator

@@ -49,7 +49,7 @@ SET_META = "INSERT OR REPLACE INTO meta VALUES (?, ?)"
 ADD_OUTCOMES = "INSERT OR REPLACE INTO outcomes VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
 ADD_EVENT = "INSERT OR REPLACE INTO events (rowid, at, generation, event, server, text, count) VALUES (?, ?, ?, ?, ?, ?, ?)"
 ADD_CANDIDATES = "INSERT OR REPLACE INTO candidates VALUES "
-A_CANDIDATE, CANDIDATES_AT_ONCE = "(?, ?, ?, ?)", 200  # every SQLite takes 999 parameters in a statement
+A_CANDIDATE, CANDIDATES_AT_ONCE = "(?, ?, ?, ?, ?)", 199  # every SQLite takes 999 parameters in a statement
 ADD_GENERATION = "INSERT OR REPLACE INTO generations VALUES (?, ?, ?, ?, ?, ?)"
 SET_OPTIMIZER = "INSERT OR REPLACE INTO optimizer VALUES (0, ?, ?)"
 
@@ -229,17 +229,25 @@ class Record:
         self._database.write((ADD_EVENT, values))
 
     def finish(
-        self, generation: int, genomes: Sequence[bytes], fitness: np.ndarray, statistics: dict[str, float], state: Any
+        self,
+        generation: int,
+        genomes: Sequence[bytes],
+        fitness: np.ndarray,
+        statistics: dict[str, float],
+        state: Any,
+        measures: np.ndarray | None = None,
     ) -> None:
         """A generation and the optimizer's state after it, in one transaction; waits until the disk has it.
 
         Args:
+            fitness, measures: as told to the optimizer; of measures, where it was told some.
             state: None: the optimizer was another program, and the run cannot be resumed.
         """
         best, mean = statistics["best"], statistics["mean"]
+        told = itertools.repeat(None) if measures is None or not measures.size else map(bytes, measures.astype("<f8"))
         rows = [
-            (generation, candidate, genome, value)
-            for candidate, (genome, value) in enumerate(zip(genomes, fitness.tolist(), strict=True))
+            (generation, candidate, genome, value, measured)
+            for candidate, (genome, value, measured) in enumerate(zip(genomes, fitness.tolist(), told, strict=False))
         ]
         whole: list[Statement] = []
         for begin in range(0, len(rows), CANDIDATES_AT_ONCE):
@@ -295,16 +303,17 @@ class Record:
         """The finished generations, in order."""
         for (generation,) in self._database.rows("SELECT generation FROM generations ORDER BY generation"):
             rows = self._database.rows(
-                "SELECT genome, fitness FROM candidates WHERE generation = ? ORDER BY candidate", generation
+                "SELECT genome, fitness, measures FROM candidates WHERE generation = ? ORDER BY candidate", generation
             )
             fitness = np.array([np.nan if row[1] is None else row[1] for row in rows])
-            yield Told([row[0] for row in rows], fitness, np.empty((len(rows), 0)))
+            measures = np.array([np.frombuffer(row[2] or b"", "<f8") for row in rows]).reshape(len(rows), -1 if rows else 0)
+            yield Told([row[0] for row in rows], fitness, measures)
 
     def history(self) -> History:
         """The hash of all that was told so far."""
         history = History()
         for told in self.told():
-            history.add(told.genomes, told.fitness)
+            history.add(*told)
         return history
 
     def evaluations(self) -> int:

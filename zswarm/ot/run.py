@@ -9,6 +9,7 @@ import msgspec
 
 from zswarm import plugins
 from zswarm.draws import derive_seed
+from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
 from zswarm.ot.connection import Connection
 from zswarm.ot.controller import Controller
@@ -39,7 +40,12 @@ def build(complete: Experiment) -> Parts:
     problem = Problem(complete)
     loaded = plugins.load("optimizer", complete.optimizer.kind)
     settings = convert(complete.optimizer.settings, loaded.settings_type, "optimizer")
-    return Parts(problem, loaded(settings, problem.representation, derive_seed(complete.seed, "optimizer")))
+    optimizer = loaded(settings, problem.representation, derive_seed(complete.seed, "optimizer"))
+    for name in optimizer.measures:
+        if name not in problem.simulator.metrics:
+            known = ", ".join(problem.simulator.metrics) or "none"
+            raise ConfigError(f"optimizer: measures: {complete.problem.simulator} has no metric {name!r}; it has: {known}")
+    return Parts(problem, optimizer)
 
 
 def evolve(
@@ -91,15 +97,16 @@ def evolve(
                 _record(happened, record, workload)
                 logger.on_progress(generation, int(workload.counted.sum()), len(workload.seeds))
             genomes, fitness = workload.genomes, problem.total(workload)
-            optimizer.tell(fitness)
+            measures = problem.measures(workload, optimizer.measures)
+            optimizer.tell(fitness, measures)
             state = msgspec.Raw(msgspec.msgpack.encode(optimizer.state()))  # as it is before the next ask
             last = generation + 1 == complete.generations
             if not last:  # the servers have work while this generation is recorded and told
                 workload = problem.workload(optimizer.ask(), generation + 1)
                 happening = evaluations.evaluate(workload)
-            history.add(genomes, fitness)
+            history.add(genomes, fitness, measures)
             statistics = optimizer.statistics()
-            record.finish(generation, genomes, fitness, statistics, state)
+            record.finish(generation, genomes, fitness, statistics, state, measures)
             if optimizer.best()[1] > improved:
                 improved = optimizer.best()[1]
                 logger.on_champion(_keep_champion(parts, record, run_id))

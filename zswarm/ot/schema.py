@@ -1,6 +1,6 @@
 """The tables and views of a record, and how an older one is brought to them: docs/record.md."""
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 TABLES = ("meta", "generations", "candidates", "outcomes", "events", "optimizer")
 _TABLES = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value) WITHOUT ROWID;
@@ -9,7 +9,7 @@ CREATE TABLE generations (
     statistics TEXT NOT NULL);
 CREATE TABLE candidates (
     generation INTEGER NOT NULL, candidate INTEGER NOT NULL, genome BLOB NOT NULL, fitness REAL,
-    PRIMARY KEY (generation, candidate)) WITHOUT ROWID;
+    measures BLOB, PRIMARY KEY (generation, candidate)) WITHOUT ROWID;
 CREATE TABLE outcomes (
     id INTEGER PRIMARY KEY, generation INTEGER NOT NULL, asked BLOB NOT NULL, count INTEGER NOT NULL, trials BLOB NOT NULL,
     fitness BLOB NOT NULL, metrics BLOB NOT NULL, faulted INTEGER NOT NULL, server TEXT NOT NULL, seconds REAL NOT NULL,
@@ -59,4 +59,5 @@ CREATE = _TABLES + "".join(_VIEWS)
 MIGRATIONS: dict[int, tuple[str, ...]] = {
     1: ("ALTER TABLE outcomes ADD COLUMN doubtful INTEGER NOT NULL DEFAULT 0",),
     2: (*(f"DROP VIEW IF EXISTS {name}" for name in VIEWS), *_VIEWS),
+    3: ("ALTER TABLE candidates ADD COLUMN measures BLOB",),
 }
