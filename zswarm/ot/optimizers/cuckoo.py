@@ -5,10 +5,12 @@ numbered as there; steps of Levy flights by R. N. Mantegna, "Fast, accurate algo
 stochastic processes", Physical Review E 49, 1994, with the exponent 3/2 of X.-S. Yang, S. Deb, "Cuckoo Search via Levy flights",
 NaBIC 2009. A generation is one of the two by turns, and an egg takes the place of its nest where it is better.
 
-FREVO's ``CuckooSearch`` (github.com/smartgrids-aau/Frevo, version 1.5) has the same two. Mended:
+As in FREVO's ``CuckooSearch`` (github.com/smartgrids-aau/Frevo, version 1.5) a nest is discovered as a whole, and all its numbers
+move by the same factor. Mended:
 - an egg is compared with its nest (there the flight changes the nest itself, so that worse eggs stay);
 - a flight is scaled by the difference to the best nest (there by the sum), and by a constant (there it grows to 100 with time);
-- ``discovery`` is the share that is built anew (there it is ignored and half of the nests are);
+- ``discovery`` is the share that is built anew (there it is ignored, and half of the nests are; there and in the authors' own
+  program a rate of 0.25 means that the others, three quarters, are built anew);
 - fitness may be negative (there the best starts above 0).
 """
 
@@ -33,8 +35,10 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """Settings of ``[optimizer]`` with ``kind = "cuckoo"``."""
 
     population: Annotated[int, Meta(ge=3, le=1_000_000, description="nests")] = 50
-    discovery: Annotated[float, Meta(gt=0, le=1, description="share of the nests' numbers that discovery changes")] = 0.25
-    step: Annotated[float, Meta(gt=0, le=1e6, description="scale of Levy flights, in distances to the best nest")] = 0.01
+    discovery: Annotated[
+        float, Meta(gt=0, le=1, description="share of the nests that are discovered and built anew, by turns with flights")
+    ] = 0.75
+    step: Annotated[float, Meta(gt=0, le=1e6, description="scale of Levy flights, in distances to the best nest")] = 0.1
     bound: Annotated[float, Meta(gt=0, le=1e6, description="limit of a genome's numbers, in ranges of new genomes")] = 1.0
 
 
@@ -55,14 +59,20 @@ class CuckooSearch(Optimizer):
         self._space = Space(representation, "cuckoo")
         self._tally = Tally()
         self._nests = self._eggs = np.empty((0, self._space.dimensions))
+        self._laid = np.arange(settings.population)  # in these nests, the eggs
         self._fitness = np.full(settings.population, np.nan)
 
     def _ask(self) -> list[bytes]:
-        stream = Stream(derive_seed(self.seed, "cuckoo", self.generation))
+        stream, count = Stream(derive_seed(self.seed, "cuckoo", self.generation)), self.settings.population
         if self.generation == 0:
-            self._nests = self._eggs = self._space.uniform(-1.0, 1.0, self.settings.population, stream)
+            self._nests = self._eggs = self._space.uniform(-1.0, 1.0, count, stream)
         else:
-            moved = self._nests + (self._flights(stream) if self.generation % 2 else self._crossings(stream))
+            if self.generation % 2:
+                self._laid, moved = np.arange(count), self._nests + self._flights(stream)
+            else:
+                found = stream.uniform(0.0, 1.0, count) < self.settings.discovery
+                self._laid = np.flatnonzero(found) if found.any() else stream.integers(count, 1)
+                moved = self._nests[self._laid] + self._crossings(stream)[self._laid]
             self._eggs = np.clip(moved, -self.settings.bound, self.settings.bound)
         return self._space.genomes(self._eggs)
 
@@ -70,23 +80,22 @@ class CuckooSearch(Optimizer):
         """Equation (2): a Levy flight in every number, scaled by how far the best nest is."""
         count = len(self._nests)
         best = self._nests[np.argsort(-self._fitness, kind="stable")[0]]
-        levy: np.ndarray = (
-            DEVIATION * self._space.normal(count, stream) / _two_thirds(self._space.normal(count, stream))
-        )  # Mantegna: (5)
+        levy = DEVIATION * self._space.normal(count, stream) / _two_thirds(self._space.normal(count, stream))  # Mantegna: (5)
         steps: np.ndarray = self.settings.step * levy * (self._nests - best) * self._space.normal(count, stream)
         return steps
 
     def _crossings(self, stream: Stream) -> np.ndarray:
-        """Equation (1): some numbers move by the difference of two other nests."""
+        """Equation (1): a share of the difference of two other nests."""
         count = len(self._nests)
         one, other = (self._nests[np.argsort(stream.words(count), kind="stable")] for _ in range(2))
-        found = self._space.uniform(0.0, 1.0, count, stream) < self.settings.discovery
-        return stream.uniform(0.0, 1.0, count)[:, None] * found * (one - other)
+        return stream.uniform(0.0, 1.0, count)[:, None] * (one - other)
 
     def _tell(self, fitness: np.ndarray, measures: np.ndarray) -> None:  # noqa: ARG002  it wants none
-        better = (fitness > self._fitness) | (np.isnan(self._fitness) & ~np.isnan(fitness))
-        self._nests = np.where(better[:, None], self._eggs, self._nests)
-        self._fitness = np.where(better, fitness, self._fitness)
+        before = self._fitness[self._laid]
+        better = (fitness > before) | (np.isnan(before) & ~np.isnan(fitness))
+        self._nests = self._nests.copy()
+        self._nests[self._laid[better]] = self._eggs[better]
+        self._fitness[self._laid[better]] = fitness[better]
         known = self._fitness[~np.isnan(self._fitness)]
         numbers = {"mean": mean(known), "spread": spread(self._nests), "success": int(better.sum()) / len(better)}
         self._tally.add(self._space.genomes(self._eggs), fitness, numbers)
