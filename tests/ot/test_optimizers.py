@@ -60,7 +60,9 @@ def turned(genomes: Sequence[bytes]) -> list[bytes]:
 
 @pytest.mark.parametrize("name", plugins.names("optimizer"))
 def test_every_optimizer_keeps_the_contract(name: str) -> None:
-    check_optimizer(plugins.load("optimizer", name))
+    """One that is named as a representation is for that alone."""
+    own = plugins.load("representation", name) if name in plugins.names("representation") else None
+    check_optimizer(plugins.load("optimizer", name), representation=own and own(own.settings_type(), 3, 1))
 
 
 @pytest.mark.parametrize("name", OPERATORS)
