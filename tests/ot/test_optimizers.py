@@ -96,9 +96,9 @@ def test_other_settings_keep_the_contract(name: str, settings: dict[str, Any]) -
 
 YESTERDAY = {
     "cea2d": "616c2d2c958220bb072471bbf891f962",
-    "cuckoo": "52404d1e5183c56c73999da27031db9f",
+    "cuckoo": "dbf7dd94cfbe3d0b38c9868203c87a1a",
     "novelty": "f3716aee69eb9772df3f6feca9650ca6",
-    "openai-es": "7add6c63d0acc25375f29f34611e04cf",
+    "openai-es": "37652e426fe1797dd695b33d499c30e7",
     "pso": "417e5b4aff3c5e170076eca55060799c",
     "random": "d7af74a4afa7a960c7f71e1597538cfb",
 }
