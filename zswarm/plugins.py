@@ -1,8 +1,8 @@
-"""Simulators, representations and optimizers by name: the bundled tables, and what other packages add.
+"""Simulators, representations, optimizers and rankings by name: the bundled tables, and what other packages add.
 
-A package adds its own through the entry-point groups ``zswarm.simulators``, ``zswarm.representations`` and
-``zswarm.optimizers``. A part is imported when it is asked for, never by listing it, so a broken plug-in hurts nobody
-who does not use it.
+A package adds its own through the entry-point groups ``zswarm.simulators``, ``zswarm.representations``, ``zswarm.optimizers``
+and ``zswarm.rankings``. A part is imported when it is asked for, never by listing it, so a broken plug-in hurts nobody who does
+not use it.
 """
 
 import difflib
@@ -16,29 +16,46 @@ from typing import Any, Literal
 
 from zswarm.errors import UnknownPlugin
 
-Kind = Literal["simulator", "representation", "optimizer"]
+Kind = Literal["simulator", "representation", "optimizer", "ranking"]
 
 BUNDLED: dict[Kind, dict[str, str]] = {
     "simulator": {
         "arena": "zswarm.sims.arena:Arena",
         "emergency-exit": "zswarm.sims.emergency_exit:EmergencyExit",
+        "inverted-pendulum": "zswarm.sims.inverted_pendulum:InvertedPendulum",
+        "light": "zswarm.sims.light:Light",
         "minisim": "zswarm.sims.minisim:Minisim",
         "simplified-emergency-exit": "zswarm.sims.simplified_emergency_exit:SimplifiedEmergencyExit",
         "xor": "zswarm.sims.xor:XOR",
     },
     "representation": {
+        "bulk": "zswarm.nets.bulk:Bulk",
+        "ctrnn": "zswarm.nets.ctrnn:CTRNN",
+        "feed-forward": "zswarm.nets.feed_forward:FeedForward",
         "fully-meshed": "zswarm.nets.fully_meshed:FullyMeshed",
+        "hebbian": "zswarm.nets.hebbian:Hebbian",
+        "neat": "zswarm.nets.neat:Neat",
+        "three-layer": "zswarm.nets.feed_forward:ThreeLayer",
     },
     "optimizer": {
         "cea2d": "zswarm.ot.optimizers.cea2d:CEA2D",
+        "cmaes": "zswarm.ot.optimizers.cmaes:CMAES",
         "cuckoo": "zswarm.ot.optimizers.cuckoo:CuckooSearch",
+        "neat": "zswarm.ot.optimizers.neat:NEAT",
         "nnga": "zswarm.ot.optimizers.nnga:NNGA",
         "novelty": "zswarm.ot.optimizers.novelty:Novelty",
         "openai-es": "zswarm.ot.optimizers.openai_es:OpenAIES",
         "pso": "zswarm.ot.optimizers.pso:PSO",
         "random": "zswarm.ot.optimizers.random_search:RandomSearch",
     },
+    "ranking": {
+        "absolute": "zswarm.ot.rankings.absolute:Absolute",
+        "full-tournament": "zswarm.ot.rankings.full_tournament:FullTournament",
+        "multi-swiss": "zswarm.ot.rankings.multi_swiss:MultiSwiss",
+        "swiss": "zswarm.ot.rankings.swiss:Swiss",
+    },
 }
+COMPOSED = {("representation", "bulk")}  # made of other bundled parts of their kind, which settings name
 
 
 @cache
@@ -79,14 +96,13 @@ def nearest(word: str, known: Any) -> str:
 def source_files(kind: Kind, name: str) -> list[Path]:
     """The Python files whose change can change what a part computes, without importing it.
 
-    For a bundled part its own module and those beside it whose names begin with its name (``arena_world.py``); for a plug-in
-    every file of its top-level package.
+    For a bundled part its own module and those beside it whose names begin with its name (``arena_world.py``), and for a composed
+    one those of all that it may be made of; for a plug-in every file of its top-level package.
     """
-    module = _installed(kind)[name].module
-    if name in BUNDLED[kind]:
-        *folders, own = module.split(".")[1:]
-        return sorted(Path(__file__).parent.joinpath(*folders).glob(f"{own}*.py"))
-    return list(_package_files(module.split(".")[0]))
+    if name not in BUNDLED[kind]:
+        return list(_package_files(_installed(kind)[name].module.split(".")[0]))
+    names = BUNDLED[kind] if (kind, name) in COMPOSED else [name]
+    return sorted({file for part in names for file in _bundled_files(BUNDLED[kind][part].partition(":")[0])})
 
 
 def plugin_files() -> list[Path]:
@@ -98,6 +114,11 @@ def plugin_files() -> list[Path]:
         if name not in BUNDLED[kind]
     }
     return [file for package in sorted(packages) for file in _package_files(package)]
+
+
+def _bundled_files(module: str) -> Iterator[Path]:
+    *folders, own = module.split(".")[1:]
+    yield from Path(__file__).parent.joinpath(*folders).glob(f"{own}*.py")
 
 
 def _package_files(package: str) -> Iterator[Path]:
