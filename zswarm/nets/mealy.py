@@ -151,7 +151,7 @@ class Mealy(Representation):
         if self.rows * self._most * (outputs + 1) > LARGEST:
             raise ConfigError(
                 f"representation: a mealy machine's table would have {self.rows:,} rows of {self._most} states, which are "
-                f"{self.rows * self._most * (outputs + 1):,} numbers; at most {LARGEST:,}: fewer thresholds or states make it less"
+                f"{self.rows * self._most * (outputs + 1):,} numbers; at most {LARGEST:,}: fewer thresholds or states make less"
             )
         self._thresholds = int(np.add.reduce(self._per_input[:, 0]))
         self.genome_bytes = None if self._varies else self._length(settings.states)
