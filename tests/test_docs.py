@@ -31,13 +31,15 @@ def text(document: str) -> str:
     return (DOCS / document).read_text(encoding="utf-8")
 
 
-def section(document: str, heading: str) -> str:
-    """The text below a heading, up to the next of the same or a higher level; code blocks hold no headings."""
-    level = heading.index(" ")
+def section(document: str, *headings: str) -> str:
+    """The text below a heading (in that below another), up to the next of the same or a higher level; no code blocks."""
     prose = CODE_BLOCK.sub("", text(document))
-    found = re.search(rf"^{re.escape(heading)}$\n(.*?)(?=^#{{1,{level}}} |\Z)", prose, re.S | re.M)
-    assert found, f"docs/{document} has no section {heading!r}"
-    return found[1]
+    for heading in headings:
+        level = heading.index(" ")
+        found = re.search(rf"^{re.escape(heading)}$\n(.*?)(?=^#{{1,{level}}} |\Z)", prose, re.S | re.M)
+        assert found, f"docs/{document} has no section {' / '.join(headings)!r}"
+        prose = found[1]
+    return prose
 
 
 def rows(document: str, heading: str) -> dict[str, str]:
@@ -204,19 +206,19 @@ def plain(value: object) -> object:
 
 
 @pytest.mark.parametrize(
-    ("heading", "struct"),
+    ("headings", "struct"),
     [
-        ("## `[problem]`", experiment.Problem),
-        ("## `[cluster]`", experiment.Cluster),
-        ("## `[study]`", experiment.Study),
-        *((f"### {name}", settings(kind, name)) for kind, name in PARTS),
+        (("## `[problem]`",), experiment.Problem),
+        (("## `[cluster]`",), experiment.Cluster),
+        (("## `[study]`",), experiment.Study),
+        *(((f"## Settings of the {kind}s", f"### {name}"), settings(kind, name)) for kind, name in PARTS),
     ],
-    ids=lambda value: value if isinstance(value, str) else "",
+    ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
 )
-def test_every_key_of_an_experiment_is_documented(heading: str, struct: type[msgspec.Struct]) -> None:
+def test_every_key_of_an_experiment_is_documented(headings: tuple[str, ...], struct: type[msgspec.Struct]) -> None:
     """The table in experiment.md is what the struct says: type and range, default, meaning."""
     keys = settings_sheet.keys(struct)
-    assert (settings_sheet.markdown(keys) if keys else "") in section("experiment.md", heading)
+    assert (settings_sheet.markdown(keys) if keys else "") in section("experiment.md", *headings)
 
 
 @pytest.mark.parametrize(

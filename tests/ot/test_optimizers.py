@@ -12,6 +12,7 @@ from zswarm.draws import Stream
 from zswarm.errors import ConfigError
 from zswarm.nets.fully_meshed import FullyMeshed
 from zswarm.nets.fully_meshed import Settings as NetworkSettings
+from zswarm.nets.neat import Neat
 from zswarm.nets.representation import Representation
 from zswarm.ot.optimizers.cea2d import CEA2D
 from zswarm.ot.optimizers.nnga import NNGA, Settings
@@ -58,9 +59,12 @@ def turned(genomes: Sequence[bytes]) -> list[bytes]:
     return [genome[::-1] for genome in genomes]
 
 
+OWN_NETWORKS = {"neat": Neat(convert({"add_node": 0.2}, Neat.settings_type, "settings"), 3, 1)}  # of those that take no others
+
+
 @pytest.mark.parametrize("name", plugins.names("optimizer"))
 def test_every_optimizer_keeps_the_contract(name: str) -> None:
-    check_optimizer(plugins.load("optimizer", name))
+    check_optimizer(plugins.load("optimizer", name), representation=OWN_NETWORKS.get(name))
 
 
 @pytest.mark.parametrize("name", OPERATORS)
