@@ -543,7 +543,11 @@ def _listed(folder: Path) -> dict[str, Any]:
         return {"run": shown, "error": f"no {EXPERIMENT} in it"}
     try:
         with opened(folder / DATABASE) as database:
-            row = database.execute("SELECT count(*), max(best), sum(evaluations), max(finished_at) FROM generations").fetchone()
+            row = database.execute(
+                "SELECT count(*), CASE WHEN EXISTS (SELECT 1 FROM meta WHERE key = 'relative') THEN (SELECT best FROM "
+                "generations ORDER BY generation DESC LIMIT 1) ELSE max(best) END, sum(evaluations), max(finished_at) "
+                "FROM generations"
+            ).fetchone()
             status = database.execute("SELECT value FROM meta WHERE key = 'history_hash'").fetchone()
         generations, best, candidates, at = msgspec.convert(row, tuple[int, float | None, int | None, float | None])
         history = msgspec.convert(status, tuple[str] | None)
