@@ -6,7 +6,7 @@ TESTS ?= -n $$((2 * $$(nproc))) --dist worksteal  # many wait for programs; neig
 
 KILLS ?= 200
 
-.PHONY: run test long chaos faults machines units kills lint format docs docs-commands reference bench bench-quick scale soak clean
+.PHONY: run test long chaos faults machines units kills lint format docs docs-commands reference bench bench-quick bench-methods scale soak clean
 
 run: $(READY)
 	$(BIN)/zswarm-ot run $(or $(ARGS),stadium)
@@ -66,6 +66,10 @@ bench: $(READY) build/peers/ready
 # Ratios beside those that are checked in.
 bench-quick: $(READY)
 	$(BIN)/python benchmarks/ratios.py $(ARGS)
+
+# Learning curves of the optimizers, and docs/benchmarks.md with them.
+bench-methods: $(READY)
+	$(BIN)/python benchmarks/bench.py --only methods $(ARGS)
 
 scale: $(READY)
 	cd benchmarks && ../$(BIN)/python -m scale $(ARGS)

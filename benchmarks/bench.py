@@ -19,15 +19,18 @@ HERE = Path(__file__).resolve().parent
 BUILD = HERE.parent / "build"
 PYTHON = BUILD / "peers" / "bin" / "python"
 COMMANDS = {script: [f"{script}.py"] for script in ("runs", "startup", "scaling", "kernels", "dispatch")}
-COMMANDS["scale"] = ["-m", "scale"]  # of zswarm alone, with a chart: in the environment of this
+COMMANDS["scale"] = ["-m", "scale"]
+COMMANDS["methods"] = ["methods.py"]
+ALONE = ("scale", "methods")  # without peers: in the environment of this
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--only", help=f"parts of it, with commas between [default: all of {', '.join(COMMANDS)}]")
+    usual = [name for name in COMMANDS if name != "methods"]  # which takes no time of anything
+    parser.add_argument("--only", help=f"parts, with commas between: methods, or [default] {', '.join(usual)}")
     parser.add_argument("--quick", action="store_true", help="small rounds, some minutes: whether it works")
     options = parser.parse_args()
-    names = options.only.split(",") if options.only else list(COMMANDS)
+    names = options.only.split(",") if options.only else usual
     if unknown := set(names) - set(COMMANDS):
         parser.error(f"no such part: {', '.join(sorted(unknown))}; there are {', '.join(COMMANDS)}")
     to = BUILD / "bench-quick" if options.quick else HERE.parent
@@ -35,7 +38,7 @@ def main() -> None:
     begin, failed = time.monotonic(), []
     for name in names:
         print(f"\n# {name}\n", flush=True)
-        command = [sys.executable if name == "scale" else PYTHON, *COMMANDS[name], "--folder", folder]
+        command = [sys.executable if name in ALONE else PYTHON, *COMMANDS[name], "--folder", folder]
         if options.quick:
             command += ["--quick", *(["--chart", to / "scale.png"] if name == "scale" else [])]
         if subprocess.run(command, cwd=HERE, check=False).returncode:

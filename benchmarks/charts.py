@@ -1,12 +1,13 @@
 """The charts of docs/benchmarks.md, in colours that the colour-blind can tell apart (Okabe and Ito), each with a marker too."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import tables
 from aims import Results
-from tables import Found
+from tables import TASKS, Found
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -17,7 +18,12 @@ CHARTS = {  # name: the script, and words for who does not see it
     "dispatch": ("dispatch", "Cost of a candidate that does nothing, and efficiency with 5 ms of sleep, by slots"),
     "kernels": ("kernels", "Agent-steps per second and core of each variant"),
     "scaling": ("scaling", "Time of an optimization by servers, with sleeps and with real evaluations"),
+    **{
+        f"methods-{task}": ("methods", f"Learning curves on {task}: the best fitness by evaluations, a picture for each method")
+        for task in TASKS
+    },
 }
+ACROSS = 4  # small pictures in a row
 ASIDE = ("zswarm (TCP)", "no dispatch")
 
 
@@ -30,6 +36,7 @@ def draw(results: Results, folder: Path) -> None:
 
     plt.rcParams.update({"font.size": 10, "axes.grid": True, "grid.alpha": 0.3, "axes.axisbelow": True, "lines.markersize": 6})
     drawn: dict[str, Callable[[Found, Any], None]] = {"dispatch": dispatch, "kernels": kernels, "scaling": scaling}
+    drawn |= {f"methods-{task}": partial(methods, task=task) for task in TASKS}
     for name, (script, _) in CHARTS.items():
         if script in results:
             figure = plt.figure(figsize=(11, 4.8), layout="constrained")
@@ -118,3 +125,23 @@ def scaling(found: Found, figure: Any) -> None:
         ticks = [tick for tick in (0.2, 0.5, 1, 2, 5, 10, 20) if min(y for _, y in points) / 2 < tick < first * 2]
         axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
         axes.legend(fontsize=9)
+
+
+def methods(found: Found, figure: Any, task: str) -> None:
+    """A small one for each method: its median and quartiles, before the medians of the others."""
+    rows = [row for row in found["rows"] if row["task"] == task]
+    down = -(-len(rows) // ACROSS)
+    figure.set_size_inches(11, 1.0 + 1.9 * down)
+    panels = figure.subplots(down, ACROSS, sharex=True, sharey=True, squeeze=False).flatten()
+    for axes, row in zip(panels, rows, strict=False):
+        for other in rows:
+            axes.plot(other["evaluations"], other["median"], color="#C4C4C4", linewidth=0.8)
+        axes.fill_between(row["evaluations"], row["q25"], row["q75"], color=COLOURS[1], alpha=0.3, linewidth=0)
+        axes.plot(row["evaluations"], row["median"], color=COLOURS[1], linewidth=2)
+        axes.set_title(row["method"], fontsize=10)
+    for axes in panels[len(rows) :]:
+        axes.set_axis_off()
+    panels[0].set(xscale="log", ylim=(min(row["median"][0] for row in rows), None))
+    figure.supxlabel("evaluations", fontsize=10)
+    figure.supylabel("best fitness so far", fontsize=10)
+    figure.suptitle(f"{task}: median and quartiles of {found['seeds']} runs; grey: the medians of the others", fontsize=11)

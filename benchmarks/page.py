@@ -24,6 +24,7 @@ SCRIPTS = {
     "scaling": tables.scaling,
     "runs": tables.runs,
     "scale": tables.scale,
+    "methods": tables.methods,
 }
 BESIDE = {  # the first cell of a row of README's table: the peer that it is about
     "zswarm": "zswarm",

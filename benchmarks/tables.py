@@ -8,6 +8,7 @@ Row = dict[str, Any]
 
 FLAGSHIP = "arena-aggregation"  # the kernel that is measured beside all others
 FREVO = {"stadium": 838.0, "random": 12_740.0}  # simulations per second, quoted: measured elsewhere, on two cores of an EPYC
+TASKS = ("stadium", "xor", "aggregation")  # on which methods are compared
 ARGOS = 107_000.0  # agent-steps per second and core, quoted: ARGoS 3, diffusion of 8 foot-bots
 
 
@@ -218,3 +219,27 @@ def scale(found: Found) -> str:
             ],
         )
     )
+
+
+# ---- methods ------------------------------------------------------------------------------------------------------
+
+
+def methods(found: Found) -> str:
+    """A line for each method: on each task the fitness at the end, and how soon it is as good as random search at its end."""
+    rows = {(row["task"], row["method"]): row for row in found["rows"]}
+    tasks, names = (list(dict.fromkeys(key[part] for key in rows)) for part in (0, 1))
+    lines = []
+    for name in names:
+        cells = []
+        for task in tasks:
+            row, random = rows[task, name], rows.get((task, "random"))
+            at = {"median": row["median"][-1], "median_least": row["q25"][-1], "median_most": row["q75"][-1]}
+            cells += [spread(at, "median", "{:.3g}".format), soonest(row, random["median"][-1]) if random else ""]
+        lines.append([name, *cells])
+    head = [cell for task in tasks for cell in (f"{task}, {rows[task, names[0]]['evaluations'][-1]:,}", "random's after")]
+    return markdown(["method", *head], lines)
+
+
+def soonest(row: Row, fitness: float) -> str:
+    """Evaluations after which the median is that good."""
+    return next((f"{at:,}" for at, median in zip(row["evaluations"], row["median"], strict=True) if median >= fitness), "")

@@ -59,7 +59,7 @@ def experiment_page() -> str:
         for name in bundled:
             sheets[f"## Settings of the {kind}s", f"### {name}"] = settings_sheet.keys(plugins.load(kind, name).settings_type)
     text = (DOCS / "experiment.md").read_text(encoding="utf-8")
-    for headings, keys in sheets.items():
+    for headings, keys in ((headings, keys) for headings, keys in sheets.items() if keys):
         before, after = "", text
         for heading in headings:
             passed, found, after = after.partition(f"\n{heading}\n")

@@ -84,9 +84,10 @@ def evolved(optimizer: Any, simulator: Any, network: Any) -> bytes:
     for _ in range(GENERATIONS):
         genomes = optimizer.ask()
         participants = np.arange(len(genomes)).reshape(-1, 1)
-        fitness = evaluate.evaluate(simulator, network, genomes, participants, np.full(len(genomes), SEEDS[0])).fitness[:, 0]
-        history.add(genomes, fitness)
-        optimizer.tell(fitness)
+        outcomes = evaluate.evaluate(simulator, network, genomes, participants, np.full(len(genomes), SEEDS[0]))
+        fitness, measures = outcomes.fitness[:, 0], outcomes.metrics[:, : len(optimizer.measures)]
+        history.add(genomes, fitness, measures if optimizer.measures else None)
+        optimizer.tell(fitness, measures)
     return history.hex().encode() + msgspec.msgpack.encode([optimizer.state(), optimizer.statistics()])
 
 
@@ -109,10 +110,13 @@ def results() -> Iterator[tuple[str, bytes]]:
         for kind in portable if simulator.participants == 1 else []:
             optimizer_class = plugins.load("optimizer", kind)
             for chosen in ways(optimizer_class.settings_type) if by_default else [{}]:
-                settings = msgspec.convert({"population": 12, **chosen}, optimizer_class.settings_type)
-                with contextlib.suppress(ConfigError):  # it does not take such a network
-                    optimizer = optimizer_class(settings, network, 5)
-                    yield f"{name}: {kind} {chosen}", evolved(optimizer, simulator, network)
+                given = {"population": 12, "measures": simulator.metrics[:2], **chosen}
+                known = {key: value for key, value in given.items() if key in optimizer_class.settings_type.__struct_fields__}
+                settings = msgspec.convert(known, optimizer_class.settings_type)
+                if simulator.metrics or "measures" not in known:
+                    with contextlib.suppress(ConfigError):  # it does not take such a network
+                        optimizer = optimizer_class(settings, network, 5)
+                        yield f"{name}: {kind} {chosen}", evolved(optimizer, simulator, network)
 
 
 if __name__ == "__main__":

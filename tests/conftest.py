@@ -13,19 +13,30 @@ settings.register_profile("local", deadline=None, print_blob=True)
 settings.register_profile("ci", deadline=None, derandomize=True)
 settings.load_profile("ci" if os.environ.get("CI") else "local")
 
+# Hundreds of programs are started: each would compile the Python that it imports.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # begun in the background of a shell: programs that tests start hear Ctrl-C
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 EVERY_KERNEL = """
+import contextlib, multiprocessing
+import zswarm.jit
 from zswarm import plugins
-for kind in ("representation", "simulator"):
-    for name in plugins.BUNDLED[kind]:
-        plugins.load(kind, name)
+
+def load(part):
+    with contextlib.suppress(Exception):
+        plugins.load(*part)
+
+parts = [(kind, name) for kind in ("simulator", "representation") for name in plugins.BUNDLED[kind]]
+with multiprocessing.get_context("fork").Pool() as pool:
+    pool.map(load, parts, chunksize=1)
 """
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Compile what is not in the cache before there are several workers: each would compile all of it."""
+    """Compile what is not in the cache, on all cores, before there are several workers: each would compile all of it."""
     if not hasattr(config, "workerinput") and config.getoption("numprocesses", None):
         subprocess.run([sys.executable, "-c", EVERY_KERNEL], capture_output=True, check=False)  # what fails fails in its test
 

@@ -229,7 +229,7 @@ def test_every_key_of_an_experiment_says_what_it_means(struct: type[msgspec.Stru
 
 def test_the_top_level_keys_of_an_experiment_are_documented() -> None:
     """The plain ones in a table, the tables each in a section."""
-    tables = {"problem", "representation", "optimizer", "cluster", "study"}
+    tables = {"problem", "representation", "optimizer", "ranking", "cluster", "study"}
     plain_keys = [field.name for field in fields(experiment.Experiment) if field.name not in tables]
     assert [key.name for key in experiment.top_level()] == plain_keys
     assert settings_sheet.markdown(experiment.top_level()) in section("experiment.md", "## Top level")

@@ -36,7 +36,11 @@ MAY_IMPORT = {
     "router": {"leaf", "session", "security"},
     "security": {"leaf", "protocol", "security"},
     "ot.optimizers": {"leaf", "nets", "ot.optimizers"},
-    "ot": {"leaf", "protocol", "nets", "sims", "evaluate", "experiment", "session", "security", "ot", "ot.optimizers"},
+    "ot.rankings": {"leaf", "ot.rankings"},
+    "ot": {
+        *("leaf", "protocol", "nets", "sims", "evaluate", "experiment", "session", "security"),
+        *("ot", "ot.optimizers", "ot.rankings"),
+    },
     "api": {"leaf", "experiment", "ot"},
     "ss": {"leaf", "protocol", "evaluate", "session", "security", "ss"},
     "testing": {"leaf", "nets", "sims", "evaluate", "ot.optimizers"},
@@ -49,13 +53,18 @@ ONLY_IN = {
     "matplotlib": {"ot.figures", "ot.reading", "api"},  # for their types; it is imported by extras.need, as are scipy and jinja2
     "scipy": set(),
     "jinja2": set(),
+    "cmaes": set(),  # the packages of optimizers, likewise
+    "ribs": set(),
+    "threadpoolctl": set(),
     "pickle": set(),
     "marshal": set(),
     "shelve": set(),
     "random": set(),
 }
 PURE = (
-    *("ot.dispatch", "ot.plan", "ot.requests", "ot.verification", "ot.waiting", "ot.workload", "ss.slots", "ss.kept"),
+    *("ot.assessment", "ot.dispatch", "ot.plan", "ot.requests", "ot.verification", "ot.waiting", "ot.workload"),
+    *("ss.slots", "ss.kept", "ot.rankings.absolute", "ot.rankings.full_tournament", "ot.rankings.multi_swiss"),
+    *("ot.rankings.ranking", "ot.rankings.swiss", "ot.rankings.tournament"),
     *("protocol.codec", "protocol.keys", "protocol.messages"),
 )
 WORLDLY = {"asyncio", "multiprocessing", "os", "queue", "select", "socket", "subprocess", "threading", "time", "datetime"}

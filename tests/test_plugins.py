@@ -10,11 +10,17 @@ from zswarm import plugins
 from zswarm.errors import ConfigError, UnknownPlugin
 from zswarm.nets.representation import Representation
 from zswarm.ot.optimizers.optimizer import Optimizer
+from zswarm.ot.rankings.ranking import Ranking
 from zswarm.sims.simulator import Simulator
 from zswarm.version_hash import cache_hash, version_hash
 
 Install = Callable[..., Path]
-KINDS: dict[plugins.Kind, type] = {"simulator": Simulator, "representation": Representation, "optimizer": Optimizer}
+KINDS: dict[plugins.Kind, type] = {
+    "simulator": Simulator,
+    "representation": Representation,
+    "optimizer": Optimizer,
+    "ranking": Ranking,
+}
 NOTHING_READ = "raise AssertionError('imported')"
 
 

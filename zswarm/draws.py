@@ -17,6 +17,7 @@ GAMMA = 0x9E3779B97F4A7C15
 MIX_1, MIX_2 = 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
 MASK_64 = (1 << 64) - 1
 UNIT = 2.0**-53
+JAVA_FACTOR, JAVA_TERM, JAVA_MASK = 0x5DEECE66D, 0xB, (1 << 48) - 1
 HALF_UNIT = 2.0**-52
 AHEAD = 128  # words made at once for integers that are drawn one by one
 
@@ -123,3 +124,37 @@ def draw_integer(state, bound):  # type: ignore[no-untyped-def]  # compiled
     word = (word ^ (word >> np.uint64(27))) * np.uint64(MIX_2)
     word = word ^ (word >> np.uint64(31))
     return np.int64(((word >> np.uint64(32)) * np.uint64(bound)) >> np.uint64(32))
+
+
+# ---- Java's ``Random``, a 48-bit linear congruential generator: problems of FREVO's are laid out by it ----
+
+
+@inline
+def start_java(state, seed):  # type: ignore[no-untyped-def]  # compiled
+    """``new Random(seed)``; ``state`` is (1,) uint64, ``seed`` uint64."""
+    state[0] = (seed ^ np.uint64(JAVA_FACTOR)) & np.uint64(JAVA_MASK)
+
+
+@inline
+def skip_java(state, words):  # type: ignore[no-untyped-def]  # compiled
+    """Go on by so many words, uint64: the generator's step, x -> factor x + term, is squared again and again."""
+    factor, term = np.uint64(JAVA_FACTOR), np.uint64(JAVA_TERM)
+    for _ in range(48):
+        if words & np.uint64(1):
+            state[0] = (state[0] * factor + term) & np.uint64(JAVA_MASK)
+        term = (factor + np.uint64(1)) * term
+        factor = factor * factor
+        words = words >> np.uint64(1)
+
+
+@inline
+def draw_java(state, bound):  # type: ignore[no-untyped-def]  # compiled
+    """``nextInt(bound)``: the upper 31 bits of a word, or of more of them."""
+    while True:
+        state[0] = (state[0] * np.uint64(JAVA_FACTOR) + np.uint64(JAVA_TERM)) & np.uint64(JAVA_MASK)
+        bits = np.int64(state[0] >> np.uint64(17))
+        if bound & (bound - 1) == 0:
+            return (bound * bits) >> 31
+        value = bits % bound
+        if bits - value + (bound - 1) < 2147483648:
+            return value

@@ -33,7 +33,8 @@ LAST_SEED = 2**63 - 2
 MAX_RUNS = 10_000  # of a study
 MAX_DEPTH = 10  # tables in tables, in a study's settings
 MAX_SHOWN = 60  # characters of a value
-PARTS = ("representation", "optimizer")
+PARTS = ("representation", "optimizer", "ranking")
+ABSOLUTE = "absolute"  # the ranking of files that name none
 
 
 class Problem(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -54,8 +55,14 @@ class _Kind(msgspec.Struct, frozen=True, kw_only=True):
     kind: Annotated[str, Meta(description="name of one (`zswarm-ot list`); its settings stand beside it")]
 
 
+class _Ranking(msgspec.Struct, frozen=True, kw_only=True):
+    """What ``[ranking]`` says, whatever the kind."""
+
+    kind: Annotated[str, Meta(description="name of one (`zswarm-ot list`); its settings stand beside it")] = ABSOLUTE
+
+
 class Part(msgspec.Struct, frozen=True, kw_only=True):
-    """``[representation]`` or ``[optimizer]``: a kind and its settings."""
+    """``[representation]``, ``[optimizer]`` or ``[ranking]``: a kind and its settings."""
 
     kind: Annotated[str, Meta(description="name of one (`zswarm-ot list`)")]
     settings: dict[str, Any]
@@ -161,6 +168,7 @@ class Experiment(msgspec.Struct, frozen=True, kw_only=True):
     problem: Problem
     representation: Part
     optimizer: Part
+    ranking: Part = Part(kind=ABSOLUTE, settings={})
     cluster: Cluster
     study: Study = Study()
 
@@ -181,6 +189,7 @@ class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     problem: Problem
     representation: dict[str, Any]
     optimizer: dict[str, Any]
+    ranking: dict[str, Any] = {}
     cluster: Cluster = Cluster()
     study: Study = Study()
 
@@ -245,6 +254,8 @@ def check(mapping: Mapping[str, Any], where: str) -> Experiment:
         representation = _part(file.representation, f"{where}: representation")
     with _on_its_line(where, mapping, "optimizer"):
         optimizer = _part(file.optimizer, f"{where}: optimizer")
+    with _on_its_line(where, mapping, "ranking"):
+        ranking = _part({"kind": _Ranking().kind, **file.ranking}, f"{where}: ranking")
     with _on_its_line(where, mapping, "study"):
         study = _checked(file.study, file.seed, f"{where}: study")
     return Experiment(
@@ -256,6 +267,7 @@ def check(mapping: Mapping[str, Any], where: str) -> Experiment:
         optimizer=optimizer,
         cluster=file.cluster,
         study=study,
+        ranking=ranking,
     )
 
 
@@ -333,17 +345,22 @@ def _complete_alone(experiment: Experiment, where: str) -> Experiment:
         representation = _load("representation", experiment.representation.kind, f"{where}: representation.kind")
     with _on_its_line(where, experiment, "optimizer", "kind"):
         optimizer = _load("optimizer", experiment.optimizer.kind, f"{where}: optimizer.kind")
+    with _on_its_line(where, experiment, "ranking", "kind"):
+        ranking = _load("ranking", experiment.ranking.kind, f"{where}: ranking.kind")
     with _on_its_line(where, experiment, "problem", "settings"):
         settings = _complete(experiment.problem.settings, simulator, f"{where}: problem.settings")
     with _on_its_line(where, experiment, "representation"):
         network = _complete_part(experiment.representation, representation, f"{where}: representation")
     with _on_its_line(where, experiment, "optimizer"):
         proposing = _complete_part(experiment.optimizer, optimizer, f"{where}: optimizer")
+    with _on_its_line(where, experiment, "ranking"):
+        judging = _complete_part(experiment.ranking, ranking, f"{where}: ranking")
     return msgspec.structs.replace(
         experiment,
         problem=msgspec.structs.replace(experiment.problem, settings=settings),
         representation=network,
         optimizer=proposing,
+        ranking=judging,
     )
 
 
@@ -377,7 +394,7 @@ def top_level() -> list[Key]:
 
 def tables() -> dict[str, type[msgspec.Struct]]:
     """The tables of a file and what their keys are; the settings of parts come on top."""
-    named: dict[str, type[msgspec.Struct]] = {"representation": _Kind, "optimizer": _Kind}
+    named: dict[str, type[msgspec.Struct]] = {"representation": _Kind, "optimizer": _Kind, "ranking": _Ranking}
     return {
         field.name: found for field in msgspec.structs.fields(_File) if (found := named.get(field.name) or _struct(field.type))
     }
@@ -487,8 +504,8 @@ def _check_path(path: str, where: str) -> None:
     if table not in varied or not all(keys_below):
         meant = nearest(table, varied) if table not in varied else ""
         raise ConfigError(
-            f"{where}: '{clean(path)}'{meant}: expected generations, or a path below problem, representation or "
-            "optimizer, such as optimizer.population"
+            f"{where}: '{clean(path)}'{meant}: expected generations, or a path below problem, representation, "
+            "optimizer or ranking, such as optimizer.population"
         )
 
 

@@ -1,8 +1,8 @@
-"""Simulators, representations and optimizers by name: the bundled tables, and what other packages add.
+"""Simulators, representations, optimizers and rankings by name: the bundled tables, and what other packages add.
 
-A package adds its own through the entry-point groups ``zswarm.simulators``, ``zswarm.representations`` and
-``zswarm.optimizers``. A part is imported when it is asked for, never by listing it, so a broken plug-in hurts nobody
-who does not use it.
+A package adds its own through the entry-point groups ``zswarm.simulators``, ``zswarm.representations``, ``zswarm.optimizers``
+and ``zswarm.rankings``. A part is imported when it is asked for, never by listing it, so a broken plug-in hurts nobody who does
+not use it.
 """
 
 import difflib
@@ -16,23 +16,42 @@ from typing import Any, Literal
 
 from zswarm.errors import UnknownPlugin
 
-Kind = Literal["simulator", "representation", "optimizer"]
+Kind = Literal["simulator", "representation", "optimizer", "ranking"]
 
 BUNDLED: dict[Kind, dict[str, str]] = {
     "simulator": {
         "arena": "zswarm.sims.arena:Arena",
         "emergency-exit": "zswarm.sims.emergency_exit:EmergencyExit",
+        "inverted-pendulum": "zswarm.sims.inverted_pendulum:InvertedPendulum",
+        "light": "zswarm.sims.light:Light",
         "minisim": "zswarm.sims.minisim:Minisim",
         "simplified-emergency-exit": "zswarm.sims.simplified_emergency_exit:SimplifiedEmergencyExit",
         "xor": "zswarm.sims.xor:XOR",
     },
     "representation": {
+        "ctrnn": "zswarm.nets.ctrnn:CTRNN",
+        "feed-forward": "zswarm.nets.feed_forward:FeedForward",
         "fully-meshed": "zswarm.nets.fully_meshed:FullyMeshed",
+        "hebbian": "zswarm.nets.hebbian:Hebbian",
         "neat": "zswarm.nets.neat:Neat",
+        "three-layer": "zswarm.nets.feed_forward:ThreeLayer",
     },
     "optimizer": {
+        "cea2d": "zswarm.ot.optimizers.cea2d:CEA2D",
+        "cmaes": "zswarm.ot.optimizers.cmaes:CMAES",
+        "cuckoo": "zswarm.ot.optimizers.cuckoo:CuckooSearch",
         "neat": "zswarm.ot.optimizers.neat:NEAT",
         "nnga": "zswarm.ot.optimizers.nnga:NNGA",
+        "novelty": "zswarm.ot.optimizers.novelty:Novelty",
+        "openai-es": "zswarm.ot.optimizers.openai_es:OpenAIES",
+        "pso": "zswarm.ot.optimizers.pso:PSO",
+        "random": "zswarm.ot.optimizers.random_search:RandomSearch",
+    },
+    "ranking": {
+        "absolute": "zswarm.ot.rankings.absolute:Absolute",
+        "full-tournament": "zswarm.ot.rankings.full_tournament:FullTournament",
+        "multi-swiss": "zswarm.ot.rankings.multi_swiss:MultiSwiss",
+        "swiss": "zswarm.ot.rankings.swiss:Swiss",
     },
 }
 

@@ -6,7 +6,7 @@ The struct is the one source: its annotations bound a key, and ``Meta(descriptio
 
 import json
 import re
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import msgspec
@@ -34,14 +34,14 @@ def keys(struct: type[msgspec.Struct]) -> list[Key]:
     return [_key(field) for field in info.fields if not isinstance(_bare(field.type), inspect.StructType)]
 
 
-def markdown(sheet: Iterable[Key]) -> str:
-    """Keys as a table."""
+def markdown(sheet: Sequence[Key]) -> str:
+    """Keys as a table; nothing where there are none."""
     lines = ["| key | type | default | meaning |", "| --- | --- | --- | --- |"]
     for key in sheet:
         default = "required" if key.required else json.dumps(key.default)
         cells = [f"`{key.name}`", key.type_text, default, key.meaning.replace("|", r"\|")]
         lines.append(" | ".join(["", *cells, ""]).strip().replace("|  |", "| |"))
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines) + "\n" if sheet else ""
 
 
 def plain(text: str) -> str:

@@ -12,7 +12,8 @@ Each check raises ``AssertionError`` with a text that names what is wrong; what 
 
 import copy
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -385,62 +386,107 @@ def _check_decisions(name: str, network: Representation, genomes: list[bytes], i
 # ---- optimizers ---------------------------------------------------------------------------------------------------
 
 
+class _Toy:
+    """A problem for every kind of network.
+
+    Fitness is minus the sum of the squares of a genome's float32 numbers, or of how far decisions are from 1/4 where genomes are
+    no plain numbers: at most 0. Measures are the first of these numbers.
+    """
+
+    def __init__(self, network: Representation) -> None:
+        self._network = network
+
+    def _numbers(self, genomes: Sequence[bytes]) -> np.ndarray:
+        """(genomes, n) float64."""
+        network = self._network
+        try:
+            network.parameters(genomes)
+        except ValueError as error:
+            raise AssertionError(f"an ask gives genomes that {type(network).__name__}.parameters refuses: {error}") from error
+        if network.genes is not None:
+            return np.frombuffer(b"".join(genomes), "<f4").reshape(len(genomes), -1).astype(np.float64)
+        observations = Stream(4).uniform(-1.0, 1.0, DECISIONS * network.inputs).reshape(DECISIONS, -1).astype(np.float32)
+        actions = np.zeros((len(genomes), DECISIONS, network.outputs), np.float32)
+        for row, decided in zip(network.parameters(genomes), actions, strict=True):
+            state = np.zeros(network.state_size, np.float32)
+            for observation, action in zip(observations, decided, strict=True):
+                type(network).step(row, state, observation, action)
+        return actions.reshape(len(genomes), -1).astype(np.float64) - 0.25
+
+    def fitness(self, genomes: Sequence[bytes]) -> np.ndarray:
+        numbers = self._numbers(genomes)
+        return -np.cumsum(numbers * numbers, axis=1)[:, -1]
+
+    def measures(self, genomes: Sequence[bytes], count: int) -> np.ndarray:
+        return self._numbers(genomes)[:, :count]
+
+
 def check_optimizer(
     optimizer_class: type[Optimizer],
     settings: Mapping[str, Any] | None = None,
     *,
+    representation: Representation | None = None,
     generations: int = 25,
-    representation: Callable[[], Representation] | None = None,
 ) -> None:
-    """Evolve small networks and check the contract of ``Optimizer``.
+    """Evolve small networks towards zero weights and check the contract of ``Optimizer``.
 
     Checked are: the order of ask and tell; that a seed gives the same genomes again and another one others; that
     ``state`` survives msgpack and ``restore`` goes on with the same genomes; that an ask gives no more than ``candidates``
     and changes neither ``best`` nor ``statistics``; that NaN fitness does no harm; that ``best`` is the best of all told,
-    and improves.
+    and improves. Where ``competes`` says so, all of this with relative fitness, too: what was told of earlier generations
+    must not count.
 
     Args:
         optimizer_class: the class to check.
-        settings: as in ``[optimizer]`` without ``kind``; the defaults where left out.
+        settings: as in ``[optimizer]`` without ``kind``; the defaults where left out. An optimizer with the setting ``measures``
+            gets two, unless they are named here.
+        representation: what to evolve, for optimizers that do not take every kind; else a small fully-meshed network. Where
+            its genomes are no plain numbers, decisions near 1/4 are good instead of weights near zero.
         generations: after which the best fitness must have improved.
-        representation: makes the representation of the networks, for optimizers that take one kind only; its genomes are judged
-            by what they decide. Where left out, fully-meshed networks evolve towards zero weights.
 
     Raises:
         AssertionError: a rule is broken; the text says which.
     """
     name = optimizer_class.__name__
+    network = representation or _fully_meshed(3, 1)
+    toy = _Toy(network)
+    named = {"measures": ["first", "second"]} if "measures" in optimizer_class.settings_type.__struct_fields__ else {}
 
-    def new(seed: int = 1) -> Optimizer:
-        network = _fully_meshed(3, 1) if representation is None else representation()
-        return optimizer_class(convert(settings or {}, optimizer_class.settings_type, "settings"), network, seed)
+    def new(seed: int = 1, *, relative: bool = False) -> Optimizer:
+        converted = convert({**named, **(settings or {})}, optimizer_class.settings_type, "settings")
+        optimizer = optimizer_class(converted, network, seed)
+        optimizer.relative = relative
+        return optimizer
 
     _require(isinstance(optimizer_class.portable, bool), f"{name}.portable must be True or False")
-    _check_order(name, new())
-    _check_repeats(name, new)
-    _check_not_a_number(name, new())
-    _check_improvement(name, new(), generations)
+    _check_order(name, new(), toy)
+    _check_repeats(name, new, toy)
+    _check_not_a_number(name, new(), toy)
+    _check_improvement(name, new(), toy, generations)
+    if optimizer_class.competes:
+        _check_repeats(f"{name}, relative", partial(new, relative=True), toy)
+        _check_relative(name, new(relative=True), toy, generations)
 
 
-def _check_order(name: str, optimizer: Optimizer) -> None:
+def _check_order(name: str, optimizer: Optimizer, toy: _Toy) -> None:
     genome, fitness = optimizer.best()
     _require(genome == b"" and not np.isfinite(fitness), f"{name}.best before the first tell must be without a genome")
     _require_raises(RuntimeError, lambda: optimizer.tell(np.zeros(1)), f"{name}.tell before an ask")
     genomes = optimizer.ask()
-    measures = _toy_measures(genomes, len(optimizer.measures))
+    measures = toy.measures(genomes, len(optimizer.measures))
     _require(bool(genomes), f"{name}.ask must give a genome at least")
     _require_raises(RuntimeError, optimizer.ask, f"{name}.ask before the last one was told")
     for wrong in (np.zeros(len(genomes) + 1), np.zeros((len(genomes), 1))):
         _require_raises(ValueError, lambda wrong=wrong: optimizer.tell(wrong, measures), f"{name}.tell with shape {wrong.shape}")  # type: ignore[misc]
     _require(optimizer.generation == 0, f"{name}.generation counts a tell that was refused")
     if optimizer.measures:
-        _require_raises(ValueError, lambda: optimizer.tell(_toy_fitness(optimizer, genomes)), f"{name}.tell without its measures")
-    optimizer.tell(_toy_fitness(optimizer, genomes), measures)
+        _require_raises(ValueError, lambda: optimizer.tell(toy.fitness(genomes)), f"{name}.tell without its measures")
+    optimizer.tell(toy.fitness(genomes), measures)
     _require(optimizer.generation == 1, f"{name}.generation must be 1 after the first tell, not {optimizer.generation}")
     _require_raises(RuntimeError, lambda: optimizer.tell(np.zeros(len(genomes)), measures), f"{name}.tell a second time")
 
 
-def _check_repeats(name: str, new: Callable[[int], Optimizer]) -> None:
+def _check_repeats(name: str, new: Callable[[int], Optimizer], toy: _Toy) -> None:
     first, again = new(1), new(1)
     before: list[Told] = []
     for generation in range(6):
@@ -461,7 +507,7 @@ def _check_repeats(name: str, new: Callable[[int], Optimizer]) -> None:
         _require(revived.ask() == genomes, f"{name}: state and restore change what is asked {where}")
         if generation == 0:
             _require(new(2).ask() != genomes, f"{name}: another seed asks the same genomes")
-        fitness, measures = _toy_fitness(first, genomes), _toy_measures(genomes, len(first.measures))
+        fitness, measures = toy.fitness(genomes), toy.measures(genomes, len(first.measures))
         for optimizer in (first, again, revived):
             optimizer.tell(fitness, measures)
         before.append(Told(genomes, fitness, measures))
@@ -471,16 +517,16 @@ def _check_repeats(name: str, new: Callable[[int], Optimizer]) -> None:
         )
 
 
-def _check_not_a_number(name: str, optimizer: Optimizer) -> None:
+def _check_not_a_number(name: str, optimizer: Optimizer, toy: _Toy) -> None:
     failed = len(optimizer.ask())
     optimizer.tell(np.full(failed, np.nan), np.full((failed, len(optimizer.measures)), np.nan))
     best = float("-inf")
     for generation in range(4):
         genomes = optimizer.ask()
-        fitness = _toy_fitness(optimizer, genomes)
-        if generation % 2:
+        fitness = toy.fitness(genomes)
+        if generation % 2 and len(fitness) > 1:
             fitness[::2] = np.nan
-        measures = _toy_measures(genomes, len(optimizer.measures))
+        measures = toy.measures(genomes, len(optimizer.measures))
         measures[np.isnan(fitness)] = np.nan
         optimizer.tell(fitness, measures)
         best = max(best, float(np.nanmax(fitness, initial=float("-inf"))))
@@ -491,17 +537,17 @@ def _check_not_a_number(name: str, optimizer: Optimizer) -> None:
             _require(bool(np.isfinite(statistics[what])), f"{name}.statistics: {what} must leave NaN fitness out")
 
 
-def _check_improvement(name: str, optimizer: Optimizer, generations: int) -> None:
+def _check_improvement(name: str, optimizer: Optimizer, toy: _Toy, generations: int) -> None:
     history: list[float] = []
     told = float("-inf")
     for _ in range(generations):
         genomes = optimizer.ask()
-        fitness = _toy_fitness(optimizer, genomes)
-        optimizer.tell(fitness, _toy_measures(genomes, len(optimizer.measures)))
+        fitness = toy.fitness(genomes)
+        optimizer.tell(fitness, toy.measures(genomes, len(optimizer.measures)))
         told = max([told, *fitness.tolist()])
         genome, best = optimizer.best()
         _require(best == told, f"{name}.best must be the best of all told, {told}, not {best}")
-        _require(_toy_fitness(optimizer, [genome])[0] == best, f"{name}.best: the genome is not the one of that fitness")
+        _require(toy.fitness([genome])[0] == best, f"{name}.best: the genome is not the one of that fitness")
         history.append(best)
     _require(
         history[-1] > history[0],
@@ -509,23 +555,27 @@ def _check_improvement(name: str, optimizer: Optimizer, generations: int) -> Non
     )
 
 
-def _toy_fitness(optimizer: Optimizer, genomes: list[bytes]) -> np.ndarray:
-    """Minus the sum of the squares of a genome's numbers, or of what it decides less 1/3: all negative, at most 0."""
-    network = optimizer.representation
-    if network.genes is not None:
-        return np.array([-sum(float(number) ** 2 for number in np.frombuffer(genome, "<f4")) for genome in genomes])
-    fitness = np.zeros(len(genomes))
-    action = np.empty(network.outputs, np.float32)
-    for index, row in enumerate(network.parameters(genomes)):
-        for observation in np.eye(network.inputs, dtype=np.float32):
-            type(network).step(row, np.zeros(network.state_size, np.float32), observation, action)
-            fitness[index] -= (float(action[0]) - 1 / 3) ** 2
-    return fitness
-
-
-def _toy_measures(genomes: list[bytes], count: int) -> np.ndarray:
-    """(genomes, count): the first numbers of each genome."""
-    return np.array([np.frombuffer(genome, "<f4", count) for genome in genomes], np.float64).reshape(len(genomes), count)
+def _check_relative(name: str, optimizer: Optimizer, toy: _Toy, generations: int) -> None:
+    """Every generation is told that it is far worse than the one before, as if others had become so good."""
+    reached: list[float] = []
+    for generation in range(generations):
+        genomes = optimizer.ask()
+        worth = toy.fitness(genomes)
+        fitness = worth - 1e6 * generation
+        optimizer.tell(fitness, toy.measures(genomes, len(optimizer.measures)))
+        genome, best = optimizer.best()
+        where = f"where fitness is relative, in generation {generation}"
+        _require(
+            best == fitness.max(), f"{name}.best must be the best of the last generation {where}: {fitness.max()}, not {best}"
+        )
+        _require(genome == genomes[int(np.argmax(fitness))], f"{name}.best: another genome than the first of the best {where}")
+        mean = optimizer.statistics()["mean"]
+        _require(
+            bool(fitness.min() - 1.0 <= mean <= fitness.max() + 1.0),
+            f"{name}: the mean, {mean}, has fitness of earlier generations in it {where}; all that compete must be asked again",
+        )
+        reached.append(float(worth.max()))
+    _require(reached[-1] > reached[0], f"{name}: with relative fitness generation {generations} is no better than the first")
 
 
 def _fully_meshed(inputs: int, outputs: int) -> Representation:

@@ -13,8 +13,10 @@ from zswarm import experiment, plugins
 from zswarm.errors import ConfigError
 from zswarm.nets.representation import Representation
 from zswarm.ot import run
+from zswarm.ot.assessment import Assessment
 from zswarm.ot.dispatch import Counted
 from zswarm.ot.logger import Generation, Logger, Result
+from zswarm.ot.optimizers.cmaes import CMAES
 from zswarm.ot.optimizers.nnga import NNGA, Settings
 from zswarm.ot.optimizers.optimizer import Told
 from zswarm.ot.reading import Run
@@ -129,9 +131,16 @@ def test_a_generation_is_told_when_it_is_on_the_disk_and_servers_have_the_next(t
         assert result(evolution).history_hash == record.history().hex()
 
 
-def test_a_run_that_is_left_in_its_loop_goes_on_as_if_it_had_not(tmp_path: Path, servers: Servers) -> None:
+def with_cmaes(*overrides: str) -> experiment.Experiment:
+    mapping = experiment.to_mapping(loaded(*overrides)) | {"optimizer": {"kind": "cmaes", "population": 10}}
+    return experiment.complete(experiment.check(mapping, "test"), "test")
+
+
+@pytest.mark.parametrize("complete", [loaded(), with_cmaes()], ids=["nnga", "cmaes"])
+def test_a_run_that_is_left_in_its_loop_goes_on_as_if_it_had_not(
+    tmp_path: Path, servers: Servers, complete: experiment.Experiment
+) -> None:
     """Of the generation that servers had by then nothing is recorded; it is asked for again."""
-    complete = loaded()
     with created(tmp_path / "whole", complete) as record:
         whole = result(begun(record, complete, servers))
     with created(tmp_path / "left", complete) as record:
@@ -187,6 +196,45 @@ def test_what_is_written_of_a_generation_is_one_transaction(
         evolution.close()
 
 
+class Said(Logger):
+    """Keeps the lines for the user."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def on_say(self, line: str) -> None:
+        self.lines.append(line)
+
+
+def test_where_an_optimizer_proposes_otherwise_than_before_the_run_goes_on_and_says_so(
+    tmp_path: Path, servers: Servers, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On another processor, or with another version of its package: here its draws are others from the third generation on."""
+    complete = with_cmaes()
+    with created(tmp_path, complete) as record:
+        evolution = begun(record, complete, servers)
+        for _ in range(3):
+            next(evolution)
+        evolution.close()
+    propose = CMAES._propose
+    monkeypatch.setattr(CMAES, "_propose", lambda self: propose(self) + (0.1 if self.generation >= 2 else 0.0))
+    record, complete = Record.open(record.folder)
+    said = Said()
+    with record:
+        record.begin(3, servers.handed[-1])
+        for counted in servers._evaluate(servers.handed[-1]):
+            record.add(counted, servers.handed[-1])
+        ended = result(run.evolve(run.build(complete), record, servers, said, threading.Event()))  # type: ignore[arg-type]
+    assert said.lines[1:] == [
+        "cmaes would have proposed other candidates from generation 2 on; it goes on from those that were recorded",
+        "generation 3 was begun with other candidates: 10 trials are forgotten",
+    ]
+    assert ended.evaluations == 40
+    genomes = [[row["genome"] for row in Run(record.folder).candidates(generation)] for generation in range(4)]
+    assert genomes[:3] == [workload.genomes for workload in servers.handed[:3]]
+    assert genomes[3] == servers.handed[-1].genomes != servers.handed[3].genomes
+
+
 @pytest.fixture
 def measuring(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setitem(plugins.BUNDLED["optimizer"], "measuring", f"{__name__}:Measuring")
@@ -235,7 +283,7 @@ def test_measures_that_are_no_metric_are_refused_with_those_that_are(tmp_path: P
 @pytest.mark.parametrize("metrics", [[np.nan, 1.0], [1.7e308, 1.7e308], [-np.inf, 1.0]])
 def test_a_mean_that_is_not_finite_is_the_one_nan(metrics: list[float]) -> None:
     problem = run.build(loaded("problem.trials=2")).problem
-    workload = problem.workload(problem.random(2), 0)
-    workload.metrics[:] = 0.5
-    workload.metrics[2:, 1] = metrics
-    assert problem.measures(workload, ["rounds"]).tobytes() == np.array([0.5, np.nan]).tobytes()
+    assessment = Assessment(problem, problem.random(2), 0)
+    assessment.workload.metrics[:] = 0.5
+    assessment.workload.metrics[2:, 1] = metrics
+    assert assessment.measures(["rounds"]).tobytes() == np.array([0.5, np.nan]).tobytes()

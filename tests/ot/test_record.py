@@ -109,6 +109,22 @@ def test_outcomes_of_other_candidates_are_refused(record: Record) -> None:
         record.restore(other)
 
 
+def test_outcomes_of_other_candidates_can_be_forgotten(record: Record) -> None:
+    """Those of the begun generation alone; an optimizer that is not portable may propose others on another machine."""
+    for generation in (0, 1):
+        work = workload()
+        record.begin(generation, work)
+        record.add(count(work, [0, 1], 1.0), work)
+    other = workload()
+    other.genomes[1] = b"changed!"
+    assert record.forget_others() == 0
+    record.begin(1, other)
+    assert record.forget_others() == 2
+    assert record.restore(other) == 0
+    record.begin(0, work)
+    assert record.restore(workload()) == 2
+
+
 def test_a_finished_generation_is_read_back_to_the_same_history(record: Record) -> None:
     told = History()
     for generation in range(2):

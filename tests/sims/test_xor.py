@@ -7,7 +7,6 @@ import pytest
 from recorded import PROBLEMS, play
 
 from zswarm.sims.xor import XOR, Settings
-from zswarm.testing import check_simulator
 
 
 @pytest.mark.parametrize("net", PROBLEMS["xor"], ids=lambda net: f"{net['fitness']:.4f}")
@@ -15,10 +14,6 @@ def test_fitness_is_frevos(net: dict[str, Any]) -> None:
     """Bit for bit; also beside other trials, of which eight cases are decided at once."""
     assert play("xor", {}, net, [1]).fitness[0, 0] == net["fitness"]
     assert play("xor", {}, net, [1, 2, 3]).fitness[:, 0].tolist() == [net["fitness"]] * 3
-
-
-def test_xor_keeps_the_contract() -> None:
-    check_simulator(XOR)
 
 
 @pytest.mark.parametrize(

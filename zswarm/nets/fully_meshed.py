@@ -91,7 +91,10 @@ def step_lanes(parameters, state, observation, output):  # type: ignore[no-untyp
 
 
 class FullyMeshed(VectorRepresentation):
-    """See the module's text; ``neurons`` are the non-input nodes."""
+    """Recurrent network, FREVO's, in which every node hears every node.
+
+    See the module's text; ``neurons`` are the non-input nodes.
+    """
 
     settings_type = Settings
     step = staticmethod(step)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from zswarm.ot.evaluations import Evaluations
     from zswarm.ot.leases import Leases
     from zswarm.ot.problem import Problem
+    from zswarm.ot.workload import Workload
     from zswarm.session import Reach
 
 
@@ -89,6 +90,9 @@ class Connection:
     ) -> "np.ndarray":
         """Fitness of candidates, for any optimizer that asks and tells; several threads may call.
 
+        Of a problem that several participants play, candidates play each other as its ranking has it, and what comes back is
+        their scores, which compare within this call only.
+
         What servers there are share the trials. Their slots stay this program's for some seconds after the last call.
 
         Args:
@@ -97,11 +101,12 @@ class Connection:
             generation: decides the trials' seeds where the problem wants fresh ones in each.
 
         Returns:
-            (n,) float64, higher is better: the sum over the problem's trials; NaN where the simulator failed.
+            (n,) float64, higher is better: the sum over the problem's trials, or the score; NaN where the simulator failed.
 
         Raises:
             ValueError: candidates or a generation that do not fit the problem.
             TypeError: no problem, no candidates.
+            ConfigError: too few candidates for a game.
             EvaluationError: trials cannot be evaluated: a fault of machines or programs.
             NoServers: the number of servers asked for was not there in time.
             RuntimeError: a run of this thread holds the slots, or the connection is closed.
@@ -111,8 +116,13 @@ class Connection:
             with zswarm.connect() as cluster:
                 fitness = cluster.evaluate(problem, problem.random(50))
         """
-        workload = self._evaluated(problem, candidates, generation, None)
-        return problem.total(workload)
+        from zswarm.ot.assessment import Assessment
+
+        assessment = Assessment(problem, self._genomes(problem, candidates, generation), generation)
+        self._play(problem, assessment.workload)
+        while assessment.advance():
+            self._play(problem, assessment.workload)
+        return assessment.fitness()
 
     def outcomes(
         self,
@@ -126,8 +136,21 @@ class Connection:
 
         Args:
             seeds: of the trials, whole numbers from 0 to 2^64 - 1, instead of the problem's own; such as unseen ones.
+
+        Raises:
+            ValueError: several participants play the problem: no candidate has trials of its own.
         """
-        workload = self._evaluated(problem, candidates, generation, seeds)
+        import numpy as np
+
+        genomes = self._genomes(problem, candidates, generation)
+        if problem.simulator.participants > 1:
+            raise ValueError(
+                f"problem: {problem.experiment.problem.simulator} is a game of {problem.simulator.participants}: no candidate "
+                "has trials of its own; evaluate has candidates play each other"
+            )
+        chosen = None if seeds is None else np.array(_checked_seeds(seeds), np.uint64)
+        workload = problem.workload(genomes, generation, chosen)
+        self._play(problem, workload)
         shape = (len(workload.genomes), -1) if workload.genomes else (0, problem.experiment.problem.trials)
         names = problem.simulator.metrics
         return Outcomes(
@@ -182,10 +205,7 @@ class Connection:
             return f"{here}, and every server found in realm {realm}"
         return f"waiting for {servers} servers in realm {realm}"
 
-    def _evaluated(self, problem: "Problem", candidates: Any, generation: int, seeds: Sequence[int] | None) -> Any:
-        import numpy as np
-
-        from zswarm.ot.leases import Leases
+    def _genomes(self, problem: "Problem", candidates: Any, generation: int) -> list[bytes]:
         from zswarm.ot.problem import Problem, check_whole
 
         if not isinstance(problem, Problem):
@@ -193,8 +213,12 @@ class Connection:
                 f"problem: expected what zswarm.problem gives, before the candidates, not an object of {type(problem).__name__}"
             )
         check_whole("generation", generation)
-        chosen = None if seeds is None else np.array(_checked_seeds(seeds), np.uint64)
-        workload = problem.workload(problem.genomes(candidates), generation, chosen)
+        return problem.genomes(candidates)
+
+    def _play(self, problem: "Problem", workload: "Workload") -> None:
+        """Have it counted."""
+        from zswarm.ot.leases import Leases
+
         self._refuse_waiting_for_itself()
         self.open()
         with self._lock:
@@ -202,7 +226,6 @@ class Connection:
             if self._leases is None:
                 self._leases = Leases(self)
         self._leases.evaluate(problem, workload)
-        return workload
 
     def _refuse_closed(self) -> None:
         if self.closed:

@@ -88,7 +88,8 @@ def start(
     parts = run.build(complete)
     code = version_hash(complete.problem.simulator, complete.representation.kind)
     _ = connection.reach  # refuses unusable keys before there is a folder
-    record = Record.create(out, complete, code, parts.problem.simulator.metrics, name=name)
+    relative = {"relative": 1} if parts.optimizer.relative else {}
+    record = Record.create(out, complete, code, parts.problem.simulator.metrics, name=name, **relative)
     with record, contextlib.closing(_evolution(parts, record, connection, logger)) as begun:
         if record.on_network:
             logger.on_say(f"{record.folder} is on a network file system: the record is kept without a write-ahead log there")

@@ -80,7 +80,7 @@ def explain(complete: Experiment, parts: Parts, out: Path = Path("runs")) -> Exp
     measured = measure(problem, genomes)
     first = later = len(genomes)
     if first <= MOST_BRED:
-        optimizer.tell(np.arange(first, dtype=np.float64))
+        optimizer.tell(np.arange(first, dtype=np.float64), np.zeros((first, len(optimizer.measures))))
         later = len(optimizer.ask())
     generations, trials = complete.generations, complete.problem.trials
     evaluations = first + (generations - 1) * later

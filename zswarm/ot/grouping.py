@@ -6,11 +6,11 @@ from typing import Any
 
 import msgspec
 
-from zswarm.experiment import Experiment
+from zswarm.experiment import PARTS, Experiment
 from zswarm.ot.reading import Run
 
 TOLD_APART = 3  # settings by which groups are told apart; with more they have the experiments' names
-KIND_OF = {"problem.settings": "problem.simulator", "representation": "representation", "optimizer": "optimizer"}
+KIND_OF = {"problem.settings": "problem.simulator", **{part: part for part in PARTS}}
 
 
 def groups(runs: Sequence[Run]) -> dict[str, list[Run]]:
@@ -46,8 +46,8 @@ def groups(runs: Sequence[Run]) -> dict[str, list[Run]]:
 def _flat(complete: Experiment) -> dict[str, Any]:
     """What makes runs no repeats of each other, by the key of the experiment file."""
     values = msgspec.to_builtins(complete)
-    flat = {"representation": complete.representation.kind, "optimizer": complete.optimizer.kind}
-    for part in ("representation", "optimizer"):
+    flat = {part: values[part]["kind"] for part in PARTS}
+    for part in PARTS:
         flat |= {f"{part}.{key}": value for key, value in values[part]["settings"].items()}
     problem = values["problem"]
     flat |= {f"problem.settings.{key}": value for key, value in problem.pop("settings").items()}

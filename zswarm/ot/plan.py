@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from zswarm import experiment
-from zswarm.experiment import Experiment
+from zswarm.experiment import PARTS, Experiment
 from zswarm.protocol.codec import clean
 from zswarm.protocol.keys import MAX_ID, fold
 
@@ -53,9 +53,7 @@ def plan(complete: Experiment, where: str, found: Mapping[str, str] | None = Non
 def identity(complete: Experiment) -> str:
     """What the history of a run follows from, but for its length."""
     values = msgspec.to_builtins(complete)
-    return json.dumps(
-        {key: values[key] for key in ("seed", "problem", "representation", "optimizer")}, sort_keys=True, default=str
-    )
+    return json.dumps({key: values[key] for key in ("seed", "problem", *PARTS)}, sort_keys=True, default=str)
 
 
 def label(settings: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> str:

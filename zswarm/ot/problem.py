@@ -7,12 +7,13 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from zswarm import evaluate
+from zswarm import evaluate, plugins
 from zswarm.draws import Stream, derive_seed
-from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
 from zswarm.ot.controller import Controller
+from zswarm.ot.rankings.ranking import Ranking, Round
 from zswarm.ot.workload import Workload
+from zswarm.strict import convert
 
 
 class Problem:
@@ -20,22 +21,21 @@ class Problem:
 
     Attributes:
         experiment: it is of this one.
-        simulator, representation: as the experiment sets them up.
+        simulator, representation, ranking: as the experiment sets them up.
     """
 
     def __init__(self, complete: Experiment) -> None:
         """Build it.
 
         Raises:
-            ConfigError: the simulator or the representation refuses its settings, or it is played by several participants.
+            ConfigError: the simulator, the representation or the ranking refuses its settings, or they do not fit together.
         """
         self.experiment = complete
-        problem, network = complete.problem, complete.representation
+        problem, network, ranking = complete.problem, complete.representation, complete.ranking
         self.simulator, self.representation = evaluate.build(problem.simulator, problem.settings, network.kind, network.settings)
-        if self.simulator.participants != 1:
-            raise ConfigError(
-                f"{problem.simulator} is played by {self.simulator.participants} participants; a run evolves problems of one"
-            )
+        loaded = plugins.load("ranking", ranking.kind)
+        settings = convert(ranking.settings, loaded.settings_type, "ranking")
+        self.ranking: Ranking = loaded(settings, self.simulator.participants)
 
     def __eq__(self, other: object) -> bool:
         """Whether the same genomes have the same outcomes."""
@@ -61,28 +61,33 @@ class Problem:
         fixed = self.simulator.fixed_seeds(problem.trials)
         return np.array(fixed if fixed is not None else [derive_seed(seed, "trial", trial) for trial in trials], np.uint64)
 
-    def workload(self, genomes: list[bytes], generation: int, seeds: np.ndarray | None = None) -> Workload:
-        """Every candidate on every trial's seed, candidate after candidate.
+    def workload(
+        self, genomes: list[bytes], generation: int, seeds: np.ndarray | None = None, games: np.ndarray | None = None
+    ) -> Workload:
+        """Every game on every trial's seed, game after game.
 
         Args:
             seeds: (trials,) uint64, instead of the generation's.
+            games: (games, participants) indices into genomes; by default each candidate by itself.
         """
         seeds = self.trial_seeds(generation) if seeds is None else seeds
-        participants = np.repeat(np.arange(len(genomes)), len(seeds)).reshape(-1, 1)
-        return Workload(genomes, participants, np.tile(seeds, len(genomes)), len(self.simulator.metrics))
+        games = np.arange(len(genomes)).reshape(-1, 1) if games is None else games
+        return Workload(genomes, np.repeat(games, len(seeds), axis=0), np.tile(seeds, len(games)), len(self.simulator.metrics))
+
+    def trials_at_once(self, candidates: int | None) -> int | None:
+        """Of the first round of so many candidates, None where their number is not known."""
+        games = None if candidates is None else self.ranking.next_games(candidates, ())
+        return None if games is None else len(games) * self.experiment.problem.trials
+
+    def played(self, workload: Workload) -> Round:
+        """The games of a workload, with the sums over their trials, added in trial order; never -0.0, which SQLite drops."""
+        trials, participants = self.experiment.problem.trials, self.simulator.participants
+        results = np.cumsum(workload.fitness.reshape(-1, trials, participants), axis=1)[:, -1] + 0.0
+        return Round(workload.participants[::trials], results)
 
     def total(self, workload: Workload) -> np.ndarray:
-        """(candidates,) float64: the sum over a candidate's trials, added in trial order; never -0.0, which SQLite drops."""
-        return np.cumsum(workload.fitness[:, 0].reshape(-1, self.experiment.problem.trials), axis=1)[:, -1] + 0.0
-
-    def measures(self, workload: Workload, names: Sequence[str]) -> np.ndarray:
-        """(candidates, names) float64: of each metric the mean over a candidate's trials, added in trial order."""
-        columns = [self.simulator.metrics.index(name) for name in names]
-        trials = self.experiment.problem.trials
-        each = workload.metrics[:, columns].reshape(len(workload.genomes), trials, len(columns))
-        with np.errstate(over="ignore", invalid="ignore"):  # told below
-            mean = np.cumsum(each, axis=1)[:, -1] / trials + 0.0
-        return np.where(np.isfinite(mean), mean, np.nan)
+        """(candidates,) float64: the sums over the trials of candidates that play by themselves."""
+        return self.played(workload).results[:, 0]
 
     def controller(self, genome: bytes, fitness: float, run: str) -> Controller:
         """A genome with all that is needed to run it."""

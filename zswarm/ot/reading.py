@@ -100,7 +100,7 @@ class Run:
         began = self._began
         mapping = {
             **began,
-            **{part: {**began[part]["settings"], "kind": began[part]["kind"]} for part in ("representation", "optimizer")},
+            **{part: {**began[part]["settings"], "kind": began[part]["kind"]} for part in experiment.PARTS},
             "generations": file.generations,
             "cluster": _cleaned(msgspec.to_builtins(file.cluster)),
         }
@@ -337,8 +337,9 @@ class Run:
     def _began(self) -> dict[str, Any]:
         """What the history depends on, as the run began with it; its texts are safe to show."""
         try:
-            began: dict[str, Any] = _cleaned(json.loads(self._meta["experiment"]))
-            for part in ("representation", "optimizer"):
+            absolute = {"kind": experiment.ABSOLUTE, "settings": {}}
+            began: dict[str, Any] = {"ranking": absolute, **_cleaned(json.loads(self._meta["experiment"]))}
+            for part in experiment.PARTS:
                 _ = {**began[part]["settings"]}, began[part]["kind"]
         except (KeyError, TypeError, ValueError, RecursionError):
             raise self._damaged("it names no experiment") from None

@@ -46,7 +46,7 @@ DATABASE, EXPERIMENT = "run.sqlite", "experiment.toml"
 RUNS = Path("runs")  # where runs are made unless --out says otherwise
 LOCK_TRIES, LOCK_PAUSE_S = 20, 0.005  # who asks whether a run goes on holds its lock for an instant
 SET_META = "INSERT OR REPLACE INTO meta VALUES (?, ?)"
-ADD_OUTCOMES = "INSERT OR REPLACE INTO outcomes VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
+ADD_OUTCOMES = "INSERT OR REPLACE INTO outcomes VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
 ADD_EVENT = "INSERT OR REPLACE INTO events (rowid, at, generation, event, server, text, count) VALUES (?, ?, ?, ?, ?, ?, ?)"
 ADD_CANDIDATES = "INSERT OR REPLACE INTO candidates VALUES "
 A_CANDIDATE, CANDIDATES_AT_ONCE = "(?, ?, ?, ?, ?)", 199  # every SQLite takes 999 parameters in a statement
@@ -72,7 +72,7 @@ class Record:
         self._outcomes = itertools.count(_first_free(connection, "outcomes"))
         self._events = itertools.count(_first_free(connection, "events"))
         self._generation: int | None = None
-        self._asked = b""
+        self._round, self._asked = 0, b""
 
     @classmethod
     def create(
@@ -189,8 +189,8 @@ class Record:
     # ---- writing
 
     def begin(self, generation: int, workload: Workload) -> None:
-        """The outcomes that follow belong to this generation."""
-        self._generation, self._asked = generation, _digest(workload.genomes)
+        """The outcomes that follow belong to this generation, and to this round of its games."""
+        self._generation, self._round, self._asked = generation, workload.round, _digest(workload.genomes)
 
     def end(self) -> None:
         """All generations are finished; what follows belongs to none."""
@@ -198,13 +198,13 @@ class Record:
 
     def add(self, counted: Counted, workload: Workload) -> None:
         """Outcomes as they come."""
-        trials = counted.trials
+        trials, participants = counted.trials, workload.participants[counted.trials]
         values = (
             next(self._outcomes),
             self._generation,
             self._asked,
             len(trials),
-            trials.astype("<u4").tobytes(),
+            (workload.first + trials).astype("<u4").tobytes(),
             workload.fitness[trials].astype("<f8").tobytes(),
             workload.metrics[trials].astype("<f8").tobytes(),
             int(workload.faulted[trials].sum()),
@@ -212,15 +212,21 @@ class Record:
             counted.seconds,
             time.time(),
             0,
+            workload.round,
+            participants.astype("<u4").tobytes() if participants.shape[1] > 1 else None,
         )
         self._database.write((ADD_OUTCOMES, values))
 
     def retract(self, server: str) -> None:
-        """A server computes wrong: forget its outcomes of the begun generation, mark those of earlier ones as doubtful."""
-        begun = self.resumed().generation if self._generation is None else self._generation
+        """A server computes wrong: forget its outcomes of the begun round, mark those of earlier ones as doubtful."""
+        begun = (self._generation, self._round)
+        if self._generation is None:  # the last one that was begun before
+            generation = self.resumed().generation
+            rows = self._database.rows("SELECT coalesce(max(round), 0) FROM outcomes WHERE generation = ?", generation)
+            begun = (generation, rows[0][0])
         self._database.write(
-            ("DELETE FROM outcomes WHERE generation = ? AND server = ?", (begun, server)),
-            ("UPDATE outcomes SET doubtful = 1 WHERE generation < ? AND server = ?", (begun, server)),
+            ("DELETE FROM outcomes WHERE (generation, round) = (?, ?) AND server = ?", (*begun, server)),
+            ("UPDATE outcomes SET doubtful = 1 WHERE (generation, round) < (?, ?) AND server = ?", (*begun, server)),
         )
 
     def note(self, note: Note) -> None:
@@ -277,27 +283,38 @@ class Record:
             raise ConfigError(f"{self.folder / DATABASE}: damaged: the optimizer's state cannot be read") from None
 
     def restore(self, workload: Workload) -> int:
-        """Put the recorded outcomes of the begun generation into a workload; how many trials.
+        """Put the recorded outcomes of the begun round into its workload; how many trials.
 
         Raises:
-            ConfigError: they are of other candidates: the code of the optimizer or representation was changed.
+            ConfigError: they are of other candidates or games: the code of the optimizer, representation or ranking was changed.
         """
         restored = 0
-        for asked, trials, fitness, metrics, faulted, server in self._database.rows(
-            "SELECT asked, trials, fitness, metrics, faulted, server FROM outcomes WHERE generation = ?", self._generation
+        for asked, trials, fitness, metrics, faulted, server, participants in self._database.rows(
+            "SELECT asked, trials, fitness, metrics, faulted, server, participants FROM outcomes "
+            "WHERE (generation, round) = (?, ?)",
+            self._generation,
+            self._round,
         ):
-            if asked != self._asked:
+            indices = np.frombuffer(trials, "<u4").astype(np.int64) - workload.first
+            games = None if participants is None else workload.participants[indices].astype("<u4").tobytes()
+            if (asked, participants) != (self._asked, games):
                 raise ConfigError(
-                    f"{self.folder}: generation {self._generation} was begun with other candidates: this program proposes "
-                    "differently than the one that began the run"
+                    f"{self.folder}: generation {self._generation} was begun with other candidates or games: this program "
+                    "proposes differently than the one that began the run"
                 )
-            indices = np.frombuffer(trials, "<u4").astype(np.int64)
             workload.fitness[indices] = np.frombuffer(fitness, "<f8").reshape(len(indices), -1)
             workload.metrics[indices] = np.frombuffer(metrics, "<f8").reshape(len(indices), workload.metrics.shape[1])
             workload.counted[indices], workload.source[indices] = True, server
             workload.faulted[indices] = bool(faulted)  # faulted trials are counted one by one
             restored += len(indices)
         return restored
+
+    def forget_others(self) -> int:
+        """Forget outcomes of the begun generation that are of other candidates than it has now; how many trials."""
+        other = "FROM outcomes WHERE generation = ? AND asked <> ?"
+        found = int(self._database.rows(f"SELECT coalesce(sum(count), 0) {other}", self._generation, self._asked)[0][0])
+        self._database.write((f"DELETE {other}", (self._generation, self._asked)))
+        return found
 
     def told(self) -> Iterator[Told]:
         """The finished generations, in order."""
@@ -436,7 +453,8 @@ def _check(folder: Path, connection: sqlite3.Connection, complete: Experiment) -
             before = dict(json.loads(began))
         except (ValueError, TypeError, RecursionError):
             raise ConfigError(f"{folder / DATABASE}: damaged: it does not say what was run") from None
-        keys = [key for key, value in json.loads(now).items() if before.get(key) != value]
+        after = json.loads(now)
+        keys = [key for key in sorted(before | after) if before.get(key) != after.get(key)]
         raise ConfigError(
             f"{folder / EXPERIMENT}: {', '.join(keys)} changed since the run began; only generations and [cluster] may"
         )
@@ -470,6 +488,8 @@ def _digest(genomes: Sequence[bytes]) -> bytes:
 def _decisive(complete: Experiment) -> str:
     """What of an experiment the history depends on."""
     values = msgspec.to_builtins(complete)
+    if complete.ranking.kind == experiment.ABSOLUTE:  # as if there were no others, which older records do not know
+        del values["ranking"]
     return json.dumps({key: value for key, value in values.items() if key not in NOT_DECISIVE}, sort_keys=True)
 
 

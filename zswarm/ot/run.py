@@ -1,16 +1,18 @@
 """A run: ask, dispatch, tell, record, until the last generation."""
 
+import contextlib
 import threading
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from typing import NamedTuple
 
 import msgspec
 
 from zswarm import plugins
 from zswarm.draws import derive_seed
-from zswarm.errors import ConfigError
+from zswarm.errors import ConfigError, ZswarmError
 from zswarm.experiment import Experiment
+from zswarm.ot.assessment import Assessment
 from zswarm.ot.connection import Connection
 from zswarm.ot.controller import Controller
 from zswarm.ot.dispatch import Counted, Note, Retracted
@@ -38,14 +40,35 @@ def build(complete: Experiment) -> Parts:
         ConfigError: a part refuses its settings, or they do not fit together.
     """
     problem = Problem(complete)
-    loaded = plugins.load("optimizer", complete.optimizer.kind)
+    kind, simulator = complete.optimizer.kind, problem.simulator
+    loaded = plugins.load("optimizer", kind)
     settings = convert(complete.optimizer.settings, loaded.settings_type, "optimizer")
-    optimizer = loaded(settings, problem.representation, derive_seed(complete.seed, "optimizer"))
+    optimizer: Optimizer = loaded(settings, problem.representation, derive_seed(complete.seed, "optimizer"))
     for name in optimizer.measures:
-        if name not in problem.simulator.metrics:
-            known = ", ".join(problem.simulator.metrics) or "none"
+        if name not in simulator.metrics:
+            known = ", ".join(simulator.metrics) or "none"
             raise ConfigError(f"optimizer: measures: {complete.problem.simulator} has no metric {name!r}; it has: {known}")
+    if problem.ranking.relative and not optimizer.competes:
+        raise ConfigError(
+            f"optimizer: {kind} compares fitness from generation to generation, and scores of {complete.ranking.kind} compare "
+            f"within one; those that take them: {', '.join(_competing())}"
+        )
+    optimizer.relative = problem.ranking.relative
+    if optimizer.candidates is not None and optimizer.candidates < simulator.participants:
+        raise ConfigError(
+            f"optimizer: {kind} asks for {optimizer.candidates} candidates, and a game of {complete.problem.simulator} takes "
+            f"{simulator.participants}"
+        )
     return Parts(problem, optimizer)
+
+
+def _competing() -> list[str]:
+    """Optimizers that take fitness which compares within a generation only; of those installed that can be imported."""
+    found = []
+    for name in plugins.names("optimizer"):
+        with contextlib.suppress(ZswarmError):
+            found += [name] * plugins.load("optimizer", name).competes
+    return found
 
 
 def evolve(
@@ -74,12 +97,15 @@ def evolve(
     history, improved, candidates = record.history(), optimizer.best()[1], record.evaluations()
     logger.on_start(Started(record.folder, complete, resumed.generation))
     logger.on_say(f"{complete.name}: {connection.who_computes()}")
+    if optimizer.strayed is not None:
+        otherwise = f"would have proposed other candidates from generation {optimizer.strayed} on"
+        logger.on_say(f"{complete.optimizer.kind} {otherwise}; it goes on from those that were recorded")
     evaluations = Evaluations(
         problem,
         connection,
         run=run_id,
         epoch=record.meta("epoch"),
-        slots=(optimizer.candidates or messages.MAX_SLOTS) * complete.problem.trials,
+        slots=problem.trials_at_once(optimizer.candidates) or messages.MAX_SLOTS,
         probe=probe,
         logger=logger,
         stop=stop,
@@ -88,27 +114,31 @@ def evolve(
         for early in evaluations.wait():
             _record(early, record)
         if resumed.generation < complete.generations:
-            workload = problem.workload(optimizer.ask(), resumed.generation)
-            record.begin(resumed.generation, workload)
-            record.restore(workload)
-            happening = evaluations.evaluate(workload)
+            assessment = Assessment(problem, optimizer.ask(), resumed.generation)
+            record.begin(resumed.generation, assessment.workload)
+            if not optimizer.portable and (others := record.forget_others()):
+                logger.on_say(f"generation {resumed.generation} was begun with other candidates: {others} trials are forgotten")
+            record.restore(assessment.workload)
+            happening = evaluations.evaluate(assessment.workload)
         for generation in range(resumed.generation, complete.generations):
-            for happened in happening:
+            for happened in _rounds(assessment, happening, evaluations, record, resumed.generation):
+                workload = assessment.workload
                 _record(happened, record, workload)
-                logger.on_progress(generation, int(workload.counted.sum()), len(workload.seeds))
-            genomes, fitness = workload.genomes, problem.total(workload)
-            measures = problem.measures(workload, optimizer.measures)
+                logger.on_progress(generation, workload.first + int(workload.counted.sum()), workload.first + len(workload.seeds))
+            genomes, fitness = assessment.genomes, assessment.fitness()
+            measures = assessment.measures(optimizer.measures)
             optimizer.tell(fitness, measures)
             state = msgspec.Raw(msgspec.msgpack.encode(optimizer.state()))  # as it is before the next ask
             last = generation + 1 == complete.generations
             if not last:  # the servers have work while this generation is recorded and told
-                workload = problem.workload(optimizer.ask(), generation + 1)
-                happening = evaluations.evaluate(workload)
+                assessment = Assessment(problem, optimizer.ask(), generation + 1)
+                happening = evaluations.evaluate(assessment.workload)
             history.add(genomes, fitness, measures)
             statistics = optimizer.statistics()
             record.finish(generation, genomes, fitness, statistics, state, measures)
-            if optimizer.best()[1] > improved:
-                improved = optimizer.best()[1]
+            genome, best = optimizer.best()
+            if best > improved or (optimizer.relative and genome):  # scores of two generations do not compare
+                improved = best
                 logger.on_champion(_keep_champion(parts, record, run_id))
             if evaluations.probe and not probe:
                 probe = evaluations.probe
@@ -121,15 +151,27 @@ def evolve(
             logger.on_generation(ended)
             yield ended
             if not last:
-                record.begin(generation + 1, workload)
+                record.begin(generation + 1, assessment.workload)
         record.end()
         for late in evaluations.rest():
             _record(late, record)
     record.set_meta("history_hash", history.hex())
     return Result(
-        str(record.folder), complete.generations, improved, candidates, record.requeued(), history.hex(),
+        str(record.folder), complete.generations, optimizer.best()[1], candidates, record.requeued(), history.hex(),
         round(time.monotonic() - begin, 3), record.faulted(), record.doubtful(),
     )  # fmt: skip
+
+
+def _rounds(
+    assessment: Assessment, happening: Iterator[Happened | None], evaluations: Evaluations, record: Record, resumed: int
+) -> Iterator[Happened | None]:
+    """What happens in all rounds of a generation; what was recorded of the one resumed is not played again."""
+    yield from happening
+    while assessment.advance():
+        record.begin(assessment.generation, assessment.workload)
+        if assessment.generation == resumed:
+            record.restore(assessment.workload)
+        yield from evaluations.evaluate(assessment.workload)
 
 
 def _record(happened: Happened | None, record: Record, workload: Workload | None = None) -> None:

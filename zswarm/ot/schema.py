@@ -13,7 +13,8 @@ CREATE TABLE candidates (
 CREATE TABLE outcomes (
     id INTEGER PRIMARY KEY, generation INTEGER NOT NULL, asked BLOB NOT NULL, count INTEGER NOT NULL, trials BLOB NOT NULL,
     fitness BLOB NOT NULL, metrics BLOB NOT NULL, faulted INTEGER NOT NULL, server TEXT NOT NULL, seconds REAL NOT NULL,
-    at REAL NOT NULL, doubtful INTEGER NOT NULL DEFAULT 0);
+    at REAL NOT NULL, doubtful INTEGER NOT NULL DEFAULT 0, round INTEGER NOT NULL DEFAULT 0,
+    participants BLOB);
 CREATE TABLE events (at REAL NOT NULL, generation INTEGER, event TEXT NOT NULL, server TEXT, text TEXT, count INTEGER);
 CREATE TABLE optimizer (id INTEGER PRIMARY KEY CHECK (id = 0), generation INTEGER NOT NULL, state BLOB NOT NULL);
 """
@@ -34,7 +35,8 @@ VIEWS = {
             CAST((SELECT min(c.candidate) FROM candidates c WHERE c.generation = risen.generation AND c.fitness = best)
                 AS INTEGER) AS candidate
         FROM (SELECT *, lag(best) OVER (ORDER BY generation) AS before FROM generations) risen
-        WHERE best > coalesce(before, -9e999) ORDER BY generation""",
+        WHERE best > coalesce(before, -9e999) OR (best > -9e999 AND EXISTS (SELECT 1 FROM meta WHERE key = 'relative'))
+        ORDER BY generation""",
     "timeline": """
         SELECT at, CAST(strftime('%Y-%m-%d %H:%M:%f', at, 'unixepoch') AS TEXT) AS utc,
             CAST(at - (SELECT value FROM meta WHERE key = 'created_at') AS REAL) AS seconds,
@@ -59,5 +61,11 @@ CREATE = _TABLES + "".join(_VIEWS)
 MIGRATIONS: dict[int, tuple[str, ...]] = {
     1: ("ALTER TABLE outcomes ADD COLUMN doubtful INTEGER NOT NULL DEFAULT 0",),
     2: (*(f"DROP VIEW IF EXISTS {name}" for name in VIEWS), *_VIEWS),
-    3: ("ALTER TABLE candidates ADD COLUMN measures BLOB",),
+    3: (
+        "ALTER TABLE candidates ADD COLUMN measures BLOB",
+        "ALTER TABLE outcomes ADD COLUMN round INTEGER NOT NULL DEFAULT 0",
+        "ALTER TABLE outcomes ADD COLUMN participants BLOB",
+        *(f"DROP VIEW IF EXISTS {name}" for name in VIEWS),
+        *_VIEWS,
+    ),
 }

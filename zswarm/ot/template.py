@@ -59,11 +59,13 @@ def _lines(content: Mapping[str, Any]) -> Iterator[str]:
             yield from _comment((inspect.getdoc(loaded) or "").partition("\n\n")[0])
             yield "[problem.settings]"
             yield from _keys(settings_sheet.keys(loaded.settings_type), table.get("settings", {}))
-        elif name in ("representation", "optimizer"):
-            yield from _keys(settings_sheet.keys(struct), {"kind": table["kind"]})
-            kind: plugins.Kind = "representation" if name == "representation" else "optimizer"
+        elif name in experiment.PARTS:
+            said = {key: value for key, value in table.items() if key == "kind"}
+            yield from _keys(settings_sheet.keys(struct), said)
+            kind: plugins.Kind = name  # type: ignore[assignment]  # PARTS are kinds
             settings = {key: value for key, value in table.items() if key != "kind"}
-            yield from _keys(settings_sheet.keys(plugins.load(kind, table["kind"]).settings_type), settings)
+            loaded = plugins.load(kind, said.get("kind", experiment.ABSOLUTE))
+            yield from _keys(settings_sheet.keys(loaded.settings_type), settings)
         else:
             yield from _keys(settings_sheet.keys(struct), table)
 

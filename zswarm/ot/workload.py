@@ -1,4 +1,4 @@
-"""What is evaluated together: a generation's genomes on its trials."""
+"""What is evaluated together: a generation's genomes on its trials, or a round of its games."""
 
 import numpy as np
 
@@ -14,6 +14,7 @@ class Workload:
             seeds: (trials,) uint64.
             metrics: numbers a trial reports beside fitness.
         """
+        self.round, self.first = 0, 0  # of its generation: which, and the index of its first trial
         self.genomes = genomes
         self.participants = participants
         self.seeds = seeds

@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from zswarm.draws import draw_java, start_java
 from zswarm.errors import ConfigError
 from zswarm.jit import STEP, Step, array, float32, float64, inline, int32, int64, kernel, uint64, void
 from zswarm.lanes import LANES, any_of, fill, load, scatter, select, store, window
@@ -270,31 +271,18 @@ CELLS = array(int32)
 CELL_TABLE = array(int32, 2)
 
 
-@inline
-def draw_below(state, bound):  # type: ignore[no-untyped-def]  # compiled
-    """Java's ``Random.nextInt(bound)``: a 48-bit linear congruential generator, upper 31 bits."""
-    while True:
-        state[0] = (state[0] * np.uint64(0x5DEECE66D) + np.uint64(0xB)) & np.uint64((1 << 48) - 1)
-        bits = np.int64(state[0] >> np.uint64(17))
-        if bound & (bound - 1) == 0:
-            return (bound * bits) >> 31
-        value = bits % bound
-        if bits - value + (bound - 1) < 2147483648:
-            return value
-
-
 @kernel(void(array(uint64), int64, int64, int64, CELL_TABLE))
 def place(seeds, width, stride, cells, placed):  # type: ignore[no-untyped-def]  # compiled
     """Per seed put all things, in order, on free cells by rejection; both coordinates are drawn from the width."""
     state = np.empty(1, np.uint64)
     for row in range(seeds.shape[0]):
         taken = np.zeros(cells, np.uint8)
-        state[0] = (seeds[row] ^ np.uint64(0x5DEECE66D)) & np.uint64((1 << 48) - 1)
+        start_java(state, seeds[row])
         for thing in range(placed.shape[1]):
             cell = 0
             while cell == 0 or taken[cell]:
-                x = draw_below(state, width)
-                y = draw_below(state, width)
+                x = draw_java(state, width)
+                y = draw_java(state, width)
                 cell = (y + 1) * stride + x + 1
             taken[cell] = 1
             placed[row, thing] = cell

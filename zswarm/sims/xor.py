@@ -1,6 +1,4 @@
-"""XOR, exactly FREVO's ``XOR`` (github.com/smartgrids-aau/Frevo, version 1.5): the smallest problem that no network without
-hidden neurons solves.
-"""
+"""XOR, exactly FREVO's ``XOR`` (github.com/smartgrids-aau/Frevo, version 1.5)."""
 
 import msgspec
 import numpy as np

@@ -30,6 +30,7 @@ class Optimizer(ABC):
         measures: names of the simulator's metrics that a tell wants beside fitness.
         generation: generations told.
         candidates: genomes that one ask gives at most; None: it cannot say.
+        strayed: the first generation in which ``restore`` would have asked other genomes than were told; None: in none.
     """
 
     settings_type: ClassVar[type[msgspec.Struct]]
@@ -38,6 +39,7 @@ class Optimizer(ABC):
     relative: bool = False
     measures: Sequence[str] = ()
     candidates: int | None = None
+    strayed: int | None = None
 
     def __init__(self, settings: msgspec.Struct, representation: Representation, seed: int) -> None:
         self.settings = settings

@@ -1,0 +1,286 @@
+"""Every optimizer keeps the contract, and beats random search at equal evaluations; the check of it finds what is broken."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import mannwhitneyu
+
+from zswarm import plugins
+from zswarm.draws import Stream
+from zswarm.errors import ConfigError
+from zswarm.nets.fully_meshed import FullyMeshed
+from zswarm.nets.fully_meshed import Settings as NetworkSettings
+from zswarm.nets.neat import Neat
+from zswarm.nets.representation import Representation
+from zswarm.ot.optimizers.cea2d import CEA2D
+from zswarm.ot.optimizers.nnga import NNGA, Settings
+from zswarm.ot.optimizers.novelty import Novelty
+from zswarm.ot.optimizers.optimizer import Optimizer, Told
+from zswarm.ot.optimizers.pso import PSO
+from zswarm.ot.optimizers.random_search import RandomSearch
+from zswarm.strict import convert
+from zswarm.testing import check_optimizer
+
+VECTORS = ("cuckoo", "openai-es", "pso")
+OPERATORS = ("cea2d", "nnga", "novelty", "random")
+
+
+class Opaque(Representation):
+    """A fully-meshed network whose genomes are no plain numbers: every byte is the other way round."""
+
+    settings_type = NetworkSettings
+    step = FullyMeshed.step
+    genome_bytes = None
+
+    def __init__(self) -> None:
+        super().__init__(NetworkSettings(), 3, 1)
+        self.network = FullyMeshed(NetworkSettings(), 3, 1)
+        self.state_size = self.network.state_size
+
+    def parameters(self, genomes: Sequence[bytes]) -> np.ndarray:
+        return self.network.parameters(turned(genomes))
+
+    def random(self, count: int, stream: Stream) -> list[bytes]:
+        return turned(self.network.random(count, stream))
+
+    def mutate(self, genomes: Sequence[bytes], stream: Stream, **options: Any) -> list[bytes]:
+        return turned(self.network.mutate(turned(genomes), stream, **options))
+
+    def crossover(self, mother: bytes, father: bytes, stream: Stream) -> bytes:
+        return turned([self.network.crossover(*turned([mother, father]), stream)])[0]
+
+    def distances(self, left: Sequence[bytes], right: Sequence[bytes]) -> np.ndarray:
+        return self.network.distances(turned(left), turned(right))
+
+
+def turned(genomes: Sequence[bytes]) -> list[bytes]:
+    return [genome[::-1] for genome in genomes]
+
+
+OWN_NETWORKS = {"neat": Neat(convert({"add_node": 0.2}, Neat.settings_type, ""), 3, 1)}  # of those that take no others
+
+
+@pytest.mark.parametrize("name", plugins.names("optimizer"))
+def test_every_optimizer_keeps_the_contract(name: str) -> None:
+    check_optimizer(plugins.load("optimizer", name), representation=OWN_NETWORKS.get(name))
+
+
+@pytest.mark.parametrize("name", OPERATORS)
+def test_optimizers_with_operators_evolve_genomes_of_every_kind(name: str) -> None:
+    check_optimizer(plugins.load("optimizer", name), representation=Opaque())
+
+
+@pytest.mark.parametrize("name", VECTORS)
+def test_optimizers_of_vectors_refuse_other_genomes(name: str) -> None:
+    loaded = plugins.load("optimizer", name)
+    with pytest.raises(ConfigError, match=rf"^optimizer: {name} searches vectors of numbers; genomes of .* \(Opaque\) are none$"):
+        loaded(loaded.settings_type(), Opaque(), 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [
+        ("cea2d", {"width": 3, "height": 5, "elite": 0.3, "mutation": 0.2, "crossover": 0.2, "mutation_method": 2}),
+        ("cuckoo", {"population": 3, "discovery": 1.0, "step": 1.0, "bound": 0.5}),
+        ("novelty", {"measures": ["one"], "population": 7, "neighbours": 100, "threshold": 0.01, "fitness": 0.5}),
+        ("novelty", {"mutation": 1.0, "mutation_method": 2, "fitness": 1.0}),
+        ("openai-es", {"population": 2, "deviation": 0.5, "weight_decay": 0.0}),
+        ("pso", {"population": 2, "inertia": 0.0, "bound": 3.0, "speed": 0.01}),
+        ("random", {"population": 2}),
+    ],
+)
+def test_other_settings_keep_the_contract(name: str, settings: dict[str, Any]) -> None:
+    check_optimizer(plugins.load("optimizer", name), settings, generations=60)
+
+
+# ---- better than random -------------------------------------------------------------------------------------------
+
+EVALUATIONS = 1500
+
+
+def sphere(genomes: list[bytes]) -> np.ndarray:
+    table = np.frombuffer(b"".join(genomes), "<f4").reshape(len(genomes), -1).astype(float)
+    return -(table**2).sum(axis=1)
+
+
+def reached(name: str, seed: int, settings: Mapping[str, Any]) -> float:
+    """The best on the sphere after so many evaluations, of genomes of 35 numbers; measures are the first two."""
+    loaded = plugins.load("optimizer", name)
+    optimizer = loaded(convert(settings, loaded.settings_type, "settings"), FullyMeshed(NetworkSettings(), 2, 3), seed)
+    told = 0
+    while told < EVALUATIONS:
+        genomes = optimizer.ask()[: EVALUATIONS - told]
+        if len(genomes) < optimizer._asked:
+            return float(max(optimizer.best()[1], sphere(genomes).max()))
+        table = np.frombuffer(b"".join(genomes), "<f4").reshape(len(genomes), -1).astype(float)
+        optimizer.tell(sphere(genomes), table[:, : len(optimizer.measures)])
+        told += len(genomes)
+    return float(optimizer.best()[1])
+
+
+@pytest.fixture(scope="module")
+def by_chance() -> list[float]:
+    return [reached("random", seed, {}) for seed in range(10)]
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [
+        *((name, {}) for name in ("cea2d", "cuckoo", "nnga", "openai-es", "pso")),
+        ("novelty", {"measures": ["one", "other"], "fitness": 0.9}),
+    ],
+)
+def test_each_beats_random_search_on_the_sphere(name: str, settings: dict[str, Any], by_chance: list[float]) -> None:
+    """Novelty search with fitness among its aims: novelty alone seeks no fitness."""
+    found = [reached(name, seed, settings) for seed in range(10)]
+    assert mannwhitneyu(found, by_chance, alternative="greater").pvalue < 0.01
+
+
+# ---- broken ones are found ----------------------------------------------------------------------------------------
+
+
+class SharedDraws(NNGA):
+    def _ask(self) -> list[bytes]:
+        super()._ask()
+        self._islands[0][-1].genome = np.random.default_rng().random(21, np.float32).tobytes()
+        return [individual.genome for individual in self._untold()]
+
+
+class DeafToSeeds(NNGA):
+    def __init__(self, settings: Settings, representation: Any, seed: int) -> None:
+        super().__init__(settings, representation, seed * 0)
+
+
+class Forgetful(NNGA):
+    def restore(self, state: Mapping[str, Any], told: Iterable[Told]) -> None:
+        super().restore(state, told)
+        self._islands = [island[::-1] for island in self._islands]
+
+
+class NotPlain(NNGA):
+    def state(self) -> dict[str, Any]:
+        return {**super().state(), "best": [self._best[0], np.array([self._best[1]])]}
+
+
+class BestIsLast(NNGA):
+    def best(self) -> tuple[bytes, float]:
+        if not self._islands:
+            return super().best()
+        last = self._islands[0][0]
+        return last.genome, last.fitness - 1.0
+
+
+class FooledByNaN(NNGA):
+    def _tell(self, fitness: np.ndarray, measures: np.ndarray) -> None:
+        super()._tell(np.where(np.isnan(fitness), 1.0, fitness), measures)
+
+
+class OutOfOrder(NNGA):
+    def ask(self) -> list[bytes]:
+        self._asked = None
+        return super().ask()
+
+
+class TellsWhatItAsked(NNGA):
+    def statistics(self) -> dict[str, float]:
+        return {**super().statistics(), "renewed": float([i.operator for i in self._islands[0]].count("renew"))}
+
+
+class SaysTooFew(NNGA):
+    def ask(self) -> list[bytes]:
+        self.candidates = 10
+        return super().ask()
+
+
+class WrongLength(NNGA):
+    def _ask(self) -> list[bytes]:
+        return [genome[4:] for genome in super()._ask()]
+
+
+class KeepsFitness(NNGA):
+    """Survivors are not asked again where fitness is relative."""
+
+    def _ask(self) -> list[bytes]:
+        told = {individual.genome for island in self._islands for individual in island}
+        genomes = super()._ask()
+        for island in self._islands:
+            for individual in island:
+                individual.told = individual.genome in told
+        return [genome for genome in genomes if genome not in told]
+
+
+class KeepsItsBest(RandomSearch):
+    def best(self) -> tuple[bytes, float]:
+        self._kept = max(getattr(self, "_kept", (b"", float("-inf"))), super().best(), key=lambda best: best[1])
+        return self._kept if self.relative else super().best()
+
+
+class RanksTheOld(CEA2D):
+    """Cells that stay keep their fitness where it is relative."""
+
+    def _ask(self) -> list[bytes]:
+        super()._ask()
+        if self.generation:
+            self._cells = np.flatnonzero(np.array(self._operators) != "elite")
+        return [self._genomes[cell] for cell in self._cells]
+
+
+class ForgetsVelocity(PSO):
+    def restore(self, state: Mapping[str, Any], told: Iterable[Told]) -> None:
+        super().restore(state, told)
+        self._velocities = np.zeros_like(self._velocities)
+
+
+class DrawsFromOneStream(PSO):
+    """A stream that is not in the state."""
+
+    def _ask(self) -> list[bytes]:
+        genomes = super()._ask()
+        self._stream = getattr(self, "_stream", Stream(self.seed))
+        self._places = self._places * self._stream.uniform(0.9, 1.0, 1)
+        return self._space.genomes(self._places) if self.generation else genomes
+
+
+class IgnoresMeasures(Novelty):
+    """Takes a tell without them."""
+
+    def tell(self, fitness: np.ndarray, measures: np.ndarray | None = None) -> None:
+        super().tell(fitness, np.zeros((len(fitness), 2)) if measures is None else measures)
+
+
+class ForgetsTheArchive(Novelty):
+    def restore(self, state: Mapping[str, Any], told: Iterable[Told]) -> None:
+        super().restore({**state, "archive": b""}, told)
+
+
+@pytest.mark.parametrize(
+    ("broken", "text"),
+    [
+        (SaysTooFew, "ask gives 50 genomes; candidates says 10"),
+        (TellsWhatItAsked, "ask changes best or statistics"),
+        (SharedDraws, "the same seed asks other genomes"),
+        (WrongLength, "genomes that FullyMeshed.parameters refuses: a genome has"),
+        (DeafToSeeds, "another seed asks the same genomes"),
+        (Forgetful, "state and restore change what is asked"),
+        (BestIsLast, "best"),
+        (FooledByNaN, "after NaN fitness must be"),
+        (OutOfOrder, "ask before the last one was told must raise RuntimeError"),
+        (KeepsFitness, "KeepsFitness.*relative"),
+        (KeepsItsBest, "best must be the best of the last generation where fitness is relative"),
+        (RanksTheOld, "all that compete must be asked again"),
+        (ForgetsVelocity, "state and restore change what is asked"),
+        (DrawsFromOneStream, "state and restore change what is asked"),
+        (IgnoresMeasures, "tell without its measures must raise ValueError"),
+        (ForgetsTheArchive, "a restored optimizer told the same has another state"),
+    ],
+)
+def test_the_check_names_what_is_broken(broken: type[Optimizer], text: str) -> None:
+    with pytest.raises(AssertionError, match=text):
+        check_optimizer(broken)
+
+
+def test_the_check_takes_no_state_that_is_not_plain() -> None:
+    with pytest.raises(TypeError, match="Encoding objects of type"):
+        check_optimizer(NotPlain)
