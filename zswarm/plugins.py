@@ -33,6 +33,7 @@ BUNDLED: dict[Kind, dict[str, str]] = {
         "feed-forward": "zswarm.nets.feed_forward:FeedForward",
         "fully-meshed": "zswarm.nets.fully_meshed:FullyMeshed",
         "hebbian": "zswarm.nets.hebbian:Hebbian",
+        "mealy": "zswarm.nets.mealy:Mealy",
         "neat": "zswarm.nets.neat:Neat",
         "three-layer": "zswarm.nets.feed_forward:ThreeLayer",
     },
