@@ -113,8 +113,8 @@ def results() -> Iterator[tuple[str, bytes]]:
                 given = {"population": 12, "measures": simulator.metrics[:2], **chosen}
                 known = {key: value for key, value in given.items() if key in optimizer_class.settings_type.__struct_fields__}
                 settings = msgspec.convert(known, optimizer_class.settings_type)
-                if simulator.metrics or "measures" not in known:
-                    with contextlib.suppress(ConfigError):  # it does not take such a network
+                with contextlib.suppress(ConfigError):  # it does not take such a network
+                    if simulator.metrics or "measures" not in known:
                         optimizer = optimizer_class(settings, network, 5)
                         yield f"{name}: {kind} {chosen}", evolved(optimizer, simulator, network)
 

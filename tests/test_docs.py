@@ -217,7 +217,8 @@ def plain(value: object) -> object:
 )
 def test_every_key_of_an_experiment_is_documented(headings: tuple[str, ...], struct: type[msgspec.Struct]) -> None:
     """The table in experiment.md is what the struct says: type and range, default, meaning."""
-    assert settings_sheet.markdown(settings_sheet.keys(struct)) in section("experiment.md", *headings)
+    keys = settings_sheet.keys(struct)
+    assert (settings_sheet.markdown(keys) if keys else "") in section("experiment.md", *headings)
 
 
 @pytest.mark.parametrize(

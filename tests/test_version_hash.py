@@ -81,6 +81,16 @@ def test_a_change_in_a_file_that_computes_changes_both_hashes(copy: Path, file: 
     assert before[1] != after[1]
 
 
+def test_a_network_of_networks_is_of_another_version_when_one_of_them_is(copy: Path) -> None:
+    """Settings say which they are; the hash is asked for without."""
+    before = [version_hash.version_hash("minisim", kind) for kind in ("bulk", "three-layer")]
+    (copy / "nets/ctrnn.py").write_text("# changed\n")
+    forget()
+    after = [version_hash.version_hash("minisim", kind) for kind in ("bulk", "three-layer")]
+    assert before[0] != after[0]
+    assert before[1] == after[1]
+
+
 @pytest.mark.parametrize("file", ["ot/optimizers/nnga.py", "protocol/keys.py", "errors.py"])
 def test_a_change_elsewhere_changes_neither(copy: Path, file: str) -> None:
     before = fresh()

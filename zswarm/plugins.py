@@ -29,6 +29,7 @@ BUNDLED: dict[Kind, dict[str, str]] = {
         "xor": "zswarm.sims.xor:XOR",
     },
     "representation": {
+        "bulk": "zswarm.nets.bulk:Bulk",
         "ctrnn": "zswarm.nets.ctrnn:CTRNN",
         "feed-forward": "zswarm.nets.feed_forward:FeedForward",
         "fully-meshed": "zswarm.nets.fully_meshed:FullyMeshed",
@@ -55,6 +56,7 @@ BUNDLED: dict[Kind, dict[str, str]] = {
         "swiss": "zswarm.ot.rankings.swiss:Swiss",
     },
 }
+COMPOSED = {("representation", "bulk")}  # made of other bundled parts of their kind, which settings name
 
 
 @cache
@@ -95,14 +97,13 @@ def nearest(word: str, known: Any) -> str:
 def source_files(kind: Kind, name: str) -> list[Path]:
     """The Python files whose change can change what a part computes, without importing it.
 
-    For a bundled part its own module and those beside it whose names begin with its name (``arena_world.py``); for a plug-in
-    every file of its top-level package.
+    For a bundled part its own module and those beside it whose names begin with its name (``arena_world.py``), and for a composed
+    one those of all that it may be made of; for a plug-in every file of its top-level package.
     """
-    module = _installed(kind)[name].module
-    if name in BUNDLED[kind]:
-        *folders, own = module.split(".")[1:]
-        return sorted(Path(__file__).parent.joinpath(*folders).glob(f"{own}*.py"))
-    return list(_package_files(module.split(".")[0]))
+    if name not in BUNDLED[kind]:
+        return list(_package_files(_installed(kind)[name].module.split(".")[0]))
+    names = BUNDLED[kind] if (kind, name) in COMPOSED else [name]
+    return sorted({file for part in names for file in _bundled_files(BUNDLED[kind][part].partition(":")[0])})
 
 
 def plugin_files() -> list[Path]:
@@ -114,6 +115,11 @@ def plugin_files() -> list[Path]:
         if name not in BUNDLED[kind]
     }
     return [file for package in sorted(packages) for file in _package_files(package)]
+
+
+def _bundled_files(module: str) -> Iterator[Path]:
+    *folders, own = module.split(".")[1:]
+    yield from Path(__file__).parent.joinpath(*folders).glob(f"{own}*.py")
 
 
 def _package_files(package: str) -> Iterator[Path]:

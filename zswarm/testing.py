@@ -23,7 +23,7 @@ import numpy as np
 from zswarm import plugins
 from zswarm.draws import Stream
 from zswarm.evaluate import evaluate, play_in_turns
-from zswarm.jit import PLAIN, STEP_SIGNATURE
+from zswarm.jit import PLAIN, STEP_SIGNATURE, Step
 from zswarm.lanes import LANES
 from zswarm.nets.representation import Representation
 from zswarm.ot.optimizers.optimizer import Optimizer, Told
@@ -34,6 +34,7 @@ MAX_TURNS = 1_000_000  # of a trial in a check; a trial that goes on is taken to
 TRIAL_SEEDS = (0, 1, 2**63 + 5, 2**64 - 1)
 NOT_A_NUMBER = b"\xff"  # repeated, it is NaN in float32 and float64, and beyond any table in an integer
 DECISIONS = 5
+GUARD = 64  # numbers before and behind an array that a decision gets
 
 
 class FakeClock:
@@ -255,9 +256,11 @@ def check_representation(
 ) -> None:
     """Check the contract of ``Representation`` with some random genomes.
 
-    Checked are: shape and dtype of the parameters; that genomes of a wrong length or with NaN are refused; that a
-    decision is compiled, fills its output, repeats bit for bit and leaves parameters and observation alone; that each
-    operator gives the same for the same stream, and genomes that fit; that distances are symmetric, and zero to itself.
+    Checked are: ``genes`` and ``ranges``; shape and dtype of the parameters; that genomes of a wrong length or with NaN are
+    refused; that a genome's row is the same in every batch, but for zeros behind it; that a decision is compiled and does the
+    same in plain Python, fills its output, repeats bit for bit, begins with a state of zeros, and touches nothing beside its
+    arrays; that ``step_lanes`` decides as ``step``; that each operator gives the same for the same stream, and genomes that fit;
+    that distances are symmetric, zero to itself, and the same in every batch.
 
     Args:
         representation_class: the class to check.
@@ -273,14 +276,37 @@ def check_representation(
     genomes = network.random(6, Stream(1))
     _require(len(genomes) == 6, f"{name}.random(6, ...) must make 6 genomes, not {len(genomes)}")
     _require(network.random(6, Stream(2)) != genomes, f"{name}.random makes the same of another stream")
-    _require(
-        network.genes is None or network.genome_bytes == 4 * network.genes,
-        f"{name}.genes: {network.genes} float32 numbers are not {network.genome_bytes} bytes",
-    )
+    _check_numbers(name, network, genomes)
     _require(isinstance(network.state_size, int) and network.state_size >= 0, f"{name}.state_size must be an int >= 0")
     _check_operators(name, network, genomes)
     _check_refusals(name, network, genomes[0])
-    _check_decisions(name, network, genomes, inputs, outputs)
+    _check_decisions(name, network, genomes)
+
+
+def _check_numbers(name: str, network: Representation, genomes: list[bytes]) -> None:
+    """``genome_bytes``, ``genes`` and ``ranges``."""
+    length = network.genome_bytes
+    for genome in genomes:
+        _require(isinstance(genome, bytes), f"{name}.random must make bytes, not {type(genome).__name__}")
+        _require(length in (None, len(genome)), f"{name}.random: a genome must be {length} bytes, not {len(genome)}")
+    if network.genes is None:
+        _require(network.ranges is None, f"{name}.ranges must be None where genes is")
+        return
+    count, ranges = network.genes, network.ranges
+    _require(length == 4 * count, f"{name}.genes: {count} float32 numbers are not {length} bytes")
+    given = f"{ranges.shape} {ranges.dtype}" if isinstance(ranges, np.ndarray) else repr(ranges)
+    _require(given == f"{(count,)} float64", f"{name}.ranges must be a {(count,)} float64 array, not {given}")
+    assert ranges is not None  # noqa: S101  checked
+    _require(bool((np.isfinite(ranges) & (ranges > 0)).all()), f"{name}.ranges must be finite and above 0")
+    numbers = np.abs(np.frombuffer(b"".join(network.random(64, Stream(5))), "<f4").reshape(64, count))
+    reach = numbers.max(axis=0) / ranges
+    _require(bool((reach <= 1 + 1e-6).all()), f"{name}.random: number {int(reach.argmax())} is beyond its range")
+    _require(bool((reach > 0.5).all()), f"{name}.random: number {int(reach.argmin())} is not uniform in plus or minus its range")
+    for number in (0.0, -1e30, 1e30):
+        try:
+            network.parameters([np.full(count, number, "<f4").tobytes()])
+        except ValueError as error:
+            raise AssertionError(f"{name}.genes: any finite numbers must be a genome, also all {number}: {error}") from error
 
 
 def _check_operators(name: str, network: Representation, genomes: list[bytes]) -> None:
@@ -290,6 +316,8 @@ def _check_operators(name: str, network: Representation, genomes: list[bytes]) -
         "mutate, method 2": lambda stream: network.mutate(genomes, stream, method=2, severity=0.3, probability=0.5),
         "crossover": lambda stream: [network.crossover(a, b, stream) for a, b in pairwise(genomes)],
     }
+    none = [network.random(0, Stream(3)), network.mutate([], Stream(3), method=1, severity=0.3, probability=0.5)]
+    _require(none == [[], []], f"{name}: random of 0 and mutate of no genomes must make none")
     for operator, apply in operators.items():
         children = apply(Stream(3))
         _require(children == apply(Stream(3)), f"{name}.{operator}: the same stream gives other genomes; draw only from it")
@@ -314,8 +342,10 @@ def _check_operators(name: str, network: Representation, genomes: list[bytes]) -
     _require(not distances.diagonal().any(), f"{name}.distances: a genome differs from itself")
     _require(np.array_equal(distances, distances.T), f"{name}.distances are not symmetric")
     _require(bool((distances >= 0).all()), f"{name}.distances: one is negative or NaN")
-    some = network.distances(genomes[:2], genomes)
-    _require(np.array_equal(some, distances[:2]), f"{name}.distances: a pair's distance depends on the other genomes")
+    for left, right in ((2, count), (count, 1), (1, 1)):
+        some = network.distances(genomes[:left], genomes[-right:])
+        same = np.array_equal(some, distances[:left, -right:])
+        _require(same, f"{name}.distances: a pair's distance depends on the other genomes; numpy may add in another order")
 
 
 def _check_refusals(name: str, network: Representation, genome: bytes) -> None:
@@ -332,55 +362,106 @@ def _check_refusals(name: str, network: Representation, genome: bytes) -> None:
         raise AssertionError(f"{name}.parameters must refuse a genome that is {what} with ValueError")
 
 
-def _check_decisions(name: str, network: Representation, genomes: list[bytes], inputs: int, outputs: int) -> None:
+def _check_decisions(name: str, network: Representation, genomes: list[bytes]) -> None:
     parameters = network.parameters(genomes)
     _require(
         parameters.dtype == np.float32 and parameters.ndim == 2 and len(parameters) == len(genomes),
         f"{name}.parameters must be ({len(genomes)}, P) float32, not {parameters.shape} {parameters.dtype}",
     )
     _require(parameters.flags.c_contiguous, f"{name}.parameters must be C-contiguous")
-    _require(
-        np.array_equal(network.parameters(genomes[1:2])[0, : parameters.shape[1]], parameters[1]) or network.genome_bytes is None,
-        f"{name}.parameters: a genome's row depends on the other genomes",
-    )
-    step, step_lanes = type(network).step, type(network).step_lanes
-    if not PLAIN and os.environ.get("NUMBA_DISABLE_JIT", "0") == "0":
+    for genome, row in zip(genomes, parameters, strict=True):
+        alone = network.parameters([genome])[0]
+        _require(
+            len(alone) <= len(row) and np.array_equal(alone, row[: len(alone)]) and not row[len(alone) :].any(),
+            f"{name}.parameters: a genome's row depends on the other genomes; only zeros may be added behind it",
+        )
+    step, step_lanes = network.step, network.step_lanes
+    compiled = not PLAIN and os.environ.get("NUMBA_DISABLE_JIT", "0") == "0"
+    if compiled:
         for what, function in (("step", step), ("step_lanes", step_lanes)):
-            compiled = function is None or STEP_SIGNATURE.args in getattr(function, "signatures", ())
-            _require(compiled, f"{name}.{what} must be compiled with jit.STEP_SIGNATURE")
-
-    observations = Stream(4).uniform(-3.0, 3.0, DECISIONS * inputs).reshape(DECISIONS, inputs).astype(np.float32)
-    kept = parameters.copy(), observations.copy()
-
-    def decide(row: np.ndarray, observations: np.ndarray = observations) -> bytes:
-        state = np.zeros(network.state_size, np.float32)
-        actions = np.full((DECISIONS, outputs), np.nan, np.float32)
-        for observation, action in zip(observations, actions, strict=True):
-            step(row, state, observation, action)
-        _require(not np.isnan(actions).any(), f"{name}.step leaves an output unset, or sets NaN")
-        return actions.tobytes()
-
-    decided = [decide(row) for row in parameters]
-    again = [decide(row) for row in reversed(parameters)]
-    _require(decided == again[::-1], f"{name}.step: the same parameters and observations decide otherwise the second time")
-    _require(
-        np.array_equal(kept[0], parameters) and np.array_equal(kept[1], observations),
-        f"{name}.step must change only state and output",
-    )
-    if step_lanes is not None:
-        rows = [row % len(parameters) for row in range(LANES)]
-        packed = parameters[rows].T.reshape(-1)  # number k of a lane at 8 k + lane
-        state = np.zeros(LANES * network.state_size, np.float32)
-        actions = np.full((DECISIONS, outputs * LANES), np.nan, np.float32)
-        for number in range(DECISIONS):
-            seen = observations[[(number + lane) % DECISIONS for lane in range(LANES)]].T.reshape(-1)
-            step_lanes(packed, state, seen, actions[number])
-        for lane in range(LANES):
-            observed = observations[[(number + lane) % DECISIONS for number in range(DECISIONS)]]
+            signatures = () if function is None else getattr(function, "signatures", ())
             _require(
-                actions[:, lane::LANES].tobytes() == decide(parameters[rows[lane]], observed),
-                f"{name}.step_lanes: an agent decides otherwise than with step",
+                function is None or STEP_SIGNATURE.args in signatures, f"{name}.{what} must be compiled with jit.STEP_SIGNATURE"
             )
+
+    observations = Stream(4).uniform(-3.0, 3.0, DECISIONS * network.inputs).reshape(DECISIONS, network.inputs).astype(np.float32)
+    agents = [_Agent(network, row) for row in parameters]
+    decided = [agent.decide(f"{name}.step", step, observations) for agent in agents]
+    again = [agent.decide(f"{name}.step", step, observations) for agent in reversed(agents)]
+    _require(decided == again[::-1], f"{name}.step: the same parameters and observations decide otherwise the second time")
+    for agent in agents:
+        agent.restart()
+    turns = [[agent.act(f"{name}.step", step, observation) for agent in agents] for observation in observations]
+    _require(
+        [b"".join(actions) for actions in zip(*turns, strict=True)] == decided,
+        f"{name}.step: agents that take turns decide otherwise than alone; all that is remembered must stand in the state",
+    )
+    for genome, expected in zip(genomes, decided, strict=True):
+        agent = _Agent(network, network.parameters([genome])[0])
+        same = agent.decide(f"{name}.step", step, observations) == expected
+        _require(same, f"{name}.step: a genome alone decides otherwise than among longer ones")
+    if compiled:
+        with np.errstate(all="ignore"):
+            plain = agents[0].decide(f"{name}.step", step.py_func, observations)  # type: ignore[attr-defined]  # of numba's
+        _require(
+            plain == decided[0],
+            f"{name}.step: plain Python decides otherwise than the compiled form; type all constants, such as np.float32(0.5), "
+            "and take functions from portable.py",
+        )
+    if step_lanes is not None:
+        _check_lanes(name, network, parameters, observations)
+
+
+class _Agent:
+    """An agent that decides, with arrays among numbers that nobody may read or change."""
+
+    def __init__(self, network: Representation, parameters: np.ndarray, together: int = 1) -> None:
+        sizes = len(parameters), *(together * size for size in (network.state_size, network.inputs, network.outputs))
+        self.guarded = [np.full(size + 2 * GUARD, np.nan, np.float32) for size in sizes]
+        self.parameters, self.state, self.observation, self.output = (
+            whole[GUARD : GUARD + size] for whole, size in zip(self.guarded, sizes, strict=True)
+        )
+        self.parameters[:] = parameters
+        self.kept = parameters.copy()
+
+    def restart(self) -> None:
+        """A trial begins."""
+        self.state[:] = 0
+
+    def act(self, where: str, step: Step, observation: np.ndarray) -> bytes:
+        """One decision, checked."""
+        self.observation[:], self.output[:] = observation, np.nan
+        step(self.parameters, self.state, self.observation, self.output)
+        _require(
+            not np.isnan(self.output).any(),
+            f"{where} leaves an output unset, or sets NaN; it does so, too, where it reads what is not in its arrays",
+        )
+        outside = [np.concatenate([whole[:GUARD], whole[-GUARD:]]) for whole in self.guarded]
+        _require(bool(np.isnan(outside).all()), f"{where} writes beside its arrays: is state_size too small?")
+        _require(
+            np.array_equal(self.parameters, self.kept) and np.array_equal(self.observation, observation),
+            f"{where} must change only state and output",
+        )
+        return self.output.tobytes()
+
+    def decide(self, where: str, step: Step, observations: np.ndarray) -> bytes:
+        """A trial's decisions."""
+        self.restart()
+        return b"".join(self.act(where, step, observation) for observation in observations)
+
+
+def _check_lanes(name: str, network: Representation, parameters: np.ndarray, observations: np.ndarray) -> None:
+    """Eight agents side by side, each with other parameters and observations."""
+    assert network.step_lanes is not None  # noqa: S101  asked before
+    where = f"{name}.step_lanes"
+    rows = [row % len(parameters) for row in range(LANES)]
+    seen = [np.roll(observations, -lane, axis=0) for lane in range(LANES)]
+    eight = _Agent(network, parameters[rows].T.reshape(-1), LANES)  # number k of a lane at 8 k + lane
+    together = np.stack(seen, axis=-1).reshape(len(observations), -1)
+    decided = np.frombuffer(eight.decide(where, network.step_lanes, together), np.float32).reshape(-1, network.outputs, LANES)
+    for lane in range(LANES):
+        alone = _Agent(network, parameters[rows[lane]]).decide(f"{name}.step", network.step, seen[lane])
+        _require(decided[:, :, lane].tobytes() == alone, f"{where}: an agent decides otherwise than with step")
 
 
 # ---- optimizers ---------------------------------------------------------------------------------------------------

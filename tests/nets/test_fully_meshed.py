@@ -8,7 +8,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from zswarm import plugins
 from zswarm.draws import Stream
 from zswarm.errors import ConfigError
 from zswarm.nets import vector
@@ -107,12 +106,6 @@ def test_every_activation_keeps_its_bounds() -> None:
         assert actions.tolist() == [[low, high]]
 
 
-@pytest.mark.parametrize("name", plugins.names("representation"))
-def test_every_representation_keeps_the_contract(name: str) -> None:
-    check_representation(plugins.load("representation", name))
-    check_representation(plugins.load("representation", name), inputs=1, outputs=1)
-
-
 @pytest.mark.parametrize(
     "settings",
     [
@@ -124,54 +117,6 @@ def test_every_representation_keeps_the_contract(name: str) -> None:
 )
 def test_other_settings_keep_the_contract(settings: dict[str, Any]) -> None:
     check_representation(FullyMeshed, settings)
-
-
-def hidden_randomness(self, count, stream, shared=Stream(0)):  # noqa: B008  shared on purpose
-    return FullyMeshed.random(self, count, shared)
-
-
-def short_child(self, mother, father, stream):
-    return mother[:-4]
-
-
-def far_from_itself(self, left, right):
-    return FullyMeshed.distances(self, left, right) + 1
-
-
-def one_way(self, left, right):
-    return np.triu(FullyMeshed.distances(self, left, right))
-
-
-def never_refusing(self, genomes):
-    return np.zeros((len(genomes), 9), np.float32)
-
-
-def losing_one(self, genomes, stream, **options):
-    return genomes[1:]
-
-
-def not_compiled(parameters, state, observation, output):
-    output[:] = 0
-
-
-@pytest.mark.parametrize(
-    ("attribute", "fault", "text"),
-    [
-        ("random", hidden_randomness, "draw only from it"),
-        ("crossover", short_child, "must be 64 bytes, not 60"),
-        ("distances", far_from_itself, "differs from itself"),
-        ("distances", one_way, "not symmetric"),
-        ("parameters", never_refusing, "must refuse a genome"),
-        ("mutate", losing_one, "6 genomes gave 5"),
-        ("step", staticmethod(not_compiled), "must be compiled"),
-        ("step_lanes", staticmethod(not_compiled), "step_lanes must be compiled"),
-        ("step_lanes", staticmethod(FullyMeshed.step), "an agent decides otherwise than with step"),
-    ],
-)
-def test_the_contract_check_names_what_is_broken(attribute: str, fault: Any, text: str) -> None:
-    broken = type("Broken", (FullyMeshed,), {attribute: fault})
-    with pytest.raises(AssertionError, match=text):
-        check_representation(broken, {"hidden": 0})
 
 
 # ---- genomes ------------------------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from zswarm import experiment
+from zswarm import experiment, plugins
 
 EXAMPLES = {path.stem for path in experiment.examples_folder().glob("*.toml")}
 DEADLINE_S = 30.0
@@ -115,7 +115,7 @@ def test_fish_completes_what_is_typed(home: Path) -> None:
     [
         ("zswarm-ot run ", {*EXAMPLES, "mine.toml"}),
         ("zswarm-ot resume ", {"runs/stadium", "runs/study/seed-3"}),
-        ("zswarm-ot init --simulator ", {"arena", "emergency-exit", "minisim"}),
+        ("zswarm-ot init --simulator ", set(plugins.names("simulator"))),
         ("zswarm-ot servers --for m", {"minisim", "mine.toml"}),
         ("zswarm-ot completion ", {"bash", "zsh", "fish"}),
     ],

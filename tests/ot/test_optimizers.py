@@ -59,7 +59,7 @@ def turned(genomes: Sequence[bytes]) -> list[bytes]:
     return [genome[::-1] for genome in genomes]
 
 
-OWN_NETWORKS = {"neat": Neat(convert({"add_node": 0.2}, Neat.settings_type, ""), 3, 1)}  # of those that take no others
+OWN_NETWORKS = {"neat": Neat(convert({"add_node": 0.2}, Neat.settings_type, "settings"), 3, 1)}  # of those that take no others
 
 
 @pytest.mark.parametrize("name", plugins.names("optimizer"))
