@@ -1,10 +1,12 @@
 """Digests of what decides a result: the program that ``test_bits.py`` runs as on other processors.
 
-For every simulator with every representation, in all the ways that their settings name: the outcomes of some trials, and of
-one in turns; what the representation's operators make; and what short runs of the optimizers propose, are told and keep. With
-``short``: trials of few steps, for plain Python; with ``few`` few of these, and no runs.
+For every simulator with every representation: the outcomes of some trials, and of one in turns; what the representation's
+operators make; and what short runs of the optimizers propose, are told and keep. With one partner each is played in all the
+ways that its settings name. With ``short``: trials of few steps, for plain Python; with ``few`` few of these, with the partner
+only, and no runs.
 """
 
+import contextlib
 import hashlib
 import json
 import sys
@@ -16,8 +18,10 @@ import numpy as np
 
 from zswarm import draws, evaluate, plugins
 from zswarm.draws import Stream
+from zswarm.errors import ConfigError
 from zswarm.ot.history import History
 
+PARTNERS = "arena", "fully-meshed"
 FEW = sys.argv[1:] == ["few"]
 STEPS = 25 if sys.argv[1:] else None  # of a trial, if not as many as the simulator's settings say
 GENOMES = 2 if FEW else 6
@@ -37,14 +41,16 @@ def ways(settings: Any) -> Iterator[dict[str, Any]]:
 
 
 def problems() -> Iterator[tuple[str, Any, Any]]:
-    """Every simulator with every representation, and each choice of either."""
+    """Every simulator with every representation, and each choice of either with the other's partner."""
     for simulator in plugins.names("simulator"):
         for representation in plugins.names("representation"):
+            with_partner = [simulator == PARTNERS[0], representation == PARTNERS[1]]
+            if FEW and not any(with_partner):
+                continue
             settings = plugins.load("simulator", simulator).settings_type
-            of_simulator = ways(settings)
-            of_network = ways(plugins.load("representation", representation).settings_type)
-            next(of_network)
-            for rules, shape in [*((chosen, {}) for chosen in of_simulator), *(({}, chosen) for chosen in of_network)]:
+            of_simulator = [*ways(settings)] if with_partner[1] else [{}]
+            of_network = [*ways(plugins.load("representation", representation).settings_type)] if with_partner[0] else [{}]
+            for rules, shape in [*((chosen, {}) for chosen in of_simulator), *(({}, chosen) for chosen in of_network[1:])]:
                 name = " ".join([simulator, representation, *(f"{key}={value}" for key, value in {**rules, **shape}.items())])
                 steps = {"steps": STEPS} if STEPS and hasattr(settings, "steps") else {}
                 yield name, *evaluate.build(simulator, rules | steps, representation, shape)
@@ -53,6 +59,10 @@ def problems() -> Iterator[tuple[str, Any, Any]]:
 def played(simulator: Any, network: Any) -> bytes:
     """The outcomes of some trials, in a batch and in turns."""
     genomes = network.random(GENOMES, Stream(3))
+    if network.genes is None:  # new ones are all of one structure
+        stream = Stream(6)
+        for _ in range(40):
+            genomes = network.mutate(genomes, stream, method=1, severity=0.3, probability=0.7)
     participants = np.array(
         [[(row + i) % GENOMES for i in range(simulator.participants)] for row in range(GENOMES) for _ in SEEDS]
     )
@@ -107,8 +117,10 @@ def results() -> Iterator[tuple[str, bytes]]:
                 given = {"population": 12, "measures": simulator.metrics[:2], **chosen}
                 known = {key: value for key, value in given.items() if key in optimizer_class.settings_type.__struct_fields__}
                 settings = msgspec.convert(known, optimizer_class.settings_type)
-                if simulator.metrics or "measures" not in known:
-                    yield f"{name}: {kind} {chosen}", evolved(optimizer_class(settings, network, 5), simulator, network)
+                with contextlib.suppress(ConfigError):  # it does not take such a network
+                    if simulator.metrics or "measures" not in known:
+                        optimizer = optimizer_class(settings, network, 5)
+                        yield f"{name}: {kind} {chosen}", evolved(optimizer, simulator, network)
 
 
 if __name__ == "__main__":

@@ -34,6 +34,8 @@ BUNDLED: dict[Kind, dict[str, str]] = {
         "feed-forward": "zswarm.nets.feed_forward:FeedForward",
         "fully-meshed": "zswarm.nets.fully_meshed:FullyMeshed",
         "hebbian": "zswarm.nets.hebbian:Hebbian",
+        "mealy": "zswarm.nets.mealy:Mealy",
+        "neat": "zswarm.nets.neat:Neat",
         "three-layer": "zswarm.nets.feed_forward:ThreeLayer",
     },
     "optimizer": {
@@ -41,12 +43,19 @@ BUNDLED: dict[Kind, dict[str, str]] = {
         "cma-me": "zswarm.ot.optimizers.elites:CmaMe",
         "cmaes": "zswarm.ot.optimizers.cmaes:CMAES",
         "cuckoo": "zswarm.ot.optimizers.cuckoo:CuckooSearch",
+        "neat": "zswarm.ot.optimizers.neat:NEAT",
         "map-elites": "zswarm.ot.optimizers.elites:MapElites",
         "nnga": "zswarm.ot.optimizers.nnga:NNGA",
         "novelty": "zswarm.ot.optimizers.novelty:Novelty",
         "openai-es": "zswarm.ot.optimizers.openai_es:OpenAIES",
         "pso": "zswarm.ot.optimizers.pso:PSO",
         "random": "zswarm.ot.optimizers.random_search:RandomSearch",
+    },
+    "ranking": {
+        "absolute": "zswarm.ot.rankings.absolute:Absolute",
+        "full-tournament": "zswarm.ot.rankings.full_tournament:FullTournament",
+        "multi-swiss": "zswarm.ot.rankings.multi_swiss:MultiSwiss",
+        "swiss": "zswarm.ot.rankings.swiss:Swiss",
     },
     "ranking": {
         "absolute": "zswarm.ot.rankings.absolute:Absolute",

@@ -132,6 +132,11 @@ class Run:
         return self.history_hash is not None
 
     @property
+    def relative(self) -> bool:
+        """Whether fitness is a score, which compares candidates of one generation only."""
+        return bool(self.meta.get("relative"))
+
+    @property
     def going_on(self) -> bool:
         """Whether a program is at it now."""
         try:
@@ -181,8 +186,9 @@ class Run:
         return self._rows("SELECT count(*) FROM generations", tuple[int])[0][0]
 
     def best(self) -> float | None:
-        """The best fitness so far."""
-        return self._rows("SELECT max(best) FROM generations", tuple[float | None])[0][0]
+        """The best fitness so far; where it is ``relative``, the best score of the last generation."""
+        last = " WHERE generation = (SELECT max(generation) FROM generations)" if self.relative else ""
+        return self._rows(f"SELECT max(best) FROM generations{last}", tuple[float | None])[0][0]  # noqa: S608  our own words
 
     def events(self) -> list[dict[str, Any]]:
         """What happened besides, in that order: the columns of the table."""
