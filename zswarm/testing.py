@@ -514,8 +514,8 @@ def check_optimizer(
     Checked are: the order of ask and tell; that a seed gives the same genomes again and another one others; that
     ``state`` survives msgpack and ``restore`` goes on with the same genomes; that an ask gives no more than ``candidates``
     and changes neither ``best`` nor ``statistics``; that NaN fitness does no harm; that ``best`` is the best of all told,
-    and improves. Where ``competes`` says so, all of this with relative fitness, too: what was told of earlier generations
-    must not count.
+    and improves, or that measures reach further. Where ``competes`` says so, all of this with relative fitness, too: what was
+    told of earlier generations must not count.
 
     Args:
         optimizer_class: the class to check.

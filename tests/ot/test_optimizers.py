@@ -308,6 +308,14 @@ def test_the_check_names_what_is_broken(broken: type[Optimizer], text: str) -> N
         check_optimizer(broken)
 
 
+def test_the_check_finds_who_does_not_learn() -> None:
+    """Particles that nothing draws; and novelty where all that is done before is done again."""
+    with pytest.raises(AssertionError, match="PSO: the best of 25 generations is no better than the first"):
+        check_optimizer(PSO, {"inertia": 0.0, "own": 0.0, "social": 0.0})
+    with pytest.raises(AssertionError, match=r"no better than the first.*; nor do measures reach further"):
+        check_optimizer(Novelty, {"severity": 1e-9, "mutation": 1.0})
+
+
 def test_the_check_takes_no_state_that_is_not_plain() -> None:
     with pytest.raises(TypeError, match="Encoding objects of type"):
         check_optimizer(NotPlain)
