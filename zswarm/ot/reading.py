@@ -220,7 +220,7 @@ class Run:
 
         Fitness and measures are as told to the optimizer; NaN is None. Where it wants no measures the list is empty.
         """
-        measures = "measures" if int(self.meta["schema_version"]) >= 4 else "NULL"  # older ones do not know them
+        measures = "NULL" if self.meta["schema_version"] in (1, 2, 3) else "measures"  # these do not know them
         rows = self._rows(
             f"SELECT candidate, genome, fitness, {measures} FROM candidates WHERE generation = ? ORDER BY candidate",  # noqa: S608  our own words
             tuple[int, bytes, float | None, bytes | None],
@@ -543,11 +543,7 @@ def _listed(folder: Path) -> dict[str, Any]:
         return {"run": shown, "error": f"no {EXPERIMENT} in it"}
     try:
         with opened(folder / DATABASE) as database:
-            row = database.execute(
-                "SELECT count(*), CASE WHEN EXISTS (SELECT 1 FROM meta WHERE key = 'relative') THEN (SELECT best FROM "
-                "generations ORDER BY generation DESC LIMIT 1) ELSE max(best) END, sum(evaluations), max(finished_at) "
-                "FROM generations"
-            ).fetchone()
+            row = database.execute("SELECT count(*), max(best), sum(evaluations), max(finished_at) FROM generations").fetchone()
             status = database.execute("SELECT value FROM meta WHERE key = 'history_hash'").fetchone()
         generations, best, candidates, at = msgspec.convert(row, tuple[int, float | None, int | None, float | None])
         history = msgspec.convert(status, tuple[str] | None)
