@@ -1,8 +1,9 @@
 """Digests of what decides a result: the program that ``test_bits.py`` runs as on other processors.
 
-For every simulator with every representation, in all the ways that their settings name: the outcomes of some trials, and of
-one in turns; what the representation's operators make; and what short runs of the optimizers propose, are told and keep. With
-``short``: trials of few steps, for plain Python; with ``few`` few of these, and no runs.
+For every simulator with every representation: the outcomes of some trials, and of one in turns; what the representation's
+operators make; and what short runs of the optimizers propose, are told and keep. With one partner each is played in all the
+ways that its settings name. With ``short``: trials of few steps, for plain Python; with ``few`` few of these, with the partner
+only, and no runs.
 """
 
 import contextlib
@@ -20,6 +21,7 @@ from zswarm.draws import Stream
 from zswarm.errors import ConfigError
 from zswarm.ot.history import History
 
+PARTNERS = "arena", "fully-meshed"
 FEW = sys.argv[1:] == ["few"]
 STEPS = 25 if sys.argv[1:] else None  # of a trial, if not as many as the simulator's settings say
 GENOMES = 2 if FEW else 6
@@ -39,14 +41,16 @@ def ways(settings: Any) -> Iterator[dict[str, Any]]:
 
 
 def problems() -> Iterator[tuple[str, Any, Any]]:
-    """Every simulator with every representation, and each choice of either."""
+    """Every simulator with every representation, and each choice of either with the other's partner."""
     for simulator in plugins.names("simulator"):
         for representation in plugins.names("representation"):
+            with_partner = [simulator == PARTNERS[0], representation == PARTNERS[1]]
+            if FEW and not any(with_partner):
+                continue
             settings = plugins.load("simulator", simulator).settings_type
-            of_simulator = ways(settings)
-            of_network = ways(plugins.load("representation", representation).settings_type)
-            next(of_network)
-            for rules, shape in [*((chosen, {}) for chosen in of_simulator), *(({}, chosen) for chosen in of_network)]:
+            of_simulator = [*ways(settings)] if with_partner[1] else [{}]
+            of_network = [*ways(plugins.load("representation", representation).settings_type)] if with_partner[0] else [{}]
+            for rules, shape in [*((chosen, {}) for chosen in of_simulator), *(({}, chosen) for chosen in of_network[1:])]:
                 name = " ".join([simulator, representation, *(f"{key}={value}" for key, value in {**rules, **shape}.items())])
                 steps = {"steps": STEPS} if STEPS and hasattr(settings, "steps") else {}
                 yield name, *evaluate.build(simulator, rules | steps, representation, shape)
