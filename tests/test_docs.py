@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 import msgspec
+import numpy as np
 import pytest
 
 from zswarm import experiment, plugins, router, settings_sheet
@@ -302,6 +303,45 @@ def test_the_example_simulator_keeps_the_contract(tmp_path: Path, monkeypatch: p
     loaded = experiment.load(tmp_path / "patrol.toml")
     assert loaded.problem.simulator == "patrol"
     assert f"{loaded.problem.simulator} = " in blocks["pyproject.toml"]
+
+
+def test_the_example_optimizer_keeps_the_contract(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The code in optimizers.md is a whole optimizer."""
+    blocks = dict(re.findall(r"`([\w.]+)`:\n\n```python\n(.*?)```", text("optimizers.md"), re.S))
+    assert set(blocks) == {"zswarm_climber.py", "test_climber.py"}
+    for name, content in blocks.items():
+        (tmp_path / name).write_text(content, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    namespace: dict[str, typing.Any] = {}
+    exec(compile(blocks["test_climber.py"], "test_climber.py", "exec"), namespace)  # noqa: S102  our own text
+    namespace["test_climber_keeps_the_contract"]()
+
+
+@pytest.mark.parametrize("name", plugins.BUNDLED["optimizer"])
+def test_every_optimizer_and_its_statistics_are_documented(name: str) -> None:
+    """A row says what it is for; the statistics that it gives beside those of all have rows of their own."""
+    loaded = plugins.load("optimizer", name)
+    wanted = {"measures": ["one", "other"]} if "measures" in loaded.settings_type.__struct_fields__ else {}
+    network_class = plugins.load("representation", name if name in plugins.BUNDLED["representation"] else "fully-meshed")
+    network = network_class(network_class.settings_type(), 2, 1)
+    optimizer = loaded(msgspec.convert(wanted, loaded.settings_type), network, 1)
+    genomes = optimizer.ask()
+    optimizer.tell(
+        np.arange(float(len(genomes))), np.arange(float(len(genomes) * len(optimizer.measures))).reshape(len(genomes), -1)
+    )
+    row = rows("optimizers.md", "## Which one")[name]
+    assert [cell.strip() for cell in row.strip(" |").split("|")][2:] == [
+        "yes" if loaded.competes else "no",
+        "yes" if optimizer.measures else "no",
+    ]
+    listed: dict[str, set[str]] = {}
+    current: list[str] = []
+    for line in section("optimizers.md", "## Statistics").splitlines():
+        if line.startswith("| ") and "---" not in line:
+            kind, names, _ = line.strip("|").split("|")
+            current = re.findall(r"`(.*?)`", kind) or current
+            listed.setdefault(current[0] if current else "", set()).update(re.findall(r"`(.*?)`", names))
+    assert listed.get(name, set()) | {"best", "mean", "evaluations"} == set(optimizer.statistics())
 
 
 def faults() -> list[list[str]]:

@@ -95,6 +95,30 @@ def test_other_settings_keep_the_contract(name: str, settings: dict[str, Any]) -
     check_optimizer(plugins.load("optimizer", name), settings, generations=60)
 
 
+YESTERDAY = {
+    "cea2d": "616c2d2c958220bb072471bbf891f962",
+    "cuckoo": "dbf7dd94cfbe3d0b38c9868203c87a1a",
+    "novelty": "f3716aee69eb9772df3f6feca9650ca6",
+    "openai-es": "37652e426fe1797dd695b33d499c30e7",
+    "pso": "417e5b4aff3c5e170076eca55060799c",
+    "random": "d7af74a4afa7a960c7f71e1597538cfb",
+}
+
+
+@pytest.mark.parametrize("name", YESTERDAY)
+def test_proposals_are_those_of_yesterday_and_of_every_machine(name: str) -> None:
+    """Made once: a run that was begun with an earlier zswarm goes on as it would have there."""
+    loaded, network, stream, history = plugins.load("optimizer", name), FullyMeshed(NetworkSettings(), 4, 2), Stream(6), History()
+    wanted = {"measures": ["one", "other"]} if name == "novelty" else {}
+    optimizer = loaded(convert(wanted, loaded.settings_type, "settings"), network, 5)
+    for _ in range(12):
+        genomes = optimizer.ask()
+        fitness = np.floor(stream.uniform(0.0, 99.0, len(genomes)))
+        optimizer.tell(fitness, stream.uniform(0.0, 1.0, len(genomes) * len(wanted) * 2).reshape(len(genomes), -1))
+        history.add(genomes, fitness)
+    assert history.hex() == YESTERDAY[name]
+
+
 # ---- better than random -------------------------------------------------------------------------------------------
 
 EVALUATIONS = 1500
