@@ -57,12 +57,6 @@ BUNDLED: dict[Kind, dict[str, str]] = {
         "multi-swiss": "zswarm.ot.rankings.multi_swiss:MultiSwiss",
         "swiss": "zswarm.ot.rankings.swiss:Swiss",
     },
-    "ranking": {
-        "absolute": "zswarm.ot.rankings.absolute:Absolute",
-        "full-tournament": "zswarm.ot.rankings.full_tournament:FullTournament",
-        "multi-swiss": "zswarm.ot.rankings.multi_swiss:MultiSwiss",
-        "swiss": "zswarm.ot.rankings.swiss:Swiss",
-    },
 }
 COMPOSED = {("representation", "bulk")}  # made of other bundled parts of their kind, which settings name
 

@@ -14,6 +14,7 @@ from zswarm.nets.fully_meshed import FullyMeshed
 from zswarm.nets.fully_meshed import Settings as NetworkSettings
 from zswarm.nets.neat import Neat
 from zswarm.nets.representation import Representation
+from zswarm.ot.history import History
 from zswarm.ot.optimizers.cea2d import CEA2D
 from zswarm.ot.optimizers.nnga import NNGA, Settings
 from zswarm.ot.optimizers.novelty import Novelty
@@ -303,6 +304,14 @@ class ForgetsTheArchive(Novelty):
 def test_the_check_names_what_is_broken(broken: type[Optimizer], text: str) -> None:
     with pytest.raises(AssertionError, match=text):
         check_optimizer(broken)
+
+
+def test_the_check_finds_who_does_not_learn() -> None:
+    """Particles that nothing draws; and novelty where all that is done before is done again."""
+    with pytest.raises(AssertionError, match="PSO: the best of 25 generations is no better than the first"):
+        check_optimizer(PSO, {"inertia": 0.0, "own": 0.0, "social": 0.0})
+    with pytest.raises(AssertionError, match=r"no better than the first.*; nor do measures reach further"):
+        check_optimizer(Novelty, {"severity": 1e-9, "mutation": 1.0})
 
 
 def test_the_check_takes_no_state_that_is_not_plain() -> None:

@@ -165,8 +165,8 @@ class CmaMe(Elites):
         for emitter in self._emitters:
             for name in COMPILED:  # that takes 8 s, more than it gives a run
                 function = getattr(emitter._opt, name, None)
-                if hasattr(function, "py_func"):
-                    setattr(emitter._opt, name, function.py_func)
+                if (plain := getattr(function, "py_func", None)) is not None:
+                    setattr(emitter._opt, name, plain)
 
     def _teach(self, solutions: np.ndarray, fitness: np.ndarray, measures: np.ndarray, added: dict[str, np.ndarray]) -> None:
         begin = 0
