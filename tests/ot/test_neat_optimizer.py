@@ -109,7 +109,7 @@ def test_a_species_that_gets_no_better_has_no_offspring_unless_it_has_the_best()
     evolving = with_species([5.0, 4.0], [9.0, 1.0], [5.0, 2.0], generation=31, improved=30, stagnation=15)
     evolving._improved = 30
     evolving._species[0].improved = evolving._species[1].improved = 15
-    assert evolving._counts() == [0, 4, 2] or evolving._counts() == [0, 3, 3]
+    assert evolving._counts() == [0, 4, 2]
     evolving._species[0].improved = 16
     assert evolving._counts()[0] > 0
 
@@ -175,9 +175,9 @@ def test_a_child_has_the_structure_of_its_fitter_parent() -> None:
 @pytest.mark.parametrize(
     "settings",
     [
-        {"population": 30, "species": 3, "stagnation": 1, "population_stagnation": 1},
+        {"population": 10, "species": 3, "stagnation": 1, "population_stagnation": 1},
         {"population": 2},
-        {"population": 40, "interspecies": 1.0, "crossover": 1.0, "elite_size": 0},
+        {"population": 9, "interspecies": 1.0, "crossover": 1.0, "elite_size": 0},
     ],
 )
 def test_other_settings_keep_the_contract(settings: dict[str, Any]) -> None:
