@@ -51,19 +51,22 @@ def help_page() -> str:
 
 def experiment_page() -> str:
     """docs/experiment.md, its tables made anew."""
-    sheets = {"## Top level": experiment.top_level()}
+    sheets = {("## Top level",): experiment.top_level()}
     for name in ("problem", "cluster", "study"):
         if name in experiment.Experiment.__struct_fields__:
-            sheets[f"## `[{name}]`"] = settings_sheet.keys(getattr(experiment, name.title()))
+            sheets[f"## `[{name}]`",] = settings_sheet.keys(getattr(experiment, name.title()))
     for kind, bundled in plugins.BUNDLED.items():
         for name in bundled:
-            sheets[f"### {name}"] = settings_sheet.keys(plugins.load(kind, name).settings_type)
+            sheets[f"## Settings of the {kind}s", f"### {name}"] = settings_sheet.keys(plugins.load(kind, name).settings_type)
     text = (DOCS / "experiment.md").read_text(encoding="utf-8")
-    for heading, keys in ((heading, keys) for heading, keys in sheets.items() if keys):
-        before, found, after = text.partition(f"\n{heading}\n")
-        if not found:
-            sys.exit(f"docs/experiment.md has no section {heading!r}")
-        text = before + found + TABLE.sub(lambda _, keys=keys: settings_sheet.markdown(keys), after, count=1)
+    for headings, keys in ((headings, keys) for headings, keys in sheets.items() if keys):
+        before, after = "", text
+        for heading in headings:
+            passed, found, after = after.partition(f"\n{heading}\n")
+            if not found:
+                sys.exit(f"docs/experiment.md has no section {' / '.join(headings)!r}")
+            before += passed + found
+        text = before + TABLE.sub(lambda _, keys=keys: settings_sheet.markdown(keys), after, count=1)
     return text
 
 

@@ -91,6 +91,14 @@ class _Check:
             self.measures.setdefault(generation, []).append((*measures, None)[0] or b"")  # none in schema 3
         rows = database.execute("SELECT * FROM outcomes ORDER BY id").fetchall()
         self.rows = [(*row, 0)[:12] for row in rows]  # nothing is doubtful in schema 1
+        self.players: dict[tuple[int, int], list[int]] = {}  # candidates that played a trial, where they play each other
+        self.each = 1  # participants of a trial
+        for _, generation, _, count, trials, *_, participants in (row for row in rows if len(row) == 14 and row[13] is not None):
+            games = np.frombuffer(participants, "<u4").reshape(count, -1)
+            self.each = games.shape[1]
+            for trial, game in zip(np.frombuffer(trials, "<u4").tolist(), games.tolist(), strict=True):
+                self.players[generation, trial] = game
+        self.relative = "relative" in self.meta
         self.events = database.execute("SELECT generation, event, server, count, at FROM events ORDER BY rowid").fetchall()
         self.optimizer = database.execute("SELECT generation FROM optimizer").fetchall()
         self.outcomes: dict[tuple[int, int], bytes] = {}
@@ -123,25 +131,28 @@ class _Check:
             last = generation
             self.claim(self.asked.setdefault(generation, asked) == asked, f"{where}: two sets of genomes in one generation")
             self.claim(count >= 1 and len(trials) == 4 * count, f"{where}: {len(trials)} bytes of trials for {count}")
-            self.claim(len(fitness) == 8 * count, f"{where}: {len(fitness)} bytes of fitness for {count}")
+            each = 8 * self.each
+            self.claim(len(fitness) == each * count, f"{where}: {len(fitness)} bytes of fitness for {count}")
             self.claim(len(metrics) % (8 * count) == 0, f"{where}: {len(metrics)} bytes of metrics for {count}")
             self.claim(seconds >= 0 and at > 0, f"{where}: {seconds} s at {at}")
             if server == "":
-                self.claim(count == faulted == 1 and fitness == NAN, f"{where}: of no server, and no fault")
+                self.claim(count == faulted == 1 and fitness == NAN * self.each, f"{where}: of no server, and no fault")
             else:
                 self.claim(SERVER.fullmatch(server) is not None and faulted == 0, f"{where}: of {server!r}, {faulted} faulted")
                 self.claim(server in joined, f"{where}: of the unknown server {server}, which never joined")
                 for blamed, since in wrong:
                     self.claim(
-                        blamed != server or generation > since or (generation < since and doubtful == 1),
+                        blamed != server
+                        or generation > since
+                        or ((generation < since or self.relative) and doubtful == 1),  # relative: of an earlier round
                         f"{where}: {server} computed wrong in generation {since}, and this is counted as if it had not",
                     )
             width = len(metrics) // count
             for i, trial in enumerate(np.frombuffer(trials, "<u4").tolist()):
                 key = (generation, trial)
                 self.claim(key not in self.outcomes, f"{where}: trial {trial} of generation {generation} is counted twice")
-                self.outcomes[key] = fitness[8 * i : 8 * i + 8] + metrics[width * i : width * i + width]
-                for number in struct.unpack(f"<{1 + width // 8}d", self.outcomes[key]):
+                self.outcomes[key] = fitness[each * i : each * i + each] + metrics[width * i : width * i + width]
+                for number in struct.unpack(f"<{self.each + width // 8}d", self.outcomes[key]):
                     self.claim(
                         math.isfinite(number) or struct.pack("<d", number) == NAN,
                         f"{where}: trial {trial} has a number that is not finite, nor the one NaN",
@@ -163,27 +174,46 @@ class _Check:
         for generation, best, evaluations, at in self.generations:
             where, candidates = f"generation {generation}", self.candidates[generation]
             self.claim(evaluations == len(candidates) > 0 and at > 0, f"{where}: {evaluations} of {len(candidates)} candidates")
-            expected = list(range(len(candidates) * self.trials))
+            trials = len(counted.get(generation, [])) if self.relative else len(candidates) * self.trials
+            expected = list(range(trials))
             missing = sorted(set(expected) - set(counted.get(generation, [])))
             self.claim(not missing, f"{where}: trials {missing[:5]} were not counted")
             self.claim(sorted(counted[generation]) == expected, f"{where}: more trials than its candidates have")
             digest = hashlib.blake2b(b"".join(genome for genome, _ in candidates), digest_size=8).digest()
             self.claim(self.asked[generation] == digest, f"{where}: its genomes are not those that were evaluated")
+            best_yet = -math.inf if self.relative else best_yet
+            played: dict[int, list[int]] = {candidate: [] for candidate in range(len(candidates))}
+            for trial in expected:
+                players = self.players.get((generation, trial), [trial // self.trials])
+                self.claim(len(set(players)) == len(players) == self.each, f"{where}: {players} played trial {trial}")
+                for candidate in players:
+                    played[candidate].append(trial)
+            self.check_games(where, generation, trials)
             for candidate, (_, fitness) in enumerate(candidates):
+                self.check_measures(where, generation, candidate, played[candidate])
+                if self.relative:
+                    best_yet = max(best_yet, -math.inf if fitness is None else fitness)
+                    continue
                 total = 0.0
-                for trial in range(candidate * self.trials, (candidate + 1) * self.trials):
+                for trial in played[candidate]:
                     total += struct.unpack("<d", self.outcomes[generation, trial][:8])[0]
                 told = math.nan if fitness is None else fitness
                 self.claim(
                     bits(told) == bits(total),
                     f"{where}: candidate {candidate} was told as {told!r}, but the sum of its trials is {total!r}",
                 )
-                self.check_measures(where, generation, candidate)
                 best_yet = max(best_yet, -math.inf if math.isnan(told) else told)
             if best_yet > -math.inf:
                 self.claim(best == best_yet, f"{where}: best {best!r}, but the best fitness so far is {best_yet!r}")
 
-    def check_measures(self, where: str, generation: int, candidate: int) -> None:
+    def check_games(self, where: str, generation: int, trials: int) -> None:
+        """A game is all its trials, one after another, with the same players."""
+        self.claim(trials % self.trials == 0, f"{where}: {trials} trials, and a game has {self.trials}")
+        for trial in range(trials if self.relative else 0):
+            first = self.players[generation, trial - trial % self.trials]
+            self.claim(self.players[generation, trial] == first, f"{where}: trial {trial} is of other players than its game")
+
+    def check_measures(self, where: str, generation: int, candidate: int, trials: list[int]) -> None:
         """They are the means of the metrics that the optimizer names."""
         named = self.experiment["optimizer"].get("measures", [])
         told = self.measures[generation][candidate]
@@ -191,10 +221,10 @@ class _Check:
         names = json.loads(self.meta.get("metrics", "[]"))
         for column, name in enumerate(named):
             total = 0.0
-            for trial in range(candidate * self.trials, (candidate + 1) * self.trials):
-                total += struct.unpack_from("<d", self.outcomes[generation, trial], 8 + 8 * names.index(name))[0]
+            for trial in trials:
+                total += struct.unpack_from("<d", self.outcomes[generation, trial], 8 * (self.each + names.index(name)))[0]
             self.claim(
-                told[8 * column : 8 * column + 8] == bits(total / self.trials),
+                told[8 * column : 8 * column + 8] == bits(total / len(trials) if trials else math.nan),
                 f"{where}: candidate {candidate}'s {name} is not the mean of its trials",
             )
 
@@ -238,9 +268,10 @@ class _Check:
         simulator, network = evaluate.build(
             problem["simulator"], problem.get("settings", {}), representation.pop("kind"), representation
         )
-        genomes = [self.candidates[generation][trial // self.trials][0] for generation, trial in chosen]
+        games = [self.players.get(key, [key[1] // self.trials]) for key in chosen]
+        genomes = [self.candidates[key[0]][player][0] for key, game in zip(chosen, games, strict=True) for player in game]
         seeds = [self.trial_seed(simulator, generation, trial % self.trials) for generation, trial in chosen]
-        participants = np.arange(len(chosen)).reshape(-1, 1)
+        participants = np.arange(len(genomes)).reshape(-1, self.each)
         outcomes = evaluate.evaluate(simulator, network, genomes, participants, np.array(seeds, np.uint64))
         for row, (generation, trial) in enumerate(chosen):
             again = outcomes.fitness[row].astype("<f8").tobytes() + outcomes.metrics[row].astype("<f8").tobytes()

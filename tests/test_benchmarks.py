@@ -10,12 +10,13 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 import pytest
 from documents import REPOSITORY
 
 BENCHMARKS = REPOSITORY / "benchmarks"
 RESULTS = BENCHMARKS / "results.json"
-SCRIPTS = ("bench", "dispatch", "page", "ratios", "runs", "scaling", "startup")
+SCRIPTS = ("bench", "dispatch", "methods", "page", "ratios", "runs", "scaling", "startup")
 ABOUT = {
     "when": "2026-01-01 00:00 UTC",
     "machine": {"cores": 2, "cpu": "a core", "gib": 24, "system": "Linux", "python": "3.11", "load": 0.1},
@@ -117,6 +118,31 @@ def test_charts_are_drawn_of_what_there_is(page: ModuleType, results: dict[str, 
     page.charts.draw(results, tmp_path)
     assert sorted(file.name for file in tmp_path.iterdir()) == ["bench-dispatch.png", "bench-kernels.png"]
     assert all(file.read_bytes().startswith(b"\x89PNG") for file in tmp_path.iterdir())
+
+
+def test_a_learning_curve_is_the_best_after_each_evaluation_and_depends_on_the_seed_alone() -> None:
+    methods = load("methods")
+    (_, curve), (_, again), (_, other) = (methods.learn(methods.Run("xor", "nnga", seed, 120)) for seed in (1, 1, 2))
+    assert len(curve) == 120
+    assert (np.diff(curve) >= 0).all()
+    assert curve[-1] > curve[0]
+    assert curve.tolist() == again.tolist() != other.tolist()
+
+
+def test_methods_are_compared_after_the_same_number_of_evaluations(page: ModuleType, tmp_path: Path) -> None:
+    """In the table with how soon they are as good as random search, and in a picture for each task."""
+    methods = load("methods")
+    curves = {"random": np.linspace(0.0, 1.0, 1000), "steep": np.linspace(0.0, 4.0, 1000)}
+    spread = np.array([[0.0], [0.1], [0.2]])
+    rows = [methods.row(task, name, curve + spread) for task in methods.TASKS for name, curve in curves.items()]
+    results = {"methods": ABOUT | {"rows": rows, "seeds": 3}}
+    text = page.document(results)
+    assert "| method | stadium, 1,000 | random's after | xor, 1,000 |" in text
+    assert re.search(r"^\| random \| 1\.1 \(1\.05 to 1\.15\) \| 1,000 \|", text, re.M)
+    (steep,) = re.findall(r"^\| steep \| 4\.1 \(4\.05 to 4\.15\) \| (\d+) \|", text, re.M)
+    assert 250 <= int(steep) < 300
+    page.charts.draw(results, tmp_path)
+    assert {file.name for file in tmp_path.iterdir()} == {f"bench-methods-{task}.png" for task in methods.TASKS}
 
 
 def test_parts_measured_anew_take_the_place_of_old_ones_and_the_others_stay(results: dict[str, Any], tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 import msgspec
+import numpy as np
 import pytest
 
 from zswarm import experiment, plugins, router, settings_sheet
@@ -31,13 +32,15 @@ def text(document: str) -> str:
     return (DOCS / document).read_text(encoding="utf-8")
 
 
-def section(document: str, heading: str) -> str:
-    """The text below a heading, up to the next of the same or a higher level; code blocks hold no headings."""
-    level = heading.index(" ")
+def section(document: str, *headings: str) -> str:
+    """The text below a heading (in that below another), up to the next of the same or a higher level; no code blocks."""
     prose = CODE_BLOCK.sub("", text(document))
-    found = re.search(rf"^{re.escape(heading)}$\n(.*?)(?=^#{{1,{level}}} |\Z)", prose, re.S | re.M)
-    assert found, f"docs/{document} has no section {heading!r}"
-    return found[1]
+    for heading in headings:
+        level = heading.index(" ")
+        found = re.search(rf"^{re.escape(heading)}$\n(.*?)(?=^#{{1,{level}}} |\Z)", prose, re.S | re.M)
+        assert found, f"docs/{document} has no section {' / '.join(headings)!r}"
+        prose = found[1]
+    return prose
 
 
 def rows(document: str, heading: str) -> dict[str, str]:
@@ -204,18 +207,19 @@ def plain(value: object) -> object:
 
 
 @pytest.mark.parametrize(
-    ("heading", "struct"),
+    ("headings", "struct"),
     [
-        ("## `[problem]`", experiment.Problem),
-        ("## `[cluster]`", experiment.Cluster),
-        ("## `[study]`", experiment.Study),
-        *((f"### {name}", settings(kind, name)) for kind, name in PARTS),
+        (("## `[problem]`",), experiment.Problem),
+        (("## `[cluster]`",), experiment.Cluster),
+        (("## `[study]`",), experiment.Study),
+        *(((f"## Settings of the {kind}s", f"### {name}"), settings(kind, name)) for kind, name in PARTS),
     ],
-    ids=lambda value: value if isinstance(value, str) else "",
+    ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
 )
-def test_every_key_of_an_experiment_is_documented(heading: str, struct: type[msgspec.Struct]) -> None:
+def test_every_key_of_an_experiment_is_documented(headings: tuple[str, ...], struct: type[msgspec.Struct]) -> None:
     """The table in experiment.md is what the struct says: type and range, default, meaning."""
-    assert settings_sheet.markdown(settings_sheet.keys(struct)) in section("experiment.md", heading)
+    keys = settings_sheet.keys(struct)
+    assert (settings_sheet.markdown(keys) if keys else "") in section("experiment.md", *headings)
 
 
 @pytest.mark.parametrize(
@@ -299,6 +303,39 @@ def test_the_example_simulator_keeps_the_contract(tmp_path: Path, monkeypatch: p
     loaded = experiment.load(tmp_path / "patrol.toml")
     assert loaded.problem.simulator == "patrol"
     assert f"{loaded.problem.simulator} = " in blocks["pyproject.toml"]
+
+
+def test_the_example_optimizer_keeps_the_contract(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The code in optimizers.md is a whole optimizer."""
+    blocks = dict(re.findall(r"`(\w+climber\.py)`:\n\n```python\n(.*?)```", text("optimizers.md"), re.S))
+    assert set(blocks) == {"zswarm_climber.py", "test_climber.py"}
+    for name, content in blocks.items():
+        (tmp_path / name).write_text(content, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    namespace: dict[str, typing.Any] = {}
+    exec(compile(blocks["test_climber.py"], "test_climber.py", "exec"), namespace)  # noqa: S102  our own text
+    namespace["test_climber_keeps_the_contract"]()
+
+
+@pytest.mark.parametrize("name", plugins.BUNDLED["optimizer"])
+def test_every_optimizer_and_its_statistics_are_documented(name: str) -> None:
+    """A row says what it is for, and what it takes; every statistic has its meaning."""
+    loaded = plugins.load("optimizer", name)
+    wanted = {"measures": ["one", "other"]} if "measures" in loaded.settings_type.__struct_fields__ else {}
+    network_class = plugins.load("representation", name if name in plugins.BUNDLED["representation"] else "fully-meshed")
+    network = network_class(network_class.settings_type(), 2, 1)
+    optimizer = loaded(msgspec.convert(wanted, loaded.settings_type), network, 1)
+    genomes = optimizer.ask()
+    optimizer.tell(
+        np.arange(float(len(genomes))), np.arange(float(len(genomes) * len(optimizer.measures))).reshape(len(genomes), -1)
+    )
+    row = rows("optimizers.md", "## Which one")[name]
+    assert [cell.strip() for cell in row.strip(" |").split("|")][2:] == [
+        "yes" if loaded.competes else "no",
+        "yes" if optimizer.measures else "no",
+    ]
+    page = text("optimizers.md")
+    assert [statistic for statistic in optimizer.statistics() if f"`{statistic}`" not in page] == []
 
 
 def faults() -> list[list[str]]:

@@ -14,11 +14,14 @@ from zswarm.ss.kept import Kept
 
 from .schedule import play
 
-SCHEDULES, CHUNK = 2000, 50
+SCHEDULES, SOME, CHUNK = 2000, 500, 50  # with ``make long``; with ``make test``
 FOUND_WITHIN = 100  # schedules, a planted bug
 
 
-@pytest.mark.parametrize("first", range(0, SCHEDULES, CHUNK))
+@pytest.mark.parametrize(
+    "first",
+    [*range(0, SOME, CHUNK), *(pytest.param(first, marks=pytest.mark.long) for first in range(SOME, SCHEDULES, CHUNK))],
+)
 def test_whatever_fails_the_history_is_the_same_and_nothing_leaks(first: int) -> None:
     for seed in range(first, first + CHUNK):
         end = play(seed)

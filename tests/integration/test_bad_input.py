@@ -39,7 +39,8 @@ def rough(tmp_path: Path) -> str:
 
 def evolve_rough(tmp_path: Path, rough: str, how: str, *options: str) -> Optimizer:
     file = plugin.experiment(tmp_path, how)
-    return Optimizer(tmp_path, how, ["run", str(file), "--json", "--servers", "local", *options], PYTHONPATH=rough)
+    arguments = ["run", str(file), "--json", "--servers", "local", *options]
+    return Optimizer(tmp_path, how, arguments, PYTHONPATH=rough, ZSWARM_PLAIN="1")  # it plays in Python, and little
 
 
 @pytest.mark.parametrize(
@@ -113,7 +114,7 @@ def test_a_mistake_is_named_in_one_line(
 
 
 def test_a_port_in_use_is_named(tmp_path: Path) -> None:
-    first = Server(tmp_path, "first").ready()
+    first = Server(tmp_path, "first", capacity=1, ZSWARM_PLAIN="1").ready()
     second = Server(tmp_path, "second", port=int(first.endpoint.rsplit(":", 1)[1]))
     try:
         assert second.wait() == 2
@@ -148,7 +149,7 @@ def test_a_daemon_configuration_that_cannot_be_read_is_named(tmp_path: Path, nam
 
 
 def test_a_server_whose_slots_have_too_little_memory_is_named(tmp_path: Path) -> None:
-    server = Server(tmp_path, "ss", options=("--slot-memory", "512")).ready()
+    server = Server(tmp_path, "ss", options=("--slot-memory", "512"), ZSWARM_PLAIN="1").ready()
     options = ["--no-multicast", "--connect", server.endpoint, "--set", "cluster.trial_memory_mb=1024"]
     try:
         optimizer = Optimizer(tmp_path, "ot", ["run", "--servers", "1", *options])
@@ -165,7 +166,7 @@ def test_more_memory_than_this_machine_has_is_named(tmp_path: Path) -> None:
 
 
 def test_servers_that_do_not_match_are_named_with_the_reason(tmp_path: Path) -> None:
-    server = Server(tmp_path, "ss", options=("--simulators", "minisim")).ready()
+    server = Server(tmp_path, "ss", options=("--simulators", "minisim"), ZSWARM_PLAIN="1").ready()
     options = ["--no-multicast", "--connect", server.endpoint]
     try:
         optimizer = Optimizer(tmp_path, "ot", ["run", "--servers", "1", *options])

@@ -173,7 +173,7 @@ def test_a_port_in_use_is_named_with_who_uses_it() -> None:
 def test_a_server_of_this_machine_has_its_port_rightly_and_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """And one whose code is another is a warning."""
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
-    server = Server(tmp_path, "mine", capacity=1, address="0.0.0.0").ready()  # noqa: S104
+    server = Server(tmp_path, "mine", capacity=1, address="0.0.0.0", ZSWARM_PLAIN="1").ready()  # noqa: S104
     try:
         number = int(server.endpoint.rpartition(":")[2])
         finding = only(network.port(number))
@@ -222,7 +222,7 @@ def test_a_check_that_fails_does_not_end_the_others(tmp_path: Path, monkeypatch:
 
 
 def test_check_names_the_servers_that_match_and_why_others_do_not(tmp_path: Path) -> None:
-    server = Server(tmp_path, "small", capacity=1).ready()
+    server = Server(tmp_path, "small", capacity=1, ZSWARM_PLAIN="1").ready()
     try:
         told = []
         for memory in (0, 2**39):

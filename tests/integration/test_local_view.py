@@ -217,7 +217,7 @@ def test_status_shows_what_a_daemon_does(scene: Scene) -> None:
 
 
 def test_status_lists_several_daemons_and_drain_wants_to_know_which(tmp_path: Path) -> None:
-    one, other = Server(tmp_path, "one").ready(), Server(tmp_path, "other").ready()
+    one, other = (Server(tmp_path, name, capacity=1, ZSWARM_PLAIN="1").ready() for name in ("one", "other"))
     try:
         names = [json.loads(line)["server"] for line in control(tmp_path, "status", "--json").stdout.splitlines()]
         assert [name.rpartition("-")[0] for name in names] == ["one", "other"]

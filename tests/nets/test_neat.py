@@ -345,13 +345,6 @@ def test_the_distance_counts_links_of_one_and_differences_of_both() -> None:
     assert weighted.distances([MOTHER], [FATHER])[0, 0] == pytest.approx(2 + 2 * 3 / 4)
 
 
-def test_the_distance_of_large_genomes_counts_the_share_of_unmatched_links() -> None:
-    built = network(20, 1)
-    large = built.random(1, Stream(1))[0]
-    grown = mutant(network(20, 1, add_node=1.0), large)
-    assert built.distances([large], [grown])[0, 0] == pytest.approx(2 / 22)
-
-
 def test_genomes_of_frevo_with_twins_can_be_compared_and_crossed() -> None:
     twins = genome([(3, 1.0, -4.9), (9, 1.0, 0.0), (9, 5.0, 0.0)], [(1, 9, 1.0, 1), (1, 9, 2.0, 1), (9, 3, 1.0, 1)])
     built = network()

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from zswarm import experiment
+from zswarm import experiment, plugins
 
 EXAMPLES = {path.stem for path in experiment.examples_folder().glob("*.toml")}
 DEADLINE_S = 30.0
@@ -115,8 +115,8 @@ def test_fish_completes_what_is_typed(home: Path) -> None:
     [
         ("zswarm-ot run ", {*EXAMPLES, "mine.toml"}),
         ("zswarm-ot resume ", {"runs/stadium", "runs/study/seed-3"}),
-        ("zswarm-ot init --simulator ", {"arena", "emergency-exit", "minisim"}),
-        ("zswarm-ot servers --for m", {"minisim", "mine.toml"}),
+        ("zswarm-ot init --simulator ", set(plugins.names("simulator"))),
+        ("zswarm-ot servers --for m", {"mine.toml", *(name for name in EXAMPLES if name.startswith("m"))}),
         ("zswarm-ot completion ", {"bash", "zsh", "fish"}),
     ],
 )

@@ -12,7 +12,9 @@ from zswarm.draws import Stream
 from zswarm.errors import ConfigError
 from zswarm.nets.fully_meshed import FullyMeshed
 from zswarm.nets.fully_meshed import Settings as NetworkSettings
+from zswarm.nets.neat import Neat
 from zswarm.nets.representation import Representation
+from zswarm.ot.history import History
 from zswarm.ot.optimizers.cea2d import CEA2D
 from zswarm.ot.optimizers.nnga import NNGA, Settings
 from zswarm.ot.optimizers.novelty import Novelty
@@ -58,9 +60,14 @@ def turned(genomes: Sequence[bytes]) -> list[bytes]:
     return [genome[::-1] for genome in genomes]
 
 
+GRID = {"lows": [-2, -2], "highs": [2, 2], "cells": [10, 10]}
+NEEDED: dict[str, dict[str, Any]] = {"cma-me": GRID, "map-elites": GRID}  # settings without a default
+OWN_NETWORKS = {"neat": Neat(convert({"add_node": 0.2}, Neat.settings_type, "settings"), 3, 1)}  # of those that take no others
+
+
 @pytest.mark.parametrize("name", plugins.names("optimizer"))
 def test_every_optimizer_keeps_the_contract(name: str) -> None:
-    check_optimizer(plugins.load("optimizer", name))
+    check_optimizer(plugins.load("optimizer", name), NEEDED.get(name), representation=OWN_NETWORKS.get(name))
 
 
 @pytest.mark.parametrize("name", OPERATORS)
@@ -89,6 +96,30 @@ def test_optimizers_of_vectors_refuse_other_genomes(name: str) -> None:
 )
 def test_other_settings_keep_the_contract(name: str, settings: dict[str, Any]) -> None:
     check_optimizer(plugins.load("optimizer", name), settings, generations=60)
+
+
+YESTERDAY = {
+    "cea2d": "616c2d2c958220bb072471bbf891f962",
+    "cuckoo": "dbf7dd94cfbe3d0b38c9868203c87a1a",
+    "novelty": "f3716aee69eb9772df3f6feca9650ca6",
+    "openai-es": "37652e426fe1797dd695b33d499c30e7",
+    "pso": "417e5b4aff3c5e170076eca55060799c",
+    "random": "d7af74a4afa7a960c7f71e1597538cfb",
+}
+
+
+@pytest.mark.parametrize("name", YESTERDAY)
+def test_proposals_are_those_of_yesterday_and_of_every_machine(name: str) -> None:
+    """Made once: a run that was begun with an earlier zswarm goes on as it would have there."""
+    loaded, network, stream, history = plugins.load("optimizer", name), FullyMeshed(NetworkSettings(), 4, 2), Stream(6), History()
+    wanted = {"measures": ["one", "other"]} if name == "novelty" else {}
+    optimizer = loaded(convert(wanted, loaded.settings_type, "settings"), network, 5)
+    for _ in range(12):
+        genomes = optimizer.ask()
+        fitness = np.floor(stream.uniform(0.0, 99.0, len(genomes)))
+        optimizer.tell(fitness, stream.uniform(0.0, 1.0, len(genomes) * len(wanted) * 2).reshape(len(genomes), -1))
+        history.add(genomes, fitness)
+    assert history.hex() == YESTERDAY[name]
 
 
 # ---- better than random -------------------------------------------------------------------------------------------
@@ -124,7 +155,8 @@ def by_chance() -> list[float]:
 @pytest.mark.parametrize(
     ("name", "settings"),
     [
-        *((name, {}) for name in ("cea2d", "cuckoo", "nnga", "openai-es", "pso")),
+        *((name, {}) for name in ("cea2d", "cmaes", "cuckoo", "nnga", "openai-es", "pso")),
+        *((name, {"measures": ["one", "other"], **GRID}) for name in ("cma-me", "map-elites")),
         ("novelty", {"measures": ["one", "other"], "fitness": 0.9}),
     ],
 )
@@ -275,6 +307,14 @@ class ForgetsTheArchive(Novelty):
 def test_the_check_names_what_is_broken(broken: type[Optimizer], text: str) -> None:
     with pytest.raises(AssertionError, match=text):
         check_optimizer(broken)
+
+
+def test_the_check_finds_who_does_not_learn() -> None:
+    """Particles that nothing draws; and novelty where all that is done before is done again."""
+    with pytest.raises(AssertionError, match="PSO: the best of 25 generations is no better than the first"):
+        check_optimizer(PSO, {"inertia": 0.0, "own": 0.0, "social": 0.0})
+    with pytest.raises(AssertionError, match=r"no better than the first.*; nor do measures reach further"):
+        check_optimizer(Novelty, {"severity": 1e-9, "mutation": 1.0})
 
 
 def test_the_check_takes_no_state_that_is_not_plain() -> None:

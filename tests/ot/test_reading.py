@@ -5,6 +5,7 @@ import json
 import os
 import shutil
 import sqlite3
+import struct
 import subprocess
 import sys
 import time
@@ -323,6 +324,20 @@ def test_texts_of_a_record_are_safe_to_show(folder: Path) -> None:
     assert [text for text in texts(found) if not text.isprintable()] == []
     assert "<b onload=x>" in found[8][0]["text"], "markup is text: who makes a page of it escapes it"
     assert all(text.isprintable() for text in texts(listed(hostile.parent)))
+
+
+def test_measures_are_read_as_told(folder: Path) -> None:
+    """In the order of the optimizer's setting; none where it wants none, or the schema knows none."""
+    assert Run(folder).candidates(1)[1]["measures"] == []
+    edit(folder, "UPDATE candidates SET measures = ? WHERE candidate = 1", struct.pack("<2d", 0.25, float("nan")))
+    assert Run(folder).candidates(1)[1]["measures"] == [0.25, None]
+    as_schema(3, folder)
+    assert Run(folder).candidates(1)[1]["measures"] == []
+
+
+def test_measures_that_are_no_numbers_are_damaged(folder: Path) -> None:
+    edit(folder, "UPDATE candidates SET measures = x'0102'")
+    assert refusal(folder).endswith("damaged: measures of generation 0 are no numbers")
 
 
 def test_text_that_is_no_utf_8_is_read(folder: Path) -> None:

@@ -45,7 +45,6 @@ from zswarm.portable import exp
 COUNTS = struct.Struct("<II")
 NODE = np.dtype([("id", "<u8"), ("bias", "<f8"), ("factor", "<f8")])
 LINK = np.dtype([("source", "<u8"), ("target", "<u8"), ("weight", "<f8"), ("enabled", "u1")])
-FEW = 20  # links; two genomes with fewer are compared by how many differ, not by which share (the paper, section 3.3)
 
 # A row of parameters: iterations, hidden neurons, neurons, 0; per neuron, hidden ones first, its links, bias and factor; then,
 # neuron by neuron, per link its source (inputs, then neurons) and weight.
@@ -232,10 +231,11 @@ class Neat(Representation):
         return genes.genome()
 
     def distances(self, left: Sequence[bytes], right: Sequence[bytes]) -> np.ndarray:
-        """The paper's equation 1: (c1 E + c2 D) / N + c3 W, with c1 = c2.
+        """The paper's equation 1: (c1 E + c2 D) / N + c3 W, with c1 = c2 and N = 1.
 
-        E + D are the links that one of two genomes has, N the links of the larger one, or 1 where both have fewer than 20. W is
-        the mean absolute difference of the numbers that both have: weights, biases, and the factors of outputs.
+        E + D are the links that one of two genomes has; W is the mean absolute difference of the numbers that both have: weights,
+        biases, and the factors of outputs. N would be the size of the larger genome; the paper allows 1 for small ones, as in
+        its experiments, and from one to the other distances would jump.
         """
         sides = [[self._numbers(genome) for genome in side] for side in (left, right)]
         # In an order of its own, so that a sum does not depend on which other genomes there are.
@@ -250,11 +250,8 @@ class Neat(Representation):
             total = np.add.reduce(np.where(both, np.abs(a[:, row, None] - b), 0.0), axis=0)
             matched = np.add.reduce(both, axis=0, dtype=np.int64)
             unmatched = links_a[row] + links_b - 2 * np.add.reduce(both & is_link, axis=0, dtype=np.int64)
-            larger = np.maximum(links_a[row], links_b)
-            size = np.where(larger < FEW, 1, larger)
-            distance = self.settings.unmatched_coefficient * unmatched / size + self.settings.weight_coefficient * (
-                total / np.maximum(matched, 1)
-            )
+            mean = total / np.maximum(matched, 1)
+            distance = self.settings.unmatched_coefficient * unmatched + self.settings.weight_coefficient * mean
             found[row] = distance[: len(right)]
         return found
 

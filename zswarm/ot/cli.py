@@ -11,6 +11,7 @@ from zswarm.errors import ConfigError, NoServers, ZswarmError
 from zswarm.ot.commands.check import check
 from zswarm.ot.commands.compare import compare
 from zswarm.ot.commands.completion import completion
+from zswarm.ot.commands.describe import describe
 from zswarm.ot.commands.doctor import doctor
 from zswarm.ot.commands.evaluate import evaluate
 from zswarm.ot.commands.import_ import import_
@@ -40,7 +41,22 @@ def command() -> None:
     """  # noqa: D301  click's mark for text that is not to be wrapped
 
 
-for _command in (init, check, run, resume, evaluate, plot, compare, report, list_, servers, doctor, import_, completion):
+for _command in (
+    init,
+    check,
+    describe,
+    run,
+    resume,
+    evaluate,
+    plot,
+    compare,
+    report,
+    list_,
+    servers,
+    doctor,
+    import_,
+    completion,
+):
     command.add_command(_command)
 
 

@@ -132,6 +132,11 @@ class Run:
         return self.history_hash is not None
 
     @property
+    def relative(self) -> bool:
+        """Whether fitness is a score, which compares candidates of one generation only."""
+        return bool(self.meta.get("relative"))
+
+    @property
     def going_on(self) -> bool:
         """Whether a program is at it now."""
         try:
@@ -181,8 +186,9 @@ class Run:
         return self._rows("SELECT count(*) FROM generations", tuple[int])[0][0]
 
     def best(self) -> float | None:
-        """The best fitness so far."""
-        return self._rows("SELECT max(best) FROM generations", tuple[float | None])[0][0]
+        """The best fitness so far; where it is ``relative``, the best score of the last generation."""
+        last = " WHERE generation = (SELECT max(generation) FROM generations)" if self.relative else ""
+        return self._rows(f"SELECT max(best) FROM generations{last}", tuple[float | None])[0][0]  # noqa: S608  our own words
 
     def events(self) -> list[dict[str, Any]]:
         """What happened besides, in that order: the columns of the table."""
@@ -210,13 +216,22 @@ class Run:
         return self._rows(f"SELECT {sums} FROM outcomes", tuple[int, int])[0]  # noqa: S608  our own words
 
     def candidates(self, generation: int) -> list[dict[str, Any]]:
-        """Those of a finished generation, in the order asked: candidate, genome (bytes) and fitness (None: NaN)."""
+        """Those of a finished generation, in the order asked: candidate, genome (bytes), fitness and measures (a list).
+
+        Fitness and measures are as told to the optimizer; NaN is None. Where it wants no measures the list is empty.
+        """
+        measures = "NULL" if self.meta["schema_version"] in (1, 2, 3) else "measures"  # these do not know them
         rows = self._rows(
-            "SELECT candidate, genome, fitness FROM candidates WHERE generation = ? ORDER BY candidate",
-            tuple[int, bytes, float | None],
+            f"SELECT candidate, genome, fitness, {measures} FROM candidates WHERE generation = ? ORDER BY candidate",  # noqa: S608  our own words
+            tuple[int, bytes, float | None, bytes | None],
             generation,
         )
-        return [dict(zip(("candidate", "genome", "fitness"), row, strict=True)) for row in rows]
+        try:
+            told = [[_number(value) for value in np.frombuffer(row[3] or b"", "<f8").tolist()] for row in rows]
+        except ValueError:
+            raise self._damaged(f"measures of generation {generation} are no numbers") from None
+        names = ("candidate", "genome", "fitness", "measures")
+        return [dict(zip(names, (*row[:3], measured), strict=True)) for row, measured in zip(rows, told, strict=True)]
 
     def trials(self, generation: int) -> list[dict[str, Any]]:
         """Those counted of a generation, in order: candidate, trial, fitness (a list, by participant), metrics (by name), server.

@@ -95,7 +95,7 @@ def evolve(
         if optimizer.best()[0]:
             _keep_champion(parts, record, run_id)  # the end may have come between a generation and its champion
     history, improved, candidates = record.history(), optimizer.best()[1], record.evaluations()
-    logger.on_start(Started(record.folder, complete, resumed.generation))
+    logger.on_start(Started(record.folder, complete, resumed.generation, optimizer.relative))
     logger.on_say(f"{complete.name}: {connection.who_computes()}")
     if optimizer.strayed is not None:
         otherwise = f"would have proposed other candidates from generation {optimizer.strayed} on"
@@ -116,8 +116,6 @@ def evolve(
         if resumed.generation < complete.generations:
             assessment = Assessment(problem, optimizer.ask(), resumed.generation)
             record.begin(resumed.generation, assessment.workload)
-            if not optimizer.portable and (others := record.forget_others()):
-                logger.on_say(f"generation {resumed.generation} was begun with other candidates: {others} trials are forgotten")
             record.restore(assessment.workload)
             happening = evaluations.evaluate(assessment.workload)
         for generation in range(resumed.generation, complete.generations):

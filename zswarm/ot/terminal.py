@@ -87,6 +87,17 @@ def entry(about: str, text: str, *, colour: str = "", label: int = LABEL) -> Non
     made.print(Text(f"{about:{label}}", style=colour) + Text(f"\n{' ' * label}".join(words)), soft_wrap=True)
 
 
+def item(name: str, *texts: str) -> None:
+    """Something of a list: its name, and below it texts within the terminal's width."""
+    made = console()
+    lines = [
+        line
+        for text in texts
+        for line in textwrap.wrap(text, max(20, made.width - 4), break_on_hyphens=False, break_long_words=False)
+    ]
+    made.print(Text(f"  {name}", style="bold") + Text("".join(f"\n    {line}" for line in lines)), soft_wrap=True)
+
+
 def fact(state: str, about: str, text: str, mend: str) -> None:
     """A state, what it is about, a text, and in lines of its own what to do; all within the terminal's width."""
     made = console()

@@ -4,7 +4,7 @@ The simulator of this name in the paper was never published. This game is a desi
 to compute, and a matter of teamwork, because a defender that chases one robot leaves the flag to another.
 """
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
@@ -14,17 +14,32 @@ from zswarm.draws import draw_integer
 from zswarm.errors import ConfigError
 from zswarm.jit import STEP, Step, array, float32, float64, inline, int64, kernel, uint64, void
 from zswarm.lanes import LANES
+from zswarm.sims.minisim_board import (
+    DEFENDER_SIGHT,
+    HEIGHT,
+    NOBODY,
+    ONE,
+    OUTPUTS,
+    REACH,
+    REST,
+    ROBOT_SIGHT,
+    STEPS,
+    WIDTH,
+    ZERO,
+    Game,
+    arrow,
+    bearing,
+    distance,
+    move,
+)
+from zswarm.sims.minisim_duel import DUEL
 from zswarm.sims.simulator import Batch, Body, CompiledSimulator, Frame, Outcome, Place, Turn
 
-INPUTS, OUTPUTS = 9, 2
-BACK, FORTH = np.float32(0.25), np.float32(0.75)  # an output below the first steps back, above the second forth
-ZERO, ONE = np.float32(0), np.float32(1)
-NOBODY = -1
+INPUTS = 9
 
 # All state is integers: ``robots`` and ``defenders`` (a row each), ``stand`` (x, y) and ``game``.
 X, Y, START_Y, CHASED = range(4)  # CHASED: the step in which a defender last chose this robot
 CARRIER, STEP_NUMBER, CAPTURES, STEALS, TAGGED, CLOSEST, NEAREST_HOME = range(7)
-STEPS, WIDTH, HEIGHT, ROBOTS, DEFENDERS, ROBOT_SIGHT, DEFENDER_SIGHT, REACH, REST = range(9)  # ``rules``: the settings
 
 Length = Annotated[int, Meta(ge=2, le=1_000)]
 Sight = Annotated[int, Meta(ge=1, le=1_000)]
@@ -54,6 +69,10 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             description="defenders stand still in every `rest`-th step; 0: in none; not 1 where there are defenders",
         ),
     ] = 4
+    teams: Annotated[
+        Literal[1, 2],
+        Meta(description="1: robots against scripted defenders; 2: two teams of `robots`, each a participant; then no defenders"),
+    ] = 1
 
 
 class Minisim(CompiledSimulator):
@@ -85,11 +104,27 @@ class Minisim(CompiledSimulator):
         there = 1 - c / size, c the least distance of a robot to the stand after moves of robots (``size`` before any);
         back = 1 - h / (x of the stand), h the least x of a carrier after such moves (x of the stand before any).
     Metrics: ``captures``; ``steals``; ``tagged``, counted per robot and time.
+
+    With ``teams`` = 2 two teams of ``robots`` play each other, each driven by a participant; there are no defenders. Both see
+    the field from their own side, as above: for each home is the column x = 0, the other's flag stands in the far half, and
+    what one team sees at (x, y) the other sees at (width - 1 - x, height - 1 - y). So the field is the same for both, nothing
+    in the rules depends on who is first, and a team that plays itself always ties. A robot with 2 x > width - 1 is in the
+    other's half, and intrudes; where 2 x = width - 1 it is in nobody's.
+
+    Observation: (14,) float32; 0-8 as above, with the other's robots for defenders and those of the own team for others.
+        9-11: as 0-2 for the own flag, which is on its stand or where the robot is that carries it.
+        12: 1 while one of the others carries the own flag, else 0. 13: 1 for a robot that intrudes, else 0.
+    Turns: all robots of both teams at once. A step: 1. as above, for each team. 2. Whoever intrudes with one of the others
+        within ``reach`` that does not is tagged, and so is that one; all of them are found before any is sent to its start
+        cell. A flag that one of them had is on its stand again.
+    Start: stand and robots are drawn as above, once: each team starts so in its own view.
+    Fitness: of each team as above, so that a team does better by more captures of its own or by fewer of the other's.
+    Metrics: ``captures`` and ``steals`` of both teams together; ``tagged``, intruders only.
     """
 
     settings_type = Settings
     metrics = ("captures", "steals", "tagged")
-    inputs, outputs = INPUTS, OUTPUTS
+    outputs = OUTPUTS
     settings: Settings
 
     def __init__(self, settings: Settings) -> None:
@@ -106,28 +141,34 @@ class Minisim(CompiledSimulator):
             )
         if settings.rest == 1 and settings.defenders:
             raise ConfigError("minisim: rest 1 keeps the defenders on the flag for ever; give 0 (no rest) or 2 and more")
-        self.owners = (0,) * settings.robots
+        if settings.teams == 2 and settings.defenders:
+            raise ConfigError("minisim: two teams guard their flags themselves; give defenders = 0 with teams = 2")
+        self._game = DUEL if settings.teams == 2 else RAID
+        self.inputs, self.participants = self._game.inputs, settings.teams
+        self.owners = tuple(team for team in range(settings.teams) for _ in range(settings.robots))
         self._rules = np.array(msgspec.structs.astuple(settings), np.int64)
 
     def reset(self, seed: int) -> Turn:
         """Lay out the start of a seed; all robots act next."""
         self._state = self._tables()
-        start(np.uint64(seed), *self._state, self._rules)
+        self._game.start(np.uint64(seed), *self._state, self._rules)
         return self._turn()
 
     def step(self, actions: np.ndarray) -> Turn | None:
         """Move the robots, then the defenders; all robots act next."""
-        act(actions, *self._state, self._rules)
-        return self._turn() if self._state[-1][STEP_NUMBER] < self.settings.steps else None
+        self._game.act(actions, *self._state, self._rules)
+        return self._turn() if self._state[-1].flat[STEP_NUMBER] < self.settings.steps else None
 
     def outcome(self) -> Outcome:
         """Fitness and metrics of the trial that ended."""
-        fitness, metrics = np.zeros(1), np.zeros(3)
-        judge(*self._state[2:], self._rules, fitness, metrics)
+        fitness, metrics = np.zeros(self.participants), np.zeros(3)
+        self._game.judge(*self._state[-2:], self._rules, fitness, metrics)
         return Outcome(list(fitness), list(metrics))
 
     def frame(self) -> Frame:
-        """The field in cells; a robot that has the flag is of another kind."""
+        """The field in cells; a robot that has the flag is of another kind. Of two teams the first one's view."""
+        if self.settings.teams == 2:
+            return self._frame_of_two()
         robots, defenders, stand, game = (table.tolist() for table in self._state)
         bodies = [
             Body("robot with the flag" if game[CARRIER] == number else "robot", robot[X] + 0.5, robot[Y] + 0.5, 0.4)
@@ -136,6 +177,24 @@ class Minisim(CompiledSimulator):
         bodies += [Body("defender", defender[X] + 0.5, defender[Y] + 0.5, 0.4) for defender in defenders]
         places = [Place("home", 0, 0, 1, self.settings.height), Place("flag's stand", stand[X], stand[Y], 1, 1)]
         return Frame(self.settings.width, self.settings.height, places, bodies)
+
+    def _frame_of_two(self) -> Frame:
+        robots, (stand_x, stand_y), games = (table.tolist() for table in self._state)
+        width, height = self.settings.width, self.settings.height
+        bodies = []
+        for number, robot in enumerate(robots):
+            team = self.owners[number]
+            x, y = (robot[X], robot[Y]) if team == 0 else (width - 1 - robot[X], height - 1 - robot[Y])
+            name = ("robot", "opponent")[team]
+            kind = f"{name} with the flag" if games[team][CARRIER] == number else name
+            bodies.append(Body(kind, x + 0.5, y + 0.5, 0.4))
+        places = [
+            Place("home", 0, 0, 1, height),
+            Place("opponents' home", width - 1, 0, 1, height),
+            Place("flag's stand", width - 1 - stand_x, height - 1 - stand_y, 1, 1),
+            Place("opponents' flag's stand", stand_x, stand_y, 1, 1),
+        ]
+        return Frame(width, height, places, bodies)
 
     def play(self, step: Step, batch: Batch) -> None:
         """See ``CompiledSimulator.play``."""
@@ -147,23 +206,21 @@ class Minisim(CompiledSimulator):
 
     def _play(self, step: Step, together: int, batch: Batch) -> None:
         """So many robots decide together."""
-        states = np.zeros((-(-self.settings.robots // together), together * batch.state_size), np.float32)
-        play_trials(
+        groups = -(-self.settings.robots // together)
+        states = np.zeros((self.participants * groups, together * batch.state_size), np.float32)
+        self._game.play_trials(
             step, together, batch.parameters, batch.participants, batch.seeds, states, *self._tables(), self._rules,
             batch.progress, batch.fitness, batch.metrics
         )  # fmt: skip
 
-    def _tables(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Robots, defenders, stand and game, for ``start`` to fill."""
-        shapes = (self.settings.robots, 4), (self.settings.defenders, 2), (2,), (7,)
-        robots, defenders, stand, game = (np.zeros(shape, np.int64) for shape in shapes)
-        return robots, defenders, stand, game
+    def _tables(self) -> tuple[np.ndarray, ...]:
+        return self._game.tables(self.settings.robots, self.settings.defenders)
 
     def _turn(self) -> Turn:
-        observations = np.empty((self.settings.robots, INPUTS), np.float32)
-        for robot in range(self.settings.robots):
-            observe(robot, *self._state, self._rules, observations[robot], 1)
-        return Turn(range(self.settings.robots), observations)
+        observations = np.empty((len(self.owners), self.inputs), np.float32)
+        for robot in range(len(self.owners)):
+            self._game.observe(robot, *self._state, self._rules, observations[robot], 1)
+        return Turn(range(len(self.owners)), observations)
 
 
 NUMBERS = array(int64)
@@ -171,10 +228,10 @@ TABLE = array(int64, 2)
 GRIDS = array(float32, 2)
 
 
-@inline
-def distance(dx, dy):  # type: ignore[no-untyped-def]  # compiled
-    """King moves."""
-    return max(abs(dx), abs(dy))
+def tables(robots: int, defenders: int) -> tuple[np.ndarray, ...]:
+    """Robots, defenders, stand and game."""
+    shapes = (robots, 4), (defenders, 2), (2,), (7,)
+    return tuple(np.zeros(shape, np.int64) for shape in shapes)
 
 
 @inline
@@ -210,9 +267,7 @@ def sense(x, y, others, itself, sight, observation, at, stride):  # type: ignore
         to_x, to_y = others[other, X] - x, others[other, Y] - y
         if distance(to_x, to_y) < least and other != itself:
             least, dx, dy = distance(to_x, to_y), to_x, to_y
-    nearness = np.float32(sight - least) / np.float32(sight)
-    observation[at * stride] = np.float32(dx) / np.float32(max(least, 1)) * nearness
-    observation[(at + 1) * stride] = np.float32(dy) / np.float32(max(least, 1)) * nearness
+    arrow(dx, dy, least, sight, observation, at, stride)
 
 
 @inline
@@ -220,10 +275,7 @@ def observe(robot, robots, defenders, stand, game, rules, observation, stride): 
     """What a robot observes, written so far apart."""
     x, y, carries, sight = robots[robot, X], robots[robot, Y], game[CARRIER] == robot, rules[ROBOT_SIGHT]
     dx, dy = (-x, 0) if carries else (stand[X] - x, stand[Y] - y)
-    away = distance(dx, dy)
-    observation[0] = np.float32(dx) / np.float32(max(away, 1))
-    observation[stride] = np.float32(dy) / np.float32(max(away, 1))
-    observation[2 * stride] = ONE - np.float32(away) / np.float32(max(rules[WIDTH], rules[HEIGHT]))
+    bearing(dx, dy, rules, observation, 0, stride)
     sense(x, y, defenders, NOBODY, sight, observation, 3, stride)
     sense(x, y, robots, robot, sight, observation, 5, stride)
     observation[7 * stride] = ONE if carries else ZERO
@@ -231,28 +283,14 @@ def observe(robot, robots, defenders, stand, game, rules, observation, stride): 
 
 
 @inline
-def velocity(output):  # type: ignore[no-untyped-def]  # compiled
-    """-1, 0 or 1; NaN means no move."""
-    return int(output > FORTH) - int(output < BACK)
-
-
-@inline
 def act(actions, robots, defenders, stand, game, rules):  # type: ignore[no-untyped-def]  # compiled
     """One step of the game, given the actions of all robots."""
     game[STEP_NUMBER] += 1
-    move_robots(actions, robots, rules)
+    move(robots, actions, rules)
     score(robots, stand, game, rules)
     if rules[REST] == 0 or game[STEP_NUMBER] % rules[REST] != 0:
         move_defenders(robots, defenders, stand, game, rules)
     tag(robots, defenders, game, rules)
-
-
-@inline
-def move_robots(actions, robots, rules):  # type: ignore[no-untyped-def]  # compiled
-    """Move all robots by one cell at most."""
-    for robot in range(robots.shape[0]):
-        robots[robot, X] = min(max(robots[robot, X] + velocity(actions[robot, X]), 0), rules[WIDTH] - 1)
-        robots[robot, Y] = min(max(robots[robot, Y] + velocity(actions[robot, Y]), 0), rules[HEIGHT] - 1)
 
 
 @inline
@@ -348,3 +386,6 @@ def play_trials(  # type: ignore[no-untyped-def]  # compiled
         start(seeds[trial], robots, defenders, stand, game, rules)
         play_steps(step, together, controller, states, robots, defenders, stand, game, rules, observations, outputs, actions)
         judge(stand, game, rules, fitness[trial], metrics[trial])
+
+
+RAID = Game(INPUTS, tables, start, observe, act, judge, play_trials)

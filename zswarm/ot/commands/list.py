@@ -1,11 +1,12 @@
 """``zswarm-ot list``: runs, examples and parts."""
 
+import os
 import time
 from pathlib import Path
 
 import click
 
-from zswarm import experiment, plugins
+from zswarm import experiment
 from zswarm.errors import ConfigError
 from zswarm.ot.commands.options import json_option
 
@@ -18,23 +19,33 @@ RUNS = Path("runs")  # before the first run it is not there
 def list_(folder: Path, as_json: bool) -> None:
     """Show runs, examples and what experiments are made of.
 
-    The runs below a folder; and the examples, simulators, representations and optimizers that are installed.
+    The runs below a folder; the examples; and the simulators, representations, optimizers and rankings that are installed, each
+    with what it is and its settings with their defaults. "zswarm-ot describe NAME" explains one of them.
     """
-    from zswarm.ot import reading, terminal
+    os.environ["ZSWARM_PLAIN"] = "1"  # nothing is evaluated
+    from zswarm.ot import parts, reading, terminal
     from zswarm.protocol.codec import clean
 
     if folder != RUNS and not folder.is_dir():
         raise ConfigError(f"{clean(str(folder))}: no such folder")
     runs = reading.listed(folder)
-    parts = {kind: plugins.names(kind) for kind in ("simulator", "representation", "optimizer")}
     examples = sorted(path.stem for path in experiment.examples_folder().glob("*.toml"))
+    found = parts.installed()
     if as_json:
-        terminal.print_json({"runs": runs, "examples": examples, **{f"{kind}s": names for kind, names in parts.items()}})
+        names = {f"{kind}s": [part.name for part in found if part.kind == kind] for kind in parts.KINDS}
+        about = [parts.as_object(part) for part in found]
+        terminal.print_json({"runs": runs, "examples": examples, **names, "parts": about})
         return
-    for title, names in (("examples", examples), *((f"{kind}s", names) for kind, names in parts.items())):
-        terminal.entry(title, ", ".join(names), label=16)
+    for kind in parts.KINDS:
+        terminal.line(f"{kind}s")
+        for part in found:
+            if part.kind == kind:
+                settings = f"settings: {parts.settings_line(part.settings) or 'none'}"
+                terminal.item(part.name, *((part.error,) if part.error else (part.about, settings)))
+    terminal.paragraph("More of one of them: zswarm-ot describe NAME")
+    terminal.entry("examples", ", ".join(examples))
     if not runs:
-        terminal.line(f"{'runs':16}none in {folder}")
+        terminal.entry("runs", f"none in {folder}")
         return
     table = terminal.table("run", "generations", "best", "last at (local time)", "history")
     for row in runs:

@@ -3,7 +3,7 @@
 import click
 
 SECTIONS = {
-    "Begin": ("init", "check", "doctor"),
+    "Begin": ("init", "check", "describe", "doctor"),
     "Evolve": ("run", "resume", "servers"),
     "Results": ("list", "evaluate", "report", "plot", "compare", "import"),
     "Shell": ("completion",),

@@ -35,5 +35,12 @@ def simulators(_context: click.Context, _parameter: click.Parameter, typed: str)
     return _fitting(plugins.names("simulator"), typed)
 
 
+def parts(_context: click.Context, _parameter: click.Parameter, typed: str) -> list[CompletionItem]:
+    """Simulators, representations, optimizers and rankings by name."""
+    from zswarm import plugins
+
+    return _fitting(sorted({name for kind in plugins.BUNDLED for name in plugins.names(kind)}), typed)
+
+
 def _fitting(names: Iterable[str], typed: str) -> list[CompletionItem]:
     return [CompletionItem(name) for name in names if name.startswith(typed) and name.isprintable()]

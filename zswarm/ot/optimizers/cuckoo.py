@@ -39,7 +39,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         float, Meta(gt=0, le=1, description="share of the nests that are discovered and built anew, by turns with flights")
     ] = 0.75
     step: Annotated[float, Meta(gt=0, le=1e6, description="scale of Levy flights, in distances to the best nest")] = 0.1
-    bound: Annotated[float, Meta(gt=0, le=1e6, description="limit of a genome's numbers, in ranges of new genomes")] = 1.0
+    bound: Annotated[float, Meta(gt=0, le=1e6, description="limit of a genome's numbers, in ranges of new genomes")] = 2.0
 
 
 class CuckooSearch(Optimizer):

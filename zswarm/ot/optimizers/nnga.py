@@ -71,7 +71,10 @@ class Individual(msgspec.Struct):
 
 
 class NNGA(Optimizer):
-    """See the module's text. Portable: yes. Every generation draws from a stream of its own."""
+    """FREVO's genetic algorithm: elite, survivors, their mutants and crossovers, and some new individuals.
+
+    Its steps stand in the module's text. Every generation draws from a stream of its own.
+    """
 
     settings_type = Settings
     portable = True

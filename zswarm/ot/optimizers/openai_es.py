@@ -30,9 +30,9 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     population: Annotated[
         int, Meta(ge=2, le=1_000_000, description="steps tried in a generation, two of each direction: even")
-    ] = 100
-    deviation: Annotated[float, Meta(gt=0, le=1e6, description="standard deviation of a step, in ranges of new genomes")] = 0.1
-    learning_rate: Annotated[float, Meta(gt=0, le=1e6, description="of Adam, in ranges of new genomes")] = 0.05
+    ] = 50
+    deviation: Annotated[float, Meta(gt=0, le=1e6, description="standard deviation of a step, in ranges of new genomes")] = 0.5
+    learning_rate: Annotated[float, Meta(gt=0, le=1e6, description="of Adam, in ranges of new genomes")] = 0.1
     weight_decay: Annotated[
         float, Meta(ge=0, le=1e6, description="pull to zero, per range and generation, beside the gradient")
     ] = 0.005

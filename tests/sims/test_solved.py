@@ -1,0 +1,78 @@
+"""Evolution solves the small problems' examples, to what their comments say."""
+
+import numpy as np
+import pytest
+
+from zswarm import experiment
+from zswarm.draws import Stream, derive_seed
+from zswarm.evaluate import evaluate
+from zswarm.ot.problem import Problem
+from zswarm.ot.run import build
+
+
+class Evolved:
+    """An example that was evolved, from some run seed."""
+
+    def __init__(self, name: str, seed: int) -> None:
+        path = experiment.find(name)
+        complete = experiment.complete(experiment.load(path, [f"seed={seed}"]), str(path))
+        self.problem, optimizer = build(complete)
+        self.history = []
+        for generation in range(complete.generations):
+            genomes = optimizer.ask()
+            optimizer.tell(judged(self.problem, genomes, generation))
+            self.history.append(optimizer.best()[1])
+        self.champion = optimizer.best()[0]
+
+    def metrics(self, seeds: np.ndarray) -> dict[str, float]:
+        """The champion's means."""
+        simulator, network = self.problem.simulator, self.problem.representation
+        outcomes = evaluate(simulator, network, [self.champion], np.zeros((len(seeds), 1), np.int64), seeds)
+        return dict(zip(simulator.metrics, outcomes.metrics.mean(axis=0).tolist(), strict=True))
+
+
+def judged(problem: Problem, genomes: list[bytes], generation: int = 0) -> np.ndarray:
+    """Fitness of genomes."""
+    workload = problem.workload(genomes, generation)
+    outcomes = evaluate(problem.simulator, problem.representation, genomes, workload.participants, workload.seeds)
+    workload.fitness[:] = outcomes.fitness
+    return problem.total(workload)
+
+
+def at_random(problem: Problem) -> np.ndarray:
+    """Fitness of 200 random networks."""
+    return judged(problem, problem.representation.random(200, Stream(9)))
+
+
+@pytest.mark.parametrize("seed", range(1, 6))
+def test_xor_is_right_soon_and_without_error_later(seed: int) -> None:
+    evolved = Evolved("xor", seed)
+    assert at_random(evolved.problem).mean() == pytest.approx(-0.69, abs=0.02)
+    assert evolved.history[19] > -0.25  # no case is wrong: one with an error of .5 would make it -.25
+    assert evolved.history[-1] == 0.0
+    assert evolved.metrics(np.zeros(1, np.uint64))["correct"] == 4
+
+
+@pytest.mark.parametrize("seed", range(1, 6))
+def test_a_robot_finds_the_exit_of_an_empty_room(seed: int) -> None:
+    evolved = Evolved("simplified-emergency-exit", seed)
+    assert at_random(evolved.problem).mean() == pytest.approx(-63, abs=3)
+    assert evolved.history[-1] == 0.0
+
+
+@pytest.mark.long
+def test_a_pendulum_is_swung_up_and_kept_there() -> None:
+    evolved = Evolved("inverted-pendulum", 1)
+    assert at_random(evolved.problem).max() < 0.03
+    assert evolved.history[-1] > 0.12
+    assert evolved.metrics(np.zeros(1, np.uint64))["upright"] > 0.85
+
+
+@pytest.mark.long
+def test_a_robot_finds_lights_that_it_never_saw_in_evolution() -> None:
+    evolved = Evolved("light", 1)
+    fitness = at_random(evolved.problem) / 20
+    assert fitness.mean() == pytest.approx(0.17, abs=0.01)
+    assert fitness.max() < 0.45
+    unseen = np.array([derive_seed(0, "unseen", trial) for trial in range(200)], np.uint64)
+    assert evolved.metrics(unseen)["found"] > 0.5

@@ -1,0 +1,123 @@
+"""What the parts of experiments are: their data sheets and settings, read from the classes that are installed."""
+
+import contextlib
+import inspect
+import re
+from typing import Any, NamedTuple
+
+import msgspec
+
+from zswarm import plugins, settings_sheet
+from zswarm.errors import UnknownPlugin
+from zswarm.protocol.codec import clean
+from zswarm.settings_sheet import Key
+
+KINDS = tuple(plugins.BUNDLED)
+TITLED = re.compile(r"[A-Z][^.:]{0,40}:( |$)|- ")  # a line of a data sheet that begins something new
+
+
+class Part(NamedTuple):
+    """A part that is installed; texts are cleaned."""
+
+    kind: plugins.Kind
+    name: str
+    about: str = ""  # the first line of its data sheet
+    sheet: tuple[str, ...] = ()  # the rest, in paragraphs
+    settings: tuple[Key, ...] = ()
+    facts: tuple[tuple[str, Any], ...] = ()  # what its class states, such as ("portable", True)
+    error: str = ""  # why it cannot be used; then nothing else is known
+
+
+def installed() -> list[Part]:
+    """All parts, kind after kind, by name."""
+    return [part(kind, name) for kind in KINDS for name in plugins.names(kind)]
+
+
+def find(name: str) -> list[Part]:
+    """The parts of a name: a representation may be called as an optimizer is.
+
+    Raises:
+        UnknownPlugin: there is none.
+    """
+    found = [part(kind, name) for kind in KINDS if name in plugins.names(kind)]
+    if not found:
+        known = {known for kind in KINDS for known in plugins.names(kind)}
+        raise UnknownPlugin(
+            f"no part has the name {clean(name)!r}{plugins.nearest(name, known)}; all are shown by: zswarm-ot list"
+        )
+    return found
+
+
+def part(kind: plugins.Kind, name: str) -> Part:
+    """One part; it is imported, and what goes wrong in that is told."""
+    try:
+        loaded = plugins.load(kind, name)
+        about, sheet = _paragraphs(inspect.getdoc(loaded) or "")
+        keys = tuple(_cleaned(key) for key in settings_sheet.keys(loaded.settings_type))
+        return Part(kind, clean(name), about, sheet, keys, tuple(_facts(kind, loaded)))
+    except (Exception, SystemExit) as error:  # a plug-in's code and texts may do anything; the others are shown all the same
+        return Part(kind, clean(name), error=clean(" ".join(f"{error}".split()) or type(error).__name__))
+
+
+def as_object(part: Part) -> dict[str, Any]:
+    """All that is known of it, for JSON."""
+    settings = [
+        {
+            "name": key.name,
+            "type": key.type_text,
+            "default": None if key.required else key.default,
+            "required": key.required,
+            "meaning": key.meaning,
+        }
+        for key in part.settings
+    ]
+    known = {"kind": part.kind, "name": part.name, "about": part.about, "error": part.error, "sheet": list(part.sheet)}
+    return {**known, "settings": settings, **dict(part.facts)}
+
+
+def settings_line(keys: tuple[Key, ...]) -> str:
+    """All settings with their defaults, such as ``steps=50 task="aggregation"``."""
+    return " ".join(f"{key.name}={default(key)}" for key in keys)
+
+
+def default(key: Key) -> str:
+    """As it stands in an experiment file, or "required"."""
+    return "required" if key.required else clean(msgspec.json.encode(key.default).decode())
+
+
+def _paragraphs(text: str) -> tuple[str, tuple[str, ...]]:
+    """A data sheet's first line, and the rest without the line breaks and marks of its source."""
+    first, *lines = settings_sheet.plain(text).splitlines() or [""]
+    paragraphs: list[str] = []
+    begins = True
+    for line in lines:
+        words = clean(line.strip())
+        if words and (begins or (not line.startswith(" ") and TITLED.match(line))):
+            paragraphs.append(words)
+        elif words:
+            paragraphs[-1] += " " + words
+        begins = not words
+    return clean(first), tuple(paragraphs)
+
+
+def _cleaned(key: Key) -> Key:
+    return Key(clean(key.name), clean(key.type_text), key.default, clean(settings_sheet.plain(key.meaning)))
+
+
+def _facts(kind: plugins.Kind, loaded: Any) -> list[tuple[str, Any]]:
+    match kind:
+        case "simulator":
+            built = loaded
+            with contextlib.suppress(Exception):  # what it senses may depend on its settings: where it can be, the defaults
+                built = loaded(loaded.settings_type())
+            names = {"metrics": built.metrics, "sensors": built.sensors, "actuators": built.actuators}
+            numbers = {what: getattr(built, what, None) for what in ("participants", "inputs", "outputs")}
+            return [
+                *((what, [clean(str(each)) for each in listed]) for what, listed in names.items()),
+                *((what, number) for what, number in numbers.items() if isinstance(number, int)),
+            ]
+        case "optimizer":
+            return [("portable", bool(loaded.portable)), ("competes", bool(loaded.competes))]
+        case "ranking":
+            return [("relative", bool(loaded.relative))]
+    return []
