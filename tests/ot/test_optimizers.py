@@ -63,9 +63,13 @@ def turned(genomes: Sequence[bytes]) -> list[bytes]:
 OWN_NETWORKS = {"neat": Neat(convert({"add_node": 0.2}, Neat.settings_type, "settings"), 3, 1)}  # of those that take no others
 
 
+GRID = {"measures": ["one", "other"], "lows": [-2.0, -2.0], "highs": [2.0, 2.0], "cells": [10, 10]}
+WANTED: dict[str, dict[str, Any]] = {"cma-me": GRID, "map-elites": GRID}  # what has no default
+
+
 @pytest.mark.parametrize("name", plugins.names("optimizer"))
 def test_every_optimizer_keeps_the_contract(name: str) -> None:
-    check_optimizer(plugins.load("optimizer", name), representation=OWN_NETWORKS.get(name))
+    check_optimizer(plugins.load("optimizer", name), WANTED.get(name), representation=OWN_NETWORKS.get(name))
 
 
 @pytest.mark.parametrize("name", OPERATORS)
