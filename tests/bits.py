@@ -111,9 +111,12 @@ def results() -> Iterator[tuple[str, bytes]]:
         yield f"{name}: outcomes", played(simulator, network)
         if by_default:
             yield f"{name}: operators", operated(network)
-        for kind in portable if simulator.participants == 1 else []:
+        one, other = name.split(" ")[:2]
+        if not by_default or simulator.participants != 1 or (one != "minisim" and other != "fully-meshed"):
+            continue  # optimizers with every representation, and on every simulator, but not each with each
+        for kind in portable:
             optimizer_class = plugins.load("optimizer", kind)
-            for chosen in ways(optimizer_class.settings_type) if by_default else [{}]:
+            for chosen in ways(optimizer_class.settings_type) if one == "minisim" else [{}]:
                 given = {"population": 12, "measures": simulator.metrics[:2], **chosen}
                 known = {key: value for key, value in given.items() if key in optimizer_class.settings_type.__struct_fields__}
                 settings = msgspec.convert(known, optimizer_class.settings_type)
