@@ -14,6 +14,7 @@ from zswarm.nets.fully_meshed import FullyMeshed
 from zswarm.nets.fully_meshed import Settings as NetworkSettings
 from zswarm.nets.neat import Neat
 from zswarm.nets.representation import Representation
+from zswarm.ot.history import History
 from zswarm.ot.optimizers.cea2d import CEA2D
 from zswarm.ot.optimizers.nnga import NNGA, Settings
 from zswarm.ot.optimizers.novelty import Novelty

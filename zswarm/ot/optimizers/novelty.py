@@ -9,6 +9,8 @@ two, mutants and children, an archive of what was novel, and a threshold for it 
 a generation and falls by a twentieth when none did in ten.
 Mended:
 - children join the population (there they never do): of these and their parents the most novel stay, as it is done today;
+- most children are mutants, and all genes of a mutant change (there three tenths, and a tenth): else, with children in the
+  population, it draws together;
 - an individual is no neighbour of itself;
 - the first threshold, unless it is set, is the first generation's mean novelty (there 6.0, whatever the unit), and it has no
   lowest value (there 0.25).
@@ -45,13 +47,13 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         float, Meta(ge=0, le=1e300, description="novelty at which an individual enters the archive, at first; 0: the mean")
     ] = 0.0
     fitness: Annotated[Share, Meta(description="weight of fitness beside novelty, each scaled to 0..1; 0: novelty alone")] = 0.0
-    mutation: Annotated[Share, Meta(description="share of mutants; the others are children of two")] = 0.3
+    mutation: Annotated[Share, Meta(description="share of mutants; the others are children of two")] = 0.7
     mutation_method: Annotated[
         Literal[1, 2],
         Meta(description="1: absolute, plus or minus `severity` times the range; 2: relative to the gene"),
     ] = 1
     severity: Annotated[float, Meta(gt=0, le=1e6, description="of method 1")] = 0.3
-    probability: Annotated[float, Meta(gt=0, le=1, description="that a gene of a mutant changes")] = 0.1
+    probability: Annotated[float, Meta(gt=0, le=1, description="that a gene of a mutant changes")] = 1.0
 
 
 class Novelty(Optimizer):
