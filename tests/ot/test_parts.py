@@ -88,6 +88,7 @@ def test_a_description_has_sheet_facts_and_every_setting(tmp_path: Path) -> None
     shown = " ".join(said("describe", "light", cwd=tmp_path).split())
     assert "light, simulator: A robot on two wheels finds a light" in shown
     assert "Turns: the robot. A step of" in shown
+    assert "exactly FREVO's Light (github.com/smartgrids-aau/Frevo, version 1.5)" in shown, "the module's text, too"
     assert "metrics found, steps, distance, x, y sensors light_left, light_right" in shown
     assert "heading_seed int, 0 to 2^48 - 1 1 of the generator" in shown
     assert "portable yes: gives the same on every machine" in " ".join(said("describe", "nnga", cwd=tmp_path).split())
