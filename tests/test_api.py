@@ -15,6 +15,7 @@ import pytest
 import zswarm
 from zswarm import evaluate, experiment
 from zswarm.ot import evaluations, leases
+from zswarm.ot.assessment import Assessment
 from zswarm.ot.workload import Workload
 
 SMALL = {"generations": 4, "optimizer.population": 20, "problem.settings.steps": 40}
@@ -226,6 +227,26 @@ def test_servers_compute_the_bits_of_this_process(cluster: zswarm.Connection) ->
     assert same_bits(cluster.evaluate(problem, genomes), expected)
     assert same_bits(cluster.evaluate(problem, problem.vectors(genomes)), expected)
     assert cluster.evaluate(problem, []).shape == (0,)
+
+
+def test_candidates_of_a_game_play_each_other(cluster: zswarm.Connection) -> None:
+    """What comes back is their scores, as a run would be told; trials of one alone there are none."""
+    problem = zswarm.problem(zswarm.load("minisim-duel", {"problem.settings.steps": 40}))
+    genomes = problem.random(5)
+    assessment = Assessment(problem, genomes, 0)
+    while True:
+        work = assessment.workload
+        played = evaluate.evaluate(problem.simulator, problem.representation, genomes, work.participants, work.seeds)
+        work.fitness[:] = played.fitness
+        if not assessment.advance():
+            break
+    scores = cluster.evaluate(problem, genomes)
+    assert same_bits(scores, assessment.fitness())
+    assert scores.sum() == 3 * (2 * 2 + 2), "two games and a bye in each of three rounds"
+    with pytest.raises(ValueError, match="minisim is a game of 2: no candidate has trials of its own; evaluate has candidates"):
+        cluster.outcomes(problem, genomes)
+    with pytest.raises(zswarm.ConfigError, match="a game of 2 needs as many candidates; there are 1"):
+        cluster.evaluate(problem, genomes[:1])
 
 
 def test_outcomes_are_told_trial_by_trial_on_any_seeds(cluster: zswarm.Connection) -> None:

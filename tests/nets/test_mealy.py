@@ -28,10 +28,10 @@ def recorded(machine: dict[str, Any]) -> tuple[Mealy, bytes]:
         states=states,
         rows="product",
         scale=1.0,
-        thresholds=tuple(len(each["thresholds"] or []) for each in inputs),
-        minimum=tuple(each["min"] for each in inputs),
-        maximum=tuple(each["max"] for each in inputs),
-        units=tuple(each["units"] for each in inputs),
+        thresholds=[len(each["thresholds"] or []) for each in inputs],
+        minimum=[each["min"] for each in inputs],
+        maximum=[each["max"] for each in inputs],
+        units=[each["units"] for each in inputs],
         output_units=machine["output_units"],
     )
     thresholds = np.array([number for each in inputs for number in each["thresholds"] or []])
@@ -95,18 +95,18 @@ CLASSES = [[low, high] for low in (0.0, 0.3, 0.6) for high in (0.0, 0.3, 0.6)]
 
 
 def test_each_combination_of_classes_has_a_row_of_its_own() -> None:
-    built = machines(2, 1, states=1, thresholds=(2,), scale=100.001)
+    built = machines(2, 1, states=1, thresholds=[2], scale=100.001)
     assert rows_of(built, CLASSES) == list(range(9))
 
 
 def test_products_choose_rows_as_in_frevo() -> None:
     """(1, 2) and (2, 1) have one row; rows 4, 6 and 7 are never read."""
-    built = machines(2, 1, states=1, thresholds=(2,), scale=100.001, rows="product")
+    built = machines(2, 1, states=1, thresholds=[2], scale=100.001, rows="product")
     assert rows_of(built, CLASSES) == [0, 1, 2, 1, 3, 5, 2, 5, 8]
 
 
 def test_inputs_out_of_range_count_as_the_nearest_class() -> None:
-    built = machines(1, 1, states=1, thresholds=(0,), units=(4,), scale=1.0, minimum=(-10,), maximum=(10,))
+    built = machines(1, 1, states=1, thresholds=[0], units=[4], scale=1.0, minimum=[-10], maximum=[10])
     genome = Machine(0, np.zeros(0), np.zeros((5, 1), int), np.arange(5).reshape(5, 1, 1)).genome()
     seen = [[-1e30], [-11], [-10], [-5.1], [-4.9], [0], [9.9], [10], [1e30], [float("nan")]]
     assert (decide(built, genome, seen)[0][:, 0] * 100).round().tolist() == [0, 0, 0, 1, 1, 2, 3, 4, 4, 2]
@@ -146,11 +146,12 @@ def test_a_malformed_genome_is_refused(change: dict[str, Any], text: str) -> Non
     ("settings", "text"),
     [
         ({"thresholds": [1, 1, 1]}, "thresholds: expected one number, or 2, one per input, not 3"),
+        ({"units": [0]}, "units must be at least 1, for each input"),
         ({"minimum": [0, 100]}, "minimum must be less than maximum, for each input"),
         ({"add_state": 0.1, "states": 30}, "max_states must be at least states, 30, not 20"),
         (
             {"thresholds": [600]},
-            r"table would have 361,201 rows of 6 states, which are 6,501,618 numbers; at most 1,048,576: fewer",
+            r"table would have 361,201 rows of 6 states, which are 6,501,618 numbers; at most 1,048,576",
         ),
         ({"rows": "sum"}, "rows: expected combinations or product"),
     ],
@@ -172,7 +173,7 @@ def test_machines_of_different_sizes_fit_in_one_batch() -> None:
 
 
 def test_new_machines_fill_their_ranges() -> None:
-    built = machines(1, 1, thresholds=(3,), minimum=(-20,), maximum=(20,), units=(4,), output_units=7)
+    built = machines(1, 1, thresholds=[3], minimum=[-20], maximum=[20], units=[4], output_units=7)
     drawn = [numbers(built, genome) for genome in built.random(300, Stream(1))]
     assert {int(number) for machine in drawn for number in machine.thresholds} == {-20, -10, 0, 10}
     assert all((np.diff(machine.thresholds) >= 0).all() for machine in drawn)
@@ -211,7 +212,7 @@ def test_without_chances_nothing_changes() -> None:
     ],
 )
 def test_a_mutation_changes_its_own_part_only(mutation: str, part: str) -> None:
-    pairs = mutants(machines(thresholds=(3, 0), units=(5,), **{**STILL, mutation: 0.5}))
+    pairs = mutants(machines(thresholds=[3, 0], units=[5], **{**STILL, mutation: 0.5}))
     for before, after in pairs:
         for other in set(Machine._fields) - {part}:
             assert same(getattr(before, other), getattr(after, other))
@@ -232,7 +233,7 @@ def test_a_deleted_transition_stays_in_its_state() -> None:
 
 def test_thresholds_change_behind_an_input_without_any() -> None:
     """In FREVO that fails."""
-    pairs = mutants(machines(thresholds=(0, 3), units=(5,), minimum=(-50,), **{**STILL, "change_threshold": 1.0}))
+    pairs = mutants(machines(thresholds=[0, 3], units=[5], minimum=[-50], **{**STILL, "change_threshold": 1.0}))
     assert any(not same(before.thresholds, after.thresholds) for before, after in pairs)
     for _, after in pairs:
         assert (np.diff(after.thresholds) >= 0).all()
@@ -280,7 +281,7 @@ def test_states_stay_between_one_and_the_most() -> None:
 
 
 def test_a_child_has_each_number_of_either_parent() -> None:
-    built = machines(states=2, thresholds=(2, 1))
+    built = machines(states=2, thresholds=[2, 1])
     mother = Machine(0, np.array([1, 1, 1]), np.zeros((6, 2), int), np.ones((6, 2, 2), int)).genome()
     father = Machine(1, np.array([2, 2, 2]), np.ones((6, 2), int), np.full((6, 2, 2), 2)).genome()
     children = [numbers(built, built.crossover(mother, father, Stream(seed))) for seed in range(300)]

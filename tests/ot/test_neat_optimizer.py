@@ -180,7 +180,7 @@ def test_a_child_has_the_structure_of_its_fitter_parent() -> None:
     ],
 )
 def test_other_settings_keep_the_contract(settings: dict[str, Any]) -> None:
-    check_optimizer(NEAT, settings, representation=lambda: network(add_node=0.2), generations=40)
+    check_optimizer(NEAT, settings, representation=network(add_node=0.2), generations=40)
 
 
 def test_other_networks_are_refused_in_one_line() -> None:

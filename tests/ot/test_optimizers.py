@@ -60,12 +60,14 @@ def turned(genomes: Sequence[bytes]) -> list[bytes]:
     return [genome[::-1] for genome in genomes]
 
 
+GRID = {"lows": [-2, -2], "highs": [2, 2], "cells": [10, 10]}
+NEEDED: dict[str, dict[str, Any]] = {"cma-me": GRID, "map-elites": GRID}  # settings without a default
 OWN_NETWORKS = {"neat": Neat(convert({"add_node": 0.2}, Neat.settings_type, "settings"), 3, 1)}  # of those that take no others
 
 
 @pytest.mark.parametrize("name", plugins.names("optimizer"))
 def test_every_optimizer_keeps_the_contract(name: str) -> None:
-    check_optimizer(plugins.load("optimizer", name), representation=OWN_NETWORKS.get(name))
+    check_optimizer(plugins.load("optimizer", name), NEEDED.get(name), representation=OWN_NETWORKS.get(name))
 
 
 @pytest.mark.parametrize("name", OPERATORS)
@@ -153,7 +155,8 @@ def by_chance() -> list[float]:
 @pytest.mark.parametrize(
     ("name", "settings"),
     [
-        *((name, {}) for name in ("cea2d", "cuckoo", "nnga", "openai-es", "pso")),
+        *((name, {}) for name in ("cea2d", "cmaes", "cuckoo", "nnga", "openai-es", "pso")),
+        *((name, {"measures": ["one", "other"], **GRID}) for name in ("cma-me", "map-elites")),
         ("novelty", {"measures": ["one", "other"], "fitness": 0.9}),
     ],
 )

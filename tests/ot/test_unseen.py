@@ -53,4 +53,4 @@ def test_a_metric_may_have_any_name(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     [([1, 1], [[2], [2]], True), ([1, 2], [[2], [2]], False), ([1, 1], [[2], [3]], False), ([np.nan, np.nan], [[], []], True)],
 )
 def test_trials_are_the_same_if_fitness_and_metrics_are(fitness: list[float], metrics: list[list[float]], same: bool) -> None:
-    assert Played(np.array(fitness), np.array(metrics, np.float64), ("m",)).all_the_same() is same
+    assert Played(np.array(fitness)[:, None], np.array(metrics, np.float64), ("m",)).all_the_same() is same

@@ -7,11 +7,15 @@ import numpy as np
 import pytest
 from naive_duel import NaiveDuel
 
+from zswarm import experiment
 from zswarm.draws import Stream
 from zswarm.errors import ConfigError
 from zswarm.evaluate import build, evaluate, play_in_turns
 from zswarm.nets.representation import Representation
+from zswarm.ot import run, unseen
+from zswarm.ot.assessment import Assessment
 from zswarm.sims.minisim import Minisim, Settings
+from zswarm.testing import check_simulator
 
 UNUSUAL: list[dict[str, int]] = [
     {},
@@ -134,6 +138,32 @@ def played(policies: list[Callable[[np.ndarray], np.ndarray]], trials: int) -> n
 def test_two_guards_beat_a_team_that_only_attacks() -> None:
     fitness = played([guarding, greedy], 20)
     assert (fitness[:, 0] > fitness[:, 1]).sum() > 15
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [1, 2])
+def test_later_champions_of_the_example_beat_earlier_ones(seed: int) -> None:
+    """Those of generations 0, 10 and 30 on 100 unseen starts; some seconds of computing each."""
+    example = experiment.load(experiment.find("minisim-duel"), [f"seed={seed}"])
+    problem, optimizer = run.build(experiment.complete(example, "test"))
+    champions = []
+    for generation in range(example.generations):
+        assessment = Assessment(problem, optimizer.ask(), generation)
+        while True:
+            work = assessment.workload
+            played = evaluate(problem.simulator, problem.representation, work.genomes, work.participants, work.seeds)
+            work.fitness[:], work.metrics[:] = played.fitness, played.metrics
+            if not assessment.advance():
+                break
+        optimizer.tell(assessment.fitness(), assessment.measures(optimizer.measures))
+        champions.append(problem.controller(optimizer.best()[0], optimizer.best()[1], ""))
+    last = champions[30]
+    assert unseen.play(last, 100, 0, champions[0]).score()["won"] > 80
+    assert unseen.play(last, 100, 0, champions[10]).score()["won"] > 50
+
+
+def test_the_contract_holds() -> None:
+    check_simulator(Minisim, {"teams": 2, "defenders": 0})
 
 
 def test_the_frame_shows_two_teams_on_one_field() -> None:

@@ -27,7 +27,7 @@ from typing import Annotated, Literal, NamedTuple
 
 import msgspec
 import numpy as np
-from msgspec import Meta
+from msgspec import Meta, field
 
 from zswarm.draws import Stream
 from zswarm.errors import ConfigError
@@ -42,7 +42,7 @@ LARGEST = 1 << 20  # numbers of a table
 
 Chance = Annotated[float, Meta(ge=0, le=1)]
 Bound = Annotated[int, Meta(ge=-1_000_000, le=1_000_000)]
-PerInput = Annotated[tuple[Bound, ...], Meta(min_length=1)]
+Count = Annotated[int, Meta(ge=0, le=1000)]
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -56,15 +56,15 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     ] = "combinations"
     scale: Annotated[float, Meta(gt=0, le=1e6, description="an input is multiplied by this and cut to an integer")] = 100.0
     thresholds: Annotated[
-        tuple[Annotated[int, Meta(ge=0, le=1000)], ...],
-        Meta(min_length=1, description="thresholds of each input; 0: `units` + 1 classes of equal width"),
-    ] = (1,)
-    minimum: Annotated[PerInput, Meta(description="least value of each input, after `scale`")] = (0,)
-    maximum: Annotated[PerInput, Meta(description="greatest value")] = (100,)
+        list[Count], Meta(min_length=1, description="thresholds of each input, to 1,000; 0: `units` + 1 classes of equal width")
+    ] = field(default_factory=lambda: [1])
+    minimum: Annotated[list[Bound], Meta(min_length=1, description="least value of each input, after `scale`")] = field(
+        default_factory=lambda: [0]
+    )
+    maximum: Annotated[list[Bound], Meta(min_length=1, description="greatest value")] = field(default_factory=lambda: [100])
     units: Annotated[
-        tuple[Annotated[int, Meta(ge=1, le=1000)], ...],
-        Meta(min_length=1, description="steps from least to greatest: thresholds lie on them"),
-    ] = (100,)
+        list[Count], Meta(min_length=1, description="steps from least to greatest, 1 to 1,000: thresholds lie on them")
+    ] = field(default_factory=lambda: [100])
     output_units: Annotated[int, Meta(ge=1, le=1_000_000, description="an output is a whole number of these parts of 1")] = 100
     add_state: Annotated[Chance, Meta(description="chance of a mutant to get another state")] = 0.0
     delete_state: Annotated[Chance, Meta(description="chance to lose one")] = 0.0
@@ -141,6 +141,8 @@ class Mealy(Representation):
         ).T  # (inputs, 4)
         if (self._per_input[:, 1] >= self._per_input[:, 2]).any():
             raise ConfigError("representation: minimum must be less than maximum, for each input")
+        if (self._per_input[:, 3] < 1).any():
+            raise ConfigError("representation: units must be at least 1, for each input")
         if settings.max_states < settings.states and settings.add_state:
             raise ConfigError(f"representation: max_states must be at least states, {settings.states}, not {settings.max_states}")
         self.rows = 1
@@ -151,7 +153,7 @@ class Mealy(Representation):
         if self.rows * self._most * (outputs + 1) > LARGEST:
             raise ConfigError(
                 f"representation: a mealy machine's table would have {self.rows:,} rows of {self._most} states, which are "
-                f"{self.rows * self._most * (outputs + 1):,} numbers; at most {LARGEST:,}: fewer thresholds or states make it less"
+                f"{self.rows * self._most * (outputs + 1):,} numbers; at most {LARGEST:,}: use fewer thresholds or states"
             )
         self._thresholds = int(np.add.reduce(self._per_input[:, 0]))
         self.genome_bytes = None if self._varies else self._length(settings.states)

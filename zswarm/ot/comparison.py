@@ -29,6 +29,10 @@ EXACT = 100  # runs of a group up to which the distribution without ties is comp
 KRUSKAL = 5  # runs of each group from which on its distribution is near enough
 UNEQUAL = 1.1  # groups whose evaluations differ more are no equals in effort
 EFFECTS = ((0.56, "negligible"), (0.64, "small"), (0.71, "medium"))  # Vargha and Delaney; above: large
+SCORES = (
+    "candidates of these runs played each other: their fitness is a score, which compares within one generation only; zswarm-ot "
+    "evaluate RUN --against RUN has two champions play each other"
+)
 
 
 class Row(NamedTuple):
@@ -88,7 +92,7 @@ def compare(groups: Mapping[str, Sequence["Run"]], by: By = "generations", *, te
     """The groups beside each other, and the tests between them.
 
     Raises:
-        ConfigError: no run finished a generation, or there is no number of evaluations that all have.
+        ConfigError: no run finished a generation, there is no number of evaluations that all have, or fitness does not compare.
     """
     loaded, notes = curves.load(groups)
     return of_series(loaded, by, notes, tests=tests)
@@ -101,6 +105,8 @@ def of_series(groups: Mapping[str, Sequence[Series]], by: By, notes: Sequence[st
     if not begun:
         raise ConfigError("no run finished a generation yet: there is nothing to compare")
     everyone = [run for runs in begun.values() for run in runs]
+    if any(run.relative for run in everyone):
+        raise ConfigError(SCORES)
     ends = {float(len(run.best) if by == "generations" else run.evaluations[-1]) for run in everyone}
     at = min(ends)
     samples = {group: _sample(runs, by, at) for group, runs in begun.items()}

@@ -24,6 +24,7 @@ class Series(NamedTuple):
     mean: np.ndarray  # of the generation's population; NaN where every candidate failed
     evaluations: np.ndarray  # of the run so far
     seconds: np.ndarray  # since the run's start, as it was computed
+    relative: bool = False  # numbers are scores, which compare candidates of one generation only; best is of the generation
 
 
 class Curve(NamedTuple):
@@ -48,7 +49,7 @@ def series(run: "Run") -> Series:
     best = np.where(np.isfinite(best), best, -np.inf)
     seconds = np.nan_to_num(column("seconds", 0.0), posinf=0.0).clip(0.0)  # the clock of the wall may have been set back
     evaluations = np.maximum.accumulate(column("evaluations", 0.0))
-    return Series(best, column("mean", np.nan), evaluations, np.cumsum(seconds))
+    return Series(best, column("mean", np.nan), evaluations, np.cumsum(seconds), run.relative)
 
 
 def load(groups: Mapping[str, Sequence["Run"]]) -> tuple[dict[str, list[Series]], list[str]]:

@@ -12,6 +12,7 @@ import numpy as np
 from zswarm import evaluate, experiment
 from zswarm.experiment import Experiment
 from zswarm.ot.problem import Problem
+from zswarm.ot.rankings.ranking import Round
 from zswarm.ot.run import Parts
 
 MEASURED_S = 0.3  # of trials, to know what one takes
@@ -23,6 +24,7 @@ FEW = 5  # candidates
 
 # Bytes on the disk: of a candidate beside its genome, of a trial beside its metrics, of a generation.
 CANDIDATE, TRIAL, METRIC, GENERATION = 60, 24, 8, 1300
+PARTICIPANT = 16  # and of each participant of a trial but the first
 
 
 class Explanation(msgspec.Struct, frozen=True, kw_only=True):
@@ -32,6 +34,7 @@ class Explanation(msgspec.Struct, frozen=True, kw_only=True):
     simulator: str
     about: str  # the simulator's own words
     agents: int
+    participants: int
     inputs: int
     hidden: int | None
     outputs: int
@@ -42,6 +45,8 @@ class Explanation(msgspec.Struct, frozen=True, kw_only=True):
     representation: str
     genome_numbers: int | None
     genome_bytes: int | None
+    ranking: str
+    games: int  # of the first generation; one for each candidate where none plays another
     optimizer: str
     portable: bool
     runs: int  # of its study; all the rest is of one run with the file's own values
@@ -84,15 +89,20 @@ def explain(complete: Experiment, parts: Parts, out: Path = Path("runs")) -> Exp
         later = len(optimizer.ask())
     generations, trials = complete.generations, complete.problem.trials
     evaluations = first + (generations - 1) * later
+    played = {count: rounds(problem, count) for count in {first, later}}
+    simulations = trials * (sum(played[first]) + (generations - 1) * sum(played[later]))
+    participants = simulator.participants
     slots = experiment.slots_of_this_machine(complete.cluster)
     hidden = complete.representation.settings.get("hidden")
     size = network.genome_bytes or int(np.mean([len(genome) for genome in genomes]))
-    record = evaluations * (size + CANDIDATE + trials * (TRIAL + METRIC * len(simulator.metrics))) + generations * GENERATION
+    each = TRIAL + METRIC * len(simulator.metrics) + (participants - 1) * PARTICIPANT
+    record = evaluations * (size + CANDIDATE) + simulations * each + generations * GENERATION
     return Explanation(
         experiment=complete.name,
         simulator=complete.problem.simulator,
         about=" ".join((inspect.getdoc(type(simulator)) or "").partition("\n\n")[0].split()),
         agents=len(simulator.owners),
+        participants=participants,
         inputs=simulator.inputs,
         hidden=hidden if isinstance(hidden, int) else None,
         outputs=simulator.outputs,
@@ -103,6 +113,8 @@ def explain(complete: Experiment, parts: Parts, out: Path = Path("runs")) -> Exp
         representation=complete.representation.kind,
         genome_numbers=network.genes,
         genome_bytes=network.genome_bytes,
+        ranking=complete.ranking.kind,
+        games=sum(played[first]),
         optimizer=complete.optimizer.kind,
         portable=parts.optimizer.portable,
         runs=complete.study.runs(),
@@ -110,14 +122,22 @@ def explain(complete: Experiment, parts: Parts, out: Path = Path("runs")) -> Exp
         candidates_first_generation=first,
         candidates_later_generations=later,
         evaluations=evaluations,
-        simulations=evaluations * trials,
+        simulations=simulations,
         trial_s=measured.trial_s,
         slots=slots,
-        seconds=_seconds(first, later, complete, measured.trial_s, slots),
-        seconds_elsewhere=_seconds(first, later, complete, measured.trial_s, EXAMPLE_SERVERS * EXAMPLE_SLOTS),
+        seconds=_seconds(played[first], played[later], complete, measured.trial_s, slots),
+        seconds_elsewhere=_seconds(played[first], played[later], complete, measured.trial_s, EXAMPLE_SERVERS * EXAMPLE_SLOTS),
         record_bytes=record,
         warnings=_warnings(complete, measured, first, record, out),
     )
+
+
+def rounds(problem: Problem, candidates: int) -> list[int]:
+    """Games in each round of a generation, if all of them are tied."""
+    played: list[Round] = []
+    while (games := problem.ranking.next_games(candidates, played)) is not None:
+        played.append(Round(games, np.zeros(games.shape)))
+    return [len(round_.games) for round_ in played]
 
 
 def measure(problem: Problem, genomes: list[bytes]) -> Measured:
@@ -135,7 +155,8 @@ def measure(problem: Problem, genomes: list[bytes]) -> Measured:
     played, taken, number, fitness, error, same = 0, 0.0, 1, [], "", True
     while taken < MEASURED_S and played < MOST_PLAYED:
         some = [genomes[index % len(genomes)] for index in range(played // 2, played // 2 + number)]
-        participants = np.repeat(np.arange(len(some)), len(seeds)).reshape(-1, 1)
+        games = (np.arange(len(some))[:, None] + np.arange(simulator.participants)) % len(some)
+        participants = np.repeat(games, len(seeds), axis=0)
         begin = time.perf_counter()
         outcomes = evaluate.evaluate(simulator, network, some, participants, np.tile(seeds, len(some)))
         taken += time.perf_counter() - begin
@@ -151,10 +172,10 @@ def measure(problem: Problem, genomes: list[bytes]) -> Measured:
     return Measured(taken / played, differs, same and not differs and len(whole) > 0, bool(np.isnan(together).all()), error)
 
 
-def _seconds(first: int, later: int, complete: Experiment, trial_s: float, slots: int) -> float:
-    """Whole rounds of trials; a generation waits for the last one."""
-    rounds = [-(-candidates * complete.problem.trials // slots) for candidates in (first, later)]
-    return trial_s * (rounds[0] + (complete.generations - 1) * rounds[1])
+def _seconds(first: list[int], later: list[int], complete: Experiment, trial_s: float, slots: int) -> float:
+    """Whole turns of trials; a generation waits for the last one, and so does every round of games in it."""
+    turns = [sum(-(-games * complete.problem.trials // slots) for games in rounds) for rounds in (first, later)]
+    return trial_s * (turns[0] + (complete.generations - 1) * turns[1])
 
 
 def _warnings(complete: Experiment, measured: Measured, first: int, record: int, out: Path) -> list[str]:

@@ -108,7 +108,7 @@ def of_series(
         lines = [_line(curve, alone=len(drawn) == 1) for curve in drawn]
         note = _note(groups, drawn, axis)
     with _drawing:
-        return _draw(lines, axis, SIZES[size], title, note, lowest)
+        return _draw(lines, axis, SIZES[size], title, note, lowest, _height(begun))
 
 
 def save(figure: "Figure", path: Path) -> None:
@@ -193,7 +193,15 @@ def table(groups: Mapping[str, Sequence[Series]], axis: Axis) -> tuple[list[str]
 
 def _of_one(run: Series, best: Curve, axis: Axis) -> list[_Line]:
     x, mean = curves.envelope(curves.positions(run, axis), run.mean)
-    return [_Line("best so far", best.x, best.median), _Line("population mean", x, mean, noisy=True)]
+    top = "best of the generation" if run.relative else "best so far"
+    return [_Line(top, best.x, best.median), _Line("population mean", x, mean, noisy=True)]
+
+
+def _height(runs: Sequence[Series]) -> str:
+    """What the vertical axis shows."""
+    if any(run.relative for run in runs):
+        return "score in its generation"
+    return "fitness" if len(runs) == 1 else "best fitness"
 
 
 def _line(curve: Curve, *, alone: bool) -> _Line:
@@ -227,7 +235,7 @@ def tested(found: Comparison) -> str:
 # ---- drawing
 
 
-def _draw(lines: Sequence[_Line], axis: Axis, look: Look, title: str, note: str, lowest: float | None) -> "Figure":
+def _draw(lines: Sequence[_Line], axis: Axis, look: Look, title: str, note: str, lowest: float | None, height: str) -> "Figure":
     figure_module = need("matplotlib.figure", "plot", "plot")
     need("matplotlib.backends.backend_agg", "plot", "plot")
     labels = [_fitting(line.label, look.font, 0.8 * look.width * POINT) for line in lines]
@@ -259,7 +267,7 @@ def _draw(lines: Sequence[_Line], axis: Axis, look: Look, title: str, note: str,
     _numbers(axes, axis, lines)
     words: dict[str, Any] = {"fontfamily": FONT, "fontsize": look.font, "parse_math": False, "color": "black"}
     axes.set_xlabel(f"time ({unit})" if axis == "time" else axis, **words)
-    axes.set_ylabel("fitness" if len(lines) == 2 and lines[1].noisy else "best fitness", **words)
+    axes.set_ylabel(height, **words)
     if not any(np.isfinite(line.y).any() for line in lines):
         axes.set_yticks([])
         axes.text(0.5, 0.5, "every candidate failed", transform=axes.transAxes, ha="center", va="center", **words)

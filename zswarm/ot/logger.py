@@ -22,6 +22,7 @@ class Started(NamedTuple):
     folder: Path
     experiment: Experiment
     generation: int  # the first that will be evaluated
+    relative: bool = False  # fitness is a score, which compares candidates of one generation only
 
 
 class Generation(NamedTuple):
@@ -66,7 +67,7 @@ class Logger:
         """A generation ended and is recorded."""
 
     def on_champion(self, champion: Controller) -> None:
-        """The run found a better controller than before."""
+        """The run found a better controller than before; of scores, which do not compare: a generation's best."""
 
     def on_event(self, event: Note) -> None:
         """Something happened, as in the table ``events`` of the record."""

@@ -220,7 +220,7 @@ class Run:
 
         Fitness and measures are as told to the optimizer; NaN is None. Where it wants no measures the list is empty.
         """
-        measures = "measures" if int(self.meta["schema_version"]) >= 4 else "NULL"  # older ones do not know them
+        measures = "NULL" if self.meta["schema_version"] in (1, 2, 3) else "measures"  # these do not know them
         rows = self._rows(
             f"SELECT candidate, genome, fitness, {measures} FROM candidates WHERE generation = ? ORDER BY candidate",  # noqa: S608  our own words
             tuple[int, bytes, float | None, bytes | None],

@@ -81,7 +81,7 @@ def of_run(run: Run, trials: int) -> str:
         lead=_lead(run, read, len(servers)),
         state="" if run.finished else curves.unfinished([run], [read])[0],
         curve=_svg(figures.of_series({run.name: [read]}, size="screen")) if len(read.best) else "",
-        champion=_champion(champion, complete.problem.trials) if champion else [],
+        champion=_champion(champion, run) if champion else [],
         played=_played(champion, trials) if champion and trials else None,
         **(_film(champion) if champion else {}),
         weights=_weights(champion) if champion else None,
@@ -102,18 +102,20 @@ def of_study(path: Path, runs: Sequence[Run]) -> str:
     """The page of several runs."""
     groups = grouping.groups(runs)
     loaded, notes = curves.load(groups)
-    found = comparison.of_series(loaded, "generations", notes)
+    scores = any(run.relative for run in runs)
+    found = None if scores else comparison.of_series(loaded, "generations", notes)
     finished = sum(run.finished for run in runs)
     name = clean(path.resolve().name)
     example = Path(EXPERIMENT) if (path / EXPERIMENT).is_file() else runs[0].folder.relative_to(path) / EXPERIMENT
     return _page(
         title=name,
         lead=f"{plural(len(runs), 'run')} in {plural(len(groups), 'group')}; {finished} finished.",
+        state=f"{comparison.SCORES[0].upper()}{comparison.SCORES[1:]}." if scores else "",
         curve=_svg(figures.of_series(loaded, size="screen")) if len(loaded) <= figures.MAX_GROUPS else "",
         compared=found,
-        words=[comparison.in_words(pair) for pair in found.pairs],
+        words=[comparison.in_words(pair) for pair in found.pairs] if found else [],
         p_value=comparison.p_value,
-        reconciling=comparison.reconciling(found),
+        reconciling=comparison.reconciling(found) if found else "",
         runs=[
             (group, run.name, run.experiment.seed, run.generations(), _number(run.best()), run.history_hash or "not finished")
             for group, members in groups.items()
@@ -152,23 +154,26 @@ def _lead(run: Run, read: curves.Series, servers: int) -> str:
     complete = run.experiment
     if not len(read.best):
         return f"{complete.problem.simulator}, evolved by {complete.optimizer.kind}: no generation is finished yet."
+    worth = "with the score" if run.relative else "of fitness"
     return (
-        f"{complete.problem.simulator}: {complete.optimizer.kind} evolved a {complete.representation.kind} controller of "
-        f"fitness {_number(read.best[-1])} in {plural(len(read.best), 'generation')}, with {read.evaluations[-1]:,.0f} "
+        f"{complete.problem.simulator}: {complete.optimizer.kind} evolved a {complete.representation.kind} controller "
+        f"{worth} {_number(read.best[-1])} in {plural(len(read.best), 'generation')}, with {read.evaluations[-1]:,.0f} "
         f"evaluations on {plural(servers, 'server')} in {_duration(float(read.seconds[-1]))}."
     )
 
 
-def _champion(champion: Controller, trials: int) -> list[tuple[str, str]]:
-    rows = [
-        ("fitness", f"{_number(champion.fitness)}, the sum over {plural(trials, 'trial')}"),
+def _champion(champion: Controller, run: Run) -> list[tuple[str, str]]:
+    trials, ranking = run.experiment.problem.trials, run.experiment.ranking.kind
+    fitness = ("fitness", _number(champion.fitness) + (f", the sum over {plural(trials, 'trial')}" if trials > 1 else ""))
+    score = ("score", f"{_number(champion.fitness)}, by {clean(ranking)} among the candidates of its generation")
+    return [
+        score if run.relative else fitness,
         ("simulator", clean(champion.simulator)),
         ("representation", clean(champion.representation)),
         ("inputs", f"{champion.inputs}" + _names(champion.sensors)),
         ("outputs", f"{champion.outputs}" + _names(champion.actuators)),
         ("genome", f"{len(champion.genome)} bytes"),
     ]
-    return rows if trials > 1 else [("fitness", _number(champion.fitness)), *rows[1:]]
 
 
 def _played(champion: Controller, trials: int) -> dict[str, Any]:
@@ -184,6 +189,7 @@ def _played(champion: Controller, trials: int) -> dict[str, Any]:
         "why_not": "",
         "alike": played.all_the_same(),
         "half": summary["q25"] == summary["q75"],
+        "against": "against itself, " if played.results.shape[1] > 1 else "",
         **summary,
         "metrics": metrics,
     }

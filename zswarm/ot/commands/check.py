@@ -72,6 +72,11 @@ def show(explained: "Explanation", complete: Experiment) -> None:
     first, later = e.candidates_first_generation, e.candidates_later_generations
     then = f", then {later:,}" if later != first and e.generations > 1 else ""
     elsewhere = EXAMPLE_SERVERS * EXAMPLE_SLOTS
+    one = e.participants == 1
+    driven = (
+        f"{e.agents:,}, {'all driven by the same genome' if one else f'driven by {e.participants} genomes that play each other'}"
+    )
+    score = f"{e.games:,} games in the first generation, as {e.ranking} has it; the result of a game is {judged}"
     result = "the same on all machines, bit for bit" if e.portable else "may differ in the last bits from machine to machine"
     study = complete.study
     settings = terminal.plural(len(study.settings()), "setting")
@@ -81,10 +86,10 @@ def show(explained: "Explanation", complete: Experiment) -> None:
     for about, text in (
         ("experiment", f"{e.experiment}: {terminal.plural(e.generations, 'generation')}, seed {complete.seed}"),
         ("problem", f"{e.simulator}: {e.about}" if e.about else e.simulator),
-        ("robots", f"{e.agents:,}, all driven by the same genome"),
+        ("robots", driven),
         ("controller", f"{e.representation}: {e.inputs} inputs{sensors}, {hidden}{e.outputs} outputs{actuators}"),
         ("genome", ", ".join(sizes)),
-        ("fitness", judged + noted),
+        ("fitness", (judged if e.participants == 1 else score) + noted),
         ("optimizer", f"{e.optimizer}: {first:,} candidates in the first generation{then}"),
         ("work", f"{e.evaluations:,} evaluations, {e.simulations:,} simulations"),
         (

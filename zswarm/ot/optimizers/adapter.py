@@ -26,9 +26,11 @@ from zswarm.errors import ConfigError
 from zswarm.extras import need
 from zswarm.nets.representation import Representation
 from zswarm.ot.optimizers.optimizer import Optimizer, Told
+from zswarm.ot.optimizers.space import Space
+from zswarm.ot.optimizers.tally import Tally
 
 _limiting = threading.Lock()
-FAR = 1e9  # ranges; a search that diverges ends here, and float32 goes on to 3e38
+FAR = 1e9  # ranges: where a search that diverges ends
 
 
 class Adapter(Optimizer):
@@ -38,18 +40,11 @@ class Adapter(Optimizer):
 
     def __init__(self, settings: msgspec.Struct, representation: Representation, seed: int) -> None:
         super().__init__(settings, representation, seed)
-        if representation.genes is None or representation.ranges is None:
-            raise ConfigError(
-                f"optimizer: {type(self).__name__} searches vectors of numbers; genomes of {type(representation).__name__} are "
-                "none"
-            )
         self._threads = need("threadpoolctl", "cmaes", "an optimizer of another package")
-        self.genes = representation.genes
-        self._ranges = representation.ranges
+        self._space = Space(representation, type(self).__name__)
+        self.genes = self._space.dimensions
         self._genomes: list[bytes] = []
-        self._best = (b"", float("-inf"))
-        self._mean = float("nan")
-        self._evaluations = 0
+        self._tally = Tally()
 
     @abstractmethod
     def _propose(self) -> np.ndarray:
@@ -66,7 +61,7 @@ class Adapter(Optimizer):
         """
 
     def _numbers(self) -> dict[str, float]:
-        """What ``statistics`` tells beside best, mean and evaluations; an ask must not change it."""
+        """What ``statistics`` tells of the generation last told, beside best, mean and evaluations."""
         return {}
 
     def _ask(self) -> list[bytes]:
@@ -74,26 +69,17 @@ class Adapter(Optimizer):
             vectors = np.asarray(self._propose(), np.float64)
         if vectors.shape != (len(vectors), self.genes) or not len(vectors) or not np.isfinite(vectors).all():
             raise ValueError(f"{type(self).__name__}._propose must give (n, {self.genes}) finite numbers, not {vectors!r:.80}")
-        self._genomes = [row.tobytes() for row in (np.clip(vectors, -FAR, FAR) * self._ranges).astype("<f4")]
+        self._genomes = self._space.genomes(np.clip(vectors, -FAR, FAR))
         return self._genomes
 
     def _tell(self, fitness: np.ndarray, measures: np.ndarray) -> None:
-        if self.relative:
-            self._best = (b"", float("-inf"))
-        for genome, value in zip(self._genomes, fitness.tolist(), strict=True):
-            if value > self._best[1]:
-                self._best = (genome, value)
         failed = np.isnan(fitness)
-        told = fitness[~failed]
-        self._mean = float(told.mean()) if told.size else float("nan")
-        self._evaluations += len(fitness)
-        solutions = np.frombuffer(b"".join(self._genomes), "<f4").reshape(-1, self.genes) / self._ranges
+        worst = 0.0 if failed.all() else np.nanmin(fitness)
         with self._one_thread():
             self._learn(
-                solutions,
-                np.where(failed, told.min() if told.size else 0.0, fitness),
-                np.where(failed[:, None], np.nan, measures),
+                self._space.of(self._genomes), np.where(failed, worst, fitness), np.where(failed[:, None], np.nan, measures)
             )
+        self._tally.add(self._genomes, fitness, self._numbers(), relative=self.relative)
 
     def state(self) -> dict[str, Any]:
         """How often it was told; the rest is in what it was told."""
@@ -121,11 +107,11 @@ class Adapter(Optimizer):
 
     def best(self) -> tuple[bytes, float]:
         """The first of the best."""
-        return self._best
+        return self._tally.best()
 
     def statistics(self) -> dict[str, float]:
         """Best and mean fitness, evaluations so far, and what the child tells."""
-        return {"best": self._best[1], "mean": self._mean, "evaluations": float(self._evaluations), **self._numbers()}
+        return self._tally.statistics
 
     @contextlib.contextmanager
     def _one_thread(self) -> Iterator[None]:

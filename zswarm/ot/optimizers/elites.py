@@ -22,21 +22,19 @@ MOST_CELLS = 1_000_000
 FEWEST = 4  # candidates of an evolution strategy
 COMPILED = ("_transform_and_check_sol", "_calc_cov_update", "_calc_mean")  # functions that ribs has numba compile
 
-Measures = Annotated[list[str], Meta(min_length=1, description="metrics of the simulator that tell behaviours apart")]
-Lows = Annotated[list[float], Meta(description="of each measure, where its cells begin; what is lower is in the first one")]
-Highs = Annotated[list[float], Meta(description="where they end; what is higher is in the last one")]
-Cells = Annotated[list[int], Meta(description="of each measure, cells from its low to its high")]
-Offset = Annotated[float, Meta(description="what each elite adds to `qd_score` is its fitness minus this: the lowest there is")]
-
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What both have."""
+    """What both have; lows, highs and cells stand in the order of the measures."""
 
-    measures: Measures
-    lows: Lows
-    highs: Highs
-    cells: Cells
-    qd_score_offset: Offset = 0.0
+    measures: Annotated[list[str], Meta(description="metrics of the simulator that tell behaviours apart; at least one")] = []
+    lows: Annotated[
+        list[float], Meta(description="of each measure, where its cells begin; what is lower is in the first one")
+    ] = []
+    highs: Annotated[list[float], Meta(description="where they end; what is higher is in the last one")] = []
+    cells: Annotated[list[int], Meta(description="of each measure, how many cells lie between its low and its high")] = []
+    qd_score_offset: Annotated[
+        float, Meta(description="what each elite adds to `qd_score` is its fitness minus this: the lowest there is")
+    ] = 0.0
 
 
 class MapElitesSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -128,7 +126,7 @@ class MapElites(Elites):
             self.archive,
             iso_sigma=settings.sigma,
             line_sigma=settings.line,
-            initial_solutions=np.frombuffer(b"".join(first), "<f4").reshape(-1, self.genes) / self._ranges,
+            initial_solutions=self._space.of(first),
             batch_size=self.candidates,
             seed=derive_seed(seed, "emitter"),
         )
@@ -164,8 +162,8 @@ class CmaMe(Elites):
         ]
         for emitter in self._emitters:
             for name in COMPILED:  # that takes 8 s, more than it gives a run
-                function = getattr(emitter._opt, name, None)
-                if (plain := getattr(function, "py_func", None)) is not None:
+                plain = getattr(getattr(emitter._opt, name, None), "py_func", None)
+                if plain is not None:
                     setattr(emitter._opt, name, plain)
 
     def _teach(self, solutions: np.ndarray, fitness: np.ndarray, measures: np.ndarray, added: dict[str, np.ndarray]) -> None:
@@ -191,6 +189,8 @@ def _ranges(settings: Settings) -> list[tuple[float, float]]:
         ConfigError: they do not fit together.
     """
     count = len(settings.measures)
+    if not count:
+        raise ConfigError("optimizer: measures: expected the names of metrics that tell behaviours apart")
     if len(set(settings.measures)) < count:
         raise ConfigError(f"optimizer: measures: a name stands there twice: {', '.join(settings.measures)}")
     for key in ("lows", "highs", "cells"):

@@ -1,5 +1,7 @@
 """The vectors that genomes are, for optimizers that search such: in units of the ranges in which new genomes lie."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from zswarm.draws import Stream
@@ -42,6 +44,11 @@ class Space:
     def genomes(self, points: np.ndarray) -> list[bytes]:
         """What the points stand for, rounded to float32; too large numbers are the largest there are."""
         return [row.tobytes() for row in np.clip(points * self._ranges, -LARGEST, LARGEST).astype("<f4")]
+
+    def of(self, genomes: Sequence[bytes]) -> np.ndarray:
+        """(genomes, dimensions): the points that genomes stand for."""
+        points: np.ndarray = np.frombuffer(b"".join(genomes), "<f4").reshape(-1, self.dimensions) / self._ranges
+        return points
 
     def points(self, packed: bytes) -> np.ndarray:
         """Points that were packed by ``tobytes``."""

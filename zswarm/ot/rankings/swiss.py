@@ -58,13 +58,11 @@ class Swiss(Tournament):
         if candidates % 2:
             byes = _byes(candidates, told)
             waiting.remove([candidate for candidate in waiting if byes[candidate] == byes.min()][-1])
-        met = np.zeros((candidates, candidates), bool)
-        for played in told:
-            met[played.groups[:, 0], played.groups[:, 1]] = met[played.groups[:, 1], played.groups[:, 0]] = True
+        met = {(one, other) for played in told for pair in played.groups.tolist() for one, other in (pair, pair[::-1])}
         pairs = []
         while waiting:
             first = waiting.pop(0)
-            second = next((other for other in waiting if not met[first, other]), waiting[0])
+            second = next((other for other in waiting if (first, other) not in met), waiting[0])
             waiting.remove(second)
             pairs.append((first, second))
         return np.array(pairs)
