@@ -40,7 +40,7 @@ class Task(NamedTuple):
 TASKS = {
     "stadium": Task("stadium", 10_000, measures(escaped=(0, 72, 24), rounds=(0, 50, 25))),
     "xor": Task("xor", 10_000, measures(output_01=(0, 1, 20), output_11=(0, 1, 20))),
-    "aggregation": Task("arena-aggregation", 3_000, measures(spread=(0, 2, 20), neighbours=(0, 15, 15))),
+    "aggregation": Task("arena-aggregation", 2_000, measures(spread=(0, 2, 20), neighbours=(0, 15, 15))),
 }
 NETWORKS = {"neat": {"kind": "neat"}}  # of methods that search another kind of network than the example's
 
