@@ -1,9 +1,9 @@
 """Digests of what decides a result: the program that ``test_bits.py`` runs as on other processors.
 
-For every simulator with every representation: the outcomes of some trials, and of one in turns; what the representation's
-operators make; and what short runs of the optimizers propose, are told and keep. With one partner each is played in all the
-ways that its settings name. With ``short``: trials of few steps, for plain Python; with ``few`` few of these, with the partner
-only, and no runs.
+Every simulator in all the ways that its settings name, with one network, and every network in all its ways, in one simulator: the
+outcomes of some trials, and of one in turns. What the networks' operators make; and what short runs of the optimizers, in all
+their ways and with every network, propose, are told and keep, on the smallest problem. Then every pair of simulator and
+network. With ``short``: trials of few steps, for plain Python; with ``few`` few of these, no runs and no pairs.
 """
 
 import contextlib
@@ -19,6 +19,7 @@ import numpy as np
 from zswarm import draws, evaluate, plugins
 from zswarm.draws import Stream
 from zswarm.errors import ConfigError
+from zswarm.lanes import LANES
 from zswarm.ot.history import History
 
 PARTNERS = "arena", "fully-meshed"
@@ -27,6 +28,8 @@ STEPS = 25 if sys.argv[1:] else None  # of a trial, if not as many as the simula
 GENOMES = 2 if FEW else 6
 SEEDS = np.array([1] if FEW else [1, 2**63 + 5], np.uint64)
 GENERATIONS = 3
+SIMULATOR, NETWORK, SMALLEST = "arena", "fully-meshed", "xor"  # partners: whose metrics show every bit of what is decided, lanes
+NEEDED = {("minisim", "teams"): {"defenders": 0}}  # by other settings than the one that names choices
 
 
 def ways(settings: Any) -> Iterator[dict[str, Any]]:
@@ -41,19 +44,25 @@ def ways(settings: Any) -> Iterator[dict[str, Any]]:
 
 
 def problems() -> Iterator[tuple[str, Any, Any]]:
-    """Every simulator with every representation, and each choice of either with the other's partner."""
+    """Each simulator and each network in all ways, with a partner; then all pairs by default."""
     for simulator in plugins.names("simulator"):
-        for representation in plugins.names("representation"):
-            with_partner = [simulator == PARTNERS[0], representation == PARTNERS[1]]
-            if FEW and not any(with_partner):
-                continue
-            settings = plugins.load("simulator", simulator).settings_type
-            of_simulator = [*ways(settings)] if with_partner[1] else [{}]
-            of_network = [*ways(plugins.load("representation", representation).settings_type)] if with_partner[0] else [{}]
-            for rules, shape in [*((chosen, {}) for chosen in of_simulator), *(({}, chosen) for chosen in of_network[1:])]:
-                name = " ".join([simulator, representation, *(f"{key}={value}" for key, value in {**rules, **shape}.items())])
-                steps = {"steps": STEPS} if STEPS and hasattr(settings, "steps") else {}
-                yield name, *evaluate.build(simulator, rules | steps, representation, shape)
+        for chosen in ways(plugins.load("simulator", simulator).settings_type):
+            yield problem(simulator, NETWORK, chosen | NEEDED.get((simulator, *chosen), {}), {})
+    for network in plugins.names("representation"):
+        for chosen in ways(plugins.load("representation", network).settings_type):
+            yield problem(SIMULATOR, network, {"robots": LANES}, chosen)
+    if not FEW:
+        for simulator in plugins.names("simulator"):
+            for network in plugins.names("representation"):
+                yield problem(simulator, network, {}, {})
+
+
+def problem(simulator: str, network: str, rules: dict[str, Any], shape: dict[str, Any]) -> tuple[str, Any, Any]:
+    """Its name, and both of its parts."""
+    name = " ".join([simulator, network, *(f"{key}={value}" for key, value in {**rules, **shape}.items())])
+    if STEPS and hasattr(plugins.load("simulator", simulator).settings_type, "steps"):
+        rules = rules | {"steps": STEPS}
+    return name, *evaluate.build(simulator, rules, network, shape)
 
 
 def played(simulator: Any, network: Any) -> bytes:
@@ -104,26 +113,21 @@ def drawn() -> bytes:
 
 def results() -> Iterator[tuple[str, bytes]]:
     """Name and bytes of everything."""
-    portable = [name for name in plugins.names("optimizer") if not FEW and plugins.load("optimizer", name).portable]
     yield "draws", drawn()
     for name, simulator, network in problems():
-        by_default = name.count(" ") == 1
         yield f"{name}: outcomes", played(simulator, network)
-        if by_default:
-            yield f"{name}: operators", operated(network)
-        one, other = name.split(" ")[:2]
-        if not by_default or simulator.participants != 1 or (one != "minisim" and other != "fully-meshed"):
-            continue  # optimizers with every representation, and on every simulator, but not each with each
-        for kind in portable:
+    for representation in plugins.names("representation"):
+        _, simulator, network = problem(SMALLEST, representation, {}, {})
+        yield f"{representation}: operators", operated(network)
+        for kind in [] if FEW else plugins.names("optimizer"):
             optimizer_class = plugins.load("optimizer", kind)
-            for chosen in ways(optimizer_class.settings_type) if one == "minisim" else [{}]:
+            for chosen in ways(optimizer_class.settings_type) if representation == NETWORK else [{}]:
                 given = {"population": 12, "measures": simulator.metrics[:2], **chosen}
                 known = {key: value for key, value in given.items() if key in optimizer_class.settings_type.__struct_fields__}
-                settings = msgspec.convert(known, optimizer_class.settings_type)
-                with contextlib.suppress(ConfigError):  # it does not take such a network
-                    if simulator.metrics or "measures" not in known:
-                        optimizer = optimizer_class(settings, network, 5)
-                        yield f"{name}: {kind} {chosen}", evolved(optimizer, simulator, network)
+                if optimizer_class.portable:
+                    with contextlib.suppress(ConfigError):  # it does not take such a network
+                        optimizer = optimizer_class(msgspec.convert(known, optimizer_class.settings_type), network, 5)
+                        yield f"{representation}: {kind} {chosen}", evolved(optimizer, simulator, network)
 
 
 if __name__ == "__main__":

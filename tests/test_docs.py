@@ -321,7 +321,7 @@ def test_the_example_optimizer_keeps_the_contract(tmp_path: Path, monkeypatch: p
 def test_every_optimizer_and_its_statistics_are_documented(name: str) -> None:
     """A row says what it is for, and what it takes; every statistic has its meaning."""
     loaded = plugins.load("optimizer", name)
-    given: dict[str, typing.Any] = {"measures": ["one", "other"], "lows": [0.0, 0.0], "highs": [1.0, 1.0], "cells": [5, 5]}
+    given = {"measures": ["one", "other"], "lows": [0, 0], "highs": [1, 1], "cells": [3, 3]}
     wanted = {key: value for key, value in given.items() if key in loaded.settings_type.__struct_fields__}
     network_class = plugins.load("representation", name if name in plugins.BUNDLED["representation"] else "fully-meshed")
     network = network_class(network_class.settings_type(), 2, 1)

@@ -5,10 +5,10 @@ The arrows: errors <- protocol, nets, sims <- evaluate <- ot, ss. ``ot`` and ``s
 """
 
 import ast
+import functools
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -89,15 +89,17 @@ REORDERING = {
 # ---- arrows -------------------------------------------------------------------------------------------------------
 
 
-def imported(path: Path) -> Iterator[str]:
+@functools.cache
+def imported(path: Path) -> tuple[str, ...]:
     """Full names of the modules that a file imports anywhere, also inside functions."""
+    names: list[str] = []
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            names += (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path.name}: imports are absolute"
-            yield str(node.module)
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+            names += [str(node.module), *(f"{node.module}.{alias.name}" for alias in node.names)]
+    return tuple(names)
 
 
 def group(module: str) -> str:
@@ -142,7 +144,7 @@ def test_modules_are_found() -> None:
 
 
 def test_the_errors_import_nothing() -> None:
-    assert list(imported(MODULES["errors"])) == []
+    assert imported(MODULES["errors"]) == ()
 
 
 @pytest.mark.parametrize("library", ONLY_IN)

@@ -93,8 +93,8 @@ plugins.BUNDLED["simulator"]["lazy"] = "lazy:Lazy"
 from zswarm import evaluate
 from zswarm.draws import Stream
 
-simulators = sys.argv[1:] or plugins.names("simulator")
-parts = [(simulator, representation) for simulator in simulators for representation in plugins.names("representation")]
+simulators, representations = sys.argv[1:2] or plugins.names("simulator"), sys.argv[2:] or plugins.names("representation")
+parts = [(simulator, representation) for simulator in simulators for representation in representations]
 for simulator, representation in parts:
     with event.install_recorder("numba:compile") as before:
         built, network = evaluate.build(simulator, {}, representation, {})
@@ -140,7 +140,7 @@ def lazy(tmp_path: Path) -> str:
 
 def test_what_is_compiled_when_it_is_first_called_is_compiled_by_the_warming_up(lazy: str, tmp_path: Path) -> None:
     """So no batch waits for it."""
-    said = run(WARM_UP, tmp_path, jit.cache_folder().parent, "lazy", PYTHONPATH=lazy)
+    said = run(WARM_UP, tmp_path, jit.cache_folder().parent, "lazy", "fully-meshed", PYTHONPATH=lazy)
     assert said == ["lazy", "fully-meshed", "True", "0"]
 
 

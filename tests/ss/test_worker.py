@@ -8,6 +8,7 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -60,6 +61,15 @@ def answer(of: Worker) -> tuple[bytes, bytes]:
     return of.receive()
 
 
+def pairs() -> Iterator[Any]:
+    """Of bundled simulators and representations: each part in one; all others are long."""
+    simulators, representations = list(plugins.BUNDLED["simulator"]), list(plugins.BUNDLED["representation"])
+    for row, simulator in enumerate(simulators):
+        for column, representation in enumerate(representations):
+            first = row % len(representations) == column or column % len(simulators) == row
+            yield pytest.param(simulator, representation, marks=[] if first else pytest.mark.long)
+
+
 def pid(of: Worker) -> int:
     assert of._process is not None
     assert of._process.pid is not None
@@ -71,8 +81,7 @@ def limit(of: Worker, name: str) -> str:
     return next(line for line in lines if line.startswith(name)).removeprefix(name).split()[0]
 
 
-@pytest.mark.parametrize("representation", plugins.BUNDLED["representation"])
-@pytest.mark.parametrize("simulator", plugins.BUNDLED["simulator"])
+@pytest.mark.parametrize(("simulator", "representation"), [*pairs()])
 def test_bundled_parts_work_with_the_least_memory_that_may_be_asked_for(
     simulator: str, representation: str, new_worker: Callable[..., Worker]
 ) -> None:

@@ -28,7 +28,7 @@ from zswarm.ot.optimizers.optimizer import Optimizer, Told
 
 REPEATS = 100  # of rejected crossovers, in a generation of one island
 SUITORS = 11  # fathers to choose from
-STRIP = 64  # individuals whose distances to others are computed at once
+STRIP = 24  # individuals whose distances to those after them are computed at once; with more there is less to leave out
 OPERATORS = ("elite", "random", "mutation", "crossover", "renew")
 
 Share = Annotated[float, Meta(ge=0, le=1)]
