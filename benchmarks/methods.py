@@ -23,8 +23,14 @@ SEEDS = 10
 POINTS = 60  # of a curve
 
 
+def measures(**told: tuple[float, float, int]) -> dict[str, Any]:
+    """Settings of methods that want measures: metrics of the simulator, each with low, high and cells of an archive."""
+    lows, highs, cells = zip(*told.values(), strict=True)
+    return {"measures": list(told), "lows": list(lows), "highs": list(highs), "cells": list(cells)}
+
+
 class Task(NamedTuple):
-    """A problem: an example, how many evaluations each run has, and what methods are told that want measures."""
+    """A problem: an example, how many evaluations each run has, and what methods are told of that want measures."""
 
     example: str
     evaluations: int
@@ -32,9 +38,9 @@ class Task(NamedTuple):
 
 
 TASKS = {
-    "stadium": Task("stadium", 10_000, {"measures": ["escaped", "rounds"]}),
-    "xor": Task("xor", 10_000, {"measures": ["output_01", "output_11"]}),
-    "aggregation": Task("arena-aggregation", 3_000, {"measures": ["spread", "neighbours"]}),
+    "stadium": Task("stadium", 10_000, measures(escaped=(0, 72, 24), rounds=(0, 50, 25))),
+    "xor": Task("xor", 10_000, measures(output_01=(0, 1, 20), output_11=(0, 1, 20))),
+    "aggregation": Task("arena-aggregation", 2_000, measures(spread=(0, 2, 20), neighbours=(0, 15, 15))),
 }
 NETWORKS = {"neat": {"kind": "neat"}}  # of methods that search another kind of network than the example's
 

@@ -22,7 +22,6 @@ from zswarm.errors import ConfigError
 from zswarm.lanes import LANES
 from zswarm.ot.history import History
 
-PARTNERS = "arena", "fully-meshed"
 FEW = sys.argv[1:] == ["few"]
 STEPS = 25 if sys.argv[1:] else None  # of a trial, if not as many as the simulator's settings say
 GENOMES = 2 if FEW else 6

@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from zswarm import evaluate, experiment
 from zswarm.draws import Stream
 from zswarm.errors import ConfigError
 from zswarm.nets.mealy import Machine, Mealy, Settings
+from zswarm.ot import run
 from zswarm.strict import convert
 from zswarm.testing import check_representation
 
@@ -298,3 +300,21 @@ def test_the_distance_counts_the_numbers_that_differ() -> None:
     wider = Machine(0, np.array([10, 20]), np.zeros((4, 3), int), np.zeros((4, 3, 2), int))
     found = built.distances([one.genome()], [one.genome(), other.genome(), wider.genome()])
     assert found.tolist() == [[0, 4, 12]]
+
+
+# ---- what it is known for -----------------------------------------------------------------------------------------
+
+
+def test_a_machine_learns_to_walk_to_the_exit_and_to_stop_there() -> None:
+    """The example, on the exit within half of its generations, and not at first."""
+    loaded = experiment.load(experiment.find("mealy"), [])
+    parts = run.build(experiment.complete(loaded, "test"))
+    bests = []
+    for _ in range(30):
+        genomes = parts.optimizer.ask()
+        participants, seeds = np.arange(len(genomes)).reshape(-1, 1), np.zeros(len(genomes), np.uint64)
+        outcomes = evaluate.evaluate(parts.problem.simulator, parts.problem.representation, genomes, participants, seeds)
+        parts.optimizer.tell(outcomes.fitness[:, 0])
+        bests.append(parts.optimizer.best()[1])
+    assert bests[0] < -1
+    assert bests[-1] == 0

@@ -8,6 +8,7 @@ from scipy.stats import mannwhitneyu
 from zswarm import experiment
 from zswarm.evaluate import evaluate
 from zswarm.ot import run
+from zswarm.ot.assessment import Assessment
 
 STADIUM = ("cea2d", "cuckoo", "openai-es", "pso")
 
@@ -18,11 +19,16 @@ def best(name: str, changes: Sequence[str] = (), evaluations: int = 10**9) -> fl
     complete = experiment.complete(loaded, name)
     (problem, optimizer), told = run.build(complete), 0
     for generation in range(complete.generations):
-        workload = problem.workload(optimizer.ask(), generation)
-        outcomes = evaluate(problem.simulator, problem.representation, workload.genomes, workload.participants, workload.seeds)
-        workload.fitness[:], workload.metrics[:] = outcomes.fitness, outcomes.metrics
-        optimizer.tell(problem.total(workload), problem.measures(workload, optimizer.measures))
-        told += len(workload.genomes)
+        assessment, more = Assessment(problem, optimizer.ask(), generation), True
+        while more:
+            workload = assessment.workload
+            outcomes = evaluate(
+                problem.simulator, problem.representation, workload.genomes, workload.participants, workload.seeds
+            )
+            workload.fitness[:], workload.metrics[:] = outcomes.fitness, outcomes.metrics
+            more = assessment.advance()
+        optimizer.tell(assessment.fitness(), assessment.measures(optimizer.measures))
+        told += len(assessment.genomes)
         if told >= evaluations:
             break
     return optimizer.best()[1]

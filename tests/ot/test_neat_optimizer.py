@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from zswarm import evaluate
+from zswarm import evaluate, experiment
 from zswarm.errors import ConfigError
 from zswarm.nets import fully_meshed
 from zswarm.nets.neat import Neat
 from zswarm.nets.neat import Settings as NetworkSettings
+from zswarm.ot import run
 from zswarm.ot.optimizers import neat
 from zswarm.ot.optimizers.neat import NEAT, Individual, Settings, Species
 from zswarm.testing import check_optimizer
@@ -108,7 +109,7 @@ def test_a_species_that_gets_no_better_has_no_offspring_unless_it_has_the_best()
     evolving = with_species([5.0, 4.0], [9.0, 1.0], [5.0, 2.0], generation=31, improved=30, stagnation=15)
     evolving._improved = 30
     evolving._species[0].improved = evolving._species[1].improved = 15
-    assert evolving._counts() == [0, 4, 2] or evolving._counts() == [0, 3, 3]
+    assert evolving._counts() == [0, 4, 2]
     evolving._species[0].improved = 16
     assert evolving._counts()[0] > 0
 
@@ -174,9 +175,9 @@ def test_a_child_has_the_structure_of_its_fitter_parent() -> None:
 @pytest.mark.parametrize(
     "settings",
     [
-        {"population": 30, "species": 3, "stagnation": 1, "population_stagnation": 1},
+        {"population": 10, "species": 3, "stagnation": 1, "population_stagnation": 1},
         {"population": 2},
-        {"population": 40, "interspecies": 1.0, "crossover": 1.0, "elite_size": 0},
+        {"population": 9, "interspecies": 1.0, "crossover": 1.0, "elite_size": 0},
     ],
 )
 def test_other_settings_keep_the_contract(settings: dict[str, Any]) -> None:
@@ -204,11 +205,12 @@ def test_statistics_say_how_large_networks_are() -> None:
 # ---- what it is known for -----------------------------------------------------------------------------------------
 
 
-def solved(seed: int, **settings: Any) -> tuple[int, int, int] | None:
-    """Generations, evaluations and hidden neurons until all four cases of XOR are right; None if 200 do not."""
-    simulator, representation = evaluate.build("xor", {}, "neat", settings)
+def solved(seed: int) -> tuple[int, int, int] | None:
+    """Generations, evaluations and hidden neurons until the example has all four cases right; None if 200 do not."""
+    loaded = experiment.load(experiment.find("xor-neat"), [f"seed={seed}"])
+    parts = run.build(experiment.complete(loaded, "test"))
+    simulator, representation, evolving = parts.problem.simulator, parts.problem.representation, parts.optimizer
     assert isinstance(representation, Neat)
-    evolving = NEAT(Settings(), representation, seed)
     evaluations = 0
     for generation in range(1, 201):
         genomes = evolving.ask()
@@ -224,7 +226,7 @@ def solved(seed: int, **settings: Any) -> tuple[int, int, int] | None:
 
 def test_xor_is_solved_by_neurons_that_were_not_there_at_first() -> None:
     generations, evaluations, hidden = solved(1) or (0, 0, 0)
-    assert 1 <= generations <= 60
+    assert 1 <= generations <= 60, "as many as the example has"
     assert evaluations <= 150 * generations
     assert hidden >= 1
 

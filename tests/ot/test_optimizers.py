@@ -100,7 +100,7 @@ def test_other_settings_keep_the_contract(name: str, settings: dict[str, Any]) -
 
 YESTERDAY = {
     "cea2d": "616c2d2c958220bb072471bbf891f962",
-    "cuckoo": "dbf7dd94cfbe3d0b38c9868203c87a1a",
+    "cuckoo": "b2eb85580353074c5af8358c1fc6ca07",
     "novelty": "f3716aee69eb9772df3f6feca9650ca6",
     "openai-es": "37652e426fe1797dd695b33d499c30e7",
     "pso": "417e5b4aff3c5e170076eca55060799c",

@@ -173,6 +173,10 @@ def test_the_record_says_who_played_each_trial(tmp_path: Path, servers: Servers)
         assert games.tolist() == workload.participants[indices - workload.first].tolist()
         assert np.frombuffer(fitness, "<f8").reshape(count, 2).tolist() == workload.fitness[indices - workload.first].tolist()
     assert seen == {generation: list(range(18)) for generation in range(GENERATIONS)}
+    read = Run(folder).trials(1)
+    assert [(trial["game"], trial["trial"]) for trial in read] == [(game, trial) for game in range(9) for trial in range(2)]
+    together = np.concatenate([workload.participants for workload in servers.handed[3:6]])
+    assert [trial["candidates"] for trial in read] == together.tolist()
 
 
 def test_a_wrong_server_loses_its_round_and_what_it_did_before_is_doubtful(tmp_path: Path, servers: Servers) -> None:

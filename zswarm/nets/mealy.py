@@ -123,7 +123,7 @@ class Machine(NamedTuple):
 
 
 class Mealy(Representation):
-    """Finite-state machines: inputs fall into classes, and a table says outputs and next state. See the module's text.
+    """Finite-state machines: inputs fall into classes, and a table says outputs and next state.
 
     ``mutate``: each of the seven mutations with its chance from the settings times ``probability``; both methods, and any
     ``severity``, are the same.

@@ -152,7 +152,7 @@ class Genes(NamedTuple):
 
 
 class Neat(Representation):
-    """Networks whose structure is evolved: NEAT's genomes, FREVO's decisions. See the module's text.
+    """Networks whose structure is evolved: NEAT's genomes, FREVO's decisions.
 
     ``mutate``: ``probability`` is that of each number to change, ``severity`` how far, in ranges. Method 1 may change the
     structure instead, with the chances that the settings give; method 2 changes numbers only. ``crossover`` takes the mother

@@ -3,6 +3,7 @@
 import contextlib
 import inspect
 import re
+import sys
 from typing import Any, NamedTuple
 
 import msgspec
@@ -22,7 +23,7 @@ class Part(NamedTuple):
     kind: plugins.Kind
     name: str
     about: str = ""  # the first line of its data sheet
-    sheet: tuple[str, ...] = ()  # the rest, in paragraphs
+    sheet: tuple[str, ...] = ()  # the rest, then the text of its module, in paragraphs
     settings: tuple[Key, ...] = ()
     facts: tuple[tuple[str, Any], ...] = ()  # what its class states, such as ("portable", True)
     error: str = ""  # why it cannot be used; then nothing else is known
@@ -52,9 +53,10 @@ def part(kind: plugins.Kind, name: str) -> Part:
     """One part; it is imported, and what goes wrong in that is told."""
     try:
         loaded = plugins.load(kind, name)
-        about, sheet = _paragraphs(inspect.getdoc(loaded) or "")
+        about, *sheet = _paragraphs(inspect.getdoc(loaded) or "")
+        source = _paragraphs(inspect.getdoc(sys.modules[loaded.__module__]) or "")
         keys = tuple(_cleaned(key) for key in settings_sheet.keys(loaded.settings_type))
-        return Part(kind, clean(name), about, sheet, keys, tuple(_facts(kind, loaded)))
+        return Part(kind, clean(name), about, (*sheet, *filter(None, source)), keys, tuple(_facts(kind, loaded)))
     except (Exception, SystemExit) as error:  # a plug-in's code and texts may do anything; the others are shown all the same
         return Part(kind, clean(name), error=clean(" ".join(f"{error}".split()) or type(error).__name__))
 
@@ -85,10 +87,10 @@ def default(key: Key) -> str:
     return "required" if key.required else clean(msgspec.json.encode(key.default).decode())
 
 
-def _paragraphs(text: str) -> tuple[str, tuple[str, ...]]:
-    """A data sheet's first line, and the rest without the line breaks and marks of its source."""
+def _paragraphs(text: str) -> list[str]:
+    """A text without the line breaks and marks of its source: its first line, then the rest in paragraphs."""
     first, *lines = settings_sheet.plain(text).splitlines() or [""]
-    paragraphs: list[str] = []
+    paragraphs = [clean(first)]
     begins = True
     for line in lines:
         words = clean(line.strip())
@@ -97,7 +99,7 @@ def _paragraphs(text: str) -> tuple[str, tuple[str, ...]]:
         elif words:
             paragraphs[-1] += " " + words
         begins = not words
-    return clean(first), tuple(paragraphs)
+    return paragraphs
 
 
 def _cleaned(key: Key) -> Key:

@@ -236,32 +236,36 @@ class Run:
     def trials(self, generation: int) -> list[dict[str, Any]]:
         """Those counted of a generation, in order: candidate, trial, fitness (a list, by participant), metrics (by name), server.
 
-        Of the generation that runs, too. NaN is None.
+        Of the generation that runs, too. NaN is None. Where candidates play each other there is instead of candidate: game, and
+        candidates, those that played it, in the order of fitness.
         """
         each, found = self.experiment.problem.trials, []
-        for count, trials, fitness, metrics, server in self._rows(
-            "SELECT count, trials, fitness, metrics, server FROM outcomes WHERE generation = ? ORDER BY id",
-            tuple[int, bytes, bytes, bytes, str],
+        players = "NULL" if self.meta["schema_version"] in (1, 2, 3) else "participants"  # these do not know them
+        for count, trials, fitness, metrics, server, participants in self._rows(
+            f"SELECT count, trials, fitness, metrics, server, {players} FROM outcomes WHERE generation = ? ORDER BY id",  # noqa: S608  our own words
+            tuple[int, bytes, bytes, bytes, str, bytes | None],
             generation,
         ):
             try:
                 indices = np.frombuffer(trials, "<u4").reshape(count)
                 told = np.frombuffer(fitness, "<f8").reshape(count, -1)
                 measured = np.frombuffer(metrics, "<f8").reshape(count, -1)
+                played = None if participants is None else np.frombuffer(participants, "<u4").reshape(told.shape).tolist()
             except ValueError:
                 raise self._damaged(f"outcomes of generation {generation} do not fit together") from None
             names = self._metrics(measured.shape[1])
-            for index, one, values in zip(indices.tolist(), told.tolist(), measured.tolist(), strict=True):
+            for row, (index, one, values) in enumerate(zip(indices.tolist(), told.tolist(), measured.tolist(), strict=True)):
+                alone = {"candidate": index // each}
                 found.append(
                     {
-                        "candidate": index // each,
+                        **(alone if played is None else {"game": index // each, "candidates": played[row]}),
                         "trial": index % each,
                         "fitness": [_number(value) for value in one],
                         "metrics": {name: _number(value) for name, value in zip(names, values, strict=True)},
                         "server": clean(server),
                     }
                 )
-        return sorted(found, key=lambda trial: (trial["candidate"], trial["trial"]))
+        return sorted(found, key=lambda trial: (trial["game" if "game" in trial else "candidate"], trial["trial"]))
 
     def champion(self) -> Controller | None:
         """The best controller so far, its texts safe to show; None before there is one.
@@ -543,7 +547,11 @@ def _listed(folder: Path) -> dict[str, Any]:
         return {"run": shown, "error": f"no {EXPERIMENT} in it"}
     try:
         with opened(folder / DATABASE) as database:
-            row = database.execute("SELECT count(*), max(best), sum(evaluations), max(finished_at) FROM generations").fetchone()
+            row = database.execute(
+                "SELECT count(*), CASE WHEN EXISTS (SELECT 1 FROM meta WHERE key = 'relative') THEN (SELECT best FROM "
+                "generations ORDER BY generation DESC LIMIT 1) ELSE max(best) END, sum(evaluations), max(finished_at) "
+                "FROM generations"
+            ).fetchone()
             status = database.execute("SELECT value FROM meta WHERE key = 'history_hash'").fetchone()
         generations, best, candidates, at = msgspec.convert(row, tuple[int, float | None, int | None, float | None])
         history = msgspec.convert(status, tuple[str] | None)

@@ -116,6 +116,8 @@ def evolve(
         if resumed.generation < complete.generations:
             assessment = Assessment(problem, optimizer.ask(), resumed.generation)
             record.begin(resumed.generation, assessment.workload)
+            if not optimizer.portable and (others := record.forget_others()):
+                logger.on_say(f"generation {resumed.generation} was begun with other candidates: {others} trials are forgotten")
             record.restore(assessment.workload)
             happening = evaluations.evaluate(assessment.workload)
         for generation in range(resumed.generation, complete.generations):

@@ -111,11 +111,11 @@ class InvertedPendulum(CompiledSimulator):
         return Outcome(list(fitness), list(metrics))
 
     def frame(self) -> Frame:
-        """Eight metres of the track around the start; a cart that leaves them is shown at their end."""
-        width, height = 8.0, 2.6
+        """Ten metres of the track around the start; a cart that leaves the inner eight is shown where it left them."""
+        width, height, inner = 10.0, 2.6, 4.0
         phi, position = float(self._state[PHI]), float(self._state[POSITION])
-        is_seen = abs(position) <= width / 2
-        x, y = min(max(position, -width / 2), width / 2) + width / 2, height / 2
+        is_seen = abs(position) <= inner
+        x, y = width / 2 + min(max(position, -inner), inner), height / 2
         along, up = cos(phi), sin(phi)
         rod = [Body("rod", x + along * part / 10, y - up * part / 10, 0.02) for part in range(1, 10)]
         return Frame(

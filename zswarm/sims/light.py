@@ -108,7 +108,10 @@ class Light(CompiledSimulator):
             SIDE + 2 * rim,
             SIDE + 2 * rim,
             [
-                Place("floor", rim, rim, SIDE, SIDE),
+                Place("wall", rim - 1, rim - 1, SIDE + 2, 1.0),
+                Place("wall", rim - 1, rim + SIDE, SIDE + 2, 1.0),
+                Place("wall", rim - 1, rim, 1.0, SIDE),
+                Place("wall", rim + SIDE, rim, 1.0, SIDE),
                 Place("light", middle + light_x - 2.5, middle + light_y - 2.5, 5.0, 5.0),
             ],
             [

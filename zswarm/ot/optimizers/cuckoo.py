@@ -38,7 +38,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     discovery: Annotated[
         float, Meta(gt=0, le=1, description="share of the nests that are discovered and built anew, by turns with flights")
     ] = 0.75
-    step: Annotated[float, Meta(gt=0, le=1e6, description="scale of Levy flights, in distances to the best nest")] = 0.1
+    step: Annotated[float, Meta(gt=0, le=1e6, description="scale of Levy flights, in distances to the best nest")] = 0.3
     bound: Annotated[float, Meta(gt=0, le=1e6, description="limit of a genome's numbers, in ranges of new genomes")] = 2.0
 
 

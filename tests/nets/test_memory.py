@@ -1,0 +1,34 @@
+"""A network that remembers finds the light where one that does not drives in an arc, as examples/light-memory.toml says."""
+
+import numpy as np
+import pytest
+
+from zswarm import evaluate, experiment
+from zswarm.experiment import Experiment
+from zswarm.ot import run
+
+FORGETFUL = 'representation={kind = "feed-forward", hidden = [4], activation = "tanh"}'
+
+
+def best_per_trial(complete: Experiment) -> float:
+    """Of a run, played here."""
+    parts = run.build(complete)
+    problem, optimizer = parts.problem, parts.optimizer
+    for generation in range(complete.generations):
+        work = problem.workload(optimizer.ask(), generation)
+        outcomes = evaluate.evaluate(problem.simulator, problem.representation, work.genomes, work.participants, work.seeds)
+        optimizer.tell(np.cumsum(outcomes.fitness[:, 0].reshape(-1, complete.problem.trials), axis=1)[:, -1])
+    return optimizer.best()[1] / complete.problem.trials
+
+
+def found(seed: int, *overrides: str) -> float:
+    loaded = experiment.load(experiment.find("light-memory"), [f"seed={seed}", *overrides])
+    return best_per_trial(experiment.complete(loaded, "light-memory"))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("seed", "remembering", "forgetful"), [(1, 0.82, 0.75), (2, 0.89, 0.74), (3, 0.88, 0.74)])
+def test_what_remembers_finds_the_light_sooner(seed: int, remembering: float, forgetful: float) -> None:
+    """The numbers are those of the example's comment."""
+    assert found(seed) == pytest.approx(remembering, abs=0.006)
+    assert found(seed, FORGETFUL) == pytest.approx(forgetful, abs=0.006)
