@@ -137,7 +137,7 @@ def test_shares_that_leave_nothing_to_the_elite_are_refused(share: str) -> None:
 @pytest.mark.parametrize("settings", [{"population": 2}, {"mutation": 0.0, "crossover": 0.0, "renew": 0.0}])
 def test_shares_that_make_nobody_new_are_refused(settings: dict[str, Any]) -> None:
     """Else all are elite, and after the first generation nobody is asked."""
-    with pytest.raises(ConfigError, match="make nobody new of .* individuals; expected at least one in all"):
+    with pytest.raises(ConfigError, match=r"make nobody new of .* individuals; expected at least one in all"):
         NNGA(Settings(**settings), Watched(), 1)
 
 
