@@ -45,18 +45,20 @@ def by_chance(name: str, seed: int, evaluations: int) -> float:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("name", "evaluations"), [*((name, 2000) for name in ("stadium", *STADIUM)), ("novelty", 1500)])
-def test_each_beats_random_search_at_equal_evaluations(name: str, evaluations: int) -> None:
-    """Also novelty search, which is not told what is good: robots that do what none did come together, too."""
-    found = [best(name, [f"seed={seed}"], evaluations) for seed in range(10)]
-    chance = [by_chance(name, seed, evaluations) for seed in range(10)]
+@pytest.mark.parametrize("name", ("stadium", *STADIUM))
+def test_each_beats_random_search_at_equal_evaluations(name: str) -> None:
+    found = [best(name, [f"seed={seed}"], 2000) for seed in range(10)]
+    chance = [by_chance(name, seed, 2000) for seed in range(10)]
     assert mannwhitneyu(found, chance, alternative="greater").pvalue < 0.01
 
 
 @pytest.mark.long
-def test_novelty_gathers_robots_nearly_as_well_as_who_breeds_for_it() -> None:
-    """Of 3 at best: about 2.4 by either, 2.1 by chance, after 1,500 evaluations."""
-    found = sorted(best("novelty", [f"seed={seed}"]) for seed in (1, 2, 3))
-    bred = sorted(best("novelty", [f"seed={seed}", 'optimizer={kind="nnga"}'], 1500) for seed in (1, 2, 3))
-    assert found[1] > 2.3
-    assert found[1] > bred[1] - 0.2
+def test_novelty_finds_the_way_round_where_fitness_leads_behind_a_wall() -> None:
+    """The goal of the maze is reached with fitness 1 and more; neither who breeds for nearness nor chance comes there."""
+    found = [best("maze", [f"seed={seed}"]) for seed in range(10)]
+    bred = [best("maze", [f"seed={seed}", 'optimizer={kind="nnga"}', "generations=1000"], 15_000) for seed in range(10)]
+    chance = [by_chance("maze", seed, 15_000) for seed in range(10)]
+    assert sum(fitness >= 1.0 for fitness in found) >= 8
+    for others in (bred, chance):
+        assert sum(fitness >= 1.0 for fitness in others) <= 2
+        assert mannwhitneyu(found, others, alternative="greater").pvalue < 0.01
