@@ -45,7 +45,7 @@ def by_chance(name: str, seed: int, evaluations: int) -> float:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", ("stadium", *STADIUM))
+@pytest.mark.parametrize("name", ["stadium", *STADIUM])
 def test_each_beats_random_search_at_equal_evaluations(name: str) -> None:
     found = [best(name, [f"seed={seed}"], 2000) for seed in range(10)]
     chance = [by_chance(name, seed, 2000) for seed in range(10)]
