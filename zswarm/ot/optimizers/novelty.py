@@ -44,7 +44,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     population: Annotated[int, Meta(ge=2, le=100_000, description="individuals, and children of a generation")] = 100
     neighbours: Annotated[int, Meta(ge=1, le=100_000, description="nearest others whose mean distance is novelty")] = 15
     threshold: Annotated[
-        float, Meta(ge=0, le=1e300, description="novelty at which an individual enters the archive, at first; 0: the mean")
+        float, Meta(ge=0, le=1e9, description="novelty at which an individual enters the archive, at first; 0: the mean")
     ] = 0.0
     fitness: Annotated[Share, Meta(description="weight of fitness beside novelty, each scaled to 0..1; 0: novelty alone")] = 0.0
     mutation: Annotated[Share, Meta(description="share of mutants; the others are children of two")] = 0.7
