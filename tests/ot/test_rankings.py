@@ -1,5 +1,6 @@
 """Rankings: who plays whom, and what it makes of each, worked out by hand."""
 
+import tracemalloc
 from typing import Any
 
 import numpy as np
@@ -173,3 +174,17 @@ def test_what_cannot_be_played_is_refused_in_one_line(kind: str, participants: i
     with pytest.raises(ConfigError) as refusal:
         ranking(kind, participants).next_games(candidates, [])
     assert str(refusal.value).startswith(words)
+
+
+def test_the_games_of_a_great_tournament_take_no_more_memory_than_their_numbers() -> None:
+    """Half a million games are 8 MB; as tuples they would be 60 MB more."""
+    full = ranking("full-tournament", all_sides=False)
+    tracemalloc.start()
+    try:
+        games = full.next_games(1000, [])
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert games is not None
+    assert len(games) == 1000 * 999 / 2
+    assert peak < 4 * games.nbytes, "they and two copies"

@@ -86,9 +86,13 @@ def test_its_report_says_what_the_score_is_and_whom_the_champion_played(tmp_path
 
 
 def test_the_last_line_of_a_run_says_that_it_is_a_score() -> None:
-    ended = Result("runs/duel", 3, 9.0, 150, 0, "0" * 32, 1.0, 0, 0)
-    assert summary(ended, relative=True).startswith("the last generation's best score is 9 after 3 generations, 150 eval")
-    assert summary(ended).startswith("best fitness 9 after 3 generations")
+    ended = Result("runs/duel", 3, 9.0, 150, 0, "0" * 32, 1.0, 0, 0, relative=True)
+    assert summary(ended).startswith("the last generation's best score is 9 after 3 generations, 150 eval")
+    assert summary(ended._replace(relative=False)).startswith("best fitness 9 after 3 generations")
+
+
+def test_a_finished_run_that_is_told_again_says_so_too(tmp_path: Path) -> None:
+    assert "the last generation's best score is 9 after 3" in invoke("resume", str(written(tmp_path)))
 
 
 def test_two_champions_play_each_other_from_each_side_in_turn() -> None:

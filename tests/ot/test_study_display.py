@@ -121,3 +121,14 @@ def test_only_where_lines_can_be_written_over_does_a_table_move(
     monkeypatch.setenv("TERM", terminal)
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     assert type(follower(as_json=False)) is (LiveFollower if moving else PlainFollower)
+
+
+def test_of_scores_it_says_that_they_do_not_compare(study: Study, capsys: pytest.CaptureFixture[str]) -> None:
+    """The command that would refuse to compare them is not suggested."""
+    ended = result(study, 0, 12.0)
+    assert ended.result is not None
+    study.ended = [ended._replace(result=ended.result._replace(relative=True))]
+    PlainFollower().on_end(study._outcome(1.0))
+    told = capsys.readouterr().out
+    assert "Candidates of these runs played each other" in told
+    assert "zswarm-ot compare" not in told

@@ -15,11 +15,11 @@ class PlainDisplay(Logger):
     """Plain lines on stderr: one a generation."""
 
     def __init__(self) -> None:
-        self._generations, self._relative = 0, False
+        self._generations = 0
 
     def on_start(self, run: Started) -> None:
         """See ``Logger``."""
-        self._generations, self._relative = run.experiment.generations, run.relative
+        self._generations = run.experiment.generations
 
     def on_say(self, line: str) -> None:
         """See ``Logger``."""
@@ -38,7 +38,7 @@ class PlainDisplay(Logger):
         """See ``Logger``."""
         if result is not None:
             with patience():
-                print(summary(result, relative=self._relative), flush=True)
+                print(summary(result), flush=True)
 
 
 class JsonDisplay(PlainDisplay):
@@ -75,7 +75,7 @@ class LiveDisplay(PlainDisplay):
 
     def on_start(self, run: Started) -> None:
         """See ``Logger``."""
-        self._generations, self._relative = run.experiment.generations, run.relative
+        self._generations = run.experiment.generations
         self._task = self._progress.add_task("run", total=run.experiment.generations, text="getting ready")
         self._progress.start()
 
@@ -117,9 +117,9 @@ def display(*, as_json: bool) -> Logger:
     return LiveDisplay() if moves(sys.stderr) else PlainDisplay()
 
 
-def summary(result: Result, *, relative: bool = False) -> str:
-    """What a run came to, in three lines; relative: what is best is the last generation's best score."""
-    best = "the last generation's best score is" if relative else "best fitness"
+def summary(result: Result) -> str:
+    """What a run came to, in three lines."""
+    best = "the last generation's best score is" if result.relative else "best fitness"
     faulted = f"faulted: {result.faulted} trials, " if result.faulted else ""
     doubtful = f"doubtful: {result.doubtful} trials of a server that computes wrong, " if result.doubtful else ""
     return (

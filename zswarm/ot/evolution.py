@@ -105,7 +105,7 @@ def resume(folder: Path, connection: Connection, logger: Logger) -> Iterator[Evo
     """
     loaded = load_experiment(folder)
     if (result := told_again(folder, loaded)) is not None:
-        started = Started(folder, loaded, loaded.generations, Run(folder).relative)
+        started = Started(folder, loaded, loaded.generations)
         with contextlib.closing(Evolution(folder, partial(_tell_again, started, result, logger), logger)) as ended:
             yield ended
         return

@@ -22,7 +22,6 @@ class Started(NamedTuple):
     folder: Path
     experiment: Experiment
     generation: int  # the first that will be evaluated
-    relative: bool = False  # fitness is a score, which compares candidates of one generation only
 
 
 class Generation(NamedTuple):
@@ -49,6 +48,7 @@ class Result(NamedTuple):
     seconds: float
     faulted: int
     doubtful: int  # trials of a server that was later proved to compute wrong
+    relative: bool = False  # best is the last generation's best score, which compares within that generation only
 
 
 class Logger:

@@ -17,13 +17,13 @@ class NotebookDisplay(Logger):
     def __init__(self) -> None:
         self._handle: Any = None
         self._said: list[str] = []
-        self._generations, self._relative = 0, False
+        self._generations = 0
         self._line = ""
         self._updated = float("-inf")
 
     def on_start(self, run: Started) -> None:
         """See ``Logger``."""
-        self._generations, self._relative = run.experiment.generations, run.relative
+        self._generations = run.experiment.generations
 
     def on_say(self, line: str) -> None:
         """See ``Logger``."""
@@ -43,7 +43,7 @@ class NotebookDisplay(Logger):
     def on_end(self, result: Result | None) -> None:
         """See ``Logger``."""
         if result is not None:
-            self._line = summary(result, relative=self._relative)
+            self._line = summary(result)
         self._update()
 
     def _update(self) -> None:

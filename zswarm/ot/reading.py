@@ -159,7 +159,7 @@ class Run:
         """Per finished generation: generation, finished_at, seconds, best, mean, evaluations and statistics.
 
         ``seconds`` are those since the generation before, or since the run began; ``best`` and ``evaluations`` are of all
-        generations so far.
+        generations so far; where fitness is ``relative``, ``best`` is of the generation.
         """
         before, evaluations, history = self.meta.get("created_at"), 0, []
         for generation, at, best, mean, count, statistics in self._rows(
@@ -442,6 +442,7 @@ def outcome(folder: Path, generations: int) -> Result | None:
         0.0,
         faulted,
         doubtful,
+        recorded.relative,
     )
 
 

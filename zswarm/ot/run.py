@@ -95,7 +95,7 @@ def evolve(
         if optimizer.best()[0]:
             _keep_champion(parts, record, run_id)  # the end may have come between a generation and its champion
     history, improved, candidates = record.history(), optimizer.best()[1], record.evaluations()
-    logger.on_start(Started(record.folder, complete, resumed.generation, optimizer.relative))
+    logger.on_start(Started(record.folder, complete, resumed.generation))
     logger.on_say(f"{complete.name}: {connection.who_computes()}")
     if optimizer.strayed is not None:
         otherwise = f"would have proposed other candidates from generation {optimizer.strayed} on"
@@ -158,7 +158,7 @@ def evolve(
     record.set_meta("history_hash", history.hex())
     return Result(
         str(record.folder), complete.generations, optimizer.best()[1], candidates, record.requeued(), history.hex(),
-        round(time.monotonic() - begin, 3), record.faulted(), record.doubtful(),
+        round(time.monotonic() - begin, 3), record.faulted(), record.doubtful(), optimizer.relative,
     )  # fmt: skip
 
 

@@ -54,6 +54,7 @@ class Outcome(NamedTuple):
     settings: list[Summary]
     whole: Summary  # over all settings
     seconds: float  # of this program
+    relative: bool  # fitness of some runs is a score, which compares within one generation only
 
 
 class Study:
@@ -178,6 +179,7 @@ class Study:
             summaries,
             _summary({}, "", finished),
             round(seconds, 3),
+            any(ended.result.relative for ended in finished if ended.result),
         )
 
 

@@ -6,6 +6,7 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from zswarm.ot import terminal
+from zswarm.ot.comparison import SCORES
 from zswarm.ot.connection import Connection
 from zswarm.ot.logger import Generation
 from zswarm.ot.plan import Planned
@@ -229,8 +230,11 @@ def _show(outcome: Outcome) -> None:
     terminal.line(f"study   {outcome.study}")
     if outcome.failed:
         terminal.line(f"again   zswarm-ot resume {outcome.study}")
+    if outcome.relative:
+        terminal.paragraph(f"{SCORES[0].upper()}{SCORES[1:]}.")
     if outcome.finished:
         terminal.line(f"next    zswarm-ot plot {outcome.study}")
+    if outcome.finished and not outcome.relative:
         terminal.line(f"        zswarm-ot compare {outcome.study}")
 
 

@@ -5,6 +5,7 @@ Mended: a game is played from all sides (there the one with the lower index alwa
 """
 
 import itertools
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -27,7 +28,10 @@ class FullTournament(Tournament):
     settings: Settings
 
     def _groups(self, candidates: int, told: Sequence[Played]) -> np.ndarray | None:
-        return None if told else np.array(list(itertools.combinations(range(candidates), self.participants)))
+        if told:
+            return None
+        games = itertools.combinations(range(candidates), self.participants)
+        return np.fromiter(games, np.dtype((np.int64, self.participants)), math.comb(candidates, self.participants))
 
     def _points(self, candidates: int, told: Sequence[Played]) -> np.ndarray:
         scores = np.zeros(candidates)
