@@ -37,6 +37,7 @@ PROBLEMS = {
     "emergency-exit": Problem("emergency-exit", 8, "escaped", {"steps": 1500}),
     "inverted-pendulum": Problem("inverted-pendulum", 8, "upright", {"steps": 2500}),
     "light": Problem("light", 8, "distance", {"steps": 1500}),
+    "maze": Problem("maze", 8, "reached", {"steps": 1000}),
     "minisim": Problem("minisim", 8, "steals", {"steps": 600}),
     "simplified-emergency-exit": Problem("simplified-emergency-exit", 8, "x", {"steps": 7500}),
     "xor": Problem("xor", 2000, "correct", {}),
@@ -96,7 +97,7 @@ ONCE = [  # few pairs of problem and representation: a slot that has played one 
     Parts("inverted-pendulum", "feed-forward", "pso"),
     Parts("light", "three-layer", "cuckoo"),
     Parts("simplified-emergency-exit", "bulk", "openai-es"),
-    Parts("arena", "mealy", "novelty"),
+    Parts("maze", "mealy", "novelty"),
 ]
 
 
