@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -158,6 +159,8 @@ def test_a_problem_is_made_of_parts() -> None:
     whole = zswarm.problem(zswarm.load("emergency-exit", {**changes, "seed": 4}))
     assert parts == whole
     assert parts.genes == len(parts.random(1)[0]) // 4
+    game = zswarm.problem(simulator="minisim", settings={"teams": 2, "defenders": 0}, ranking={"kind": "swiss", "rounds": 3})
+    assert (type(game.ranking).__name__, msgspec.to_builtins(game.ranking.settings)["rounds"]) == ("Swiss", 3)
     with pytest.raises(zswarm.ConfigError, match="expected an experiment or a simulator"):
         zswarm.problem()
     with pytest.raises(zswarm.ConfigError, match="agent"):

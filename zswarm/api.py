@@ -66,6 +66,7 @@ def problem(
     simulator: str | None = None,
     settings: Mapping[str, Any] | None = None,
     representation: str | Mapping[str, Any] | None = None,
+    ranking: str | Mapping[str, Any] | None = None,
     trials: int | None = None,
     seeds: Literal["fixed", "fresh"] | None = None,
     seed: int | None = None,
@@ -77,6 +78,7 @@ def problem(
         simulator: its name.
         settings: of the simulator.
         representation: kind of network, or its table of the experiment file: ``{"kind": "fully-meshed", "hidden": 3}``.
+        ranking: kind of ranking, or its table, for games of several participants: ``"swiss"``.
         trials: per candidate.
         seeds: of the trials: "fixed", or "fresh" in each generation.
         seed: from which these are derived, where the simulator does not fix them.
@@ -101,8 +103,9 @@ def problem(
     changes: dict[str, Any] = {f"problem.settings.{key}": value for key, value in settings.items()}
     given = {"problem.simulator": simulator, "problem.trials": trials, "problem.seeds": seeds, "seed": seed}
     changes |= {key: value for key, value in given.items() if value is not None}
-    if representation is not None:
-        changes["representation"] = {"kind": representation} if isinstance(representation, str) else dict(representation)
+    for part, kind in (("representation", representation), ("ranking", ranking)):
+        if kind is not None:
+            changes[part] = {"kind": kind} if isinstance(kind, str) else dict(kind)
     loaded, where = _complete(source, changes)
     return Problem(experiments.complete(loaded, where))
 

@@ -55,6 +55,8 @@ def test_the_best_of_such_a_run_is_that_of_its_last_generation(tmp_path: Path) -
         found = database.execute("SELECT generation, best FROM champions").fetchall()
     database.close()
     assert found == list(enumerate(SCORES))
+    assert "best score of the last generation" in Run(folder)._repr_html_()
+    assert "fitness" not in Run(folder)._repr_html_()
 
 
 def test_its_curve_is_of_generations_and_says_so(tmp_path: Path) -> None:
@@ -140,6 +142,7 @@ def test_champions_of_different_games_or_networks_do_not_play_each_other(
 
 
 def test_check_counts_games_and_says_who_drives_the_robots() -> None:
+    assert "fitness 1 game in the first" in " ".join(invoke("check", "minisim-duel", "--set", "optimizer.population=2").split())
     told = " ".join(invoke("check", "minisim-duel").split())
     assert "8, driven by 2 genomes that play each other" in told
     assert "150 games in the first generation, as swiss has it" in told

@@ -41,8 +41,8 @@ TOLD = {
     "server_refused": "{server} refused: {text}",
     "server_differs": "{server} is not used: {text}",
     "server_faulty": "{server} is put aside for ten minutes: {text}",
-    "server_wrong": "{server} is used no more: {text}; what it did in this generation is evaluated again, "
-    "and marked as doubtful in earlier ones",
+    "server_wrong": "{server} is used no more: {text}; what it did in this generation, or round of games, is "
+    "evaluated again, and marked as doubtful in earlier ones",
     "unverified": "trials are counted unverified: {text}",
     "server_silent": "{server} does not answer ({text}); it is asked again in a while",
     "lease_lost": "{server}: {text}; reserving anew",

@@ -340,7 +340,7 @@ class Run:
             "folder": self._shown,
             "simulator": self.experiment.problem.simulator,
             "generations": f"{self.generations()} of {self.experiment.generations}, {state}",
-            "best fitness": "" if best is None else f"{best:.6g}",
+            "best score of the last generation" if self.relative else "best fitness": "" if best is None else f"{best:.6g}",
             "history": self.history_hash or "",
         }
         cells = "".join(

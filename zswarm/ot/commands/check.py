@@ -76,7 +76,8 @@ def show(explained: "Explanation", complete: Experiment) -> None:
     driven = (
         f"{e.agents:,}, {'all driven by the same genome' if one else f'driven by {e.participants} genomes that play each other'}"
     )
-    score = f"{e.games:,} games in the first generation, as {e.ranking} has it; the result of a game is {judged}"
+    games = f"{e.games:,} game{'s' if e.games != 1 else ''}"
+    score = f"{games} in the first generation, as {e.ranking} has it; the result of a game is {judged}"
     result = "the same on all machines, bit for bit" if e.portable else "may differ in the last bits from machine to machine"
     study = complete.study
     settings = terminal.plural(len(study.settings()), "setting")
