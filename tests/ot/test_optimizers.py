@@ -301,6 +301,33 @@ class ForgetsTheArchive(Novelty):
         super().restore({**state, "archive": b""}, told)
 
 
+class RepairsFitness(NNGA):
+    """Puts the worst where fitness is NaN, in the array that the run records."""
+
+    def _tell(self, fitness: np.ndarray, measures: np.ndarray) -> None:
+        fitness[np.isnan(fitness)] = -1e9
+        super()._tell(fitness, measures)
+
+
+class SortsWhatItAsked(RandomSearch):
+    def _tell(self, fitness: np.ndarray, measures: np.ndarray) -> None:
+        super()._tell(fitness, measures)
+        self._genomes.sort()
+
+
+class ContentWithEquals(CEA2D):
+    """Equals of the best stay: where all are equal everybody is content."""
+
+    def _ask(self) -> list[bytes]:
+        asked = super()._ask()
+        return asked if self.generation == 0 or np.ptp(self._fitness) else []
+
+
+class AsksArrays(RandomSearch):
+    def _ask(self) -> list[bytes]:
+        return [bytearray(genome) for genome in super()._ask()]  # type: ignore[misc]
+
+
 @pytest.mark.parametrize(
     ("broken", "text"),
     [
@@ -319,6 +346,10 @@ class ForgetsTheArchive(Novelty):
         (ForgetsVelocity, "state and restore change what is asked"),
         (DrawsFromOneStream, "state and restore change what is asked"),
         (IgnoresMeasures, "tell without its measures must raise ValueError"),
+        (RepairsFitness, "tell changes the fitness or measures that it gets"),
+        (SortsWhatItAsked, "tell changes the list that ask gave"),
+        (ContentWithEquals, "ask gives no genome in generation 1 where all are equally good"),
+        (AsksArrays, "ask must give bytes, not bytearray"),
         (ForgetsTheArchive, "a restored optimizer told the same has another state"),
     ],
 )
