@@ -6,7 +6,7 @@ TESTS ?= -n $$((2 * $$(nproc))) --dist worksteal  # many wait for programs; neig
 
 KILLS ?= 200
 
-.PHONY: run test long chaos faults machines units kills lint format docs docs-commands reference bench bench-quick bench-methods scale soak clean
+.PHONY: run test long product test-all chaos faults machines units kills lint format docs docs-commands reference bench bench-quick bench-methods scale soak clean
 
 run: $(READY)
 	$(BIN)/zswarm-ot run $(or $(ARGS),stadium)
@@ -16,6 +16,12 @@ test: $(READY)
 
 long: $(READY)
 	$(BIN)/python -m pytest $(TESTS) -m long $(ARGS)
+
+# Every combination of simulators, networks, optimizers and rankings, with real programs: five minutes on two cores.
+product: $(READY)
+	$(BIN)/python -m pytest $(TESTS) -m product $(ARGS)
+
+test-all: test long product
 
 chaos: $(READY)
 	cd tests && ../$(BIN)/python -m chaos $(if $(SEED),--seed $(SEED)) $(if $(SECONDS),--seconds $(SECONDS))

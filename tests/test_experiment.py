@@ -101,6 +101,18 @@ def test_an_override_that_is_no_toml_value_is_a_text(file: Path) -> None:
     assert load(file, ['cluster.connect=["tcp/host:7467"]']).cluster.connect == ["tcp/host:7467"]
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_another_kind_starts_from_its_own_defaults(tmp_path: Path, order: int) -> None:
+    """The file's settings of the former kind go, those of other overrides stay, whichever comes first."""
+    file = small(tmp_path, "mutation = 0.5\n[problem.settings]\nagents = 3\n")
+    changed = load(file, ["optimizer.kind=pso", "optimizer.population=7"][::order])
+    assert (changed.optimizer.kind, changed.optimizer.settings) == ("pso", {"population": 7})
+    assert load(file, ["problem.simulator=xor"]).problem.settings == {}
+    assert load(file, ["optimizer.kind=nnga", "problem.simulator=emergency-exit"]) == load(file)
+    assert load(file).optimizer.settings == {"mutation": 0.5}
+    assert load(file).problem.settings == {"agents": 3}
+
+
 @pytest.mark.parametrize(
     ("override", "text"),
     [

@@ -68,16 +68,16 @@ def test_names_are_sorted() -> None:
 
 
 def test_a_package_adds_a_part_by_an_entry_point(install: Install) -> None:
-    install({"swarm_extra.py": "class Maze: ..."}, "[zswarm.simulators]\nmaze = swarm_extra:Maze\n")
-    assert "maze" in plugins.names("simulator")
-    assert "maze" not in plugins.names("optimizer")
-    assert plugins.load("simulator", "maze").__name__ == "Maze"
+    install({"swarm_extra.py": "class Labyrinth: ..."}, "[zswarm.simulators]\nlabyrinth = swarm_extra:Labyrinth\n")
+    assert "labyrinth" in plugins.names("simulator")
+    assert "labyrinth" not in plugins.names("optimizer")
+    assert plugins.load("simulator", "labyrinth").__name__ == "Labyrinth"
 
 
 def test_listing_and_hashing_import_nothing(install: Install) -> None:
-    install({"swarm_extra.py": NOTHING_READ}, "[zswarm.simulators]\nmaze = swarm_extra:Maze\n")
-    assert "maze" in plugins.names("simulator")
-    assert plugins.source_files("simulator", "maze")
+    install({"swarm_extra.py": NOTHING_READ}, "[zswarm.simulators]\nlabyrinth = swarm_extra:Labyrinth\n")
+    assert "labyrinth" in plugins.names("simulator")
+    assert plugins.source_files("simulator", "labyrinth")
     assert plugins.plugin_files()
     assert "swarm_extra" not in sys.modules
 
@@ -89,19 +89,19 @@ def test_listing_and_hashing_import_nothing(install: Install) -> None:
         ("import module_that_is_not_there", "ModuleNotFoundError: No module named 'module_that_is_not_there'"),
         ("1 / 0", "ZeroDivisionError: division by zero"),
         ("def f(:", "SyntaxError: "),
-        ("", "AttributeError: module 'swarm_extra' has no attribute 'Maze'"),
+        ("", "AttributeError: module 'swarm_extra' has no attribute 'Labyrinth'"),
     ],
 )
 def test_a_plugin_that_cannot_be_imported_is_named_in_one_line(install: Install, code: str, reason: str) -> None:
-    install({"swarm_extra.py": code}, "[zswarm.simulators]\nmaze = swarm_extra:Maze\n")
+    install({"swarm_extra.py": code}, "[zswarm.simulators]\nlabyrinth = swarm_extra:Labyrinth\n")
     with pytest.raises(UnknownPlugin) as refusal:
-        plugins.load("simulator", "maze")
-    assert str(refusal.value).startswith(f"simulator 'maze' cannot be imported: {reason}")
+        plugins.load("simulator", "labyrinth")
+    assert str(refusal.value).startswith(f"simulator 'labyrinth' cannot be imported: {reason}")
     assert "\n" not in str(refusal.value)
 
 
 def test_a_broken_plugin_hurts_nobody_who_does_not_use_it(install: Install) -> None:
-    install({"swarm_extra.py": "raise RuntimeError"}, "[zswarm.simulators]\nmaze = swarm_extra:Maze\n")
+    install({"swarm_extra.py": "raise RuntimeError"}, "[zswarm.simulators]\nlabyrinth = swarm_extra:Labyrinth\n")
     assert plugins.load("simulator", "minisim")
     assert version_hash("minisim", "fully-meshed")
 
@@ -113,21 +113,21 @@ def test_a_plugin_cannot_take_a_bundled_name(install: Install) -> None:
 
 
 def test_a_module_that_is_gone_is_named(install: Install) -> None:
-    install({}, "[zswarm.simulators]\nmaze = swarm_extra:Maze\n")
-    with pytest.raises(UnknownPlugin, match="simulator 'maze' cannot be imported: ModuleNotFoundError"):
-        plugins.load("simulator", "maze")
-    assert plugins.source_files("simulator", "maze") == []
+    install({}, "[zswarm.simulators]\nlabyrinth = swarm_extra:Labyrinth\n")
+    with pytest.raises(UnknownPlugin, match="simulator 'labyrinth' cannot be imported: ModuleNotFoundError"):
+        plugins.load("simulator", "labyrinth")
+    assert plugins.source_files("simulator", "labyrinth") == []
 
 
 def test_all_files_of_a_plugins_package_are_in_its_hash(install: Install) -> None:
-    files = {"swarm_extra/__init__.py": "", "swarm_extra/maze.py": NOTHING_READ, "swarm_extra/deep/walls.py": "A = 1"}
-    folder = install(files, "[zswarm.simulators]\nmaze = swarm_extra.maze:Maze\n")
-    assert {str(path.relative_to(folder)) for path in plugins.source_files("simulator", "maze")} == set(files)
-    before = version_hash("maze", "fully-meshed"), cache_hash()
+    files = {"swarm_extra/__init__.py": "", "swarm_extra/labyrinth.py": NOTHING_READ, "swarm_extra/deep/walls.py": "A = 1"}
+    folder = install(files, "[zswarm.simulators]\nlabyrinth = swarm_extra.labyrinth:Labyrinth\n")
+    assert {str(path.relative_to(folder)) for path in plugins.source_files("simulator", "labyrinth")} == set(files)
+    before = version_hash("labyrinth", "fully-meshed"), cache_hash()
     (folder / "swarm_extra/deep/walls.py").write_text("A = 2")
     version_hash.cache_clear()
     cache_hash.cache_clear()
-    assert version_hash("maze", "fully-meshed") != before[0]
+    assert version_hash("labyrinth", "fully-meshed") != before[0]
     assert cache_hash() != before[1]
 
 

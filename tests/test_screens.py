@@ -100,6 +100,7 @@ def test_commands_are_shown_in_the_order_in_which_they_are_needed() -> None:
     places = [shown.index(f"\n  {name} ") for name in ("init", "check", "run", "resume", "list", "evaluate", "completion")]
     assert places == sorted(places)
     assert all(f"\n  {name} " in shown for name in ot.command.commands)
+    assert "...\n" not in shown.split("Begin:")[1], "sentences are folded, not cut"
     assert shown.index("\nBegin:") < shown.index("\nEvolve:")
     assert len({name for names in SECTIONS.values() for name in names}) == sum(map(len, SECTIONS.values()))
 

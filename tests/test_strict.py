@@ -15,12 +15,17 @@ class Inner(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     names: list[str] = []
 
 
+class Bare(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    pass
+
+
 class Outer(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     count: int
     colour: Literal["red", "green"] = "red"
     inner: Inner = Inner()
     free: dict[str, Any] = {}
     either: Literal["all"] | int = "all"
+    bare: Bare = Bare()
 
 
 def test_what_fits_is_taken_with_its_defaults() -> None:
@@ -47,13 +52,14 @@ def test_what_fits_is_taken_with_its_defaults() -> None:
         ({"count": 2, "either": "some"}, "file: either: expected all or a number, not 'some'"),
         (
             {"count": 2, "color": "red"},
-            "file: unknown key 'color' (did you mean 'colour'?); known are: count, colour, inner, free, either",
+            "file: unknown key 'color' (did you mean 'colour'?); known are: count, colour, inner, free, either, bare",
         ),
-        ({"count": 2, "xyz": 1}, "file: unknown key 'xyz'; known are: count, colour, inner, free, either"),
+        ({"count": 2, "xyz": 1}, "file: unknown key 'xyz'; known are: count, colour, inner, free, either, bare"),
         (
             {"count": 2, "inner": {"dept": 1}},
             "file: inner: unknown key 'dept' (did you mean 'depth'?); known are: depth, names",
         ),
+        ({"count": 2, "bare": {"x": 1}}, "file: bare: unknown key 'x'; there are none"),
     ],
 )
 def test_what_does_not_fit_is_refused_in_one_clear_line(mapping: dict[str, Any], text: str) -> None:

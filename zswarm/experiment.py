@@ -228,14 +228,17 @@ def load(path: Path, overrides: Sequence[str] = ()) -> Experiment:
     """Read a file and check it, but for the settings of the parts it names.
 
     Args:
-        overrides: ``a.b=value`` texts; the value is TOML, or a text where it is not.
+        overrides: ``a.b=value`` texts; the value is TOML, or a text where it is not. One that names another kind or simulator
+            drops the settings that the file has for its own.
 
     Raises:
         ConfigError: the file cannot be read, is no TOML, or something in it is unknown or impossible.
     """
     mapping = read(path)
-    for override in overrides:
-        _override(mapping, override)
+    changes = [_change(override) for override in overrides]
+    _drop_settings(mapping, dict(changes))
+    for override, (to, value) in zip(overrides, changes, strict=True):
+        _set(mapping, to, value, f"--set {override}")
     return check(mapping, str(path))
 
 
@@ -322,11 +325,7 @@ def variants(complete: Experiment, where: str) -> list[Variant]:
         words = _in_words(settings)
         at = f"{where}: study: with {words}" if settings else where
         mapping = to_mapping(alone)
-        for part in PARTS:  # another kind has its own settings
-            if settings.get(f"{part}.kind", mapping[part]["kind"]) != mapping[part]["kind"]:
-                mapping[part] = {}
-        if settings.get("problem.simulator", complete.problem.simulator) != complete.problem.simulator:
-            mapping["problem"]["settings"] = {}
+        _drop_settings(mapping, settings)
         for path, value in settings.items():
             _set(mapping, path, copy.deepcopy(value), at)
         variant = _complete_alone(check(mapping, at), at)
@@ -548,7 +547,8 @@ def _complete(settings: Mapping[str, Any], loaded: Any, where: str) -> dict[str,
     return {key: value for key, value in complete.items() if value is not None}  # TOML has no null
 
 
-def _override(mapping: dict[str, Any], override: str) -> None:
+def _change(override: str) -> tuple[str, Any]:
+    """The path and the value of an ``a.b=value``."""
     path, equals, text = override.partition("=")
     if not equals or not path.strip():
         raise ConfigError(f"--set {override}: expected key=value, such as optimizer.population=100")
@@ -556,7 +556,18 @@ def _override(mapping: dict[str, Any], override: str) -> None:
         value = parse(f"value = {text}")["value"]
     except ValueError:
         value = text
-    _set(mapping, path.strip(), value, f"--set {override}")
+    return path.strip(), value
+
+
+def _drop_settings(mapping: dict[str, Any], changes: Mapping[str, Any]) -> None:
+    """Another kind or simulator has its own settings: where changes, by path, name one, those of the former go."""
+    for part in PARTS:
+        if isinstance(table := mapping.get(part), dict) and changes.get(f"{part}.kind", table.get("kind")) != table.get("kind"):
+            mapping[part] = {}
+    problem = mapping.get("problem")
+    before = problem.get("simulator") if isinstance(problem, dict) else None
+    if isinstance(problem, dict) and changes.get("problem.simulator", before) != before:
+        problem["settings"] = {}
 
 
 def _set(mapping: dict[str, Any], path: str, value: Any, where: str) -> None:

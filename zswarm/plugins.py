@@ -24,6 +24,7 @@ BUNDLED: dict[Kind, dict[str, str]] = {
         "emergency-exit": "zswarm.sims.emergency_exit:EmergencyExit",
         "inverted-pendulum": "zswarm.sims.inverted_pendulum:InvertedPendulum",
         "light": "zswarm.sims.light:Light",
+        "maze": "zswarm.sims.maze:Maze",
         "minisim": "zswarm.sims.minisim:Minisim",
         "simplified-emergency-exit": "zswarm.sims.simplified_emergency_exit:SimplifiedEmergencyExit",
         "xor": "zswarm.sims.xor:XOR",

@@ -110,9 +110,8 @@ def _refuse_unknown(mapping: Mapping[str, Any], struct: type[msgspec.Struct], wh
     fields = {field.encode_name: field.type for field in msgspec.structs.fields(struct)}
     for key, value in mapping.items():
         if key not in fields:
-            raise ConfigError(
-                f"{where}: unknown key {key!r}{nearest(key, fields)}; known are: {', '.join(fields)}", (*inside, key)
-            )
+            known = f"known are: {', '.join(fields)}" if fields else "there are none"
+            raise ConfigError(f"{where}: unknown key {key!r}{nearest(key, fields)}; {known}", (*inside, key))
         kind = fields[key]
         if isinstance(value, Mapping) and isinstance(kind, type) and issubclass(kind, msgspec.Struct):
             _refuse_unknown(value, kind, f"{where}: {key}", (*inside, key))

@@ -34,6 +34,7 @@ MAX_TURNS = 1_000_000  # of a trial in a check; a trial that goes on is taken to
 TRIAL_SEEDS = (0, 1, 2**63 + 5, 2**64 - 1)
 NOT_A_NUMBER = b"\xff"  # repeated, it is NaN in float32 and float64, and beyond any table in an integer
 DECISIONS = 5
+MUTATIONS = 50  # after which some genome is another, also where a mutation changes little
 GUARD = 64  # numbers before and behind an array that a decision gets
 
 
@@ -260,7 +261,8 @@ def check_representation(
     refused; that a genome's row is the same in every batch, but for zeros behind it; that a decision is compiled and does the
     same in plain Python, fills its output, repeats bit for bit, begins with a state of zeros, and touches nothing beside its
     arrays; that ``step_lanes`` decides as ``step``; that each operator gives the same for the same stream, and genomes that fit;
-    that distances are symmetric, zero to itself, and the same in every batch.
+    that mutations and crossovers make something else of a genome; that distances are symmetric, zero to itself, and the same in
+    every batch.
 
     Args:
         representation_class: the class to check.
@@ -332,6 +334,15 @@ def _check_operators(name: str, network: Representation, genomes: list[bytes]) -
             network.parameters(children)
         except ValueError as error:
             raise AssertionError(f"{name}.{operator}: makes genomes that parameters refuses: {error}") from error
+
+    for method in (1, 2):
+        stream, mutants = Stream(7), genomes
+        for _ in range(MUTATIONS):
+            mutants = network.mutate(mutants, stream, method=method, severity=0.3, probability=1.0)
+        _require(mutants != genomes, f"{name}.mutate, method {method}: all genomes are the same after {MUTATIONS} mutations")
+    stream = Stream(8)
+    children = [network.crossover(a, b, stream) for a, b in pairwise(genomes)]
+    _require(children != genomes[:-1], f"{name}.crossover: a child is its mother and has nothing of its father")
 
     distances = network.distances(genomes, genomes)
     count = len(genomes)
@@ -513,8 +524,9 @@ def check_optimizer(
 
     Checked are: the order of ask and tell; that a seed gives the same genomes again and another one others; that
     ``state`` survives msgpack and ``restore`` goes on with the same genomes; that an ask gives no more than ``candidates``
-    and changes neither ``best`` nor ``statistics``; that NaN fitness does no harm; that ``best`` is the best of all told,
-    and improves, or that measures reach further. Where ``competes`` says so, all of this with relative fitness, too: what was
+    and changes neither ``best`` nor ``statistics``; that a tell changes nothing of what was asked and told; that NaN fitness does
+    no harm; that somebody is asked also where all are equally good; that ``best`` is the best of all told, and improves, or that
+    measures reach further. Where ``competes`` says so, all of this with relative fitness, too: what was
     told of earlier generations must not count.
 
     Args:
@@ -543,6 +555,7 @@ def check_optimizer(
     _check_order(name, new(), toy)
     _check_repeats(name, new, toy)
     _check_not_a_number(name, new(), toy)
+    _check_equals(name, new())
     _check_improvement(name, new(), toy, generations)
     if optimizer_class.competes:
         _check_repeats(f"{name}, relative", partial(new, relative=True), toy)
@@ -556,6 +569,7 @@ def _check_order(name: str, optimizer: Optimizer, toy: _Toy) -> None:
     genomes = optimizer.ask()
     measures = toy.measures(genomes, len(optimizer.measures))
     _require(bool(genomes), f"{name}.ask must give a genome at least")
+    _require(all(type(genome) is bytes for genome in genomes), f"{name}.ask must give bytes, not {type(genomes[0]).__name__}")
     _require_raises(RuntimeError, optimizer.ask, f"{name}.ask before the last one was told")
     for wrong in (np.zeros(len(genomes) + 1), np.zeros((len(genomes), 1))):
         _require_raises(ValueError, lambda wrong=wrong: optimizer.tell(wrong, measures), f"{name}.tell with shape {wrong.shape}")  # type: ignore[misc]
@@ -609,13 +623,25 @@ def _check_not_a_number(name: str, optimizer: Optimizer, toy: _Toy) -> None:
             fitness[::2] = np.nan
         measures = toy.measures(genomes, len(optimizer.measures))
         measures[np.isnan(fitness)] = np.nan
+        asked, told = list(genomes), fitness.tobytes() + measures.tobytes()
         optimizer.tell(fitness, measures)
+        same = fitness.tobytes() + measures.tobytes() == told
+        _require(same, f"{name}.tell changes the fitness or measures that it gets; the run goes on with them")
+        _require(genomes == asked, f"{name}.tell changes the list that ask gave; the run goes on with it")
         best = max(best, float(np.nanmax(fitness, initial=float("-inf"))))
         _require(optimizer.best()[1] == best, f"{name}.best after NaN fitness must be {best}, not {optimizer.best()[1]}")
         statistics = optimizer.statistics()
         for what in ("best", "mean"):
             _require(what in statistics, f"{name}.statistics: {what} is missing")
             _require(bool(np.isfinite(statistics[what])), f"{name}.statistics: {what} must leave NaN fitness out")
+
+
+def _check_equals(name: str, optimizer: Optimizer) -> None:
+    """All are equally good, as on a problem where nobody succeeds at first."""
+    for generation in range(5):
+        count = len(optimizer.ask())
+        _require(count > 0, f"{name}.ask gives no genome in generation {generation} where all are equally good")
+        optimizer.tell(np.zeros(count), np.zeros((count, len(optimizer.measures))))
 
 
 def _check_improvement(name: str, optimizer: Optimizer, toy: _Toy, generations: int) -> None:

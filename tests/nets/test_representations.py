@@ -82,6 +82,14 @@ def losing_one(self, genomes, stream, **options):
     return genomes[1:]
 
 
+def changing_nothing(self, genomes, stream, **options):
+    return list(genomes)
+
+
+def cloning(self, mother, father, stream):
+    return mother
+
+
 def depending(self, genomes):
     return FullyMeshed.parameters(self, genomes) + np.float32(len(genomes))
 
@@ -130,6 +138,8 @@ def not_compiled(parameters, state, observation, output):
         ("random", beyond, "is beyond its range"),
         ("random", positive, "is not uniform in plus or minus its range"),
         ("mutate", losing_one, "6 genomes gave 5"),
+        ("mutate", changing_nothing, "mutate, method 1: all genomes are the same after 50 mutations"),
+        ("crossover", cloning, "a child is its mother and has nothing of its father"),
         ("step", staticmethod(not_compiled), "must be compiled"),
         ("step", staticmethod(untyped), "plain Python decides otherwise than the compiled form; type all constants"),
         ("step", staticmethod(reading_beside), "where it reads what is not in its arrays"),

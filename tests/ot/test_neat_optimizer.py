@@ -14,6 +14,7 @@ from zswarm.nets.neat import Settings as NetworkSettings
 from zswarm.ot import run
 from zswarm.ot.optimizers import neat
 from zswarm.ot.optimizers.neat import NEAT, Individual, Settings, Species
+from zswarm.strict import convert
 from zswarm.testing import check_optimizer
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -101,6 +102,23 @@ def test_equal_fitness_gives_a_share_to_each_individual() -> None:
     assert with_species([float("nan")] * 6, [float("nan")] * 3)._counts() == [6, 3]
 
 
+def test_fitness_may_be_any_number_that_there_is() -> None:
+    """A penalty of the lowest number leaves shares to the others."""
+    most = 1.7976931348623157e308
+    assert with_species([most, most, -most, -most], [most, most])._counts() == [2, 4]
+
+
+def test_a_generation_has_somebody_new_whatever_the_settings() -> None:
+    """Where each species is one individual these are not all elite."""
+    evolving = optimizer(population=4, elite_size=1, threshold=1e-6, species=0)
+    for _ in range(4):
+        genomes = evolving.ask()
+        assert genomes
+        evolving.tell(np.zeros(len(genomes)))
+    with pytest.raises(ConfigError, match="elite_size"):
+        convert({"elite_size": 0}, Settings, "optimizer")
+
+
 def test_failed_individuals_count_as_the_worst() -> None:
     assert with_species([7.0, float("nan")], [3.0, 3.0], [3.0, 1.0])._counts() == [3, 2, 1]
 
@@ -177,7 +195,7 @@ def test_a_child_has_the_structure_of_its_fitter_parent() -> None:
     [
         {"population": 10, "species": 3, "stagnation": 1, "population_stagnation": 1},
         {"population": 2},
-        {"population": 9, "interspecies": 1.0, "crossover": 1.0, "elite_size": 0},
+        {"population": 9, "interspecies": 1.0, "crossover": 1.0, "elite_size": 1},
     ],
 )
 def test_other_settings_keep_the_contract(settings: dict[str, Any]) -> None:

@@ -131,7 +131,14 @@ def test_shares_that_leave_nothing_to_the_elite_are_refused(share: str) -> None:
     none = dict.fromkeys(("random", "mutation", "crossover", "renew"), 0.0)
     with pytest.raises(ConfigError, match="leave 0 of 50 individuals to the elite; it needs at least 1"):
         NNGA(Settings(**(none | {share: 1.0})), Watched(), 1)
-    assert NNGA(Settings(**none), Watched(), 1).counts["elite"] == 50
+    assert NNGA(Settings(**(none | {"renew": 0.02})), Watched(), 1).counts["elite"] == 49
+
+
+@pytest.mark.parametrize("settings", [{"population": 2}, {"mutation": 0.0, "crossover": 0.0, "renew": 0.0}])
+def test_shares_that_make_nobody_new_are_refused(settings: dict[str, Any]) -> None:
+    """Else all are elite, and after the first generation nobody is asked."""
+    with pytest.raises(ConfigError, match=r"make nobody new of .* individuals; expected at least one in all"):
+        NNGA(Settings(**settings), Watched(), 1)
 
 
 # ---- one generation to the next: FREVO's recording ----------------------------------------------------------------

@@ -82,6 +82,19 @@ def test_the_first_threshold_is_in_the_unit_of_the_measures(unit: float) -> None
     assert optimizer._archive.tolist() == [[7.0 * unit]]
 
 
+@pytest.mark.parametrize("first", [NAN, 7.0])
+def test_the_threshold_waits_for_the_first_that_do_something_new(first: float) -> None:
+    """Where all fail at first, or do the same, the archive is neither closed for ever nor open to all."""
+    optimizer = Novelty(Settings(measures=["x"], population=4, neighbours=1), NETWORK, 1)
+    told(optimizer, [[first]] * 4)
+    assert len(optimizer._archive) == 0
+    told(optimizer, [[0.0], [1.0], [3.0], [20.0]])
+    assert optimizer.statistics()["threshold"] == pytest.approx(
+        (1.0 + 1.0 + 2.0 + 17.0) / 4 if first != first else (1 + 1 + 2 + 13) / 4
+    )
+    assert optimizer._archive.tolist() == [[20.0]]
+
+
 def test_what_has_no_behaviour_is_ranked_last_and_never_kept() -> None:
     optimizer = Novelty(Settings(measures=["x", "y"], population=3, neighbours=2, threshold=1e-9), NETWORK, 1)
     first = told(optimizer, [[NAN, 1.0], [2.0, 3.0], [4.0, float("inf")]], [NAN, 1.0, 2.0])

@@ -128,8 +128,8 @@ def test_evaluate_against_a_champion_says_who_won(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"simulator_settings": {"teams": 2, "defenders": 0}}, "cannot play each other: their simulator settings differ"),
-        ({"representation_settings": {"hidden": 9}}, "cannot play each other: their representation settings differ"),
+        ({"simulator_settings": {"teams": 2, "defenders": 0}}, "cannot play each other: not the same simulator settings"),
+        ({"representation_settings": {"hidden": 9}}, "cannot play each other: not the same representation settings"),
     ],
 )
 def test_champions_of_different_games_or_networks_do_not_play_each_other(

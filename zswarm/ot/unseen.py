@@ -89,7 +89,7 @@ def _check_match(one: Controller, other: Controller, participants: int) -> None:
         raise ConfigError(f"{clean(one.simulator)} is played by one participant: --against is for games")
     for what in ("simulator", "simulator_settings", "representation", "representation_settings"):
         if getattr(one, what) != getattr(other, what):
-            raise ConfigError(f"the two champions cannot play each other: their {what.replace('_', ' ')} differ")
+            raise ConfigError(f"the two champions cannot play each other: not the same {what.replace('_', ' ')}")
 
 
 def trial_seed(seed: int, trial: int) -> int:

@@ -62,10 +62,10 @@ def show(explained: "Explanation", complete: Experiment) -> None:
     e = explained
     sensors = f" ({', '.join(e.sensors)})" if e.sensors else ""
     actuators = f" ({', '.join(e.actuators)})" if e.actuators else ""
-    hidden = f"{e.hidden} hidden nodes, " if e.hidden is not None else ""
-    sizes = [f"{e.genome_numbers:,} numbers"] * (e.genome_numbers is not None) + [
-        f"{e.genome_bytes:,} bytes" if e.genome_bytes else "its length varies"
-    ]
+    hidden = f"{terminal.plural(e.hidden, 'hidden node')}, " if e.hidden is not None else ""
+    inputs, outputs = terminal.plural(e.inputs, "input") + sensors, terminal.plural(e.outputs, "output") + actuators
+    numbers = "" if e.genome_numbers is None else f"{e.genome_numbers:,} numbers, "
+    length = "its length varies" if e.genome_bytes is None else f"{e.genome_bytes:,} bytes"
     same = "the same in every generation" if complete.problem.seeds == "fixed" else "new ones in every generation"
     judged = f"one trial, {same.replace('ones', 'one')}" if e.trials == 1 else f"the sum over {e.trials:,} trials, {same}"
     noted = f"; also noted: {', '.join(e.metrics)}" if e.metrics else ""
@@ -88,8 +88,8 @@ def show(explained: "Explanation", complete: Experiment) -> None:
         ("experiment", f"{e.experiment}: {terminal.plural(e.generations, 'generation')}, seed {complete.seed}"),
         ("problem", f"{e.simulator}: {e.about}" if e.about else e.simulator),
         ("robots", driven),
-        ("controller", f"{e.representation}: {e.inputs} inputs{sensors}, {hidden}{e.outputs} outputs{actuators}"),
-        ("genome", ", ".join(sizes)),
+        ("controller", f"{e.representation}: {inputs}, {hidden}{outputs}"),
+        ("genome", numbers + length),
         ("fitness", (judged if e.participants == 1 else score) + noted),
         ("optimizer", f"{e.optimizer}: {first:,} candidates in the first generation{then}"),
         ("work", f"{e.evaluations:,} evaluations, {e.simulations:,} simulations"),

@@ -8,6 +8,7 @@ SECTIONS = {
     "Results": ("list", "evaluate", "report", "plot", "compare", "import"),
     "Shell": ("completion",),
 }
+LONGEST = 200  # characters of a command's first sentence; the list folds it
 
 
 class Menu(click.Group):
@@ -21,9 +22,8 @@ class Menu(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """A list for each section."""
         left = self.list_commands(ctx)
-        width = formatter.width - 6 - max(map(len, left))
         for title, names in (*SECTIONS.items(), ("Other commands", tuple(left))):
-            rows = [(name, self.commands[name].get_short_help_str(width)) for name in names if name in left]
+            rows = [(name, self.commands[name].get_short_help_str(LONGEST)) for name in names if name in left]
             left = [name for name in left if name not in names]
             if rows:
                 with formatter.section(title):

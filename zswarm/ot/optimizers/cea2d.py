@@ -5,8 +5,8 @@ the best of these stay; the others are replaced by a mutant of one of the best, 
 by a new random individual. Good genes spread from neighbour to neighbour, so that different ones last longer than in NNGA.
 Obstacles and random neighbours are not offered: they are off by default there.
 
-Kept as it is there: an individual as good as the last of the best stays, too; the elite is rounded to whole individuals, to the
-even one of two.
+Kept as it is there: of equals one is the better, so that cells go on changing where all are as good; the elite is rounded to
+whole individuals, to the even one of two.
 Mended:
 - ties are ranked by index (there a millionth of the index is added to the fitness, which changes orders, too).
 Who stays keeps its fitness and is not evaluated again.
@@ -66,6 +66,8 @@ class CEA2D(Optimizer):
         self.elite = round(HOOD * settings.elite)
         if self.elite < 1:
             raise ConfigError(f"optimizer: elite: {settings.elite} of {HOOD} cells is none; expected at least 1 of {HOOD}, 0.06")
+        if self.elite == HOOD:
+            raise ConfigError(f"optimizer: elite: with {settings.elite} all {HOOD} cells stay; expected 8 of {HOOD} at most")
         if settings.elite + settings.mutation + settings.crossover > 1.0 + 1e-9:
             raise ConfigError("optimizer: elite, mutation and crossover: expected shares of 1 at most in all")
         self._hoods = _hoods(settings.width, settings.height)
@@ -94,8 +96,7 @@ class CEA2D(Optimizer):
         rank[np.argsort(-self._fitness, kind="stable")] = np.arange(len(rank))  # NaN last, ties by index
         by_rank = np.argsort(rank[self._hoods], axis=1, kind="stable")
         best = np.take_along_axis(self._hoods, by_rank, axis=1)[:, : self.elite]
-        last = best[:, -1]
-        return (rank <= rank[last]) | (self._fitness == self._fitness[last]), best
+        return rank <= rank[best[:, -1]], best
 
     def _evolve(self, best: np.ndarray, stream: Stream) -> None:
         """Replace the cells that do not stay, all at once: what they see of one another is the generation before."""

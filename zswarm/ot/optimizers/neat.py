@@ -32,6 +32,8 @@ from zswarm.nets.neat import Neat
 from zswarm.nets.representation import Representation
 from zswarm.ot.optimizers.optimizer import Optimizer, Told
 
+SMALL = 2.0**-64  # times any fitness: differences and sums of such are finite, and in the same proportions
+
 Share = Annotated[float, Meta(ge=0, le=1)]
 Generations = Annotated[int, Meta(ge=1, le=1_000_000_000)]
 
@@ -47,7 +49,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     threshold_step: Annotated[float, Meta(gt=0, le=10, description="share by which it moves in a generation")] = 0.1
     survival: Annotated[float, Meta(gt=0, le=1, description="share of a species, the best, that has offspring")] = 0.2
     elite_size: Annotated[
-        int, Meta(ge=0, le=1_000_000, description="a species of more individuals keeps its best one unchanged")
+        int, Meta(ge=1, le=1_000_000, description="a species of more individuals keeps its best one unchanged")
     ] = 5
     crossover: Annotated[Share, Meta(description="share of offspring with two parents; the others are mutants of one")] = 0.75
     unmutated: Annotated[Share, Meta(description="share of children of two parents that are not mutated as well")] = 0.2
@@ -151,7 +153,7 @@ class NEAT(Optimizer):
 
     def _counts(self) -> list[int]:
         """Offspring of each species: its share of all species' mean fitness (section 3.3)."""
-        told = [[one.fitness for one in of.members if one.fitness == one.fitness] for of in self._species]
+        told = [[one.fitness * SMALL for one in of.members if one.fitness == one.fitness] for of in self._species]
         worst = min((fitness for of in told for fitness in of), default=0.0)
         shares = []
         for of, fitnesses in zip(self._species, told, strict=True):

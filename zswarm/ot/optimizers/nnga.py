@@ -91,6 +91,10 @@ class NNGA(Optimizer):
                 f"optimizer: random, mutation, crossover and renew leave {self.counts['elite']} of {size} individuals to the "
                 "elite; it needs at least 1"
             )
+        if not self.counts["mutation"] + self.counts["crossover"] + self.counts["renew"]:
+            raise ConfigError(
+                f"optimizer: mutation, crossover and renew make nobody new of {size} individuals; expected at least one in all"
+            )
         self.candidates = size * settings.islands
         self._islands: list[list[Individual]] = []  # each ranked, best first, after a tell
         self._told: list[list[Individual]] = []  # as they were after the last tell

@@ -12,8 +12,8 @@ Mended:
 - most children are mutants, and all genes of a mutant change (there three tenths, and a tenth): else, with children in the
   population, it draws together;
 - an individual is no neighbour of itself;
-- the first threshold, unless it is set, is the first generation's mean novelty (there 6.0, whatever the unit), and it has no
-  lowest value (there 0.25).
+- the first threshold, unless it is set, is the mean novelty of the first generation in which not all failed or did the same
+  (there 6.0, whatever the unit), and it has no lowest value (there 0.25).
 """
 
 from collections.abc import Iterable, Mapping
@@ -144,8 +144,9 @@ class Novelty(Optimizer):
 
     def _extend_archive(self, measures: np.ndarray, novelty: np.ndarray) -> None:
         """With the new ones above the threshold, which follows how many these are."""
-        if self.generation == 0 and self._threshold == 0.0:
-            self._threshold = mean(novelty[~np.isnan(novelty)])
+        known = novelty[~np.isnan(novelty)]
+        if self._threshold == 0.0 and known.size:
+            self._threshold = mean(known)
         entering = novelty > self._threshold  # NaN is not
         self._archive = np.vstack([self._archive, measures[entering]])
         self._idle = 0 if entering.any() else self._idle + 1

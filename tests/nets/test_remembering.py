@@ -27,8 +27,10 @@ def found(seed: int, *overrides: str) -> float:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("seed", "remembering", "forgetful"), [(1, 0.82, 0.75), (2, 0.89, 0.74), (3, 0.88, 0.74)])
-def test_what_remembers_finds_the_light_sooner(seed: int, remembering: float, forgetful: float) -> None:
+@pytest.mark.parametrize(
+    ("seed", "remembering", "forgetful"), [(1, 0.82, 0.75), (2, 0.89, 0.74), (3, 0.88, 0.74), (4, 0.72, 0.73)]
+)
+def test_what_remembers_finds_more_lights_with_most_seeds(seed: int, remembering: float, forgetful: float) -> None:
     """The numbers are those of the example's comment."""
     assert found(seed) == pytest.approx(remembering, abs=0.006)
     assert found(seed, FORGETFUL) == pytest.approx(forgetful, abs=0.006)

@@ -1,0 +1,124 @@
+"""Optimizers as processes that start at once: a program that has imported everything forks itself for each run.
+
+``Forks`` starts the program, which is this file, and has it play; each run is one process with a record and a session of its own.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from programs import wait_until
+
+KILLED_IN = 1  # the generation in which processes kill themselves
+
+
+class Forks:
+    """Processes that play in a folder, one after another."""
+
+    def __init__(self, folder: Path) -> None:
+        self._errors = folder / "forks.err"
+        with self._errors.open("wb") as errors:
+            self._program = subprocess.Popen(
+                [sys.executable, __file__], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, cwd=folder, text=True,
+                env=os.environ | {"ZSWARM_PLAIN": "1"},
+            )  # fmt: skip
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._program.communicate()  # the end of its input ends it
+
+    def run(self, experiment: dict[str, Any], out: Path, servers: Sequence[str], *, killed: bool = False) -> None:
+        """Evolve below a folder on these servers, and no other: to the end, or until SIGKILL in generation ``KILLED_IN``."""
+        task = {"experiment": experiment, "out": str(out), "servers": servers, "killed": killed}
+        self._play(task, -signal.SIGKILL if killed else 0)
+
+    def resume(self, run: Path, servers: Sequence[str]) -> None:
+        """Evolve to the end."""
+        self._play({"resume": str(run), "servers": servers}, 0)
+
+    def _play(self, task: dict[str, Any], expected: int) -> None:
+        stdin, stdout = self._program.stdin, self._program.stdout
+        assert stdin
+        assert stdout
+        stdin.write(json.dumps(task) + "\n")
+        stdin.flush()
+        status = stdout.readline().strip()
+        assert status == str(expected), f"exit status {status} of {task}\n{self._errors.read_text()}"
+
+
+# ---- the program --------------------------------------------------------------------------------------------------
+
+
+def main() -> None:
+    """Fork for each line of the input; answer with the exit status."""
+    import_everything()
+    for line in sys.stdin:
+        child = os.fork()
+        if not child:
+            status = 1
+            try:
+                play(json.loads(line))
+                status = 0
+            except BaseException:
+                traceback.print_exc()
+            finally:
+                sys.stderr.flush()
+                os._exit(status)
+        sys.stdout.write(f"{os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])}\n")
+        sys.stdout.flush()
+
+
+def import_everything() -> None:
+    """What a run imports; no session is open yet, for a process that has one cannot be forked."""
+    import cmaes  # noqa: F401
+    import ribs.archives
+    import ribs.emitters  # noqa: F401
+
+    from zswarm import plugins
+    from zswarm.ot import evaluations, evolution, leases  # noqa: F401
+
+    for kind, table in plugins.BUNDLED.items():
+        for name in table:
+            plugins.load(kind, name)
+
+
+def play(task: dict[str, Any]) -> None:
+    """In a forked process: run or resume."""
+    import zswarm
+
+    class Killer(zswarm.Logger):
+        """Kills its process at the second message of results of a generation, from a thread of its own."""
+
+        messages = 2
+
+        def on_progress(self, generation: int, counted: int, trials: int) -> None:  # noqa: ARG002  an override
+            self.messages -= generation == KILLED_IN
+            if not self.messages:
+                os.kill(os.getpid(), signal.SIGKILL)
+
+    servers = task["servers"]
+    with zswarm.connect(len(servers), connect=servers, multicast=False) as connection:
+        if "resume" in task:
+            with zswarm.resume(task["resume"], connection=connection) as resumed:
+                resumed.finish()
+            return
+        loggers = [Killer()] if task["killed"] else []
+        with zswarm.start(task["experiment"], out=task["out"], connection=connection, loggers=loggers) as run:
+            for generation in run:
+                if task["killed"] and generation.generation == KILLED_IN:
+                    os.kill(os.getpid(), signal.SIGKILL)  # results came in one message; the next generation is on its way
+                if generation.generation == 0:
+                    wait_until(lambda: connection.slots == len(servers), "all servers are ready")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,157 @@
+"""Every part in runs with real programs: after kill -9 of the optimizer, and on four servers, the history is the same bits.
+
+A combination of parts is played twice: on one server by a process that is killed on the way and by another that resumes it, and
+on four servers undisturbed.
+"""
+
+import contextlib
+import itertools
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+from forks import KILLED_IN, Forks
+from programs import Server
+from promise import check_prefix, check_run
+
+from zswarm import experiment, plugins
+from zswarm.errors import ConfigError
+from zswarm.ot import run
+
+GENERATIONS = 3
+
+
+class Problem(NamedTuple):
+    """Some 30 ms of work for a generation: less is not shared among servers."""
+
+    simulator: str
+    trials: int
+    measure: str
+    settings: dict[str, Any]
+
+
+PROBLEMS = {
+    "arena": Problem("arena", 8, "spread", {"robots": 4, "steps": 1500}),
+    "duel": Problem("minisim", 4, "steals", {"steps": 400, "teams": 2, "defenders": 0}),
+    "emergency-exit": Problem("emergency-exit", 8, "escaped", {"steps": 1500}),
+    "inverted-pendulum": Problem("inverted-pendulum", 8, "upright", {"steps": 2500}),
+    "light": Problem("light", 8, "distance", {"steps": 1500}),
+    "maze": Problem("maze", 8, "reached", {"steps": 1000}),
+    "minisim": Problem("minisim", 8, "steals", {"steps": 600}),
+    "simplified-emergency-exit": Problem("simplified-emergency-exit", 8, "x", {"steps": 7500}),
+    "xor": Problem("xor", 2000, "correct", {}),
+}
+GAMES = {"duel"}
+VECTORS = {"cma-me", "cmaes", "cuckoo", "map-elites", "openai-es", "pso"}  # optimizers that search vectors of numbers
+NO_VECTORS = {"mealy", "neat"}  # genomes that are none
+COMPETING = {"cea2d", "cmaes", "neat", "nnga", "openai-es", "random"}  # optimizers that take scores of a tournament
+
+
+class Parts(NamedTuple):
+    """What an experiment names."""
+
+    problem: str
+    representation: str
+    optimizer: str
+    ranking: str = "absolute"
+
+    def fit(self) -> bool:
+        """As the documents say."""
+        if self.problem in GAMES and self.optimizer not in COMPETING:
+            return False
+        if self.optimizer in VECTORS and self.representation in NO_VECTORS:
+            return False
+        if self.optimizer == "neat" and self.representation != "neat":
+            return False
+        return (self.problem in GAMES) == (self.ranking != "absolute")
+
+    def experiment(self) -> dict[str, Any]:
+        """A small one."""
+        simulator, trials, measure, settings = PROBLEMS[self.problem]
+        optimizer_class = plugins.load("optimizer", self.optimizer)
+        small = {
+            "population": 6 if self.problem in GAMES else 8, "width": 3, "height": 3, "emitters": 2,
+            "measures": [measure], "lows": [0.0], "highs": [10.0], "cells": [10],
+        }  # fmt: skip
+        known = optimizer_class.settings_type.__struct_fields__
+        return {
+            "name": "small",
+            "seed": 4,
+            "generations": GENERATIONS,
+            "problem": {"simulator": simulator, "trials": trials, "settings": settings},
+            "representation": {"kind": self.representation},
+            "optimizer": {"kind": self.optimizer} | {key: value for key, value in small.items() if key in known},
+            "ranking": {"kind": self.ranking},
+        }
+
+
+ONCE = [  # few pairs of problem and representation: a slot that has played one takes up the next run of it at once
+    Parts("duel", "hebbian", "nnga", "full-tournament"),
+    Parts("duel", "hebbian", "cea2d", "swiss"),
+    Parts("duel", "hebbian", "random", "multi-swiss"),
+    Parts("xor", "neat", "neat"),
+    Parts("arena", "ctrnn", "cmaes"),
+    Parts("emergency-exit", "fully-meshed", "cma-me"),
+    Parts("emergency-exit", "fully-meshed", "map-elites"),
+    Parts("inverted-pendulum", "feed-forward", "pso"),
+    Parts("light", "three-layer", "cuckoo"),
+    Parts("simplified-emergency-exit", "bulk", "openai-es"),
+    Parts("maze", "mealy", "novelty"),
+]
+
+
+class Lab:
+    """Four servers of one slot, and optimizers."""
+
+    def __init__(self, folder: Path, servers: Sequence[str], forks: Forks) -> None:
+        self._folder, self._servers, self._forks = folder, servers, forks
+
+    def check(self, parts: Parts) -> None:
+        """Play a combination in both ways."""
+        folder, complete = self._folder / "-".join(parts), parts.experiment()
+        killed, undisturbed = folder / "killed" / "small", folder / "undisturbed" / "small"
+        self._forks.run(complete, killed.parent, self._servers[:1], killed=True)
+        before = check_run(killed, sample=0)
+        assert not before.finished, parts
+        assert KILLED_IN <= len(before.told) < GENERATIONS, parts
+        self._forks.resume(killed, self._servers[:1])
+        self._forks.run(complete, undisturbed.parent, self._servers)
+        after, whole = check_run(killed, sample=0), check_run(undisturbed, sample=0)
+        assert after.told == whole.told, parts
+        assert after.outcomes == whole.outcomes, parts
+        check_prefix(before, whole)
+        assert len(after.servers) == 1, parts
+        assert len(whole.servers) > 1, f"{parts}: one server was done before others began"
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
+    folder = tmp_path_factory.mktemp("lab")
+    with contextlib.ExitStack() as stack:
+        servers = [stack.enter_context(contextlib.closing(Server(folder, f"ss-{number}", capacity=1))) for number in range(4)]
+        forks = stack.enter_context(Forks(folder))
+        yield Lab(folder, [server.ready().endpoint for server in servers], forks)
+
+
+def test_every_part_goes_on_after_a_kill_and_is_the_same_on_four_servers(lab: Lab) -> None:
+    """Each with some partners; all of them with all others in the tests that are marked product."""
+    for kind, entries in plugins.BUNDLED.items():
+        column = ["simulator", "representation", "optimizer", "ranking"].index(kind)
+        played = {PROBLEMS[parts.problem].simulator if kind == "simulator" else parts[column] for parts in ONCE}
+        assert played == set(entries), f"a {kind} without a partner here"
+    for parts in ONCE:
+        lab.check(parts)
+
+
+@pytest.mark.product
+@pytest.mark.parametrize(("problem", "representation"), list(itertools.product(PROBLEMS, plugins.BUNDLED["representation"])))
+def test_all_parts_that_fit_together_do(problem: str, representation: str, lab: Lab) -> None:
+    """With every optimizer and every ranking; those that do not fit are refused in one line."""
+    for optimizer, ranking in itertools.product(plugins.BUNDLED["optimizer"], plugins.BUNDLED["ranking"]):
+        parts = Parts(problem, representation, optimizer, ranking)
+        if parts.fit():
+            lab.check(parts)
+            continue
+        with pytest.raises(ConfigError, match=r"^(optimizer|ranking): [^\n]+$"):
+            run.build(experiment.complete(experiment.check(parts.experiment(), "it"), "it"))
