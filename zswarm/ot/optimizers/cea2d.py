@@ -22,6 +22,7 @@ from msgspec import Meta
 from zswarm.draws import Stream, derive_seed
 from zswarm.errors import ConfigError
 from zswarm.nets.representation import Representation
+from zswarm.ot.optimizers.diversity import distances_of_pairs
 from zswarm.ot.optimizers.optimizer import Optimizer, Told
 from zswarm.ot.optimizers.tally import Tally, mean
 
@@ -50,9 +51,9 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 class CEA2D(Optimizer):
     """Cellular evolution on a torus: individuals compete and mate with their neighbours only, which keeps them different.
 
-    Statistics: best, mean of all cells, evaluations; ``diversity_mean``, the distance between two individuals, over all pairs;
-    ``count_`` and the name of an operator (elite, mutation, crossover, renew), its individuals, and ``effectivity_``, the share
-    of these that stays.
+    Statistics: best, mean of all cells, evaluations; ``diversity_mean``, the distance between two individuals, over all pairs of
+    250 at most; ``count_`` and the name of an operator (elite, mutation, crossover, renew), its individuals, and
+    ``effectivity_``, the share of these that stays.
     """
 
     settings_type = Settings
@@ -155,9 +156,7 @@ class CEA2D(Optimizer):
 
     def statistics(self) -> dict[str, float]:
         """See the class."""
-        distances = self.representation.distances(self._told, self._told)
-        pairs = distances[~np.tri(len(self._told), dtype=bool)]
-        return {**self._tally.statistics, "diversity_mean": mean(pairs)}
+        return {**self._tally.statistics, "diversity_mean": mean(distances_of_pairs(self.representation, self._told))}
 
 
 def _hoods(width: int, height: int) -> np.ndarray:

@@ -24,11 +24,11 @@ from msgspec import Meta
 from zswarm.draws import Stream, derive_seed
 from zswarm.errors import ConfigError
 from zswarm.nets.representation import Representation
+from zswarm.ot.optimizers.diversity import distances_of_pairs
 from zswarm.ot.optimizers.optimizer import Optimizer, Told
 
 REPEATS = 100  # of rejected crossovers, in a generation of one island
 SUITORS = 11  # fathers to choose from
-STRIP = 24  # individuals whose distances to those after them are computed at once; with more there is less to leave out
 OPERATORS = ("elite", "random", "mutation", "crossover", "renew")
 
 Share = Annotated[float, Meta(ge=0, le=1)]
@@ -219,12 +219,13 @@ class NNGA(Optimizer):
     def statistics(self) -> dict[str, float]:
         """Best and mean fitness, evaluations so far, diversity, and per operator its count and effectivity.
 
-        Diversity is the distance between two individuals, over all pairs of an island: average, maximum, minimum and
-        standard deviation over all. Effectivity is the share of an operator's individuals that reached the elite.
+        Diversity is the distance between two individuals of an island, over all pairs of 250 at most: average, maximum, minimum
+        and standard deviation. Effectivity is the share of an operator's individuals that reached the elite.
         """
         fitness = np.array([individual.fitness for island in self._told for individual in island])
         told = fitness[~np.isnan(fitness)]
-        pairs = np.concatenate([self._pair_distances(island) for island in self._told])
+        genomes = [[individual.genome for individual in island] for island in self._told]
+        pairs = np.concatenate([distances_of_pairs(self.representation, island) for island in genomes])
         return {
             "best": self._best[1],
             "mean": float(told.mean()) if told.size else float("nan"),
@@ -236,15 +237,6 @@ class NNGA(Optimizer):
             **{f"count_{name}": float(self._count[name]) for name in OPERATORS},
             **{f"effectivity_{name}": self._effectivity[name] for name in OPERATORS},
         }
-
-    def _pair_distances(self, island: list[Individual]) -> np.ndarray:
-        """Of each individual to those that come after it, in their order; (pairs,) float64."""
-        genomes = [individual.genome for individual in island]
-        pairs = []
-        for begin in range(0, len(genomes), STRIP):
-            strip, others = genomes[begin : begin + STRIP], genomes[begin:]
-            pairs.append(self.representation.distances(strip, others)[~np.tri(len(strip), len(others), dtype=bool)])
-        return np.concatenate(pairs)
 
 
 def _rank_key(fitness: float) -> tuple[bool, float]:
