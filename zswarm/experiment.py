@@ -564,9 +564,9 @@ def _drop_settings(mapping: dict[str, Any], changes: Mapping[str, Any]) -> None:
     for part in PARTS:
         if isinstance(table := mapping.get(part), dict) and changes.get(f"{part}.kind", table.get("kind")) != table.get("kind"):
             mapping[part] = {}
-    if isinstance(problem := mapping.get("problem"), dict):
-        if changes.get("problem.simulator", problem.get("simulator")) != problem.get("simulator"):
-            problem["settings"] = {}
+    problem = mapping.get("problem")
+    if isinstance(problem, dict) and changes.get("problem.simulator", problem.get("simulator")) != problem.get("simulator"):
+        problem["settings"] = {}
 
 
 def _set(mapping: dict[str, Any], path: str, value: Any, where: str) -> None:
