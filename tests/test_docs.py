@@ -1,5 +1,6 @@
 """The documents say what the programs do: whatever has a name in the code has it in its document."""
 
+import importlib
 import json
 import re
 import sqlite3
@@ -12,9 +13,11 @@ import numpy as np
 import pytest
 
 from zswarm import experiment, plugins, router, settings_sheet
+from zswarm.errors import ConfigError
 from zswarm.ot import cli as ot
 from zswarm.ot import exits, schema
 from zswarm.ot.controller import Controller
+from zswarm.ot.rankings.ranking import Round
 from zswarm.protocol import codec, messages
 from zswarm.security import cli as security
 from zswarm.ss import cli as ss
@@ -315,6 +318,23 @@ def test_the_example_optimizer_keeps_the_contract(tmp_path: Path, monkeypatch: p
     namespace: dict[str, typing.Any] = {}
     exec(compile(blocks["test_climber.py"], "test_climber.py", "exec"), namespace)  # noqa: S102  our own text
     namespace["test_climber_keeps_the_contract"]()
+
+
+def test_the_example_ranking_ranks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The code in co-evolution.md is a whole ranking: who wins more games scores higher, who failed in all has none."""
+    blocks = dict(re.findall(r"`(\w+rivals\.py)`:\n\n```python\n(.*?)```", text("co-evolution.md"), re.S))
+    (tmp_path / "zswarm_rivals.py").write_text(blocks["zswarm_rivals.py"], encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    rivals = importlib.import_module("zswarm_rivals")
+    ranking = rivals.Rivals(rivals.Settings(games=2), 2)
+    games = ranking.next_games(5, [])
+    assert np.bincount(games.ravel()).tolist() == [4] * 5
+    results = np.where(games == 4, np.nan, games.astype(float))  # the higher number is better, but the highest fails
+    played = [Round(games, results)]
+    assert ranking.next_games(5, played) is None
+    np.testing.assert_array_equal(ranking.scores(5, played), [1, 2, 3, 4, np.nan])
+    with pytest.raises(ConfigError, match="2 candidates are too few"):
+        ranking.next_games(2, [])
 
 
 @pytest.mark.parametrize("name", plugins.BUNDLED["optimizer"])

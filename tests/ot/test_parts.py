@@ -134,6 +134,8 @@ def test_plugins_that_cannot_be_imported_are_told_in_their_own_lines(plugged: Pa
 
 
 def test_a_part_that_is_not_there_is_told_with_the_nearest() -> None:
+    with pytest.raises(UnknownPlugin, match="xor-neat is no part, but an example; it is explained by: zswarm-ot check xor-neat"):
+        parts.find("xor-neat")
     with pytest.raises(UnknownPlugin, match=r"no part has the name 'nng' \(did you mean 'nnga'\?\)"):
         parts.find("nng")
 

@@ -97,6 +97,10 @@ def test_a_finished_run_that_is_told_again_says_so_too(tmp_path: Path) -> None:
     assert "the last generation's best score is 9 after 3" in invoke("resume", str(written(tmp_path)))
 
 
+def test_a_finished_run_that_is_resumed_says_so_too(tmp_path: Path) -> None:
+    assert f"the last generation's best score is {SCORES[-1]:g} after 3 generations" in invoke("resume", str(written(tmp_path)))
+
+
 def test_two_champions_play_each_other_from_each_side_in_turn() -> None:
     one, other = champion(1), champion(3)
     played, turned = unseen.play(one, 21, 5, other), unseen.play(other, 21, 5, one)

@@ -88,10 +88,7 @@ def _step_of(kind: str, part_step: Step) -> Step:
 
 
 class Bulk(Representation):
-    """Several networks of one kind in one genome; an input says which of them decides.
-
-    See the module's text.
-    """
+    """Several networks of one kind in one genome; an input says which of them decides."""
 
     settings_type = Settings
     settings: Settings

@@ -120,10 +120,7 @@ def step_lanes(parameters, state, observation, output):  # type: ignore[no-untyp
 
 
 class CTRNN(VectorRepresentation):
-    """Continuous-time recurrent network: its neurons have time constants.
-
-    See the module's text.
-    """
+    """Continuous-time recurrent network: its neurons have time constants."""
 
     settings_type = Settings
     step = staticmethod(step)

@@ -149,10 +149,7 @@ class Layered(VectorRepresentation):
 
 
 class FeedForward(Layered):
-    """Feed-forward network of any number of hidden layers.
-
-    See the module's text.
-    """
+    """Feed-forward network of any number of hidden layers."""
 
     settings_type = Settings
 
@@ -163,7 +160,7 @@ class FeedForward(Layered):
 class ThreeLayer(Layered):
     """FREVO's feed-forward network of one hidden layer, with sigmoid nodes.
 
-    See the module's text: ``feed-forward`` with one hidden layer decides the same.
+    ``feed-forward`` with one hidden layer decides the same.
     """
 
     settings_type = ThreeLayerSettings

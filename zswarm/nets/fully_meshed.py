@@ -93,7 +93,7 @@ def step_lanes(parameters, state, observation, output):  # type: ignore[no-untyp
 class FullyMeshed(VectorRepresentation):
     """Recurrent network, FREVO's, in which every node hears every node.
 
-    See the module's text; ``neurons`` are the non-input nodes.
+    ``neurons`` are the non-input nodes.
     """
 
     settings_type = Settings

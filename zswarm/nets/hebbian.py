@@ -101,7 +101,7 @@ def step(parameters, state, observation, output):  # type: ignore[no-untyped-def
 class Hebbian(VectorRepresentation):
     """Recurrent network, FREVO's, whose weights learn while it decides.
 
-    See the module's text; ``neurons`` are the non-input nodes.
+    ``neurons`` are the non-input nodes.
     """
 
     settings_type = Settings

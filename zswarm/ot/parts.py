@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from zswarm import plugins, settings_sheet
+from zswarm import experiment, plugins, settings_sheet
 from zswarm.errors import UnknownPlugin
 from zswarm.protocol.codec import clean
 from zswarm.settings_sheet import Key
 
 KINDS = tuple(plugins.BUNDLED)
-TITLED = re.compile(r"[A-Z][^.:]{0,40}:( |$)|- ")  # a line of a data sheet that begins something new
+TITLED = re.compile(r"[A-Z][^.:]{0,40}:( |$)|- |\d\. ")  # a line of a data sheet that begins something new
 
 
 class Part(NamedTuple):
@@ -42,6 +42,8 @@ def find(name: str) -> list[Part]:
     """
     found = [part(kind, name) for kind in KINDS if name in plugins.names(kind)]
     if not found:
+        if name in {path.stem for path in experiment.examples_folder().glob("*.toml")}:
+            raise UnknownPlugin(f"{clean(name)} is no part, but an example; it is explained by: zswarm-ot check {clean(name)}")
         known = {known for kind in KINDS for known in plugins.names(kind)}
         raise UnknownPlugin(
             f"no part has the name {clean(name)!r}{plugins.nearest(name, known)}; all are shown by: zswarm-ot list"

@@ -91,8 +91,8 @@ def resume(folder: Path, as_json: bool, **cluster: Any) -> None:
       zswarm-ot resume runs/stadium
     """  # noqa: D301  click's mark for text that is not to be wrapped
     _evaluate_nothing()
-    from zswarm.ot.display import display
-    from zswarm.ot.reading import told_again
+    from zswarm.ot.display import display, summary
+    from zswarm.ot.reading import Run, told_again
     from zswarm.ot.record import DATABASE, load_experiment
 
     if not (folder / DATABASE).exists() and _is_study(folder):  # a run's program starts without what studies import
@@ -106,7 +106,10 @@ def resume(folder: Path, as_json: bool, **cluster: Any) -> None:
     complete = with_cluster(load_experiment(folder), cluster)
     if (told := told_again(folder, complete)) is not None:
         click.echo(f"{clean(str(folder))} is finished; to go on longer, raise generations in its experiment.toml", err=True)
-        display(as_json=as_json).on_end(told)
+        if as_json:
+            display(as_json=True).on_end(told)
+        else:
+            click.echo(summary(told, relative=Run(folder).relative))
         return
     with _pictures() as folders, Connection(complete.cluster) as connection:
         from zswarm.ot import evolution

@@ -82,7 +82,7 @@ class Species(msgspec.Struct):
 class NEAT(Optimizer):
     """Networks grow from none but inputs and outputs, in species that share their fitness: needs representation neat.
 
-    See the module's text. Portable: yes. Every generation draws from a stream of its own.
+    Portable: yes. Every generation draws from a stream of its own.
     """
 
     settings_type = Settings
