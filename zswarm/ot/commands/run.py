@@ -109,7 +109,7 @@ def resume(folder: Path, as_json: bool, **cluster: Any) -> None:
         if as_json:
             display(as_json=True).on_end(told)
         else:
-            click.echo(summary(told, relative=Run(folder).relative))
+            click.echo(summary(told))
         return
     with _pictures() as folders, Connection(complete.cluster) as connection:
         from zswarm.ot import evolution
