@@ -92,7 +92,7 @@ def resume(folder: Path, as_json: bool, **cluster: Any) -> None:
     """  # noqa: D301  click's mark for text that is not to be wrapped
     _evaluate_nothing()
     from zswarm.ot.display import display, summary
-    from zswarm.ot.reading import Run, told_again
+    from zswarm.ot.reading import told_again
     from zswarm.ot.record import DATABASE, load_experiment
 
     if not (folder / DATABASE).exists() and _is_study(folder):  # a run's program starts without what studies import
