@@ -6,7 +6,7 @@ TESTS ?= -n $$((2 * $$(nproc))) --dist worksteal  # many wait for programs; neig
 
 KILLS ?= 200
 
-.PHONY: run test long product test-all chaos faults machines units kills lint format docs docs-commands reference bench bench-quick bench-methods scale soak clean
+.PHONY: run test long product vmas test-all chaos faults machines units kills lint format docs docs-commands reference bench bench-quick bench-methods scale soak clean
 
 run: $(READY)
 	$(BIN)/zswarm-ot run $(or $(ARGS),stadium)
@@ -20,6 +20,10 @@ long: $(READY)
 # Every combination of simulators, networks, optimizers and rankings, with real programs: five minutes on two cores.
 product: $(READY)
 	$(BIN)/python -m pytest $(TESTS) -m product $(ARGS)
+
+# Scenarios of VMAS, in an environment of their own: torch is large.
+vmas: build/vmas/ready
+	build/vmas/bin/python -m pytest $(TESTS) -m vmas $(ARGS)
 
 test-all: test long product
 
@@ -96,6 +100,12 @@ $(READY): pyproject.toml Makefile
 	    $(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { echo "the venv module is missing: install it (Debian: apt install python3-venv)"; exit 1; }; \
 	    $(PYTHON) -m venv .venv && $(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'; \
 	fi
+	@touch $@
+
+# One release of torch, so that pip takes its build without graphics (+cpu) where it is told of one.
+build/vmas/ready: pyproject.toml Makefile
+	$(PYTHON) -m venv build/vmas
+	build/vmas/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,vmas]' 'torch==2.13.*'
 	@touch $@
 
 # Each peer by itself; what pip said of one that cannot be installed is shown in its place, and it is tried again next time.

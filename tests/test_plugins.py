@@ -131,6 +131,27 @@ def test_all_files_of_a_plugins_package_are_in_its_hash(install: Install) -> Non
     assert cache_hash() != before[1]
 
 
+ENVIRONMENT = """
+import numpy as np
+from zswarm.sims.environments import ParallelEnvironment
+LIBRARIES = (
+    "some-physics",
+    "gymnasium",
+)
+"""
+
+
+def test_a_plugin_is_hashed_with_what_it_takes_from_bundled_parts_and_other_libraries(install: Install) -> None:
+    """What is bundled comes after its own files, wherever both are installed."""
+    files = {"swarm_extra/__init__.py": "from zswarm.nets import (bulk,\n ctrnn)", "swarm_extra/walls.py": ENVIRONMENT}
+    install(files, "[zswarm.simulators]\nlabyrinth = swarm_extra:Labyrinth\n")
+    found = plugins.source_files("simulator", "labyrinth")
+    assert [path.name for path in found[:2]] == ["__init__.py", "walls.py"]
+    assert {"bulk.py", "ctrnn.py", "environments.py", "neurons.py"} <= {path.name for path in found[2:]}
+    assert {path.parent.name for path in found[2:]} == {"nets", "sims"}
+    assert plugins.libraries(found) == ["gymnasium", "some-physics"]
+
+
 def test_an_optimizer_plugin_takes_no_part_in_compiled_code(install: Install) -> None:
     before = cache_hash()
     install({"swarm_extra.py": NOTHING_READ}, "[zswarm.optimizers]\nmine = swarm_extra:Mine\n")

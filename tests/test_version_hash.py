@@ -12,7 +12,7 @@ from zswarm import plugins, version_hash
 
 PACKAGE = Path(version_hash.__file__).parent
 # They name, check and refuse; messages.py says how many trials the probe has, which the version of the protocol fixes.
-COMPUTES_NOTHING = {"errors.py", "plugins.py", "strict.py", "version_hash.py", "messages.py"}
+COMPUTES_NOTHING = {"errors.py", "extras.py", "plugins.py", "strict.py", "version_hash.py", "messages.py"}
 
 
 def imported(file: Path) -> set[Path]:
@@ -142,6 +142,39 @@ def test_every_module_that_computes_for_a_part_is_hashed(kind: plugins.Kind) -> 
         own = set(plugins.source_files(kind, name))
         needed = own.union(*map(imported, own), imported(PACKAGE / "evaluate.py"))
         assert {file for file in needed - shared - own if file.name not in COMPUTES_NOTHING} == set()
+
+
+@pytest.mark.parametrize("other", ["another version", "another architecture"])
+def test_what_a_library_computes_is_of_another_version_with_another_library(other: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It says so by LIBRARIES, and only the simulators that do are concerned."""
+    fresh()
+    before = {name: version_hash.version_hash(name, "fully-meshed") for name in ("pettingzoo", "gymnasium", "vmas", "xor")}
+    if other == "another architecture":
+        monkeypatch.setattr(version_hash.platform, "machine", lambda: "riscv64")
+    else:
+        installed = version_hash.version
+        monkeypatch.setattr(version_hash, "version", lambda name: "0.0.1" if name == "gymnasium" else installed(name))
+    forget()
+    after = {name: version_hash.version_hash(name, "fully-meshed") for name in before}
+    assert {name for name in before if before[name] != after[name]} == {"pettingzoo", "gymnasium", "vmas"}
+
+
+def test_a_library_that_is_not_there_has_no_version() -> None:
+    assert version_hash._versions(("zswarm-none",)).splitlines()[0] == "zswarm-none none"
+
+
+def test_who_adds_to_a_group_of_entry_points_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Gymnasium's environments may be of any package."""
+    before = fresh(), version_hash.version_hash("gymnasium", "fully-meshed")
+    information = tmp_path / "some_environments-3.0.dist-info"
+    information.mkdir()
+    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: some-environments\nVersion: 3.0\n")
+    (information / "entry_points.txt").write_text("[gymnasium.envs]\nsome = some_environments:register\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    after = fresh(), version_hash.version_hash("gymnasium", "fully-meshed")
+    assert "some-environments 3.0" in version_hash._versions(("gymnasium.envs",)).splitlines()
+    assert before[0] == after[0]
+    assert before[1] != after[1]
 
 
 X86 = "processor\t: 0\nvendor_id\t: GenuineIntel\nmodel\t\t: 207\ncpu MHz\t\t: 2100.000\nflags\t\t: fpu avx2\n"

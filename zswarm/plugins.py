@@ -8,7 +8,8 @@ not use it.
 import difflib
 import importlib
 import importlib.util
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -22,11 +23,14 @@ BUNDLED: dict[Kind, dict[str, str]] = {
     "simulator": {
         "arena": "zswarm.sims.arena:Arena",
         "emergency-exit": "zswarm.sims.emergency_exit:EmergencyExit",
+        "gymnasium": "zswarm.sims.gymnasium:Gymnasium",
         "inverted-pendulum": "zswarm.sims.inverted_pendulum:InvertedPendulum",
         "light": "zswarm.sims.light:Light",
         "maze": "zswarm.sims.maze:Maze",
         "minisim": "zswarm.sims.minisim:Minisim",
+        "pettingzoo": "zswarm.sims.pettingzoo:PettingZoo",
         "simplified-emergency-exit": "zswarm.sims.simplified_emergency_exit:SimplifiedEmergencyExit",
+        "vmas": "zswarm.sims.vmas:Vmas",
         "xor": "zswarm.sims.xor:XOR",
     },
     "representation": {
@@ -59,6 +63,9 @@ BUNDLED: dict[Kind, dict[str, str]] = {
         "swiss": "zswarm.ot.rankings.swiss:Swiss",
     },
 }
+OF_ONE = re.compile(r"^\s*(?:from|import)\s+zswarm\.(nets|sims)\.(\w+)", re.M)  # imports; looked for, for parsing takes long
+OF_SEVERAL = re.compile(r"^\s*from\s+zswarm\.(nets|sims)\s+import\s+(\([^)]*\)|.*)", re.M)
+DECLARED = re.compile(r"^LIBRARIES = \(([^)]*)\)", re.M)
 COMPOSED = {("representation", "bulk")}  # made of other bundled parts of their kind, which settings name
 
 
@@ -101,12 +108,26 @@ def source_files(kind: Kind, name: str) -> list[Path]:
     """The Python files whose change can change what a part computes, without importing it.
 
     For a bundled part its own module and those beside it whose names begin with its name (``arena_world.py``), and for a composed
-    one those of all that it may be made of; for a plug-in every file of its top-level package.
+    one those of all that it may be made of; for a plug-in every file of its top-level package. And the bundled modules of
+    simulators and representations that these import.
     """
     if name not in BUNDLED[kind]:
-        return list(_package_files(_installed(kind)[name].module.split(".")[0]))
-    names = BUNDLED[kind] if (kind, name) in COMPOSED else [name]
-    return sorted({file for part in names for file in _bundled_files(BUNDLED[kind][part].partition(":")[0])})
+        own = list(_package_files(_installed(kind)[name].module.split(".")[0]))
+    else:
+        names = BUNDLED[kind] if (kind, name) in COMPOSED else [name]
+        own = sorted({file for part in names for file in _bundled_files(BUNDLED[kind][part].partition(":")[0])})
+    waiting, imported = list(own), set[Path]()
+    while waiting:
+        more = _imported(waiting.pop()) - imported
+        imported |= more
+        waiting += more
+    return [*own, *sorted(imported - set(own))]
+
+
+def libraries(files: Iterable[Path]) -> list[str]:
+    """What ``LIBRARIES = ("...", ...)`` in Python files names, sorted: packages that compute, beside those of all parts."""
+    lists = [found for file in files for found in DECLARED.findall(_text(file))]
+    return sorted({name for found in lists for name in re.findall(r"[\"']([^\"']+)[\"']", found)})
 
 
 def plugin_files() -> list[Path]:
@@ -123,6 +144,19 @@ def plugin_files() -> list[Path]:
 def _bundled_files(module: str) -> Iterator[Path]:
     *folders, own = module.split(".")[1:]
     yield from Path(__file__).parent.joinpath(*folders).glob(f"{own}*.py")
+
+
+def _imported(file: Path) -> set[Path]:
+    """The bundled modules of simulators and representations that a file imports."""
+    text = _text(file)
+    named = set(OF_ONE.findall(text))
+    named |= {(folder, name) for folder, names in OF_SEVERAL.findall(text) for name in re.findall(r"\w+", names)}
+    found = {Path(__file__).parent / folder / f"{name}.py" for folder, name in named}
+    return {module for module in found if module.is_file()}
+
+
+def _text(file: Path) -> str:
+    return file.read_text(encoding="utf-8", errors="replace")
 
 
 def _package_files(package: str) -> Iterator[Path]:

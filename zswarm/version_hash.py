@@ -14,7 +14,7 @@ import platform
 import re
 from collections.abc import Iterable
 from functools import cache
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, entry_points, version
 from itertools import takewhile
 from pathlib import Path
 
@@ -34,7 +34,7 @@ SHARED = (
 def version_hash(simulator: str, representation: str) -> str:
     """32 hex digits for the code behind a simulator and a representation, by name."""
     files = [*plugins.source_files("simulator", simulator), *plugins.source_files("representation", representation)]
-    return digest(files)
+    return digest(files, _versions(tuple(plugins.libraries(files))))
 
 
 @cache
@@ -62,6 +62,28 @@ def _shared() -> "hashlib.blake2b":
     for name in SHARED:
         _add(total, Path(__file__).parent / name)
     return total
+
+
+@cache
+def _versions(names: tuple[str, ...]) -> str:
+    """Of further libraries, and the processor's architecture: their bits are not ours to promise.
+
+    A name may be that of a group of entry points, for all packages that add to it.
+    """
+    if not names:
+        return ""
+    found = {name: _version(name) for name in names}
+    points = entry_points()
+    adding = {point.dist for name in names for point in points.select(group=name) if point.dist is not None}
+    found |= {package.name: package.version for package in adding}
+    return "".join(f"{name} {found[name]}\n" for name in sorted(found)) + platform.machine()
+
+
+def _version(library: str) -> str:
+    try:
+        return version(library)
+    except PackageNotFoundError:
+        return "none"
 
 
 def _add(total: "hashlib.blake2b", file: Path) -> None:

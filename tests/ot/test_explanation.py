@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from small import playable
 
 from zswarm import experiment
 from zswarm.ot import explanation, run
@@ -14,7 +15,7 @@ from zswarm.ot.cli import command
 from zswarm.ot.explanation import Explanation, explain
 from zswarm.sims.minisim import Minisim
 
-EXAMPLES = sorted(path.stem for path in experiment.examples_folder().glob("*.toml"))
+EXAMPLES = playable(sorted(path.stem for path in experiment.examples_folder().glob("*.toml")))
 
 
 def complete(name: str, *overrides: str) -> experiment.Experiment:

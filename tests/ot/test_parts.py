@@ -15,7 +15,7 @@ from zswarm.ot import parts
 from zswarm.ot.cli import command
 
 BUNDLED = [(kind, name) for kind in parts.KINDS for name in plugins.BUNDLED[kind]]
-HEAVY = ("ribs", "cmaes", "scipy", "numba", "zenoh")
+HEAVY = ("ribs", "cmaes", "scipy", "numba", "zenoh", "pettingzoo", "gymnasium", "vmas", "torch")
 EVIL = """
 import msgspec
 from zswarm.sims.simulator import Simulator

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from naive_emergency_exit import NaiveEmergencyExit, java_below, java_random
+from small import playable
 
 from zswarm import plugins
 from zswarm.draws import Stream, draw_java
@@ -204,7 +205,7 @@ def test_the_comparison_met_moves_blocks_and_escapes() -> None:
     assert 0 < counts["all out"] < 12
 
 
-@pytest.mark.parametrize("name", plugins.names("simulator"))
+@pytest.mark.parametrize("name", playable(plugins.names("simulator")))
 def test_every_simulator_keeps_the_contract(name: str) -> None:
     """In trials of 100 steps, where it has steps."""
     simulator_class = plugins.load("simulator", name)

@@ -13,6 +13,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from small import playable
 
 from zswarm import plugins
 from zswarm.draws import Stream
@@ -63,7 +64,7 @@ def answer(of: Worker) -> tuple[bytes, bytes]:
 
 def pairs() -> Iterator[Any]:
     """Of bundled simulators and representations: each part in one; all others are long."""
-    simulators, representations = list(plugins.BUNDLED["simulator"]), list(plugins.BUNDLED["representation"])
+    simulators, representations = playable(plugins.BUNDLED["simulator"]), list(plugins.BUNDLED["representation"])
     for row, simulator in enumerate(simulators):
         for column, representation in enumerate(representations):
             first = row % len(representations) == column or column % len(simulators) == row

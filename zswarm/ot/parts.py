@@ -112,8 +112,9 @@ def _facts(kind: plugins.Kind, loaded: Any) -> list[tuple[str, Any]]:
     match kind:
         case "simulator":
             built = loaded
-            with contextlib.suppress(Exception):  # what it senses may depend on its settings: where it can be, the defaults
-                built = loaded(loaded.settings_type())
+            if not hasattr(sys.modules[loaded.__module__], "LIBRARIES"):  # which take seconds to load
+                with contextlib.suppress(Exception):  # what it senses may depend on its settings: where it can be, the defaults
+                    built = loaded(loaded.settings_type())
             names = {"metrics": built.metrics, "sensors": built.sensors, "actuators": built.actuators}
             numbers = {what: getattr(built, what, None) for what in ("participants", "inputs", "outputs")}
             return [

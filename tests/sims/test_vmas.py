@@ -1,0 +1,74 @@
+"""Scenarios of VMAS, which nobody here wrote: each keeps the contract, and evolution is better in it than random controllers.
+
+In an environment of their own (``make vmas``): torch is large.
+"""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from random_controllers import compared
+from small import vmas_is_here
+
+from zswarm import experiment, plugins
+from zswarm.errors import ConfigError
+from zswarm.evaluate import build
+from zswarm.testing import check_simulator
+
+pytestmark = pytest.mark.vmas
+EVOLVED = {  # scenarios, what they are made with, and generations
+    "dispersion": ({"n_agents": 3, "n_food": 3}, 6),
+    "navigation": ({"n_agents": 2}, 6),
+    "simple_spread": ({"n_agents": 2}, 6),
+    "wheel": ({"n_agents": 2}, 6),
+}
+
+
+def test_vmas_is_here() -> None:
+    assert vmas_is_here()
+
+
+@pytest.mark.parametrize(
+    "scenario", ["balance", "dispersion", "flocking", "navigation", "simple_tag", "simple_world_comm", "wheel"]
+)
+def test_a_scenario_keeps_the_contract(scenario: str) -> None:
+    check_simulator(plugins.load("simulator", "vmas"), {"scenario": scenario, "steps": 10})
+
+
+@pytest.mark.parametrize("scenario", EVOLVED)
+def test_evolved_controllers_are_better_than_random_ones_on_seeds_they_never_saw(scenario: str) -> None:
+    options, generations = EVOLVED[scenario]
+    settings = {"scenario": scenario, "options": options, "steps": 50}
+    assert compared("vmas", settings, 1, generations).p < 0.01
+
+
+@pytest.mark.parametrize(
+    ("settings", "reason"),
+    [
+        (
+            {"scenario": "dispersal"},
+            r"vmas: unknown environment 'dispersal' \(did you mean 'dispersion'\?\); known are: .*balance",
+        ),
+        ({"scenario": "../dispersion"}, "vmas: unknown environment '../dispersion'"),
+        ({"scenario": "dispersion.py"}, "vmas: unknown environment"),
+        ({"options": {"device": "cuda"}}, "simulator 'vmas' cannot be set up: TypeError: .*device"),
+    ],
+)
+def test_what_vmas_has_not_is_refused_in_a_line(settings: dict[str, Any], reason: str) -> None:
+    with pytest.raises(ConfigError, match=f"^{reason}") as refusal:
+        build("vmas", settings, "fully-meshed", {})
+    assert "\n" not in str(refusal.value)
+
+
+def test_types_are_participants_or_are_told_who_they_are() -> None:
+    together = build("vmas", {"scenario": "simple_tag"}, "fully-meshed", {})[0]
+    against = build("vmas", {"scenario": "simple_tag", "genomes": "types"}, "fully-meshed", {})[0]
+    assert (together.participants, against.participants) == (1, 2)
+    assert together.metrics == against.metrics == ("steps", "return_adversary", "return_agent")
+    assert np.unique(together.reset(1).observations[:, 0]).tolist() == [0, 1]
+
+
+def test_the_example_is_complete() -> None:
+    path = experiment.find("vmas")
+    whole = experiment.complete(experiment.load(path), str(path))
+    build("vmas", whole.problem.settings, whole.representation.kind, whole.representation.settings)
