@@ -54,14 +54,16 @@ class Environment(Simulator):
 
     @abstractmethod
     def make(self, **options: Any) -> Any:
-        """The environment.
+        """The environment, for one trial.
 
         Args:
             options: those of the settings.
         """
 
     def reset(self, seed: int) -> Turn:
-        """Start a trial."""
+        """Start a trial, in a new environment: some leave something over for the next one, and making one takes little."""
+        self._environment.close()
+        self._environment = self.make(**self.settings.options)
         seed = folded(seed)
         seed_generators(seed)
         observation, _ = self._environment.reset(seed=seed)
