@@ -7,6 +7,7 @@ import numpy as np
 from zswarm.ot import dispatch
 from zswarm.ot.dispatch import Dispatch
 from zswarm.ot.history import History
+from zswarm.ot.matching import Choice
 from zswarm.ot.requests import Wanted, Who, request
 from zswarm.protocol import messages
 
@@ -57,11 +58,13 @@ class Optimizer(Node[dispatch.Event]):
         self.superseded = False  # another one goes on with its run
         self.progressed_at = self.unserved_at = world.now
         self._verified, self._missed = 0, False
+        choice = Choice(max_slots=0 if verify else world.random.choice([0, 0, 1, 3]))  # a check needs a second server
         self.wanted = Wanted(
-            messages.Part(self.run, {}), messages.Part("", {}), "", 1, 1, TRIAL_TIMEOUT_S, trial_memory_mb=0,
+            messages.Requirements(), choice,
+            messages.Part(self.run, {}), messages.Part("", {}), 1, 1, TRIAL_TIMEOUT_S, trial_memory_mb=0,
             slots=world.random.choice([1, 2, 100]), quarantine=True, verify=verify, probe=b"",
         )  # fmt: skip
-        self.dispatch = Dispatch(1, 1, wanted_slots=self.wanted.slots, quarantine=True, verify=verify)
+        self.dispatch = Dispatch(1, 1, wanted_slots=self.wanted.slots, choice=choice, quarantine=True, verify=verify)
         self.workload = experiment.workload(None)  # the one that runs
         self._wake_at = float("inf")
         world.soon(self._next_generation)

@@ -1,0 +1,136 @@
+"""Servers that differ (docs/mixed.md): each run uses those that match it, names the others, and has the history it has alone."""
+
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+from programs import Optimizer, Server, query
+
+import zswarm
+from zswarm import evaluate, experiment
+from zswarm.ot import run as runs
+from zswarm.ot.history import History
+
+EXPERIMENT = """
+name = "{name}"
+seed = 3
+generations = {generations}
+[problem]
+simulator = "{name}"
+trials = 2
+[problem.settings]
+{settings}
+[representation]
+kind = "fully-meshed"
+[optimizer]
+kind = "nnga"
+population = 10
+[cluster]
+require = ["gpu=yes", "os={os}", "slots>=1"]
+rank = ["cores", "slots"]
+max_slots = 3
+"""
+MISMATCHES = "SELECT text FROM events WHERE event = 'server_mismatch' AND server LIKE '{}-%'"
+TRIALS = "SELECT sum(trials) FROM servers WHERE server LIKE '{}-%'"
+
+
+def write(folder: Path, name: str, generations: int, settings: str) -> Path:
+    folder.mkdir()
+    text = EXPERIMENT.format(name=name, generations=generations, settings=settings, os=os.uname().sysname.lower())
+    (folder / "experiment.toml").write_text(text)
+    return folder
+
+
+def alone(folder: Path) -> str:
+    """The history hash of a plain loop in this process."""
+    file = folder / "experiment.toml"
+    problem, optimizer = runs.build(experiment.complete(experiment.load(file), str(file)))
+    history = History()
+    for generation in range(problem.experiment.generations):
+        genomes = optimizer.ask()
+        work = problem.workload(genomes, generation)
+        everything = work.batch(np.arange(len(work.seeds)))
+        work.fitness = evaluate.evaluate(problem.simulator, problem.representation, *everything).fitness
+        fitness = problem.total(work)
+        optimizer.tell(fitness, np.empty((len(genomes), 0)))
+        history.add(genomes, fitness)
+    return history.hex()
+
+
+def altered(folder: Path) -> str:
+    """A place for PYTHONPATH with this zswarm, but for a line of minisim's code."""
+    package = folder / "zswarm"
+    shutil.copytree(Path(zswarm.__file__).parent, package, ignore=shutil.ignore_patterns("__pycache__"))
+    with (package / "sims" / "minisim.py").open("a") as code:
+        code.write("# a version later\n")
+    return str(folder)
+
+
+def test_each_of_two_runs_uses_the_servers_that_match_it_and_names_the_others_once(tmp_path: Path) -> None:
+    """A server for each simulator; and one of another version, one whose limits exclude, and one without the label."""
+    folders = {
+        "minisim": write(tmp_path / "minisim", "minisim", 10, "steps = 20\nrobots = 2"),
+        "xor": write(tmp_path / "xor", "xor", 40, ""),
+    }
+    (tmp_path / "limited.toml").write_text(
+        'simulators = ["minisim"]\n[limits]\n"minisim.robots" = { max = 1 }\n[labels]\ngpu = "yes"\n'
+    )
+    options = {
+        "tanks": ("--simulators", "minisim", "--label", "gpu=yes"),
+        "logic": ("--simulators", "xor", "--label", "gpu=yes"),
+        "later": ("--simulators", "minisim", "--label", "gpu=yes"),
+        "limited": ("--config", "limited.toml"),
+        "bare": ("--label", "gpu=no"),
+    }
+    excluded = {
+        "minisim": {
+            "logic": "no simulator 'minisim' here; there are xor",
+            "later": "another version is installed here: other code of simulator minisim",
+            "limited": "minisim.robots is 2; it is 1 at most here",
+            "bare": "the experiment requires gpu=yes (it has gpu=no)",
+        },
+        "xor": {
+            "tanks": "no simulator 'xor' here; there are minisim",
+            "later": "no simulator 'xor' here; there are minisim",
+            "limited": "no simulator 'xor' here; there are minisim",
+            "bare": "the experiment requires gpu=yes (it has gpu=no)",
+        },
+    }
+    later = altered(tmp_path / "later")
+    servers = {
+        name: Server(
+            tmp_path, name, capacity=1, options=told, ZSWARM_PLAIN="1", **({"PYTHONPATH": later} if name == "later" else {})
+        )
+        for name, told in options.items()
+    }
+    programs: list[Optimizer] = []
+    try:
+        connect = ["--no-multicast", *(f"--connect={server.ready().endpoint}" for server in servers.values())]
+        runs_ = {
+            name: Optimizer(folder, "ot", ["run", "experiment.toml", "--json", "--servers", "1", *connect], ZSWARM_PLAIN="1")
+            for name, folder in folders.items()
+        }
+        programs += runs_.values()
+        looks = Optimizer(
+            tmp_path, "look", ["servers", "--wait", "1", "--json", "--for", "minisim/experiment.toml", *connect], ZSWARM_PLAIN="1"
+        )
+        programs.append(looks)
+        hashes = {name: run.done()["history_hash"] for name, run in runs_.items()}
+        assert looks.wait() == 0, looks.err.read_text()
+    finally:
+        for program in (*servers.values(), *programs):
+            program.close()
+    assert hashes == {name: alone(folder) for name, folder in folders.items()}
+    for name, run in runs_.items():
+        told = run.err.read_text().splitlines()
+        record = folders[name] / "runs" / name
+        for server, why in excluded[name].items():
+            assert [line.partition(" is not used: ")[2] for line in told if line.startswith(f"{server}-")] == [why]
+            assert query(record, TRIALS.format(server)) in ([(None,)], [(0,)])
+            assert query(record, MISMATCHES.format(server)) == [(why,)]
+    seen = {line["server"].rpartition("-")[0]: line for line in looks.lines()}
+    assert {name: line["mismatch"] for name, line in seen.items()} == {"tanks": "", **excluded["minisim"]}
+    assert next(iter(seen)) == "tanks", "who matches comes first"
+    assert (seen["limited"]["labels"]["gpu"], seen["limited"]["limits"]) == ("yes", ["minisim.robots 1 at most"])
+    assert {line["labels"]["name"] for line in seen.values()} == set(options)
