@@ -74,7 +74,7 @@ def labels(values: Mapping[str, object], where: str, facts: Sequence[str] = ()) 
     checked = {}
     for name, value in values.items():
         if not re.fullmatch(LABEL_NAME, name, re.ASCII):
-            raise ConfigError(f"{where}: {clean(name)!r}: {NAME_RULE}")
+            raise ConfigError(f"{where}: {clean(repr(name))}: {NAME_RULE}")
         text = str(value) if isinstance(value, str) or type(value) is int else ""
         if not re.fullmatch(LABEL_VALUE, text, re.ASCII):
             raise ConfigError(f"{where}: {name}: {VALUE_RULE}, or a whole number; not {clean(repr(value))}")
@@ -113,7 +113,7 @@ def requirements(texts: Sequence[str], where: str) -> tuple[Term, ...]:
     for text in texts:
         term = _term(text, where)
         if term is None:
-            raise ConfigError(f"{where}: expected requirements such as {EXAMPLES}; not {clean(text)!r}")
+            raise ConfigError(f"{where}: expected requirements such as {EXAMPLES}; not {clean(repr(text))}")
         terms.append(term)
     for name in dict.fromkeys(term.name for term in terms):
         of_name = [term for term in terms if term.name == name]
@@ -134,7 +134,7 @@ def preferences(texts: Sequence[str], where: str) -> tuple[Preference, ...]:
         if preference is None:
             raise ConfigError(
                 f"{where}: expected the name of a label (the higher number first; with a - before it the lower) or what is "
-                f"preferred, such as cores, -load, {EXAMPLES}; not {clean(text)!r}"
+                f"preferred, such as cores, -load, {EXAMPLES}; not {clean(repr(text))}"
             )
         found.append(preference)
     return tuple(found)

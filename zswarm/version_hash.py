@@ -50,9 +50,9 @@ def versions(simulator: str, representation: str) -> dict[str, str]:
 def differing(here: Mapping[str, str], asked: Mapping[str, str]) -> list[str]:
     """What is not the same in two versions, in words of the program that has the first."""
     return [
-        f"other {name}" if name.startswith(CODE) else f"{name} {here.get(name, 'none')}, not {asked[name]}"
-        for name in asked
-        if here.get(name) != asked[name]
+        f"other {name}" if name.startswith(CODE) else f"{name} {here[name]}, not {theirs}" if name in here else f"no {name}"
+        for name, theirs in asked.items()
+        if here.get(name) != theirs
     ]
 
 

@@ -3,14 +3,18 @@
 import os
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from programs import Optimizer, Server, query
+import zenoh
+from programs import Optimizer, Server, query, wait_until
 
 import zswarm
-from zswarm import evaluate, experiment
+from zswarm import evaluate, experiment, session
 from zswarm.ot import run as runs
 from zswarm.ot.history import History
+from zswarm.protocol import codec, keys, messages
+from zswarm.version_hash import version_hash
 
 EXPERIMENT = """
 name = "{name}"
@@ -67,6 +71,29 @@ def altered(folder: Path) -> str:
     return str(folder)
 
 
+def refusal(server: Server, simulator: str, settings: dict[str, Any]) -> str:
+    """Why a server refuses a lease to whoever asks for one without asking for its offer first."""
+    opened = session.open_optimizer(session.Reach([server.endpoint], multicast=False))
+    key = keys.request("default", str(server.events("server_ready")[0]["server"]), "ada", "bold", "reserve")
+    message = messages.Reserve(
+        nonce=bytes(16), epoch=0, slots=1, simulator=messages.Part(simulator, settings),
+        representation=messages.Part("fully-meshed", {}), version_hash=version_hash(simulator, "fully-meshed"),
+        trial_timeout_s=60.0,
+    )  # fmt: skip
+
+    def answers() -> list[bytes]:
+        got = opened.get(key, payload=codec.encode(message), target=zenoh.QueryTarget.ALL, timeout=5.0)
+        return [reply.ok.payload.to_bytes() for reply in got if reply.ok is not None]
+
+    try:
+        refused = codec.decode_reply(wait_until(answers, f"{server.endpoint} answers")[0])
+    finally:
+        session.close(opened)
+    assert isinstance(refused, messages.Refused)
+    assert refused.code == "mismatch"
+    return refused.reason
+
+
 def test_each_of_two_runs_uses_the_servers_that_match_it_and_names_the_others_once(tmp_path: Path) -> None:
     """A server for each simulator; and one of another version, one whose limits exclude, and one without the label."""
     folders = {
@@ -116,11 +143,15 @@ def test_each_of_two_runs_uses_the_servers_that_match_it_and_names_the_others_on
             tmp_path, "look", ["servers", "--wait", "1", "--json", "--for", "minisim/experiment.toml", *connect], ZSWARM_PLAIN="1"
         )
         programs.append(looks)
+        refused_by_tanks = refusal(servers["tanks"], "xor", {})
+        refused_by_limited = [refusal(servers["limited"], "minisim", settings) for settings in ({"robots": 2}, {})]
         hashes = {name: run.done()["history_hash"] for name, run in runs_.items()}
         assert looks.wait() == 0, looks.err.read_text()
     finally:
         for program in (*servers.values(), *programs):
             program.close()
+    assert refused_by_tanks == "no simulator 'xor' here; there are minisim"
+    assert refused_by_limited == [f"minisim.robots is {robots}; it is 1 at most here" for robots in (2, 8)]
     assert hashes == {name: alone(folder) for name, folder in folders.items()}
     for name, run in runs_.items():
         told = run.err.read_text().splitlines()

@@ -98,7 +98,7 @@ def test_a_servers_file_says_labels_and_limits(tmp_path: Path) -> None:
     loaded = options.load(file, {})
     assert (loaded.labels, loaded.limits) == ({"gpu": "yes", "disks": 2}, {"arena.robots": {"max": 100}})
     assert options.load(file, {"labels": {"gpu": "no"}}).labels == {"gpu": "no"}
-    with pytest.raises(ConfigError, match="^--label: os: a server says that by itself"):
+    with pytest.raises(ConfigError, match=r"^--label: os: a server says that by itself"):
         options.load(file, {"labels": {"os": "plan9"}})
     for text, told in (
         ('[labels]\nos = "plan9"\n', "labels: os: a server says that by itself"),

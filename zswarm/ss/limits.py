@@ -77,7 +77,7 @@ def read(tables: Mapping[str, Any], simulators: Sequence[str], where: str) -> li
         raise ConfigError(f"{where}: {len(tables)} limits; expected {MAX_PARTS} at most")
     for key, table in tables.items():
         simulator, dot, setting = key.partition(".")
-        at = f"{where}: {clean(key)!r}"
+        at = f"{where}: {clean(repr(key))}"
         if not dot or not isinstance(table, Mapping):
             raise ConfigError(f'{at}: expected SIMULATOR.SETTING and its bounds, such as "arena.robots" = {{ max = 100 }}')
         if simulator not in simulators:
@@ -86,7 +86,7 @@ def read(tables: Mapping[str, Any], simulators: Sequence[str], where: str) -> li
             struct: type[msgspec.Struct] = plugins.load("simulator", simulator).settings_type
         fields = {field.encode_name: field for field in msgspec.structs.fields(struct)}
         if setting not in fields:
-            raise ConfigError(f"{at}: {simulator} has no setting {clean(setting)!r}{nearest(setting, fields)}")
+            raise ConfigError(f"{at}: {simulator} has no setting {clean(repr(setting))}{nearest(setting, fields)}")
         field = fields[setting]
         default = field.default if field.default_factory is msgspec.NODEFAULT else field.default_factory()
         limits.append(Limit(simulator, setting, _said(table, field.type, at), default))
