@@ -82,7 +82,9 @@ def show(
     """
     from zswarm.ot import terminal
 
-    found = sorted(survey.servers, key=lambda server: (bool(server.mismatch(choice)), _place(server, choice)))
+    found = survey.servers
+    if experiment_name:
+        found = sorted(found, key=lambda server: (bool(server.mismatch(choice)), _place(server, choice)))
     for server in found if as_json else []:
         offer = {} if server.offer is None else _offer(server.offer, choice)
         terminal.print_json({"server": server.server, **offer, "address": server.address, "reason": server.reason})
@@ -98,7 +100,7 @@ def show(
 
 
 def _place(server: "Found", choice: "Choice") -> tuple[float, ...]:
-    return () if server.offer is None else choice.place(server.offer)
+    return (float("inf"),) if server.offer is None else choice.place(server.offer)
 
 
 def _server_table(found: "list[Found]", realm: str, choice: "Choice", *, through_router: bool, experiment_name: str) -> None:
