@@ -130,8 +130,9 @@ def _show_servers(survey: "Survey", complete: Experiment) -> None:
     offers = [found.offer for found in survey.servers if found.offer is not None and not found.mismatch(choice)]
     slots = sum(offer.capacity for offer in offers)
     if survey.servers:
+        held = f", of which it holds {choice.max_slots:,} at most" if 0 < choice.max_slots < slots else ""
         count = f"{len(offers)} of {terminal.plural(len(survey.servers), 'server')}"
-        terminal.entry("servers", f"{count} in realm {realm} can evaluate it, with {terminal.plural(slots, 'slot')}")
+        terminal.entry("servers", f"{count} in realm {realm} can evaluate it, with {terminal.plural(slots, 'slot')}{held}")
     else:
         terminal.entry("servers", f"none found in realm {realm}")
     for found in survey.servers:
