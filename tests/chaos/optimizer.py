@@ -84,12 +84,21 @@ class Optimizer(Node[dispatch.Event]):
         self._once = [1] * len(self.workload.seeds)
         self.handle(dispatch.Work(self.workload))
 
+    def _slots_held(self) -> int:
+        """Slots that it has a lease for, and that it asks for."""
+        phases = {dispatch.Phase.LEASED: "slots", dispatch.Phase.RESERVING: "wanted"}
+        servers = self.dispatch.servers.values()
+        return sum(getattr(server, phases[server.phase]) for server in servers if server.phase in phases)
+
     def react(self, event: dispatch.Event) -> None:
         """Give the dispatch an event, and carry out what it says."""
         world = self.world
         if not isinstance(event, dispatch.Tick):
             world.tell(self.run, self.epoch, "Work" if isinstance(event, dispatch.Work) else event)
-        for command in self.dispatch.handle(event, self.clock()):
+        commands = self.dispatch.handle(event, self.clock())
+        if self._slots_held() > (self.wanted.choice.max_slots or messages.MAX_SLOTS):
+            world.fail(f"{self.run} holds or asks for {self._slots_held()} slots of {self.wanted.choice.max_slots}")
+        for command in commands:
             match command:
                 case dispatch.Ask():
                     message = request(command, self.who, self.wanted, self.workload)
