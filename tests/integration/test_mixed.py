@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -71,31 +72,41 @@ def altered(folder: Path) -> str:
     return str(folder)
 
 
-def refusal(server: Server, simulator: str, settings: dict[str, Any]) -> str:
-    """Why a server refuses a lease to whoever asks for one without asking for its offer first."""
+def ask(server: Server, message: messages.Requirements | messages.Reserve) -> messages.Reply:
+    """What a server answers to whoever asks."""
     opened = session.open_optimizer(session.Reach([server.endpoint], multicast=False))
-    key = keys.request("default", str(server.events("server_ready")[0]["server"]), "ada", "bold", "reserve")
-    message = messages.Reserve(
-        nonce=bytes(16), epoch=0, slots=1, simulator=messages.Part(simulator, settings),
-        representation=messages.Part("fully-meshed", {}), version_hash=version_hash(simulator, "fully-meshed"),
-        trial_timeout_s=60.0,
-    )  # fmt: skip
+    name = str(server.events("server_ready")[0]["server"])
+    offered = isinstance(message, messages.Requirements)
+    key = keys.offer("default", name) if offered else keys.request("default", name, "ada", "bold", "reserve")
 
     def answers() -> list[bytes]:
         got = opened.get(key, payload=codec.encode(message), target=zenoh.QueryTarget.ALL, timeout=5.0)
         return [reply.ok.payload.to_bytes() for reply in got if reply.ok is not None]
 
     try:
-        refused = codec.decode_reply(wait_until(answers, f"{server.endpoint} answers")[0])
+        return codec.decode_reply(wait_until(answers, f"{server.endpoint} answers")[0])
     finally:
         session.close(opened)
+
+
+def refusal(server: Server, simulator: str, settings: dict[str, Any]) -> str:
+    """Why a server refuses a lease to whoever did not ask for its offer first."""
+    message = messages.Reserve(
+        nonce=bytes(16), epoch=0, slots=1, simulator=messages.Part(simulator, settings),
+        representation=messages.Part("fully-meshed", {}), version_hash=version_hash(simulator, "fully-meshed"),
+        trial_timeout_s=60.0,
+    )  # fmt: skip
+    refused = ask(server, message)
     assert isinstance(refused, messages.Refused)
     assert refused.code == "mismatch"
     return refused.reason
 
 
 def test_each_of_two_runs_uses_the_servers_that_match_it_and_names_the_others_once(tmp_path: Path) -> None:
-    """A server for each simulator; and one of another version, one whose limits exclude, and one without the label."""
+    """A server for each simulator; and one of another version, one whose limits exclude, and one without the label.
+
+    They refuse a lease, too, to whoever asks for one all the same; and labels and limits change when the file is read again.
+    """
     folders = {
         "minisim": write(tmp_path / "minisim", "minisim", 10, "steps = 20\nrobots = 2"),
         "xor": write(tmp_path / "xor", "xor", 40, ""),
@@ -147,11 +158,22 @@ def test_each_of_two_runs_uses_the_servers_that_match_it_and_names_the_others_on
         refused_by_limited = [refusal(servers["limited"], "minisim", settings) for settings in ({"robots": 2}, {})]
         hashes = {name: run.done()["history_hash"] for name, run in runs_.items()}
         assert looks.wait() == 0, looks.err.read_text()
+        (tmp_path / "limited.toml").write_text('[limits]\n"minisim.steps" = { max = 9 }\n[labels]\nroom = "b12"\n')
+        servers["limited"].kill(signal.SIGHUP)
+        wait_until(lambda: servers["limited"].events("reloaded"), "its file is read again")
+        refused_by_limited.append(refusal(servers["limited"], "minisim", {"steps": 10}))
+        later_offer = ask(servers["limited"], messages.Requirements())
     finally:
         for program in (*servers.values(), *programs):
             program.close()
     assert refused_by_tanks == "no simulator 'xor' here; there are minisim"
-    assert refused_by_limited == [f"minisim.robots is {robots}; it is 1 at most here" for robots in (2, 8)]
+    assert refused_by_limited == [
+        *(f"minisim.robots is {robots}; it is 1 at most here" for robots in (2, 8)),
+        "minisim.steps is 10; it is 9 at most here",
+    ]
+    assert isinstance(later_offer, messages.Offer)
+    assert (later_offer.labels.get("gpu"), later_offer.labels["room"]) == (None, "b12")
+    assert (later_offer.simulators, later_offer.limits) == (["minisim"], ["minisim.steps 9 at most"])
     assert hashes == {name: alone(folder) for name, folder in folders.items()}
     for name, run in runs_.items():
         told = run.err.read_text().splitlines()
