@@ -1,13 +1,16 @@
 """Limits of a server: what it takes of a simulator's settings, and what is no limit."""
 
 import os
+import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from zswarm import experiment
 from zswarm.errors import ConfigError
 from zswarm.ss import facts, limits, memory, options
 from zswarm.ss.limits import broken, read
@@ -120,3 +123,15 @@ def test_a_server_knows_itself() -> None:
     assert int(known["memory_mb"]) == memory.machine_mb() >= memory.per_slot_mb(1) >> 1
     assert int(known["cores"]) == os.cpu_count()
     assert known.keys() <= set(options.FACTS)
+
+
+def test_what_the_document_shows_is_a_servers_file_and_an_experiments_cluster(tmp_path: Path) -> None:
+    """And the labels that it lists are the facts."""
+    page = (Path(__file__).parents[2] / "docs" / "mixed.md").read_text(encoding="utf-8")
+    file, cluster = re.findall(r"```toml\n(.*?)```", page, re.S)
+    (tmp_path / "ss.toml").write_text(file)
+    shown = options.load(tmp_path / "ss.toml", {})
+    assert (len(shown.simulators), len(shown.labels), len(shown.limits)) == (2, 2, 3)
+    assert len(experiment.cluster(tomllib.loads(cluster)["cluster"]).require) == 4
+    (table,) = re.findall(r"\| label \| what \|\n\| --- \| --- \|\n((?:\|.*\n)+)", page)
+    assert tuple(name for row in table.splitlines() for name in re.findall(r"`(\w+)`", row.split("|")[1])) == options.FACTS
