@@ -31,18 +31,19 @@ MAY_IMPORT = {
     "nets": {"leaf", "nets"},
     "sims": {"leaf", "sims"},
     "evaluate": {"leaf", "protocol", "nets", "sims"},
-    "experiment": {"leaf", "protocol"},
+    "labels": {"leaf", "protocol"},
+    "experiment": {"leaf", "labels", "protocol"},
     "session": {"leaf", "protocol", "security"},
     "router": {"leaf", "session", "security"},
     "security": {"leaf", "protocol", "security"},
     "ot.optimizers": {"leaf", "nets", "ot.optimizers"},
     "ot.rankings": {"leaf", "ot.rankings"},
     "ot": {
-        *("leaf", "protocol", "nets", "sims", "evaluate", "experiment", "session", "security"),
+        *("leaf", "protocol", "nets", "sims", "evaluate", "experiment", "labels", "session", "security"),
         *("ot", "ot.optimizers", "ot.rankings"),
     },
     "api": {"leaf", "experiment", "ot"},
-    "ss": {"leaf", "protocol", "evaluate", "session", "security", "ss"},
+    "ss": {"leaf", "protocol", "evaluate", "labels", "session", "security", "ss"},
     "testing": {"leaf", "nets", "sims", "evaluate", "ot.optimizers"},
 }
 ONLY_IN = {
@@ -65,7 +66,7 @@ PURE = (
     *("ot.assessment", "ot.dispatch", "ot.plan", "ot.requests", "ot.verification", "ot.waiting", "ot.workload"),
     *("ss.slots", "ss.kept", "ot.rankings.absolute", "ot.rankings.full_tournament", "ot.rankings.multi_swiss"),
     *("ot.rankings.ranking", "ot.rankings.swiss", "ot.rankings.tournament"),
-    *("protocol.codec", "protocol.keys", "protocol.messages"),
+    *("protocol.codec", "protocol.keys", "protocol.messages", "labels"),
 )
 WORLDLY = {"asyncio", "multiprocessing", "os", "queue", "select", "socket", "subprocess", "threading", "time", "datetime"}
 
