@@ -1,0 +1,205 @@
+"""A simulator in any language: a program that a manifest names, beside each slot as its child (docs/foreign.md).
+
+With a network that it knows the program plays whole trials; otherwise it is asked for turns, and told what the agents do.
+"""
+
+import keyword
+import weakref
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from zswarm import manifests
+from zswarm.errors import ConfigError, EvaluationError, UnknownPlugin
+from zswarm.manifests import Manifest
+from zswarm.protocol.codec import clean
+from zswarm.sims import foreign_messages as messages
+from zswarm.sims.foreign_program import START_S, Program
+from zswarm.sims.simulator import HostingSimulator, Outcome, Turn
+
+TYPES = {"int": int, "float": float, "bool": bool, "text": str}
+
+
+class ProgramError(Exception):
+    """What the program of a simulator said that it cannot do, or said wrongly; it can go on."""
+
+
+class Foreign(HostingSimulator):
+    """One problem with its settings, played by a program; ``simulator_class`` makes the class of each.
+
+    Each instance has a program of its own, which the next one takes over when it is gone.
+    """
+
+    name: ClassVar[str]
+    manifest: ClassVar[Manifest]
+    folder: ClassVar[Path]
+    spare: ClassVar[list[Program]]  # one that nobody uses, at most
+
+    def __init__(self, settings: msgspec.Struct) -> None:
+        super().__init__(settings)
+        self._network: messages.Network | None = None
+        self._started: Program | None = None
+        ready = self._set_up()
+        if max(ready.owners) >= ready.participants:
+            raise self._refusal(f"owners: expected participants 0 to {ready.participants - 1}, not {max(ready.owners)}")
+        self._ready = ready
+        self.inputs, self.outputs = ready.inputs, ready.outputs
+        self.owners, self.participants = tuple(ready.owners), ready.participants
+        self.metrics = tuple(map(clean, ready.metrics))
+        self.sensors, self.actuators = tuple(map(clean, ready.sensors)), tuple(map(clean, ready.actuators))
+        for what, names, count in (("sensors", self.sensors, self.inputs), ("actuators", self.actuators, self.outputs)):
+            if names and len(names) != count:
+                raise self._refusal(f"{what}: expected {count} names or none, not {len(names)}")
+
+    def host(self, kind: str, settings: Mapping[str, Any]) -> bool:
+        """Set the program up with a network; whether it decides for that itself."""
+        self._network = messages.Network(kind=kind, settings=dict(settings))
+        ready = self._set_up()
+        if msgspec.structs.replace(ready, hosts=False) != msgspec.structs.replace(self._ready, hosts=False):
+            raise self._refusal("ready must say the same whatever the network, but for hosts")
+        if not ready.hosts:
+            self._network = None
+        return ready.hosts
+
+    def fixed_seeds(self, trials: int) -> Sequence[int] | None:
+        """One after another from the first, where the program says which that is."""
+        first = self._ready.first_seed
+        return None if first is None else range(first, first + trials)
+
+    def play_alone(self, genomes: Sequence[bytes], seed: int) -> Outcome:
+        """See ``HostingSimulator.play_alone``."""
+        return self._ended(self._ask(messages.Evaluate(seed=seed, genomes=list(genomes)), messages.End))
+
+    def reset(self, seed: int) -> Turn:
+        """Begin a trial in turns."""
+        turn = self._turn(self._ask(messages.Reset(seed=seed), messages.Turn))
+        assert turn is not None  # noqa: S101  an end is not among the answers
+        return turn
+
+    def step(self, actions: np.ndarray) -> Turn | None:
+        """Tell what the agents do."""
+        raw = np.ascontiguousarray(actions, "<f4").tobytes()
+        return self._turn(self._ask(messages.Actions(actions=raw), messages.Turn, messages.End))
+
+    def outcome(self) -> Outcome:
+        """What the program said at the end."""
+        return self._outcome
+
+    def _turn(self, said: messages.Said) -> Turn | None:
+        if isinstance(said, messages.End):
+            self._outcome = self._ended(said)
+            return None
+        assert isinstance(said, messages.Turn)  # noqa: S101  one of the expected answers
+        if max(said.agents) >= len(self.owners):
+            raise ProgramError(f"turn: agents: expected 0 to {len(self.owners) - 1}, not {max(said.agents)}")
+        count, expected = len(said.observations), 4 * len(said.agents) * self.inputs
+        if count != expected:
+            raise ProgramError(
+                f"turn: observations: expected {expected} bytes ({len(said.agents)} agents, {self.inputs} float32 each), "
+                f"not {count}"
+            )
+        return Turn(
+            said.agents, np.frombuffer(said.observations, "<f4").reshape(-1, self.inputs).copy()
+        )  # kernels take what may be written
+
+    def _ended(self, said: messages.Said) -> Outcome:
+        assert isinstance(said, messages.End)  # noqa: S101  one of the expected answers
+        return Outcome(said.fitness, said.metrics)
+
+    def _ask(self, message: messages.Asked, *expected: type[messages.Said]) -> messages.Said:
+        """The answer of the program, which is started again where it ended in an earlier trial."""
+        if not self._program().open:
+            self._set_up()
+        said = self._program().ask(message, (*expected, messages.Error))
+        if isinstance(said, messages.Error):
+            raise ProgramError(clean(said.text))
+        return said
+
+    def _set_up(self) -> messages.Ready:
+        if self._started is None or not self._started.open:
+            self._started = self._take()
+            weakref.finalize(self, _give_back, self.spare, self._started).atexit = False
+        settings = msgspec.to_builtins(self.settings)
+        said = self._started.ask(
+            messages.Setup(settings=settings, network=self._network), (messages.Ready, messages.Error), START_S
+        )
+        if isinstance(said, messages.Error):
+            raise self._refusal(clean(said.text))
+        assert isinstance(said, messages.Ready)  # noqa: S101  one of the expected answers
+        return said
+
+    def _program(self) -> Program:
+        assert self._started is not None  # noqa: S101  from the constructor on
+        return self._started
+
+    def _take(self) -> Program:
+        while self.spare:
+            if (program := self.spare.pop()).idle():
+                return program
+            program.close()
+        return Program(self.name, self.manifest, self.folder)
+
+    def _refusal(self, why: str) -> ConfigError:
+        return ConfigError(f"{self.name}: {why}")
+
+
+@cache
+def simulator_class(name: str, manifest: Path) -> type[Foreign]:
+    """The class of a program's simulator; the program is started, to hear which settings it has.
+
+    Raises:
+        UnknownPlugin: the manifest or the program cannot be used; the text says why.
+    """
+    try:
+        read = manifests.read(manifest)
+        program = Program(name, read, manifest.parent)
+        try:
+            settings_type = _settings_type(name, program.hello.settings)
+        except ConfigError:
+            program.close()
+            raise
+    except (ConfigError, EvaluationError) as error:
+        raise UnknownPlugin(str(error)) from None
+    said = {
+        "name": name, "manifest": read, "folder": manifest.parent, "spare": [program], "settings_type": settings_type,
+        "__doc__": program.hello.description or read.description, "__module__": __name__,
+    }  # fmt: skip
+    return type("Foreign", (Foreign,), said)
+
+
+def _settings_type(name: str, settings: Sequence[messages.Setting]) -> type[msgspec.Struct]:
+    """A struct of the settings that a program has.
+
+    Raises:
+        ConfigError: one of them is impossible.
+    """
+    fields: list[tuple[str, Any, Any]] = []
+    for setting in settings:
+        where = f"simulator {name!r}: hello: setting {setting.name!r}"
+        if keyword.iskeyword(setting.name) or setting.name in {field[0] for field in fields}:
+            raise ConfigError(f"{where}: a keyword, or there twice")
+        if setting.choices and setting.type != "text":
+            raise ConfigError(f"{where}: choices are of a text")
+        if (setting.minimum, setting.maximum) != (None, None) and setting.type not in ("int", "float"):
+            raise ConfigError(f"{where}: minimum and maximum are of a number")
+        kind: Any = Literal[tuple(setting.choices)] if setting.choices else TYPES[setting.type]
+        meaning = Meta(ge=setting.minimum, le=setting.maximum, description=clean(setting.description))
+        try:
+            default = msgspec.convert(setting.default, Annotated[kind, meaning])
+        except (msgspec.ValidationError, TypeError, ValueError) as error:
+            raise ConfigError(f"{where}: default: {error}") from None
+        fields.append((setting.name, Annotated[kind, meaning], default))
+    return msgspec.defstruct("Settings", fields, frozen=True, kw_only=True, forbid_unknown_fields=True, module=__name__)
+
+
+def _give_back(spare: list[Program], program: Program) -> None:
+    """Keep the program of an instance that is gone for the next one."""
+    if not spare and program.open:
+        spare.append(program)
+    else:
+        program.close()
