@@ -73,10 +73,12 @@ class Foreign(HostingSimulator):
 
     def play_alone(self, genomes: Sequence[bytes], seed: int) -> Outcome:
         """See ``HostingSimulator.play_alone``."""
+        self._seed = seed
         return self._ended(self._ask(messages.Evaluate(seed=seed, genomes=list(genomes)), messages.End))
 
     def reset(self, seed: int) -> Turn:
         """Begin a trial in turns."""
+        self._seed = seed
         turn = self._turn(self._ask(messages.Reset(seed=seed), messages.Turn))
         assert turn is not None  # noqa: S101  an end is not among the answers
         return turn
@@ -115,19 +117,23 @@ class Foreign(HostingSimulator):
         """The answer of the program, which is started again where it ended in an earlier trial."""
         if not self._program().open:
             self._set_up()
-        said = self._program().ask(message, (*expected, messages.Error))
+        try:
+            said = self._program().ask(message, (*expected, messages.Error))
+        except EvaluationError as error:
+            raise EvaluationError(f"simulator {self.name!r}, trial seed {self._seed}: {error}") from None
         if isinstance(said, messages.Error):
             raise ProgramError(clean(said.text))
         return said
 
     def _set_up(self) -> messages.Ready:
-        if self._started is None or not self._started.open:
-            self._started = self._take()
-            weakref.finalize(self, _give_back, self.spare, self._started).atexit = False
-        settings = msgspec.to_builtins(self.settings)
-        said = self._started.ask(
-            messages.Setup(settings=settings, network=self._network), (messages.Ready, messages.Error), START_S
-        )
+        setup = messages.Setup(settings=msgspec.to_builtins(self.settings), network=self._network)
+        try:
+            if self._started is None or not self._started.open:
+                self._started = self._take()
+                weakref.finalize(self, _give_back, self.spare, self._started).atexit = False
+            said = self._started.ask(setup, (messages.Ready, messages.Error), START_S)
+        except (ConfigError, EvaluationError) as error:
+            raise type(error)(f"simulator {self.name!r}: {error}") from None
         if isinstance(said, messages.Error):
             raise self._refusal(clean(said.text))
         assert isinstance(said, messages.Ready)  # noqa: S101  one of the expected answers
@@ -142,10 +148,10 @@ class Foreign(HostingSimulator):
             if (program := self.spare.pop()).idle():
                 return program
             program.close()
-        return Program(self.name, self.manifest, self.folder)
+        return Program(self.manifest, self.folder)
 
     def _refusal(self, why: str) -> ConfigError:
-        return ConfigError(f"{self.name}: {why}")
+        return ConfigError(f"simulator {self.name!r}: {why}")
 
 
 @cache
@@ -157,14 +163,14 @@ def simulator_class(name: str, manifest: Path) -> type[Foreign]:
     """
     try:
         read = manifests.read(manifest)
-        program = Program(name, read, manifest.parent)
+        program = Program(read, manifest.parent)
         try:
-            settings_type = _settings_type(name, program.hello.settings)
+            settings_type = _settings_type(program.hello.settings)
         except ConfigError:
             program.close()
             raise
     except (ConfigError, EvaluationError) as error:
-        raise UnknownPlugin(str(error)) from None
+        raise UnknownPlugin(f"simulator {name!r}: {error}") from None
     said = {
         "name": name, "manifest": read, "folder": manifest.parent, "spare": [program], "settings_type": settings_type,
         "__doc__": program.hello.description or read.description, "__module__": __name__,
@@ -172,7 +178,7 @@ def simulator_class(name: str, manifest: Path) -> type[Foreign]:
     return type("Foreign", (Foreign,), said)
 
 
-def _settings_type(name: str, settings: Sequence[messages.Setting]) -> type[msgspec.Struct]:
+def _settings_type(settings: Sequence[messages.Setting]) -> type[msgspec.Struct]:
     """A struct of the settings that a program has.
 
     Raises:
@@ -180,7 +186,7 @@ def _settings_type(name: str, settings: Sequence[messages.Setting]) -> type[msgs
     """
     fields: list[tuple[str, Any, Any]] = []
     for setting in settings:
-        where = f"simulator {name!r}: hello: setting {setting.name!r}"
+        where = f"hello: setting {setting.name!r}"
         if keyword.iskeyword(setting.name) or setting.name in {field[0] for field in fields}:
             raise ConfigError(f"{where}: a keyword, or there twice")
         if setting.choices and setting.type != "text":

@@ -9,6 +9,7 @@ way. For that there is a guard, a shell that waits for the end of a pipe from th
 
 import contextlib
 import os
+import re
 import select
 import signal
 import subprocess
@@ -28,7 +29,7 @@ ENDING_S = 1.0  # a program that closed its output, or was killed, is waited for
 CHUNK = 1 << 16  # bytes that a pipe has, mostly
 MAX_LAST_WORDS = 200  # characters of its standard error in an error
 LISTENED = 16  # pipes full of it that are read when it ended
-MAX_SHOWN = 40  # of a text that is no message
+PRINTED = re.compile(rb"[\t\n\r -~]{2,40}")  # rather than the beginning of a message
 MAP = frozenset((*range(0x80, 0x90), 0xDE, 0xDF))  # how a map of msgpack begins
 # Ends a process group when the pipe closes; a line "done" says that it need not.
 GUARD = 'read group && ! read done && kill -s KILL -- "-$group"'
@@ -44,14 +45,13 @@ class Program:
         hello: what it said first.
     """
 
-    def __init__(self, name: str, manifest: Manifest, folder: Path) -> None:
+    def __init__(self, manifest: Manifest, folder: Path) -> None:
         """Start it.
 
         Raises:
             ConfigError: it cannot be started, or speaks another version.
             EvaluationError: it said something else than hello, nothing, or ended.
         """
-        self._name = name
         guard = subprocess.Popen(
             ["/bin/sh", "-c", GUARD], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
             start_new_session=True,
@@ -63,7 +63,7 @@ class Program:
             )  # fmt: skip
         except OSError as error:
             _release(guard)
-            raise ConfigError(f"simulator {name!r}: {manifest.command[0]} cannot be started: {error.strerror}") from None
+            raise ConfigError(f"{manifest.command[0]} cannot be started: {error.strerror}") from None
         watch = _watched(self._process.pid)
         self._end = weakref.finalize(self, _end, self._process, guard, watch)
         _tell(guard, f"{self._process.pid}\n")
@@ -85,7 +85,7 @@ class Program:
             raise self._broken(f"it said {_type(hello)} first; hello was expected")
         if hello.v != VERSION:
             self.close()
-            raise ConfigError(f"simulator {name!r}: its program speaks version {hello.v}; zswarm speaks version {VERSION}")
+            raise ConfigError(f"its program speaks version {hello.v} of the protocol; version {VERSION} was expected")
         self.hello = hello
 
     @property
@@ -165,14 +165,14 @@ class Program:
         no_map = (len(self._said) > 4 and self._said[4] not in MAP) or (len(self._said) >= 4 and not length)
         if not no_map and length <= MAX_FRAME:
             return
-        beginning = bytes(self._said[:MAX_SHOWN]).decode(errors="replace")
-        if sum(character.isprintable() for character in beginning) >= min(3, len(beginning)):
-            shown = clean(beginning.strip().partition("\n")[0])
+        printed = PRINTED.match(self._said)
+        if printed:
+            shown = clean(printed[0].decode().strip().partition("\n")[0])
             raise self._broken(
                 f"its standard output has {shown!r} where {what} was expected; messages alone belong there, "
                 "whatever else to standard error"
             )
-        said = "what is no map" if no_map else f"a message of {length} bytes; at most {MAX_FRAME} are taken"
+        said = f"a message of {length} bytes; at most {MAX_FRAME} are taken" if length > MAX_FRAME else "what is no map"
         raise self._broken(f"it said {said}; {what} was expected")
 
     def _wait(self, what: str, deadline: float | None) -> set[int]:
@@ -207,14 +207,14 @@ class Program:
         for _ in range(LISTENED):
             self._listen()
         self.close()
-        return EvaluationError(f"simulator {self._name!r}: its program {how}; {what} was expected{self._last_words()}")
+        return EvaluationError(f"its program {how}; {what} was expected{self._last_words()}")
 
     def _broken(self, why: str) -> EvaluationError:
         """It broke the protocol; it is ended, for nobody knows what it would say next."""
         for _ in range(LISTENED):
             self._listen()
         self.close()
-        return EvaluationError(f"simulator {self._name!r}: its program was ended: {why}{self._last_words()}")
+        return EvaluationError(f"its program was ended: {why}{self._last_words()}")
 
     def _last_words(self) -> str:
         lines = [line.strip() for line in self._words.decode(errors="replace").splitlines() if line.strip()]
