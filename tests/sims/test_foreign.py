@@ -3,6 +3,7 @@
 import contextlib
 import gc
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -169,7 +170,7 @@ def test_a_program_that_ends_or_breaks_the_protocol_is_a_fault_and_a_new_one_pla
     loaded = install(how)
     simulator = loaded(loaded.settings_type())
     before = play(simulator, 2)
-    process = simulator._program()._process.pid
+    process = loaded.spare[0]._process.pid
     with pytest.raises(EvaluationError) as raised:
         play(simulator, 1)
     assert str(raised.value) == f"simulator {how!r}, trial seed 1: {BROKEN[how]}"
@@ -258,15 +259,23 @@ def test_a_program_cannot_take_the_name_of_what_is_bundled(tmp_path: Path, monke
     assert plugins.foreign("simulator") == {}
 
 
-def test_the_next_instance_takes_the_program_over(install: Install) -> None:
-    """Another one at the same time has its own."""
+def test_trials_one_after_the_other_have_one_program(install: Install) -> None:
+    """Also those of several instances, each with its settings; trials at the same time have two. One that ended is replaced."""
     loaded = install("fine")
-    first = loaded(loaded.settings_type())
-    process = first._program()._process.pid
-    second = loaded(loaded.settings_type())
-    assert second._program()._process.pid != process
-    del first
-    assert loaded(loaded.settings_type(steps=1))._program()._process.pid == process
+    first, second = loaded(loaded.settings_type()), loaded(loaded.settings_type(steps=1))
+    (program,) = loaded.spare
+    assert [play(simulator, 2).metrics[0, 0] for simulator in (first, second, first)] == [3, 1, 3]
+    assert loaded.spare == [program]
+    first.reset(1)
+    second.reset(1)
+    assert first._program() is program
+    assert second._program() is not program
+    del second
+    gc.collect()
+    assert len(loaded.spare) == 1
+    os.kill(loaded.spare[0]._process.pid, signal.SIGKILL)
+    wait_until(lambda: not loaded.spare[0].is_there(), "its end is seen")
+    assert play(loaded(loaded.settings_type()), 2).error == ""
 
 
 def test_a_program_and_its_children_end_with_whoever_started_it(tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ class ProgramError(Exception):
 class Foreign(HostingSimulator):
     """One problem with its settings, played by a program; ``simulator_class`` makes the class of each.
 
-    Each instance has a program of its own, which the next one takes over when it is gone.
+    A trial takes a program that nobody uses, sets it up if it was set up otherwise, and leaves it to the next one.
     """
 
     name: ClassVar[str]
@@ -42,12 +42,13 @@ class Foreign(HostingSimulator):
 
     def __init__(self, settings: msgspec.Struct) -> None:
         super().__init__(settings)
-        self._network: messages.Network | None = None
-        self._started: Program | None = None
-        ready = self._set_up()
+        self._setup = messages.Setup(settings=msgspec.to_builtins(settings), network=None)
+        self._taken: list[Program] = []  # by the trial under way
+        weakref.finalize(self, _leave, self._taken, self.spare).atexit = False
+        self._ready = ready = self._tell_setup()
+        _leave(self._taken, self.spare)
         if max(ready.owners) >= ready.participants:
             raise self._refusal(f"owners: expected participants 0 to {ready.participants - 1}, not {max(ready.owners)}")
-        self._ready = ready
         self.inputs, self.outputs = ready.inputs, ready.outputs
         self.owners, self.participants = tuple(ready.owners), ready.participants
         self.metrics = tuple(map(clean, ready.metrics))
@@ -58,12 +59,14 @@ class Foreign(HostingSimulator):
 
     def host(self, kind: str, settings: Mapping[str, Any]) -> bool:
         """Set the program up with a network; whether it decides for that itself."""
-        self._network = messages.Network(kind=kind, settings=dict(settings))
-        ready = self._set_up()
+        alone = self._setup
+        self._setup = msgspec.structs.replace(alone, network=messages.Network(kind=kind, settings=dict(settings)))
+        ready = self._tell_setup()
+        _leave(self._taken, self.spare)
         if msgspec.structs.replace(ready, hosts=False) != msgspec.structs.replace(self._ready, hosts=False):
             raise self._refusal("ready must say the same whatever the network, but for hosts")
         if not ready.hosts:
-            self._network = None
+            self._setup = alone
         return ready.hosts
 
     def fixed_seeds(self, trials: int) -> Sequence[int] | None:
@@ -73,12 +76,12 @@ class Foreign(HostingSimulator):
 
     def play_alone(self, genomes: Sequence[bytes], seed: int) -> Outcome:
         """See ``HostingSimulator.play_alone``."""
-        self._seed = seed
+        self._begin(seed)
         return self._ended(self._ask(messages.Evaluate(seed=seed, genomes=list(genomes)), messages.End))
 
     def reset(self, seed: int) -> Turn:
         """Begin a trial in turns."""
-        self._seed = seed
+        self._begin(seed)
         turn = self._turn(self._ask(messages.Reset(seed=seed), messages.Turn))
         assert turn is not None  # noqa: S101  an end is not among the answers
         return turn
@@ -98,59 +101,62 @@ class Foreign(HostingSimulator):
             return None
         assert isinstance(said, messages.Turn)  # noqa: S101  one of the expected answers
         if max(said.agents) >= len(self.owners):
-            raise ProgramError(f"turn: agents: expected 0 to {len(self.owners) - 1}, not {max(said.agents)}")
+            raise self._wrong(f"turn: agents: expected 0 to {len(self.owners) - 1}, not {max(said.agents)}")
         count, expected = len(said.observations), 4 * len(said.agents) * self.inputs
         if count != expected:
-            raise ProgramError(
+            raise self._wrong(
                 f"turn: observations: expected {expected} bytes ({len(said.agents)} agents, {self.inputs} float32 each), "
                 f"not {count}"
             )
-        return Turn(
-            said.agents, np.frombuffer(said.observations, "<f4").reshape(-1, self.inputs).copy()
-        )  # kernels take what may be written
+        observations = np.frombuffer(said.observations, "<f4").copy()  # kernels take what may be written
+        return Turn(said.agents, observations.reshape(-1, self.inputs))
 
     def _ended(self, said: messages.Said) -> Outcome:
         assert isinstance(said, messages.End)  # noqa: S101  one of the expected answers
+        _leave(self._taken, self.spare)
         return Outcome(said.fitness, said.metrics)
 
+    def _begin(self, seed: int) -> None:
+        self._seed = seed
+        if self._program().set_up is not self._setup:
+            self._tell_setup()
+
     def _ask(self, message: messages.Asked, *expected: type[messages.Said]) -> messages.Said:
-        """The answer of the program, which is started again where it ended in an earlier trial."""
-        if not self._program().open:
-            self._set_up()
+        """The program's answer to what it is asked in a trial."""
         try:
             said = self._program().ask(message, (*expected, messages.Error))
         except EvaluationError as error:
             raise EvaluationError(f"simulator {self.name!r}, trial seed {self._seed}: {error}") from None
         if isinstance(said, messages.Error):
-            raise ProgramError(clean(said.text))
+            raise self._wrong(clean(said.text))
         return said
 
-    def _set_up(self) -> messages.Ready:
-        setup = messages.Setup(settings=msgspec.to_builtins(self.settings), network=self._network)
+    def _tell_setup(self) -> messages.Ready:
         try:
-            if self._started is None or not self._started.open:
-                self._started = self._take()
-                weakref.finalize(self, _give_back, self.spare, self._started).atexit = False
-            said = self._started.ask(setup, (messages.Ready, messages.Error), START_S)
+            said = self._program().ask(self._setup, (messages.Ready, messages.Error), START_S)
         except (ConfigError, EvaluationError) as error:
             raise type(error)(f"simulator {self.name!r}: {error}") from None
         if isinstance(said, messages.Error):
             raise self._refusal(clean(said.text))
         assert isinstance(said, messages.Ready)  # noqa: S101  one of the expected answers
+        self._program().set_up = self._setup
         return said
 
     def _program(self) -> Program:
-        assert self._started is not None  # noqa: S101  from the constructor on
-        return self._started
+        """That of the trial under way, or another one."""
+        if not self._taken or not self._taken[0].open:
+            while self.spare and not self.spare[0].is_there():
+                self.spare.pop().close()
+            self._taken[:] = [self.spare.pop() if self.spare else Program(self.manifest, self.folder)]
+        return self._taken[0]
 
-    def _take(self) -> Program:
-        while self.spare:
-            if (program := self.spare.pop()).idle():
-                return program
-            program.close()
-        return Program(self.manifest, self.folder)
+    def _wrong(self, why: str) -> ProgramError:
+        """The trial is over: at the next one the program gives up what it still knows of this one."""
+        _leave(self._taken, self.spare)
+        return ProgramError(why)
 
     def _refusal(self, why: str) -> ConfigError:
+        _leave(self._taken, self.spare)
         return ConfigError(f"simulator {self.name!r}: {why}")
 
 
@@ -203,9 +209,11 @@ def _settings_type(settings: Sequence[messages.Setting]) -> type[msgspec.Struct]
     return msgspec.defstruct("Settings", fields, frozen=True, kw_only=True, forbid_unknown_fields=True, module=__name__)
 
 
-def _give_back(spare: list[Program], program: Program) -> None:
-    """Keep the program of an instance that is gone for the next one."""
-    if not spare and program.open:
-        spare.append(program)
-    else:
-        program.close()
+def _leave(taken: list[Program], spare: list[Program]) -> None:
+    """Keep the program of a trial for the next one, if there is none yet."""
+    while taken:
+        program = taken.pop()
+        if not spare and program.open:
+            spare.append(program)
+        else:
+            program.close()

@@ -22,7 +22,7 @@ import msgspec
 from zswarm.errors import ConfigError, EvaluationError
 from zswarm.manifests import Manifest
 from zswarm.protocol.codec import clean
-from zswarm.sims.foreign_messages import MAX_FRAME, VERSION, Asked, Error, Hello, Said
+from zswarm.sims.foreign_messages import MAX_FRAME, VERSION, Asked, Error, Hello, Said, Setup
 
 START_S = 30.0  # to say hello, or that it is ready
 ENDING_S = 1.0  # a program that closed its output, or was killed, is waited for
@@ -43,6 +43,7 @@ class Program:
 
     Attributes:
         hello: what it said first.
+        set_up: what it was last set up with.
     """
 
     def __init__(self, manifest: Manifest, folder: Path) -> None:
@@ -87,15 +88,16 @@ class Program:
             self.close()
             raise ConfigError(f"its program speaks version {hello.v} of the protocol; version {VERSION} was expected")
         self.hello = hello
+        self.set_up: Setup | None = None
 
     @property
     def open(self) -> bool:
         """Whether it can be asked; not once it ended or was ended."""
         return self._end.alive
 
-    def idle(self) -> bool:
-        """Whether it is there and says nothing, when nothing was asked."""
-        return self.open and not self._said and not any(pipe != self._errors for pipe, _ in self._poll.poll(0))
+    def is_there(self) -> bool:
+        """Whether it can be asked, and did not end since it was; where the system does not say, it is."""
+        return self.open and not any(happened == self._watch for happened, _ in self._poll.poll(0))
 
     def ask(self, message: Asked, expected: tuple[type[Said], ...], limit_s: float = 0.0) -> Said:
         """Its answer.
