@@ -196,7 +196,7 @@ def test_the_settings_are_those_of_the_bundled_simulator(
     built = theirs(theirs.settings_type(seed=9))
     assert (built.sensors, built.actuators, built.metrics) == (ours.sensors, ours.actuators, ours.metrics)
     assert list(built.fixed_seeds(2)) == [9, 10]
-    for refused in ({"width": 30}, {"agents": 300}):
+    for refused in ({"width": 30}, {"agents": 400}):
         with pytest.raises(experiment.ConfigError, match=r"width must not exceed height|do not fit on"):
             theirs(theirs.settings_type(**refused))
 
