@@ -181,7 +181,7 @@ def simulator_class(name: str, manifest: Path) -> type[Foreign]:
         "name": name, "manifest": read, "folder": manifest.parent, "spare": [program], "settings_type": settings_type,
         "__doc__": program.hello.description or read.description, "__module__": __name__,
     }  # fmt: skip
-    return type("Foreign", (Foreign,), said)
+    return type(name, (Foreign,), said)
 
 
 def _settings_type(settings: Sequence[messages.Setting]) -> type[msgspec.Struct]:

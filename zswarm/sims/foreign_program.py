@@ -55,11 +55,11 @@ class Program:
         """
         guard = subprocess.Popen(
             ["/bin/sh", "-c", GUARD], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-            start_new_session=True,
+            process_group=0,
         )  # fmt: skip
         try:
             self._process = subprocess.Popen(
-                manifest.command, cwd=folder, bufsize=0, start_new_session=True,
+                manifest.command, cwd=folder, bufsize=0, process_group=0,
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
             )  # fmt: skip
         except OSError as error:
