@@ -16,7 +16,7 @@ EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "foreign"
 os.environ["ZSWARM_SIMULATORS"] = os.pathsep.join(str(EXAMPLES / language) for language in ("c", "java"))
 
 import numpy as np  # noqa: E402
-from tables import markdown  # noqa: E402
+from tables import figure, markdown  # noqa: E402
 
 from zswarm.draws import Stream  # noqa: E402
 from zswarm.evaluate import build, evaluate  # noqa: E402
@@ -77,7 +77,7 @@ def main() -> None:
             for name, way in ways.items():
                 found[name].append(way.microseconds())
         columns[field] = {name: statistics.median(times) for name, times in found.items()}
-    rows = [[name, *(f"{columns[field][name]:,.3g}" for field in FIELDS)] for name in WAYS]
+    rows = [[name, *(figure(columns[field][name]) for field in FIELDS)] for name in WAYS]
     print(markdown(["us of CPU time per trial", *(f"{field}, {robots}" for field, robots in FIELDS.items())], rows))
 
 

@@ -100,11 +100,9 @@ static void zswarm_network_decide(const struct zswarm_network *network, const fl
 
 /* Whether this program was compiled so that it has the right bits. */
 static int zswarm_network_is_exact(void) {
-    volatile float number = 1 + 1.0f / 4096;
-    const float x = number, square = x * x;
-    volatile float rounded = square;
-    float sum = -rounded;
-    const float product = x * x;
+    volatile float number = 1 + 1.0f / 4096, square = number * number; /* volatile: it is computed here, not by the compiler */
+    const float one = number, other = number, product = one * other;
+    float sum = -square;
     sum += product;
     return sum == 0;
 }
