@@ -12,7 +12,7 @@ from zswarm import plugins, version_hash
 
 PACKAGE = Path(version_hash.__file__).parent
 # They name, check and refuse; messages.py says how many trials the probe has, which the version of the protocol fixes.
-COMPUTES_NOTHING = {"errors.py", "plugins.py", "strict.py", "version_hash.py", "messages.py"}
+COMPUTES_NOTHING = {"errors.py", "manifests.py", "plugins.py", "strict.py", "version_hash.py", "messages.py"}
 
 
 def imported(file: Path) -> set[Path]:

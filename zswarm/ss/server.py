@@ -324,6 +324,10 @@ class Server:
                 trial = worker.trial()
                 worker.kill()
                 return slots.Died(index, trial, body.decode(), "memory")
+            case b"D":
+                trial = worker.trial()
+                worker.kill()
+                return slots.Died(index, trial, codec.clean(body.decode(errors="replace")))
             case _:
                 return slots.Finished(index, body, worn=letter == b"W")
 
