@@ -22,15 +22,16 @@ MODULES = {
     if path.stem != "__init__" and "examples" not in path.parts
 }
 LEAVES = {
-    *("draws", "endpoint", "errors", "extras", "files", "jit", "lanes", "log", "notify", "plugins", "portable", "screen"),
-    *("settings_sheet", "strict", "toml_line", "version_hash"),
+    *("draws", "endpoint", "errors", "extras", "files", "jit", "lanes", "log", "notify", "plugins", "portable", "ranges"),
+    *("screen", "settings_sheet", "strict", "toml_line", "version_hash"),
 }
 MAY_IMPORT = {
     "leaf": {"leaf"},
     "protocol": {"errors", "protocol"},
     "nets": {"leaf", "nets"},
     "sims": {"leaf", "sims"},
-    "evaluate": {"leaf", "protocol", "nets", "sims"},
+    "varied": {"leaf", "sims"},
+    "evaluate": {"leaf", "protocol", "nets", "sims", "varied"},
     "experiment": {"leaf", "protocol"},
     "session": {"leaf", "protocol", "security"},
     "router": {"leaf", "session", "security"},
@@ -38,7 +39,7 @@ MAY_IMPORT = {
     "ot.optimizers": {"leaf", "nets", "ot.optimizers"},
     "ot.rankings": {"leaf", "ot.rankings"},
     "ot": {
-        *("leaf", "protocol", "nets", "sims", "evaluate", "experiment", "session", "security"),
+        *("leaf", "protocol", "nets", "sims", "varied", "evaluate", "experiment", "session", "security"),
         *("ot", "ot.optimizers", "ot.rankings"),
     },
     "api": {"leaf", "experiment", "ot"},
