@@ -23,7 +23,7 @@ MODULES = {
 }
 LEAVES = {
     *("draws", "endpoint", "errors", "extras", "files", "jit", "lanes", "log", "notify", "manifests", "plugins", "portable"),
-    *("screen", "settings_sheet", "strict", "toml_line", "version_hash"),
+    *("ranges", "screen", "settings_sheet", "strict", "toml_line", "version_hash"),
 }
 MAY_IMPORT = {
     "leaf": {"leaf"},
@@ -32,16 +32,17 @@ MAY_IMPORT = {
     "sims": {"leaf", "sims"},
     "sims.foreign": {"leaf", "protocol", "sims", "sims.foreign_program"},
     "sims.foreign_program": {"leaf", "protocol", "sims"},
-    "evaluate": {"leaf", "protocol", "nets", "sims"},
     "labels": {"leaf", "protocol"},
     "experiment": {"leaf", "labels", "protocol"},
+    "varied": {"leaf", "sims"},
+    "evaluate": {"leaf", "protocol", "nets", "sims", "varied"},
     "session": {"leaf", "protocol", "security"},
     "router": {"leaf", "session", "security"},
     "security": {"leaf", "protocol", "security"},
     "ot.optimizers": {"leaf", "nets", "ot.optimizers"},
     "ot.rankings": {"leaf", "ot.rankings"},
     "ot": {
-        *("leaf", "protocol", "nets", "sims", "evaluate", "experiment", "labels", "session", "security"),
+        *("leaf", "protocol", "nets", "sims", "varied", "evaluate", "experiment", "labels", "session", "security"),
         *("ot", "ot.optimizers", "ot.rankings"),
     },
     "api": {"leaf", "experiment", "ot"},

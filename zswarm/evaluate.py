@@ -13,13 +13,14 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from zswarm import plugins
+from zswarm import plugins, ranges
 from zswarm.draws import Stream, derive_seed
 from zswarm.errors import ConfigError, EvaluationError
 from zswarm.nets.representation import Representation
 from zswarm.protocol.messages import PROBE_GENOMES, PROBE_SEEDS
 from zswarm.sims.simulator import Batch, CompiledSimulator, HostingSimulator, Outcome, Simulator, Turn
 from zswarm.strict import convert
+from zswarm.varied import Varied
 
 MAX_ERROR_TEXT = 300
 
@@ -44,6 +45,9 @@ def build(
 ) -> tuple[Simulator, Representation]:
     """A simulator and the representation of its controllers, from names and settings.
 
+    Args:
+        settings: of the simulator; a range in them is drawn from in each trial.
+
     Raises:
         ConfigError: unknown name or impossible settings, or the simulator refused them.
         EvaluationError: the simulator's program ended.
@@ -51,8 +55,16 @@ def build(
     """
     simulator_class = plugins.load("simulator", simulator)
     representation_class = plugins.load("representation", representation)
-    configured = convert(settings, simulator_class.settings_type, "problem.settings")
-    built: Simulator = _construct(f"simulator {simulator!r}", simulator_class, configured)
+
+    def simulator_with(plain: Mapping[str, Any]) -> Simulator:
+        configured = convert(plain, simulator_class.settings_type, "problem.settings")
+        made: Simulator = _construct(f"simulator {simulator!r}", simulator_class, configured)
+        return made
+
+    if ranges.found(settings):
+        built: Simulator = Varied(ranges.complete(settings, simulator_class.settings_type, "problem.settings"), simulator_with)
+    else:
+        built = simulator_with(settings)
     network_settings = convert(representation_settings, representation_class.settings_type, "representation")
     network: Representation = _construct(
         f"representation {representation!r}", representation_class, network_settings, built.inputs, built.outputs
@@ -100,6 +112,19 @@ def evaluate(
         return Outcomes(np.empty(participants.shape), np.empty((0, len(simulator.metrics))), "")
     parameters = representation.parameters(genomes)
     progress = np.zeros(2, np.int64) if progress is None else progress
+    if isinstance(simulator, Varied):
+        return _varied(simulator, representation, parameters, participants, seeds, progress)
+    return _outcomes(simulator, representation, parameters, participants, seeds, progress)
+
+
+def _outcomes(
+    simulator: Simulator,
+    representation: Representation,
+    parameters: np.ndarray,
+    participants: np.ndarray,
+    seeds: np.ndarray,
+    progress: np.ndarray,
+) -> Outcomes:
     fitness = np.full(participants.shape, np.nan)
     metrics = np.full((len(seeds), len(simulator.metrics)), np.nan)
     error = ""
@@ -134,6 +159,41 @@ def evaluate(
                 error = error or f"{type(raised).__name__}: {raised}"[:MAX_ERROR_TEXT]
     fitness[~np.isfinite(fitness)] = np.nan
     metrics[~np.isfinite(metrics)] = np.nan
+    return Outcomes(fitness, metrics, error)
+
+
+def _varied(
+    varied: Varied,
+    representation: Representation,
+    parameters: np.ndarray,
+    participants: np.ndarray,
+    seeds: np.ndarray,
+    progress: np.ndarray,
+) -> Outcomes:
+    """Trials with the same settings one after another; in a kernel as many at once as take some milliseconds.
+
+    A kernel's start costs as much as a short trial, and some kernels play eight of a batch side by side.
+    """
+    fitness = np.full(participants.shape, np.nan)
+    metrics = np.full((len(seeds), len(varied.metrics)), np.nan)
+    error = ""
+    for alike in varied.alike(seeds.tolist()):
+        played = 0
+        while played < len(alike):
+            progress[0] = alike[played]
+            if progress[1]:
+                return Outcomes(fitness, metrics, error)
+            try:
+                simulator = varied.of(int(seeds[alike[0]]))
+            except ConfigError as refused:  # an outcome, as whatever a simulator raises
+                error = error or f"{type(refused).__name__}: {refused}"[:MAX_ERROR_TEXT]
+                break
+            some = alike[played : played + (varied.together if isinstance(simulator, CompiledSimulator) else 1)]
+            begin = time.perf_counter()
+            part = _outcomes(simulator, representation, parameters, participants[some], seeds[some], np.zeros(2, np.int64))
+            varied.took(time.perf_counter() - begin)
+            fitness[some], metrics[some], error = part.fitness, part.metrics, error or part.error
+            played += len(some)
     return Outcomes(fitness, metrics, error)
 
 
@@ -219,9 +279,9 @@ def turns(simulator: Simulator, representation: Representation, parameters: np.n
     Args:
         parameters: (participants, P) float32.
     """
-    owners = simulator.owners
-    states = np.zeros((len(owners), representation.state_size), np.float32)
     turn: Turn | None = simulator.reset(seed)
+    owners = simulator.owners  # only now: they may differ by trial
+    states = np.zeros((len(owners), representation.state_size), np.float32)
     while turn is not None:
         yield turn
         observations = np.ascontiguousarray(turn.observations, np.float32)
