@@ -331,7 +331,8 @@ class _CheckedSimulator(Simulator):
 
     def _checked(self, turn: Turn, method: str) -> Turn:
         where = f"{self.name}.{method}"
-        require(isinstance(turn, Turn), f"{where} must return a Turn{' or None' * (method == 'step')}, not {turn!r:.80}")
+        if not isinstance(turn, Turn):
+            raise AssertionError(f"{where} must return a Turn{' or None' * (method == 'step')}, not {turn!r:.80}")
         agents, observations = list(turn.agents), turn.observations
         require(bool(agents), f"{where}: a turn must name an agent; a trial that is over returns None")
         require(len(set(agents)) == len(agents), f"{where}: an agent stands twice in a turn: {agents}")

@@ -1,10 +1,7 @@
 """``zswarm-ot new simulator``: a package that works as it is, from the example."""
 
 import importlib
-import importlib.util
-import os
 import re
-import subprocess
 import sys
 import tomllib
 from pathlib import Path
@@ -83,22 +80,3 @@ def test_a_name_that_cannot_be_is_refused_in_one_line(
     assert said.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["there"]
     assert not list((tmp_path / "there").iterdir())
-
-
-def test_the_example_can_be_installed(tmp_path: Path) -> None:
-    """By pip or uv, whichever made this environment; zswarm finds it by its entry point."""
-    package = tmp_path / "package"
-    package.mkdir()
-    for file, text in skeleton("lost-rovers").items():
-        (package / file).write_text(text)
-    target = tmp_path / "target"
-    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"] if importlib.util.find_spec("pip") else ["uv", "pip"]
-    options = ["--quiet", "--no-deps", "--no-index", "--no-build-isolation", "--target", str(target)]
-    subprocess.run([*pip, "install", *options, str(package)], check=True, env=os.environ | {"VIRTUAL_ENV": sys.prefix})
-    found = subprocess.run(
-        [sys.executable, "-c", "from zswarm import plugins; print(plugins.load('simulator', 'lost-rovers').__module__)"],
-        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(target), os.environ.get("PYTHONPATH", "")]), "ZSWARM_PLAIN": "1"},
-        check=True, capture_output=True, text=True,
-    )  # fmt: skip
-    assert found.stdout == "lost_rovers\n"
-    assert not (target / "test_lost_rovers.py").exists(), "a test is no part of the package"
