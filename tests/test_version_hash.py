@@ -12,7 +12,9 @@ from zswarm import plugins, version_hash
 
 PACKAGE = Path(version_hash.__file__).parent
 # They name, check and refuse; messages.py says how many trials the probe has, which the version of the protocol fixes.
-COMPUTES_NOTHING = {"errors.py", "extras.py", "plugins.py", "strict.py", "version_hash.py", "messages.py"}
+COMPUTES_NOTHING = {
+    *("errors.py", "extras.py", "manifests.py", "messages.py", "plugins.py", "strict.py", "version_hash.py"),
+}
 
 
 def imported(file: Path) -> set[Path]:
@@ -160,7 +162,7 @@ def test_what_a_library_computes_is_of_another_version_with_another_library(othe
 
 
 def test_a_library_that_is_not_there_has_no_version() -> None:
-    assert version_hash._versions(("zswarm-none",)).splitlines()[0] == "zswarm-none none"
+    assert version_hash._further(("zswarm-none",))["zswarm-none"] == "none"
 
 
 def test_who_adds_to_a_group_of_entry_points_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -172,7 +174,7 @@ def test_who_adds_to_a_group_of_entry_points_counts(tmp_path: Path, monkeypatch:
     (information / "entry_points.txt").write_text("[gymnasium.envs]\nsome = some_environments:register\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     after = fresh(), version_hash.version_hash("gymnasium", "fully-meshed")
-    assert "some-environments 3.0" in version_hash._versions(("gymnasium.envs",)).splitlines()
+    assert version_hash.versions("gymnasium", "fully-meshed")["some-environments"] == "3.0"
     assert before[0] == after[0]
     assert before[1] != after[1]
 
@@ -210,3 +212,20 @@ def test_another_processor_has_a_cache_of_its_own(
 def test_where_nothing_tells_the_processor_there_is_a_cache_nevertheless(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(version_hash, "CPUINFO", tmp_path / "none")
     assert fresh() == fresh()
+
+
+def test_what_differs_between_two_versions_is_named(copy: Path) -> None:
+    """The parts of which a version hash is, in words of the one that has the first; equal hashes have nothing to name."""
+    before = version_hash.versions("emergency-exit", "fully-meshed")
+    assert version_hash.differing(before, dict(before)) == []
+    for file, told in (
+        ("sims/emergency_exit.py", "other code of simulator emergency-exit"),
+        ("nets/fully_meshed.py", "other code of representation fully-meshed"),
+        ("portable.py", "other code of zswarm"),
+    ):
+        text = (copy / file).read_text()
+        (copy / file).write_text(text + "# a version later\n")
+        forget()
+        assert version_hash.differing(version_hash.versions("emergency-exit", "fully-meshed"), before) == [told]
+        (copy / file).write_text(text)
+    assert version_hash.differing({"numpy": "2.1.0"}, {"numpy": "2.3.0", "jax": "0.9"}) == ["numpy 2.1.0, not 2.3.0", "no jax"]
