@@ -28,7 +28,7 @@ MANIFEST = 'command = [{command}]\nfiles = ["rough_program.py"]\ndescription = "
 BROKEN = {  # in the second of three turns, where turn, end or error is expected
     "exits": "its program ended with code 7; turn or end or error was expected; it wrote: cannot load map",
     "is-killed": "its program was killed by signal 9 (SIGKILL); turn or end or error was expected",
-    "closes": "its program closed its standard output; turn or end or error was expected",
+    "closes": "its program closed its input or output; turn or end or error was expected",
     "prints": "its program was ended: its standard output has 'agent 0 is here' where turn or end or error was expected; "
     "messages alone belong there, whatever else to standard error",
     "prints-little": "its program was ended: its standard output has '1' where turn or end or error was expected; "

@@ -237,7 +237,7 @@ def _how_it_ended(process: int) -> str:
     end = time.monotonic() + ENDING_S
     while (found := os.waitid(os.P_PID, process, os.WEXITED | os.WNOWAIT | os.WNOHANG)) is None:
         if time.monotonic() > end:
-            return "closed its standard output"
+            return "closed its input or output"
         time.sleep(0.001)
     if found.si_code == os.CLD_EXITED:
         return f"ended with code {found.si_status}"
