@@ -33,18 +33,19 @@ MAY_IMPORT = {
     "sims.foreign": {"leaf", "protocol", "sims", "sims.foreign_program"},
     "sims.foreign_program": {"leaf", "protocol", "sims"},
     "evaluate": {"leaf", "protocol", "nets", "sims"},
-    "experiment": {"leaf", "protocol"},
+    "labels": {"leaf", "protocol"},
+    "experiment": {"leaf", "labels", "protocol"},
     "session": {"leaf", "protocol", "security"},
     "router": {"leaf", "session", "security"},
     "security": {"leaf", "protocol", "security"},
     "ot.optimizers": {"leaf", "nets", "ot.optimizers"},
     "ot.rankings": {"leaf", "ot.rankings"},
     "ot": {
-        *("leaf", "protocol", "nets", "sims", "evaluate", "experiment", "session", "security"),
+        *("leaf", "protocol", "nets", "sims", "evaluate", "experiment", "labels", "session", "security"),
         *("ot", "ot.optimizers", "ot.rankings"),
     },
     "api": {"leaf", "experiment", "ot"},
-    "ss": {"leaf", "protocol", "evaluate", "session", "security", "ss"},
+    "ss": {"leaf", "protocol", "evaluate", "labels", "session", "security", "ss"},
     "testing": {"leaf", "nets", "sims", "evaluate", "ot.optimizers"},
 }
 ONLY_IN = {
@@ -67,7 +68,7 @@ PURE = (
     *("ot.assessment", "ot.dispatch", "ot.plan", "ot.requests", "ot.verification", "ot.waiting", "ot.workload"),
     *("ss.slots", "ss.kept", "ot.rankings.absolute", "ot.rankings.full_tournament", "ot.rankings.multi_swiss"),
     *("ot.rankings.ranking", "ot.rankings.swiss", "ot.rankings.tournament"),
-    *("protocol.codec", "protocol.keys", "protocol.messages"),
+    *("protocol.codec", "protocol.keys", "protocol.messages", "labels"),
 )
 WORLDLY = {"asyncio", "multiprocessing", "os", "queue", "select", "socket", "subprocess", "threading", "time", "datetime"}
 
