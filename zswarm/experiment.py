@@ -19,7 +19,7 @@ import msgspec
 import tomli_w
 from msgspec import Meta
 
-from zswarm import endpoint, labels, plugins, settings_sheet, toml_line
+from zswarm import endpoint, labels, plugins, ranges, settings_sheet, toml_line
 from zswarm.errors import ConfigError, UnknownPlugin
 from zswarm.plugins import nearest
 from zswarm.protocol import keys
@@ -35,6 +35,7 @@ MAX_DEPTH = 10  # tables in tables, in a study's settings
 MAX_SHOWN = 60  # characters of a value
 PARTS = ("representation", "optimizer", "ranking")
 WORDS_OF_LABELS: dict[str, Any] = {"require": labels.requirements, "rank": labels.preferences}  # of [cluster], and who reads them
+SETTINGS = "problem.settings."
 ABSOLUTE = "absolute"  # the ranking of files that name none
 
 
@@ -316,6 +317,21 @@ def changed(mapping: Mapping[str, Any], settings: Mapping[str, Any], where: str)
     return other
 
 
+def settings_with(settings: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
+    """A simulator's settings, changed by ``problem.settings.a=value`` texts as ``load`` does.
+
+    Raises:
+        ConfigError: a text is another, or leads into something that is no table.
+    """
+    changed: dict[str, Any] = _plain(settings)
+    for override in overrides:
+        path, value = _change(override)
+        if not path.startswith(SETTINGS):
+            raise ConfigError(f"--set {override}: expected a setting of the simulator, such as {SETTINGS}agents=20")
+        _set(changed, path.removeprefix(SETTINGS), value, f"--set {override}")
+    return changed
+
+
 def complete(experiment: Experiment, where: str) -> Experiment:
     """The experiment with every default written out.
 
@@ -373,7 +389,8 @@ def _complete_alone(experiment: Experiment, where: str) -> Experiment:
     with _on_its_line(where, experiment, "ranking", "kind"):
         ranking = _load("ranking", experiment.ranking.kind, f"{where}: ranking.kind")
     with _on_its_line(where, experiment, "problem", "settings"):
-        settings = _complete(experiment.problem.settings, simulator, f"{where}: problem.settings")
+        settings = ranges.complete(experiment.problem.settings, simulator.settings_type, f"{where}: problem.settings")
+        settings = _without_none(settings)
     with _on_its_line(where, experiment, "representation"):
         network = _complete_part(experiment.representation, representation, f"{where}: representation")
     with _on_its_line(where, experiment, "optimizer"):
@@ -498,7 +515,7 @@ def _leaves(tables: Mapping[str, Any], above: str, where: str) -> Iterator[tuple
     if above.count(".") > MAX_DEPTH:
         raise ConfigError(f"{where}: nested too deep")
     for key, value in tables.items():
-        if isinstance(value, Mapping):
+        if isinstance(value, Mapping) and not ranges.is_range(value):
             yield from _leaves(value, f"{above}{key}.", where)
         else:
             yield f"{above}{key}", value
@@ -572,7 +589,12 @@ def _complete_part(part: Part, loaded: Any, where: str) -> Part:
 
 def _complete(settings: Mapping[str, Any], loaded: Any, where: str) -> dict[str, Any]:
     complete: dict[str, Any] = msgspec.to_builtins(convert(settings, loaded.settings_type, where))
-    return {key: value for key, value in complete.items() if value is not None}  # TOML has no null
+    return _without_none(complete)
+
+
+def _without_none(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """TOML has no null."""
+    return {key: value for key, value in settings.items() if value is not None}
 
 
 def _change(override: str) -> tuple[str, Any]:

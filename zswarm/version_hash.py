@@ -26,7 +26,7 @@ CPUINFO = Path("/proc/cpuinfo")
 # What compiled code depends on: x86-64, then aarch64. The rest differs between equal machines, or from day to day.
 KIND = "vendor_id|cpu family|model|flags|CPU implementer|CPU architecture|CPU variant|CPU part|Features"
 SHARED = (
-    *("draws.py", "evaluate.py", "jit.py", "lanes.py", "portable.py"),
+    *("draws.py", "evaluate.py", "jit.py", "lanes.py", "portable.py", "ranges.py", "varied.py"),
     *("nets/neurons.py", "nets/representation.py", "nets/vector.py", "sims/simulator.py"),
 )
 

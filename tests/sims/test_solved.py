@@ -100,3 +100,19 @@ def test_a_robot_finds_lights_that_it_never_saw_in_evolution() -> None:
     assert fitness.max() < 0.45
     unseen = np.array([derive_seed(0, "unseen", trial) for trial in range(200)], np.uint64)
     assert evolved.metrics(unseen)["found"] > 0.5
+
+
+@pytest.mark.long
+def test_who_was_evolved_in_many_kinds_of_rooms_is_better_in_unseen_ones() -> None:
+    """Ten of ten, in rooms whose agents, exits and blockades differ, and in those that the other was evolved in."""
+    varied, fixed = ([Evolved(name, seed) for seed in range(1, 11)] for name in ("crowds", "emergency-exit"))
+    unseen = np.array([derive_seed(0, "unseen", trial) for trial in range(300)], np.uint64)
+    for rooms, least in ((varied[0].problem, 3.0), (fixed[0].problem, 1.0)):
+        better, worse = (np.array([mean_fitness(each.champion, rooms, unseen) for each in some]) for some in (varied, fixed))
+        assert (better > worse).all()
+        assert np.median(better) > np.median(worse) + least
+
+
+def mean_fitness(champion: bytes, problem: Problem, seeds: np.ndarray) -> float:
+    outcomes = evaluate(problem.simulator, problem.representation, [champion], np.zeros((len(seeds), 1), np.int64), seeds)
+    return float(outcomes.fitness.mean())

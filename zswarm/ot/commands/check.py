@@ -75,9 +75,9 @@ def show(explained: "Explanation", complete: Experiment) -> None:
     then = f", then {later:,}" if later != first and e.generations > 1 else ""
     elsewhere = EXAMPLE_SERVERS * EXAMPLE_SLOTS
     one = e.participants == 1
-    driven = (
-        f"{e.agents:,}, {'all driven by the same genome' if one else f'driven by {e.participants} genomes that play each other'}"
-    )
+    agents = f"{e.agents:,}" if e.agents == e.most_agents else f"{e.agents:,} to {e.most_agents:,}"
+    varied = ", ".join(f"{name} {words}" for name, words in e.ranges.items())
+    driven = f"{agents}, {'all driven by the same genome' if one else f'driven by {e.participants} genomes that play each other'}"
     games = f"{e.games:,} game{'s' if e.games != 1 else ''}"
     score = f"{games} in the first generation, as {e.ranking} has it; the result of a game is {judged}"
     result = "the same on all machines, bit for bit" if e.portable else "may differ in the last bits from machine to machine"
@@ -89,6 +89,7 @@ def show(explained: "Explanation", complete: Experiment) -> None:
     for about, text in (
         ("experiment", f"{e.experiment}: {terminal.plural(e.generations, 'generation')}, seed {complete.seed}"),
         ("problem", f"{e.simulator}: {e.about}" if e.about else e.simulator),
+        *([("ranges", f"{varied}: drawn for each trial from its seed")] if varied else []),
         ("robots", driven),
         ("controller", f"{e.representation}: {inputs}, {hidden}{outputs}"),
         ("genome", numbers + length),
