@@ -109,7 +109,7 @@ class Program:
         Raises:
             EvaluationError: it ended, or broke the protocol and was ended for it; the text says what was expected.
         """
-        what = " or ".join(_tag(kind) for kind in expected)
+        what = " or ".join(_tag(kind) for kind in expected if kind is not Error)
         body = _encoder.encode(message)
         if len(body) > MAX_FRAME:
             raise ValueError(f"a message to a simulator's program has {len(body)} bytes; at most {MAX_FRAME} are sent")
