@@ -134,6 +134,7 @@ def test_c_evolves_as_the_bundled_simulator_does_though_it_is_killed(tmp_path: P
     assert evolve_and_kill(tmp_path, in_c, "emergency-exit-c", STADIUM) == history(tmp_path, STADIUM)
 
 
+@pytest.mark.long
 def test_java_evolves_as_the_bundled_simulator_does_though_it_is_killed(tmp_path: Path, in_java: Path) -> None:
     """On random fields, in turns."""
     assert evolve_and_kill(tmp_path, in_java, "emergency-exit-java", RANDOM) == history(tmp_path, RANDOM)
@@ -172,11 +173,14 @@ def outcomes(simulator: str, network: dict[str, Any], **settings: Any) -> bytes:
     return played.fitness.tobytes() + played.metrics.tobytes()
 
 
-def test_with_another_network_c_is_asked_for_turns(in_c: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("theirs", "compiled"), [("emergency-exit-c", "in_c"), ("emergency-exit-java", "in_java")])
+def test_with_a_network_that_it_does_not_know_a_program_is_asked_for_turns(
+    theirs: str, compiled: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """And plays the same."""
-    monkeypatch.setenv("ZSWARM_SIMULATORS", str(in_c))
+    monkeypatch.setenv("ZSWARM_SIMULATORS", str(request.getfixturevalue(compiled)))
     fitness = []
-    for simulator in ("emergency-exit-c", "emergency-exit"):
+    for simulator in (theirs, "emergency-exit"):
         built, network = evaluate.build(simulator, {"agents": 3}, "ctrnn", {})
         assert getattr(built, "hosted", None) is None
         genomes = network.random(3, Stream(2))
