@@ -42,6 +42,8 @@ NETWORKS = [
     {"activation": "tanh", "hidden": 9, "iterations": 3},
 ]
 
+BOTH = [("emergency-exit-c", "in_c"), pytest.param("emergency-exit-java", "in_java", marks=pytest.mark.long)]  # javac takes long
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -173,7 +175,7 @@ def outcomes(simulator: str, network: dict[str, Any], **settings: Any) -> bytes:
     return played.fitness.tobytes() + played.metrics.tobytes()
 
 
-@pytest.mark.parametrize(("theirs", "compiled"), [("emergency-exit-c", "in_c"), ("emergency-exit-java", "in_java")])
+@pytest.mark.parametrize(("theirs", "compiled"), BOTH)
 def test_with_a_network_that_it_does_not_know_a_program_is_asked_for_turns(
     theirs: str, compiled: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -189,7 +191,7 @@ def test_with_a_network_that_it_does_not_know_a_program_is_asked_for_turns(
     assert fitness[0] == fitness[1]
 
 
-@pytest.mark.parametrize(("simulator", "compiled"), [("emergency-exit-c", "in_c"), ("emergency-exit-java", "in_java")])
+@pytest.mark.parametrize(("simulator", "compiled"), BOTH)
 def test_the_settings_are_those_of_the_bundled_simulator(
     simulator: str, compiled: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
