@@ -241,7 +241,6 @@ def test_draws_are_even_and_reach_whole_ends() -> None:
         ("emergency-exit", {**AGENTS, "steps": 20, "exits": {"choice": [1, 5]}}),
         ("arena", {"robots": {"from": 2, "to": 20}, "side": {"from": 2, "to": 6}, "steps": 20}),
         ("minisim", {"robots": {"from": 1, "to": 9}, "defenders": {"choice": [0, 3]}, "steps": 20}),
-        ("maze", {"steps": {"from": 10, "to": 40}}),
     ],
 )
 def test_a_trial_is_that_of_the_drawn_settings(simulator: str, settings: dict[str, Any]) -> None:
@@ -333,7 +332,7 @@ def test_a_kernel_plays_several_trials_at_once_and_stops_between(monkeypatch: py
 
 def test_as_many_trials_are_played_at_once_as_take_some_milliseconds() -> None:
     varied = herd(robots={"from": 1, "to": 2})
-    for seconds, together in [*((0.001, 2**more) for more in range(1, 7)), (0.001, 64), (0.01, 32), *[(0.01, 16)]]:
+    for seconds, together in [*((0.001, 2**more) for more in range(1, 9)), (0.001, 256), (0.03, 128), (0.03, 64)]:
         varied.took(seconds)
         assert varied.together == together
     for _ in range(9):

@@ -180,9 +180,9 @@ def _varied(
                 error = error or f"{type(refused).__name__}: {refused}"[:MAX_ERROR_TEXT]
                 break
             some = alike[played : played + (varied.together if isinstance(simulator, CompiledSimulator) else 1)]
-            begin = time.perf_counter()
+            begin = time.process_time()
             part = _outcomes(simulator, representation, parameters, participants[some], seeds[some], np.zeros(2, np.int64))
-            varied.took(time.perf_counter() - begin)
+            varied.took(time.process_time() - begin)
             fitness[some], metrics[some], error = part.fitness, part.metrics, error or part.error
             played += len(some)
     return Outcomes(fitness, metrics, error)

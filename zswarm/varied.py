@@ -14,9 +14,9 @@ from zswarm.ranges import Path
 from zswarm.sims.simulator import Frame, Outcome, Simulator, Turn
 
 KEPT = 16  # simulators for the trials to come
-MOST_TOGETHER = 64  # trials
+MOST_TOGETHER = 256  # trials
 MAX_CORNERS = 16  # combinations of ends that are tried; of more only some
-TOGETHER_S = 0.005  # that trials played at once take, about: the first of them is named if something happens
+TOGETHER_S = 0.02  # that trials played at once take, about: the first of them is named if something happens
 UNIT = 2.0**-53
 SAME = ("participants", "inputs", "outputs", "sensors", "actuators", "metrics")  # in all trials
 
