@@ -10,14 +10,15 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 
 from zswarm import plugins, ranges
 from zswarm.draws import Stream, derive_seed
-from zswarm.errors import ConfigError
+from zswarm.errors import ConfigError, EvaluationError
 from zswarm.nets.representation import Representation
 from zswarm.protocol.messages import PROBE_GENOMES, PROBE_SEEDS
-from zswarm.sims.simulator import Batch, CompiledSimulator, Simulator, Turn
+from zswarm.sims.simulator import Batch, CompiledSimulator, HostingSimulator, Outcome, Simulator, Turn
 from zswarm.strict import convert
 from zswarm.varied import Varied
 
@@ -49,6 +50,7 @@ def build(
 
     Raises:
         ConfigError: unknown name or impossible settings, or the simulator refused them.
+        EvaluationError: the simulator's program ended.
         MemoryError: there is not enough for it.
     """
     simulator_class = plugins.load("simulator", simulator)
@@ -67,13 +69,15 @@ def build(
     network: Representation = _construct(
         f"representation {representation!r}", representation_class, network_settings, built.inputs, built.outputs
     )
+    if isinstance(built, HostingSimulator) and built.host(representation, msgspec.to_builtins(network_settings)):
+        built.hosted = network
     return built, network
 
 
 def _construct(what: str, loaded: Any, *arguments: Any) -> Any:
     try:
         return loaded(*arguments)
-    except (ConfigError, MemoryError):
+    except (ConfigError, EvaluationError, MemoryError):
         raise
     except Exception as error:  # a plug-in's constructor may raise anything
         raise ConfigError(f"{what} cannot be set up: {type(error).__name__}: {error}") from error
@@ -97,6 +101,7 @@ def evaluate(
 
     Raises:
         ValueError: a genome does not fit the network, or a shape or index does not fit.
+        EvaluationError: the simulator's program ended in the trial that ``progress[0]`` names.
         MemoryError: there is not enough for the trial that ``progress[0]`` names.
     """
     if participants.shape != (len(seeds), simulator.participants):
@@ -135,6 +140,10 @@ def _outcomes(
             if progress[1]:
                 break
             try:
+                if isinstance(simulator, HostingSimulator) and simulator.hosted is representation:
+                    players = [genomes[each] for each in participants[trial]]
+                    play_alone(simulator, players, int(seed), fitness[trial], metrics[trial])
+                    continue
                 play_in_turns(
                     simulator,
                     representation,
@@ -143,8 +152,8 @@ def _outcomes(
                     fitness[trial],
                     metrics[trial],
                 )
-            except MemoryError:
-                raise  # the machine's limit, not the simulator's decision
+            except (EvaluationError, MemoryError):
+                raise  # the end of a program and the machine's limit, not the simulator's decision
             except Exception as raised:  # whatever the code of a simulator raises is this trial's outcome
                 fitness[trial], metrics[trial] = np.nan, np.nan
                 error = error or f"{type(raised).__name__}: {raised}"[:MAX_ERROR_TEXT]
@@ -238,7 +247,23 @@ def play_in_turns(
     """
     for _ in turns(simulator, representation, parameters, seed):
         pass
-    outcome = simulator.outcome()
+    _take(simulator.outcome(), fitness, metrics)
+
+
+def play_alone(
+    simulator: HostingSimulator, genomes: Sequence[bytes], seed: int, fitness: np.ndarray, metrics: np.ndarray
+) -> None:
+    """One trial whose simulator decides for the controllers.
+
+    Args:
+        genomes: of the participants.
+        fitness: (participants,) float64, filled.
+        metrics: (metrics,) float64, filled.
+    """
+    _take(simulator.play_alone(genomes, seed), fitness, metrics)
+
+
+def _take(outcome: Outcome, fitness: np.ndarray, metrics: np.ndarray) -> None:
     if len(outcome.fitness) != len(fitness) or len(outcome.metrics) != len(metrics):
         raise ValueError(
             f"an outcome must have {len(fitness)} fitness numbers and {len(metrics)} metrics, "

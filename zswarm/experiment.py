@@ -19,7 +19,7 @@ import msgspec
 import tomli_w
 from msgspec import Meta
 
-from zswarm import endpoint, plugins, ranges, settings_sheet, toml_line
+from zswarm import endpoint, labels, plugins, ranges, settings_sheet, toml_line
 from zswarm.errors import ConfigError, UnknownPlugin
 from zswarm.plugins import nearest
 from zswarm.protocol import keys
@@ -34,6 +34,7 @@ MAX_RUNS = 10_000  # of a study
 MAX_DEPTH = 10  # tables in tables, in a study's settings
 MAX_SHOWN = 60  # characters of a value
 PARTS = ("representation", "optimizer", "ranking")
+WORDS_OF_LABELS: dict[str, Any] = {"require": labels.requirements, "rank": labels.preferences}  # of [cluster], and who reads them
 SETTINGS = "problem.settings."
 ABSOLUTE = "absolute"  # the ranking of files that name none
 
@@ -97,6 +98,28 @@ class Cluster(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     ] = False
     local_slots: Annotated[
         int, Meta(ge=0, le=65_535, description='slots of this machine under "auto" and "local"; 0: one per core')
+    ] = 0
+    require: Annotated[
+        list[str],
+        Meta(
+            description='what labels of servers must be, this machine\'s slots included, such as `["gpu=yes", "room=b12|b13", '
+            '"name!=lab-3", "cores>=8"]`; others are not used ([mixed.md](mixed.md))'
+        ),
+    ] = []
+    rank: Annotated[
+        list[str],
+        Meta(
+            description='which servers are preferred, what counts most first: what labels should be (`"gpu=yes"`), or a label '
+            'whose higher number comes first (`"cores"`; `"-cores"`: the lower) ([mixed.md](mixed.md))'
+        ),
+    ] = []
+    max_slots: Annotated[
+        int,
+        Meta(
+            ge=0,
+            le=1_000_000_000,
+            description="slots that a run holds at the same time, this machine's included; the best by `rank`. 0: all there are",
+        ),
     ] = 0
     trial_timeout_s: Annotated[
         float, Meta(gt=0, le=1e9, description="seconds by the wall clock after which a trial is a fault")
@@ -254,6 +277,9 @@ def check(mapping: Mapping[str, Any], where: str) -> Experiment:
         _check_ids({"name": file.name, "cluster.realm": file.cluster.realm}, f"{where}: ")
     with _on_its_line(where, mapping, "cluster", "connect"):
         endpoint.check(file.cluster.connect, f"{where}: cluster.connect")
+    for key, read_texts in WORDS_OF_LABELS.items():
+        with _on_its_line(where, mapping, "cluster", key):
+            read_texts(getattr(file.cluster, key), f"{where}: cluster.{key}")
     with _on_its_line(where, mapping, "representation"):
         representation = _part(file.representation, f"{where}: representation")
     with _on_its_line(where, mapping, "optimizer"):
@@ -398,6 +424,8 @@ def cluster(values: Mapping[str, Any]) -> Cluster:
     options = convert(values, Cluster, "cluster")
     _check_ids({"cluster.realm": options.realm}, "")
     endpoint.check(options.connect, "cluster.connect")
+    for key, read_texts in WORDS_OF_LABELS.items():
+        read_texts(getattr(options, key), f"cluster.{key}")
     if options.through_router and not options.connect and not options.multicast:
         raise ConfigError("cluster.through_router: name the router in cluster.connect (--connect tcp/ROUTER:7466)")
     return options

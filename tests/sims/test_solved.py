@@ -63,6 +63,15 @@ def test_xor_is_solved_from_every_seed() -> None:
     assert took[49] <= 10
 
 
+@pytest.mark.parametrize("example", ["xor-layers", "xor-roles"])
+def test_xor_is_solved_without_loops_but_not_without_parts(example: str) -> None:
+    """By a hidden layer, or by two networks in turn; not by one network without a hidden layer."""
+    for seed in range(1, 6):
+        assert Evolved(example, seed).history[-1] > -0.01
+    alone = Evolved("xor-layers", 1, "representation.kind=feed-forward", "representation.hidden=[]")
+    assert alone.history[-1] == pytest.approx(-0.5, abs=1e-3)
+
+
 @pytest.mark.parametrize("seed", range(1, 6))
 def test_a_robot_finds_the_exit_of_an_empty_room(seed: int) -> None:
     evolved = Evolved("simplified-emergency-exit", seed)
@@ -76,6 +85,11 @@ def test_a_pendulum_is_swung_up_and_kept_there() -> None:
     assert at_random(evolved.problem).max() < 0.03
     assert evolved.history[-1] > 0.12
     assert evolved.metrics(np.zeros(1, np.uint64))["upright"] > 0.85
+
+
+@pytest.mark.long
+def test_a_network_that_learns_while_it_plays_fetches_flags() -> None:
+    assert Evolved("minisim-hebbian", 1).history[-1] == pytest.approx(40.4, abs=0.05)
 
 
 @pytest.mark.long
