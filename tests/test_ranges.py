@@ -2,6 +2,7 @@
 
 import itertools
 import tomllib
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Literal
 
 import msgspec
@@ -17,7 +18,7 @@ from zswarm.nets.fully_meshed import FullyMeshed
 from zswarm.nets.fully_meshed import Settings as NetworkSettings
 from zswarm.ot import film
 from zswarm.sims.emergency_exit import EmergencyExit
-from zswarm.sims.simulator import Batch, Outcome, Simulator, Turn
+from zswarm.sims.simulator import Batch, HostingSimulator, Outcome, Simulator, Turn
 from zswarm.varied import KEPT, Varied, drawn
 
 AGENTS = {"agents": {"from": 5, "to": 15}}
@@ -367,6 +368,38 @@ def test_servers_are_compared_with_ranges_too() -> None:
     one, other = (probe(*build("emergency-exit", settings, "fully-meshed", {})).digest for settings in ({}, AGENTS))
     assert one != other
     assert probe(*build("emergency-exit", dict(AGENTS), "fully-meshed", {})).digest == other
+
+
+class Host(HostingSimulator):
+    """It decides for the controllers itself; the fitness is its robots and the first byte of the genome."""
+
+    settings_type = Settings
+    inputs = outputs = 1
+    owners = (0,)
+    settings: Settings
+    reset = step = outcome = Herd.outcome  # never called
+
+    def host(self, kind: str, settings: Mapping[str, Any]) -> bool:
+        self.prepared = (kind, settings["hidden"])
+        return True
+
+    def play_alone(self, genomes: Sequence[bytes], seed: int) -> Outcome:  # noqa: ARG002  nothing is drawn
+        assert self.prepared == ("fully-meshed", 3)
+        return Outcome([self.settings.robots * 1000 + genomes[0][0]], [])
+
+
+def test_a_simulator_that_decides_itself_is_prepared_with_each_of_its_settings(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    load = plugins.load
+    monkeypatch.setattr(plugins, "load", lambda kind, name: Host if name == "host" else load(kind, name))
+    settings = {"robots": {"from": 1, "to": 9}}
+    built, network = build("host", settings, "fully-meshed", {"hidden": 3})
+    genomes = network.random(2, Stream(1))
+    outcomes = evaluate(built, network, genomes, np.array([[0], [1]] * 20), np.arange(40, dtype=np.uint64))
+    assert outcomes.error == ""
+    expected = [drawn(settings, seed)["robots"] * 1000 + genomes[seed % 2][0] for seed in range(40)]
+    assert outcomes.fitness[:, 0].tolist() == expected
 
 
 # ---- refused

@@ -69,8 +69,15 @@ def build(
     network: Representation = _construct(
         f"representation {representation!r}", representation_class, network_settings, built.inputs, built.outputs
     )
-    if isinstance(built, HostingSimulator) and built.host(representation, msgspec.to_builtins(network_settings)):
-        built.hosted = network
+
+    def prepare(one: Simulator) -> None:
+        if isinstance(one, HostingSimulator) and one.host(representation, msgspec.to_builtins(network_settings)):
+            one.hosted = network
+
+    if isinstance(built, Varied):
+        built.prepare = prepare
+    else:
+        prepare(built)
     return built, network
 
 
@@ -113,13 +120,14 @@ def evaluate(
     parameters = representation.parameters(genomes)
     progress = np.zeros(2, np.int64) if progress is None else progress
     if isinstance(simulator, Varied):
-        return _varied(simulator, representation, parameters, participants, seeds, progress)
-    return _outcomes(simulator, representation, parameters, participants, seeds, progress)
+        return _varied(simulator, representation, genomes, parameters, participants, seeds, progress)
+    return _outcomes(simulator, representation, genomes, parameters, participants, seeds, progress)
 
 
 def _outcomes(
     simulator: Simulator,
     representation: Representation,
+    genomes: Sequence[bytes],
     parameters: np.ndarray,
     participants: np.ndarray,
     seeds: np.ndarray,
@@ -165,6 +173,7 @@ def _outcomes(
 def _varied(
     varied: Varied,
     representation: Representation,
+    genomes: Sequence[bytes],
     parameters: np.ndarray,
     participants: np.ndarray,
     seeds: np.ndarray,
@@ -190,7 +199,8 @@ def _varied(
                 break
             some = alike[played : played + (varied.together if isinstance(simulator, CompiledSimulator) else 1)]
             begin = time.process_time()
-            part = _outcomes(simulator, representation, parameters, participants[some], seeds[some], np.zeros(2, np.int64))
+            alone = np.zeros(2, np.int64)
+            part = _outcomes(simulator, representation, genomes, parameters, participants[some], seeds[some], alone)
             varied.took(time.process_time() - begin)
             fitness[some], metrics[some], error = part.fitness, part.metrics, error or part.error
             played += len(some)

@@ -57,6 +57,7 @@ class Varied(Simulator):
     Attributes:
         agents: the least and the greatest number of them, at the ends of the ranges.
         together: trials with the same settings to play at once.
+        prepare: what is done with a simulator that was set up for trials.
     """
 
     def __init__(self, settings: Mapping[str, Any], build: Callable[[dict[str, Any]], Simulator]) -> None:
@@ -71,6 +72,7 @@ class Varied(Simulator):
         """
         self._settings, self._build = settings, build
         self.together = 1
+        self.prepare: Callable[[Simulator], None] = lambda _simulator: None
         self._kept: dict[bytes, Simulator] = {}
         first, *others = _corners(ranges.found(settings))
         self._now = self._first = self._set_up(first)
@@ -107,7 +109,10 @@ class Varied(Simulator):
         """
         found = values(self._settings, seed)
         key = _key(found)
-        simulator = self._kept.pop(key, None) or self._checked(found)
+        simulator = self._kept.pop(key, None)
+        if simulator is None:
+            simulator = self._checked(found)
+            self.prepare(simulator)
         if len(self._kept) == KEPT:
             del self._kept[next(iter(self._kept))]  # the one that was not used for the longest time
         self._kept[key] = simulator
