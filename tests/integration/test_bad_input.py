@@ -215,7 +215,10 @@ def test_a_simulator_that_raises_is_an_outcome_and_named(tmp_path: Path, rough: 
         ("hangs", "one trial took longer than 1 s"),
         ("exits", "ended with code 7"),
         ("segfault", "was killed by signal 11 (SIGSEGV)"),
-        ("hoards", "memory: it needs more than the 512 MB of cluster.trial_memory_mb: raise that, if servers have more"),
+        (
+            "hoards",
+            "memory: simulator rough: it needs more than the 512 MB of cluster.trial_memory_mb: raise that, if servers have more",
+        ),
     ],
 )
 def test_a_simulator_that_ends_its_process_pauses_the_run_and_names_the_cause(

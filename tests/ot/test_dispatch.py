@@ -740,7 +740,7 @@ def test_a_batch_that_every_server_refuses_ends_the_run_with_the_reason() -> Non
         (ask,) = optimizer.answer(ask, Refused(code="malformed", reason="a genome has 3 bytes"))
     assert optimizer.answer(ask, Refused(code="malformed", reason="a genome has 3 bytes")) == []
     (failed,) = [command for command in optimizer.commands if isinstance(command, Failed)]
-    assert failed.reason.endswith("on c: refused: a genome has 3 bytes")
+    assert failed.reason.endswith("on c: refused: a genome has 3 bytes (trial 0, its seed 0)")
 
 
 def test_a_server_that_cannot_take_our_batches_is_released_and_not_used() -> None:
@@ -1088,7 +1088,7 @@ def test_a_fault_is_tried_on_the_same_server_where_there_is_no_other() -> None:
     for attempt in range(1, dispatch.ATTEMPTS):
         (ask,) = optimizer.answer(ask, fault(ask))
         assert ask.server == "a"
-        assert optimizer.notes("fault")[0].text == f"crashed: killed (trial 0, attempt {attempt})"
+        assert optimizer.notes("fault")[0].text == f"crashed: killed (trial 0, its seed 0, attempt {attempt})"
     assert optimizer.answer(ask, fault(ask)) == []
     (failed,) = [command for command in optimizer.commands if isinstance(command, Failed)]
     assert "3 times, last on a: crashed: killed" in failed.reason

@@ -693,24 +693,25 @@ class Dispatch:
         trial = int(batch.trials[min(index, len(batch.trials) - 1)])
         if trial not in rest:
             trial = int(rest[0])
+        which = f"trial {trial}, its seed {workload.seeds[trial]}"
         guilty = rest[rest == trial]
         self._give_back(Batch(batch.id, rest[rest != trial], batch.avoid, batch.check))
         if batch.check:
-            self._note("fault", server.id, f"{text} (trial {trial}, when it was verified)")
+            self._note("fault", server.id, f"{text} ({which}, when it was verified)")
             self._checks.drop([trial])
             self._blame(server, now)
             self._complete_if_done()
             return
         servers = self._faults.setdefault(trial, [])
         servers.append(server.id)
-        self._note("fault", server.id, f"{text} (trial {trial}, attempt {len(servers)})")
+        self._note("fault", server.id, f"{text} ({which}, attempt {len(servers)})")
         if len(servers) < ATTEMPTS:
             self._requeue(guilty, frozenset(servers))
         elif self._quarantine:
             workload.faulted[trial] = True
             self._mark_counted(guilty, "", 0.0)
         else:
-            self._fail(f"a trial ended in a fault {ATTEMPTS} times, last on {server.id}: {text}", now)
+            self._fail(f"a trial ended in a fault {ATTEMPTS} times, last on {server.id}: {text} ({which})", now)
 
     def _clear_of_blame(self, trials: np.ndarray, by: Server, now: float) -> None:
         """Trials that ended in faults ended in outcomes elsewhere: the machines were guilty."""

@@ -49,7 +49,7 @@ TOLD = {
     "lease_waiting": "{server} is busy for others: waiting for a slot",
     "fault": "{server}: {text}",
     "malformed": "{server} sent something that is no answer: {text}",
-    "simulator_raised": "the simulator raised on {server}: {text} ({count} trials)",
+    "simulator_raised": "the simulator failed on {server}: {text} ({count} trials)",
 }
 
 

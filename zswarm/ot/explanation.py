@@ -189,6 +189,8 @@ def _warnings(complete: Experiment, measured: Measured, first: int, record: int,
     found = []
     if measured.failed:
         found.append(f"every trial that was tried failed{': ' + measured.error if measured.error else ''}; nothing can evolve")
+    elif measured.error:
+        found.append(f"a trial that was tried failed: {measured.error}; the candidate is ranked last")
     if complete.generations == 1:
         found.append("generations = 1: random candidates are judged, and nothing evolves")
     if first < FEW:

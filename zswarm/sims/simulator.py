@@ -17,6 +17,8 @@ import numpy as np
 
 from zswarm.jit import Step
 
+MAX_TURNS = 1_000_000  # of a trial; one that goes on is taken to have no end
+
 
 class Turn(NamedTuple):
     """Who acts next, and what they observe."""
@@ -62,6 +64,34 @@ class Frame(NamedTuple):
 
 class Simulator(ABC):
     """One problem with its settings.
+
+    A whole one, in which three robots on a line gather::
+
+        class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+            steps: int = 50
+
+        class Gather(Simulator):
+            settings_type = Settings
+            inputs, outputs, owners = 2, 1, (0, 0, 0)
+
+            def reset(self, seed):
+                self.x, self.left = Stream(seed).uniform(0.0, 10.0, 3), self.settings.steps
+                return self.turn()
+
+            def step(self, actions):
+                self.x, self.left = self.x + actions[:, 0] - 0.5, self.left - 1
+                return self.turn() if self.left > 0 else None
+
+            def outcome(self):
+                return Outcome([float(self.x.min() - self.x.max())], [])
+
+            def turn(self):
+                observations = np.stack([self.x - self.x.min(), self.x.max() - self.x], axis=1)
+                return Turn(range(3), observations.astype(np.float32))
+
+    A trial is ``reset``, then ``step`` until it gives None, then ``outcome``. What it draws comes from the seed alone; nothing is
+    left over from earlier trials. Observations are finite and not changed later. What raises or breaks a rule makes the trial's
+    fitness NaN, as do ``MAX_TURNS`` turns without an end. ``zswarm.testing.check_simulator`` says which rule is broken.
 
     Attributes:
         settings_type: the struct of its settings in an experiment file.

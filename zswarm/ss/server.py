@@ -27,10 +27,10 @@ from zswarm.protocol import codec, keys
 from zswarm.protocol.messages import MAX_TEXT, Offer, Refused, Requirements, Reserve
 from zswarm.security import keyring, refusals
 from zswarm.session import Reach, keys_in_words
-from zswarm.ss import control, facts, limits, memory, slots, view
+from zswarm.ss import control, facts, limits, memory, orphans, slots, view
 from zswarm.ss.options import AT_START, Options, offered
 from zswarm.ss.presence import Presence, Question
-from zswarm.ss.worker import Ready, Rest, Worker
+from zswarm.ss.worker import SAID_WIDTH, Ready, Rest, Worker
 from zswarm.version_hash import differing, version_hash, versions
 
 if TYPE_CHECKING:
@@ -71,6 +71,7 @@ class Server:
         self._limits = limits.read(options.limits, self.simulators, "limits")
         self.workers = [Worker(self.slot_memory_mb) for _ in range(capacity)]
         self.slots = slots.Slots(capacity, self._offer(), self._mismatch, lambda: secrets.token_bytes(16))
+        orphans.adopt()
         self._start_workers()
         self._inbox: deque[Question | slots.Event] = deque()
         self._wake, self._woken = os.pipe()
@@ -94,6 +95,7 @@ class Server:
         self._drain_asked = self._reload_asked = self._warm = False
         self._look_at = self._show_at = 0.0  # when next, by the monotonic clock
         self._return_at = math.inf  # to the network, which it lost in a reload
+        self._left_behind, self._free = False, 0  # whether simulators may have left processes behind; slots that were free
         self._missed: dict[int, str] = {}  # slots whose process is missed, with the reason
         self._missed_s = min(MISSED_S, self._notify.watchdog_s)
 
@@ -179,7 +181,8 @@ class Server:
             workers = {worker.pipe.fileno(): index for index, worker in enumerate(self.workers) if worker.pipe is not None}
             poll = select.poll()
             leaving = {worker.leaving.sentinel: worker for worker in self.workers if worker.leaving is not None}
-            for descriptor in (self._wake, *workers, *leaving):
+            saying = {worker.said.fileno(): index for index, worker in enumerate(self.workers) if worker.said is not None}
+            for descriptor in (self._wake, *workers, *leaving, *saying):
                 poll.register(descriptor, select.POLLIN)
             if self._private:
                 poll.register(sys.stdin.fileno(), select.POLLIN)
@@ -208,6 +211,9 @@ class Server:
             for descriptor in ready:
                 if descriptor in leaving:
                     leaving[descriptor].look()
+                    self._left_behind = True
+                if descriptor in saying:
+                    self._listen(saying[descriptor])
                 if descriptor in workers and (event := self._from_worker(workers[descriptor])) is not None:
                     self._handle(event)
             for _ in range(len(self._inbox)):
@@ -296,10 +302,31 @@ class Server:
             if worker.start_at <= now:
                 worker.start()
 
+    def _listen(self, slot: int) -> None:
+        """Log what the simulator in a slot says."""
+        worker = self.workers[slot]
+        if worker.said is None:  # it was ended just before
+            return
+        held = self.slots.slots[slot]
+        setup = held.lease.setup if held.lease is not None else held.setup
+        simulator = setup.simulator.kind if setup is not None else ""
+        for line in worker.listen():
+            log.info("slot_said", slot=slot, simulator=simulator, text=codec.clean(line[:SAID_WIDTH]))
+
+    def _end_left_behind(self) -> None:
+        """End processes that simulators left behind: of slots whose process ended, and of those that no run holds."""
+        for slot, worker in zip(self.slots.slots, self.workers, strict=True):
+            if slot.state == slots.SlotState.FREE and worker.session and orphans.children(worker.session):
+                log.warning("slot_renewed", slot=slot.index, reason="its simulator left processes behind")
+                worker.kill()
+        rest = orphans.end({worker.session for worker in self.workers if worker.session})
+        self._left_behind = bool(rest)
+
     def _from_worker(self, index: int) -> slots.Event | None:
         worker = self.workers[index]
         if worker.pipe is None:  # it was ended for what another one said just before
             return None
+        self._listen(index)  # so that what it said before it answered is not taken for its last words
         try:
             letter, body = worker.receive()
         except (EOFError, OSError):
@@ -332,17 +359,20 @@ class Server:
                 return slots.Finished(index, body, worn=letter == b"W")
 
     def _handle(self, event: slots.Event) -> None:
+        self._left_behind |= isinstance(event, slots.Died)
         for command in self.slots.handle(event, time.monotonic()):
             match command:
                 case slots.Answer():
                     self._presence.answer(*self._questions.pop(command.query), command.body)
                 case slots.Prepare():
+                    self._left_behind |= not command.known  # a process that had another problem is ended
                     self.workers[command.slot].prepare(command.setup, probe=command.probe, known=command.known)
                 case slots.Run():
                     self.workers[command.slot].evaluate(command.body, command.first, command.alone)
                 case slots.Stop():
                     self.workers[command.slot].stop()
                 case slots.Kill():
+                    self._left_behind = True
                     self.workers[command.slot].kill()
                 case slots.Log():
                     log.info(command.event, **command.fields)
@@ -381,6 +411,9 @@ class Server:
             self._look_at = min(self._look_at, now + LOOK_EVERY_S)
         if now < self._look_at:
             return
+        if (free := self.slots.free()) > self._free or self._left_behind:
+            self._end_left_behind()
+        self._free = free
         self._name_missed(now)
         if not self._missed:
             self._notify.feed()
@@ -391,7 +424,7 @@ class Server:
             if self._warm:
                 self._notify.ready()
         shown = self._view(now)
-        lasts = bool(shown.trials_per_s or self.slots.draining)
+        lasts = bool(shown.trials_per_s or self.slots.draining or self._left_behind)
         if now >= self._show_at:
             self._show_at = now + SHOW_EVERY_S
             self._notify.status(shown.line())
@@ -481,3 +514,4 @@ class Server:
     def _close_workers(self) -> None:
         for worker in self.workers:
             worker.close()
+        orphans.end(())

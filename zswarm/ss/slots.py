@@ -726,7 +726,8 @@ class Slots:
         if piece is not None:
             batch, blame = piece.batch, "crashed" if kind == "stopped" else kind
             if not batch.cancelled and batch.fault is None:
-                batch.fault = Fault(batch=batch.message.batch, kind=blame, trial=piece.first + trial, reason=reason[:MAX_TEXT])
+                named = f"simulator {lease.setup.simulator.kind}: {reason}"[:MAX_TEXT]
+                batch.fault = Fault(batch=batch.message.batch, kind=blame, trial=piece.first + trial, reason=named)
                 self._close(lease, batch)
             self._conclude_if_done(lease, batch, now)
         slot.deaths += slot.state == SlotState.PREPARING
@@ -814,7 +815,7 @@ class Slots:
             slot.trial, slot.since = trial, now
         if now - slot.since > timeout_s:
             self._do(Kill(slot.index))
-            self._died(slot, "timeout", trial, f"one trial took longer than {timeout_s:g} s", now)
+            self._died(slot, "timeout", trial, f"one trial took longer than {timeout_s:g} s (cluster.trial_timeout_s)", now)
 
     def _hold(self, lease: Held, batch: Batch, now: float) -> None:
         """Answer a query that was held for long, or of which outcomes are there while slots have nothing to do.

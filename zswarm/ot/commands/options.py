@@ -7,12 +7,22 @@ from typing import Any
 
 import click
 
-from zswarm import experiment
+from zswarm import experiment, screen
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
 
-json_option = click.option("--json", "as_json", is_flag=True, help="JSON on stdout.")
-json_lines_option = click.option("--json", "as_json", is_flag=True, help="JSON on stdout, an object a line.")
+
+def _json_alone(context: click.Context, _: click.Parameter, as_json: bool) -> bool:
+    """Until the command ends."""
+    if as_json and not context.resilient_parsing:
+        context.with_resource(screen.json_alone())
+    return as_json
+
+
+json_option = click.option("--json", "as_json", is_flag=True, callback=_json_alone, help="JSON on stdout.")
+json_lines_option = click.option(
+    "--json", "as_json", is_flag=True, callback=_json_alone, help="JSON on stdout, an object a line."
+)
 set_option = click.option(
     "--set",
     "overrides",
