@@ -210,13 +210,13 @@ def _varied(
             try:
                 simulator = varied.of(int(seeds[alike[0]]))
             except ConfigError as refused:  # an outcome, as whatever a simulator raises
-                error = error or _in_words(varied, seeds[alike[0]], refused)
+                error = error or _in_words(varied.first, seeds[alike[0]], refused)
                 break
             some = alike[played : played + (varied.together if isinstance(simulator, CompiledSimulator) else 1)]
-            begin = time.perf_counter()
+            begin = time.process_time()
             alone = np.zeros(2, np.int64)
             part = _outcomes(simulator, representation, genomes, parameters, participants[some], seeds[some], alone)
-            varied.took(time.perf_counter() - begin)
+            varied.took(time.process_time() - begin)
             fitness[some], metrics[some], error = part.fitness, part.metrics, error or part.error
             played += len(some)
     return Outcomes(fitness, metrics, error)
