@@ -12,7 +12,7 @@ from zswarm import plugins, version_hash
 
 PACKAGE = Path(version_hash.__file__).parent
 # They name, check and refuse; messages.py says how many trials the probe has, which the version of the protocol fixes.
-COMPUTES_NOTHING = {"errors.py", "plugins.py", "strict.py", "version_hash.py", "messages.py"}
+COMPUTES_NOTHING = {"errors.py", "manifests.py", "plugins.py", "strict.py", "version_hash.py", "messages.py"}
 
 
 def imported(file: Path) -> set[Path]:
@@ -177,3 +177,20 @@ def test_another_processor_has_a_cache_of_its_own(
 def test_where_nothing_tells_the_processor_there_is_a_cache_nevertheless(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(version_hash, "CPUINFO", tmp_path / "none")
     assert fresh() == fresh()
+
+
+def test_what_differs_between_two_versions_is_named(copy: Path) -> None:
+    """The parts of which a version hash is, in words of the one that has the first; equal hashes have nothing to name."""
+    before = version_hash.versions("emergency-exit", "fully-meshed")
+    assert version_hash.differing(before, dict(before)) == []
+    for file, told in (
+        ("sims/emergency_exit.py", "other code of simulator emergency-exit"),
+        ("nets/fully_meshed.py", "other code of representation fully-meshed"),
+        ("portable.py", "other code of zswarm"),
+    ):
+        text = (copy / file).read_text()
+        (copy / file).write_text(text + "# a version later\n")
+        forget()
+        assert version_hash.differing(version_hash.versions("emergency-exit", "fully-meshed"), before) == [told]
+        (copy / file).write_text(text)
+    assert version_hash.differing({"numpy": "2.1.0"}, {"numpy": "2.3.0", "jax": "0.9"}) == ["numpy 2.1.0, not 2.3.0", "no jax"]

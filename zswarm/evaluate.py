@@ -11,15 +11,17 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 
-from zswarm import plugins
+from zswarm import plugins, ranges
 from zswarm.draws import Stream, derive_seed
 from zswarm.errors import ConfigError, EvaluationError
 from zswarm.nets.representation import Representation
 from zswarm.protocol.messages import PROBE_GENOMES, PROBE_SEEDS
-from zswarm.sims.simulator import MAX_TURNS, Batch, CompiledSimulator, Outcome, Simulator, Turn
+from zswarm.sims.simulator import MAX_TURNS, Batch, CompiledSimulator, HostingSimulator, Outcome, Simulator, Turn
 from zswarm.strict import convert
+from zswarm.varied import Varied
 
 MAX_ERROR_TEXT = 300
 
@@ -48,18 +50,32 @@ def build(
 ) -> tuple[Simulator, Representation]:
     """A simulator and the representation of its controllers, from names and settings.
 
+    Args:
+        settings: of the simulator; a range in them is drawn from in each trial.
+
     Raises:
         ConfigError: unknown name or impossible settings, or the simulator refused them.
+        EvaluationError: the simulator's program ended.
         MemoryError: there is not enough for it.
     """
     simulator_class = plugins.load("simulator", simulator)
     representation_class = plugins.load("representation", representation)
-    configured = convert(settings, simulator_class.settings_type, "problem.settings")
-    built: Simulator = _construct(f"simulator {simulator!r}", simulator_class, configured)
+
+    def simulator_with(plain: Mapping[str, Any]) -> Simulator:
+        configured = convert(plain, simulator_class.settings_type, "problem.settings")
+        made: Simulator = _construct(f"simulator {simulator!r}", simulator_class, configured)
+        return made
+
+    if ranges.found(settings):
+        built: Simulator = Varied(ranges.complete(settings, simulator_class.settings_type, "problem.settings"), simulator_with)
+    else:
+        built = simulator_with(settings)
     network_settings = convert(representation_settings, representation_class.settings_type, "representation")
     network: Representation = _construct(
         f"representation {representation!r}", representation_class, network_settings, built.inputs, built.outputs
     )
+    if isinstance(built, HostingSimulator) and built.host(representation, msgspec.to_builtins(network_settings)):
+        built.hosted = network
     return built, network
 
 
@@ -90,6 +106,7 @@ def evaluate(
 
     Raises:
         ValueError: a genome does not fit the network, or a shape or index does not fit.
+        EvaluationError: the simulator's program ended in the trial that ``progress[0]`` names.
         MemoryError: there is not enough for the trial that ``progress[0]`` names.
     """
     if participants.shape != (len(seeds), simulator.participants):
@@ -100,6 +117,20 @@ def evaluate(
         return Outcomes(np.empty(participants.shape), np.empty((0, len(simulator.metrics))), "")
     parameters = representation.parameters(genomes)
     progress = np.zeros(2, np.int64) if progress is None else progress
+    if isinstance(simulator, Varied):
+        return _varied(simulator, representation, genomes, parameters, participants, seeds, progress)
+    return _outcomes(simulator, representation, genomes, parameters, participants, seeds, progress)
+
+
+def _outcomes(
+    simulator: Simulator,
+    representation: Representation,
+    genomes: Sequence[bytes],
+    parameters: np.ndarray,
+    participants: np.ndarray,
+    seeds: np.ndarray,
+    progress: np.ndarray,
+) -> Outcomes:
     fitness = np.full(participants.shape, np.nan)
     metrics = np.full((len(seeds), len(simulator.metrics)), np.nan)
     error = ""
@@ -121,6 +152,10 @@ def evaluate(
                 if isinstance(simulator, CompiledSimulator):
                     _play(simulator, representation, _alone(batch, trial))
                     continue
+                if isinstance(simulator, HostingSimulator) and simulator.hosted is representation:
+                    players = [genomes[each] for each in participants[trial]]
+                    play_alone(simulator, players, int(seed), fitness[trial], metrics[trial])
+                    continue
                 play_in_turns(
                     simulator,
                     representation,
@@ -140,6 +175,43 @@ def evaluate(
         error = _in_words(simulator, seeds[trial], BrokenContractError(f"fitness must be finite, not {fitness[trial].tolist()}"))
     fitness[~np.isfinite(fitness)] = np.nan
     metrics[~np.isfinite(metrics)] = np.nan
+    return Outcomes(fitness, metrics, error)
+
+
+def _varied(
+    varied: Varied,
+    representation: Representation,
+    genomes: Sequence[bytes],
+    parameters: np.ndarray,
+    participants: np.ndarray,
+    seeds: np.ndarray,
+    progress: np.ndarray,
+) -> Outcomes:
+    """Trials with the same settings one after another; in a kernel as many at once as take some milliseconds.
+
+    A kernel's start costs as much as a short trial, and some kernels play eight of a batch side by side.
+    """
+    fitness = np.full(participants.shape, np.nan)
+    metrics = np.full((len(seeds), len(varied.metrics)), np.nan)
+    error = ""
+    for alike in varied.alike(seeds.tolist()):
+        played = 0
+        while played < len(alike):
+            progress[0] = alike[played]
+            if progress[1]:
+                return Outcomes(fitness, metrics, error)
+            try:
+                simulator = varied.of(int(seeds[alike[0]]))
+            except ConfigError as refused:  # an outcome, as whatever a simulator raises
+                error = error or _in_words(varied, seeds[alike[0]], refused)
+                break
+            some = alike[played : played + (varied.together if isinstance(simulator, CompiledSimulator) else 1)]
+            begin = time.perf_counter()
+            alone = np.zeros(2, np.int64)
+            part = _outcomes(simulator, representation, genomes, parameters, participants[some], seeds[some], alone)
+            varied.took(time.perf_counter() - begin)
+            fitness[some], metrics[some], error = part.fitness, part.metrics, error or part.error
+            played += len(some)
     return Outcomes(fitness, metrics, error)
 
 
@@ -230,7 +302,23 @@ def play_in_turns(
     """
     for _ in turns(simulator, representation, parameters, seed):
         pass
-    outcome = simulator.outcome()
+    _take(simulator.outcome(), fitness, metrics)
+
+
+def play_alone(
+    simulator: HostingSimulator, genomes: Sequence[bytes], seed: int, fitness: np.ndarray, metrics: np.ndarray
+) -> None:
+    """One trial whose simulator decides for the controllers.
+
+    Args:
+        genomes: of the participants.
+        fitness: (participants,) float64, filled.
+        metrics: (metrics,) float64, filled.
+    """
+    _take(simulator.play_alone(genomes, seed), fitness, metrics)
+
+
+def _take(outcome: Outcome, fitness: np.ndarray, metrics: np.ndarray) -> None:
     if not isinstance(outcome, Outcome):
         raise BrokenContractError(f"outcome must return an Outcome, not {outcome!r:.80}")
     if len(outcome.fitness) != len(fitness) or len(outcome.metrics) != len(metrics):
@@ -248,11 +336,11 @@ def turns(simulator: Simulator, representation: Representation, parameters: np.n
     Args:
         parameters: (participants, P) float32.
     """
-    owners = simulator.owners
-    states = np.zeros((len(owners), representation.state_size), np.float32)
     turn: Turn | None = simulator.reset(seed)
     if turn is None:
         raise BrokenContractError("reset must return a Turn: somebody must act")
+    owners = simulator.owners  # only now: they may differ by trial
+    states = np.zeros((len(owners), representation.state_size), np.float32)
     for _ in range(MAX_TURNS):
         yield turn
         observations = _observations(simulator, turn)

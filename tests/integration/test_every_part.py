@@ -33,6 +33,7 @@ class Problem(NamedTuple):
 
 PROBLEMS = {
     "arena": Problem("arena", 8, "spread", {"robots": 4, "steps": 1500}),
+    "crowds": Problem("emergency-exit", 8, "escaped", {"steps": 1500, "agents": {"from": 5, "to": 15}}),
     "duel": Problem("minisim", 4, "steals", {"steps": 400, "teams": 2, "defenders": 0}),
     "emergency-exit": Problem("emergency-exit", 8, "escaped", {"steps": 1500}),
     "inverted-pendulum": Problem("inverted-pendulum", 8, "upright", {"steps": 2500}),
@@ -92,7 +93,7 @@ ONCE = [  # few pairs of problem and representation: a slot that has played one 
     Parts("duel", "hebbian", "random", "multi-swiss"),
     Parts("xor", "neat", "neat"),
     Parts("arena", "ctrnn", "cmaes"),
-    Parts("emergency-exit", "fully-meshed", "cma-me"),
+    Parts("crowds", "fully-meshed", "cma-me"),  # settings differ by trial
     Parts("emergency-exit", "fully-meshed", "map-elites"),
     Parts("inverted-pendulum", "feed-forward", "pso"),
     Parts("light", "three-layer", "cuckoo"),

@@ -5,12 +5,12 @@ worlds where agents move one after another. Each agent belongs to a participant,
 sees observations and actions only, never the network behind them.
 
 ``Simulator`` is all that a plug-in needs. ``CompiledSimulator`` adds one method that plays whole trials inside a compiled
-kernel; its turns must give the same bits.
+kernel; its turns must give the same bits. ``HostingSimulator`` may play whole trials with networks of its own.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from typing import ClassVar, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, NamedTuple
 
 import msgspec
 import numpy as np
@@ -171,3 +171,21 @@ class CompiledSimulator(Simulator):
             step_lanes: the decision of eight agents, see ``Representation.step_lanes``.
         """
         self.play(step, batch)
+
+
+class HostingSimulator(Simulator):
+    """A simulator that may decide for the controllers itself, as one outside of this process; with the bits of its turns.
+
+    Attributes:
+        hosted: the representation that it decides for, from ``host`` on.
+    """
+
+    hosted: object = None
+
+    @abstractmethod
+    def host(self, kind: str, settings: Mapping[str, Any]) -> bool:
+        """Prepare for controllers of a kind, an experiment's ``[representation]``; whether it decides for them."""
+
+    @abstractmethod
+    def play_alone(self, genomes: Sequence[bytes], seed: int) -> Outcome:
+        """Play a whole trial of the genomes of all participants."""

@@ -27,11 +27,11 @@ from zswarm.protocol import codec, keys
 from zswarm.protocol.messages import MAX_TEXT, Offer, Refused, Requirements, Reserve
 from zswarm.security import keyring, refusals
 from zswarm.session import Reach, keys_in_words
-from zswarm.ss import control, memory, orphans, slots, view
-from zswarm.ss.options import AT_START, Options
+from zswarm.ss import control, facts, limits, memory, orphans, slots, view
+from zswarm.ss.options import AT_START, Options, offered
 from zswarm.ss.presence import Presence, Question
 from zswarm.ss.worker import SAID_WIDTH, Ready, Rest, Worker
-from zswarm.version_hash import version_hash
+from zswarm.version_hash import differing, version_hash, versions
 
 if TYPE_CHECKING:
     from zswarm.ss.metrics import Metrics
@@ -65,20 +65,12 @@ class Server:
         ring = self._reach.keyring
         self.id = keys.new_server_id(options.name or (ring.name if ring else keys.fold(platform.node())))
         self._presence = Presence(options.realm, self.id, self._on_network, private=self._private)
-        self.simulators = options.simulators or plugins.names("simulator")
-        offer = Offer(
-            server=self.id,
-            program=zswarm.__version__,
-            machine=f"{platform.system()} {platform.machine()}",
-            capacity=capacity,
-            free=capacity,
-            leases=0,
-            simulators=self.simulators,
-            representations=plugins.names("representation"),
-        )
-        self.slots = slots.Slots(capacity, offer, self._mismatch, lambda: secrets.token_bytes(16))
+        self.simulators, self.representations = offered(options), plugins.names("representation")
         self.slot_memory_mb = options.slot_memory_mb or memory.per_slot_mb(capacity)
+        self._facts = facts.facts(self.id.rpartition("-")[0], capacity, self.slot_memory_mb)
+        self._limits = limits.read(options.limits, self.simulators, "limits")
         self.workers = [Worker(self.slot_memory_mb) for _ in range(capacity)]
+        self.slots = slots.Slots(capacity, self._offer(), self._mismatch, lambda: secrets.token_bytes(16))
         orphans.adopt()
         self._start_workers()
         self._inbox: deque[Question | slots.Event] = deque()
@@ -90,8 +82,9 @@ class Server:
         self._hashes = {
             (simulator, representation): version_hash(simulator, representation)
             for simulator in self.simulators
-            for representation in offer.representations
+            for representation in self.representations
         }  # of the code as it is now, which the slots run; not of what an upgrade puts there later
+        self._versions = {pair: versions(*pair) for pair in self._hashes}
         self._drain_by = float("inf")
         self._exit: int | None = None
         self._malformed = 0
@@ -126,6 +119,21 @@ class Server:
             self._presence.finish(2.0)
         log.info("server_stopped", server=self.id)
         return self._exit or 0
+
+    def _offer(self) -> Offer:
+        capacity = len(self.workers)
+        return Offer(
+            server=self.id,
+            program=zswarm.__version__,
+            machine=f"{platform.system()} {platform.machine()}",
+            capacity=capacity,
+            free=capacity,
+            leases=0,
+            simulators=self.simulators,
+            representations=self.representations,
+            labels=self._facts | {name: str(value) for name, value in self.options.labels.items()},
+            limits=[str(limit) for limit in self._limits],
+        )
 
     def _find_reach(self, options: Options) -> Reach:
         """How it is reached by the options, with the keys that are installed now.
@@ -242,6 +250,7 @@ class Server:
         try:
             options = self._read_options()
             reach = self._find_reach(options)
+            new_limits = limits.read(options.limits, self.simulators, "limits")
             if (ring := reach.keyring) is not None and ring.name != self.id.rpartition("-")[0]:
                 raise ConfigError(f"the keys are those of {ring.name}, this is {self.id}: start it again")
         except ConfigError as error:
@@ -259,6 +268,8 @@ class Server:
         else:
             kept = {name: getattr(self.options, name) for name in AT_START}
             self.options, self._reach, self._return_at = msgspec.structs.replace(options, **kept), reach, math.inf
+            self._limits = new_limits
+            self.slots.offer = self._offer()
             log.info("reloaded", listen=self._presence.endpoints, keys=keys_in_words(reach))
         self._reloaded()
 
@@ -340,6 +351,10 @@ class Server:
                 trial = worker.trial()
                 worker.kill()
                 return slots.Died(index, trial, body.decode(), "memory")
+            case b"D":
+                trial = worker.trial()
+                worker.kill()
+                return slots.Died(index, trial, codec.clean(body.decode(errors="replace")))
             case _:
                 return slots.Finished(index, body, worn=letter == b"W")
 
@@ -487,10 +502,14 @@ class Server:
         if (simulator, representation) not in self._hashes:
             return f"no representation {representation!r} here"
         if self._hashes[simulator, representation] != asked.version_hash:
+            told = asked.versions if isinstance(asked, Requirements) else {}
+            if parts := differing(self._versions[simulator, representation], told):
+                return f"another version is installed here: {'; '.join(parts)}"[:MAX_TEXT]
             return f"another version of {simulator}, {representation}, zswarm or numba is installed here"
         if asked.trial_memory_mb > self.slot_memory_mb:
             return f"a slot here has {self.slot_memory_mb} MB, the run asks for {asked.trial_memory_mb}"
-        return ""
+        settings = asked.simulator.settings if isinstance(asked, Reserve) else asked.settings
+        return limits.broken(self._limits, simulator, settings)
 
     def _close_workers(self) -> None:
         for worker in self.workers:

@@ -3,8 +3,8 @@
 Children are forked from a fork server that has numba loaded and never touched zenoh. A frame on the pipe is one letter and
 a body: ``P`` prepare with the probe, ``Q`` prepare without, ``E`` evaluate; back come ``H`` here (once, when the process is
 warm), ``R`` ready, ``F`` failed, ``O`` done, ``W`` done and worn (little memory is left), ``X`` exhausted (no memory is left
-for the rest of the batch), and ``M`` (one trial, or preparing, took all memory). A child ends when its pipe closes, and is
-killed when the fork server ends.
+for the rest of the batch), ``M`` (one trial, or preparing, took all memory), and ``D`` (the program of a foreign simulator
+ended in a trial, or in preparing; with the reason). A child ends when its pipe closes, and is killed when the fork server ends.
 
 What a simulator writes to stdout and stderr goes into a second pipe, of which the server logs the first lines and keeps the last.
 A child leads a session of its own, and no process that it starts has its pipe: so it is over when the child ends.
@@ -35,7 +35,7 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from zswarm.errors import ConfigError, RemoteProtocolError
+from zswarm.errors import ConfigError, EvaluationError, RemoteProtocolError
 from zswarm.protocol import codec
 from zswarm.protocol.messages import Evaluate, Outcomes, Refused, Reserve
 from zswarm.ss import memory
@@ -362,6 +362,8 @@ def main(pipe: Connection, shared: object, memory_mb: int, saying: Connection) -
             except (MemoryError, OutOfMemoryError):
                 memory.lift()
                 pipe.send_bytes(b"M" + too_much)
+            except EvaluationError as error:
+                pipe.send_bytes(b"D" + str(error).encode(errors="backslashreplace"))
             except (ConfigError, RemoteProtocolError) as error:
                 pipe.send_bytes(b"F" + str(error).encode(errors="backslashreplace"))
 

@@ -56,6 +56,19 @@ CLUSTER = [
         default=None,
         help="Reach all servers through a router: one named by --connect, or found by multicast.",
     ),
+    click.option(
+        "--require",
+        multiple=True,
+        metavar="LABEL=VALUE",
+        help="What servers must be, such as gpu=yes, room=b12|b13, name!=lab-3 or cores>=8; may be repeated.",
+    ),
+    click.option(
+        "--rank",
+        multiple=True,
+        metavar="LABEL",
+        help="Servers to prefer: gpu=yes, or cores for the higher number, -cores for the lower; may be repeated.",
+    ),
+    click.option("--max-slots", type=int, metavar="N", help="Slots to hold at the same time, at most; 0: all there are."),
 ]
 
 LOOKING = [
@@ -126,8 +139,7 @@ def with_cluster(loaded: Experiment, given: dict[str, Any]) -> Experiment:
         ConfigError: an impossible one.
     """
     changes = {key: value for key, value in given.items() if value not in (None, ())}
-    if "connect" in changes:
-        changes["connect"] = list(changes["connect"])
+    changes = {key: list(value) if isinstance(value, tuple) else value for key, value in changes.items()}
     if (text := changes.get("servers", "auto")) not in ("auto", "local"):
         if not text.isdigit() or int(text) < 1:
             raise ConfigError(f"--servers {text}: expected auto, local or a number of servers")
