@@ -412,7 +412,7 @@ def test_settings_that_are_refused_between_the_ends_are_an_outcome() -> None:
     outcomes = evaluate(varied, NETWORK, NETWORK.random(1, Stream(1)), np.zeros((30, 1), int), np.arange(30, dtype=np.uint64))
     numbers = [drawn({"robots": {"from": 6, "to": 8}}, seed)["robots"] for seed in range(30)]
     assert np.isnan(outcomes.fitness[:, 0]).tolist() == [number == 7 for number in numbers]
-    assert outcomes.error == "ConfigError: seven robots do not fit (with robots = 7)"
+    assert outcomes.error == f"Herd, trial seed {numbers.index(7)}: ConfigError: seven robots do not fit (with robots = 7)"
 
 
 def test_some_combinations_of_many_ranges_are_tried() -> None:

@@ -203,7 +203,7 @@ def _varied(
             try:
                 simulator = varied.of(int(seeds[alike[0]]))
             except ConfigError as refused:  # an outcome, as whatever a simulator raises
-                error = error or _in_words(varied, seeds[alike[0]], refused)
+                error = error or _in_words(varied.first, seeds[alike[0]], refused)
                 break
             some = alike[played : played + (varied.together if isinstance(simulator, CompiledSimulator) else 1)]
             begin = time.perf_counter()
