@@ -60,23 +60,30 @@ def build(
     """
     simulator_class = plugins.load("simulator", simulator)
     representation_class = plugins.load("representation", representation)
+    network: Representation | None = None  # until a first simulator says how many inputs it has
 
     def simulator_with(plain: Mapping[str, Any]) -> Simulator:
         configured = convert(plain, simulator_class.settings_type, "problem.settings")
         made: Simulator = _construct(f"simulator {simulator!r}", simulator_class, configured)
-        return made
+        return made if network is None else _hosting(made, network, representation)
 
     if ranges.found(settings):
         built: Simulator = Varied(ranges.complete(settings, simulator_class.settings_type, "problem.settings"), simulator_with)
     else:
         built = simulator_with(settings)
     network_settings = convert(representation_settings, representation_class.settings_type, "representation")
-    network: Representation = _construct(
+    network = _construct(
         f"representation {representation!r}", representation_class, network_settings, built.inputs, built.outputs
     )
-    if isinstance(built, HostingSimulator) and built.host(representation, msgspec.to_builtins(network_settings)):
-        built.hosted = network
-    return built, network
+    assert network is not None  # noqa: S101  it was constructed
+    return _hosting(built, network, representation), network
+
+
+def _hosting(simulator: Simulator, network: Representation, kind: str) -> Simulator:
+    """A simulator that decides for the network itself if it can."""
+    if isinstance(simulator, HostingSimulator) and simulator.host(kind, msgspec.to_builtins(network.settings)):
+        simulator.hosted = network
+    return simulator
 
 
 def _construct(what: str, loaded: Any, *arguments: Any) -> Any:
