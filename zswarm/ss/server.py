@@ -317,7 +317,7 @@ class Server:
         """End processes that simulators left behind: of slots whose process ended, and of those that no run holds."""
         for slot, worker in zip(self.slots.slots, self.workers, strict=True):
             if slot.state == slots.SlotState.FREE and worker.session and orphans.children(worker.session):
-                log.warning("slot_renewed", slot=slot.index, reason="its simulator left processes behind")
+                log.info("slot_renewed", slot=slot.index, reason="processes of its simulator go on")
                 worker.kill()
         rest = orphans.end({worker.session for worker in self.workers if worker.session})
         self._left_behind = bool(rest)
