@@ -144,6 +144,25 @@ def test_every_module_that_computes_for_a_part_is_hashed(kind: plugins.Kind) -> 
         assert {file for file in needed - shared - own if file.name not in COMPUTES_NOTHING} == set()
 
 
+@pytest.mark.parametrize(("simulator", "same"), [("turtlebot-exit", False), ("emergency-exit", True)])
+def test_what_a_library_plays_is_of_another_version_on_another_architecture(
+    simulator: str, same: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hashes = []
+    for machine in ("x86_64", "aarch64"):
+        monkeypatch.setattr(version_hash.platform, "machine", lambda machine=machine: machine)
+        forget()
+        hashes.append(version_hash.version_hash(simulator, "fully-meshed"))
+    assert (hashes[0] == hashes[1]) == same
+
+
+def test_every_simulator_that_imports_a_library_of_its_own_is_listed_as_one_that_this_plays() -> None:
+    """Of those bundled."""
+    for name in plugins.BUNDLED["simulator"]:
+        text = "".join(file.read_text() for file in plugins.source_files("simulator", name))
+        assert ("import pymunk" in text) == (("simulator", name) in plugins.NATIVE), name
+
+
 X86 = "processor\t: 0\nvendor_id\t: GenuineIntel\nmodel\t\t: 207\ncpu MHz\t\t: 2100.000\nflags\t\t: fpu avx2\n"
 ARM = "processor\t: 0\nBogoMIPS\t: 50.00\nFeatures\t: fp asimd\nCPU part\t: 0xd0c\n"
 

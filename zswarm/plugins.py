@@ -21,12 +21,15 @@ Kind = Literal["simulator", "representation", "optimizer", "ranking"]
 BUNDLED: dict[Kind, dict[str, str]] = {
     "simulator": {
         "arena": "zswarm.sims.arena:Arena",
+        "box-pushing": "zswarm.sims.box_pushing:BoxPushing",
         "emergency-exit": "zswarm.sims.emergency_exit:EmergencyExit",
+        "foraging-physical": "zswarm.sims.foraging_physical:ForagingPhysical",
         "inverted-pendulum": "zswarm.sims.inverted_pendulum:InvertedPendulum",
         "light": "zswarm.sims.light:Light",
         "maze": "zswarm.sims.maze:Maze",
         "minisim": "zswarm.sims.minisim:Minisim",
         "simplified-emergency-exit": "zswarm.sims.simplified_emergency_exit:SimplifiedEmergencyExit",
+        "turtlebot-exit": "zswarm.sims.turtlebot_exit:TurtlebotExit",
         "xor": "zswarm.sims.xor:XOR",
     },
     "representation": {
@@ -60,6 +63,9 @@ BUNDLED: dict[Kind, dict[str, str]] = {
     },
 }
 COMPOSED = {("representation", "bulk")}  # made of other bundled parts of their kind, which settings name
+ON_PYMUNK = ("box-pushing", "foraging-physical", "turtlebot-exit")
+WORLDS = {("simulator", name): "zswarm.sims.robot_world" for name in ON_PYMUNK}  # modules that bundled parts share
+NATIVE = {("simulator", name) for name in ON_PYMUNK}  # played by a library's machine code, with the bits of an architecture
 
 
 @cache
@@ -100,13 +106,16 @@ def nearest(word: str, known: Any) -> str:
 def source_files(kind: Kind, name: str) -> list[Path]:
     """The Python files whose change can change what a part computes, without importing it.
 
-    For a bundled part its own module and those beside it whose names begin with its name (``arena_world.py``), and for a composed
-    one those of all that it may be made of; for a plug-in every file of its top-level package.
+    For a bundled part its own module and those beside it whose names begin with its name (``arena_world.py``), with that of its
+    world if others share that, and for a composed one those of all that it may be made of; for a plug-in every file of its
+    top-level package.
     """
     if name not in BUNDLED[kind]:
         return list(_package_files(_installed(kind)[name].module.split(".")[0]))
     names = BUNDLED[kind] if (kind, name) in COMPOSED else [name]
-    return sorted({file for part in names for file in _bundled_files(BUNDLED[kind][part].partition(":")[0])})
+    modules = [BUNDLED[kind][part].partition(":")[0] for part in names]
+    modules += [WORLDS[kind, name]] if (kind, name) in WORLDS else []
+    return sorted({file for module in modules for file in _bundled_files(module)})
 
 
 def plugin_files() -> list[Path]:

@@ -1,7 +1,8 @@
 """The version hash: two machines compute the same only if the code that computes is the same.
 
 It covers the shared files, the simulator, the representation, and the versions of the libraries that turn them into
-machine code. Servers whose hash differs from the optimizer's are named and not used.
+machine code; where a library itself plays trials (``plugins.NATIVE``), the processor's architecture, too. Servers whose hash
+differs from the optimizer's are named and not used.
 
 The cache hash names the folder of the compiled kernels. It covers all code that may be compiled, and the processor: a home
 folder may be shared by machines of unlike processors. numba does tell them apart in one folder, but two that compile at the same
@@ -33,8 +34,9 @@ SHARED = (
 @cache
 def version_hash(simulator: str, representation: str) -> str:
     """32 hex digits for the code behind a simulator and a representation, by name."""
-    files = [*plugins.source_files("simulator", simulator), *plugins.source_files("representation", representation)]
-    return digest(files)
+    parts: tuple[tuple[plugins.Kind, str], ...] = (("simulator", simulator), ("representation", representation))
+    files = [file for kind, name in parts for file in plugins.source_files(kind, name)]
+    return digest(files, platform.machine() if plugins.NATIVE.intersection(parts) else "")
 
 
 @cache
