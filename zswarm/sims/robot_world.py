@@ -146,16 +146,16 @@ class RobotWorld:
         """Let ``step_s`` pass.
 
         Args:
-            linear: (robots,) float64, m/s ahead; those of robots that were taken out are not looked at.
-            angular: (robots,) float64, rad/s counter-clockwise.
+            linear: (robots,) float64, m/s ahead, cut to what robots can; not looked at for those that were taken out.
+            angular: (robots,) float64, rad/s counter-clockwise, likewise.
         """
         settings, space = self.settings, self._space
         duration_s = settings.step_s / settings.substeps
         WRITE_BUFFER.set_float_buf(self._forces)
         for _ in range(settings.substeps):
             push(
-                self._rows, self.inside, linear, angular, settings.mass, self._moment, settings.force,
-                settings.force * settings.radius * TRACK, duration_s, self._forces,
+                self._rows, self.inside, linear, angular, settings.speed, settings.turn, settings.mass, self._moment,
+                settings.force, settings.force * settings.radius * TRACK, duration_s, self._forces,
             )  # fmt: skip
             batch.set_space_bodies(space, WRITTEN, WRITE_BUFFER)
             space.step(duration_s)
@@ -245,7 +245,6 @@ class RobotWorld:
     def _move_outside(self, row: int) -> None:
         body = self._bodies[row]
         body.position, body.velocity, body.angular_velocity = (OUTSIDE + 10 * row, OUTSIDE), (0, 0), 0
-        self._rows[row] = 0
 
     def _look(self) -> None:
         things = self._rows[self.settings.robots :]
@@ -336,8 +335,10 @@ def to_rectangle(left, low, right, high, per_x, per_y, most):  # type: ignore[no
 GRID, TABLE = array(float64), array(float64, 2)
 
 
-@kernel(void(TABLE, array(int64), GRID, GRID, float64, float64, float64, float64, float64, TABLE))
-def push(rows, inside, linear, angular, mass, moment, force, torque, duration_s, forces):  # type: ignore[no-untyped-def]  # compiled
+@kernel(void(TABLE, array(int64), GRID, GRID, float64, float64, float64, float64, float64, float64, float64, TABLE))
+def push(  # type: ignore[no-untyped-def]  # compiled
+    rows, inside, linear, angular, speed, turn, mass, moment, force, torque, duration_s, forces
+):
     """What the wheels do in a step of the physics: as much as is needed for the wanted velocity, at most what they can.
 
     Args:
@@ -348,13 +349,14 @@ def push(rows, inside, linear, angular, mass, moment, force, torque, duration_s,
         forces[robot, 0], forces[robot, 1], forces[robot, 2] = 0.0, 0.0, 0.0
         if inside[robot] == 0:
             continue
-        towards = rows[robot, ANGLE] + 0.5 * angular[robot] * duration_s  # the middle of the arc
-        along, aside = linear[robot] * cos(towards), linear[robot] * sin(towards)
+        ahead, around = max(min(linear[robot], speed), -speed), max(min(angular[robot], turn), -turn)
+        towards = rows[robot, ANGLE] + 0.5 * around * duration_s  # the middle of the arc
+        along, aside = ahead * cos(towards), ahead * sin(towards)
         x, y = (along - rows[robot, SPEED_X]) * mass / duration_s, (aside - rows[robot, SPEED_Y]) * mass / duration_s
         size = np.sqrt(x * x + y * y)
         if size > force:
             x, y = x * (force / size), y * (force / size)
-        turning = (angular[robot] - rows[robot, TURNING]) * moment / duration_s
+        turning = (around - rows[robot, TURNING]) * moment / duration_s
         forces[robot, 0], forces[robot, 1], forces[robot, 2] = x, y, max(min(turning, torque), -torque)
 
 
