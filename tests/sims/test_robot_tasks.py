@@ -125,7 +125,7 @@ def test_a_held_puck_is_carried_home_and_is_nobody_elses() -> None:
         ("turtlebot-exit", {"mass": 0.0}, "problem.settings: mass: "),
         ("box-pushing", {"box": 3.0}, "box-pushing: a box of side 3 does not turn freely in a room of side 5"),
         ("box-pushing", {"goal": 4.0}, "box-pushing: goal 4 must be between half of the box and .55 side, 0.3 and 2.75"),
-        ("box-pushing", {"robots": 150}, "box-pushing: 152 robots beside the box of radius 0.177 do not fit"),
+        ("box-pushing", {"robots": 150}, "box-pushing: 156 robots beside the box of radius 0.177 do not fit"),
         ("foraging-physical", {"pucks": 100}, "foraging-physical: 100 pucks of radius 0.1 do not fit in the"),
         ("foraging-physical", {"nest": 0.15}, "foraging-physical: a puck of radius 0.1 does not fit in a nest 0.15 wide"),
         ("foraging-physical", {"nest": 3.9}, "foraging-physical: pucks of radius 0.1 do not fit in the room"),

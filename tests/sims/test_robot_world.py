@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from zswarm.sims.robot_world import GRAVITY, Area, RobotSettings, RobotWorld, Thing, commands
+from zswarm.sims.robot_world import GRAVITY, Area, RobotSettings, RobotWorld, Thing, command
 
 ROOM: Area = (0.0, 0.0, 10.0, 10.0)
 
@@ -14,6 +14,7 @@ def world(
     *poses: tuple[float, float, float], walls: Sequence[Area] = (), things: Sequence[tuple[Thing, tuple]] = (), **settings
 ) -> RobotWorld:
     """Robots at (x, y, angle)."""
+    settings = {"step_s": 0.1, "substeps": 2, **settings}
     built = RobotWorld(RobotSettings(robots=len(poses), **settings), ROOM, walls, [thing for thing, _ in things])
     built.start(np.array(poses), np.array([pose for _, pose in things]).reshape(-1, 3))
     return built
@@ -49,21 +50,24 @@ def test_a_robot_drives_in_circles_of_speed_over_turning_speed() -> None:
 
 
 def test_motors_speed_up_with_their_force_and_no_more() -> None:
-    built = world((2, 5, 0), mass=10.0, force=5.0, step_s=0.1, substeps=10)
+    built = world((2, 5, 0), mass=10.0, force=5.0, speed=1.0, step_s=0.1, substeps=10)
     seen = drive(built, [1.0], [0], 30)[:, 0, 0]
     speeds = np.diff(seen) / 0.1
     np.testing.assert_allclose(np.diff(speeds[:15]) / 0.1, 0.5, rtol=1e-6)  # 5 N on 10 kg
     np.testing.assert_allclose(speeds[-5:], 1.0, rtol=1e-9)
 
 
-def test_what_is_no_number_stops_a_robot_or_is_the_lowest_command() -> None:
-    settings = RobotSettings(robots=4)
+def test_what_controllers_decide_is_cut_to_what_robots_can() -> None:
     actions = np.array([[np.nan, 0.5], [7, -3], [np.inf, -np.inf], [0.5, 0.75]], np.float32)
-    linear, angular = commands(actions, range(4), settings)
-    assert linear.tolist() == [-0.65, 0.65, 0.65, 0]
-    assert angular.tolist() == [0, -3.14, -3.14, 1.57]
-    linear, _ = commands(actions[3:], [1], settings)
-    assert linear.tolist() == [0, 0, 0, 0]
+    linear, angular = np.full(5, 9.0), np.full(5, 9.0)
+    command(actions, np.array([0, 1, 2, 4]), 0.65, 3.14, linear, angular)
+    assert linear.tolist() == [-0.65, 0.65, 0.65, 9, 0]
+    assert angular.tolist() == [0, -3.14, -3.14, 9, 1.57]
+
+
+def test_a_driver_cuts_commands_too() -> None:
+    built, other = world((2, 5, 0)), world((2, 5, 0))
+    assert drive(built, [7], [-50], 9).tobytes() == drive(other, [0.65], [-3.14], 9).tobytes()
 
 
 # ---- contacts ------------------------------------------------------------------------------------------------------
@@ -89,14 +93,14 @@ def test_restitution_is_the_share_of_speed_after_a_bump() -> None:
 @pytest.mark.parametrize(("robots", "moves"), [(1, False), (2, True)])
 @pytest.mark.parametrize("is_box", [True, False])
 def test_the_ground_holds_a_heavy_thing_against_one_robot_but_not_two(robots: int, moves: bool, is_box: bool) -> None:
-    """15 N each, against 24.5 N."""
+    """15 N each, against 24.5 N; a thing gives way by less than the overlap that bodies may have."""
     thing = Thing("it", 0.4, 10.0, 0.25, is_box)
-    poses = [(4.2, 5 + 0.19 * (2 * robot - robots + 1), 0.0) for robot in range(robots)]
+    poses = [(4.42, 5 + 0.19 * (2 * robot - robots + 1), 0.0) for robot in range(robots)]  # they touch it
     built = world(*poses, things=[(thing, (5.0, 5.0, 0.0))], friction=0.0)
     drive(built, [0.65] * robots, [0] * robots, 50)
     moved = built.things[0, 0] - 5
-    assert (moved > 0.5) == moves
-    assert moves or abs(moved) < 0.001
+    assert (moved > 0.3) == moves
+    assert moves or abs(moved) < 0.003
 
 
 def test_what_slides_is_stopped_by_friction_with_the_ground() -> None:

@@ -17,7 +17,6 @@ from zswarm.sims.robot_world import (
     RobotWorld,
     Thing,
     bearings,
-    commands,
     require_room,
     sectors,
     shrunk,
@@ -31,7 +30,7 @@ DIAGONAL = 1.4142135623730951
 class Settings(RobotSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of ``[problem.settings]``."""
 
-    steps: Annotated[int, Meta(ge=1, le=1_000_000, description="steps of a trial")] = 400
+    steps: Annotated[int, Meta(ge=1, le=1_000_000, description="steps of a trial")] = 200
     robots: Annotated[int, Meta(ge=1, le=200, description="robots")] = 6
     side: Annotated[Metres, Meta(description="m, of the square room")] = 5.0
     goal: Annotated[Metres, Meta(description="m, how wide the goal along the right wall is")] = 1.0
@@ -52,7 +51,7 @@ class BoxPushing(Simulator):
 
     Observation: (13,) float32. 0-7: how near something is in each eighth of the laser's view, from the right to the left: 1 -
         shortest range / ``range``. 8-9: direction of the box's middle, a unit vector: ahead, to the left; 10: how near it is: 1 -
-        distance / ``range``, at least 0. 11-12: the direction of x, where the goal is, ahead and to the left.
+        distance / ``range``; zeros beyond. 11-12: the direction of x, where the goal is, ahead and to the left.
     Action: (2,) float32 drive, turn: ``speed`` (2 drive - 1) m/s ahead and ``turn`` (2 turn - 1) rad/s to the left, each cut to
         0..1.
     Turns: all robots at once, every ``step_s``.
@@ -90,6 +89,7 @@ class BoxPushing(Simulator):
         box = Thing("box", half, settings.box_mass, settings.box_grip, is_box=True)
         self._world = RobotWorld(settings, room, [], [box])
         self._goal = side - settings.goal
+        self._agents, self._none_gone = np.arange(settings.robots), np.zeros(1, np.int64)
         self._distances, self._nearest = np.zeros(settings.robots), np.zeros(settings.robots, np.int64)
 
     def reset(self, seed: int) -> Turn:
@@ -105,7 +105,7 @@ class BoxPushing(Simulator):
 
     def step(self, actions: np.ndarray) -> Turn | None:
         """Drive and push."""
-        self._world.drive(*commands(actions, range(self.settings.robots), self.settings))
+        self._world.obey(actions, self._agents)
         self._steps += 1
         return None if self._reached() or self._steps == self.settings.steps else self._turn()
 
@@ -130,9 +130,8 @@ class BoxPushing(Simulator):
         observations = np.empty((robots, self.inputs), np.float32)
         sectors(world.ranges, np.float32(reach), observations)
         bearings(
-            world.poses, world.headings, np.ascontiguousarray(world.things[:, :2]), SECTORS, observations, self._distances,
+            world.poses, world.headings, world.things, self._none_gone, reach, SECTORS, observations, self._distances,
             self._nearest,
         )  # fmt: skip
-        observations[:, SECTORS + 2] = np.maximum(1.0 - self._distances / reach, 0.0)
         observations[:, SECTORS + 3], observations[:, SECTORS + 4] = world.headings[:, 0], -world.headings[:, 1]
         return Turn(range(robots), observations)

@@ -16,7 +16,6 @@ from zswarm.sims.robot_world import (
     RobotWorld,
     Thing,
     bearings,
-    commands,
     require_room,
     sectors,
     shrunk,
@@ -26,13 +25,14 @@ from zswarm.sims.simulator import Frame, Outcome, Place, Simulator, Turn
 
 FROM_WALLS = 0.3  # m at least, between a puck's rim and a wall at the start: room for a robot behind it
 NEAR = 0.02  # m between a robot and a puck that it can take
+FREE, HELD, DELIVERED = range(3)
 BEFORE = 0.8  # of a unit vector's length: a puck is before a robot
 
 
 class Settings(RobotSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of ``[problem.settings]``."""
 
-    steps: Annotated[int, Meta(ge=1, le=1_000_000, description="steps of a trial")] = 400
+    steps: Annotated[int, Meta(ge=1, le=1_000_000, description="steps of a trial")] = 200
     robots: Annotated[int, Meta(ge=1, le=200, description="robots")] = 5
     side: Annotated[Metres, Meta(description="m, of the square room")] = 4.0
     nest: Annotated[Metres, Meta(description="m, how wide the nest along the left wall is")] = 0.8
@@ -98,8 +98,9 @@ class ForagingPhysical(Simulator):
         self.inputs = len(self.sensors)
         puck = Thing("puck", settings.puck, settings.puck_mass, settings.puck_grip, is_box=False)
         self._world = RobotWorld(settings, room, [], [puck] * settings.pucks)
+        self._agents = np.arange(settings.robots)
         self._distances, self._nearest = np.zeros(settings.robots), np.zeros(settings.robots, np.int64)
-        self._delivered, self._held = np.zeros(settings.pucks, np.bool_), np.zeros(settings.pucks, np.bool_)
+        self._gone = np.zeros(settings.pucks, np.int64)
         self._holds = np.full(settings.robots, -1, np.int64)  # which puck
 
     def reset(self, seed: int) -> Turn:
@@ -110,20 +111,21 @@ class ForagingPhysical(Simulator):
         robots = strew(stream, settings.robots, settings.radius, self._area, taken)
         self._world.start(np.array(robots), np.array(pucks))
         self._from, self._steps = self._world.things[:, 0].copy(), 0
-        self._delivered[:], self._held[:], self._holds[:] = False, False, -1
+        self._gone[:], self._holds[:] = FREE, -1
         return self._turn()
 
     def step(self, actions: np.ndarray) -> Turn | None:
         """Drive; then pucks are delivered."""
-        self._world.drive(*commands(actions, range(self.settings.robots), self.settings))
+        self._world.obey(actions, self._agents)
         self._steps += 1
-        for puck in np.flatnonzero((self._world.things[:, 0] < self.settings.nest) & ~self._delivered).tolist():
-            for robot in np.flatnonzero(self._holds == puck).tolist():
-                self._world.let_go(robot)
-                self._holds[robot], self._held[puck] = -1, False
-            self._world.take_out_thing(puck)
-            self._delivered[puck] = True
-        if self._delivered.all() or self._steps == self.settings.steps:
+        for puck, (x, gone) in enumerate(zip(self._world.things[:, 0].tolist(), self._gone.tolist(), strict=True)):
+            if x < self.settings.nest and gone != DELIVERED:
+                for robot in np.flatnonzero(self._holds == puck).tolist():
+                    self._world.let_go(robot)
+                    self._holds[robot] = -1
+                self._world.take_out_thing(puck)
+                self._gone[puck] = DELIVERED
+        if self._count() == self.settings.pucks or self._steps == self.settings.steps:
             return None
         turn = self._turn()
         return self._turn() if self._carry and self._take(turn.observations) else turn
@@ -131,41 +133,40 @@ class ForagingPhysical(Simulator):
     def outcome(self) -> Outcome:
         """Fitness and metrics of the trial that ended."""
         share = (self._from - self._world.things[:, 0]) / (self._from - self.settings.nest)
-        way = sum(np.where(self._delivered, 1.0, share).tolist()) / self.settings.pucks
+        way = sum(np.where(self._gone == DELIVERED, 1.0, share).tolist()) / self.settings.pucks
         unused = (self.settings.steps - self._steps) / self.settings.steps
-        delivered = self._delivered.tolist().count(True)
+        delivered = self._count()
         fitness = 1.0 + unused if delivered == self.settings.pucks else way
         return Outcome([fitness], [delivered, way, self._steps * self.settings.step_s])
 
     def frame(self) -> Frame:
         """The room with the nest, robots and pucks; those delivered are shown where they came in."""
         robots = ["robot" if puck < 0 else "robot with a puck" for puck in self._holds.tolist()]
-        pucks = ["puck in the nest" if delivered else "puck" for delivered in self._delivered.tolist()]
+        pucks = ["puck in the nest" if delivered else "puck" for delivered in (self._gone == DELIVERED).tolist()]
         return self._world.frame([Place("nest", 0.0, 0.0, self.settings.nest, self.settings.side)], robots, pucks)
+
+    def _count(self) -> int:
+        """Pucks that were delivered."""
+        return self._gone.tolist().count(DELIVERED)
 
     def _take(self, observations: np.ndarray) -> bool:
         """Who has a puck at its front holds it from now on; whether anybody took one."""
         touching = self._distances < self.settings.radius + self.settings.puck + NEAR
         takes = np.flatnonzero(touching & (self._holds < 0) & (observations[:, SECTORS] > BEFORE)).tolist()
         for robot in takes:
-            puck = self._nearest_free[robot]
-            if not self._held[puck]:  # by one before in this step
+            puck = int(self._nearest[robot])
+            if self._gone[puck] == FREE:  # else one before took it in this step
                 self._world.hold(robot, puck)
-                self._holds[robot], self._held[puck] = puck, True
+                self._holds[robot], self._gone[puck] = puck, HELD
         return bool(takes)
 
     def _turn(self) -> Turn:
         robots, reach, world = self.settings.robots, self.settings.range, self._world
         observations = np.empty((robots, self.inputs), np.float32)
         sectors(world.ranges, np.float32(reach), observations)
-        free = np.flatnonzero(~(self._delivered | self._held))
         bearings(
-            world.poses, world.headings, np.ascontiguousarray(world.things[free, :2]), SECTORS, observations, self._distances,
-            self._nearest,
+            world.poses, world.headings, world.things, self._gone, reach, SECTORS, observations, self._distances, self._nearest
         )  # fmt: skip
-        self._nearest_free = [int(free[nearest]) if nearest >= 0 else -1 for nearest in self._nearest.tolist()]
-        observations[:, SECTORS + 2] = np.maximum(1.0 - self._distances / reach, 0.0)
-        observations[self._distances > reach, SECTORS : SECTORS + 2] = 0
         observations[:, SECTORS + 3], observations[:, SECTORS + 4] = -world.headings[:, 0], world.headings[:, 1]
         if self._carry:
             observations[:, SECTORS + 5] = self._holds >= 0

@@ -35,7 +35,7 @@ SCAN = tuple(f"scan_{sector}" for sector in range(SECTORS))  # from the right to
 ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
 STEEP = 1e12  # in place of 1 / 0
 
-# ``bodies``: float64, a row for each robot, then for each thing.
+# ``rows``: float64, one for each robot, then for each thing, then for the ground.
 X, Y, ANGLE, SPEED_X, SPEED_Y, TURNING = range(6)
 READ = BodyFields.POSITION | BodyFields.ANGLE | BodyFields.VELOCITY | BodyFields.ANGULAR_VELOCITY
 WRITTEN = BodyFields.FORCE | BodyFields.TORQUE
@@ -50,9 +50,9 @@ Metres = Annotated[float, Meta(ge=1e-3, le=1e3)]
 class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of ``[problem.settings]`` that all simulators in this world have; the defaults are a TurtleBot 2's."""
 
-    steps: Annotated[int, Meta(ge=1, le=1_000_000, description="steps of a trial")] = 200
-    step_s: Annotated[float, Meta(ge=1e-3, le=10, description="s of a step: robots decide once in each")] = 0.1
-    substeps: Annotated[int, Meta(ge=1, le=1_000, description="steps of the physics in a step")] = 2
+    steps: Annotated[int, Meta(ge=1, le=1_000_000, description="steps of a trial")] = 150
+    step_s: Annotated[float, Meta(ge=1e-3, le=10, description="s of a step: robots decide once in each")] = 0.2
+    substeps: Annotated[int, Meta(ge=1, le=1_000, description="steps of the physics in a step")] = 4
     robots: Annotated[int, Meta(ge=1, le=200, description="robots")] = 8
     radius: Annotated[Metres, Meta(description="m, of a robot")] = 0.177
     mass: Annotated[float, Meta(ge=1e-3, le=1e4, description="kg, of a robot")] = 6.3
@@ -108,8 +108,9 @@ class RobotWorld:
         self._rays = np.array([[cos(angle), sin(angle)] for angle in angles])
         self._moment = 0.5 * settings.mass * settings.radius * settings.radius  # kg m^2, of a disc
         robots = settings.robots
-        self._rows = np.zeros((robots + len(things), 6))
-        self._forces = np.zeros((robots + len(things), 3))
+        self._rows = np.zeros((robots + len(things) + 1, 6))
+        self._forces = np.zeros((robots + len(things) + 1, 3))
+        self._linear, self._angular = np.zeros(robots), np.zeros(robots)
         self.inside = np.ones(robots, np.int64)
         self.poses, self.headings = np.zeros((robots, 3)), np.zeros((robots, 2))
         self.ranges = np.zeros((robots, settings.rays), np.float32)
@@ -136,10 +137,11 @@ class RobotWorld:
             self._touching(pymunk.Circle(body, settings.radius))
         for thing, pose in zip(self._of, things.tolist(), strict=True):
             self._put(thing, pose)
+        self._linear[:] = self._angular[:] = 0
         self.inside[:] = 1
         self._rows[:] = 0
         self._rows[: settings.robots, : ANGLE + 1] = poses
-        self._rows[settings.robots :, : ANGLE + 1] = things
+        self._rows[settings.robots : -1, : ANGLE + 1] = things
         self._look()
 
     def drive(self, linear: np.ndarray, angular: np.ndarray) -> None:
@@ -161,8 +163,18 @@ class RobotWorld:
             space.step(duration_s)
             READ_BUFFER.clear()
             batch.get_space_bodies(space, READ, READ_BUFFER)
-            self._rows[:] = np.frombuffer(READ_BUFFER.float_buf()).reshape(self._rows.shape)
+            self._rows.ravel()[:] = np.frombuffer(READ_BUFFER.float_buf())
         self._look()
+
+    def obey(self, actions: np.ndarray, agents: np.ndarray) -> None:
+        """Let ``step_s`` pass while robots do what they decided.
+
+        Args:
+            actions: (agents, 2) float32: drive, turn; 0 full speed back or to the right, .5 none, 1 ahead or to the left.
+            agents: (agents,) int64, which robots these are; the others do as before.
+        """
+        command(np.ascontiguousarray(actions), agents, self.settings.speed, self.settings.turn, self._linear, self._angular)
+        self.drive(self._linear, self._angular)
 
     def hold(self, robot: int, thing: int) -> None:
         """A robot holds a disc at its front from now on."""
@@ -247,7 +259,7 @@ class RobotWorld:
         body.position, body.velocity, body.angular_velocity = (OUTSIDE + 10 * row, OUTSIDE), (0, 0), 0
 
     def _look(self) -> None:
-        things = self._rows[self.settings.robots :]
+        things = self._rows[self.settings.robots : -1]
         for number, thing in enumerate(things):
             if abs(thing[X]) < OUTSIDE / 2:
                 self.things[number] = thing[: ANGLE + 1]
@@ -258,21 +270,6 @@ class RobotWorld:
 
 
 # ---- what tasks in this world share -------------------------------------------------------------------------------
-
-
-def commands(actions: np.ndarray, agents: Sequence[int], settings: RobotSettings) -> tuple[np.ndarray, np.ndarray]:
-    """Velocities of all robots from what some decided: 0 full speed back or to the right, .5 none, 1 ahead or to the left.
-
-    Args:
-        actions: (agents, 2) float32: drive, turn; cut to 0..1, NaN is 0.
-
-    Returns:
-        linear in m/s and angular in rad/s, (robots,) float64.
-    """
-    cut = np.minimum(np.where(actions > ZERO, actions, ZERO), ONE) * TWO - ONE
-    linear, angular = np.zeros(settings.robots), np.zeros(settings.robots)
-    linear[agents], angular[agents] = cut[:, 0] * np.float64(settings.speed), cut[:, 1] * np.float64(settings.turn)
-    return linear, angular
 
 
 def shrunk(area: Area, by: float) -> Area:
@@ -343,7 +340,7 @@ def push(  # type: ignore[no-untyped-def]  # compiled
 
     Args:
         torque: at most, N m.
-        forces: (robots + things, 3) float64, filled for robots: N, N, N m.
+        forces: (robots + things + 1, 3) float64, filled for robots: N, N, N m.
     """
     for robot in range(inside.shape[0]):
         forces[robot, 0], forces[robot, 1], forces[robot, 2] = 0.0, 0.0, 0.0
@@ -428,26 +425,50 @@ def sectors(ranges, reach, observations):  # type: ignore[no-untyped-def]  # com
             observations[robot, sector] = ONE - nearest / reach
 
 
-@kernel(void(TABLE, TABLE, TABLE, int64, array(float32, 2), GRID, array(int64)))
-def bearings(poses, headings, targets, column, observations, distances, nearest):  # type: ignore[no-untyped-def]  # compiled
-    """The direction of the nearest target in each robot's frame, a unit vector, written into two columns; zeros without targets.
+@kernel(void(TABLE, TABLE, TABLE, array(int64), float64, int64, array(float32, 2), GRID, array(int64)))
+def bearings(poses, headings, targets, gone, reach, column, observations, distances, nearest):  # type: ignore[no-untyped-def]  # compiled
+    """Where the nearest target is in each robot's frame, written into three columns.
+
+    They are its direction, a unit vector, and how near it is: 1 - distance / reach. All are zeros without a target within reach.
 
     Args:
-        targets: (targets, 2) float64: x, y.
-        column: the first of the two.
-        distances: (robots,) float64, filled: m.
+        targets: (targets, >= 2) float64: x, y.
+        gone: (targets,) int64, not 0 for those that do not count.
+        column: the first of the three.
+        distances: (robots,) float64, filled: m; infinite without a target.
         nearest: (robots,) int64, filled: index of the target, the first of equals; -1 without any.
     """
     for robot in range(poses.shape[0]):
         best, which = np.inf, -1
         for target in range(targets.shape[0]):
-            dx, dy = targets[target, 0] - poses[robot, X], targets[target, 1] - poses[robot, Y]
-            if dx * dx + dy * dy < best:
-                best, which = dx * dx + dy * dy, target
+            if gone[target] == 0:
+                dx, dy = targets[target, 0] - poses[robot, X], targets[target, 1] - poses[robot, Y]
+                if dx * dx + dy * dy < best:
+                    best, which = dx * dx + dy * dy, target
         distance = np.sqrt(best)
         distances[robot], nearest[robot] = distance, which
-        observations[robot, column], observations[robot, column + 1] = ZERO, ZERO
-        if which >= 0 and distance > 0.0:
+        observations[robot, column : column + 3] = ZERO
+        if which >= 0 and 0.0 < distance <= reach:
             dx, dy = (targets[which, 0] - poses[robot, X]) / distance, (targets[which, 1] - poses[robot, Y]) / distance
             observations[robot, column] = dx * headings[robot, 0] + dy * headings[robot, 1]
             observations[robot, column + 1] = dy * headings[robot, 0] - dx * headings[robot, 1]
+            observations[robot, column + 2] = 1.0 - distance / reach
+
+
+@kernel(void(array(float32, 2), array(int64), float64, float64, GRID, GRID))
+def command(actions, agents, speed, turn, linear, angular):  # type: ignore[no-untyped-def]  # compiled
+    """Velocities from what robots decided: 0 full speed back or to the right, .5 none, 1 ahead or to the left.
+
+    Args:
+        actions: (agents, 2) float32: drive, turn; cut to 0..1, NaN is 0.
+        agents: (agents,) int64, which robots these are.
+        linear, angular: (robots,) float64, filled for them: m/s, rad/s.
+    """
+    for row in range(agents.shape[0]):
+        for which in range(2):
+            share = actions[row, which]
+            share = min(share, ONE) if share > ZERO else ZERO
+            if which == 0:
+                linear[agents[row]] = np.float64(TWO * share - ONE) * speed
+            else:
+                angular[agents[row]] = np.float64(TWO * share - ONE) * turn

@@ -19,7 +19,6 @@ from zswarm.sims.robot_world import (
     RobotSettings,
     RobotWorld,
     bearings,
-    commands,
     require_room,
     sectors,
     shrunk,
@@ -87,7 +86,7 @@ class TurtlebotExit(Simulator):
         self._start = shrunk(START, settings.radius)
         require_room("turtlebot-exit", "robots", settings.robots, settings.radius, self._start)
         self._world = RobotWorld(settings, ROOM, WALLS[settings.map])
-        self._exits = np.array(EXITS)
+        self._exits, self._none_gone = np.array(EXITS), np.zeros(len(EXITS), np.int64)
         self._distances, self._nearest = np.zeros(settings.robots), np.zeros(settings.robots, np.int64)
         self._left = np.zeros(settings.robots, np.int64)  # steps until each was out
 
@@ -97,18 +96,21 @@ class TurtlebotExit(Simulator):
         self._world.start(np.array(places), np.zeros((0, 3)))
         self._steps = 0
         self._left[:] = self.settings.steps
+        self._agents = np.arange(self.settings.robots)
         return self._turn(self._observe())
 
     def step(self, actions: np.ndarray) -> Turn | None:
         """Drive; who is at an exit then is out."""
-        self._world.drive(*commands(actions, self._agents, self.settings))
+        self._world.obey(actions, self._agents)
         self._steps += 1
         observations = self._observe()
-        for robot in self._agents:
-            if self._distances[robot] < self.settings.epsilon:
-                self._world.take_out(robot)
-                self._left[robot] = self._steps
-        over = self._steps == self.settings.steps or not self._world.inside.any()
+        out = [robot for robot in self._agents.tolist() if self._distances[robot] < self.settings.epsilon]
+        for robot in out:
+            self._world.take_out(robot)
+            self._left[robot] = self._steps
+        if out:
+            self._agents = np.flatnonzero(self._world.inside)
+        over = self._steps == self.settings.steps or not self._agents.size
         return None if over else self._turn(observations)
 
     def outcome(self) -> Outcome:
@@ -129,17 +131,17 @@ class TurtlebotExit(Simulator):
         return self._world.frame(exits, kinds, [])
 
     def _observe(self) -> np.ndarray:
-        """(robots, inputs) float32; and how far each robot is from its nearest exit."""
-        observations = np.empty((self.settings.robots, self.inputs), np.float32)
+        """(robots, inputs + 1) float32, the last not to be seen; and how far each robot is from its nearest exit."""
+        observations = np.empty((self.settings.robots, self.inputs + 1), np.float32)
         sectors(self._world.ranges, np.float32(self.settings.range), observations)
         bearings(
-            self._world.poses, self._world.headings, self._exits, SECTORS, observations, self._distances, self._nearest
+            self._world.poses, self._world.headings, self._exits, self._none_gone, np.inf, SECTORS, observations, self._distances,
+            self._nearest,
         )  # fmt: skip
         return observations
 
     def _turn(self, observations: np.ndarray) -> Turn:
-        self._agents = np.flatnonzero(self._world.inside).tolist()
-        return Turn(self._agents, observations[self._agents])
+        return Turn(self._agents.tolist(), observations[self._agents, : self.inputs])
 
 
 def cpswarm_log(distances: Sequence[float], lines: Sequence[int]) -> float:
