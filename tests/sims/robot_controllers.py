@@ -46,16 +46,36 @@ def behind(seen: np.ndarray, way: np.ndarray, reach: float, behind_m: float, cle
     return np.where(pushing[:, None], unit(offset) - 0.4 * (way - unit(offset)), unit(around))
 
 
+def from_behind(seen: np.ndarray) -> np.ndarray:
+    """To a thing that lies where it is to be pushed; who is on the wrong side of it drives back."""
+    to_thing, way = seen[:, 8:10], seen[:, 11:13]
+    before = (to_thing * way).sum(axis=1, keepdims=True) > 0.3
+    return np.where(before, to_thing, -way)
+
+
 def box_pushing(seen: np.ndarray) -> np.ndarray:
-    """Behind the box, and push."""
+    """Robots push the box if it lies before them, and else get behind it."""
+    return steer(from_behind(seen))
+
+
+def clever_box_pushing(seen: np.ndarray) -> np.ndarray:
+    """Behind the box, around it, and push."""
     return steer(behind(seen, seen[:, 11:13], 4.0, 0.55, 0.75))
 
 
+def strolling(seen: np.ndarray) -> np.ndarray:
+    return [[1.0, 0.0]] + 8 * away_from_what_is_near(seen, 0.85)
+
+
 def foraging_physical(seen: np.ndarray) -> np.ndarray:
-    """Behind the nearest puck, and push; who sees none strolls about."""
+    """Robots push the nearest puck if it lies before them, and else get behind it; who sees none strolls about."""
+    return steer(np.where((seen[:, 8:10] != 0).any(axis=1, keepdims=True), from_behind(seen), strolling(seen)))
+
+
+def clever_foraging_physical(seen: np.ndarray) -> np.ndarray:
+    """Behind the nearest puck, around it, and push."""
     goal = behind(seen, seen[:, 11:13], 4.0, 0.35, 0.4)
-    sees = (seen[:, 8:10] != 0).any(axis=1, keepdims=True)
-    return steer(np.where(sees, goal, [[1.0, 0.0]] + 8 * away_from_what_is_near(seen, 0.85)))
+    return steer(np.where((seen[:, 8:10] != 0).any(axis=1, keepdims=True), goal, strolling(seen)))
 
 
 def foraging_physical_carry(seen: np.ndarray) -> np.ndarray:

@@ -69,7 +69,7 @@ def test_who_is_at_an_exit_is_out_and_the_rest_goes_on() -> None:
         turn = simulator.step(stay[1:])
     outcome = simulator.outcome()
     assert outcome.metrics[0] == 1
-    assert outcome.metrics[2] == pytest.approx(5.0)
+    assert outcome.metrics[2] == pytest.approx(10.0)
     distances = np.hypot(2 - np.abs(poses[1:, 0]), poses[1:, 1] - 1)
     assert outcome.fitness[0] == pytest.approx(-0.1 - distances.sum())
 
@@ -90,7 +90,7 @@ def test_a_box_in_the_goal_ends_the_trial() -> None:
     assert simulator.step(stay) is None
     fitness, (reached, way, seconds) = simulator.outcome()
     assert fitness == [pytest.approx(1.98)]
-    assert (reached, way, seconds) == (1, pytest.approx(4.1 - simulator._from), pytest.approx(0.2))
+    assert (reached, way, seconds) == (1, pytest.approx(4.1 - simulator._from), pytest.approx(0.4))
 
 
 def test_a_held_puck_is_carried_home_and_is_nobody_elses() -> None:

@@ -30,7 +30,7 @@ DIAGONAL = 1.4142135623730951
 class Settings(RobotSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of ``[problem.settings]``."""
 
-    steps: Annotated[int, Meta(ge=1, le=1_000_000, description="steps of a trial")] = 200
+    steps: Annotated[int, Meta(ge=1, le=1_000_000, description="steps of a trial")] = 150
     robots: Annotated[int, Meta(ge=1, le=200, description="robots")] = 6
     side: Annotated[Metres, Meta(description="m, of the square room")] = 5.0
     goal: Annotated[Metres, Meta(description="m, how wide the goal along the right wall is")] = 1.0

@@ -52,7 +52,7 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
     steps: Annotated[int, Meta(ge=1, le=1_000_000, description="steps of a trial")] = 150
     step_s: Annotated[float, Meta(ge=1e-3, le=10, description="s of a step: robots decide once in each")] = 0.2
-    substeps: Annotated[int, Meta(ge=1, le=1_000, description="steps of the physics in a step")] = 4
+    substeps: Annotated[int, Meta(ge=1, le=1_000, description="steps of the physics in a step")] = 2
     robots: Annotated[int, Meta(ge=1, le=200, description="robots")] = 8
     radius: Annotated[Metres, Meta(description="m, of a robot")] = 0.177
     mass: Annotated[float, Meta(ge=1e-3, le=1e4, description="kg, of a robot")] = 6.3
@@ -301,7 +301,8 @@ def strew(stream: Stream, number: int, radius: float, area: Area, taken: Sequenc
     left, low, right, high = area
     xs, ys = stream.uniform(left, right, TRIES).tolist(), stream.uniform(low, high, TRIES).tolist()
     angles = stream.uniform(-PI, PI, number).tolist()
-    occupied, found = list(taken), []
+    occupied = list(taken)
+    found: list[Pose] = []
     for x, y in zip(xs, ys, strict=True):
         if all((x - a) * (x - a) + (y - b) * (y - b) > (radius + r) * (radius + r) for a, b, r in occupied):
             occupied.append((x, y, radius))
