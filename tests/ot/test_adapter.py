@@ -157,7 +157,7 @@ def test_a_search_that_diverges_stays_in_what_float32_can_tell() -> None:
 def test_genomes_that_are_no_vectors_are_refused_in_one_line() -> None:
     with pytest.raises(ConfigError) as refusal:
         make(Nearby, None)
-    assert str(refusal.value) == "optimizer: Nearby searches vectors of numbers; genomes of this representation (Vector) are none"
+    assert str(refusal.value) == "optimizer: it searches vectors of numbers; genomes of this representation (Vector) are none"
 
 
 class Rotated(Nearby):

@@ -41,7 +41,7 @@ class Adapter(Optimizer):
     def __init__(self, settings: msgspec.Struct, representation: Representation, seed: int) -> None:
         super().__init__(settings, representation, seed)
         self._threads = need("threadpoolctl", "cmaes", "an optimizer of another package")
-        self._space = Space(representation, type(self).__name__)
+        self._space = Space(representation)
         self.genes = self._space.dimensions
         self._genomes: list[bytes] = []
         self._tally = Tally()

@@ -56,7 +56,7 @@ class CuckooSearch(Optimizer):
     def __init__(self, settings: Settings, representation: Representation, seed: int) -> None:
         super().__init__(settings, representation, seed)
         self.candidates = settings.population
-        self._space = Space(representation, "cuckoo")
+        self._space = Space(representation)
         self._tally = Tally()
         self._nests = self._eggs = np.empty((0, self._space.dimensions))
         self._laid = np.arange(settings.population)  # in these nests, the eggs

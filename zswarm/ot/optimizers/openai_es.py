@@ -57,7 +57,7 @@ class OpenAIES(Optimizer):
                 f"optimizer: population: expected an even number, two for each direction, not {settings.population}"
             )
         self.candidates = settings.population + 1
-        self._space = Space(representation, "openai-es")
+        self._space = Space(representation)
         self._tally = Tally()
         self._centre = self._space.uniform(-1.0, 1.0, 1, Stream(derive_seed(seed, "openai-es")))[0]
         self._momentum, self._squares = np.zeros((2, self._space.dimensions))

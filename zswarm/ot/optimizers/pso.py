@@ -49,7 +49,7 @@ class PSO(Optimizer):
     def __init__(self, settings: Settings, representation: Representation, seed: int) -> None:
         super().__init__(settings, representation, seed)
         self.candidates = settings.population
-        self._space = Space(representation, "pso")
+        self._space = Space(representation)
         self._tally = Tally()
         self._places = self._velocities = self._best_places = np.empty((0, self._space.dimensions))
         self._best_fitness = np.full(settings.population, -np.inf)

@@ -19,7 +19,7 @@ class Space:
         dimensions: numbers of a point.
     """
 
-    def __init__(self, representation: Representation, optimizer: str) -> None:
+    def __init__(self, representation: Representation) -> None:
         """The space of a representation's genomes.
 
         Raises:
@@ -27,8 +27,8 @@ class Space:
         """
         if representation.genes is None or representation.ranges is None:
             raise ConfigError(
-                f"optimizer: {optimizer} searches vectors of numbers; genomes of this representation "
-                f"({type(representation).__name__}) are none"
+                f"optimizer: it searches vectors of numbers; "
+                f"genomes of this representation ({type(representation).__name__}) are none"
             )
         self.dimensions = representation.genes
         self._ranges = representation.ranges
