@@ -161,9 +161,9 @@ def test_random_controllers_do_badly_and_one_written_by_hand_does_better(task: s
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("task", "by_hand_is", "evolved_is"), [("turtlebot_exit", -13.6, -1.04)])
-def test_evolving_beats_the_controller_written_by_hand_on_unseen_seeds(task: str, by_hand_is: float, evolved_is: float) -> None:
-    """As the example has it, to what its comment says; up to two minutes of computing each."""
+@pytest.mark.parametrize(("task", "between"), [("turtlebot_exit", -10)])
+def test_evolving_beats_the_controller_written_by_hand_on_unseen_seeds(task: str, between: float) -> None:
+    """As the example has it; up to two minutes of computing each."""
     example = experiment.load(experiment.find(task.replace("_", "-")), [])
     parts = run.build(experiment.complete(example, "test"))
     problem, champion, best = parts.problem, b"", -np.inf
@@ -176,6 +176,8 @@ def test_evolving_beats_the_controller_written_by_hand_on_unseen_seeds(task: str
             champion, best = workload.genomes[int(fitness.argmax())], fitness.max()
         parts.optimizer.tell(fitness)
     unseen = evaluate(problem.simulator, problem.representation, [champion], np.zeros((len(UNSEEN), 1), np.int64), UNSEEN)
-    assert unseen.fitness.mean() == pytest.approx(evolved_is, rel=0.01)
-    assert by_hand(task, UNSEEN) == pytest.approx(by_hand_is, rel=0.01)
-    assert evolved_is > by_hand_is
+    assert by_hand(task, UNSEEN) < between < unseen.fitness.mean()
+    if task == "turtlebot_exit":
+        escaped, _, seconds = unseen.metrics.mean(axis=0)
+        assert escaped > 9.9
+        assert 22 < seconds < 26
