@@ -161,7 +161,7 @@ def test_random_controllers_do_badly_and_one_written_by_hand_does_better(task: s
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("task", "between"), [("turtlebot_exit", -10)])
+@pytest.mark.parametrize(("task", "between"), [("turtlebot_exit", -10), ("box_pushing", 1.41)])
 def test_evolving_beats_the_controller_written_by_hand_on_unseen_seeds(task: str, between: float) -> None:
     """As the example has it; up to two minutes of computing each."""
     example = experiment.load(experiment.find(task.replace("_", "-")), [])
