@@ -93,14 +93,16 @@ def leased(endpoints: Sequence[str], slots: int, settings: dict[str, Any]) -> It
     """An optimizer that has all slots of some servers ready, with the options that a run has by itself."""
     from zswarm import experiment
     from zswarm.ot.cluster import Cluster
+    from zswarm.ot.matching import Choice
     from zswarm.ot.requests import Wanted, Who
-    from zswarm.protocol.messages import Part
+    from zswarm.protocol.messages import Part, Requirements
     from zswarm.session import Reach
     from zswarm.version_hash import version_hash
 
     options = experiment.Cluster()
     wanted = Wanted(
-        Part("bench", settings), Part("fully-meshed", {"hidden": HIDDEN}), version_hash("bench", "fully-meshed"),
+        Requirements(simulator="bench", representation="fully-meshed", version_hash=version_hash("bench", "fully-meshed")),
+        Choice(), Part("bench", settings), Part("fully-meshed", {"hidden": HIDDEN}),
         participants=1, metrics=0, trial_timeout_s=options.trial_timeout_s, trial_memory_mb=options.trial_memory_mb,
         slots=slots, quarantine=False, verify=options.verify, probe=b"",
     )  # fmt: skip

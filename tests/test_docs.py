@@ -16,6 +16,7 @@ from zswarm import experiment, plugins, router, settings_sheet
 from zswarm.errors import ConfigError
 from zswarm.ot import cli as ot
 from zswarm.ot import exits, schema
+from zswarm.ot.commands import new
 from zswarm.ot.controller import Controller
 from zswarm.ot.rankings.ranking import Round
 from zswarm.protocol import codec, messages
@@ -293,19 +294,10 @@ def test_links_lead_somewhere(document: str) -> None:
         assert (DOCS / target).is_file(), f"docs/{document}: {target} is not there"
 
 
-def test_the_example_simulator_keeps_the_contract(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The code in simulators.md is a whole simulator, and its experiment file is one."""
-    blocks = dict(re.findall(r"`([\w.]+)`:\n\n```\w+\n(.*?)```", text("simulators.md"), re.S))
-    assert set(blocks) == {"pyproject.toml", "zswarm_patrol.py", "test_patrol.py", "patrol.toml"}
-    for name, content in blocks.items():
-        (tmp_path / name).write_text(content, encoding="utf-8")
-    monkeypatch.syspath_prepend(tmp_path)
-    namespace: dict[str, typing.Any] = {}
-    exec(compile(blocks["test_patrol.py"], "test_patrol.py", "exec"), namespace)  # noqa: S102  our own text
-    namespace["test_patrol_keeps_the_contract"]()
-    loaded = experiment.load(tmp_path / "patrol.toml")
-    assert loaded.problem.simulator == "patrol"
-    assert f"{loaded.problem.simulator} = " in blocks["pyproject.toml"]
+def test_the_simulator_that_is_shown_is_the_one_that_new_writes() -> None:
+    """The whole module; its tests are in test_new.py."""
+    blocks = dict(re.findall(r"`([\w.]+)`:\n\n```\w+\n(.*?)```", text("own-simulator.md"), re.S))
+    assert blocks == {"lost_robots.py": new.skeleton("lost-robots")["lost_robots.py"]}
 
 
 def test_the_example_optimizer_keeps_the_contract(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -82,13 +82,14 @@ zswarm-router() { serve zswarm-router "$@"; }
 pip() {  # what it would do with a package that has no more than a module, without asking an index
     test "$*" = "install -e ."
     python "$STEPS/install.py"
+    export PYTHONPATH="$PWD:$PYTHONPATH"
 }
 """
 INSTALL = """
 import pathlib, tomllib
 project = tomllib.loads(pathlib.Path("pyproject.toml").read_text())["project"]
 folder = pathlib.Path(project["name"].replace("-", "_") + "-" + project["version"] + ".dist-info")
-folder.mkdir()
+folder.mkdir(exist_ok=True)
 (folder / "METADATA").write_text(f"Metadata-Version: 2.1\\nName: {project['name']}\\nVersion: {project['version']}\\n")
 lines = []
 for group, points in project["entry-points"].items():

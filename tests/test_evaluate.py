@@ -1,5 +1,7 @@
 """Genomes and trials in, outcomes out: who plays, what a simulator may do wrong, and how a batch is stopped."""
 
+import signal
+from collections.abc import Callable
 from typing import Annotated, Any
 
 import msgspec
@@ -9,7 +11,7 @@ from msgspec import Meta
 
 from zswarm import plugins
 from zswarm.draws import Stream
-from zswarm.errors import ConfigError, UnknownPlugin
+from zswarm.errors import ConfigError, EvaluationError, UnknownPlugin
 from zswarm.evaluate import MAX_ERROR_TEXT, Outcomes, build, evaluate
 from zswarm.nets.fully_meshed import FullyMeshed
 from zswarm.nets.fully_meshed import Settings as NetworkSettings
@@ -153,12 +155,12 @@ def test_a_trial_that_raises_is_nan_and_the_others_go_on(duel: Duel, network: Fu
     assert outcomes.fitness[1].tobytes() == CANONICAL * 2
     assert outcomes.metrics[1].tobytes() == CANONICAL * 2
     assert np.isfinite(outcomes.fitness[[0, 2]]).all()
-    assert outcomes.error.startswith("RuntimeError: the wall fell down!")
+    assert outcomes.error.startswith("Duel, trial seed 900: RuntimeError: the wall fell down!")
     assert len(outcomes.error) == MAX_ERROR_TEXT
 
 
 def test_the_first_error_of_a_batch_is_told(duel: Duel, network: FullyMeshed) -> None:
-    assert play(duel, network, [[0, 1]] * 2, [RAISES_EMPTY, RAISES]).error == "KeyError: "
+    assert play(duel, network, [[0, 1]] * 2, [RAISES_EMPTY, RAISES]).error == "Duel, trial seed 904: KeyError: "
 
 
 @pytest.mark.parametrize("seed", [INFINITE, ODD_NAN])
@@ -166,13 +168,127 @@ def test_a_number_that_is_not_finite_becomes_the_one_nan(duel: Duel, network: Fu
     outcomes = play(duel, network, [[0, 1]], [seed])
     assert outcomes.fitness.tobytes() == CANONICAL + np.float64(1).tobytes()
     assert outcomes.metrics.tobytes() == CANONICAL + np.float64(2).tobytes()
-    assert outcomes.error == ""
+    number = "inf" if seed == INFINITE else "nan"
+    assert outcomes.error == f"Duel, trial seed {seed}: fitness must be finite, not [{number}, 1.0]"
 
 
 def test_observations_of_a_wrong_shape_are_the_trials_error(duel: Duel, network: FullyMeshed) -> None:
     outcomes = play(duel, network, [[0, 1]], [BAD_SHAPE])
     assert np.isnan(outcomes.fitness).all()
-    assert outcomes.error == "ValueError: observations must be (1, 1), not (1, 2)"
+    assert outcomes.error == "Duel, trial seed 903: observations must be (1, 1), not (1, 2)"
+
+
+class Wrong(Duel):
+    """Does what an instance is told to do instead of what it should."""
+
+    wrong: dict[str, Callable[[], Any]]
+
+    def reset(self, seed: int) -> Turn:
+        turn = super().reset(seed)
+        return self.wrong["reset"]() if "reset" in self.wrong else turn
+
+    def step(self, actions: np.ndarray) -> Turn | None:
+        following = super().step(actions)
+        return self.wrong["step"]() if "step" in self.wrong else following
+
+    def outcome(self) -> Outcome:
+        return self.wrong["outcome"]() if "outcome" in self.wrong else super().outcome()
+
+
+def raising(error: BaseException) -> Callable[[], Any]:
+    def call() -> None:
+        raise error
+
+    return call
+
+
+@pytest.mark.parametrize(
+    ("method", "answer", "text"),
+    [
+        ("reset", lambda: None, "reset must return a Turn: somebody must act"),
+        (
+            "reset",
+            lambda: ((0,), np.zeros((1, 1))),
+            "reset and step must return a Turn, and step None at the end; not ((0,), arr",
+        ),
+        ("step", lambda: 1, "reset and step must return a Turn, and step None at the end; not 1"),
+        ("step", lambda: Turn((), np.zeros((0, 1))), "a turn must name an agent; a trial that is over returns None"),
+        ("step", lambda: Turn((2,), np.zeros((1, 1))), "agents must be in range(0, 2), not [2]"),
+        ("step", lambda: Turn((-1,), np.zeros((1, 1))), "agents must be in range(0, 2), not [-1]"),
+        ("step", lambda: Turn((1,), np.full((1, 1), np.nan)), "observations must be finite; number 0 of agent 1 is nan"),
+        ("step", lambda: Turn((1,), np.full((1, 1), -np.inf)), "observations must be finite; number 0 of agent 1 is -inf"),
+        (
+            "step",
+            lambda: Turn((1,), np.zeros((1, 1))),
+            "the trial goes on after 1,000 turns: step must return None when it is over",
+        ),
+        ("step", raising(SystemExit(7)), "SystemExit: 7 (a simulator ends a trial by returning None, and never its process)"),
+        (
+            "step",
+            raising(GeneratorExit("x")),
+            "GeneratorExit: x (a simulator ends a trial by returning None, and never its process)",
+        ),
+        ("outcome", lambda: None, "outcome must return an Outcome, not None"),
+        ("outcome", lambda: Outcome([1.0], [0.0, 0.0]), "an outcome must have 2 fitness numbers and 2 metrics, not 1 and 2"),
+        ("outcome", lambda: Outcome(["a", 1.0], [0.0, 0.0]), "ValueError: could not convert string to float: "),
+    ],
+)
+def test_a_broken_contract_is_the_trials_outcome_and_named(
+    method: str, answer: Callable[[], Any], text: str, network: FullyMeshed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What was expected, what came, and the seed to play it again with; the trials after it are as ever."""
+    monkeypatch.setattr("zswarm.evaluate.MAX_TURNS", 1000)
+    wrong = Wrong(Settings())
+    wrong.wrong = {method: answer}
+    outcomes = play(wrong, network, [[0, 1]], [5])
+    assert np.isnan(outcomes.fitness).all()
+    assert outcomes.error.startswith(f"Wrong, trial seed 5: {text}")
+    wrong.wrong = {}
+    assert (
+        play(wrong, network, [[0, 1]], [5]).fitness.tobytes() == play(Duel(Settings()), network, [[0, 1]], [5]).fitness.tobytes()
+    )
+
+
+def test_ctrl_c_is_no_outcome_but_where_nobody_can_press_it(network: FullyMeshed) -> None:
+    wrong = Wrong(Settings())
+    wrong.wrong = {"step": raising(KeyboardInterrupt())}
+    with pytest.raises(KeyboardInterrupt):
+        play(wrong, network, [[0, 1]], [5])
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        assert play(wrong, network, [[0, 1]], [5]).error.startswith("Wrong, trial seed 5: KeyboardInterrupt: ")
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_no_memory_and_faults_are_no_outcomes(network: FullyMeshed) -> None:
+    for error in (MemoryError(), EvaluationError("its program ended")):
+        wrong = Wrong(Settings())
+        wrong.wrong = {"step": raising(error)}
+        with pytest.raises(type(error)):
+            play(wrong, network, [[0, 1]], [5])
+
+
+def test_a_compiled_simulator_that_raises_fails_in_the_guilty_trials_alone() -> None:
+    """Whatever trials are beside them in a batch."""
+    simulator, network = build("minisim", {}, "fully-meshed", {})
+    genomes, participants = network.random(2, Stream(1)), np.array([[0], [1], [0], [1]])
+    seeds = np.array([1, 2, 3, 4], np.uint64)
+    sound = evaluate(simulator, network, genomes, participants, seeds)
+    played = Minisim.play_lanes
+
+    class Raises(Minisim):
+        def play_lanes(self, step_lanes: Any, step: Any, batch: Batch) -> None:
+            if 3 in batch.seeds:
+                raise RuntimeError("no seed 3")
+            played(self, step_lanes, step, batch)
+
+    outcomes = evaluate(Raises(simulator.settings), network, genomes, participants, seeds)  # type: ignore[arg-type]
+    assert np.isnan(outcomes.fitness[2, 0])
+    assert outcomes.error == "Raises, trial seed 3: RuntimeError: no seed 3"
+    others = [0, 1, 3]
+    assert outcomes.fitness[others].tobytes() == sound.fitness[others].tobytes()
+    assert outcomes.metrics[others].tobytes() == sound.metrics[others].tobytes()
 
 
 # ---- what is asked wrongly ----------------------------------------------------------------------------------------
@@ -281,8 +397,11 @@ class Carried(Duel):
 
     carried = 0.0
 
-    def outcome(self) -> Outcome:
+    def reset(self, seed: int) -> Turn:
         type(self).carried += 1
+        return super().reset(seed)
+
+    def outcome(self) -> Outcome:
         return Outcome([self.carried, 0.0], [0.0, 0.0])
 
 

@@ -12,7 +12,7 @@ from zswarm import plugins, version_hash
 
 PACKAGE = Path(version_hash.__file__).parent
 # They name, check and refuse; messages.py says how many trials the probe has, which the version of the protocol fixes.
-COMPUTES_NOTHING = {"errors.py", "plugins.py", "strict.py", "version_hash.py", "messages.py"}
+COMPUTES_NOTHING = {"errors.py", "manifests.py", "plugins.py", "strict.py", "version_hash.py", "messages.py"}
 
 
 def imported(file: Path) -> set[Path]:
@@ -148,12 +148,14 @@ def test_every_module_that_computes_for_a_part_is_hashed(kind: plugins.Kind) -> 
 def test_what_a_library_plays_is_of_another_version_on_another_architecture(
     simulator: str, same: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    hashes = []
+    hashes, said = [], []
     for machine in ("x86_64", "aarch64"):
         monkeypatch.setattr(version_hash.platform, "machine", lambda machine=machine: machine)
         forget()
         hashes.append(version_hash.version_hash(simulator, "fully-meshed"))
+        said.append(version_hash.versions(simulator, "fully-meshed"))
     assert (hashes[0] == hashes[1]) == same
+    assert version_hash.differing(*said) == ([] if same else ["architecture x86_64, not aarch64"])
 
 
 def test_every_simulator_that_imports_a_library_of_its_own_is_listed_as_one_that_this_plays() -> None:
@@ -196,3 +198,20 @@ def test_another_processor_has_a_cache_of_its_own(
 def test_where_nothing_tells_the_processor_there_is_a_cache_nevertheless(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(version_hash, "CPUINFO", tmp_path / "none")
     assert fresh() == fresh()
+
+
+def test_what_differs_between_two_versions_is_named(copy: Path) -> None:
+    """The parts of which a version hash is, in words of the one that has the first; equal hashes have nothing to name."""
+    before = version_hash.versions("emergency-exit", "fully-meshed")
+    assert version_hash.differing(before, dict(before)) == []
+    for file, told in (
+        ("sims/emergency_exit.py", "other code of simulator emergency-exit"),
+        ("nets/fully_meshed.py", "other code of representation fully-meshed"),
+        ("portable.py", "other code of zswarm"),
+    ):
+        text = (copy / file).read_text()
+        (copy / file).write_text(text + "# a version later\n")
+        forget()
+        assert version_hash.differing(version_hash.versions("emergency-exit", "fully-meshed"), before) == [told]
+        (copy / file).write_text(text)
+    assert version_hash.differing({"numpy": "2.1.0"}, {"numpy": "2.3.0", "jax": "0.9"}) == ["numpy 2.1.0, not 2.3.0", "no jax"]

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from zswarm.ot.logger import Generation, Logger, Result, Started
     from zswarm.ot.problem import Problem
     from zswarm.ot.reading import Run
+    from zswarm.varied import drawn
 
 __all__ = [
     "ConfigError",
@@ -48,6 +49,7 @@ __all__ = [
     "UnknownPlugin",
     "ZswarmError",
     "connect",
+    "drawn",
     "load",
     "plot",
     "problem",
@@ -71,6 +73,7 @@ _HOME = {
     **dict.fromkeys(("Generation", "Logger", "Result", "Started"), "zswarm.ot.logger"),
     "Problem": "zswarm.ot.problem",
     "Run": "zswarm.ot.reading",
+    "drawn": "zswarm.varied",
 }
 
 

@@ -121,6 +121,9 @@ def connect(
     multicast: bool = True,
     through_router: bool = False,
     local_slots: int = 0,
+    require: Sequence[str] = (),
+    rank: Sequence[str] = (),
+    max_slots: int = 0,
     trial_timeout_s: float = 300.0,
     trial_memory_mb: int = 0,
     on_fault: Literal["pause", "quarantine"] = "pause",
@@ -130,8 +133,8 @@ def connect(
 
     Args:
         servers: "auto": this machine's slots and every server found; "local": this machine only; a number: wait for so many.
-        realm, connect, multicast, through_router, local_slots, trial_timeout_s, trial_memory_mb, on_fault, verify: as in
-            ``[cluster]`` of the experiment file.
+        realm, connect, multicast, through_router, local_slots, require, rank, max_slots, trial_timeout_s, trial_memory_mb,
+            on_fault, verify: as in ``[cluster]`` of the experiment file.
 
     Raises:
         ConfigError: an impossible value.
@@ -145,7 +148,8 @@ def connect(
     options = experiments.cluster(
         {
             "servers": servers, "realm": realm, "connect": list(connect), "multicast": multicast,
-            "through_router": through_router, "local_slots": local_slots, "trial_timeout_s": trial_timeout_s,
+            "through_router": through_router, "local_slots": local_slots, "require": list(require), "rank": list(rank),
+            "max_slots": max_slots, "trial_timeout_s": trial_timeout_s,
             "trial_memory_mb": trial_memory_mb, "on_fault": on_fault, "verify": verify,
         }
     )  # fmt: skip

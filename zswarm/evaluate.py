@@ -1,24 +1,27 @@
 """Joins a network and a simulator: genomes and trials in, outcomes out.
 
 The same code runs in a server's slots and in the optimizer's own tools. What a simulator decides is an outcome: fitness
-and metrics, or NaN where it raised or returned a number that is not finite (always the same NaN). A process that ends or
-hangs is a fault and shows outside, as does a lack of memory.
+and metrics, or NaN where it raised, broke its contract or returned a number that is not finite (always the same NaN). A process
+that ends or hangs is a fault and shows outside, as does a lack of memory.
 """
 
 import hashlib
+import signal
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 
-from zswarm import plugins
+from zswarm import plugins, ranges
 from zswarm.draws import Stream, derive_seed
-from zswarm.errors import ConfigError
+from zswarm.errors import ConfigError, EvaluationError
 from zswarm.nets.representation import Representation
 from zswarm.protocol.messages import PROBE_GENOMES, PROBE_SEEDS
-from zswarm.sims.simulator import Batch, CompiledSimulator, Simulator, Turn
+from zswarm.sims.simulator import MAX_TURNS, Batch, CompiledSimulator, HostingSimulator, Outcome, Simulator, Turn
 from zswarm.strict import convert
+from zswarm.varied import Varied
 
 MAX_ERROR_TEXT = 300
 
@@ -28,7 +31,11 @@ class Outcomes(NamedTuple):
 
     fitness: np.ndarray  # (trials, participants) float64
     metrics: np.ndarray  # (trials, metrics) float64
-    error: str  # what the simulator raised first, or ""
+    error: str  # what was wrong with the first trial whose fitness is NaN, or ""
+
+
+class BrokenContractError(Exception):
+    """A simulator did not do what ``Simulator`` asks for; the text says what was expected, and what came."""
 
 
 class Probe(NamedTuple):
@@ -43,27 +50,41 @@ def build(
 ) -> tuple[Simulator, Representation]:
     """A simulator and the representation of its controllers, from names and settings.
 
+    Args:
+        settings: of the simulator; a range in them is drawn from in each trial.
+
     Raises:
         ConfigError: unknown name or impossible settings, or the simulator refused them.
+        EvaluationError: the simulator's program ended.
         MemoryError: there is not enough for it.
     """
     simulator_class = plugins.load("simulator", simulator)
     representation_class = plugins.load("representation", representation)
-    configured = convert(settings, simulator_class.settings_type, "problem.settings")
-    built: Simulator = _construct(f"simulator {simulator!r}", simulator_class, configured)
+
+    def simulator_with(plain: Mapping[str, Any]) -> Simulator:
+        configured = convert(plain, simulator_class.settings_type, "problem.settings")
+        made: Simulator = _construct(f"simulator {simulator!r}", simulator_class, configured)
+        return made
+
+    if ranges.found(settings):
+        built: Simulator = Varied(ranges.complete(settings, simulator_class.settings_type, "problem.settings"), simulator_with)
+    else:
+        built = simulator_with(settings)
     network_settings = convert(representation_settings, representation_class.settings_type, "representation")
     network: Representation = _construct(
         f"representation {representation!r}", representation_class, network_settings, built.inputs, built.outputs
     )
+    if isinstance(built, HostingSimulator) and built.host(representation, msgspec.to_builtins(network_settings)):
+        built.hosted = network
     return built, network
 
 
 def _construct(what: str, loaded: Any, *arguments: Any) -> Any:
     try:
         return loaded(*arguments)
-    except (ConfigError, MemoryError):
+    except (ConfigError, EvaluationError, MemoryError):
         raise
-    except Exception as error:  # a plug-in's constructor may raise anything
+    except (Exception, SystemExit) as error:  # a plug-in's constructor may raise anything
         raise ConfigError(f"{what} cannot be set up: {type(error).__name__}: {error}") from error
 
 
@@ -85,6 +106,7 @@ def evaluate(
 
     Raises:
         ValueError: a genome does not fit the network, or a shape or index does not fit.
+        EvaluationError: the simulator's program ended in the trial that ``progress[0]`` names.
         MemoryError: there is not enough for the trial that ``progress[0]`` names.
     """
     if participants.shape != (len(seeds), simulator.participants):
@@ -95,21 +117,45 @@ def evaluate(
         return Outcomes(np.empty(participants.shape), np.empty((0, len(simulator.metrics))), "")
     parameters = representation.parameters(genomes)
     progress = np.zeros(2, np.int64) if progress is None else progress
+    if isinstance(simulator, Varied):
+        return _varied(simulator, representation, genomes, parameters, participants, seeds, progress)
+    return _outcomes(simulator, representation, genomes, parameters, participants, seeds, progress)
+
+
+def _outcomes(
+    simulator: Simulator,
+    representation: Representation,
+    genomes: Sequence[bytes],
+    parameters: np.ndarray,
+    participants: np.ndarray,
+    seeds: np.ndarray,
+    progress: np.ndarray,
+) -> Outcomes:
     fitness = np.full(participants.shape, np.nan)
     metrics = np.full((len(seeds), len(simulator.metrics)), np.nan)
     error = ""
+    batch = Batch(representation.state_size, parameters, participants, seeds.astype(np.uint64), progress, fitness, metrics)
+    one_by_one = not isinstance(simulator, CompiledSimulator)
     if isinstance(simulator, CompiledSimulator):
-        batch = Batch(representation.state_size, parameters, participants, seeds.astype(np.uint64), progress, fitness, metrics)
-        if representation.step_lanes is None:
-            simulator.play(representation.step, batch)
-        else:
-            simulator.play_lanes(representation.step_lanes, representation.step, batch)
-    else:
+        try:
+            _play(simulator, representation, batch)
+        except BaseException as raised:
+            if not _decided(raised):
+                raise
+            one_by_one = True  # each trial by itself tells of which it was, whatever they are beside
+    if one_by_one:
         for trial, seed in enumerate(seeds):
             progress[0] = trial
             if progress[1]:
                 break
             try:
+                if isinstance(simulator, CompiledSimulator):
+                    _play(simulator, representation, _alone(batch, trial))
+                    continue
+                if isinstance(simulator, HostingSimulator) and simulator.hosted is representation:
+                    players = [genomes[each] for each in participants[trial]]
+                    play_alone(simulator, players, int(seed), fitness[trial], metrics[trial])
+                    continue
                 play_in_turns(
                     simulator,
                     representation,
@@ -118,14 +164,92 @@ def evaluate(
                     fitness[trial],
                     metrics[trial],
                 )
-            except MemoryError:
-                raise  # the machine's limit, not the simulator's decision
-            except Exception as raised:  # whatever the code of a simulator raises is this trial's outcome
+            except BaseException as raised:
+                if not _decided(raised):
+                    raise
                 fitness[trial], metrics[trial] = np.nan, np.nan
-                error = error or f"{type(raised).__name__}: {raised}"[:MAX_ERROR_TEXT]
+                error = error or _in_words(simulator, seed, raised)
+    failed = np.flatnonzero(~np.isfinite(fitness).all(axis=1))
+    if not error and len(failed) and not progress[1]:
+        trial = int(failed[0])
+        error = _in_words(simulator, seeds[trial], BrokenContractError(f"fitness must be finite, not {fitness[trial].tolist()}"))
     fitness[~np.isfinite(fitness)] = np.nan
     metrics[~np.isfinite(metrics)] = np.nan
     return Outcomes(fitness, metrics, error)
+
+
+def _varied(
+    varied: Varied,
+    representation: Representation,
+    genomes: Sequence[bytes],
+    parameters: np.ndarray,
+    participants: np.ndarray,
+    seeds: np.ndarray,
+    progress: np.ndarray,
+) -> Outcomes:
+    """Trials with the same settings one after another; in a kernel as many at once as take some milliseconds.
+
+    A kernel's start costs as much as a short trial, and some kernels play eight of a batch side by side.
+    """
+    fitness = np.full(participants.shape, np.nan)
+    metrics = np.full((len(seeds), len(varied.metrics)), np.nan)
+    error = ""
+    for alike in varied.alike(seeds.tolist()):
+        played = 0
+        while played < len(alike):
+            progress[0] = alike[played]
+            if progress[1]:
+                return Outcomes(fitness, metrics, error)
+            try:
+                simulator = varied.of(int(seeds[alike[0]]))
+            except ConfigError as refused:  # an outcome, as whatever a simulator raises
+                error = error or _in_words(varied, seeds[alike[0]], refused)
+                break
+            some = alike[played : played + (varied.together if isinstance(simulator, CompiledSimulator) else 1)]
+            begin = time.perf_counter()
+            alone = np.zeros(2, np.int64)
+            part = _outcomes(simulator, representation, genomes, parameters, participants[some], seeds[some], alone)
+            varied.took(time.perf_counter() - begin)
+            fitness[some], metrics[some], error = part.fitness, part.metrics, error or part.error
+            played += len(some)
+    return Outcomes(fitness, metrics, error)
+
+
+def _play(simulator: CompiledSimulator, representation: Representation, batch: Batch) -> None:
+    if representation.step_lanes is None:
+        simulator.play(representation.step, batch)
+    else:
+        simulator.play_lanes(representation.step_lanes, representation.step, batch)
+
+
+def _alone(batch: Batch, trial: int) -> Batch:
+    """A trial of a batch as a batch of its own, which tells nobody how far it is."""
+    one = slice(trial, trial + 1)
+    return batch._replace(
+        participants=batch.participants[one],
+        seeds=batch.seeds[one],
+        progress=np.zeros(2, np.int64),
+        fitness=batch.fitness[one],
+        metrics=batch.metrics[one],
+    )
+
+
+def _decided(raised: BaseException) -> bool:
+    """Whether it is a simulator's decision, and so the trial's outcome, as is all that its code raises.
+
+    Not so the machine's faults and limits, and Ctrl-C, which no slot hears.
+    """
+    if isinstance(raised, KeyboardInterrupt):
+        return signal.getsignal(signal.SIGINT) is not signal.default_int_handler
+    return not isinstance(raised, (EvaluationError, MemoryError))
+
+
+def _in_words(simulator: Simulator, seed: int, raised: BaseException) -> str:
+    """What was wrong with a trial."""
+    what = str(raised) if isinstance(raised, BrokenContractError) else f"{type(raised).__name__}: {raised}"
+    if not isinstance(raised, Exception):
+        what += " (a simulator ends a trial by returning None, and never its process)"
+    return f"{type(simulator).__name__}, trial seed {seed}: {what}"[:MAX_ERROR_TEXT]
 
 
 def warm_up(simulator: Simulator, representation: Representation) -> None:
@@ -178,9 +302,27 @@ def play_in_turns(
     """
     for _ in turns(simulator, representation, parameters, seed):
         pass
-    outcome = simulator.outcome()
+    _take(simulator.outcome(), fitness, metrics)
+
+
+def play_alone(
+    simulator: HostingSimulator, genomes: Sequence[bytes], seed: int, fitness: np.ndarray, metrics: np.ndarray
+) -> None:
+    """One trial whose simulator decides for the controllers.
+
+    Args:
+        genomes: of the participants.
+        fitness: (participants,) float64, filled.
+        metrics: (metrics,) float64, filled.
+    """
+    _take(simulator.play_alone(genomes, seed), fitness, metrics)
+
+
+def _take(outcome: Outcome, fitness: np.ndarray, metrics: np.ndarray) -> None:
+    if not isinstance(outcome, Outcome):
+        raise BrokenContractError(f"outcome must return an Outcome, not {outcome!r:.80}")
     if len(outcome.fitness) != len(fitness) or len(outcome.metrics) != len(metrics):
-        raise ValueError(
+        raise BrokenContractError(
             f"an outcome must have {len(fitness)} fitness numbers and {len(metrics)} metrics, "
             f"not {len(outcome.fitness)} and {len(outcome.metrics)}"
         )
@@ -194,15 +336,37 @@ def turns(simulator: Simulator, representation: Representation, parameters: np.n
     Args:
         parameters: (participants, P) float32.
     """
-    owners = simulator.owners
-    states = np.zeros((len(owners), representation.state_size), np.float32)
     turn: Turn | None = simulator.reset(seed)
-    while turn is not None:
+    if turn is None:
+        raise BrokenContractError("reset must return a Turn: somebody must act")
+    owners = simulator.owners  # only now: they may differ by trial
+    states = np.zeros((len(owners), representation.state_size), np.float32)
+    for _ in range(MAX_TURNS):
         yield turn
-        observations = np.ascontiguousarray(turn.observations, np.float32)
-        if observations.shape != (len(turn.agents), simulator.inputs):
-            raise ValueError(f"observations must be ({len(turn.agents)}, {simulator.inputs}), not {observations.shape}")
+        observations = _observations(simulator, turn)
         actions = np.empty((len(turn.agents), simulator.outputs), np.float32)
         for row, agent in enumerate(turn.agents):
+            if not 0 <= agent < len(owners):
+                raise BrokenContractError(f"agents must be in {range(len(owners))}, not {list(turn.agents)}")
             representation.step(parameters[owners[agent]], states[agent], observations[row], actions[row])
         turn = simulator.step(actions)
+        if turn is None:
+            return
+    raise BrokenContractError(f"the trial goes on after {MAX_TURNS:,} turns: step must return None when it is over")
+
+
+def _observations(simulator: Simulator, turn: Turn) -> np.ndarray:
+    """Those of a turn, checked: (agents, inputs) float32."""
+    if not isinstance(turn, Turn):
+        raise BrokenContractError(f"reset and step must return a Turn, and step None at the end; not {turn!r:.80}")
+    if not len(turn.agents):
+        raise BrokenContractError("a turn must name an agent; a trial that is over returns None")
+    observations = np.ascontiguousarray(turn.observations, np.float32)
+    if observations.shape != (len(turn.agents), simulator.inputs):
+        raise BrokenContractError(f"observations must be ({len(turn.agents)}, {simulator.inputs}), not {observations.shape}")
+    if not np.isfinite(observations).all():
+        row, number = np.argwhere(~np.isfinite(observations))[0]
+        name = f" ({simulator.sensors[number]})" if simulator.sensors else ""
+        agent, value = turn.agents[row], observations[row, number]
+        raise BrokenContractError(f"observations must be finite; number {number}{name} of agent {agent} is {value}")
+    return observations

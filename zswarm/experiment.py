@@ -19,7 +19,7 @@ import msgspec
 import tomli_w
 from msgspec import Meta
 
-from zswarm import endpoint, plugins, settings_sheet, toml_line
+from zswarm import endpoint, labels, plugins, ranges, settings_sheet, toml_line
 from zswarm.errors import ConfigError, UnknownPlugin
 from zswarm.plugins import nearest
 from zswarm.protocol import keys
@@ -34,6 +34,8 @@ MAX_RUNS = 10_000  # of a study
 MAX_DEPTH = 10  # tables in tables, in a study's settings
 MAX_SHOWN = 60  # characters of a value
 PARTS = ("representation", "optimizer", "ranking")
+WORDS_OF_LABELS: dict[str, Any] = {"require": labels.requirements, "rank": labels.preferences}  # of [cluster], and who reads them
+SETTINGS = "problem.settings."
 ABSOLUTE = "absolute"  # the ranking of files that name none
 
 
@@ -96,6 +98,28 @@ class Cluster(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     ] = False
     local_slots: Annotated[
         int, Meta(ge=0, le=65_535, description='slots of this machine under "auto" and "local"; 0: one per core')
+    ] = 0
+    require: Annotated[
+        list[str],
+        Meta(
+            description='what labels of servers must be, this machine\'s slots included, such as `["gpu=yes", "room=b12|b13", '
+            '"name!=lab-3", "cores>=8"]`; others are not used ([mixed.md](mixed.md))'
+        ),
+    ] = []
+    rank: Annotated[
+        list[str],
+        Meta(
+            description='which servers are preferred, what counts most first: what labels should be (`"gpu=yes"`), or a label '
+            'whose higher number comes first (`"cores"`; `"-cores"`: the lower) ([mixed.md](mixed.md))'
+        ),
+    ] = []
+    max_slots: Annotated[
+        int,
+        Meta(
+            ge=0,
+            le=1_000_000_000,
+            description="slots that a run holds at the same time, this machine's included; the best by `rank`. 0: all there are",
+        ),
     ] = 0
     trial_timeout_s: Annotated[
         float, Meta(gt=0, le=1e9, description="seconds by the wall clock after which a trial is a fault")
@@ -253,6 +277,9 @@ def check(mapping: Mapping[str, Any], where: str) -> Experiment:
         _check_ids({"name": file.name, "cluster.realm": file.cluster.realm}, f"{where}: ")
     with _on_its_line(where, mapping, "cluster", "connect"):
         endpoint.check(file.cluster.connect, f"{where}: cluster.connect")
+    for key, read_texts in WORDS_OF_LABELS.items():
+        with _on_its_line(where, mapping, "cluster", key):
+            read_texts(getattr(file.cluster, key), f"{where}: cluster.{key}")
     with _on_its_line(where, mapping, "representation"):
         representation = _part(file.representation, f"{where}: representation")
     with _on_its_line(where, mapping, "optimizer"):
@@ -288,6 +315,21 @@ def changed(mapping: Mapping[str, Any], settings: Mapping[str, Any], where: str)
     for path, value in settings.items():
         _set(other, str(path), value, f"{where}: {path}")
     return other
+
+
+def settings_with(settings: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
+    """A simulator's settings, changed by ``problem.settings.a=value`` texts as ``load`` does.
+
+    Raises:
+        ConfigError: a text is another, or leads into something that is no table.
+    """
+    changed: dict[str, Any] = _plain(settings)
+    for override in overrides:
+        path, value = _change(override)
+        if not path.startswith(SETTINGS):
+            raise ConfigError(f"--set {override}: expected a setting of the simulator, such as {SETTINGS}agents=20")
+        _set(changed, path.removeprefix(SETTINGS), value, f"--set {override}")
+    return changed
 
 
 def complete(experiment: Experiment, where: str) -> Experiment:
@@ -347,7 +389,8 @@ def _complete_alone(experiment: Experiment, where: str) -> Experiment:
     with _on_its_line(where, experiment, "ranking", "kind"):
         ranking = _load("ranking", experiment.ranking.kind, f"{where}: ranking.kind")
     with _on_its_line(where, experiment, "problem", "settings"):
-        settings = _complete(experiment.problem.settings, simulator, f"{where}: problem.settings")
+        settings = ranges.complete(experiment.problem.settings, simulator.settings_type, f"{where}: problem.settings")
+        settings = _without_none(settings)
     with _on_its_line(where, experiment, "representation"):
         network = _complete_part(experiment.representation, representation, f"{where}: representation")
     with _on_its_line(where, experiment, "optimizer"):
@@ -381,6 +424,8 @@ def cluster(values: Mapping[str, Any]) -> Cluster:
     options = convert(values, Cluster, "cluster")
     _check_ids({"cluster.realm": options.realm}, "")
     endpoint.check(options.connect, "cluster.connect")
+    for key, read_texts in WORDS_OF_LABELS.items():
+        read_texts(getattr(options, key), f"cluster.{key}")
     if options.through_router and not options.connect and not options.multicast:
         raise ConfigError("cluster.through_router: name the router in cluster.connect (--connect tcp/ROUTER:7466)")
     return options
@@ -470,7 +515,7 @@ def _leaves(tables: Mapping[str, Any], above: str, where: str) -> Iterator[tuple
     if above.count(".") > MAX_DEPTH:
         raise ConfigError(f"{where}: nested too deep")
     for key, value in tables.items():
-        if isinstance(value, Mapping):
+        if isinstance(value, Mapping) and not ranges.is_range(value):
             yield from _leaves(value, f"{above}{key}.", where)
         else:
             yield f"{above}{key}", value
@@ -544,7 +589,12 @@ def _complete_part(part: Part, loaded: Any, where: str) -> Part:
 
 def _complete(settings: Mapping[str, Any], loaded: Any, where: str) -> dict[str, Any]:
     complete: dict[str, Any] = msgspec.to_builtins(convert(settings, loaded.settings_type, where))
-    return {key: value for key, value in complete.items() if value is not None}  # TOML has no null
+    return _without_none(complete)
+
+
+def _without_none(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """TOML has no null."""
+    return {key: value for key, value in settings.items() if value is not None}
 
 
 def _change(override: str) -> tuple[str, Any]:

@@ -1,8 +1,8 @@
-"""Simulators, representations, optimizers and rankings by name: the bundled tables, and what other packages add.
+"""Simulators, representations, optimizers and rankings by name: the bundled tables, and what others add.
 
 A package adds its own through the entry-point groups ``zswarm.simulators``, ``zswarm.representations``, ``zswarm.optimizers``
-and ``zswarm.rankings``. A part is imported when it is asked for, never by listing it, so a broken plug-in hurts nobody who does
-not use it.
+and ``zswarm.rankings``; a program becomes a simulator by a manifest (``manifests.py``). A part is imported, or its
+program started, when it is asked for, never by listing it, so a broken plug-in hurts nobody who does not use it.
 """
 
 import difflib
@@ -14,6 +14,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Literal
 
+from zswarm import manifests
 from zswarm.errors import UnknownPlugin
 
 Kind = Literal["simulator", "representation", "optimizer", "ranking"]
@@ -62,6 +63,7 @@ BUNDLED: dict[Kind, dict[str, str]] = {
         "swiss": "zswarm.ot.rankings.swiss:Swiss",
     },
 }
+FOREIGN = "zswarm.sims.foreign"  # makes classes of programs
 COMPOSED = {("representation", "bulk")}  # made of other bundled parts of their kind, which settings name
 ON_PYMUNK = ("box-pushing", "foraging-physical", "turtlebot-exit")
 WORLDS = {("simulator", name): "zswarm.sims.robot_world" for name in ON_PYMUNK}  # modules that bundled parts share
@@ -75,20 +77,30 @@ def _installed(kind: Kind) -> dict[str, EntryPoint]:
     return table | {name: EntryPoint(name, target, group) for name, target in BUNDLED[kind].items()}
 
 
+def foreign(kind: Kind) -> dict[str, Path]:
+    """The manifests of a kind's parts that are programs, by name; what is bundled or a package's goes before."""
+    found = manifests.find() if kind == "simulator" else {}
+    return {name: path for name, path in found.items() if name not in _installed(kind)}
+
+
 def names(kind: Kind) -> list[str]:
     """All names of a kind, sorted."""
-    return sorted(_installed(kind))
+    return sorted({*_installed(kind), *foreign(kind)})
 
 
 def load(kind: Kind, name: str) -> Any:
     """The class behind a name.
 
     Raises:
-        UnknownPlugin: no such name, or the package behind it cannot be imported; the text says which.
+        UnknownPlugin: no such name, or the package or program behind it cannot be used; the text says which.
     """
     table = _installed(kind)
+    programs = foreign(kind)
+    if name in programs:
+        return importlib.import_module(FOREIGN).simulator_class(name, programs[name])
     if name not in table:
-        raise UnknownPlugin(f"unknown {kind} {name!r}{nearest(name, table)}; known are: {', '.join(names(kind))}")
+        known = names(kind)
+        raise UnknownPlugin(f"unknown {kind} {name!r}{nearest(name, known)}; known are: {', '.join(known)}")
     try:
         return table[name].load()
     except (Exception, SystemExit) as error:  # a plug-in's import runs code of its authors: whatever it raises is named, not ours
@@ -104,12 +116,14 @@ def nearest(word: str, known: Any) -> str:
 
 
 def source_files(kind: Kind, name: str) -> list[Path]:
-    """The Python files whose change can change what a part computes, without importing it.
+    """The files whose change can change what a part computes, without importing it.
 
     For a bundled part its own module and those beside it whose names begin with its name (``arena_world.py``), with that of its
     world if others share that, and for a composed one those of all that it may be made of; for a plug-in every file of its
-    top-level package.
+    top-level package; for a program its manifest, the files that this names, and the modules that speak with programs.
     """
+    if manifest := foreign(kind).get(name):
+        return [*manifests.files(manifest), *sorted(_bundled_files(FOREIGN))]
     if name not in BUNDLED[kind]:
         return list(_package_files(_installed(kind)[name].module.split(".")[0]))
     names = BUNDLED[kind] if (kind, name) in COMPOSED else [name]

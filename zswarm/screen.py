@@ -1,7 +1,9 @@
 """What a program may show where its output goes: colours, lines that move, characters."""
 
+import contextlib
 import os
 import sys
+from collections.abc import Iterator
 from typing import IO, TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -13,6 +15,41 @@ def prepare() -> None:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
+
+
+_apart: list[IO[str]] = []  # stdout, while nothing else is to write there
+
+
+def stdout() -> IO[str]:
+    """Where JSON goes."""
+    return _apart[-1] if _apart else sys.stdout
+
+
+@contextlib.contextmanager
+def json_alone() -> Iterator[None]:
+    """Have nothing but JSON go to stdout: what simulators print in this process, in C, too, goes to stderr."""
+    own = sys.stdout
+    own.flush()
+    try:
+        kept = os.dup(1) if own.fileno() == 1 else None
+    except (OSError, ValueError):  # it is no file
+        kept = None
+    if kept is None:
+        stream = own
+    else:
+        stream = os.fdopen(os.dup(1), "w", encoding=own.encoding, errors="backslashreplace")
+        os.dup2(2, 1)
+    sys.stdout = sys.stderr
+    _apart.append(stream)
+    try:
+        yield
+    finally:
+        _apart.pop()
+        sys.stdout = own
+        if kept is not None:
+            os.dup2(kept, 1)
+            os.close(kept)
+            stream.close()
 
 
 def coloured(stream: IO[str]) -> bool:

@@ -10,7 +10,6 @@ Run them over a part of your own in its tests::
 Each check raises ``AssertionError`` with a text that names what is wrong; what the part itself raises passes through.
 """
 
-import copy
 import os
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -20,20 +19,17 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from zswarm import plugins
 from zswarm.draws import Stream
-from zswarm.evaluate import evaluate, play_in_turns
 from zswarm.jit import PLAIN, STEP_SIGNATURE, Step
 from zswarm.lanes import LANES
 from zswarm.nets.representation import Representation
 from zswarm.ot.optimizers.optimizer import Optimizer, Told
-from zswarm.sims.simulator import CompiledSimulator, Frame, Outcome, Simulator, Turn
+from zswarm.simulator_checks import check_simulator, fully_meshed, require
 from zswarm.strict import convert
 
-MAX_TURNS = 1_000_000  # of a trial in a check; a trial that goes on is taken to have no end
-TRIAL_SEEDS = (0, 1, 2**63 + 5, 2**64 - 1)
 NOT_A_NUMBER = b"\xff"  # repeated, it is NaN in float32 and float64, and beyond any table in an integer
 DECISIONS = 5
+__all__ = ["FakeClock", "check_optimizer", "check_representation", "check_simulator"]
 MUTATIONS = 50  # after which some genome is another, also where a mutation changes little
 GUARD = 64  # numbers before and behind an array that a decision gets
 
@@ -54,195 +50,6 @@ class FakeClock:
             raise ValueError(f"a clock goes forward: seconds must be at least 0, not {seconds}")
         self.now += seconds
         return self.now
-
-
-# ---- simulators ---------------------------------------------------------------------------------------------------
-
-
-def check_simulator(simulator_class: type[Simulator], settings: Mapping[str, Any] | None = None) -> None:
-    """Play some trials with random fully-meshed networks and check the contract of ``Simulator``.
-
-    Checked are: the numbers and names the class states; agents, shape and dtype of every turn; lengths and
-    finiteness of the outcome; that a seed gives the same outcome bits again, whatever was played before, and in another
-    instance. A ``CompiledSimulator`` must give the same bits in its turns, in a batch, and trial by trial, and must
-    report its progress and stop when asked.
-
-    Args:
-        simulator_class: the class to check.
-        settings: of the problem, as in ``[problem.settings]``; the defaults where left out.
-
-    Raises:
-        AssertionError: a rule is broken; the text says which.
-    """
-    checked = _CheckedSimulator(_simulator(simulator_class, settings))
-    name = simulator_class.__name__
-    simulator = checked.simulator
-    network = _fully_meshed(simulator.inputs, simulator.outputs)
-    genomes = network.random(simulator.participants + 2, Stream(1))
-    parameters = network.parameters(genomes)
-    trials = [(row, seed) for row in range(len(genomes)) for seed in TRIAL_SEEDS]
-    participants = np.array([[(row + k) % len(genomes) for k in range(simulator.participants)] for row, _ in trials], np.int64)
-    seeds = np.array([seed for _, seed in trials], np.uint64)
-
-    def play(player: Simulator, trial: int) -> bytes:
-        fitness, metrics = np.zeros(simulator.participants), np.zeros(len(simulator.metrics))
-        play_in_turns(player, network, parameters[participants[trial]], int(seeds[trial]), fitness, metrics)
-        return fitness.tobytes() + metrics.tobytes()
-
-    in_turns = [play(checked, trial) for trial in range(len(trials))]
-    fresh = _simulator(simulator_class, settings)
-    for trial in reversed(range(len(trials))):
-        _require(
-            play(fresh, trial) == in_turns[trial],
-            f"{name}: seed {seeds[trial]} played again, after other trials, has another outcome; nothing may be left "
-            "over from earlier trials, and all randomness comes from the seed",
-        )
-    if isinstance(simulator, CompiledSimulator):
-        assert isinstance(fresh, CompiledSimulator)  # noqa: S101  of the same class
-        _check_compiled(fresh, network, genomes, participants, seeds, in_turns)
-
-
-def _check_compiled(
-    simulator: CompiledSimulator,
-    network: Representation,
-    genomes: list[bytes],
-    participants: np.ndarray,
-    seeds: np.ndarray,
-    in_turns: list[bytes],
-) -> None:
-    name = type(simulator).__name__
-    one_by_one = _with_step_alone(network)
-    scalar = _played(simulator, one_by_one, genomes, participants, seeds, "play", 1)
-    for trial in range(len(seeds)):
-        _require(
-            scalar[trial] == in_turns[trial],
-            f"{name}: the turns and the compiled form differ, seed {seeds[trial]}: fitness and metrics "
-            f"{np.frombuffer(in_turns[trial])} in turns, {np.frombuffer(scalar[trial])} compiled",
-        )
-    if type(simulator).play_lanes is not CompiledSimulator.play_lanes:
-        lanes = _played(simulator, network, genomes, participants, seeds, "play_lanes", LANES)
-        for trial in range(len(seeds)):
-            _require(lanes[trial] == scalar[trial], f"{name}.play_lanes: seed {seeds[trial]} has another outcome than in play")
-
-
-def _played(
-    simulator: CompiledSimulator,
-    network: Representation,
-    genomes: list[bytes],
-    participants: np.ndarray,
-    seeds: np.ndarray,
-    method: str,
-    aside: int,
-) -> list[bytes]:
-    """Outcomes of the trials in a batch, checked to be those of each alone; so many may run side by side."""
-    where = f"{type(simulator).__name__}.{method}"
-    progress = np.zeros(2, np.int64)
-    batch = evaluate(simulator, network, genomes, participants, seeds, progress)
-    _require(
-        len(seeds) - aside <= progress[0] < len(seeds),
-        f"{where}: progress[0] must be the index of the trial that runs, {len(seeds) - 1} in the last, not {progress[0]}"
-        + (f", or of the first of {aside} at most that run side by side" if aside > 1 else ""),
-    )
-    outcomes = [batch.fitness[trial].tobytes() + batch.metrics[trial].tobytes() for trial in range(len(seeds))]
-    for trial in range(len(seeds)):
-        one = slice(trial, trial + 1)
-        alone = evaluate(simulator, network, genomes, participants[one], seeds[one])
-        _require(
-            alone.fitness[0].tobytes() + alone.metrics[0].tobytes() == outcomes[trial],
-            f"{where}: seed {seeds[trial]} alone has another outcome than as trial {trial} of a batch",
-        )
-    stopped = evaluate(simulator, network, genomes, participants, seeds, np.array([0, 1]))
-    _require(np.isnan(stopped.fitness).all(), f"{where}: must end before the next trial when progress[1] is not 0")
-    return outcomes
-
-
-def _with_step_alone(network: Representation) -> Representation:
-    """The same network as one that decides for one agent at a time only."""
-    alone = copy.copy(network)
-    alone.step_lanes = None
-    return alone
-
-
-class _CheckedSimulator(Simulator):
-    """A simulator that checks what another one answers."""
-
-    def __init__(self, simulator: Simulator) -> None:
-        super().__init__(simulator.settings)
-        self.simulator = simulator
-        self.name = name = type(simulator).__name__
-        _require(len(set(simulator.metrics)) == len(simulator.metrics), f"{name}.metrics: a name stands there twice")
-        for what in ("participants", "inputs", "outputs"):
-            count = getattr(simulator, what, None)
-            _require(isinstance(count, int) and count >= 1, f"{name}.{what} must be an int of at least 1, not {count!r}")
-        for what, count in (("sensors", simulator.inputs), ("actuators", simulator.outputs)):
-            names = getattr(simulator, what)
-            _require(len(names) in (0, count), f"{name}.{what} must be empty or {count} names, not {len(names)}")
-        _require(
-            set(simulator.owners) == set(range(simulator.participants)),
-            f"{name}.owners must name a participant 0..{simulator.participants - 1} per agent, and each at least once; "
-            f"it names {sorted(set(simulator.owners))}",
-        )
-        fixed = simulator.fixed_seeds(3)
-        _require(
-            fixed is None or (len(fixed) == 3 and all(0 <= seed < 2**64 for seed in fixed)),
-            f"{name}.fixed_seeds(3) must be None or three numbers below 2**64, not {fixed!r}",
-        )
-        self.participants, self.owners = simulator.participants, simulator.owners
-        self.inputs, self.outputs = simulator.inputs, simulator.outputs
-        self.turns = 0
-
-    def reset(self, seed: int) -> Turn:
-        turn = self.simulator.reset(seed)
-        _require(turn is not None, f"{self.name}.reset must return a Turn: somebody must act")
-        self.turns = 0
-        self.bodies = self._bodies()
-        return self._checked(turn, "reset")
-
-    def step(self, actions: np.ndarray) -> Turn | None:
-        before = actions.copy()
-        turn = self.simulator.step(actions)
-        _require(np.array_equal(before, actions, equal_nan=True), f"{self.name}.step must not change the actions it gets")
-        self.turns += 1
-        _require(self.turns < MAX_TURNS, f"{self.name}: the trial goes on after {MAX_TURNS} turns")
-        return None if turn is None else self._checked(turn, "step")
-
-    def _bodies(self) -> int:
-        """How many bodies a frame shows."""
-        frame = self.simulator.frame()
-        _require(frame is None or isinstance(frame, Frame), f"{self.name}.frame must return a Frame or None, not {frame!r:.80}")
-        return 0 if frame is None else len(frame.bodies)
-
-    def outcome(self) -> Outcome:
-        bodies = self._bodies()
-        same = f"{self.name}.frame: the frames of a trial must show the same bodies, not {self.bodies} and then {bodies}"
-        _require(bodies == self.bodies, same)
-        outcome = self.simulator.outcome()
-        for what, values, count in (
-            ("fitness", outcome.fitness, self.participants),
-            ("metrics", outcome.metrics, len(self.simulator.metrics)),
-        ):
-            _require(len(values) == count, f"{self.name}.outcome: {what} must be {count} numbers, not {len(values)}")
-            _require(bool(np.isfinite(values).all()), f"{self.name}.outcome: {what} must be finite, not {values}")
-        return outcome
-
-    def _checked(self, turn: Turn, method: str) -> Turn:
-        where = f"{self.name}.{method}"
-        agents, observations = list(turn.agents), turn.observations
-        _require(bool(agents), f"{where}: a turn must name an agent; a trial that is over returns None")
-        _require(len(set(agents)) == len(agents), f"{where}: an agent stands twice in a turn: {agents}")
-        known = range(len(self.owners))
-        _require(all(agent in known for agent in agents), f"{where}: agents must be in {known}, not {agents}")
-        _require(
-            isinstance(observations, np.ndarray) and observations.dtype == np.float32,
-            f"{where}: observations must be a float32 array, not {getattr(observations, 'dtype', type(observations))}",
-        )
-        wanted = (len(agents), self.inputs)
-        _require(observations.shape == wanted, f"{where}: observations must be {wanted}, not {observations.shape}")
-        return turn
-
-
-def _simulator(simulator_class: type[Simulator], settings: Mapping[str, Any] | None) -> Simulator:
-    return simulator_class(convert(settings or {}, simulator_class.settings_type, "settings"))
 
 
 # ---- representations ----------------------------------------------------------------------------------------------
@@ -276,10 +83,10 @@ def check_representation(
     name = representation_class.__name__
     network = representation_class(convert(settings or {}, representation_class.settings_type, "settings"), inputs, outputs)
     genomes = network.random(6, Stream(1))
-    _require(len(genomes) == 6, f"{name}.random(6, ...) must make 6 genomes, not {len(genomes)}")
-    _require(network.random(6, Stream(2)) != genomes, f"{name}.random makes the same of another stream")
+    require(len(genomes) == 6, f"{name}.random(6, ...) must make 6 genomes, not {len(genomes)}")
+    require(network.random(6, Stream(2)) != genomes, f"{name}.random makes the same of another stream")
     _check_numbers(name, network, genomes)
-    _require(isinstance(network.state_size, int) and network.state_size >= 0, f"{name}.state_size must be an int >= 0")
+    require(isinstance(network.state_size, int) and network.state_size >= 0, f"{name}.state_size must be an int >= 0")
     _check_operators(name, network, genomes)
     _check_refusals(name, network, genomes[0])
     _check_decisions(name, network, genomes)
@@ -289,21 +96,21 @@ def _check_numbers(name: str, network: Representation, genomes: list[bytes]) -> 
     """``genome_bytes``, ``genes`` and ``ranges``."""
     length = network.genome_bytes
     for genome in genomes:
-        _require(isinstance(genome, bytes), f"{name}.random must make bytes, not {type(genome).__name__}")
-        _require(length in (None, len(genome)), f"{name}.random: a genome must be {length} bytes, not {len(genome)}")
+        require(isinstance(genome, bytes), f"{name}.random must make bytes, not {type(genome).__name__}")
+        require(length in (None, len(genome)), f"{name}.random: a genome must be {length} bytes, not {len(genome)}")
     if network.genes is None:
-        _require(network.ranges is None, f"{name}.ranges must be None where genes is")
+        require(network.ranges is None, f"{name}.ranges must be None where genes is")
         return
     count, ranges = network.genes, network.ranges
-    _require(length == 4 * count, f"{name}.genes: {count} float32 numbers are not {length} bytes")
+    require(length == 4 * count, f"{name}.genes: {count} float32 numbers are not {length} bytes")
     given = f"{ranges.shape} {ranges.dtype}" if isinstance(ranges, np.ndarray) else repr(ranges)
-    _require(given == f"{(count,)} float64", f"{name}.ranges must be a {(count,)} float64 array, not {given}")
+    require(given == f"{(count,)} float64", f"{name}.ranges must be a {(count,)} float64 array, not {given}")
     assert ranges is not None  # noqa: S101  checked
-    _require(bool((np.isfinite(ranges) & (ranges > 0)).all()), f"{name}.ranges must be finite and above 0")
+    require(bool((np.isfinite(ranges) & (ranges > 0)).all()), f"{name}.ranges must be finite and above 0")
     numbers = np.abs(np.frombuffer(b"".join(network.random(64, Stream(5))), "<f4").reshape(64, count))
     reach = numbers.max(axis=0) / ranges
-    _require(bool((reach <= 1 + 1e-6).all()), f"{name}.random: number {int(reach.argmax())} is beyond its range")
-    _require(bool((reach > 0.5).all()), f"{name}.random: number {int(reach.argmin())} is not uniform in plus or minus its range")
+    require(bool((reach <= 1 + 1e-6).all()), f"{name}.random: number {int(reach.argmax())} is beyond its range")
+    require(bool((reach > 0.5).all()), f"{name}.random: number {int(reach.argmin())} is not uniform in plus or minus its range")
     for number in (0.0, -1e30, 1e30):
         try:
             network.parameters([np.full(count, number, "<f4").tobytes()])
@@ -319,14 +126,14 @@ def _check_operators(name: str, network: Representation, genomes: list[bytes]) -
         "crossover": lambda stream: [network.crossover(a, b, stream) for a, b in pairwise(genomes)],
     }
     none = [network.random(0, Stream(3)), network.mutate([], Stream(3), method=1, severity=0.3, probability=0.5)]
-    _require(none == [[], []], f"{name}: random of 0 and mutate of no genomes must make none")
+    require(none == [[], []], f"{name}: random of 0 and mutate of no genomes must make none")
     for operator, apply in operators.items():
         children = apply(Stream(3))
-        _require(children == apply(Stream(3)), f"{name}.{operator}: the same stream gives other genomes; draw only from it")
+        require(children == apply(Stream(3)), f"{name}.{operator}: the same stream gives other genomes; draw only from it")
         if operator.startswith("mutate"):
-            _require(len(children) == len(genomes), f"{name}.{operator}: {len(genomes)} genomes gave {len(children)}")
+            require(len(children) == len(genomes), f"{name}.{operator}: {len(genomes)} genomes gave {len(children)}")
         for child in children:
-            _require(
+            require(
                 isinstance(child, bytes) and network.genome_bytes in (None, len(child)),
                 f"{name}.{operator}: a genome must be {network.genome_bytes} bytes, not {len(child)}",
             )
@@ -339,24 +146,24 @@ def _check_operators(name: str, network: Representation, genomes: list[bytes]) -
         stream, mutants = Stream(7), genomes
         for _ in range(MUTATIONS):
             mutants = network.mutate(mutants, stream, method=method, severity=0.3, probability=1.0)
-        _require(mutants != genomes, f"{name}.mutate, method {method}: all genomes are the same after {MUTATIONS} mutations")
+        require(mutants != genomes, f"{name}.mutate, method {method}: all genomes are the same after {MUTATIONS} mutations")
     stream = Stream(8)
     children = [network.crossover(a, b, stream) for a, b in pairwise(genomes)]
-    _require(children != genomes[:-1], f"{name}.crossover: a child is its mother and has nothing of its father")
+    require(children != genomes[:-1], f"{name}.crossover: a child is its mother and has nothing of its father")
 
     distances = network.distances(genomes, genomes)
     count = len(genomes)
-    _require(
+    require(
         distances.shape == (count, count) and distances.dtype == np.float64,
         f"{name}.distances must be ({count}, {count}) float64, not {distances.shape} {distances.dtype}",
     )
-    _require(not distances.diagonal().any(), f"{name}.distances: a genome differs from itself")
-    _require(np.array_equal(distances, distances.T), f"{name}.distances are not symmetric")
-    _require(bool((distances >= 0).all()), f"{name}.distances: one is negative or NaN")
+    require(not distances.diagonal().any(), f"{name}.distances: a genome differs from itself")
+    require(np.array_equal(distances, distances.T), f"{name}.distances are not symmetric")
+    require(bool((distances >= 0).all()), f"{name}.distances: one is negative or NaN")
     for left, right in ((2, count), (count, 1), (1, 1)):
         some = network.distances(genomes[:left], genomes[-right:])
         same = np.array_equal(some, distances[:left, -right:])
-        _require(same, f"{name}.distances: a pair's distance depends on the other genomes; numpy may add in another order")
+        require(same, f"{name}.distances: a pair's distance depends on the other genomes; numpy may add in another order")
 
 
 def _check_refusals(name: str, network: Representation, genome: bytes) -> None:
@@ -375,14 +182,14 @@ def _check_refusals(name: str, network: Representation, genome: bytes) -> None:
 
 def _check_decisions(name: str, network: Representation, genomes: list[bytes]) -> None:
     parameters = network.parameters(genomes)
-    _require(
+    require(
         parameters.dtype == np.float32 and parameters.ndim == 2 and len(parameters) == len(genomes),
         f"{name}.parameters must be ({len(genomes)}, P) float32, not {parameters.shape} {parameters.dtype}",
     )
-    _require(parameters.flags.c_contiguous, f"{name}.parameters must be C-contiguous")
+    require(parameters.flags.c_contiguous, f"{name}.parameters must be C-contiguous")
     for genome, row in zip(genomes, parameters, strict=True):
         alone = network.parameters([genome])[0]
-        _require(
+        require(
             len(alone) <= len(row) and np.array_equal(alone, row[: len(alone)]) and not row[len(alone) :].any(),
             f"{name}.parameters: a genome's row depends on the other genomes; only zeros may be added behind it",
         )
@@ -391,7 +198,7 @@ def _check_decisions(name: str, network: Representation, genomes: list[bytes]) -
     if compiled:
         for what, function in (("step", step), ("step_lanes", step_lanes)):
             signatures = () if function is None else getattr(function, "signatures", ())
-            _require(
+            require(
                 function is None or STEP_SIGNATURE.args in signatures, f"{name}.{what} must be compiled with jit.STEP_SIGNATURE"
             )
 
@@ -399,22 +206,22 @@ def _check_decisions(name: str, network: Representation, genomes: list[bytes]) -
     agents = [_Agent(network, row) for row in parameters]
     decided = [agent.decide(f"{name}.step", step, observations) for agent in agents]
     again = [agent.decide(f"{name}.step", step, observations) for agent in reversed(agents)]
-    _require(decided == again[::-1], f"{name}.step: the same parameters and observations decide otherwise the second time")
+    require(decided == again[::-1], f"{name}.step: the same parameters and observations decide otherwise the second time")
     for agent in agents:
         agent.restart()
     turns = [[agent.act(f"{name}.step", step, observation) for agent in agents] for observation in observations]
-    _require(
+    require(
         [b"".join(actions) for actions in zip(*turns, strict=True)] == decided,
         f"{name}.step: agents that take turns decide otherwise than alone; all that is remembered must stand in the state",
     )
     for genome, expected in zip(genomes, decided, strict=True):
         agent = _Agent(network, network.parameters([genome])[0])
         same = agent.decide(f"{name}.step", step, observations) == expected
-        _require(same, f"{name}.step: a genome alone decides otherwise than among longer ones")
+        require(same, f"{name}.step: a genome alone decides otherwise than among longer ones")
     if compiled:
         with np.errstate(all="ignore"):
             plain = agents[0].decide(f"{name}.step", step.py_func, observations)  # type: ignore[attr-defined]  # of numba's
-        _require(
+        require(
             plain == decided[0],
             f"{name}.step: plain Python decides otherwise than the compiled form; type all constants, such as np.float32(0.5), "
             "and take functions from portable.py",
@@ -443,13 +250,13 @@ class _Agent:
         """One decision, checked."""
         self.observation[:], self.output[:] = observation, np.nan
         step(self.parameters, self.state, self.observation, self.output)
-        _require(
+        require(
             not np.isnan(self.output).any(),
             f"{where} leaves an output unset, or sets NaN; it does so, too, where it reads what is not in its arrays",
         )
         outside = [np.concatenate([whole[:GUARD], whole[-GUARD:]]) for whole in self.guarded]
-        _require(bool(np.isnan(outside).all()), f"{where} writes beside its arrays: is state_size too small?")
-        _require(
+        require(bool(np.isnan(outside).all()), f"{where} writes beside its arrays: is state_size too small?")
+        require(
             np.array_equal(self.parameters, self.kept) and np.array_equal(self.observation, observation),
             f"{where} must change only state and output",
         )
@@ -472,7 +279,7 @@ def _check_lanes(name: str, network: Representation, parameters: np.ndarray, obs
     decided = np.frombuffer(eight.decide(where, network.step_lanes, together), np.float32).reshape(-1, network.outputs, LANES)
     for lane in range(LANES):
         alone = _Agent(network, parameters[rows[lane]]).decide(f"{name}.step", network.step, seen[lane])
-        _require(decided[:, :, lane].tobytes() == alone, f"{where}: an agent decides otherwise than with step")
+        require(decided[:, :, lane].tobytes() == alone, f"{where}: an agent decides otherwise than with step")
 
 
 # ---- optimizers ---------------------------------------------------------------------------------------------------
@@ -541,7 +348,7 @@ def check_optimizer(
         AssertionError: a rule is broken; the text says which.
     """
     name = optimizer_class.__name__
-    network = representation or _fully_meshed(3, 1)
+    network = representation or fully_meshed(3, 1)
     toy = _Toy(network)
     named = {"measures": ["first", "second"]} if "measures" in optimizer_class.settings_type.__struct_fields__ else {}
 
@@ -551,7 +358,7 @@ def check_optimizer(
         optimizer.relative = relative
         return optimizer
 
-    _require(isinstance(optimizer_class.portable, bool), f"{name}.portable must be True or False")
+    require(isinstance(optimizer_class.portable, bool), f"{name}.portable must be True or False")
     _check_order(name, new(), toy)
     _check_repeats(name, new, toy)
     _check_not_a_number(name, new(), toy)
@@ -564,20 +371,20 @@ def check_optimizer(
 
 def _check_order(name: str, optimizer: Optimizer, toy: _Toy) -> None:
     genome, fitness = optimizer.best()
-    _require(genome == b"" and not np.isfinite(fitness), f"{name}.best before the first tell must be without a genome")
+    require(genome == b"" and not np.isfinite(fitness), f"{name}.best before the first tell must be without a genome")
     _require_raises(RuntimeError, lambda: optimizer.tell(np.zeros(1)), f"{name}.tell before an ask")
     genomes = optimizer.ask()
     measures = toy.measures(genomes, len(optimizer.measures))
-    _require(bool(genomes), f"{name}.ask must give a genome at least")
-    _require(all(type(genome) is bytes for genome in genomes), f"{name}.ask must give bytes, not {type(genomes[0]).__name__}")
+    require(bool(genomes), f"{name}.ask must give a genome at least")
+    require(all(type(genome) is bytes for genome in genomes), f"{name}.ask must give bytes, not {type(genomes[0]).__name__}")
     _require_raises(RuntimeError, optimizer.ask, f"{name}.ask before the last one was told")
     for wrong in (np.zeros(len(genomes) + 1), np.zeros((len(genomes), 1))):
         _require_raises(ValueError, lambda wrong=wrong: optimizer.tell(wrong, measures), f"{name}.tell with shape {wrong.shape}")  # type: ignore[misc]
-    _require(optimizer.generation == 0, f"{name}.generation counts a tell that was refused")
+    require(optimizer.generation == 0, f"{name}.generation counts a tell that was refused")
     if optimizer.measures:
         _require_raises(ValueError, lambda: optimizer.tell(toy.fitness(genomes)), f"{name}.tell without its measures")
     optimizer.tell(toy.fitness(genomes), measures)
-    _require(optimizer.generation == 1, f"{name}.generation must be 1 after the first tell, not {optimizer.generation}")
+    require(optimizer.generation == 1, f"{name}.generation must be 1 after the first tell, not {optimizer.generation}")
     _require_raises(RuntimeError, lambda: optimizer.tell(np.zeros(len(genomes)), measures), f"{name}.tell a second time")
 
 
@@ -588,25 +395,25 @@ def _check_repeats(name: str, new: Callable[[int], Optimizer], toy: _Toy) -> Non
         revived = new(1)
         revived.restore(msgspec.msgpack.decode(msgspec.msgpack.encode(first.state())), before)
         where = f"in generation {generation}"
-        _require(revived.generation == first.generation, f"{name}.restore: another generation {where}")
-        _require(_same(revived.best(), first.best()), f"{name}.restore: another best {where}")
+        require(revived.generation == first.generation, f"{name}.restore: another generation {where}")
+        require(_same(revived.best(), first.best()), f"{name}.restore: another best {where}")
         if generation:
-            _require(_same(revived.statistics(), first.statistics()), f"{name}.restore: other statistics {where}")
+            require(_same(revived.statistics(), first.statistics()), f"{name}.restore: other statistics {where}")
             told = (first.best(), first.statistics())
         genomes = first.ask()
         if generation:
-            _require(_same((first.best(), first.statistics()), told), f"{name}.ask changes best or statistics {where}")
+            require(_same((first.best(), first.statistics()), told), f"{name}.ask changes best or statistics {where}")
         most = first.candidates
-        _require(most is None or len(genomes) <= most, f"{name}.ask gives {len(genomes)} genomes; candidates says {most} {where}")
-        _require(again.ask() == genomes, f"{name}: the same seed asks other genomes {where}")
-        _require(revived.ask() == genomes, f"{name}: state and restore change what is asked {where}")
+        require(most is None or len(genomes) <= most, f"{name}.ask gives {len(genomes)} genomes; candidates says {most} {where}")
+        require(again.ask() == genomes, f"{name}: the same seed asks other genomes {where}")
+        require(revived.ask() == genomes, f"{name}: state and restore change what is asked {where}")
         if generation == 0:
-            _require(new(2).ask() != genomes, f"{name}: another seed asks the same genomes")
+            require(new(2).ask() != genomes, f"{name}: another seed asks the same genomes")
         fitness, measures = toy.fitness(genomes), toy.measures(genomes, len(first.measures))
         for optimizer in (first, again, revived):
             optimizer.tell(fitness, measures)
         before.append(Told(genomes, fitness, measures))
-        _require(
+        require(
             msgspec.msgpack.encode(revived.state()) == msgspec.msgpack.encode(first.state()),
             f"{name}: a restored optimizer told the same has another state {where}",
         )
@@ -626,21 +433,21 @@ def _check_not_a_number(name: str, optimizer: Optimizer, toy: _Toy) -> None:
         asked, told = list(genomes), fitness.tobytes() + measures.tobytes()
         optimizer.tell(fitness, measures)
         same = fitness.tobytes() + measures.tobytes() == told
-        _require(same, f"{name}.tell changes the fitness or measures that it gets; the run goes on with them")
-        _require(genomes == asked, f"{name}.tell changes the list that ask gave; the run goes on with it")
+        require(same, f"{name}.tell changes the fitness or measures that it gets; the run goes on with them")
+        require(genomes == asked, f"{name}.tell changes the list that ask gave; the run goes on with it")
         best = max(best, float(np.nanmax(fitness, initial=float("-inf"))))
-        _require(optimizer.best()[1] == best, f"{name}.best after NaN fitness must be {best}, not {optimizer.best()[1]}")
+        require(optimizer.best()[1] == best, f"{name}.best after NaN fitness must be {best}, not {optimizer.best()[1]}")
         statistics = optimizer.statistics()
         for what in ("best", "mean"):
-            _require(what in statistics, f"{name}.statistics: {what} is missing")
-            _require(bool(np.isfinite(statistics[what])), f"{name}.statistics: {what} must leave NaN fitness out")
+            require(what in statistics, f"{name}.statistics: {what} is missing")
+            require(bool(np.isfinite(statistics[what])), f"{name}.statistics: {what} must leave NaN fitness out")
 
 
 def _check_equals(name: str, optimizer: Optimizer) -> None:
     """All are equally good, as on a problem where nobody succeeds at first."""
     for generation in range(5):
         count = len(optimizer.ask())
-        _require(count > 0, f"{name}.ask gives no genome in generation {generation} where all are equally good")
+        require(count > 0, f"{name}.ask gives no genome in generation {generation} where all are equally good")
         optimizer.tell(np.zeros(count), np.zeros((count, len(optimizer.measures))))
 
 
@@ -654,11 +461,11 @@ def _check_improvement(name: str, optimizer: Optimizer, toy: _Toy, generations: 
         optimizer.tell(fitness, measures)
         told = max([told, *fitness.tolist()])
         genome, best = optimizer.best()
-        _require(best == told, f"{name}.best must be the best of all told, {told}, not {best}")
-        _require(toy.fitness([genome])[0] == best, f"{name}.best: the genome is not the one of that fitness")
+        require(best == told, f"{name}.best must be the best of all told, {told}, not {best}")
+        require(toy.fitness([genome])[0] == best, f"{name}.best: the genome is not the one of that fitness")
         history.append(best)
         reached.append(float(np.abs(measures).max(initial=0.0)))
-    _require(
+    require(
         history[-1] > history[0] or max(reached) > reached[0],
         f"{name}: the best of {generations} generations is no better than the first: {history[0]}"
         + ("; nor do measures reach further" if optimizer.measures else ""),
@@ -675,23 +482,17 @@ def _check_relative(name: str, optimizer: Optimizer, toy: _Toy, generations: int
         optimizer.tell(fitness, toy.measures(genomes, len(optimizer.measures)))
         genome, best = optimizer.best()
         where = f"where fitness is relative, in generation {generation}"
-        _require(
+        require(
             best == fitness.max(), f"{name}.best must be the best of the last generation {where}: {fitness.max()}, not {best}"
         )
-        _require(genome == genomes[int(np.argmax(fitness))], f"{name}.best: another genome than the first of the best {where}")
+        require(genome == genomes[int(np.argmax(fitness))], f"{name}.best: another genome than the first of the best {where}")
         mean = optimizer.statistics()["mean"]
-        _require(
+        require(
             bool(fitness.min() - 1.0 <= mean <= fitness.max() + 1.0),
             f"{name}: the mean, {mean}, has fitness of earlier generations in it {where}; all that compete must be asked again",
         )
         reached.append(float(worth.max()))
-    _require(reached[-1] > reached[0], f"{name}: with relative fitness generation {generations} is no better than the first")
-
-
-def _fully_meshed(inputs: int, outputs: int) -> Representation:
-    representation_class = plugins.load("representation", "fully-meshed")
-    network: Representation = representation_class(representation_class.settings_type(), inputs, outputs)
-    return network
+    require(reached[-1] > reached[0], f"{name}: with relative fitness generation {generations} is no better than the first")
 
 
 def _same(left: object, right: object) -> bool:
@@ -705,8 +506,3 @@ def _require_raises(kind: type[Exception], call: Callable[[], object], what: str
     except kind:
         return
     raise AssertionError(f"{what} must raise {kind.__name__}")
-
-
-def _require(holds: bool, text: str) -> None:
-    if not holds:
-        raise AssertionError(text)

@@ -13,7 +13,7 @@ import hashlib
 import os
 import platform
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib.metadata import version
 from itertools import takewhile
@@ -22,11 +22,12 @@ from pathlib import Path
 from zswarm import plugins
 
 LIBRARIES = ("llvmlite", "numba", "numpy", "pymunk")
+CODE = "code of "
 CPUINFO = Path("/proc/cpuinfo")
 # What compiled code depends on: x86-64, then aarch64. The rest differs between equal machines, or from day to day.
 KIND = "vendor_id|cpu family|model|flags|CPU implementer|CPU architecture|CPU variant|CPU part|Features"
 SHARED = (
-    *("draws.py", "evaluate.py", "jit.py", "lanes.py", "portable.py"),
+    *("draws.py", "evaluate.py", "jit.py", "lanes.py", "portable.py", "ranges.py", "varied.py"),
     *("nets/neurons.py", "nets/representation.py", "nets/vector.py", "sims/simulator.py"),
 )
 
@@ -34,9 +35,29 @@ SHARED = (
 @cache
 def version_hash(simulator: str, representation: str) -> str:
     """32 hex digits for the code behind a simulator and a representation, by name."""
-    parts: tuple[tuple[plugins.Kind, str], ...] = (("simulator", simulator), ("representation", representation))
+    parts = _parts(simulator, representation)
     files = [file for kind, name in parts for file in plugins.source_files(kind, name)]
-    return digest(files, platform.machine() if plugins.NATIVE.intersection(parts) else "")
+    return digest(files, _architecture(simulator, representation))
+
+
+def versions(simulator: str, representation: str) -> dict[str, str]:
+    """What the version hash is of, by name, to say what differs: versions of libraries, short digests of code."""
+    architecture = _architecture(simulator, representation)
+    return {
+        **_common(),
+        **({"architecture": architecture} if architecture else {}),
+        f"{CODE}simulator {simulator}": _code("simulator", simulator),
+        f"{CODE}representation {representation}": _code("representation", representation),
+    }
+
+
+def differing(here: Mapping[str, str], asked: Mapping[str, str]) -> list[str]:
+    """What is not the same in two versions, in words of the program that has the first."""
+    return [
+        f"other {name}" if name.startswith(CODE) else f"{name} {here[name]}, not {theirs}" if name in here else f"no {name}"
+        for name, theirs in asked.items()
+        if here.get(name) != theirs
+    ]
 
 
 @cache
@@ -64,6 +85,33 @@ def _shared() -> "hashlib.blake2b":
     for name in SHARED:
         _add(total, Path(__file__).parent / name)
     return total
+
+
+def _parts(simulator: str, representation: str) -> tuple[tuple[plugins.Kind, str], ...]:
+    return ("simulator", simulator), ("representation", representation)
+
+
+def _architecture(simulator: str, representation: str) -> str:
+    """The processor's, where a library's machine code plays the trials; else nothing."""
+    return platform.machine() if plugins.NATIVE.intersection(_parts(simulator, representation)) else ""
+
+
+@cache
+def _common() -> dict[str, str]:
+    shared = _short(Path(__file__).parent / name for name in SHARED)
+    return {library: version(library) for library in LIBRARIES} | {f"{CODE}zswarm": shared}
+
+
+@cache
+def _code(kind: plugins.Kind, name: str) -> str:
+    return _short(plugins.source_files(kind, name))
+
+
+def _short(files: Iterable[Path]) -> str:
+    total = hashlib.blake2b(digest_size=4)
+    for file in files:
+        _add(total, file)
+    return total.hexdigest()
 
 
 def _add(total: "hashlib.blake2b", file: Path) -> None:

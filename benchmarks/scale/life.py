@@ -16,6 +16,7 @@ from scale.farm import REALM, Servers, spawn
 from scale.pretended import CAPACITY, TRIALS, Times, draws, durations, speed, work
 from zswarm.ot.cluster import Cluster
 from zswarm.ot.dispatch import Counted, Note
+from zswarm.ot.matching import Choice
 from zswarm.ot.requests import Wanted, Who
 from zswarm.ot.workload import Workload
 from zswarm.protocol import messages
@@ -68,7 +69,8 @@ def optimizer(pipe: Connection, endpoints: list[str], times: Times, generations:
     """The process of the optimizer; sends what it measured."""
     count = len(endpoints) * CAPACITY
     wanted = Wanted(
-        messages.Part("pretended", msgspec.to_builtins(times)), messages.Part("none", {}), "", participants=1, metrics=0,
+        messages.Requirements(simulator="pretended", representation="none"), Choice(),
+        messages.Part("pretended", msgspec.to_builtins(times)), messages.Part("none", {}), participants=1, metrics=0,
         trial_timeout_s=3600.0, trial_memory_mb=0, slots=messages.MAX_SLOTS, quarantine=False, verify=0.0, probe=b"",
     )  # fmt: skip
     who = Who(REALM, "scale", f"scale-{secrets.token_hex(4)}", 0, secrets.token_bytes(16))

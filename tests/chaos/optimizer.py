@@ -7,6 +7,7 @@ import numpy as np
 from zswarm.ot import dispatch
 from zswarm.ot.dispatch import Dispatch
 from zswarm.ot.history import History
+from zswarm.ot.matching import Choice
 from zswarm.ot.requests import Wanted, Who, request
 from zswarm.protocol import messages
 
@@ -57,11 +58,13 @@ class Optimizer(Node[dispatch.Event]):
         self.superseded = False  # another one goes on with its run
         self.progressed_at = self.unserved_at = world.now
         self._verified, self._missed = 0, False
+        choice = Choice(max_slots=0 if verify else world.random.choice([0, 0, 1, 3]))  # a check needs a second server
         self.wanted = Wanted(
-            messages.Part(self.run, {}), messages.Part("", {}), "", 1, 1, TRIAL_TIMEOUT_S, trial_memory_mb=0,
+            messages.Requirements(), choice,
+            messages.Part(self.run, {}), messages.Part("", {}), 1, 1, TRIAL_TIMEOUT_S, trial_memory_mb=0,
             slots=world.random.choice([1, 2, 100]), quarantine=True, verify=verify, probe=b"",
         )  # fmt: skip
-        self.dispatch = Dispatch(1, 1, wanted_slots=self.wanted.slots, quarantine=True, verify=verify)
+        self.dispatch = Dispatch(1, 1, wanted_slots=self.wanted.slots, choice=choice, quarantine=True, verify=verify)
         self.workload = experiment.workload(None)  # the one that runs
         self._wake_at = float("inf")
         world.soon(self._next_generation)
@@ -81,12 +84,21 @@ class Optimizer(Node[dispatch.Event]):
         self._once = [1] * len(self.workload.seeds)
         self.handle(dispatch.Work(self.workload))
 
+    def _slots_held(self) -> int:
+        """Slots that it has a lease for, and that it asks for."""
+        phases = {dispatch.Phase.LEASED: "slots", dispatch.Phase.RESERVING: "wanted"}
+        servers = self.dispatch.servers.values()
+        return sum(getattr(server, phases[server.phase]) for server in servers if server.phase in phases)
+
     def react(self, event: dispatch.Event) -> None:
         """Give the dispatch an event, and carry out what it says."""
         world = self.world
         if not isinstance(event, dispatch.Tick):
             world.tell(self.run, self.epoch, "Work" if isinstance(event, dispatch.Work) else event)
-        for command in self.dispatch.handle(event, self.clock()):
+        commands = self.dispatch.handle(event, self.clock())
+        if self._slots_held() > (self.wanted.choice.max_slots or messages.MAX_SLOTS):
+            world.fail(f"{self.run} holds or asks for {self._slots_held()} slots of {self.wanted.choice.max_slots}")
+        for command in commands:
             match command:
                 case dispatch.Ask():
                     message = request(command, self.who, self.wanted, self.workload)

@@ -77,6 +77,14 @@ def evolve_rough(tmp_path: Path, rough: str, how: str, *options: str) -> Optimiz
         (["run", *NOBODY, "--set", "problem.settings.agents=ten"], 2, "agents: expected int, got str"),
         (["run", "--servers", "many"], 2, "expected auto, local or a number"),
         (["run", "--servers", "1", "--connect", "nonsense", "--no-multicast"], 2, "expected endpoints such as"),
+        (["run", *NOBODY, "--require", "gpu"], 2, "cluster.require: expected requirements such as gpu=yes"),
+        (
+            ["run", *NOBODY, "--require", "gpu=yes", "--require", "gpu=no"],
+            2,
+            "cluster.require: no server can meet gpu=yes and gpu=no",
+        ),
+        (["run", *NOBODY, "--rank", "--cores"], 2, "cluster.rank: expected the name of a label"),
+        (["run", *NOBODY, "--max-slots", "-1"], 2, "cluster: max_slots: expected int >= 0"),
         (["run", "--through-router", "--no-multicast"], 2, "name the router in cluster.connect"),
         (["servers", "--connect", "tcp/lab:http"], 2, "the port must be a number"),
         (["run", "--out", "damaged.toml/runs"], 2, "choose another place with --out"),
@@ -207,7 +215,10 @@ def test_a_simulator_that_raises_is_an_outcome_and_named(tmp_path: Path, rough: 
         ("hangs", "one trial took longer than 1 s"),
         ("exits", "ended with code 7"),
         ("segfault", "was killed by signal 11 (SIGSEGV)"),
-        ("hoards", "memory: it needs more than the 512 MB of cluster.trial_memory_mb: raise that, if servers have more"),
+        (
+            "hoards",
+            "memory: simulator rough: it needs more than the 512 MB of cluster.trial_memory_mb: raise that, if servers have more",
+        ),
     ],
 )
 def test_a_simulator_that_ends_its_process_pauses_the_run_and_names_the_cause(

@@ -34,6 +34,7 @@ class Problem(NamedTuple):
 PROBLEMS = {
     "arena": Problem("arena", 8, "spread", {"robots": 4, "steps": 1500}),
     "box-pushing": Problem("box-pushing", 2, "way", {"steps": 100, "robots": 2}),
+    "crowds": Problem("emergency-exit", 8, "escaped", {"steps": 1500, "agents": {"from": 5, "to": 15}}),
     "duel": Problem("minisim", 4, "steals", {"steps": 400, "teams": 2, "defenders": 0}),
     "emergency-exit": Problem("emergency-exit", 8, "escaped", {"steps": 1500}),
     "foraging-physical": Problem("foraging-physical", 2, "way", {"steps": 100, "robots": 2, "pucks": 2}),
@@ -95,7 +96,7 @@ ONCE = [  # few pairs of problem and representation: a slot that has played one 
     Parts("duel", "hebbian", "random", "multi-swiss"),
     Parts("xor", "neat", "neat"),
     Parts("arena", "ctrnn", "cmaes"),
-    Parts("emergency-exit", "fully-meshed", "cma-me"),
+    Parts("crowds", "fully-meshed", "cma-me"),  # settings differ by trial
     Parts("emergency-exit", "fully-meshed", "map-elites"),
     Parts("inverted-pendulum", "feed-forward", "pso"),
     Parts("light", "three-layer", "cuckoo"),

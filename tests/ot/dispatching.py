@@ -63,10 +63,10 @@ class Optimizer:
         return self.dispatch._workload
 
 
-def offer(capacity: int = 1, mismatch: str = "") -> Offer:
+def offer(capacity: int = 1, mismatch: str = "", **labels: str) -> Offer:
     return Offer(
         server="", program="", machine="", capacity=capacity, free=0, leases=0, simulators=[], representations=[],
-        mismatch=mismatch,
+        mismatch=mismatch, labels=labels,
     )  # fmt: skip
 
 

@@ -13,15 +13,17 @@ from zswarm import session
 from zswarm.ot import cluster
 from zswarm.ot.cluster import Cluster, Item
 from zswarm.ot.dispatch import Answered, Event, Gone, Seen, Verb, Work
+from zswarm.ot.matching import Choice
 from zswarm.ot.requests import Wanted, Who
 from zswarm.ot.workload import Workload
 from zswarm.protocol import codec, keys
-from zswarm.protocol.messages import Lease, Offer, Part, Reply
+from zswarm.protocol.messages import Lease, Offer, Part, Reply, Requirements
 from zswarm.session import Reach
 
 WANTED = Wanted(
-    Part("none", {}), Part("none", {}), "", 1, 0, 60.0, trial_memory_mb=0, slots=1, quarantine=False, verify=0.0, probe=b""
-)
+    Requirements(), Choice(), Part("none", {}), Part("none", {}), 1, 0, 60.0, trial_memory_mb=0, slots=1, quarantine=False,
+    verify=0.0, probe=b"",
+)  # fmt: skip
 WHO = Who("default", "ada", "run-1", 0, bytes(16))
 
 

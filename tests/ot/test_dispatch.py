@@ -7,6 +7,7 @@ import pytest
 from counting import instructions
 from dispatching import NAN, PROBE, Optimizer, fault, lease, offer, outcomes, trials, verbs
 
+from zswarm import labels
 from zswarm.errors import LocalProtocolError
 from zswarm.ot import dispatch
 from zswarm.ot.dispatch import (
@@ -26,6 +27,7 @@ from zswarm.ot.dispatch import (
     Tick,
     Work,
 )
+from zswarm.ot.matching import Choice
 from zswarm.ot.workload import Workload
 from zswarm.protocol import codec
 from zswarm.protocol.messages import MAX_MESSAGE, Done, Fault, Outcomes, Refused, Reply, Running
@@ -90,6 +92,112 @@ def test_a_server_that_does_not_match_is_looked_at_again_when_it_is_seen_again()
     assert optimizer.notes("server_mismatch")[0].text == "no such simulator"
     assert optimizer.wait(1000.0) == []
     assert verbs(optimizer.feed(Seen("a"))) == [("a", "offer")]
+
+
+# ---- servers that are chosen --------------------------------------------------------------------------------------
+
+
+def choosing(require: tuple[str, ...] = (), rank: tuple[str, ...] = (), max_slots: int = 0) -> Optimizer:
+    return Optimizer(choice=Choice(labels.requirements(require, ""), labels.preferences(rank, ""), max_slots))
+
+
+def offers(optimizer: Optimizer, capacity: int, **cores: int) -> None:
+    """Servers appear and offer so many slots each."""
+    for server, count in cores.items():
+        (ask,) = optimizer.feed(Seen(server))
+        assert optimizer.answer(ask, offer(capacity, cores=str(count))) == []
+
+
+def reserved(asks: list[Ask]) -> list[tuple[str, int]]:
+    return [(ask.server, ask.slots) for ask in asks if ask.verb == "reserve"]
+
+
+def test_a_server_that_is_not_what_is_required_is_named_once_and_not_reserved() -> None:
+    """However often it is seen; again when it says something else."""
+    optimizer = choosing(require=("gpu=yes", "cores>=8"))
+    told = []
+    for labels_of_server in ({"cores": "8"}, {"cores": "8"}, {"gpu": "yes", "cores": "4"}):
+        (ask,) = optimizer.feed(Seen("a"))
+        assert optimizer.answer(ask, offer(**labels_of_server)) == []  # type: ignore[arg-type]
+        told.append([note.text for note in optimizer.notes("server_mismatch")])
+    missing = ["the experiment requires gpu=yes (it has no gpu)"]
+    assert told == [missing, [], ["the experiment requires cores>=8 (it has cores=4)"]]
+    (ask,) = optimizer.feed(Seen("a"))
+    assert verbs(optimizer.answer(ask, offer(gpu="yes", cores="8"))) == [("a", "reserve")]
+
+
+def test_of_more_slots_than_may_be_held_the_best_servers_give_theirs() -> None:
+    """After a moment in which the others are seen, too; the last one of them gives what is left to hold."""
+    optimizer = choosing(rank=("cores",), max_slots=6)
+    offers(optimizer, 4, small=4, large=64, middle=16)
+    assert (optimizer.dispatch.spare(), optimizer.dispatch.leased()) == (3, 0)
+    assert reserved(optimizer.wait(dispatch.SETTLE_S)) == [("large", 4), ("middle", 2)]
+    for server, slots in (("large", 4), ("middle", 2)):
+        assert optimizer.answer(optimizer.asked[server, "reserve"], lease(server, slots)) == []
+    assert (optimizer.dispatch.spare(), optimizer.dispatch.leased(), optimizer.dispatch.slots()) == (1, 2, 6)
+
+
+def test_a_better_server_that_comes_later_changes_nothing_until_slots_are_missing() -> None:
+    optimizer = choosing(rank=("cores",), max_slots=4)
+    offers(optimizer, 4, small=4)
+    optimizer.wait(dispatch.SETTLE_S)
+    optimizer.answer(optimizer.asked["small", "reserve"], lease("small", 4))
+    offers(optimizer, 4, large=64, middle=16)
+    assert optimizer.wait(dispatch.SETTLE_S) == []
+    assert reserved(optimizer.feed(Gone("small"))) == [("large", 4)]
+
+
+@pytest.mark.parametrize("answer", [None, Refused(code="draining", reason="")])
+def test_the_next_server_is_asked_when_one_gives_nothing(answer: Reply | None) -> None:
+    optimizer = choosing(rank=("cores",), max_slots=2)
+    offers(optimizer, 2, small=4, large=64)
+    optimizer.wait(dispatch.SETTLE_S)
+    asks = optimizer.answer(optimizer.asked["large", "reserve"], answer)
+    for pause in RETRY_S if answer is None else ():
+        (again,) = optimizer.wait(pause)
+        assert verbs([again]) == [("large", "reserve")]
+        asks = optimizer.answer(again, answer)
+    assert reserved(asks) == [("small", 2)]
+
+
+def test_slots_that_a_busy_server_gives_late_are_held_in_the_place_of_worse_ones() -> None:
+    """What is held meanwhile is given back as far as it is too much, and not one slot more."""
+    optimizer = choosing(rank=("cores",), max_slots=4)
+    offers(optimizer, 4, small=4, large=64)
+    optimizer.wait(dispatch.SETTLE_S)
+    asks = optimizer.answer(optimizer.asked["large", "reserve"], lease("large", 0, state="waiting"))
+    assert reserved(asks) == [("small", 4)], "nobody waits for the busy one alone"
+    optimizer.answer(optimizer.asked["small", "reserve"], lease("small", 4))
+    asks = optimizer.answer(optimizer.asked["large", "renew"], lease("large", 1))
+    assert [(ask.server, ask.verb, ask.slots) for ask in asks if ask.verb != "renew"] == [
+        ("small", "release", 4),
+        ("small", "reserve", 3),
+    ]
+    optimizer.answer(optimizer.asked["small", "reserve"], lease("small", 3, number=1))
+    assert optimizer.dispatch.slots() == 4
+
+
+def test_a_little_work_is_for_the_best_servers() -> None:
+    """A trial for each of their slots before a worse one has any."""
+    optimizer = choosing(rank=("cores",))
+    for server, cores in (("small", "4"), ("large", "64"), ("middle", "16")):
+        (ask,) = optimizer.feed(Seen(server))
+        (ask,) = optimizer.answer(ask, offer(2, cores=cores))
+        optimizer.answer(ask, lease(server, 2))
+    asks = optimizer.work(3)
+    assert [(ask.server, trials([ask])) for ask in asks] == [("large", [0, 1]), ("middle", [2])]
+
+
+def test_nothing_is_reserved_after_leaving() -> None:
+    optimizer = choosing(max_slots=1)
+    offers(optimizer, 1, a=1, b=1)
+    optimizer.wait(dispatch.SETTLE_S)
+    optimizer.answer(optimizer.asked["a", "reserve"], lease("a", 1))
+    assert verbs(optimizer.feed(Leave())) == [("a", "release")]
+    assert optimizer.wait(1000.0) == []
+
+
+# ---- servers that refuse ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("code", ["malformed", "mismatch", "draining"])
@@ -632,7 +740,7 @@ def test_a_batch_that_every_server_refuses_ends_the_run_with_the_reason() -> Non
         (ask,) = optimizer.answer(ask, Refused(code="malformed", reason="a genome has 3 bytes"))
     assert optimizer.answer(ask, Refused(code="malformed", reason="a genome has 3 bytes")) == []
     (failed,) = [command for command in optimizer.commands if isinstance(command, Failed)]
-    assert failed.reason.endswith("on c: refused: a genome has 3 bytes")
+    assert failed.reason.endswith("on c: refused: a genome has 3 bytes (trial 0, its seed 0)")
 
 
 def test_a_server_that_cannot_take_our_batches_is_released_and_not_used() -> None:
@@ -980,7 +1088,7 @@ def test_a_fault_is_tried_on_the_same_server_where_there_is_no_other() -> None:
     for attempt in range(1, dispatch.ATTEMPTS):
         (ask,) = optimizer.answer(ask, fault(ask))
         assert ask.server == "a"
-        assert optimizer.notes("fault")[0].text == f"crashed: killed (trial 0, attempt {attempt})"
+        assert optimizer.notes("fault")[0].text == f"crashed: killed (trial 0, its seed 0, attempt {attempt})"
     assert optimizer.answer(ask, fault(ask)) == []
     (failed,) = [command for command in optimizer.commands if isinstance(command, Failed)]
     assert "3 times, last on a: crashed: killed" in failed.reason

@@ -135,3 +135,21 @@ def test_times_are_in_units_that_people_use(value: float, text: str) -> None:
 @pytest.mark.parametrize(("value", "text"), [(12, "12 bytes"), (1234, "1.23 kB"), (2_780_000, "2.78 MB"), (5e12, "5 TB")])
 def test_sizes_are_in_units_that_people_use(value: float, text: str) -> None:
     assert explanation.in_bytes(value) == text
+
+
+def test_settings_that_differ_by_trial_are_shown() -> None:
+    wide = ("--set", "problem.settings.agents={ from = 5, to = 15 }", "--set", "problem.settings.exits={ choice = [2, 5] }")
+    shown = " ".join(check("emergency-exit", *wide).split())
+    assert "ranges agents 5 to 15, exits 2 or 5: drawn for each trial from its seed" in shown
+    assert "robots 5 to 15, all driven by the same genome" in shown
+    told = json.loads(check("emergency-exit", "--json", *wide))
+    assert (told["ranges"], told["agents"], told["most_agents"]) == ({"agents": "5 to 15", "exits": "2 or 5"}, 5, 15)
+    assert "ranges" not in check("emergency-exit").partition("optimizer")[0]
+    assert json.loads(check("emergency-exit", "--json"))["ranges"] == {}
+
+
+def test_ranges_make_the_trials_of_a_world_without_chance_differ() -> None:
+    """So one trial is few, and several are not too many."""
+    shorter = "problem.settings.steps={ from = 20, to = 50 }"
+    assert explained("stadium", shorter).warnings[0].startswith("trials = 1")
+    assert explained("stadium", shorter, "problem.trials=5").warnings == []

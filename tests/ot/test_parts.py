@@ -93,6 +93,8 @@ def test_a_description_has_sheet_facts_and_every_setting(tmp_path: Path) -> None
     assert "exactly FREVO's Light (github.com/smartgrids-aau/Frevo, version 1.5)" in shown, "the module's text, too"
     assert "metrics found, steps, distance, x, y sensors light_left, light_right" in shown
     assert "heading_seed int, 0 to 2^48 - 1 1 of the generator" in shown
+    assert shown.count("A setting may be a range") == 1
+    assert "may be a range" not in said("describe", "nnga", cwd=tmp_path), "settings of the problem alone"
     (described,) = json.loads(said("describe", "nnga", "--json", cwd=tmp_path))["parts"]
     sheet = settings_sheet.keys(plugins.load("optimizer", "nnga").settings_type)
     assert [setting["name"] for setting in described["settings"]] == [key.name for key in sheet]

@@ -11,7 +11,8 @@ import pytest
 from click.testing import CliRunner
 from written import written
 
-from zswarm.ot import cli, reading, report
+import zswarm
+from zswarm.ot import cli, reading, report, unseen
 from zswarm.ot.controller import CHAMPION, load_controller
 from zswarm.ot.dispatch import Note
 from zswarm.sims.emergency_exit import EmergencyExit
@@ -199,3 +200,13 @@ def test_a_study_has_a_page_with_its_comparison(tmp_path: Path) -> None:
 def test_the_same_run_has_the_same_page(tmp_path: Path) -> None:
     run = reading.Run(written(tmp_path, [1, 2]))
     assert report.of_run(run, trials=2) == report.of_run(run, trials=2)
+
+
+def test_settings_that_differ_by_trial_are_shown(tmp_path: Path) -> None:
+    """In words; the film says what its trial had."""
+    settings = {"field": {"choice": ["random", "stadium"]}, "steps": {"from": 5, "to": 15}}
+    page = assert_harmless(report.of_run(reading.Run(written(tmp_path, [1], settings=settings)), trials=3))
+    assert "5 to 15, by trial" in page.text
+    assert "random or stadium, by trial" in page.text
+    drawn = zswarm.drawn(settings, unseen.trial_seed(report.SEED, 0))
+    assert f"the first of the unseen trials, field {drawn['field']}, steps {drawn['steps']}" in page.text

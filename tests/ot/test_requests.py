@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from zswarm.ot.dispatch import Ask, Verb
+from zswarm.ot.matching import Choice
 from zswarm.ot.requests import Wanted, Who, request
 from zswarm.ot.workload import Workload
 from zswarm.protocol import codec, messages
@@ -11,29 +12,29 @@ from zswarm.protocol.messages import Part
 
 LEASE = bytes(range(16))
 WHO = Who("lab", "ada", "run-1", 3, b"n" * 16)
+REQUIREMENTS = messages.Requirements(
+    simulator="minisim", representation="fully-meshed", version_hash="abc", trial_memory_mb=512, settings={"steps": 3},
+    versions={"numpy": "2.3.0"},
+)  # fmt: skip
 WANTED = Wanted(
-    Part("minisim", {"steps": 3}), Part("fully-meshed", {"hidden": 1}), "abc", 1, 0, 60.0, trial_memory_mb=512, slots=7,
+    REQUIREMENTS, Choice(),
+    Part("minisim", {"steps": 3}), Part("fully-meshed", {"hidden": 1}), 1, 0, 60.0, trial_memory_mb=512, slots=7,
     quarantine=False, verify=0.0, probe=b"",
 )  # fmt: skip
 
 
 def ask(verb: Verb) -> Ask:
-    return Ask(1, "lab-1", verb, LEASE, batch=9, trials=np.array([2, 0]), known_ready=4, batches=(5, 6))
+    return Ask(1, "lab-1", verb, LEASE, batch=9, trials=np.array([2, 0]), slots=5, known_ready=4, batches=(5, 6))
 
 
 @pytest.mark.parametrize(
     ("verb", "message"),
     [
-        (
-            "offer",
-            messages.Requirements(
-                simulator="minisim", representation="fully-meshed", version_hash="abc", trial_memory_mb=512
-            ),
-        ),
+        ("offer", REQUIREMENTS),
         (
             "reserve",
             messages.Reserve(
-                nonce=WHO.nonce, epoch=3, slots=7, simulator=WANTED.simulator, representation=WANTED.representation,
+                nonce=WHO.nonce, epoch=3, slots=5, simulator=WANTED.simulator, representation=WANTED.representation,
                 version_hash="abc", trial_timeout_s=60.0, trial_memory_mb=512,
             ),
         ),

@@ -105,3 +105,16 @@ def test_texts_of_a_plugin_cannot_break_out_of_their_comment(here: Path, monkeyp
     text = template.write(template.blank("new", "minisim", "fully-meshed", "nnga"))
     assert "\x1b" not in text
     assert tomllib.loads(text)["name"] == "new"
+
+
+def test_ranges_are_told_once() -> None:
+    """Before the settings of the problem, which alone can have them."""
+    flat = " ".join(template.write(template.blank("new", "minisim", "fully-meshed", "nnga")).replace("\n# ", " ").split())
+    assert flat.count("{ from = 5, to = 15 }") == 1
+    assert "or { choice = [5, 10] }. [problem.settings]" in flat
+
+
+def test_a_file_from_one_with_ranges_says_the_same(tmp_path: Path) -> None:
+    mapping = {**template.blank("new", "minisim", "fully-meshed", "nnga")}
+    mapping["problem"] = {"simulator": "minisim", "settings": {"robots": {"from": 5, "to": 9}, "reach": {"choice": [1, 2]}}}
+    assert tomllib.loads(template.write(mapping))["problem"] == mapping["problem"]

@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner
 from written import written
 
+from zswarm.errors import ConfigError
 from zswarm.ot.cli import command
 from zswarm.ot.controller import load_controller
 from zswarm.ot.unseen import Played
@@ -54,3 +55,30 @@ def test_a_metric_may_have_any_name(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 )
 def test_trials_are_the_same_if_fitness_and_metrics_are(fitness: list[float], metrics: list[list[float]], same: bool) -> None:
     assert Played(np.array(fitness)[:, None], np.array(metrics, np.float64), ("m",)).all_the_same() is same
+
+
+def test_a_champion_is_tried_on_other_settings(tmp_path: Path) -> None:
+    """Ranges are drawn from, set and fixed; what else there is of an experiment is fixed by the champion."""
+    folder = written(tmp_path, [1])
+    assert ALIKE in evaluate(folder, "--trials", "8")
+    drawn = evaluate(folder, "--trials", "8", "--set", "problem.settings.steps={ from = 1, to = 50 }")
+    assert ALIKE not in drawn
+    assert "rounds          mean 1\n" in evaluate(folder, "--trials", "8", "--set", "problem.settings.steps=1")
+    varied = written(tmp_path / "varied", [1], settings={"steps": {"from": 1, "to": 50}})
+    assert evaluate(varied, "--trials", "8").splitlines()[1:] == drawn.splitlines()[1:]
+    assert "rounds          mean 7\n" in evaluate(varied, "--set", "problem.settings.steps=7")
+
+
+@pytest.mark.parametrize(
+    ("override", "line"),
+    [
+        ("steps=3", "--set steps=3: expected a setting of the simulator, such as problem.settings.agents=20"),
+        ("problem.trials=3", "--set problem.trials=3: expected a setting of the simulator, such as problem.settings.agents=20"),
+        ("problem.settings.agents=0", "problem.settings: agents: expected int >= 1"),
+        ("problem.settings.agnets=3", "problem.settings: unknown key 'agnets' (did you mean 'agents'?)"),
+    ],
+)
+def test_other_settings_are_checked(override: str, line: str, tmp_path: Path) -> None:
+    done = CliRunner().invoke(command, ["evaluate", str(written(tmp_path, [1])), "--set", override])
+    assert isinstance(done.exception, ConfigError)
+    assert str(done.exception).startswith(line)

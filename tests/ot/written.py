@@ -1,7 +1,8 @@
 """Run folders as our programs leave them, with the fitness that a test wants; nothing is evaluated."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -26,12 +27,15 @@ def written(
     finished: bool = True,
     notes: Sequence[Note] = (),
     simulator: str = "emergency-exit",
+    settings: Mapping[str, Any] | None = None,
 ) -> Path:
     """A run whose best fitness was ``best`` after each generation; NaN: every candidate failed so far."""
     representation = msgspec.structs.replace(
         EXPERIMENT.representation, settings={**EXPERIMENT.representation.settings, "hidden": hidden}
     )
-    problem = msgspec.structs.replace(EXPERIMENT.problem, simulator=simulator)
+    problem = msgspec.structs.replace(
+        EXPERIMENT.problem, simulator=simulator, settings={**EXPERIMENT.problem.settings, **(settings or {})}
+    )
     complete = msgspec.structs.replace(
         EXPERIMENT, seed=seed, generations=len(best) + (not finished), representation=representation, problem=problem
     )

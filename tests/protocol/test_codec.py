@@ -18,8 +18,20 @@ from zswarm.errors import RemoteProtocolError
 from zswarm.ot.commands import servers
 from zswarm.ot.discovery import Found, Survey
 from zswarm.ot.dispatch import Answered, Ask, Dispatch, Gone, Note, Seen
+from zswarm.ot.matching import Choice
 from zswarm.protocol import codec, keys, messages
-from zswarm.protocol.messages import MAX_GENOMES, MAX_MESSAGE, MAX_TEXT, MAX_TRIALS, Evaluate, Outcomes, Part, Reserve
+from zswarm.protocol.messages import (
+    LABEL_NAME,
+    LABEL_VALUE,
+    MAX_GENOMES,
+    MAX_MESSAGE,
+    MAX_TEXT,
+    MAX_TRIALS,
+    Evaluate,
+    Outcomes,
+    Part,
+    Reserve,
+)
 
 T = TypeVar("T")
 FUZZ = settings(derandomize=True, max_examples=500 if os.environ.get("CI") else 100)  # the same every time, and short
@@ -38,6 +50,8 @@ REQUESTS = {
     messages.Requirements: {
         **dict.fromkeys(("simulator", "representation", "version_hash"), SHOWN),
         "trial_memory_mb": st.integers(0, 2**40),
+        "settings": st.dictionaries(SHOWN, PLAIN, max_size=3),
+        "versions": st.dictionaries(SHOWN, SHOWN, max_size=3),
     },
     Reserve: {
         "nonce": TOKENS,
@@ -70,7 +84,8 @@ REPLIES = {
     messages.Offer: {
         **dict.fromkeys(("server", "program", "machine", "mismatch"), SHOWN),
         **dict.fromkeys(("capacity", "free", "leases"), COUNTS),
-        **dict.fromkeys(("simulators", "representations"), st.lists(SHOWN, max_size=4)),
+        **dict.fromkeys(("simulators", "representations", "limits"), st.lists(SHOWN, max_size=4)),
+        "labels": st.dictionaries(*(st.from_regex(rf"\A{rule}\Z") for rule in (LABEL_NAME, LABEL_VALUE)), max_size=4),
     },
     messages.Lease: {
         "lease": TOKENS,
@@ -96,6 +111,12 @@ REPLIES = {
 }
 ANY_REQUEST = st.one_of([st.builds(kind, **fields) for kind, fields in REQUESTS.items()])
 ANY_REPLY = st.one_of([st.builds(kind, **fields) for kind, fields in REPLIES.items()])
+
+
+OFFER = messages.Offer(
+    server="lab-1", program="0.1.0", machine="", capacity=1, free=1, leases=0, simulators=[], representations=[],
+    labels={"gpu": "yes", "cores": "8"}, limits=["arena.robots 100 at most"],
+)  # fmt: skip
 
 
 def reserve(**changes: Any) -> Reserve:
@@ -422,6 +443,10 @@ def test_settings_are_nested_eight_deep_at_most() -> None:
         (evaluate(), {"batch": True}),
         (messages.Cancel(lease=bytes(16), batches=[]), {"batches": [0] * (MAX_TRIALS + 1)}),
         (messages.Renew(lease=bytes(16)), {"known_ready": -2}),
+        (messages.Requirements(), {"settings": {"key": {"key": [float("nan")]}}}),
+        (messages.Requirements(), {"settings": {"key": b"raw"}}),
+        (messages.Requirements(), {"versions": {"numpy": 2}}),
+        (messages.Requirements(), {"versions": {str(number): "" for number in range(messages.MAX_PARTS + 1)}}),
     ],
 )
 def test_a_field_beyond_its_bounds_is_refused(message: Any, changes: dict[str, Any]) -> None:
@@ -441,6 +466,23 @@ def test_nothing_in_a_reply_is_beyond_its_bounds() -> None:
     ):
         (field,) = changes
         assert field in refusal(changed(lease, **changes), codec.decode_reply)
+    for changes in (
+        {"labels": {"gpu": "yes\n"}},
+        {"labels": {"gpu": "\x1b[31m"}},
+        {"labels": {"gpu": "[bold]"}},
+        {"labels": {"gpu": ""}},
+        {"labels": {"gpu": "y" * 64}},
+        {"labels": {"gpu": 1}},
+        {"labels": {"": "yes"}},
+        {"labels": {"Gpu": "yes"}},
+        {"labels": {"g" * 64: "yes"}},
+        {"labels": {"gpu\n": "yes"}},
+        {"labels": {f"label{number}": "yes" for number in range(messages.MAX_LABELS + 1)}},
+        {"limits": ["arena.robots"] * (messages.MAX_PARTS + 1)},
+        {"limits": ["a" * (MAX_TEXT + 1)]},
+    ):
+        (field,) = changes
+        assert field in refusal(changed(OFFER, **changes), codec.decode_reply)
     outcomes = Outcomes(batch=1, fitness=b"", metrics=b"", seconds=1.0)
     assert "seconds" in refusal(changed(outcomes, seconds=float("nan")), codec.decode_reply)
     faulted = messages.Fault(batch=1, kind="crashed", trial=0, reason="")
@@ -458,6 +500,14 @@ def test_a_message_of_another_version_is_named_so_whatever_else_it_holds(version
     ):
         assert refusal(body) == expected
         assert refusal(body, codec.decode_reply) == expected
+
+
+def test_only_messages_by_which_programs_meet_pass_over_what_a_later_version_says() -> None:
+    """The two of phase 1: a program with one field more is not refused for it."""
+    wanted = messages.Requirements(simulator="minisim")
+    assert codec.decode_request(changed(wanted, more=[1])) == wanted
+    assert codec.decode_reply(changed(OFFER, more={"a": 1})) == OFFER
+    assert "more" in refusal(changed(messages.Done(), more=1), codec.decode_reply)
 
 
 def test_a_message_that_says_no_version_is_of_this_one() -> None:
@@ -548,7 +598,7 @@ def test_a_nasty_text_is_harmless_in_a_table(text: str, capsys: pytest.CaptureFi
     received = codec.decode_reply(codec.encode(offer))
     assert isinstance(received, messages.Offer)
     survey = Survey([Found("lab-1", received), Found("lab-2", None, codec.clean(text))], {}, [])
-    servers.show(survey, "default", through_router=False, as_json=False)
+    servers.show(survey, "default", Choice(), through_router=False, as_json=False)
     shown = capsys.readouterr().out
     assert not dangerous(shown.replace("\n", ""))
     for character in "[=<{":
@@ -583,8 +633,10 @@ def test_every_name_in_a_request_is_cleaned_where_it_comes_in(kind: type[message
     if kind is Reserve:
         message: messages.Request = reserve(simulator=Part(text, {}), representation=Part(text, {}), version_hash=text)
     else:
-        message = messages.Requirements(simulator=text, representation=text, version_hash=text)
+        message = messages.Requirements(simulator=text, representation=text, version_hash=text, versions={text: text})
     received = codec.decode_request(codec.encode(message))
+    if isinstance(received, messages.Requirements):
+        assert received.versions == {codec.clean(text): codec.clean(text)}
     for name in ("simulator", "representation", "version_hash"):
         value = getattr(received, name)
         assert (value.kind if isinstance(value, Part) else value) == codec.clean(text)
@@ -604,7 +656,7 @@ def test_every_text_of_a_reply_is_cleaned_where_it_comes_in(kind: type[messages.
         messages.Done: {},
     }[kind]
     texts = {name: text for name, strategy in REPLIES[kind].items() if strategy is SHOWN}
-    lists = {name: [text] for name in ("simulators", "representations") if name in REPLIES[kind]}
+    lists = {name: [text] for name in ("simulators", "representations", "limits") if name in REPLIES[kind]}
     received = codec.decode_reply(codec.encode(kind(**plain, **texts, **lists)))
     for name in texts:
         assert getattr(received, name) == codec.clean(text)

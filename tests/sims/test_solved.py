@@ -63,6 +63,15 @@ def test_xor_is_solved_from_every_seed() -> None:
     assert took[49] <= 10
 
 
+@pytest.mark.parametrize("example", ["xor-layers", "xor-roles"])
+def test_xor_is_solved_without_loops_but_not_without_parts(example: str) -> None:
+    """By a hidden layer, or by two networks in turn; not by one network without a hidden layer."""
+    for seed in range(1, 6):
+        assert Evolved(example, seed).history[-1] > -0.01
+    alone = Evolved("xor-layers", 1, "representation.kind=feed-forward", "representation.hidden=[]")
+    assert alone.history[-1] == pytest.approx(-0.5, abs=1e-3)
+
+
 @pytest.mark.parametrize("seed", range(1, 6))
 def test_a_robot_finds_the_exit_of_an_empty_room(seed: int) -> None:
     evolved = Evolved("simplified-emergency-exit", seed)
@@ -79,6 +88,11 @@ def test_a_pendulum_is_swung_up_and_kept_there() -> None:
 
 
 @pytest.mark.long
+def test_a_network_that_learns_while_it_plays_fetches_flags() -> None:
+    assert Evolved("minisim-hebbian", 1).history[-1] == pytest.approx(40.4, abs=0.05)
+
+
+@pytest.mark.long
 def test_a_robot_finds_lights_that_it_never_saw_in_evolution() -> None:
     evolved = Evolved("light", 1)
     fitness = at_random(evolved.problem) / 20
@@ -86,3 +100,19 @@ def test_a_robot_finds_lights_that_it_never_saw_in_evolution() -> None:
     assert fitness.max() < 0.45
     unseen = np.array([derive_seed(0, "unseen", trial) for trial in range(200)], np.uint64)
     assert evolved.metrics(unseen)["found"] > 0.5
+
+
+@pytest.mark.long
+def test_who_was_evolved_in_many_kinds_of_rooms_is_better_in_unseen_ones() -> None:
+    """Ten of ten, in rooms whose agents, exits and blockades differ, and in those that the other was evolved in."""
+    varied, fixed = ([Evolved(name, seed) for seed in range(1, 11)] for name in ("crowds", "emergency-exit"))
+    unseen = np.array([derive_seed(0, "unseen", trial) for trial in range(300)], np.uint64)
+    for rooms, least in ((varied[0].problem, 3.0), (fixed[0].problem, 1.0)):
+        better, worse = (np.array([mean_fitness(each.champion, rooms, unseen) for each in some]) for some in (varied, fixed))
+        assert (better > worse).all()
+        assert np.median(better) > np.median(worse) + least
+
+
+def mean_fitness(champion: bytes, problem: Problem, seeds: np.ndarray) -> float:
+    outcomes = evaluate(problem.simulator, problem.representation, [champion], np.zeros((len(seeds), 1), np.int64), seeds)
+    return float(outcomes.fitness.mean())

@@ -867,7 +867,7 @@ def test_a_process_that_dies_blames_one_trial_and_is_prepared_anew() -> None:
     lease = server.ready()
     queries = server.evaluate(lease, 1, 2)
     assert server.feed(Died(0, 3, "killed by signal 11")) == [Prepare(0, reserve(), probe=False)]
-    fault = Fault(batch=1, kind="crashed", trial=3, reason="killed by signal 11")
+    fault = Fault(batch=1, kind="crashed", trial=3, reason="simulator minisim: killed by signal 11")
     assert server.answers[queries[0]] == fault
     assert server.asked(evaluate(lease, 1)) == fault
     assert server.feed(Prepared(0, b"", 0.0)) == [run(0, lease, 2)]
@@ -1009,7 +1009,7 @@ def some(first: int, end: int) -> Outcomes:
 def test_a_trial_that_takes_all_memory_is_blamed() -> None:
     server, _lease, query = running_one()
     assert server.feed(Died(0, 4, "more than 512 MB", "memory")) == [Prepare(0, reserve(), probe=False)]
-    assert server.answers[query] == Fault(batch=1, kind="memory", trial=4, reason="more than 512 MB")
+    assert server.answers[query] == Fault(batch=1, kind="memory", trial=4, reason="simulator minisim: more than 512 MB")
 
 
 def test_a_worn_process_is_replaced_before_the_next_batch_and_nobody_is_blamed() -> None:

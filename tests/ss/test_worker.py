@@ -157,7 +157,7 @@ def test_how_a_process_ended_is_told(number: int, words: str, new_worker: Callab
     os.kill(pid(slot), number)
     with pytest.raises((EOFError, OSError)):
         answer(slot)
-    assert slot.exit_reason() == words
+    assert slot.exit_reason().partition("; it said")[0] == words
 
 
 def test_a_process_that_dies_at_its_start_again_and_again_is_started_after_growing_pauses(
@@ -262,3 +262,36 @@ def test_a_process_that_is_killed_before_it_started_ends_by_itself(new_worker: C
     assert slot._process is not early
     early.join(ANSWER_S)
     assert early.exitcode is not None
+
+
+def test_what_a_process_says_is_heard_but_for_floods(new_worker: Callable[..., Worker]) -> None:
+    """Whole lines, the first twenty; the last one is told when it ends before it answered again."""
+    slot = new_worker()
+
+    def say(text: bytes) -> list[str]:
+        with Path(f"/proc/{pid(slot)}/fd/1").open("wb") as said:
+            said.write(text)
+        return slot.listen()
+
+    assert say(b"one\n\ntwo, beg") == ["one"]
+    assert say(b"un\n\xff\n") == ["two, begun", "\\xff"]
+    assert say(b"".join(b"%d\n" % number for number in range(100))) == [
+        *(str(number) for number in range(17)),
+        "... what it says more is not logged",
+    ]
+    assert say(b"x" * 60_000 + b"\n") == []
+    assert slot.listen() == [], "there is nothing more to hear"
+    assert say(b"last words") == []
+    os.kill(pid(slot), signal.SIGKILL)
+    with pytest.raises((EOFError, OSError)):
+        answer(slot)
+    assert slot.exit_reason().endswith("; it said: last words")
+    assert slot.said is None
+
+
+def test_a_process_leads_a_session_and_nobody_else_has_its_pipe(new_worker: Callable[..., Worker]) -> None:
+    """So what it starts is known, and it is over when it ends."""
+    slot = new_worker()
+    assert os.getsid(slot.session) == slot.session == pid(slot)
+    slot.close()
+    assert slot.session == 0

@@ -18,6 +18,7 @@ from zswarm.ot.commands.import_ import import_
 from zswarm.ot.commands.init import init
 from zswarm.ot.commands.list import list_
 from zswarm.ot.commands.menu import Menu
+from zswarm.ot.commands.new import new
 from zswarm.ot.commands.plot import plot
 from zswarm.ot.commands.report import report
 from zswarm.ot.commands.run import resume, run
@@ -45,6 +46,7 @@ for _command in (
     init,
     check,
     describe,
+    new,
     run,
     resume,
     evaluate,

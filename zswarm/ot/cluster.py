@@ -55,6 +55,7 @@ class Standing(NamedTuple):
     serving: list[str]  # servers with a slot ready
     preparing: list[str]  # servers that get their first one ready
     leased: int  # servers that gave a lease
+    spare: int  # servers that would
     slots: int  # ready ones
     probe: bytes  # digest of the probe's outcomes, once known
 
@@ -89,11 +90,12 @@ class Cluster:
         local: str = "",
     ) -> None:
         self.who, self.wanted = who, wanted
-        self.standing = Standing([], [], 0, 0, wanted.probe)  # the last one that its thread told
+        self.standing = Standing([], [], 0, 0, 0, wanted.probe)  # the last one that its thread told
         self._dispatch = Dispatch(
             wanted.participants,
             wanted.metrics,
             wanted_slots=wanted.slots,
+            choice=wanted.choice,
             quarantine=wanted.quarantine,
             probe=wanted.probe,
             verify=wanted.verify,
@@ -209,20 +211,20 @@ class Cluster:
         self._inbox.put(settled)
 
     def wait(self, servers: int, timeout_s: float) -> Iterator[Item | None]:
-        """Wait until so many servers match and gave a lease, busy ones included; yields as ``evaluate`` does.
+        """Wait until so many servers match, busy ones included, and gave a lease if it is wanted; yields as ``evaluate`` does.
 
         Raises:
             NoServers: not in time.
         """
         deadline = time.monotonic() + timeout_s
         look_at = deadline - timeout_s / 2
-        while (leased := self.standing.leased) < servers:
+        while (found := self.standing.leased + self.standing.spare) < servers:
             if time.monotonic() > look_at:
                 look_at = deadline
                 self.diagnose()
             left = deadline - time.monotonic()
             if left <= 0:
-                raise NoServers(f"{leased} of {servers} matching servers were found in {timeout_s:g} s")
+                raise NoServers(f"{found} of {servers} matching servers were found in {timeout_s:g} s")
             item = self._next(min(left, FLUSH_S))
             if not isinstance(item, Complete):
                 yield item
@@ -369,7 +371,7 @@ class Cluster:
 
     def _standing(self) -> Standing:
         state = self._dispatch
-        return Standing(state.serving(), state.preparing(), state.leased(), state.slots(), state.probe)
+        return Standing(state.serving(), state.preparing(), state.leased(), state.spare(), state.slots(), state.probe)
 
     def _ask(self, ask: Ask, *, may_send: bool) -> None:
         question, verb = ask.question, ask.verb

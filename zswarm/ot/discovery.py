@@ -16,6 +16,7 @@ import zenoh
 from zswarm import endpoint, session
 from zswarm.endpoint import Endpoint
 from zswarm.errors import NoRouter, RemoteProtocolError
+from zswarm.ot.matching import Choice
 from zswarm.ot.newcomers import Newcomers
 from zswarm.protocol import codec, keys
 from zswarm.protocol.keys import ServerKey
@@ -37,6 +38,10 @@ class Found(msgspec.Struct, frozen=True):
     offer: Offer | None
     reason: str = ""
     address: str = ""  # the endpoint it was dialled at; "" through a router
+
+    def mismatch(self, choice: Choice) -> str:
+        """Why it is not used; "" when it is."""
+        return self.reason or (choice.mismatch(self.offer) if self.offer is not None else "")
 
 
 class Survey(NamedTuple):

@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 
 from zswarm.errors import LocalProtocolError, RemoteProtocolError
+from zswarm.ot.matching import Choice
 from zswarm.ot.verification import Checks
 from zswarm.ot.waiting import Waiting
 from zswarm.ot.workload import Workload, one_nan
@@ -40,6 +41,7 @@ SERVER_S = 0.002  # of work for each slot for each server that serves: messages 
 SMALLEST_BATCH_S = 0.003  # of work for each slot: shorter than the way to a server and back, two batches would not keep it busy
 RENEW_S = 20.0  # a third of the lease time; whatever else is asked, for slots may have gone to other runs
 RETRY_S = (0.05, 0.2, 1.0)  # before asking again after an empty answer; then the server is put aside
+SETTLE_S = 1.0  # from the first offer until slots are reserved, where not all there are may be: the best ones come, too
 PAUSE_S = 1.0  # before a server that has no room, or not our lease any more, is asked again
 ASIDE_S = 30.0  # before a server that did not answer is looked at again, unless it is seen again before
 ATTEMPTS = 3  # of a trial that ends in a fault
@@ -115,6 +117,7 @@ class Ask(msgspec.Struct, frozen=True):
     lease: bytes = b""
     batch: BatchId = 0
     trials: np.ndarray | None = None  # indices into the workload, of an evaluate
+    slots: int = 0  # of a reserve
     known_ready: int = -1
     batches: tuple[int, ...] = ()  # of a cancel
 
@@ -174,6 +177,7 @@ class Phase(Enum):
     SEEN = auto()  # its offer was asked
     IDLE = auto()  # it left, or cannot or does not want to serve; it is looked at again when it is seen again
     ASIDE = auto()  # it is looked at again after a time
+    SPARE = auto()  # it matches, and its slots are not wanted now
     RESERVING = auto()
     LEASED = auto()
     LEAVING = auto()  # its token vanished: what it has may still come back
@@ -209,6 +213,9 @@ class Server(msgspec.Struct, eq=False):
     probe: bytes = b""  # digest of its outcomes of the probe
     former: bytes = b""  # the lease that was left to itself
     capacity: int = 0
+    place: tuple[float, ...] = ()  # among the servers, by rank
+    mismatch: str = ""  # that the user was told
+    wanted: int = 0  # slots that were asked for, while RESERVING, LEASED or LEAVING
     slots: int = 0
     ready: int = 0
     trial_s: float = 0.0  # measured, 0.0: not yet
@@ -247,6 +254,7 @@ class Dispatch:
         *,
         wanted_slots: int,
         quarantine: bool,
+        choice: Choice = Choice(),  # noqa: B008  it never changes
         probe: bytes = b"",
         verify: float = 0.0,
     ) -> None:
@@ -256,6 +264,7 @@ class Dispatch:
             participants, metrics: numbers per trial, of the simulator.
             wanted_slots: to reserve on every server.
             quarantine: count a trial that faults again and again as NaN, instead of stopping.
+            choice: which servers, in which order, and how many slots of them all.
             probe: digest of the probe's outcomes that servers have; b"": the first server's. On the first difference the
                 optimizer's own machine decides.
             verify: share of the trials to evaluate on a second server, too.
@@ -268,6 +277,8 @@ class Dispatch:
         self._participants = participants
         self._metrics = metrics
         self._wanted = min(wanted_slots, MAX_SLOTS)
+        self._choice = choice
+        self._allot_at = float("inf")  # slots may be missing, and are reserved then
         self._quarantine = quarantine
         self._questions: dict[int, Question] = {}
         self._next = 0
@@ -306,14 +317,16 @@ class Dispatch:
                 self._tick(now)
             case Leave():
                 self._leave(now)
+        if self._allot_at <= now:
+            self._allot(now)
         self._fill(now)
         return self._commands
 
     def next_time(self) -> float:
         """When the next Tick is due."""
-        return min([self._renewal, *(time for time, _ in self._later)])
+        return min([self._renewal, self._allot_at, *(time for time, _ in self._later)])
 
-    # These four may be called by any thread; list() takes a copy that no other thread changes.
+    # These five may be called by any thread; list() takes a copy that no other thread changes.
 
     def slots(self) -> int:
         """Slots that evaluate for this run now."""
@@ -327,6 +340,10 @@ class Dispatch:
         """Servers that gave this run a lease, with or without a slot yet."""
         return sum(server.phase == Phase.LEASED for server in list(self.servers.values()))
 
+    def spare(self) -> int:
+        """Servers that match, and whose slots are not wanted now."""
+        return sum(server.phase == Phase.SPARE for server in list(self.servers.values()))
+
     def preparing(self) -> list[str]:
         """Servers that get ready for this run."""
         return [s.id for s in list(self.servers.values()) if s.phase == Phase.LEASED and s.slots and not s.ready]
@@ -338,10 +355,11 @@ class Dispatch:
         if server.phase == Phase.LEAVING:
             server.phase = Phase.LEASED  # the link was cut and is back before its end was noticed
             self._changed = True
+            self._allot_soon()
             self._note("server_back", server.id)
             self._return_to(server, now)
             self._renew(server, now)
-        elif server.phase in (Phase.IDLE, Phase.ASIDE):
+        elif server.phase in (Phase.IDLE, Phase.ASIDE, Phase.SPARE):
             server.phase, server.empties = Phase.SEEN, 0
             self._ask(server, "offer", now)
 
@@ -354,10 +372,13 @@ class Dispatch:
             self._note("server_left", id_, f"{sum(batch.left for batch in server.batches.values())} trials were with it")
             server.phase = Phase.LEAVING
             self._changed = True
+            self._allot_soon()
             for batch in [batch for batch in server.batches.values() if batch.empties]:
                 self._abandon(server, batch)  # nobody answered already, and nobody will
             self._forget_if_left(server)
         elif server.phase not in (Phase.LEAVING, Phase.BARRED):
+            if server.phase == Phase.RESERVING:
+                self._allot_soon()
             server.phase = Phase.IDLE
 
     def _forget_if_left(self, server: Server) -> None:
@@ -369,6 +390,7 @@ class Dispatch:
         for batch in list(server.batches.values()):
             self._abandon(server, batch)
         self._changed = True
+        self._allot_soon()
         server.former = server.lease or server.former
         if ended:
             self._end_former(server)
@@ -404,6 +426,7 @@ class Dispatch:
     def _put_aside(self, server: Server, time: float) -> None:
         """Use a server no more, until a time or until it is seen again."""
         server.phase = Phase.ASIDE
+        self._allot_soon()
         self._later.append((time, Question(server.id, "offer")))
 
     def _drop(self, server: Server, note: str, text: str, now: float) -> None:
@@ -421,6 +444,7 @@ class Dispatch:
     def _leased(self, server: Server, lease: Lease, now: float) -> None:
         was_ready = server.ready
         server.lease, server.slots, server.ready = lease.lease, lease.slots, lease.ready
+        self._allot_soon()
         if lease.state == "failed":
             self._drop(server, "server_refused", lease.reason, now)
             return
@@ -441,7 +465,7 @@ class Dispatch:
         self._renew_by(server.renewed + RENEW_S)
         if lease.ready and not was_ready:
             self._note("server_joined", server.id, count=lease.ready)
-        if server.ready < min(self._wanted, server.capacity):
+        if server.ready < min(server.wanted, server.capacity):
             self._renew(server, now)  # held by the server until more slots are ready
 
     def _renew_by(self, time: float) -> None:
@@ -486,6 +510,7 @@ class Dispatch:
                 self._lost(server, reply.reason, now)
             case "offer" | "reserve", Refused():
                 server.phase = Phase.IDLE
+                self._allot_soon()
                 self._note("server_refused", server.id, reply.reason)
             case "renew", Refused():
                 self._drop(server, "server_refused", reply.reason, now)
@@ -494,12 +519,47 @@ class Dispatch:
                 self._empty(server, verb, now)
 
     def _offered(self, server: Server, offer: Offer, now: float) -> None:
-        if offer.mismatch:
+        if mismatch := self._choice.mismatch(offer):
             server.phase = Phase.IDLE
-            self._note("server_mismatch", server.id, offer.mismatch)
+            if server.mismatch != mismatch:
+                self._note("server_mismatch", server.id, mismatch)
+            server.mismatch = mismatch
             return
-        server.phase, server.capacity = Phase.RESERVING, offer.capacity
+        server.phase, server.capacity, server.place, server.mismatch = Phase.SPARE, offer.capacity, self._choice.place(offer), ""
+        if self._choice.max_slots:
+            self._allot_at = min(self._allot_at, now + SETTLE_S)
+        else:
+            self._reserve(server, self._wanted, now)
+
+    def _reserve(self, server: Server, slots: int, now: float) -> None:
+        server.phase, server.wanted = Phase.RESERVING, slots
         self._ask(server, "reserve", now)
+
+    def _allot_soon(self) -> None:
+        """Slots came or went."""
+        if self._choice.max_slots:
+            self._allot_at = 0.0
+
+    def _allot(self, now: float) -> None:
+        """Hold as many slots as may be, those of the best servers first. What is held stays; what is too much is given back."""
+        self._allot_at = float("inf")
+        by_place = sorted(self.servers.values(), key=lambda server: server.place)
+        room = self._choice.max_slots
+        for server in by_place:
+            if server.phase == Phase.RESERVING:
+                room -= server.wanted
+            elif server.phase == Phase.LEASED:
+                room -= server.slots  # one that is busy for others may have none, and get some later
+        for server in reversed(by_place):
+            if room < 0 and server.phase == Phase.LEASED and server.slots:
+                room += server.slots
+                self._drop(server, "server_spare", "as many slots as wanted are held without it", now)
+                server.phase = Phase.SPARE
+        for server in by_place:
+            if room > 0 and server.phase == Phase.SPARE:
+                self._reserve(server, min(room, server.capacity, self._wanted), now)
+                room -= server.wanted
+        self._allot_at = float("inf")  # the leases that were given back just now are allowed for
 
     def _empty(self, server: Server, verb: Verb, now: float) -> None:
         """Nobody answered: the server is not known to the link yet, or left, or is too busy."""
@@ -633,24 +693,25 @@ class Dispatch:
         trial = int(batch.trials[min(index, len(batch.trials) - 1)])
         if trial not in rest:
             trial = int(rest[0])
+        which = f"trial {trial}, its seed {workload.seeds[trial]}"
         guilty = rest[rest == trial]
         self._give_back(Batch(batch.id, rest[rest != trial], batch.avoid, batch.check))
         if batch.check:
-            self._note("fault", server.id, f"{text} (trial {trial}, when it was verified)")
+            self._note("fault", server.id, f"{text} ({which}, when it was verified)")
             self._checks.drop([trial])
             self._blame(server, now)
             self._complete_if_done()
             return
         servers = self._faults.setdefault(trial, [])
         servers.append(server.id)
-        self._note("fault", server.id, f"{text} (trial {trial}, attempt {len(servers)})")
+        self._note("fault", server.id, f"{text} ({which}, attempt {len(servers)})")
         if len(servers) < ATTEMPTS:
             self._requeue(guilty, frozenset(servers))
         elif self._quarantine:
             workload.faulted[trial] = True
             self._mark_counted(guilty, "", 0.0)
         else:
-            self._fail(f"a trial ended in a fault {ATTEMPTS} times, last on {server.id}: {text}", now)
+            self._fail(f"a trial ended in a fault {ATTEMPTS} times, last on {server.id}: {text} ({which})", now)
 
     def _clear_of_blame(self, trials: np.ndarray, by: Server, now: float) -> None:
         """Trials that ended in faults ended in outcomes elsewhere: the machines were guilty."""
@@ -806,6 +867,8 @@ class Dispatch:
                 for server in self.servers.values()
                 if server.phase == Phase.LEASED and server.ready and server.paused_until <= now
             }
+            if self._choice.rank:  # who has the first of what is too little for all
+                self._serving = dict(sorted(self._serving.items(), key=lambda item: item[1].place))
             self._slots = sum(server.ready for server in self._serving.values())
             if not self._serving:
                 self._recall_faulty(now)
@@ -871,6 +934,7 @@ class Dispatch:
                 server.lease,
                 batch.id if batch else 0,
                 batch.trials if batch else None,
+                server.wanted,
                 server.ready,
                 batches,
             )

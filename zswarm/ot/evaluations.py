@@ -12,6 +12,7 @@ import numpy as np
 
 from zswarm import evaluate
 from zswarm.errors import EvaluationError, Stopped
+from zswarm.ot import matching
 from zswarm.ot.cluster import Cluster, Item
 from zswarm.ot.connection import Connection
 from zswarm.ot.dispatch import Counted, Disputed, Note, ProbeDisputed, ProbeSettled, Retracted, Settled
@@ -21,7 +22,6 @@ from zswarm.ot.requests import Wanted, Who
 from zswarm.ot.workload import Workload
 from zswarm.protocol import keys, messages
 from zswarm.session import Reach
-from zswarm.version_hash import version_hash
 
 WAIT_FOR_SERVERS_S = 10.0  # for the number of servers asked for
 PREPARING_S = 1.0  # of a server, before the user is told
@@ -49,7 +49,7 @@ TOLD = {
     "lease_waiting": "{server} is busy for others: waiting for a slot",
     "fault": "{server}: {text}",
     "malformed": "{server} sent something that is no answer: {text}",
-    "simulator_raised": "the simulator raised on {server}: {text} ({count} trials)",
+    "simulator_raised": "the simulator failed on {server}: {text} ({count} trials)",
 }
 
 
@@ -81,9 +81,10 @@ class Evaluations:
         options, reach = connection.options, connection.reach
         simulator, representation = problem.experiment.problem, problem.experiment.representation
         wanted = Wanted(
+            requirements=matching.requirements(problem.experiment, options),
+            choice=matching.choice(options),
             simulator=messages.Part(simulator.simulator, simulator.settings),
             representation=messages.Part(representation.kind, representation.settings),
-            version_hash=version_hash(simulator.simulator, representation.kind),
             participants=problem.simulator.participants,
             metrics=len(problem.simulator.metrics),
             trial_timeout_s=options.trial_timeout_s,
@@ -204,13 +205,15 @@ class Evaluations:
         self._logger.on_say(f"no server found in realm {options.realm}{alone}; {HINT}")
 
     def _tell(self, note: Note) -> None:
+        options = self._connection.options
         self._met = self._met or (bool(note.server) and not note.server.startswith("local-"))
         self._logger.on_event(note)
         if note.event in TOLD:
             slots = f"{note.count} slot{'s' if note.count != 1 else ''}"
             self._logger.on_say(TOLD[note.event].format(server=note.server, text=note.text, count=note.count, slots=slots))
         refused = note.event in ("server_refused", "server_mismatch") and note.server.startswith("local-")
-        if refused and self._connection.local is not None and not self._cluster.standing.serving:
+        unwanted = bool(options.require) and options.servers != "local"  # others may be what is required
+        if refused and not unwanted and self._connection.local is not None and not self._cluster.standing.serving:
             raise EvaluationError(note.text)
 
 

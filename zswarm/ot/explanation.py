@@ -9,14 +9,16 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from zswarm import evaluate, experiment
+from zswarm import evaluate, experiment, plugins, ranges
 from zswarm.experiment import Experiment
 from zswarm.ot.problem import Problem
 from zswarm.ot.rankings.ranking import Round
 from zswarm.ot.run import Parts
+from zswarm.varied import Varied
 
 MEASURED_S = 0.3  # of trials, to know what one takes
 MOST_PLAYED = 512  # trials of the measurement
+MOST_SEEDS = 8  # of them, where settings differ by trial; else 2
 MOST_BRED = 5_000  # candidates of a first generation up to which a second one is made to be counted
 EXAMPLE_SERVERS, EXAMPLE_SLOTS = 8, 4
 UNITS = ((1e-6, "us", 1e-3), (1e-3, "ms", 1.0), (1.0, "s", 120.0), (60.0, "min", 7200.0), (3600.0, "h", 172_800.0))
@@ -33,7 +35,9 @@ class Explanation(msgspec.Struct, frozen=True, kw_only=True):
     experiment: str
     simulator: str
     about: str  # the simulator's own words
-    agents: int
+    ranges: dict[str, str]  # settings that differ by trial, in words
+    agents: int  # in a trial; the least, where their number differs
+    most_agents: int
     participants: int
     inputs: int
     hidden: int | None
@@ -91,7 +95,8 @@ def explain(complete: Experiment, parts: Parts, out: Path = Path("runs")) -> Exp
     evaluations = first + (generations - 1) * later
     played = {count: rounds(problem, count) for count in {first, later}}
     simulations = trials * (sum(played[first]) + (generations - 1) * sum(played[later]))
-    participants = simulator.participants
+    participants, name = simulator.participants, complete.problem.simulator
+    agents = simulator.agents if isinstance(simulator, Varied) else (len(simulator.owners),) * 2
     slots = experiment.slots_of_this_machine(complete.cluster)
     hidden = complete.representation.settings.get("hidden")
     size = network.genome_bytes or int(np.mean([len(genome) for genome in genomes]))
@@ -99,9 +104,11 @@ def explain(complete: Experiment, parts: Parts, out: Path = Path("runs")) -> Exp
     record = evaluations * (size + CANDIDATE) + simulations * each + generations * GENERATION
     return Explanation(
         experiment=complete.name,
-        simulator=complete.problem.simulator,
-        about=" ".join((inspect.getdoc(type(simulator)) or "").partition("\n\n")[0].split()),
-        agents=len(simulator.owners),
+        simulator=name,
+        about=" ".join((inspect.getdoc(plugins.load("simulator", name)) or "").partition("\n\n")[0].split()),
+        ranges={".".join(path): ranges.words(one) for path, one in ranges.found(complete.problem.settings).items()},
+        agents=agents[0],
+        most_agents=agents[1],
         participants=participants,
         inputs=simulator.inputs,
         hidden=hidden if isinstance(hidden, int) else None,
@@ -145,7 +152,7 @@ def measure(problem: Problem, genomes: list[bytes]) -> Measured:
     simulator, network = problem.simulator, problem.representation
     evaluate.warm_up(simulator, network)
     if problem.experiment.problem.trials > 1:
-        seeds = problem.trial_seeds(0)[:2]
+        seeds = problem.trial_seeds(0)[: MOST_SEEDS if isinstance(simulator, Varied) else 2]
     else:
         seeds = np.array([problem.trial_seeds(generation)[0] for generation in (0, 1)], np.uint64)
         fixed = simulator.fixed_seeds(2)
@@ -182,6 +189,8 @@ def _warnings(complete: Experiment, measured: Measured, first: int, record: int,
     found = []
     if measured.failed:
         found.append(f"every trial that was tried failed{': ' + measured.error if measured.error else ''}; nothing can evolve")
+    elif measured.error:
+        found.append(f"a trial that was tried failed: {measured.error}; the candidate is ranked last")
     if complete.generations == 1:
         found.append("generations = 1: random candidates are judged, and nothing evolves")
     if first < FEW:

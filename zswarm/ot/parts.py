@@ -4,12 +4,13 @@ import contextlib
 import inspect
 import re
 import sys
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
 
-from zswarm import experiment, plugins, settings_sheet
-from zswarm.errors import UnknownPlugin
+from zswarm import experiment, manifests, plugins, settings_sheet
+from zswarm.errors import ConfigError, UnknownPlugin
 from zswarm.protocol.codec import clean
 from zswarm.settings_sheet import Key
 
@@ -26,12 +27,18 @@ class Part(NamedTuple):
     sheet: tuple[str, ...] = ()  # the rest, then the text of its module, in paragraphs
     settings: tuple[Key, ...] = ()
     facts: tuple[tuple[str, Any], ...] = ()  # what its class states, such as ("portable", True)
+    unasked: bool = False  # it is a program, which was not started: its manifest is all that is known
     error: str = ""  # why it cannot be used; then nothing else is known
 
 
 def installed() -> list[Part]:
-    """All parts, kind after kind, by name."""
-    return [part(kind, name) for kind in KINDS for name in plugins.names(kind)]
+    """All parts, kind after kind, by name; of programs what their manifests say."""
+    programs = {kind: plugins.foreign(kind) for kind in KINDS}
+    return [
+        _by_manifest(kind, name, programs[kind][name]) if name in programs[kind] else part(kind, name)
+        for kind in KINDS
+        for name in plugins.names(kind)
+    ]
 
 
 def find(name: str) -> list[Part]:
@@ -61,6 +68,13 @@ def part(kind: plugins.Kind, name: str) -> Part:
         return Part(kind, clean(name), about, (*sheet, *filter(None, source)), keys, tuple(_facts(kind, loaded)))
     except (Exception, SystemExit) as error:  # a plug-in's code and texts may do anything; the others are shown all the same
         return Part(kind, clean(name), error=clean(" ".join(f"{error}".split()) or type(error).__name__))
+
+
+def _by_manifest(kind: plugins.Kind, name: str, path: Path) -> Part:
+    try:
+        return Part(kind, clean(name), clean(manifests.read(path).description), unasked=True)
+    except ConfigError as error:
+        return Part(kind, clean(name), error=clean(str(error)))
 
 
 def as_object(part: Part) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from zswarm import evaluate, experiment, plugins
+from zswarm import evaluate, experiment, plugins, ranges, varied
 from zswarm.errors import ConfigError, UnknownPlugin
 from zswarm.extras import need
 from zswarm.files import write_for_user
@@ -203,13 +203,16 @@ def _film(champion: Controller) -> dict[str, str]:
         )
     except (ConfigError, MemoryError):
         return {}
+    seed = unseen.trial_seed(SEED, 0)
+    values = varied.values(champion.simulator_settings, seed)
+    drawn = "".join(f", {clean(ranges.name(path))} {clean(ranges.shown(value))}" for path, value in values.items())
     try:
-        frames = film.frames(simulator, network, champion.genome, unseen.trial_seed(SEED, 0))
+        frames = film.frames(simulator, network, champion.genome, seed)
     except Exception as error:  # whatever the code of a simulator raises: the rest of the page is there without it
         return {"no_film": clean(f"{type(error).__name__}: {error}")}
     if not frames:
         return {}
-    panel = film.Panel("the first of the unseen trials", frames)
+    panel = film.Panel(f"the first of the unseen trials{drawn}", frames)
     return {"film": film.svg([panel]).replace(f' xmlns="{film.NAMESPACE}"', "")}
 
 
@@ -362,7 +365,7 @@ def _number(value: float | None) -> str:
 
 
 def _value(value: Any) -> str:
-    return str(value) if isinstance(value, str) else msgspec.json.encode(value).decode()
+    return f"{ranges.words(value)}, by trial" if ranges.is_range(value) else ranges.shown(value)
 
 
 def _names(names: Sequence[str]) -> str:

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 from zswarm.ot.dispatch import Ask
+from zswarm.ot.matching import Choice
 from zswarm.ot.workload import Workload
 from zswarm.protocol.messages import Cancel, Evaluate, Part, Release, Renew, Request, Requirements, Reserve
 
@@ -10,9 +11,10 @@ from zswarm.protocol.messages import Cancel, Evaluate, Part, Release, Renew, Req
 class Wanted(NamedTuple):
     """What a run asks of servers."""
 
+    requirements: Requirements
+    choice: Choice
     simulator: Part
     representation: Part
-    version_hash: str
     participants: int
     metrics: int
     trial_timeout_s: float
@@ -37,20 +39,15 @@ def request(ask: Ask, who: Who, wanted: Wanted, workload: Workload | None) -> Re
     """The message of a question; an evaluate is of the workload."""
     match ask.verb:
         case "offer":
-            return Requirements(
-                simulator=wanted.simulator.kind,
-                representation=wanted.representation.kind,
-                version_hash=wanted.version_hash,
-                trial_memory_mb=wanted.trial_memory_mb,
-            )
+            return wanted.requirements
         case "reserve":
             return Reserve(
                 nonce=who.nonce,
                 epoch=who.epoch,
-                slots=wanted.slots,
+                slots=ask.slots,
                 simulator=wanted.simulator,
                 representation=wanted.representation,
-                version_hash=wanted.version_hash,
+                version_hash=wanted.requirements.version_hash,
                 trial_timeout_s=wanted.trial_timeout_s,
                 trial_memory_mb=wanted.trial_memory_mb,
             )

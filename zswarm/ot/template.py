@@ -17,6 +17,10 @@ HEAD = """\
 An experiment. Each key has its meaning, type and range above it. A line such as "#trials = 1" shows the default of a key that
 is not set: take the # away to set it.
 """
+RANGES = (
+    "Instead of a value each of these may have a range, from which every trial draws anew: { from = 5, to = 15 }, or "
+    "{ choice = [5, 10] }."
+)
 
 
 def blank(name: str, simulator: str, representation: str, optimizer: str) -> dict[str, Any]:
@@ -57,6 +61,7 @@ def _lines(content: Mapping[str, Any]) -> Iterator[str]:
             yield ""
             loaded = plugins.load("simulator", table["simulator"])
             yield from _comment((inspect.getdoc(loaded) or "").partition("\n\n")[0])
+            yield from _comment(RANGES)
             yield "[problem.settings]"
             yield from _keys(settings_sheet.keys(loaded.settings_type), table.get("settings", {}))
         elif name in experiment.PARTS:

@@ -12,7 +12,7 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from zswarm.screen import console
+from zswarm.screen import console, stdout
 from zswarm.strict import to_json
 
 LABEL = 12  # columns
@@ -113,7 +113,7 @@ def fact(state: str, about: str, text: str, mend: str) -> None:
 def print_json(value: dict[str, Any]) -> None:
     """One object on a line of stdout."""
     with patience():
-        print(to_json(value), flush=True)
+        print(to_json(value), file=stdout(), flush=True)
 
 
 @contextlib.contextmanager

@@ -76,7 +76,7 @@ def play(controller: Controller, trials: int, seed: int, against: Controller | N
         except ValueError as error:
             raise ConfigError(f"the champion does not fit its network: {error}") from None
         if parts[-1].error:
-            raise ConfigError(f"the simulator raised: {parts[-1].error}")
+            raise ConfigError(f"the simulator failed: {parts[-1].error}")
     told = np.concatenate([outcomes.fitness for outcomes in parts])
     results = np.empty_like(told)
     results[np.arange(trials)[:, None], places] = told

@@ -43,7 +43,9 @@ def decode_request(body: bytes) -> Request:
     match message:
         case messages.Requirements():
             texts = {name: clean(getattr(message, name)) for name in ("simulator", "representation", "version_hash")}
-            return msgspec.structs.replace(message, **texts)
+            _check_plain(message.settings, MAX_DEPTH)
+            versions = {clean(name): clean(version) for name, version in message.versions.items()}
+            return msgspec.structs.replace(message, **texts, versions=versions)
         case messages.Reserve():
             parts = {name: _part(getattr(message, name)) for name in ("simulator", "representation")}
             return msgspec.structs.replace(message, **parts, version_hash=clean(message.version_hash))
@@ -73,7 +75,9 @@ def decode_reply(body: bytes) -> Reply:
     message = _decode(body, _replies)
     match message:
         case messages.Offer():
-            lists = {name: [clean(text) for text in getattr(message, name)] for name in ("simulators", "representations")}
+            lists = {
+                name: [clean(text) for text in getattr(message, name)] for name in ("simulators", "representations", "limits")
+            }
             texts = {name: clean(getattr(message, name)) for name in ("server", "program", "machine", "mismatch")}
             return msgspec.structs.replace(message, **lists, **texts)
         case messages.Lease() | messages.Refused():

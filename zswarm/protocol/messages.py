@@ -15,6 +15,10 @@ MAX_TRIALS = 65_536  # in one batch
 MAX_TEXT = 500  # characters
 MAX_SLOTS = 65_535
 MIN_MEMORY_MB = 256  # that a run may ask for or a server give, per slot: less does not hold a compiler
+MAX_LABELS = 64  # of a server
+LABEL_NAME = "[a-z][a-z0-9_.-]{0,62}"
+LABEL_VALUE = "[A-Za-z0-9][A-Za-z0-9_.:+-]{0,62}"
+MAX_PARTS = 100  # of a version; limits of a server
 PROBE_GENOMES, PROBE_SEEDS = 4, 2  # the trials that every server plays for its digest: each genome on each seed
 
 Text = Annotated[str, Meta(max_length=MAX_TEXT)]
@@ -22,6 +26,8 @@ Token = Annotated[bytes, Meta(min_length=16, max_length=16)]
 Count = Annotated[int, Meta(ge=0, le=2**53)]
 Seconds = Annotated[float, Meta(ge=0, le=1e9)]
 Megabytes = Annotated[int, Meta(ge=0, le=2**40)]  # of 2^20 bytes
+LabelName = Annotated[str, Meta(pattern=rf"\A{LABEL_NAME}\Z")]
+LabelValue = Annotated[str, Meta(pattern=rf"\A{LABEL_VALUE}\Z")]
 BatchId = Count
 State = Literal["waiting", "preparing", "ready", "failed"]
 FaultKind = Literal["crashed", "timeout", "memory"]
@@ -44,13 +50,18 @@ class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 # ---- from the optimizer -------------------------------------------------------------------------------------------
 
 
-class Requirements(Message, frozen=True, tag="requirements"):
-    """Phase 1: what a run needs; with no simulator and no representation every server matches."""
+class Requirements(Message, frozen=True, tag="requirements", forbid_unknown_fields=False):
+    """Phase 1: what a run needs; with no simulator and no representation every server matches.
+
+    This and Offer may have fields of later versions, which are passed over: programs of unlike versions meet here.
+    """
 
     simulator: Text = ""
     representation: Text = ""
     version_hash: Text = ""
     trial_memory_mb: Megabytes = 0  # see Reserve
+    settings: dict[str, Any] = {}  # of the simulator: all of them
+    versions: Annotated[dict[Text, Text], Meta(max_length=MAX_PARTS)] = {}  # what the version hash is of, to say what differs
 
 
 class Reserve(Message, frozen=True, tag="reserve"):
@@ -99,8 +110,8 @@ class Release(Message, frozen=True, tag="release"):
 # ---- from the server ----------------------------------------------------------------------------------------------
 
 
-class Offer(Message, frozen=True, tag="offer"):
-    """What a server has and can do."""
+class Offer(Message, frozen=True, tag="offer", forbid_unknown_fields=False):
+    """What a server has and can do; as for Requirements."""
 
     server: Text
     program: Text  # zswarm's version
@@ -111,6 +122,8 @@ class Offer(Message, frozen=True, tag="offer"):
     simulators: Annotated[list[Text], Meta(max_length=1000)]
     representations: Annotated[list[Text], Meta(max_length=1000)]
     mismatch: Text = ""  # why the requirements are not met; empty: they are
+    labels: Annotated[dict[LabelName, LabelValue], Meta(max_length=MAX_LABELS)] = {}  # for what runs require and prefer
+    limits: Annotated[list[Text], Meta(max_length=MAX_PARTS)] = []  # of settings, in words; the server judges them
 
 
 class Lease(Message, frozen=True, tag="lease"):

@@ -5,17 +5,19 @@ worlds where agents move one after another. Each agent belongs to a participant,
 sees observations and actions only, never the network behind them.
 
 ``Simulator`` is all that a plug-in needs. ``CompiledSimulator`` adds one method that plays whole trials inside a compiled
-kernel; its turns must give the same bits.
+kernel; its turns must give the same bits. ``HostingSimulator`` may play whole trials with networks of its own.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from typing import ClassVar, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, NamedTuple
 
 import msgspec
 import numpy as np
 
 from zswarm.jit import Step
+
+MAX_TURNS = 1_000_000  # of a trial; one that goes on is taken to have no end
 
 
 class Turn(NamedTuple):
@@ -62,6 +64,34 @@ class Frame(NamedTuple):
 
 class Simulator(ABC):
     """One problem with its settings.
+
+    A whole one, in which three robots on a line gather::
+
+        class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+            steps: int = 50
+
+        class Gather(Simulator):
+            settings_type = Settings
+            inputs, outputs, owners = 2, 1, (0, 0, 0)
+
+            def reset(self, seed):
+                self.x, self.left = Stream(seed).uniform(0.0, 10.0, 3), self.settings.steps
+                return self.turn()
+
+            def step(self, actions):
+                self.x, self.left = self.x + actions[:, 0] - 0.5, self.left - 1
+                return self.turn() if self.left > 0 else None
+
+            def outcome(self):
+                return Outcome([float(self.x.min() - self.x.max())], [])
+
+            def turn(self):
+                observations = np.stack([self.x - self.x.min(), self.x.max() - self.x], axis=1)
+                return Turn(range(3), observations.astype(np.float32))
+
+    A trial is ``reset``, then ``step`` until it gives None, then ``outcome``. What it draws comes from the seed alone; nothing is
+    left over from earlier trials. Observations are finite and not changed later. What raises or breaks a rule makes the trial's
+    fitness NaN, as do ``MAX_TURNS`` turns without an end. ``zswarm.testing.check_simulator`` says which rule is broken.
 
     Attributes:
         settings_type: the struct of its settings in an experiment file.
@@ -141,3 +171,21 @@ class CompiledSimulator(Simulator):
             step_lanes: the decision of eight agents, see ``Representation.step_lanes``.
         """
         self.play(step, batch)
+
+
+class HostingSimulator(Simulator):
+    """A simulator that may decide for the controllers itself, as one outside of this process; with the bits of its turns.
+
+    Attributes:
+        hosted: the representation that it decides for, from ``host`` on.
+    """
+
+    hosted: object = None
+
+    @abstractmethod
+    def host(self, kind: str, settings: Mapping[str, Any]) -> bool:
+        """Prepare for controllers of a kind, an experiment's ``[representation]``; whether it decides for them."""
+
+    @abstractmethod
+    def play_alone(self, genomes: Sequence[bytes], seed: int) -> Outcome:
+        """Play a whole trial of the genomes of all participants."""

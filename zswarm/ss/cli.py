@@ -23,6 +23,13 @@ import click
 @click.option("--require-keys/--no-require-keys", default=None, help="Do not start in the clear.  [default: no-require-keys]")
 @click.option("--simulators", metavar="A,B", help="Simulators to offer.  [default: all installed]")
 @click.option(
+    "--label",
+    "labels",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Something that experiments may require or prefer, such as gpu=yes; may be repeated.",
+)
+@click.option(
     "--slot-memory",
     "slot_memory_mb",
     type=int,
@@ -64,7 +71,7 @@ def command(config: Path | None, log_level: str, until_stdin_closes: bool, **giv
     except OSError as error:  # no folder for temporary files, no processes left
         click.echo(f"zswarm-ss: {error}", err=True)
         sys.exit(1)
-    from zswarm import log
+    from zswarm import labels, log
     from zswarm.errors import ConfigError
     from zswarm.ss import options
     from zswarm.ss.server import Server
@@ -76,6 +83,8 @@ def command(config: Path | None, log_level: str, until_stdin_closes: bool, **giv
         if value not in (None, ())
     }
     try:
+        if "labels" in told:
+            told["labels"] = labels.assigned(told["labels"], "--label")
         code = Server(lambda: options.load(config, told), until_stdin_closes=until_stdin_closes).run()
     except ConfigError as error:
         click.echo(f"zswarm-ss: {error}", err=True)

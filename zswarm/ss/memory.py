@@ -20,8 +20,16 @@ PAGE = resource.getpagesize()
 
 def per_slot_mb(capacity: int) -> int:
     """A slot's share of the memory of the machine, or of the control group this program is in."""
-    machine = os.sysconf("SC_PHYS_PAGES") * PAGE
-    return max(LEAST_MB, int(SHARE * min([machine, *_group_limits()])) // capacity >> 20)
+    return max(LEAST_MB, int(SHARE * _machine()) // capacity >> 20)
+
+
+def machine_mb() -> int:
+    """Memory of the machine, or of the control group."""
+    return _machine() >> 20
+
+
+def _machine() -> int:
+    return min([os.sysconf("SC_PHYS_PAGES") * PAGE, *_group_limits()])
 
 
 def _group_limits() -> list[int]:

@@ -27,11 +27,11 @@ from zswarm.protocol import codec, keys
 from zswarm.protocol.messages import MAX_TEXT, Offer, Refused, Requirements, Reserve
 from zswarm.security import keyring, refusals
 from zswarm.session import Reach, keys_in_words
-from zswarm.ss import control, memory, slots, view
-from zswarm.ss.options import AT_START, Options
+from zswarm.ss import control, facts, limits, memory, orphans, slots, view
+from zswarm.ss.options import AT_START, Options, offered
 from zswarm.ss.presence import Presence, Question
-from zswarm.ss.worker import Ready, Rest, Worker
-from zswarm.version_hash import version_hash
+from zswarm.ss.worker import SAID_WIDTH, Ready, Rest, Worker
+from zswarm.version_hash import differing, version_hash, versions
 
 if TYPE_CHECKING:
     from zswarm.ss.metrics import Metrics
@@ -65,20 +65,13 @@ class Server:
         ring = self._reach.keyring
         self.id = keys.new_server_id(options.name or (ring.name if ring else keys.fold(platform.node())))
         self._presence = Presence(options.realm, self.id, self._on_network, private=self._private)
-        self.simulators = options.simulators or plugins.names("simulator")
-        offer = Offer(
-            server=self.id,
-            program=zswarm.__version__,
-            machine=f"{platform.system()} {platform.machine()}",
-            capacity=capacity,
-            free=capacity,
-            leases=0,
-            simulators=self.simulators,
-            representations=plugins.names("representation"),
-        )
-        self.slots = slots.Slots(capacity, offer, self._mismatch, lambda: secrets.token_bytes(16))
+        self.simulators, self.representations = offered(options), plugins.names("representation")
         self.slot_memory_mb = options.slot_memory_mb or memory.per_slot_mb(capacity)
+        self._facts = facts.facts(self.id.rpartition("-")[0], capacity, self.slot_memory_mb)
+        self._limits = limits.read(options.limits, self.simulators, "limits")
         self.workers = [Worker(self.slot_memory_mb) for _ in range(capacity)]
+        self.slots = slots.Slots(capacity, self._offer(), self._mismatch, lambda: secrets.token_bytes(16))
+        orphans.adopt()
         self._start_workers()
         self._inbox: deque[Question | slots.Event] = deque()
         self._wake, self._woken = os.pipe()
@@ -89,8 +82,9 @@ class Server:
         self._hashes = {
             (simulator, representation): version_hash(simulator, representation)
             for simulator in self.simulators
-            for representation in offer.representations
+            for representation in self.representations
         }  # of the code as it is now, which the slots run; not of what an upgrade puts there later
+        self._versions = {pair: versions(*pair) for pair in self._hashes}
         self._drain_by = float("inf")
         self._exit: int | None = None
         self._malformed = 0
@@ -101,6 +95,7 @@ class Server:
         self._drain_asked = self._reload_asked = self._warm = False
         self._look_at = self._show_at = 0.0  # when next, by the monotonic clock
         self._return_at = math.inf  # to the network, which it lost in a reload
+        self._left_behind, self._free = False, 0  # whether simulators may have left processes behind; slots that were free
         self._missed: dict[int, str] = {}  # slots whose process is missed, with the reason
         self._missed_s = min(MISSED_S, self._notify.watchdog_s)
 
@@ -124,6 +119,21 @@ class Server:
             self._presence.finish(2.0)
         log.info("server_stopped", server=self.id)
         return self._exit or 0
+
+    def _offer(self) -> Offer:
+        capacity = len(self.workers)
+        return Offer(
+            server=self.id,
+            program=zswarm.__version__,
+            machine=f"{platform.system()} {platform.machine()}",
+            capacity=capacity,
+            free=capacity,
+            leases=0,
+            simulators=self.simulators,
+            representations=self.representations,
+            labels=self._facts | {name: str(value) for name, value in self.options.labels.items()},
+            limits=[str(limit) for limit in self._limits],
+        )
 
     def _find_reach(self, options: Options) -> Reach:
         """How it is reached by the options, with the keys that are installed now.
@@ -171,7 +181,8 @@ class Server:
             workers = {worker.pipe.fileno(): index for index, worker in enumerate(self.workers) if worker.pipe is not None}
             poll = select.poll()
             leaving = {worker.leaving.sentinel: worker for worker in self.workers if worker.leaving is not None}
-            for descriptor in (self._wake, *workers, *leaving):
+            saying = {worker.said.fileno(): index for index, worker in enumerate(self.workers) if worker.said is not None}
+            for descriptor in (self._wake, *workers, *leaving, *saying):
                 poll.register(descriptor, select.POLLIN)
             if self._private:
                 poll.register(sys.stdin.fileno(), select.POLLIN)
@@ -200,6 +211,9 @@ class Server:
             for descriptor in ready:
                 if descriptor in leaving:
                     leaving[descriptor].look()
+                    self._left_behind = True
+                if descriptor in saying:
+                    self._listen(saying[descriptor])
                 if descriptor in workers and (event := self._from_worker(workers[descriptor])) is not None:
                     self._handle(event)
             for _ in range(len(self._inbox)):
@@ -236,6 +250,7 @@ class Server:
         try:
             options = self._read_options()
             reach = self._find_reach(options)
+            new_limits = limits.read(options.limits, self.simulators, "limits")
             if (ring := reach.keyring) is not None and ring.name != self.id.rpartition("-")[0]:
                 raise ConfigError(f"the keys are those of {ring.name}, this is {self.id}: start it again")
         except ConfigError as error:
@@ -253,6 +268,8 @@ class Server:
         else:
             kept = {name: getattr(self.options, name) for name in AT_START}
             self.options, self._reach, self._return_at = msgspec.structs.replace(options, **kept), reach, math.inf
+            self._limits = new_limits
+            self.slots.offer = self._offer()
             log.info("reloaded", listen=self._presence.endpoints, keys=keys_in_words(reach))
         self._reloaded()
 
@@ -285,10 +302,31 @@ class Server:
             if worker.start_at <= now:
                 worker.start()
 
+    def _listen(self, slot: int) -> None:
+        """Log what the simulator in a slot says."""
+        worker = self.workers[slot]
+        if worker.said is None:  # it was ended just before
+            return
+        held = self.slots.slots[slot]
+        setup = held.lease.setup if held.lease is not None else held.setup
+        simulator = setup.simulator.kind if setup is not None else ""
+        for line in worker.listen():
+            log.info("slot_said", slot=slot, simulator=simulator, text=codec.clean(line[:SAID_WIDTH]))
+
+    def _end_left_behind(self) -> None:
+        """End processes that simulators left behind: of slots whose process ended, and of those that no run holds."""
+        for slot, worker in zip(self.slots.slots, self.workers, strict=True):
+            if slot.state == slots.SlotState.FREE and worker.session and orphans.children(worker.session):
+                log.warning("slot_renewed", slot=slot.index, reason="its simulator left processes behind")
+                worker.kill()
+        rest = orphans.end({worker.session for worker in self.workers if worker.session})
+        self._left_behind = bool(rest)
+
     def _from_worker(self, index: int) -> slots.Event | None:
         worker = self.workers[index]
         if worker.pipe is None:  # it was ended for what another one said just before
             return None
+        self._listen(index)  # so that what it said before it answered is not taken for its last words
         try:
             letter, body = worker.receive()
         except (EOFError, OSError):
@@ -313,21 +351,28 @@ class Server:
                 trial = worker.trial()
                 worker.kill()
                 return slots.Died(index, trial, body.decode(), "memory")
+            case b"D":
+                trial = worker.trial()
+                worker.kill()
+                return slots.Died(index, trial, codec.clean(body.decode(errors="replace")))
             case _:
                 return slots.Finished(index, body, worn=letter == b"W")
 
     def _handle(self, event: slots.Event) -> None:
+        self._left_behind |= isinstance(event, slots.Died)
         for command in self.slots.handle(event, time.monotonic()):
             match command:
                 case slots.Answer():
                     self._presence.answer(*self._questions.pop(command.query), command.body)
                 case slots.Prepare():
+                    self._left_behind |= not command.known  # a process that had another problem is ended
                     self.workers[command.slot].prepare(command.setup, probe=command.probe, known=command.known)
                 case slots.Run():
                     self.workers[command.slot].evaluate(command.body, command.first, command.alone)
                 case slots.Stop():
                     self.workers[command.slot].stop()
                 case slots.Kill():
+                    self._left_behind = True
                     self.workers[command.slot].kill()
                 case slots.Log():
                     log.info(command.event, **command.fields)
@@ -366,6 +411,9 @@ class Server:
             self._look_at = min(self._look_at, now + LOOK_EVERY_S)
         if now < self._look_at:
             return
+        if (free := self.slots.free()) > self._free or self._left_behind:
+            self._end_left_behind()
+        self._free = free
         self._name_missed(now)
         if not self._missed:
             self._notify.feed()
@@ -376,7 +424,7 @@ class Server:
             if self._warm:
                 self._notify.ready()
         shown = self._view(now)
-        lasts = bool(shown.trials_per_s or self.slots.draining)
+        lasts = bool(shown.trials_per_s or self.slots.draining or self._left_behind)
         if now >= self._show_at:
             self._show_at = now + SHOW_EVERY_S
             self._notify.status(shown.line())
@@ -454,11 +502,16 @@ class Server:
         if (simulator, representation) not in self._hashes:
             return f"no representation {representation!r} here"
         if self._hashes[simulator, representation] != asked.version_hash:
+            told = asked.versions if isinstance(asked, Requirements) else {}
+            if parts := differing(self._versions[simulator, representation], told):
+                return f"another version is installed here: {'; '.join(parts)}"[:MAX_TEXT]
             return f"another version of {simulator}, {representation}, zswarm or numba is installed here"
         if asked.trial_memory_mb > self.slot_memory_mb:
             return f"a slot here has {self.slot_memory_mb} MB, the run asks for {asked.trial_memory_mb}"
-        return ""
+        settings = asked.simulator.settings if isinstance(asked, Reserve) else asked.settings
+        return limits.broken(self._limits, simulator, settings)
 
     def _close_workers(self) -> None:
         for worker in self.workers:
             worker.close()
+        orphans.end(())

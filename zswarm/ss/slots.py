@@ -298,6 +298,7 @@ class Slots:
     Attributes:
         trials: whose outcomes are there, of all leases so far.
         seconds: that slots spent on batches.
+        offer: what is told in phase 1; free slots and leases are filled in.
         faults: how many slots' processes died or were killed, by kind; ``stopped``: told to stop, they did not.
     """
 
@@ -311,7 +312,7 @@ class Slots:
         """Start with all slots free.
 
         Args:
-            offer: what is told in phase 1; free slots and leases are filled in.
+            offer: see above.
             mismatch: why this server cannot serve such a problem, or "".
             new_token: 16 random bytes.
         """
@@ -321,7 +322,7 @@ class Slots:
         self.trials = 0
         self.seconds = 0.0
         self.faults: Counter[str] = Counter()
-        self._offer = offer
+        self.offer = offer
         self._mismatch = mismatch
         self._new_token = new_token
         self._places = 0
@@ -386,7 +387,7 @@ class Slots:
                 mismatch = "draining" if self.draining else self._mismatch(message)
                 self._answer(
                     query,
-                    msgspec.structs.replace(self._offer, free=self.free(), leases=len(self.leases), mismatch=mismatch),
+                    msgspec.structs.replace(self.offer, free=self.free(), leases=len(self.leases), mismatch=mismatch),
                 )
             case Reserve():
                 self._reserve(event, message, now)
@@ -441,7 +442,7 @@ class Slots:
         self._answer(event.query, self._lease(lease))
 
     def _evaluate(self, lease: Held, message: Evaluate, event: Asked, now: float) -> None:
-        kept = self.kept.get(lease.token, message.batch)
+        kept = self.kept.get(lease.token, message.batch, now)
         if kept is not None:
             self._do(Answer(event.query, kept))
             return
@@ -725,7 +726,8 @@ class Slots:
         if piece is not None:
             batch, blame = piece.batch, "crashed" if kind == "stopped" else kind
             if not batch.cancelled and batch.fault is None:
-                batch.fault = Fault(batch=batch.message.batch, kind=blame, trial=piece.first + trial, reason=reason[:MAX_TEXT])
+                named = f"simulator {lease.setup.simulator.kind}: {reason}"[:MAX_TEXT]
+                batch.fault = Fault(batch=batch.message.batch, kind=blame, trial=piece.first + trial, reason=named)
                 self._close(lease, batch)
             self._conclude_if_done(lease, batch, now)
         slot.deaths += slot.state == SlotState.PREPARING
@@ -813,7 +815,7 @@ class Slots:
             slot.trial, slot.since = trial, now
         if now - slot.since > timeout_s:
             self._do(Kill(slot.index))
-            self._died(slot, "timeout", trial, f"one trial took longer than {timeout_s:g} s", now)
+            self._died(slot, "timeout", trial, f"one trial took longer than {timeout_s:g} s (cluster.trial_timeout_s)", now)
 
     def _hold(self, lease: Held, batch: Batch, now: float) -> None:
         """Answer a query that was held for long, or of which outcomes are there while slots have nothing to do.

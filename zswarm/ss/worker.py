@@ -3,8 +3,11 @@
 Children are forked from a fork server that has numba loaded and never touched zenoh. A frame on the pipe is one letter and
 a body: ``P`` prepare with the probe, ``Q`` prepare without, ``E`` evaluate; back come ``H`` here (once, when the process is
 warm), ``R`` ready, ``F`` failed, ``O`` done, ``W`` done and worn (little memory is left), ``X`` exhausted (no memory is left
-for the rest of the batch), and ``M`` (one trial, or preparing, took all memory). A child ends when its pipe closes, and is
-killed when the fork server ends.
+for the rest of the batch), ``M`` (one trial, or preparing, took all memory), and ``D`` (the program of a foreign simulator
+ended in a trial, or in preparing; with the reason). A child ends when its pipe closes, and is killed when the fork server ends.
+
+What a simulator writes to stdout and stderr goes into a second pipe, of which the server logs the first lines and keeps the last.
+A child leads a session of its own, and no process that it starts has its pipe: so it is over when the child ends.
 
 The fork server starts processes and reports how they ended; while it stands still it does neither. So a thread asks it for
 processes, and what was killed is waited for no longer than a moment: the caller never hangs.
@@ -12,6 +15,7 @@ processes, and what was killed is waited for no longer than a moment: the caller
 
 import contextlib
 import ctypes
+import faulthandler
 import functools
 import gc
 import importlib
@@ -31,7 +35,7 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from zswarm.errors import ConfigError, RemoteProtocolError
+from zswarm.errors import ConfigError, EvaluationError, RemoteProtocolError
 from zswarm.protocol import codec
 from zswarm.protocol.messages import Evaluate, Outcomes, Refused, Reserve
 from zswarm.ss import memory
@@ -46,6 +50,9 @@ TRIAL, STOP, FIRST, ALONE = range(4)  # of the shared numbers
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.2, 10.0  # before a process that died early again is started anew
 GOING_S = 0.2  # a killed process is waited for, before others go on
 ENDING_S = 1.0  # the word on how a process ended is waited for
+SAID_LINES = 20  # that a process says, which are logged
+SAID_WIDTH = 200  # characters of a line that are logged, or told as last words
+SAID_BYTES = 1 << 16  # read at once; of the last ones words are told
 
 _context = multiprocessing.get_context("forkserver")
 
@@ -81,6 +88,7 @@ class Worker:
 
     Attributes:
         pipe: to it; None while none was asked for.
+        said: what it says, for ``listen``; None while nothing can come.
         here: it is there and warm: numba is loaded, and it said so.
         leaving: the one before it, which was killed and is not gone yet; ``look`` when its ``sentinel`` can be read.
     """
@@ -91,14 +99,21 @@ class Worker:
         self._progress = np.frombuffer(self._shared, np.int64)
         self._process: multiprocessing.context.ForkServerProcess | None = None
         self._unborn: list[str] = []  # why it could not be started, from the thread that tried
+        self._said, self._lines = b"", 0  # the last bytes that it said, how many lines of it were logged
         self._prepared = False
         self._held = b""  # a frame for the process that is to come
         self._early_deaths = 0  # in a row: before it answered anything
         self._start_at = 0.0
         self._missed_since = math.inf
         self.pipe: Connection | None = None
+        self.said: Connection | None = None
         self.here = False
         self.leaving: multiprocessing.context.ForkServerProcess | None = None
+
+    @property
+    def session(self) -> int:
+        """Of the process and of all that it starts; 0 while there is none."""
+        return (self._process is not None and self.pipe is not None and self._process.pid) or 0
 
     @property
     def start_at(self) -> float:
@@ -109,11 +124,13 @@ class Worker:
         """Ask for the process: it says that it is here, or ``receive`` says that it could not be started."""
         self._progress[:] = 0
         self.pipe, child_end = _context.Pipe()
-        self._process = _context.Process(target=main, args=(child_end, self._shared, self._memory_mb), daemon=True)
-        self._unborn = []
+        self.said, saying = _context.Pipe(duplex=False)
+        os.set_blocking(self.said.fileno(), False)
+        self._process = _context.Process(target=main, args=(child_end, self._shared, self._memory_mb, saying), daemon=True)
+        self._unborn, self._said, self._lines = [], b"", 0
         self._start_at = math.inf
         self._missed_since = min(self._missed_since, time.monotonic())
-        _starter().put(functools.partial(_start, self._process, child_end, self._unborn))
+        _starter().put(functools.partial(_start, self._process, (child_end, saying), self._unborn))
 
     def look(self) -> None:
         """See whether the killed process is gone."""
@@ -178,6 +195,9 @@ class Worker:
                 raise
             self.pipe.close()
             self.pipe = None
+            if self.said is not None:
+                self.said.close()
+                self.said = None
             self._died_early()
             return b"N", self._unborn[0].encode(errors="backslashreplace")
         if frame[:1] == b"H":
@@ -185,8 +205,30 @@ class Worker:
             if self._held:
                 self._send(self._held[:1], self._held[1:])
         else:
-            self._early_deaths = 0
+            self._early_deaths, self._said = 0, b""  # it lived on: these were no last words
         return frame[:1], frame[1:]
+
+    def listen(self) -> list[str]:
+        """Lines that it said, to be logged; none beyond the first of a process."""
+        assert self.said is not None  # noqa: S101  the loop polls what is there
+        try:
+            new = os.read(self.said.fileno(), SAID_BYTES)
+        except BlockingIOError:
+            return []
+        if not new:
+            self.said.close()
+            self.said = None
+        begun = self._said[self._said.rfind(b"\n") + 1 :] if self._lines <= SAID_LINES else b""
+        self._said = (self._said + new)[-SAID_BYTES:]
+        if self._lines > SAID_LINES:
+            return []
+        whole, _, _ = (begun + new).rpartition(b"\n")
+        said = [line.decode(errors="backslashreplace") for line in whole.split(b"\n") if line.strip()]
+        lines = said[: SAID_LINES - self._lines]
+        self._lines += len(said)
+        if self._lines > SAID_LINES:
+            lines.append("... what it says more is not logged")
+        return lines
 
     def kill(self) -> None:
         """End it, whatever it does; a new one is due at once, unless one was to be waited for already."""
@@ -202,8 +244,23 @@ class Worker:
         self._process.join(ENDING_S)
         code = self._process.exitcode
         self._died_early()
+        words = self._last_words()
         self.close()
-        return _ending(code)
+        return _ending(code) + (f"; it said: {words}" if words else "")
+
+    def _last_words(self) -> str:
+        """Its last line, or where it was when it crashed."""
+        for _ in range(16):  # somebody whom it left behind may go on saying something
+            before = self._said
+            if self.said is not None:
+                self.listen()
+            if self._said == before:
+                break
+        lines = [line.strip() for line in self._said.decode(errors="backslashreplace").splitlines() if line.strip()]
+        crash = [number for number, line in enumerate(lines) if line.startswith("Current thread") and number + 1 < len(lines)]
+        if crash:
+            return f"{lines[crash[-1] - 1]}, {lines[crash[-1] + 1]}"[: 2 * SAID_WIDTH]
+        return lines[-1][-SAID_WIDTH:] if lines else ""
 
     def close(self) -> None:
         """End it for good. One that was asked for and did not start yet ends when it finds its pipe closed."""
@@ -211,6 +268,9 @@ class Worker:
             return
         self.pipe.close()
         self.pipe, self.here, self._prepared = None, False, False
+        if self.said is not None:
+            self.said.close()
+            self.said = None
         if self._process.pid is not None:
             self._process.kill()
             self._process.join(GOING_S)
@@ -246,7 +306,7 @@ def _starter() -> queue.SimpleQueue[Callable[[], None]]:
     return waiting
 
 
-def _start(process: multiprocessing.context.ForkServerProcess, child_end: Connection, unborn: list[str]) -> None:
+def _start(process: multiprocessing.context.ForkServerProcess, its_ends: tuple[Connection, ...], unborn: list[str]) -> None:
     try:
         process.start()
         # What Python gathers here it looks at whenever a process starts, and waits for at the program's end.
@@ -254,7 +314,8 @@ def _start(process: multiprocessing.context.ForkServerProcess, child_end: Connec
     except (OSError, EOFError) as error:  # the machine has no process or memory left, or the fork server ended
         unborn.append(f"it could not be started: {type(error).__name__}: {error}")
     finally:
-        child_end.close()  # which tells the loop when there is no process
+        for end in its_ends:
+            end.close()  # which tells the loop when there is no process
 
 
 def _ending(code: int | None) -> str:
@@ -266,9 +327,13 @@ def _ending(code: int | None) -> str:
     return f"was killed by signal {-code}{names.get(-code, '')}"
 
 
-def main(pipe: Connection, shared: object, memory_mb: int) -> None:
+def main(pipe: Connection, shared: object, memory_mb: int, saying: Connection) -> None:
     """The child: prepare and evaluate until the pipe closes, with so much memory if a run does not ask for less."""
     _end_with_parent()
+    os.setsid()
+    os.set_inheritable(pipe.fileno(), False)
+    os.register_at_fork(after_in_child=pipe.close)  # a copy of this process that goes on here finds that it has nobody to answer
+    _speak_into(saying)
     memory.go_first()
     # Python hands every child the end of the pipe that keeps the fork server alive: it must end with the server alone.
     os.close(multiprocessing.forkserver._forkserver._forkserver_alive_fd)  # type: ignore[attr-defined]  # private
@@ -297,8 +362,21 @@ def main(pipe: Connection, shared: object, memory_mb: int) -> None:
             except (MemoryError, OutOfMemoryError):
                 memory.lift()
                 pipe.send_bytes(b"M" + too_much)
+            except EvaluationError as error:
+                pipe.send_bytes(b"D" + str(error).encode(errors="backslashreplace"))
             except (ConfigError, RemoteProtocolError) as error:
                 pipe.send_bytes(b"F" + str(error).encode(errors="backslashreplace"))
+
+
+def _speak_into(saying: Connection) -> None:
+    """All that is written to stdout and stderr, by C, too; at a crash also where that was."""
+    for number, name in ((1, "stdout"), (2, "stderr")):
+        os.dup2(saying.fileno(), number)
+        stream = os.fdopen(number, "w", buffering=1, encoding="utf-8", errors="backslashreplace", closefd=False)
+        setattr(sys, name, stream)
+        setattr(sys, f"__{name}__", stream)
+    saying.close()
+    faulthandler.enable()
 
 
 def _too_much(asked_mb: int, memory_mb: int) -> str:
@@ -398,5 +476,6 @@ def _end_with_parent() -> None:
     """Have the kernel kill this process when the fork server ends, even inside a simulator that never returns."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-        if os.getppid() == 1:
-            os._exit(1)  # it ended before the call above
+        adopted = multiprocessing.parent_process()
+        if os.getppid() in (1, adopted.pid if adopted else 1):
+            os._exit(1)  # it ended before the call above, and this process was given to the server

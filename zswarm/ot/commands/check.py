@@ -13,6 +13,7 @@ from zswarm.ot.commands.options import json_option, named, set_option
 if TYPE_CHECKING:
     from zswarm.ot.discovery import Found, Survey
     from zswarm.ot.explanation import Explanation
+    from zswarm.ot.matching import Choice
 
 
 @click.command()
@@ -31,7 +32,7 @@ def check(name: str, overrides: tuple[str, ...], look: bool, as_json: bool) -> N
       zswarm-ot check my.toml --set optimizer.population=200
       zswarm-ot check my.toml --servers
     """  # noqa: D301  click's mark for text that is not to be wrapped
-    from zswarm.ot import explanation, terminal
+    from zswarm.ot import explanation, matching, terminal
     from zswarm.ot import run as runs
     from zswarm.protocol.codec import clean
 
@@ -41,7 +42,8 @@ def check(name: str, overrides: tuple[str, ...], look: bool, as_json: bool) -> N
     explained = explanation.explain(complete, runs.build(complete))
     survey = _survey(complete) if look else None
     if as_json:
-        found = {} if survey is None else {"servers": [_server(server) for server in survey.servers]}
+        choice = matching.choice(complete.cluster)
+        found = {} if survey is None else {"servers": [_server(server, choice) for server in survey.servers]}
         terminal.print_json({**explanation.as_mapping(explained), **found})
         return
     show(explained, complete)
@@ -73,9 +75,9 @@ def show(explained: "Explanation", complete: Experiment) -> None:
     then = f", then {later:,}" if later != first and e.generations > 1 else ""
     elsewhere = EXAMPLE_SERVERS * EXAMPLE_SLOTS
     one = e.participants == 1
-    driven = (
-        f"{e.agents:,}, {'all driven by the same genome' if one else f'driven by {e.participants} genomes that play each other'}"
-    )
+    agents = f"{e.agents:,}" if e.agents == e.most_agents else f"{e.agents:,} to {e.most_agents:,}"
+    varied = ", ".join(f"{name} {words}" for name, words in e.ranges.items())
+    driven = f"{agents}, {'all driven by the same genome' if one else f'driven by {e.participants} genomes that play each other'}"
     games = f"{e.games:,} game{'s' if e.games != 1 else ''}"
     score = f"{games} in the first generation, as {e.ranking} has it; the result of a game is {judged}"
     result = "the same on all machines, bit for bit" if e.portable else "may differ in the last bits from machine to machine"
@@ -87,6 +89,7 @@ def show(explained: "Explanation", complete: Experiment) -> None:
     for about, text in (
         ("experiment", f"{e.experiment}: {terminal.plural(e.generations, 'generation')}, seed {complete.seed}"),
         ("problem", f"{e.simulator}: {e.about}" if e.about else e.simulator),
+        *([("ranges", f"{varied}: drawn for each trial from its seed")] if varied else []),
         ("robots", driven),
         ("controller", f"{e.representation}: {inputs}, {hidden}{outputs}"),
         ("genome", numbers + length),
@@ -106,46 +109,35 @@ def show(explained: "Explanation", complete: Experiment) -> None:
 
 
 def _survey(complete: Experiment) -> "Survey":
-    from zswarm.ot import discovery
-    from zswarm.protocol.messages import Requirements
+    from zswarm.ot import discovery, matching
     from zswarm.security import keyring
     from zswarm.session import Reach
-    from zswarm.version_hash import version_hash
 
-    simulator, representation, cluster = complete.problem.simulator, complete.representation.kind, complete.cluster
-    requirements = Requirements(
-        simulator=simulator,
-        representation=representation,
-        version_hash=version_hash(simulator, representation),
-        trial_memory_mb=cluster.trial_memory_mb,
-    )
+    cluster = complete.cluster
     reach = Reach(cluster.connect, cluster.multicast, cluster.through_router, keyring.installed("ot"))
-    return discovery.survey(cluster.realm, reach, requirements=requirements, wait_s=1.5)
+    return discovery.survey(cluster.realm, reach, requirements=matching.requirements(complete, cluster), wait_s=1.5)
 
 
-def _server(found: "Found") -> dict[str, Any]:
-    reason = _mismatch(found)
-    return {"server": found.server, "slots": found.offer.capacity if found.offer else 0, "matches": not reason, "reason": reason}
-
-
-def _mismatch(found: "Found") -> str:
-    return found.reason or (found.offer.mismatch if found.offer is not None else "")
+def _server(found: "Found", choice: "Choice") -> dict[str, Any]:
+    reason, slots = found.mismatch(choice), found.offer.capacity if found.offer else 0
+    return {"server": found.server, "slots": slots, "matches": not reason, "reason": reason}
 
 
 def _show_servers(survey: "Survey", complete: Experiment) -> None:
-    from zswarm.ot import terminal
+    from zswarm.ot import matching, terminal
     from zswarm.protocol.codec import clean
 
-    realm = complete.cluster.realm
-    matching = [found.offer for found in survey.servers if found.offer is not None and not _mismatch(found)]
-    slots = sum(offer.capacity for offer in matching)
+    realm, choice = complete.cluster.realm, matching.choice(complete.cluster)
+    offers = [found.offer for found in survey.servers if found.offer is not None and not found.mismatch(choice)]
+    slots = sum(offer.capacity for offer in offers)
     if survey.servers:
-        count = f"{len(matching)} of {terminal.plural(len(survey.servers), 'server')}"
-        terminal.entry("servers", f"{count} in realm {realm} can evaluate it, with {terminal.plural(slots, 'slot')}")
+        held = f", of which it holds {choice.max_slots:,} at most" if 0 < choice.max_slots < slots else ""
+        count = f"{len(offers)} of {terminal.plural(len(survey.servers), 'server')}"
+        terminal.entry("servers", f"{count} in realm {realm} can evaluate it, with {terminal.plural(slots, 'slot')}{held}")
     else:
         terminal.entry("servers", f"none found in realm {realm}")
     for found in survey.servers:
-        if why := _mismatch(found):
+        if why := found.mismatch(choice):
             terminal.entry("", clean(f"{found.server} is not used: {why}"))
     for line in survey.findings:
         terminal.entry("", clean(line))

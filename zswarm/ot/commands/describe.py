@@ -62,5 +62,9 @@ def _show(part: "Part") -> None:
         for key in part.settings:
             terminal.row(table, key.name, key.type_text, parts.default(key), key.meaning)
         terminal.show(table)
+        if part.kind == "simulator":
+            terminal.paragraph(
+                "A setting may be a range, from which each trial draws: { from = 5, to = 15 } or { choice = [5, 10] }"
+            )
     elif not part.error:
         terminal.entry("settings", "none", label=14)

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import click
+import msgspec
 
 from zswarm.ot.commands import suggestions
 from zswarm.ot.commands.options import json_option
@@ -19,8 +20,15 @@ from zswarm.ot.commands.options import json_option
     shell_complete=suggestions.runs,
     help="The opponent in a game of several participants: the champion itself by default.",
 )
+@click.option(
+    "--set",
+    "overrides",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Set something of the problem, such as problem.settings.agents=20; may be repeated.",
+)
 @json_option
-def evaluate(path: Path, trials: int, seed: int | None, against: Path | None, as_json: bool) -> None:
+def evaluate(path: Path, trials: int, seed: int | None, against: Path | None, overrides: tuple[str, ...], as_json: bool) -> None:
     """Play a run's champion on unseen seeds.
 
     How good it is on trials that it was not evolved on: that is what counts. In a game it plays another champion, from
@@ -29,14 +37,20 @@ def evaluate(path: Path, trials: int, seed: int | None, against: Path | None, as
     \b
       zswarm-ot evaluate runs/stadium
       zswarm-ot evaluate champion.zsc --trials 1000
+      zswarm-ot evaluate runs/minisim --set problem.settings.robots=20
       zswarm-ot evaluate runs/minisim-duel --against runs/minisim-duel-2
     """  # noqa: D301  click's mark for text that is not to be wrapped
+    from zswarm import experiment
     from zswarm.ot import terminal, unseen
     from zswarm.ot.controller import load_controller
     from zswarm.protocol.codec import clean
 
-    controller = load_controller(path)
-    opponent = None if against is None else load_controller(against)
+    loaded = [load_controller(each) for each in (path, against) if each is not None]
+    controller, *others = [
+        msgspec.structs.replace(each, simulator_settings=experiment.settings_with(each.simulator_settings, overrides))
+        for each in loaded
+    ]
+    opponent = others[0] if others else None
     played = unseen.play(controller, trials, seed or 0, opponent)
     fitness, metrics = played.fitness_summary(), played.metric_means()
     game = played.score() if played.results.shape[1] > 1 else {}

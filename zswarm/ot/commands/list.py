@@ -40,7 +40,8 @@ def list_(folder: Path, as_json: bool) -> None:
         terminal.line(f"{kind}s")
         for part in found:
             if part.kind == kind:
-                settings = f"settings: {parts.settings_line(part.settings) or 'none'}"
+                known = "its program says them" if part.unasked else parts.settings_line(part.settings) or "none"
+                settings = f"settings: {known}"
                 terminal.item(part.name, *((part.error,) if part.error else (part.about, settings)))
     terminal.paragraph("More of one of them: zswarm-ot describe NAME")
     terminal.entry("examples", ", ".join(examples))

@@ -3,7 +3,7 @@
 import click
 
 SECTIONS = {
-    "Begin": ("init", "check", "describe", "doctor"),
+    "Begin": ("init", "check", "describe", "new", "doctor"),
     "Evolve": ("run", "resume", "servers"),
     "Results": ("list", "evaluate", "report", "plot", "compare", "import"),
     "Shell": ("completion",),

@@ -7,12 +7,22 @@ from typing import Any
 
 import click
 
-from zswarm import experiment
+from zswarm import experiment, screen
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
 
-json_option = click.option("--json", "as_json", is_flag=True, help="JSON on stdout.")
-json_lines_option = click.option("--json", "as_json", is_flag=True, help="JSON on stdout, an object a line.")
+
+def _json_alone(context: click.Context, _: click.Parameter, as_json: bool) -> bool:
+    """Until the command ends."""
+    if as_json and not context.resilient_parsing:
+        context.with_resource(screen.json_alone())
+    return as_json
+
+
+json_option = click.option("--json", "as_json", is_flag=True, callback=_json_alone, help="JSON on stdout.")
+json_lines_option = click.option(
+    "--json", "as_json", is_flag=True, callback=_json_alone, help="JSON on stdout, an object a line."
+)
 set_option = click.option(
     "--set",
     "overrides",
@@ -46,6 +56,19 @@ CLUSTER = [
         default=None,
         help="Reach all servers through a router: one named by --connect, or found by multicast.",
     ),
+    click.option(
+        "--require",
+        multiple=True,
+        metavar="LABEL=VALUE",
+        help="What servers must be, such as gpu=yes, room=b12|b13, name!=lab-3 or cores>=8; may be repeated.",
+    ),
+    click.option(
+        "--rank",
+        multiple=True,
+        metavar="LABEL",
+        help="Servers to prefer: gpu=yes, or cores for the higher number, -cores for the lower; may be repeated.",
+    ),
+    click.option("--max-slots", type=int, metavar="N", help="Slots to hold at the same time, at most; 0: all there are."),
 ]
 
 LOOKING = [
@@ -116,8 +139,7 @@ def with_cluster(loaded: Experiment, given: dict[str, Any]) -> Experiment:
         ConfigError: an impossible one.
     """
     changes = {key: value for key, value in given.items() if value not in (None, ())}
-    if "connect" in changes:
-        changes["connect"] = list(changes["connect"])
+    changes = {key: list(value) if isinstance(value, tuple) else value for key, value in changes.items()}
     if (text := changes.get("servers", "auto")) not in ("auto", "local"):
         if not text.isdigit() or int(text) < 1:
             raise ConfigError(f"--servers {text}: expected auto, local or a number of servers")

@@ -22,7 +22,7 @@ from zswarm.ot.terminal import plural
 from zswarm.protocol.codec import clean
 from zswarm.protocol.messages import Requirements
 from zswarm.session import Reach
-from zswarm.version_hash import version_hash
+from zswarm.version_hash import version_hash, versions
 
 ASK_S = 10.0
 HEARD_S = 1.0
@@ -191,7 +191,7 @@ def _said(*command: str) -> str:
 def servers(realm: str, reach: Reach, simulators: Requirements | None = None) -> Iterator[Finding]:
     """A session opens; who is found, and whether their code is ours."""
     wanted = simulators or Requirements(
-        simulator=EXAMPLE[0], representation=EXAMPLE[1], version_hash=version_hash(*EXAMPLE), trial_memory_mb=0
+        simulator=EXAMPLE[0], representation=EXAMPLE[1], version_hash=version_hash(*EXAMPLE), versions=versions(*EXAMPLE)
     )
     try:
         survey = discovery.survey(realm, reach, requirements=wanted, wait_s=LOOK_S)

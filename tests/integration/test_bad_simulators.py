@@ -1,0 +1,252 @@
+"""One server, one run, and a simulator that does in each trial something else that it should not.
+
+What the simulator's code decides is this trial's outcome; what ends its process is a fault, three times, and then NaN. All that
+comes after is as if nothing had been.
+"""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import programs
+from programs import Optimizer, Server, query, status, wait_until
+
+SOURCE = '''
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from zswarm.sims.simulator import Outcome, Simulator, Turn
+
+print("a word of the module")
+
+
+class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    what: list[str]
+    folder: str
+
+
+class Bad(Simulator):
+    """Observation: one half. Action: one number. Fitness: it. One agent, one turn."""
+
+    settings_type = Settings
+    metrics = ("seed",)
+    inputs, outputs, owners = 1, 1, (0,)
+
+    def __init__(self, settings):
+        super().__init__(settings)
+        print("a word of the constructor")
+        os.system("echo a word of a program")
+
+    def fixed_seeds(self, trials):
+        return range(trials)
+
+    def reset(self, seed):
+        self.seed, self.observed, self.given = seed, np.full((1, 1), 0.5), None
+        if seed < len(self.settings.what):  # not in the trials of the probe
+            self.given = getattr(self, self.settings.what[seed])()
+        if self.given is self.nothing:
+            return None
+        return Turn((0,), self.observed)
+
+    def step(self, actions):
+        self.action = float(actions[0, 0])
+        return None
+
+    def outcome(self):
+        return self.given if isinstance(self.given, Outcome) else Outcome([self.action], [self.seed])
+
+    def nothing(self):
+        return self.nothing_at_all
+
+    # ---- the trial's outcome is NaN
+
+    def wrong_shape(self):
+        self.observed = np.zeros((1, 2))
+
+    def nan_observation(self):
+        self.observed = np.full((1, 1), np.nan)
+
+    def nan_fitness(self):
+        return Outcome([np.nan], [0.0])
+
+    def infinite_fitness(self):
+        return Outcome([-np.inf], [0.0])
+
+    def too_many_metrics(self):
+        return Outcome([1.0], [0.0, 0.0])
+
+    def sys_exit(self):
+        sys.exit(3)
+
+    def keyboard_interrupt(self):
+        raise KeyboardInterrupt
+
+    def recursion(self):
+        self.recursion()
+
+    def base_exception(self):
+        raise type("Odd", (BaseException,), {})("odd")
+
+    # ---- nothing comes of it
+
+    def fine(self):
+        pass
+
+    def changes_directory(self):
+        os.chdir("/")
+
+    def changes_signals(self):
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGCHLD):
+            signal.signal(number, lambda *_: None)
+
+    def prints(self):
+        for number in range(20_000):
+            print("word", number)
+            print("wrong", number, file=sys.stderr)
+
+    def closes_stdout(self):
+        os.close(1)
+        os.close(2)
+        os.open(os.devnull, os.O_WRONLY)  # what is opened next gets its number
+        os.open(os.devnull, os.O_WRONLY)
+
+    def starts_a_thread(self):
+        threading.Thread(target=time.sleep, args=(3600,), daemon=True).start()
+
+    def note(self, process):
+        with open(Path(self.settings.folder) / "left", "a") as left:
+            left.write(f"{process}\\n")
+
+    def leaves_a_program(self):
+        self.note(subprocess.Popen(["sleep", "3600"]).pid)
+
+    def leaves_a_daemon(self):
+        if (child := os.fork()) == 0:
+            os.setsid()
+            if (grandchild := os.fork()) == 0:
+                time.sleep(3600)
+            self.note(grandchild)
+            os._exit(0)
+        os.waitpid(child, 0)
+
+    def forks(self):
+        self.note(os.fork() or os.getpid())
+
+    # ---- faults
+
+    def exits(self):
+        print("last words")
+        os._exit(7)
+
+    def crashes(self):
+        ctypes.string_at(0)
+
+    def hangs(self):
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        time.sleep(3600)
+
+    def kills_all(self):
+        os.kill(0, signal.SIGKILL)
+
+    def closes_everything(self):
+        os.closerange(3, 1000)
+'''
+EXPERIMENT = """
+name = "bad"
+seed = 1
+generations = 1
+[problem]
+simulator = "bad"
+trials = {trials}
+[problem.settings]
+what = {what}
+folder = "{folder}"
+[representation]
+kind = "fully-meshed"
+[optimizer]
+kind = "random"
+population = 2
+[cluster]
+trial_timeout_s = 1.0
+on_fault = "quarantine"
+"""
+NAN = [
+    *("wrong_shape", "nan_observation", "nan_fitness", "infinite_fitness", "too_many_metrics", "sys_exit", "keyboard_interrupt"),
+    *("recursion", "base_exception", "nothing"),
+]
+HARMLESS = [
+    *("fine", "changes_directory", "changes_signals", "prints", "closes_stdout", "starts_a_thread", "leaves_a_program"),
+    *("leaves_a_daemon", "forks"),
+]
+FAULTS = {
+    "exits": "crashed: simulator bad: the slot's process ended with code 7; it said: last words",
+    "crashes": "crashed: simulator bad: the slot's process was killed by signal 11 (SIGSEGV); it said: Fatal Python error: "
+    "Segmentation fault, File ",
+    "hangs": "timeout: simulator bad: one trial took longer than 1 s (cluster.trial_timeout_s)",
+    "kills_all": "crashed: simulator bad: the slot's process was killed by signal 9",
+    "closes_everything": "crashed: simulator bad: the slot's process ended with code ",
+}
+WHAT = [name for pair in zip(NAN, HARMLESS, strict=False) for name in pair] + [*FAULTS, "nothing", "fine"]
+
+
+def test_whatever_a_simulator_does_costs_its_own_trials_and_nothing_else(tmp_path: Path) -> None:
+    site = tmp_path / "site"
+    site.mkdir()
+    installed = programs.install(site, "zswarm_bad", SOURCE, "bad = zswarm_bad:Bad")
+    experiment = tmp_path / "bad.toml"
+    experiment.write_text(EXPERIMENT.format(trials=len(WHAT), what=json.dumps(WHAT), folder=tmp_path))
+    environment = {"PYTHONPATH": installed, "ZSWARM_PLAIN": "1"}
+    server = Server(tmp_path, "ss", **environment).ready()
+    try:
+        options = ["--json", "--no-multicast", "--servers", "1", "--connect", server.endpoint]
+        optimizer = Optimizer(tmp_path, "ot", ["run", str(experiment), *options], **environment)
+        done = optimizer.done()
+        check_outcomes(tmp_path / "runs" / "bad")
+        assert done["faulted"] % len(FAULTS) == 0
+        assert len(optimizer.lines()) == len(optimizer.out.read_text().splitlines()), "JSON alone"
+        assert re.findall("^a word of .*", optimizer.err.read_text(), re.M) == [
+            *("a word of the module", "a word of the constructor", "a word of a program"),
+        ]
+        left = [int(process) for process in (tmp_path / "left").read_text().split()]
+        wait_until(lambda: not any(map(status, left)), "what was left behind is gone")
+        assert len(left) >= 4
+        assert server.out.read_text() == ""
+        for line in server.err.read_text().splitlines():
+            json.loads(line)
+        said = server.events("slot_said")
+        assert {"bad"} == {event["simulator"] for event in said if event["text"] == "a word of the module"}
+        assert len(said) <= 21 * (2 + 3 * done["faulted"]), "not the forty thousand lines"
+    finally:
+        server.close()
+
+
+def check_outcomes(run: Path) -> None:
+    (asked,) = query(run, "SELECT sum(count) FROM outcomes")[0]
+    fitness = np.full(asked, np.inf)
+    for trials, values in query(run, "SELECT trials, fitness FROM outcomes"):
+        fitness[np.frombuffer(trials, "<u4")] = np.frombuffer(values, "<f8")
+    for candidate in fitness.reshape(-1, len(WHAT)):
+        for what, value in zip(WHAT, candidate, strict=True):
+            if what in HARMLESS:
+                assert value == candidate[WHAT.index("fine")], what
+            else:
+                assert np.isnan(value), what
+    told = [text for (text,) in query(run, "SELECT text FROM events WHERE event = 'fault'")]
+    for what, words in FAULTS.items():
+        mine = [text for text in told if f"its seed {WHAT.index(what)}, " in text]
+        assert len(mine) == 3 * len(fitness) // len(WHAT), (what, told)
+        said = words.partition("; it said")[0]
+        assert all(said in text for text in mine), mine
+        assert any(words in text for text in mine), "but where an earlier trial closed stderr"
+    raised = query(run, "SELECT text FROM events WHERE event = 'simulator_raised'")
+    assert all(re.search(r"Bad, trial seed \d+: ", text) for (text,) in raised), raised

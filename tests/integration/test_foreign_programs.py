@@ -1,0 +1,206 @@
+"""Programs in C and Java evolve as the bundled simulator does, bit by bit, on a real server, and whatever happens to them."""
+
+import os
+import shutil
+import signal
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from programs import Optimizer, Server, children, command_line, query, wait_until
+
+from zswarm import evaluate, experiment, plugins
+from zswarm.draws import Stream
+from zswarm.ot import run
+from zswarm.ot.history import History
+from zswarm.sims import emergency_exit
+
+EXAMPLES = Path(__file__).parents[2] / "examples" / "foreign"
+EXPERIMENT = """
+name = "{simulator}"
+seed = 5
+generations = {generations}
+[problem]
+simulator = "{simulator}"
+trials = {trials}
+[problem.settings]
+{settings}
+[representation]
+kind = "fully-meshed"
+[optimizer]
+kind = "nnga"
+population = {population}
+"""
+STADIUM = {"generations": 10, "trials": 1, "population": 20, "settings": 'field = "stadium"\nsteps = 2000'}
+RANDOM = {"generations": 10, "trials": 2, "population": 10, "settings": "agents = 4\nsteps = 40"}
+NETWORKS = [
+    {"activation": "clamp"},
+    {"activation": "sigmoid", "hidden": 0, "iterations": 1},
+    {"activation": "relu", "hidden": 5},
+    {"activation": "tanh", "hidden": 9, "iterations": 3},
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the examples, to compile them there."""
+    return Path(
+        shutil.copytree(EXAMPLES, tmp_path_factory.mktemp("programs") / "foreign", ignore=shutil.ignore_patterns("classes"))
+    )
+
+
+@pytest.fixture(scope="module")
+def in_c(folder: Path) -> Path:
+    if not shutil.which("make") or not shutil.which("cc"):
+        pytest.skip("no C compiler, or no make")
+    subprocess.run(["make", "--always-make", "--silent", "-C", folder / "c"], check=True)
+    return folder / "c"
+
+
+@pytest.fixture(scope="module")
+def in_java(folder: Path) -> Path:
+    if not shutil.which("javac"):
+        pytest.skip("no Java compiler")
+    sources = sorted((folder / "java").glob("*.java"))
+    subprocess.run(["javac", "-Xlint:all", "-Werror", "-d", folder / "java" / "classes", *sources], check=True)
+    return folder / "java"
+
+
+def write(to: Path, simulator: str, size: dict[str, Any]) -> Path:
+    file = to / f"{simulator}.toml"
+    file.write_text(EXPERIMENT.format(simulator=simulator, **size))
+    return file
+
+
+def history(to: Path, size: dict[str, Any]) -> str:
+    """The history hash of the bundled simulator, without a server."""
+    file = write(to, "emergency-exit", size)
+    problem, optimizer = run.build(experiment.complete(experiment.load(file), str(file)))
+    told = History()
+    for generation in range(size["generations"]):
+        genomes = optimizer.ask()
+        work = problem.workload(genomes, generation)
+        outcomes = evaluate.evaluate(problem.simulator, problem.representation, genomes, work.participants, work.seeds)
+        fitness = np.zeros(len(genomes))
+        for trial in range(size["trials"]):  # added in their order
+            fitness += outcomes.fitness[trial :: size["trials"], 0]
+        told.add(genomes, fitness)
+        optimizer.tell(fitness, np.empty((len(genomes), 0)))
+    return told.hex()
+
+
+def evolve_and_kill(to: Path, programs: Path, simulator: str, size: dict[str, Any]) -> str:
+    """The history hash of a run on a server of two slots, in the middle of which a slot's program is killed."""
+    environment = {"ZSWARM_SIMULATORS": str(programs)}
+    server = Server(to, "ss", capacity=2, **environment)
+    arguments = [
+        "run",
+        str(write(to, simulator, size)),
+        "--json",
+        "--no-multicast",
+        "--servers",
+        "1",
+        "--connect",
+        server.endpoint,
+    ]
+    optimizer = Optimizer(to, "ot", arguments, **environment)
+    record = to / "runs" / simulator
+    programs_command = "emergency_exit" if simulator.endswith("-c") else "EmergencyExit"
+
+    def victims() -> list[int]:
+        found = [child for slot in server.workers() for child in children(slot)]
+        return [child for child in found if programs_command in command_line(child)]
+
+    try:
+        wait_until(
+            lambda: query(record, "SELECT 1 FROM outcomes") or optimizer.process.poll() is not None, "some trials are counted"
+        )
+        os.kill(victims()[0], signal.SIGKILL)
+        done = optimizer.done()
+    finally:
+        optimizer.close()
+        server.close()
+    (died,) = server.events("slot_died")
+    assert f"simulator '{simulator}', trial seed " in died["reason"]
+    assert ": its program was killed by signal 9 (SIGKILL); " in died["reason"]
+    assert done["requeued"] > 0
+    return str(done["history_hash"])
+
+
+def test_c_evolves_as_the_bundled_simulator_does_though_it_is_killed(tmp_path: Path, in_c: Path) -> None:
+    """In the stadium, in whole trials with a network of its own."""
+    assert evolve_and_kill(tmp_path, in_c, "emergency-exit-c", STADIUM) == history(tmp_path, STADIUM)
+
+
+def test_java_evolves_as_the_bundled_simulator_does_though_it_is_killed(tmp_path: Path, in_java: Path) -> None:
+    """On random fields, in turns."""
+    assert evolve_and_kill(tmp_path, in_java, "emergency-exit-java", RANDOM) == history(tmp_path, RANDOM)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("language", ["c", "java"])
+@pytest.mark.parametrize("field", ["random", "stadium"])
+def test_whole_runs_have_the_same_history(language: str, field: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+    """As the examples have them, for fewer generations."""
+    trials = 10 if field == "random" else 1
+    size = {"generations": 12, "trials": trials, "population": 20, "settings": f'field = "{field}"\nseed = 7'}
+    programs = request.getfixturevalue(f"in_{language}")
+    simulator = f"emergency-exit-{language}"
+    arguments = ["run", str(write(tmp_path, simulator, size)), "--json", "--servers", "local", "--set", "cluster.local_slots=2"]
+    done = Optimizer(tmp_path, "ot", arguments, ZSWARM_SIMULATORS=str(programs)).done()
+    assert done["history_hash"] == history(tmp_path, size)
+
+
+@pytest.mark.parametrize("network", NETWORKS, ids=lambda network: str(network["activation"]))
+def test_the_network_in_c_has_the_bits_of_the_kernel(
+    network: dict[str, Any], in_c: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With every activation, and with more and fewer neurons."""
+    monkeypatch.setenv("ZSWARM_SIMULATORS", str(in_c))
+    theirs = outcomes("emergency-exit-c", network)
+    assert theirs == outcomes("emergency-exit", network)
+
+
+def outcomes(simulator: str, network: dict[str, Any], **settings: Any) -> bytes:
+    built = evaluate.build(simulator, settings, "fully-meshed", network)
+    genomes = built[1].random(12, Stream(2))
+    played = evaluate.evaluate(*built, genomes, np.arange(12).reshape(-1, 1), np.arange(12, dtype=np.uint64))
+    assert not played.error
+    assert len({*played.fitness[:, 0].tolist()}) > 6
+    return played.fitness.tobytes() + played.metrics.tobytes()
+
+
+def test_with_another_network_c_is_asked_for_turns(in_c: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And plays the same."""
+    monkeypatch.setenv("ZSWARM_SIMULATORS", str(in_c))
+    fitness = []
+    for simulator in ("emergency-exit-c", "emergency-exit"):
+        built, network = evaluate.build(simulator, {"agents": 3}, "ctrnn", {})
+        assert getattr(built, "hosted", None) is None
+        genomes = network.random(3, Stream(2))
+        played = evaluate.evaluate(built, network, genomes, np.arange(3).reshape(-1, 1), np.array([1, 2, 2**64 - 1], np.uint64))
+        fitness.append(played.fitness.tobytes() + played.metrics.tobytes())
+    assert fitness[0] == fitness[1]
+
+
+@pytest.mark.parametrize(("simulator", "compiled"), [("emergency-exit-c", "in_c"), ("emergency-exit-java", "in_java")])
+def test_the_settings_are_those_of_the_bundled_simulator(
+    simulator: str, compiled: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Names, defaults, and what is refused."""
+    monkeypatch.setenv("ZSWARM_SIMULATORS", str(request.getfixturevalue(compiled)))
+    theirs, ours = plugins.load("simulator", simulator), emergency_exit.EmergencyExit
+    assert repr(theirs.settings_type()) == repr(ours.settings_type())
+    built = theirs(theirs.settings_type(seed=9))
+    assert (built.sensors, built.actuators, built.metrics) == (ours.sensors, ours.actuators, ours.metrics)
+    assert list(built.fixed_seeds(2)) == [9, 10]
+    for refused in ({"width": 30}, {"agents": 400}):
+        with pytest.raises(experiment.ConfigError, match=r"width must not exceed height|do not fit on"):
+            theirs(theirs.settings_type(**refused))
+
+
+def test_the_stadium_is_that_of_the_bundled_simulator() -> None:
+    said = (EXAMPLES / "stadium.txt").read_text().split()
+    assert said == [*emergency_exit.STADIUM, *emergency_exit.STADIUM_AGENTS]
