@@ -60,23 +60,30 @@ def build(
     """
     simulator_class = plugins.load("simulator", simulator)
     representation_class = plugins.load("representation", representation)
+    network: Representation | None = None  # until a first simulator says how many inputs it has
 
     def simulator_with(plain: Mapping[str, Any]) -> Simulator:
         configured = convert(plain, simulator_class.settings_type, "problem.settings")
         made: Simulator = _construct(f"simulator {simulator!r}", simulator_class, configured)
-        return made
+        return made if network is None else _hosting(made, network, representation)
 
     if ranges.found(settings):
         built: Simulator = Varied(ranges.complete(settings, simulator_class.settings_type, "problem.settings"), simulator_with)
     else:
         built = simulator_with(settings)
     network_settings = convert(representation_settings, representation_class.settings_type, "representation")
-    network: Representation = _construct(
+    network = _construct(
         f"representation {representation!r}", representation_class, network_settings, built.inputs, built.outputs
     )
-    if isinstance(built, HostingSimulator) and built.host(representation, msgspec.to_builtins(network_settings)):
-        built.hosted = network
-    return built, network
+    assert network is not None  # noqa: S101  it was constructed
+    return _hosting(built, network, representation), network
+
+
+def _hosting(simulator: Simulator, network: Representation, kind: str) -> Simulator:
+    """A simulator that decides for the network itself if it can."""
+    if isinstance(simulator, HostingSimulator) and simulator.host(kind, msgspec.to_builtins(network.settings)):
+        simulator.hosted = network
+    return simulator
 
 
 def _construct(what: str, loaded: Any, *arguments: Any) -> Any:
@@ -203,13 +210,13 @@ def _varied(
             try:
                 simulator = varied.of(int(seeds[alike[0]]))
             except ConfigError as refused:  # an outcome, as whatever a simulator raises
-                error = error or _in_words(varied, seeds[alike[0]], refused)
+                error = error or _in_words(varied.first, seeds[alike[0]], refused)
                 break
             some = alike[played : played + (varied.together if isinstance(simulator, CompiledSimulator) else 1)]
-            begin = time.perf_counter()
+            begin = time.process_time()
             alone = np.zeros(2, np.int64)
             part = _outcomes(simulator, representation, genomes, parameters, participants[some], seeds[some], alone)
-            varied.took(time.perf_counter() - begin)
+            varied.took(time.process_time() - begin)
             fitness[some], metrics[some], error = part.fitness, part.metrics, error or part.error
             played += len(some)
     return Outcomes(fitness, metrics, error)

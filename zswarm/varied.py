@@ -14,9 +14,9 @@ from zswarm.ranges import Path
 from zswarm.sims.simulator import Frame, Outcome, Simulator, Turn
 
 KEPT = 16  # simulators for the trials to come
-MOST_TOGETHER = 64  # trials
+MOST_TOGETHER = 256  # trials
 MAX_CORNERS = 16  # combinations of ends that are tried; of more only some
-TOGETHER_S = 0.005  # that trials played at once take, about: the first of them is named if something happens
+TOGETHER_S = 0.02  # that trials played at once take, about: the first of them is named if something happens
 UNIT = 2.0**-53
 SAME = ("participants", "inputs", "outputs", "sensors", "actuators", "metrics")  # in all trials
 
@@ -55,6 +55,7 @@ class Varied(Simulator):
     """A simulator that is set up for each trial; what it tells of itself is that of the first end of each range.
 
     Attributes:
+        first: the simulator with the first end of each range; no trial is played with it.
         agents: the least and the greatest number of them, at the ends of the ranges.
         together: trials with the same settings to play at once.
     """
@@ -73,11 +74,11 @@ class Varied(Simulator):
         self.together = 1
         self._kept: dict[bytes, Simulator] = {}
         first, *others = _corners(ranges.found(settings))
-        self._now = self._first = self._set_up(first)
-        super().__init__(self._first.settings)
+        self._now = self.first = self._set_up(first)
+        super().__init__(self.first.settings)
         for what in SAME:
-            setattr(self, what, getattr(self._first, what))
-        numbers = [len(self._first.owners), *(len(self._checked(chosen).owners) for chosen in others)]
+            setattr(self, what, getattr(self.first, what))
+        numbers = [len(self.first.owners), *(len(self._checked(chosen).owners) for chosen in others)]
         self.agents = min(numbers), max(numbers)
 
     @property
@@ -115,7 +116,7 @@ class Varied(Simulator):
 
     def fixed_seeds(self, trials: int) -> Sequence[int] | None:
         """Those of the first end of each range."""
-        return self._first.fixed_seeds(trials)
+        return self.first.fixed_seeds(trials)
 
     def reset(self, seed: int) -> Turn:
         """Set up and start a trial."""
@@ -144,7 +145,7 @@ class Varied(Simulator):
         """The simulator, which is the same problem as the first."""
         simulator = self._set_up(chosen)
         for what in SAME:
-            expected, told = getattr(self._first, what), getattr(simulator, what)
+            expected, told = getattr(self.first, what), getattr(simulator, what)
             if told != expected:
                 raise ConfigError(
                     f"problem.settings: with {_words(chosen)} the {what} are {told}, not {expected} as with the first end of "

@@ -42,6 +42,8 @@ NETWORKS = [
     {"activation": "tanh", "hidden": 9, "iterations": 3},
 ]
 
+BOTH = [("emergency-exit-c", "in_c"), pytest.param("emergency-exit-java", "in_java", marks=pytest.mark.long)]  # javac takes long
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -134,6 +136,7 @@ def test_c_evolves_as_the_bundled_simulator_does_though_it_is_killed(tmp_path: P
     assert evolve_and_kill(tmp_path, in_c, "emergency-exit-c", STADIUM) == history(tmp_path, STADIUM)
 
 
+@pytest.mark.long
 def test_java_evolves_as_the_bundled_simulator_does_though_it_is_killed(tmp_path: Path, in_java: Path) -> None:
     """On random fields, in turns."""
     assert evolve_and_kill(tmp_path, in_java, "emergency-exit-java", RANDOM) == history(tmp_path, RANDOM)
@@ -172,11 +175,14 @@ def outcomes(simulator: str, network: dict[str, Any], **settings: Any) -> bytes:
     return played.fitness.tobytes() + played.metrics.tobytes()
 
 
-def test_with_another_network_c_is_asked_for_turns(in_c: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("theirs", "compiled"), BOTH)
+def test_with_a_network_that_it_does_not_know_a_program_is_asked_for_turns(
+    theirs: str, compiled: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """And plays the same."""
-    monkeypatch.setenv("ZSWARM_SIMULATORS", str(in_c))
+    monkeypatch.setenv("ZSWARM_SIMULATORS", str(request.getfixturevalue(compiled)))
     fitness = []
-    for simulator in ("emergency-exit-c", "emergency-exit"):
+    for simulator in (theirs, "emergency-exit"):
         built, network = evaluate.build(simulator, {"agents": 3}, "ctrnn", {})
         assert getattr(built, "hosted", None) is None
         genomes = network.random(3, Stream(2))
@@ -185,7 +191,7 @@ def test_with_another_network_c_is_asked_for_turns(in_c: Path, monkeypatch: pyte
     assert fitness[0] == fitness[1]
 
 
-@pytest.mark.parametrize(("simulator", "compiled"), [("emergency-exit-c", "in_c"), ("emergency-exit-java", "in_java")])
+@pytest.mark.parametrize(("simulator", "compiled"), BOTH)
 def test_the_settings_are_those_of_the_bundled_simulator(
     simulator: str, compiled: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:

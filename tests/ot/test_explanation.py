@@ -78,7 +78,9 @@ def test_an_example_is_no_mistake(name: str) -> None:
 
 def test_a_simulator_that_always_fails_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Minisim, "play_lanes", lambda *_arguments: None)  # the outcomes stay NaN
-    assert explained("minisim").warnings == ["every trial that was tried failed; nothing can evolve"]
+    (warning,) = explained("minisim").warnings
+    assert warning.startswith("every trial that was tried failed: Minisim, trial seed ")
+    assert warning.endswith(": fitness must be finite, not [nan]; nothing can evolve")
 
 
 def test_the_record_is_about_as_large_as_told() -> None:

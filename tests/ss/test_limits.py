@@ -40,6 +40,8 @@ def limited(**tables: Any) -> list[limits.Limit]:
         ({"min": 5}, {"from": 4, "to": 101}, "arena.robots is 4; it is 5 at least here"),
         ({"max": 100}, {"choice": [1, [2, 200]]}, "arena.robots is 200; it is 100 at most here"),
         ({"max": 100}, {"from": 1, "to": 2, "by": 1}, "arena.robots is {'from': 1, 'to': 2, 'by': 1}; it is 100 at most here"),
+        ({"max": 100}, {"choice": 5}, "arena.robots is {'choice': 5}; it is 100 at most here"),
+        ({"max": 100}, {"choice": "5"}, "arena.robots is {'choice': '5'}; it is 100 at most here"),
         ({"max": 100}, [1, 101], "arena.robots is 101; it is 100 at most here"),
     ],
 )

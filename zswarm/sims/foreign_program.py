@@ -109,7 +109,7 @@ class Program:
         Raises:
             EvaluationError: it ended, or broke the protocol and was ended for it; the text says what was expected.
         """
-        what = " or ".join(_tag(kind) for kind in expected)
+        what = " or ".join(_tag(kind) for kind in expected if kind is not Error)
         body = _encoder.encode(message)
         if len(body) > MAX_FRAME:
             raise ValueError(f"a message to a simulator's program has {len(body)} bytes; at most {MAX_FRAME} are sent")
@@ -237,7 +237,7 @@ def _how_it_ended(process: int) -> str:
     end = time.monotonic() + ENDING_S
     while (found := os.waitid(os.P_PID, process, os.WEXITED | os.WNOWAIT | os.WNOHANG)) is None:
         if time.monotonic() > end:
-            return "closed its standard output"
+            return "closed its input or output"
         time.sleep(0.001)
     if found.si_code == os.CLD_EXITED:
         return f"ended with code {found.si_status}"

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import msgspec
 from msgspec import inspect
 
-from zswarm import plugins
+from zswarm import plugins, ranges
 from zswarm.errors import ConfigError
 from zswarm.plugins import nearest
 from zswarm.protocol.codec import clean
@@ -130,17 +130,14 @@ def _is_number(kind: inspect.Type) -> bool:
 
 def _values(value: Any) -> Iterator[Any]:
     """A setting's values: the ends of a range and all of a choice, where trials draw it; the items of a list."""
-    match value:
-        case {"from": low, "to": high, **rest} if not rest:
-            yield from (low, high)
-        case {"choice": [*several], **rest} if not rest:
-            for each in several:
-                yield from _values(each)
-        case list():
-            for each in value:
-                yield from _values(each)
-        case _ if value is not None and value is not msgspec.NODEFAULT:
-            yield value
+    if value is None or value is msgspec.NODEFAULT:
+        return
+    drawn = ranges.ends(value)
+    for end in drawn if isinstance(drawn, list | tuple) else [value]:  # what came by the wire may be no range after all
+        if isinstance(end, list):
+            yield from end
+        else:
+            yield end
 
 
 @contextlib.contextmanager

@@ -103,6 +103,7 @@ class Server:
         """Serve until told to stop; the program's exit code."""
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             signal.signal(number, self._on_signal)
+        signal.set_wakeup_fd(self._woken, warn_on_full_buffer=False)  # a signal just before the loop waits ends that wait, too
         with contextlib.ExitStack() as stack:
             stack.callback(self._close_workers)
             self._open_local(stack)
@@ -166,7 +167,6 @@ class Server:
             self._reload_asked = True
         else:
             self._signals.append(number)
-        self._awake()
 
     def _awake(self) -> None:
         with contextlib.suppress(BlockingIOError):
@@ -317,7 +317,7 @@ class Server:
         """End processes that simulators left behind: of slots whose process ended, and of those that no run holds."""
         for slot, worker in zip(self.slots.slots, self.workers, strict=True):
             if slot.state == slots.SlotState.FREE and worker.session and orphans.children(worker.session):
-                log.warning("slot_renewed", slot=slot.index, reason="its simulator left processes behind")
+                log.info("slot_renewed", slot=slot.index, reason="processes of its simulator go on")
                 worker.kill()
         rest = orphans.end({worker.session for worker in self.workers if worker.session})
         self._left_behind = bool(rest)

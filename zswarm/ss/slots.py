@@ -726,8 +726,9 @@ class Slots:
         if piece is not None:
             batch, blame = piece.batch, "crashed" if kind == "stopped" else kind
             if not batch.cancelled and batch.fault is None:
-                named = f"simulator {lease.setup.simulator.kind}: {reason}"[:MAX_TEXT]
-                batch.fault = Fault(batch=batch.message.batch, kind=blame, trial=piece.first + trial, reason=named)
+                simulator = lease.setup.simulator.kind
+                named = reason if reason.startswith(f"simulator {simulator!r}") else f"simulator {simulator}: {reason}"
+                batch.fault = Fault(batch=batch.message.batch, kind=blame, trial=piece.first + trial, reason=named[:MAX_TEXT])
                 self._close(lease, batch)
             self._conclude_if_done(lease, batch, now)
         slot.deaths += slot.state == SlotState.PREPARING
