@@ -9,8 +9,8 @@ import os
 import random
 import re
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Mapping
-from typing import Annotated, Any, Literal, NamedTuple
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -22,7 +22,7 @@ from zswarm.plugins import nearest
 from zswarm.sims.simulator import Outcome, Simulator, Turn
 
 LIBRARIES = ("gymnasium",)
-HALF_WORD = 32  # bits of the seeds that environments take
+HALF_WORD, MASK = 32, 0xFFFFFFFF  # the seeds that environments take: bits, and the largest
 DEEPEST = 5  # tables in tables
 TEXT = re.compile(r"\w[\w .+-]*|")  # names no file, and no module
 NUMBERED = re.compile(r"[ _-]?\d+$")  # the end of an agent's name
@@ -55,7 +55,7 @@ class ParallelEnvironment(Simulator):
     Data sheet: ``zswarm.sims.pettingzoo.PettingZoo``.
     """
 
-    settings_type: type[msgspec.Struct] = ParallelSettings
+    settings_type: ClassVar[type[msgspec.Struct]] = ParallelSettings
     settings: Any
 
     def __init__(self, settings: Any) -> None:
@@ -113,7 +113,7 @@ class ParallelEnvironment(Simulator):
         means = [self._total(self._type_of, each) / self._type_of.count(each) for each in range(len(self.types))]
         return Outcome(fitness, [self._steps, *means])
 
-    def _total(self, groups: list[int], group: int) -> float:
+    def _total(self, groups: Sequence[int], group: int) -> float:
         """Returns of the agents of a group, added in their order."""
         total = 0.0
         for agent, of in enumerate(groups):
@@ -145,7 +145,7 @@ def kind(name: Any) -> str:
 
 def folded(seed: int) -> int:
     """A trial's seed in 32 bits."""
-    return (seed ^ seed >> HALF_WORD) & 2**HALF_WORD - 1
+    return (seed ^ seed >> HALF_WORD) & MASK
 
 
 def seed_generators(seed: int) -> None:
@@ -280,7 +280,8 @@ def _choices(space: Any) -> Acts:
 
     def action(outputs: np.ndarray) -> np.ndarray:
         chosen = [int(np.argmax(outputs[end - count : end])) for count, end in zip(counts, ends, strict=True)]
-        return (np.array(chosen).reshape(space.shape) + starts).astype(space.dtype)
+        made: np.ndarray = (np.array(chosen).reshape(space.shape) + starts).astype(space.dtype)
+        return made
 
     return Acts(ends[-1], action)
 

@@ -1,7 +1,7 @@
 """Environments of Gymnasium (gymnasium.farama.org), and those that other packages register with it: one agent."""
 
 from abc import abstractmethod
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import msgspec
 import numpy as np
@@ -27,7 +27,7 @@ class EnvironmentSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
     ] = 10_000
 
 
-class Settings(EnvironmentSettings):
+class Settings(EnvironmentSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of ``[problem.settings]``."""
 
     environment: Annotated[str, Meta(description="name of an environment that is registered with Gymnasium")] = "CartPole-v1"
@@ -39,7 +39,7 @@ class Environment(Simulator):
     Data sheet: ``Gymnasium``.
     """
 
-    settings_type: type[msgspec.Struct] = EnvironmentSettings
+    settings_type: ClassVar[type[msgspec.Struct]] = EnvironmentSettings
     metrics = ("steps",)
     owners = (0,)
     settings: Any
@@ -100,7 +100,7 @@ class Gymnasium(Environment):
     Metrics: ``steps``.
     """
 
-    settings_type = Settings
+    settings_type: ClassVar[type[msgspec.Struct]] = Settings
 
     def make(self, **options: Any) -> Any:
         """The environment that the settings name, one of those that are registered."""

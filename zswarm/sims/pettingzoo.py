@@ -3,8 +3,9 @@
 import importlib.util
 import pkgutil
 import re
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
+import msgspec
 from msgspec import Meta
 
 from zswarm.errors import ConfigError
@@ -16,7 +17,7 @@ FAMILIES = ("mpe2", "pettingzoo.butterfly", "pettingzoo.sisl", "pettingzoo.class
 VERSIONED = re.compile(r"\w+_v\d+")
 
 
-class Settings(ParallelSettings):
+class Settings(ParallelSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of ``[problem.settings]``."""
 
     environment: Annotated[
@@ -41,7 +42,7 @@ class PettingZoo(ParallelEnvironment):
         the number at the end.
     """
 
-    settings_type = Settings
+    settings_type: ClassVar[type[msgspec.Struct]] = Settings
 
     def make(self, **options: Any) -> Any:
         """The environment that the settings name, one of those that are installed."""

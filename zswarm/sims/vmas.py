@@ -5,8 +5,9 @@ DARS 2022. VMAS plays many environments as one, whose random numbers come from o
 """
 
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
+import msgspec
 import numpy as np
 from msgspec import Meta
 
@@ -16,7 +17,7 @@ from zswarm.sims.environments import ParallelEnvironment, ParallelSettings, chec
 LIBRARIES = ("vmas", "torch")
 
 
-class Settings(ParallelSettings):
+class Settings(ParallelSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of ``[problem.settings]``."""
 
     scenario: Annotated[str, Meta(description="name of a scenario of VMAS")] = "dispersion"
@@ -40,7 +41,7 @@ class Vmas(ParallelEnvironment):
         the number at the end.
     """
 
-    settings_type = Settings
+    settings_type: ClassVar[type[msgspec.Struct]] = Settings
 
     def make(self, **options: Any) -> Any:
         """The scenario that the settings name, one of VMAS's."""
