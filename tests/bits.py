@@ -28,6 +28,7 @@ GENOMES = 2 if FEW else 6
 SEEDS = np.array([1] if FEW else [1, 2**63 + 5], np.uint64)
 GENERATIONS = 3
 SIMULATOR, NETWORK, SMALLEST = "arena", "fully-meshed", "xor"  # partners: whose metrics show every bit of what is decided, lanes
+SMALL = {name: {"robots": 2, "rays": 8} for name in plugins.ON_PYMUNK}  # where trials are short
 NEEDED = {("minisim", "teams"): {"defenders": 0}}  # by other settings than the one that names choices
 
 
@@ -60,7 +61,7 @@ def problem(simulator: str, network: str, rules: dict[str, Any], shape: dict[str
     """Its name, and both of its parts."""
     name = " ".join([simulator, network, *(f"{key}={value}" for key, value in {**rules, **shape}.items())])
     if STEPS and hasattr(plugins.load("simulator", simulator).settings_type, "steps"):
-        rules = rules | {"steps": STEPS}
+        rules = SMALL.get(simulator, {}) | rules | {"steps": STEPS}
     return name, *evaluate.build(simulator, rules, network, shape)
 
 

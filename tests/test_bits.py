@@ -16,10 +16,11 @@ from numpy._core import _multiarray_umath as compiled_numpy  # the only place wh
 OLDEST = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}  # of its architecture: no AVX, no FMA
 NUMPY_FEATURES = [name for name in compiled_numpy.__cpu_dispatch__ if compiled_numpy.__cpu_features__[name]]
 OLDEST_NUMPY = {"NPY_DISABLE_CPU_FEATURES": " ".join(NUMPY_FEATURES)}
+OLDEST_C_LIBRARY = {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-AVX512F,-FMA,-FMA4"}  # pymunk asks it for sines and powers
 SETTINGS: dict[str, dict[str, str]] = {
     "plain": {"ZSWARM_PLAIN": "1"},
     "plain, numba there": {"NUMBA_DISABLE_JIT": "1"},
-    "oldest processor": OLDEST | OLDEST_NUMPY,
+    "oldest processor": OLDEST | OLDEST_NUMPY | OLDEST_C_LIBRARY,
     "compiled without optimization": {"NUMBA_OPT": "0"},
     "compiled with all vectors": {"NUMBA_OPT": "max", "NUMBA_LOOP_VECTORIZE": "1", "NUMBA_SLP_VECTORIZE": "1"},
 }

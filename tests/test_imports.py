@@ -54,6 +54,7 @@ ONLY_IN = {
     "zenoh": {"session", "ot.cluster", "ot.discovery", "ss.presence", "security.refusals"},  # docs/architecture.md says why
     "numba": {"jit", "lanes"},
     "cryptography": {"security.authority", "security.certificates", "security.bundle", "security.install"},
+    "pymunk": {"sims.robot_world"},
     "prometheus_client": {"ss.metrics"},
     "matplotlib": {"ot.figures", "ot.reading", "api"},  # for their types; it is imported by extras.need, as are scipy and jinja2
     "scipy": set(),

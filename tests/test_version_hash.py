@@ -179,6 +179,27 @@ def test_who_adds_to_a_group_of_entry_points_counts(tmp_path: Path, monkeypatch:
     assert before[1] != after[1]
 
 
+@pytest.mark.parametrize(("simulator", "same"), [("turtlebot-exit", False), ("emergency-exit", True)])
+def test_what_a_library_plays_is_of_another_version_on_another_architecture(
+    simulator: str, same: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hashes, said = [], []
+    for machine in ("x86_64", "aarch64"):
+        monkeypatch.setattr(version_hash.platform, "machine", lambda machine=machine: machine)
+        forget()
+        hashes.append(version_hash.version_hash(simulator, "fully-meshed"))
+        said.append(version_hash.versions(simulator, "fully-meshed"))
+    assert (hashes[0] == hashes[1]) == same
+    assert version_hash.differing(*said) == ([] if same else ["architecture x86_64, not aarch64"])
+
+
+def test_every_simulator_that_imports_pymunk_says_so() -> None:
+    for name in plugins.BUNDLED["simulator"]:
+        files = plugins.source_files("simulator", name)
+        text = "".join(file.read_text() for file in files)
+        assert ("import pymunk" in text) <= ("pymunk" in plugins.libraries(files)), name
+
+
 X86 = "processor\t: 0\nvendor_id\t: GenuineIntel\nmodel\t\t: 207\ncpu MHz\t\t: 2100.000\nflags\t\t: fpu avx2\n"
 ARM = "processor\t: 0\nBogoMIPS\t: 50.00\nFeatures\t: fp asimd\nCPU part\t: 0xd0c\n"
 

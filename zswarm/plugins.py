@@ -23,7 +23,9 @@ Kind = Literal["simulator", "representation", "optimizer", "ranking"]
 BUNDLED: dict[Kind, dict[str, str]] = {
     "simulator": {
         "arena": "zswarm.sims.arena:Arena",
+        "box-pushing": "zswarm.sims.box_pushing:BoxPushing",
         "emergency-exit": "zswarm.sims.emergency_exit:EmergencyExit",
+        "foraging-physical": "zswarm.sims.foraging_physical:ForagingPhysical",
         "gymnasium": "zswarm.sims.gymnasium:Gymnasium",
         "inverted-pendulum": "zswarm.sims.inverted_pendulum:InvertedPendulum",
         "light": "zswarm.sims.light:Light",
@@ -31,6 +33,7 @@ BUNDLED: dict[Kind, dict[str, str]] = {
         "minisim": "zswarm.sims.minisim:Minisim",
         "pettingzoo": "zswarm.sims.pettingzoo:PettingZoo",
         "simplified-emergency-exit": "zswarm.sims.simplified_emergency_exit:SimplifiedEmergencyExit",
+        "turtlebot-exit": "zswarm.sims.turtlebot_exit:TurtlebotExit",
         "vmas": "zswarm.sims.vmas:Vmas",
         "xor": "zswarm.sims.xor:XOR",
     },

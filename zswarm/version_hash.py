@@ -1,7 +1,8 @@
 """The version hash: two machines compute the same only if the code that computes is the same.
 
 It covers the shared files, the simulator, the representation, and the versions of the libraries that turn them into
-machine code. Servers whose hash differs from the optimizer's are named and not used.
+machine code; where a library itself plays trials (``LIBRARIES`` of a module), its version and the processor's
+architecture, too. Servers whose hash differs from the optimizer's are named and not used.
 
 The cache hash names the folder of the compiled kernels. It covers all code that may be compiled, and the processor: a home
 folder may be shared by machines of unlike processors. numba does tell them apart in one folder, but two that compile at the same

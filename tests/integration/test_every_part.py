@@ -33,9 +33,11 @@ class Problem(NamedTuple):
 
 PROBLEMS = {
     "arena": Problem("arena", 8, "spread", {"robots": 4, "steps": 1500}),
+    "box-pushing": Problem("box-pushing", 2, "way", {"steps": 100, "robots": 2}),
     "crowds": Problem("emergency-exit", 8, "escaped", {"steps": 1500, "agents": {"from": 5, "to": 15}}),
     "duel": Problem("minisim", 4, "steals", {"steps": 400, "teams": 2, "defenders": 0}),
     "emergency-exit": Problem("emergency-exit", 8, "escaped", {"steps": 1500}),
+    "foraging-physical": Problem("foraging-physical", 2, "way", {"steps": 100, "robots": 2, "pucks": 2}),
     "gymnasium": Problem("gymnasium", 8, "steps", {"environment": "Pendulum-v1"}),
     "inverted-pendulum": Problem("inverted-pendulum", 8, "upright", {"steps": 2500}),
     "light": Problem("light", 8, "distance", {"steps": 1500}),
@@ -43,6 +45,7 @@ PROBLEMS = {
     "minisim": Problem("minisim", 8, "steals", {"steps": 600}),
     "pettingzoo": Problem("pettingzoo", 2, "steps", {"environment": "simple_v3"}),
     "simplified-emergency-exit": Problem("simplified-emergency-exit", 8, "x", {"steps": 7500}),
+    "turtlebot-exit": Problem("turtlebot-exit", 2, "distance", {"steps": 100, "robots": 2}),
     "xor": Problem("xor", 2000, "correct", {}),
 }
 GAMES = {"duel"}
@@ -104,6 +107,9 @@ ONCE = [  # few pairs of problem and representation: a slot that has played one 
     Parts("light", "three-layer", "cuckoo"),
     Parts("simplified-emergency-exit", "bulk", "openai-es"),
     Parts("maze", "mealy", "novelty"),
+    Parts("turtlebot-exit", "hebbian", "nnga"),
+    Parts("box-pushing", "ctrnn", "cmaes"),
+    Parts("foraging-physical", "fully-meshed", "map-elites"),
 ]
 
 
