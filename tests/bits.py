@@ -28,7 +28,10 @@ GENOMES = 2 if FEW else 6
 SEEDS = np.array([1] if FEW else [1, 2**63 + 5], np.uint64)
 GENERATIONS = 3
 SIMULATOR, NETWORK, SMALLEST = "arena", "fully-meshed", "xor"  # partners: whose metrics show every bit of what is decided, lanes
-SMALL = {name: {"robots": 2, "rays": 8} for name in plugins.ON_PYMUNK}  # where trials are short
+SIMULATORS = [
+    name for name in plugins.names("simulator") if set(plugins.libraries(plugins.source_files("simulator", name))) <= {"pymunk"}
+]  # environments of other packages have bits of theirs
+SMALL = {name: {"robots": 2, "rays": 8} for name in ("box-pushing", "foraging-physical", "turtlebot-exit")}  # short
 NEEDED = {("minisim", "teams"): {"defenders": 0}}  # by other settings than the one that names choices
 
 
@@ -45,14 +48,14 @@ def ways(settings: Any) -> Iterator[dict[str, Any]]:
 
 def problems() -> Iterator[tuple[str, Any, Any]]:
     """Each simulator and each network in all ways, with a partner; then all pairs by default."""
-    for simulator in plugins.names("simulator"):
+    for simulator in SIMULATORS:
         for chosen in ways(plugins.load("simulator", simulator).settings_type):
             yield problem(simulator, NETWORK, chosen | NEEDED.get((simulator, *chosen), {}), {})
     for network in plugins.names("representation"):
         for chosen in ways(plugins.load("representation", network).settings_type):
             yield problem(SIMULATOR, network, {"robots": LANES}, chosen)
     if not FEW:
-        for simulator in plugins.names("simulator"):
+        for simulator in SIMULATORS:
             for network in plugins.names("representation"):
                 yield problem(simulator, network, {}, {})
 

@@ -15,6 +15,7 @@ from zswarm.strict import convert
 FORMS = ({"from", "to"}, {"choice"})
 EXPECTED = "expected { from = 5, to = 15 } or { choice = [5, 10] }"
 MAX_CHOICES = 100
+DEEPEST = 8  # tables in tables where ranges are looked for; servers take no deeper ones
 FARTHEST = 8e307  # an end from 0, so that the width of a range is finite
 
 Path = tuple[str, ...]  # the keys that lead to a setting: mostly one
@@ -66,7 +67,7 @@ def replaced(settings: Mapping[str, Any], value: Callable[[Path, Mapping[str, An
         key: value((*above, key), item)
         if is_range(item)
         else replaced(item, value, (*above, key))
-        if isinstance(item, Mapping)
+        if isinstance(item, Mapping) and len(above) < DEEPEST
         else item
         for key, item in settings.items()
     }
