@@ -62,11 +62,16 @@ def answer(of: Worker) -> tuple[bytes, bytes]:
     return of.receive()
 
 
+TOO_LARGE = {("pettingzoo", "mealy")}  # a machine's table has a row for each combination of 18 inputs
+
+
 def pairs() -> Iterator[Any]:
     """Of bundled simulators and representations: each part in one; all others are long."""
     simulators, representations = playable(plugins.BUNDLED["simulator"]), list(plugins.BUNDLED["representation"])
     for row, simulator in enumerate(simulators):
         for column, representation in enumerate(representations):
+            if (simulator, representation) in TOO_LARGE:
+                continue
             first = row % len(representations) == column or column % len(simulators) == row
             yield pytest.param(simulator, representation, marks=[] if first else pytest.mark.long)
 
