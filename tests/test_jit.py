@@ -148,7 +148,7 @@ def test_what_is_compiled_when_it_is_first_called_is_compiled_by_the_warming_up(
 @pytest.mark.long
 def test_the_warming_up_compiles_all_that_a_trial_of_any_part_needs(lazy: str, tmp_path: Path) -> None:
     """With nothing in the cache."""
-    names = playable([*plugins.BUNDLED["simulator"], "lazy"])
+    names = playable([*(plugins.BUNDLED["simulator"].keys() - {"pettingzoo"}), "lazy"])  # whose 18 inputs are too many for mealy
     said = run(WARM_UP, tmp_path, tmp_path / "cache", ",".join(names), PYTHONPATH=lazy)
     assert set(said[::4]) == set(names)
     assert "True" in said[2::4], "there was something to compile"
