@@ -133,8 +133,8 @@ def connect(
 
     Args:
         servers: "auto": this machine's slots and every server found; "local": this machine only; a number: wait for so many.
-        realm, connect, multicast, through_router, local_slots, require, rank, max_slots, trial_timeout_s, trial_memory_mb,
-            on_fault, verify: as in ``[cluster]`` of the experiment file.
+        realm, connect, multicast, through_router, local_slots: as in ``[cluster]`` of the experiment file, like all that follow.
+        require, rank, max_slots, trial_timeout_s, trial_memory_mb, on_fault, verify: likewise.
 
     Raises:
         ConfigError: an impossible value.
