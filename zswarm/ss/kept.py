@@ -21,9 +21,12 @@ class Kept:
             _, (dropped, _) = self._answers.popitem(last=False)
             self.bytes -= len(dropped)
 
-    def get(self, lease: bytes, batch: int) -> bytes | None:
-        """The answer, or None when it is not kept."""
-        answer, _ = self._answers.get((lease, batch), (None, 0.0))
+    def get(self, lease: bytes, batch: int, now: float) -> bytes | None:
+        """The answer, or None when it is not kept; it is as new then, for it may be lost on its way once more."""
+        if (lease, batch) not in self._answers:
+            return None
+        answer, _ = self._answers.pop((lease, batch))
+        self._answers[lease, batch] = (answer, now)
         return answer
 
     def drop(self, lease: bytes) -> None:

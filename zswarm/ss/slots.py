@@ -441,7 +441,7 @@ class Slots:
         self._answer(event.query, self._lease(lease))
 
     def _evaluate(self, lease: Held, message: Evaluate, event: Asked, now: float) -> None:
-        kept = self.kept.get(lease.token, message.batch)
+        kept = self.kept.get(lease.token, message.batch, now)
         if kept is not None:
             self._do(Answer(event.query, kept))
             return
