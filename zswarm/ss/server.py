@@ -108,6 +108,7 @@ class Server:
         """Serve until told to stop; the program's exit code."""
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             signal.signal(number, self._on_signal)
+        signal.set_wakeup_fd(self._woken, warn_on_full_buffer=False)  # a signal just before the loop waits ends that wait, too
         with contextlib.ExitStack() as stack:
             stack.callback(self._close_workers)
             self._open_local(stack)
@@ -156,7 +157,6 @@ class Server:
             self._reload_asked = True
         else:
             self._signals.append(number)
-        self._awake()
 
     def _awake(self) -> None:
         with contextlib.suppress(BlockingIOError):
