@@ -45,6 +45,7 @@ NOT_RUN: dict[tuple[str, str], tuple[str, str]] = {
 GIVEN = {
     "commands.md": "mkdir -p ~/.config/fish/conf.d",
     "figures.md": "zswarm-ot run stadium --servers local",
+    "optimizers.md": "zswarm-ot run minisim-elites --servers local --set generations=20",
     "record.md": "zswarm-ot run minisim --servers local",
 }
 # Instead of what a page says, what is so here.
