@@ -74,7 +74,7 @@ def test_each_beats_random_search_at_equal_evaluations(name: str) -> None:
 
 @pytest.mark.long
 def test_novelty_finds_the_way_round_where_fitness_leads_behind_a_wall() -> None:
-    """The goal of the maze is reached with fitness 1 and more; who breeds for nearness to it does not come there, nor does chance."""
+    """The goal is reached with fitness 1 and more; who breeds for nearness to it does not come there, and chance is worse."""
     example, evaluations = NAMED["novelty"]
     found = [best(example, [f"seed={seed}"]) for seed in range(10)]
     bred = [best(example, [f"seed={seed}", 'optimizer={kind="nnga"}', "generations=1000"], evaluations) for seed in range(10)]
