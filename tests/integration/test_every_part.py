@@ -104,7 +104,6 @@ ONCE = [  # few pairs of problem and representation: a slot that has played one 
     Parts("pettingzoo", "neat", "neat"),
     Parts("arena", "ctrnn", "cmaes"),
     Parts("crowds", "fully-meshed", "cma-me"),  # settings differ by trial
-    Parts("emergency-exit", "fully-meshed", "map-elites"),
     Parts("inverted-pendulum", "feed-forward", "pso"),
     Parts("light", "three-layer", "cuckoo"),
     Parts("simplified-emergency-exit", "bulk", "openai-es"),
