@@ -5,7 +5,6 @@ and ``zswarm.rankings``; a program becomes a simulator by a manifest (``manifest
 program started, when it is asked for, never by listing it, so a broken plug-in hurts nobody who does not use it.
 """
 
-import difflib
 import importlib
 import importlib.util
 import re
@@ -17,6 +16,7 @@ from typing import Any, Literal
 
 from zswarm import manifests
 from zswarm.errors import UnknownPlugin
+from zswarm.nearest import nearest
 
 Kind = Literal["simulator", "representation", "optimizer", "ranking"]
 
@@ -25,6 +25,7 @@ BUNDLED: dict[Kind, dict[str, str]] = {
         "arena": "zswarm.sims.arena:Arena",
         "box-pushing": "zswarm.sims.box_pushing:BoxPushing",
         "emergency-exit": "zswarm.sims.emergency_exit:EmergencyExit",
+        "food-or-poison": "zswarm.sims.food_or_poison:FoodOrPoison",
         "foraging-physical": "zswarm.sims.foraging_physical:ForagingPhysical",
         "gymnasium": "zswarm.sims.gymnasium:Gymnasium",
         "inverted-pendulum": "zswarm.sims.inverted_pendulum:InvertedPendulum",
@@ -115,12 +116,6 @@ def load(kind: Kind, name: str) -> Any:
 def _unknown(kind: Kind, name: str) -> UnknownPlugin:
     known = names(kind)
     return UnknownPlugin(f"unknown {kind} {name!r}{nearest(name, known)}; known are: {', '.join(known)}")
-
-
-def nearest(word: str, known: Any) -> str:
-    """`` (did you mean 'x'?)`` when a known word is near, else nothing."""
-    close = difflib.get_close_matches(word, list(known), 1)
-    return f" (did you mean {close[0]!r}?)" if close else ""
 
 
 def source_files(kind: Kind, name: str) -> list[Path]:
