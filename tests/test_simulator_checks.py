@@ -5,6 +5,7 @@ import os
 import random
 import re
 import signal
+import sys
 import textwrap
 import threading
 import time
@@ -66,6 +67,11 @@ class LooksAtTheClock(Gather):
 
     def outcome(self) -> Outcome:
         return Outcome([self.day], [])
+
+
+class Exits(Gather):
+    def outcome(self) -> Outcome:
+        sys.exit(3)
 
 
 class AsksTheSystem(Gather):
@@ -231,6 +237,7 @@ AGAIN = "played again, after other trials, has another outcome: "
         (GivesATuple, r"GivesATuple.reset must return a Turn, not \(range\(0, 3\), array"),
         (GivesANumber, "GivesANumber.outcome must return an Outcome, not 1.0"),
         (NeverEnds, "NeverEnds: the trial goes on after 300 turns: step must return None when it is over"),
+        (Exits, r"Exits: a trial must end by returning None from step, not by exit\(3\)"),
         (HasNoSettings, "HasNoSettings.settings_type must be a frozen msgspec.Struct, not None"),
         (HasNoOwners, "HasNoOwners.owners is missing: per agent the participant that drives it"),
         (KeepsMemory, r"KeepsMemory: a trial leaves [\d,]+ bytes behind, each time"),

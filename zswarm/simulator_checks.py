@@ -104,6 +104,8 @@ def check_simulator(simulator_class: type[Simulator], settings: Mapping[str, Any
             play_in_turns(player, network, parameters[participants[trial]], int(seeds[trial]), fitness, metrics)
         except BrokenContractError as error:
             raise AssertionError(f"{name}: {error}") from None
+        except SystemExit as error:
+            raise AssertionError(f"{name}: a trial must end by returning None from step, not by exit({error.code})") from error
         return fitness.tobytes() + metrics.tobytes()
 
     def alone(trial: int, state: int) -> bytes:
