@@ -212,7 +212,7 @@ def test_whatever_a_program_does_costs_its_own_trials_and_nothing_else(tmp_path:
             changed.write("# a version later\n")
         again = ["run", "rough.toml", *reach, "--set", "problem.settings.steps=4"]
         later = Optimizer(tmp_path, "later", again, ZSWARM_SIMULATORS=str(mine), ZSWARM_PLAIN="1")
-        refused = wait_until(lambda: [line for line in later.err.read_text().splitlines() if "is not used" in line], "it is told")
+        refused = wait_until(lambda: [line for line in later.err.read_text().splitlines() if " refused: " in line], "it is told")
         later.close()
     finally:
         server.close()
