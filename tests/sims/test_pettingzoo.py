@@ -28,6 +28,7 @@ EVOLVED: list[tuple[str, dict[str, Any], dict[str, Any]]] = [  # environment, op
     ("simple_spread_v3", {}, {"generations": 8, "trials": 4}),
     ("simple_formation_v1", {}, {"generations": 8}),
     ("simple_speaker_listener_v4", {}, {"generations": 10, "trials": 4, "representation": TWO_NETS}),
+    ("multiwalker_v9", {"max_cycles": 80}, {"generations": 8, "trials": 2, "unseen": 10}),
 ]
 KEPT = {
     "pettingzoo": ["knights_archers_zombies_v11", "multiwalker_v9", "rps_v2", "simple_tag_v3"],
