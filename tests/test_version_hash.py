@@ -4,6 +4,7 @@ import ast
 import re
 import shutil
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,7 @@ from zswarm import plugins, version_hash
 PACKAGE = Path(version_hash.__file__).parent
 # They name, check and refuse; messages.py says how many trials the probe has, which the version of the protocol fixes.
 COMPUTES_NOTHING = {
-    *("errors.py", "extras.py", "manifests.py", "messages.py", "plugins.py", "strict.py", "version_hash.py"),
+    *("errors.py", "extras.py", "manifests.py", "messages.py", "nearest.py", "plugins.py", "strict.py", "version_hash.py"),
 }
 
 
@@ -22,17 +23,26 @@ def imported(file: Path) -> set[Path]:
     found: set[Path] = set()
     waiting = [file]
     while waiting:
-        for node in ast.walk(ast.parse(waiting.pop().read_text())):
-            names: list[str] = []
-            if isinstance(node, ast.Import):
-                names = [alias.name for alias in node.names]
-            elif isinstance(node, ast.ImportFrom):
-                names = [node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)]
-            for name in names:
-                module = PACKAGE.parent.joinpath(*name.split(".")).with_suffix(".py")
-                if name.startswith("zswarm.") and module.is_file() and module not in found:
-                    found.add(module)
-                    waiting.append(module)
+        more = named(waiting.pop()) - found
+        found |= more
+        waiting += more
+    return found
+
+
+@cache
+def named(file: Path) -> set[Path]:
+    """Those that its own text names."""
+    found = set()
+    for node in ast.walk(ast.parse(file.read_text())):
+        names: list[str] = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names = [node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)]
+        for name in names:
+            module = PACKAGE.parent.joinpath(*name.split(".")).with_suffix(".py")
+            if name.startswith("zswarm.") and module.is_file():
+                found.add(module)
     return found
 
 
@@ -250,3 +260,11 @@ def test_what_differs_between_two_versions_is_named(copy: Path) -> None:
         assert version_hash.differing(version_hash.versions("emergency-exit", "fully-meshed"), before) == [told]
         (copy / file).write_text(text)
     assert version_hash.differing({"numpy": "2.1.0"}, {"numpy": "2.3.0", "jax": "0.9"}) == ["numpy 2.1.0, not 2.3.0", "no jax"]
+
+
+def test_packages_that_are_missing_are_told_as_pip_is_told_of_them() -> None:
+    """Those that only one of two has; a version that is none is not passed on."""
+    here = {"numpy": "2.1.0", "torch": "none", "vmas": "none", "scipy": "none"}
+    asked = {"numpy": "2.3.0", "torch": "2.13.0+cpu", "vmas": "1; reboot", "scipy": "none", "jax": "0.9"}
+    assert version_hash.lacking(here, asked) == ["torch==2.13.0+cpu", "vmas"]
+    assert version_hash.lacking({"numpy": "2.1.0"}, asked) == []
