@@ -40,10 +40,11 @@ MAY_IMPORT = {
     "router": {"leaf", "session", "security"},
     "security": {"leaf", "protocol", "security"},
     "ot.optimizers": {"leaf", "nets", "ot.optimizers"},
+    "ot.dashboard": {"leaf", "experiment", "nets", "ot", "ot.dashboard", "protocol"},
     "ot.rankings": {"leaf", "ot.rankings"},
     "ot": {
         *("leaf", "protocol", "nets", "sims", "varied", "evaluate", "experiment", "labels", "session", "security"),
-        *("ot", "ot.optimizers", "ot.rankings"),
+        *("ot", "ot.dashboard", "ot.optimizers", "ot.rankings"),
     },
     "api": {"leaf", "experiment", "ot"},
     "ss": {"leaf", "protocol", "evaluate", "labels", "session", "security", "ss"},
@@ -59,6 +60,8 @@ ONLY_IN = {
     "matplotlib": {"ot.figures", "ot.reading", "api"},  # for their types; it is imported by extras.need, as are scipy and jinja2
     "scipy": set(),
     "jinja2": set(),
+    "starlette": {"ot.dashboard.app", "ot.dashboard.guard"},
+    "uvicorn": {"ot.dashboard.serve"},
     "cmaes": set(),  # the packages of optimizers, likewise
     "ribs": set(),
     "threadpoolctl": set(),
@@ -74,6 +77,7 @@ ONLY_IN = {
 }
 PURE = (
     *("ot.assessment", "ot.dispatch", "ot.plan", "ot.requests", "ot.verification", "ot.waiting", "ot.workload"),
+    "ot.dashboard.fleet",
     *("ss.slots", "ss.kept", "ot.rankings.absolute", "ot.rankings.full_tournament", "ot.rankings.multi_swiss"),
     *("ot.rankings.ranking", "ot.rankings.swiss", "ot.rankings.tournament"),
     *("protocol.codec", "protocol.keys", "protocol.messages", "labels"),

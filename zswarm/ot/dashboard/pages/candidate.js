@@ -25,7 +25,7 @@ export async function show(view) {
         h('button', { type: 'button', text: 'first champion', onclick: () => champions.length && go(champions[0].generation, champions[0].candidate) }),
         h('button', { type: 'button', text: 'last champion', onclick: async () => { champions = await ask(api('champions')); if (champions.length) go(champions.at(-1).generation, champions.at(-1).candidate); } })),
       facts),
-    replay, h('div', { class: 'two' }, network, h('div', {}, trials), genome));
+    replay, h('div', { class: 'two' }, network, h('div', { class: 'stack' }, trials, genome)));
 
   async function go(toGeneration, toCandidate) {
     try {

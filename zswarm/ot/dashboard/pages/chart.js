@@ -57,7 +57,7 @@ export class Chart {
         if (one.y) {
           pen.strokeStyle = colour(this.ink(one, index));
           pen.lineWidth = 2;
-          pen.setLineDash(one.dash ?? DASHES[Math.floor(index / 7) % DASHES.length]);
+          pen.setLineDash(one.dash ?? DASHES[index % DASHES.length]);
           pen.beginPath();
           pen.moveTo(0, 6);
           pen.lineTo(28, 6);
@@ -167,7 +167,7 @@ export class Chart {
       if (!one.y) continue;
       pen.strokeStyle = colour(this.ink(one, one.index));
       pen.lineWidth = one.thin ? 1.2 : 2;
-      pen.setLineDash(one.dash ?? DASHES[Math.floor(one.index / 7) % DASHES.length]);
+      pen.setLineDash(one.dash ?? DASHES[one.index % DASHES.length]);
       curve(pen, one, toX, toY);
     }
     pen.setLineDash([]);

@@ -12,7 +12,7 @@ function s(tag, properties = {}, ...children) {
 
 export function nameOf(node, sensors, actuators) {
   const names = node.kind === 'input' ? sensors : node.kind === 'output' ? actuators : [];
-  return names[node.number] ?? `${node.kind} ${node.number}`;
+  return names[node.number] ?? `${node.kind} ${node.number + (node.kind === 'state' ? 0 : 1)}`;
 }
 
 // Nodes and edges as the dashboard gives them; say(text) is called for what is pointed at.
@@ -44,7 +44,7 @@ export function drawNetwork(graph, sensors, actuators, say) {
     const shape = node.kind === 'input' ? s('rect', { x: x - 8, y: y - 8, width: 16, height: 16, rx: 3, class: 'of-input' }) : s('circle', { cx: x, cy: y, r: node.kind === 'state' ? 15 : 9, class: `of-${node.kind}` });
     const text = node.kind === 'input' ? s('text', { x: x - 14, y: y + 4, 'text-anchor': 'end' }) : node.kind === 'output' ? s('text', { x: x + 14, y: y + 4 })
       : s('text', { x, y: node.kind === 'state' ? y + 4 : y - 13, 'text-anchor': 'middle' });
-    text.textContent = node.kind === 'state' || node.kind === 'hidden' ? String(node.number) : name.length > 24 ? `${name.slice(0, 23)}…` : name;
+    text.textContent = node.kind === 'state' || node.kind === 'hidden' ? String(node.number + (node.kind === 'hidden' ? 1 : 0)) : name.length > 24 ? `${name.slice(0, 23)}…` : name;
     const group = s('g', { class: 'node', tabindex: 0, role: 'img', 'aria-label': `${name} ${node.text}` }, shape, text);
     const tell = () => {
       const own = drawn.filter(({ edge }) => edge.source === i || edge.target === i);

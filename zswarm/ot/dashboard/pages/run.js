@@ -49,10 +49,10 @@ export async function show(view) {
           h('button', { type: 'button', text: 'PNG', onclick: () => fitness.png(`${run}.png`) }))),
       fitness.element, chosen),
     h('div', { class: 'two' }, choices.diversity, choices.operators, choices.others),
-    h('div', { class: 'two' }, h('section', { class: 'card' },
+    h('div', { class: 'two' }, h('div', { class: 'stack' }, h('section', { class: 'card' },
       h('div', { class: 'row between' }, h('h2', { text: 'Events' }),
         choice('Show', [['info', 'all'], ['warning', 'warnings'], ['error', 'errors']], level, (value) => { level = value; list(); })),
-      h('div', { class: 'scroll' }, log), older), champions, panel));
+      h('div', { class: 'scroll' }, log), older), champions), panel));
 
   // ---- what is shown
 
@@ -68,7 +68,7 @@ export async function show(view) {
     fitness.set([
       ...(spread?.generation.length ? [{ name: 'quartiles', x: along(spread), low: spread.lower, high: spread.upper, colour: '--c3' }] : []),
       ...(sparse && !spread ? [{ name: 'range of means', x: along(curve), low: curve.low, high: curve.high, colour: '--c2' }] : []),
-      { name: 'best', x: along(curve), y: curve.best, colour: '--c1', steps: true },
+      { name: 'best', x: along(curve), y: curve.best, colour: '--c1', dash: [], steps: true },
       { name: 'mean', x: along(curve), y: curve.mean, colour: '--c2', dash: [7, 4] },
       ...(spread?.generation.length ? [{ name: 'median', x: along(spread), y: spread.median, colour: '--c3', dash: [2, 3] }] : []),
     ], options);

@@ -128,7 +128,7 @@ function together(all) {
     columns.high.push(values.length > 1 ? quantile(values, 0.75) : null);
   }
   return [{ name: 'quartiles', x: xs, low: columns.low, high: columns.high, colour: '--c1' },
-    { name: `median of ${all.length} runs`, x: xs, y: columns.median, colour: '--c1' },
+    { name: `median of ${all.length} runs`, x: xs, y: columns.median, colour: '--c1', dash: [] },
     ...all.map((one) => ({ ...one, colour: '--dim', thin: true, dash: [2, 3] }))];
 }
 
