@@ -40,16 +40,21 @@ class Watched(NamedTuple):
         page.on("request", lambda request: self.requests.append(request.url))
         return page
 
+    def forgive(self, page: Page) -> None:
+        """What a test provoked, once nothing more of it comes."""
+        page.goto("about:blank")
+        self.errors.clear()
+
 
 @pytest.fixture
 def watched() -> Watched:
-    """Of all pages of a test; a test that provokes an error clears it."""
+    """Of all pages of a test; a test that provokes an error forgives it."""
     return Watched([], [])
 
 
 @pytest.fixture
-def page(browser: Browser, watched: Watched) -> Iterator[Page]:
-    """A tab of its own; at the end it must have had no error, and asked nothing of other machines."""
+def page(browser: Browser, watched: Watched, dashboard: object) -> Iterator[Page]:
+    """A tab of its own, closed before dashboards end; it must have had no error, and asked nothing of other machines."""
     context = browser.new_context(viewport={"width": 1280, "height": 800})
     yield watched.watch(context.new_page())
     context.close()

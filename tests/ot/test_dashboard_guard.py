@@ -59,7 +59,9 @@ def test_names_and_addresses_of_this_machine_are_let_in(host: str) -> None:
     assert ask(host=host)[0] == 200
 
 
-@pytest.mark.parametrize("host", ["", "evil.example", "evil.example:7468", "127.0.0.1.evil.example", "localhost.evil.example:7468"])
+@pytest.mark.parametrize(
+    "host", ["", "evil.example", "evil.example:7468", "127.0.0.1.evil.example", "localhost.evil.example:7468"]
+)
 def test_a_name_that_is_made_to_lead_here_is_refused(host: str) -> None:
     """DNS rebinding: the browser would take the page for the attacker's own."""
     assert ask(host=host)[0] == 400
@@ -93,7 +95,9 @@ def test_beyond_this_machine_reading_takes_the_token_too() -> None:
     assert ask(path="/api/runs", closed=True)[0] == 401
     assert ask(path="/api/runs", closed=True, authorization=f"Bearer {TOKEN}")[0] == 200
     assert ask(websocket=True, path="/ws", closed=True, origin=f"http://{OURS}")[0] == 1008
-    assert ask(websocket=True, path="/ws", closed=True, origin=f"http://{OURS}", subprotocols=("zswarm", f"token.{TOKEN}"))[0] == 101
+    assert (
+        ask(websocket=True, path="/ws", closed=True, origin=f"http://{OURS}", subprotocols=("zswarm", f"token.{TOKEN}"))[0] == 101
+    )
 
 
 @pytest.mark.parametrize("host", [OURS, "evil.example"])

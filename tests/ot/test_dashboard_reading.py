@@ -211,7 +211,17 @@ def test_pages_make_text_and_never_markup() -> None:
     """No script or style stands in a page, and no text of a record is ever parsed."""
     pages = {file.name: file.read_text() for file in (resources.files("zswarm.ot.dashboard") / "pages").iterdir()}
     for name, text in pages.items():
-        for word in ("innerHTML", "outerHTML", "insertAdjacentHTML", "document.write", "eval(", "new Function", "DOMParser", "http://", "https:"):
+        for word in (
+            "innerHTML",
+            "outerHTML",
+            "insertAdjacentHTML",
+            "document.write",
+            "eval(",
+            "new Function",
+            "DOMParser",
+            "http://",
+            "https:",
+        ):
             allowed = (name, word) in {("live.js", "https:")} or (word == "http://" and "http://www.w3.org/2000/svg" in text)
             assert word not in text or allowed, f"{name}: {word}"
     page = pages["index.html"]

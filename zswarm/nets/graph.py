@@ -80,8 +80,6 @@ def of_meshed(inputs: int, outputs: int, weights: np.ndarray, texts: Sequence[st
     nodes += [Node("hidden", number, texts[number]) for number in range(hidden)]
     nodes += [Node("output", number, texts[hidden + number]) for number in range(outputs)]
     edges = [
-        Edge(source, inputs + neuron, weight)
-        for neuron, row in enumerate(weights.tolist())
-        for source, weight in enumerate(row)
+        Edge(source, inputs + neuron, weight) for neuron, row in enumerate(weights.tolist()) for source, weight in enumerate(row)
     ]
     return Graph(nodes, edges)

@@ -15,7 +15,15 @@ import click
 from zswarm import experiment
 from zswarm.errors import ZswarmError
 from zswarm.ot.commands import suggestions
-from zswarm.ot.commands.options import cluster_options, dashboard_option, json_lines_option, named, out_option, set_option, with_cluster
+from zswarm.ot.commands.options import (
+    cluster_options,
+    dashboard_option,
+    json_lines_option,
+    named,
+    out_option,
+    set_option,
+    with_cluster,
+)
 from zswarm.ot.connection import Connection
 from zswarm.ot.exits import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_TERMINATED
 from zswarm.protocol.codec import clean
@@ -150,9 +158,7 @@ def _is_study(folder: Path) -> bool:
     return is_study(folder)
 
 
-def _play(
-    study: "Study", connection: Connection | None, folders: list[Path], *, as_json: bool, with_dashboard: bool
-) -> None:
+def _play(study: "Study", connection: Connection | None, folders: list[Path], *, as_json: bool, with_dashboard: bool) -> None:
     """However the study is stopped, its runs are closed, and a line says how to go on."""
     from zswarm.ot.study_display import follower
 

@@ -104,9 +104,9 @@ def application(shelf: Shelf) -> Starlette:
         routes=[
             Route("/static/{name}", _static),
             Route("/api/runs", rows),
-            *(Route(f"/api/runs/{{run}}/{name}", answering(answer)) for name, answer in answers.BY_NAME.items()),
-            Route("/api/runs/{run}/trace", trace),
-            Route("/api/runs/{run}/control", ask, methods=["POST"]),
+            *(Route(f"/api/runs/{{run:path}}/{name}", answering(answer)) for name, answer in answers.BY_NAME.items()),
+            Route("/api/runs/{run:path}/trace", trace),
+            Route("/api/runs/{run:path}/control", ask, methods=["POST"]),
             WebSocketRoute("/ws", socket),
             *(Route(path, shell) for path in SHELL),
         ]

@@ -1,6 +1,6 @@
 // The servers of a run: what each does, how well, why one does nothing; and when their slots computed.
 import { follow } from './live.js';
-import { ago, api, ask, badge, card, choice, clock, colour, duration, fill, h, number, percent, run, setText, showError } from './page.js';
+import { ago, api, ask, badge, card, choice, clock, colour, duration, fill, h, number, percent, run, setText, showError, unlessGone } from './page.js';
 
 const SLOW_MS = 3000;
 const ROW = 18; // pixels of a server in the timeline
@@ -31,7 +31,7 @@ export async function show(view) {
       h('div', { class: 'scroll tall' }, table)),
     card('When slots computed',
       h('div', { class: 'row between' }, h('p', { class: 'dim small', text: 'Full height: all slots of the server computed; empty: none did. ▷ joined, ◁ left, ✕ lost, ▲ fault.' }),
-        choice('Time', [[60, '1 min'], [600, '10 min'], [0, 'all recorded']], seconds, (value) => { seconds = value; load(true); })),
+        choice('Time', [[60, '1 min'], [600, '10 min'], [0, 'all recorded']], seconds, (value) => { seconds = value; unlessGone(() => load(true)); })),
       h('div', { class: 'scroll tall' }, figure)));
 
   function list() {
@@ -158,7 +158,7 @@ export async function show(view) {
     if (message.hello) servers.clear();
     if (message.state) { state = message.state; fill(status, badge(state.status)); if (state.error) showError(state.error); }
     for (const row of message.servers ?? []) servers.set(row.server, row);
-    if (message.hello || message.servers || message.state) { list(); load(); }
+    if (message.hello || message.servers || message.state) { list(); unlessGone(load); }
   });
   setInterval(list, 2000);
   try {
@@ -166,7 +166,7 @@ export async function show(view) {
     document.title = `Servers of ${about.name} · zswarm`;
     await load(true);
   } catch (error) {
-    showError(error.message);
+    if (!(error instanceof TypeError)) showError(error.message);
   }
 }
 

@@ -122,9 +122,22 @@ function headers() {
   return token() ? { Authorization: `Bearer ${token()}` } : {};
 }
 
+// What the dashboard refused; when it is not there fetch raises a TypeError instead.
+export class Refused extends Error {}
+
+// For what is asked for again anyway: that the dashboard is gone is told by the banner.
+export async function unlessGone(action) {
+  try {
+    return await action();
+  } catch (error) {
+    if (error instanceof TypeError) return undefined;
+    throw error;
+  }
+}
+
 export async function ask(path, form = 'json') {
   const answer = await fetch(path, { headers: headers() });
-  if (!answer.ok) throw new Error((await answer.text()).trim() || `${answer.status}`);
+  if (!answer.ok) throw new Refused((await answer.text()).trim() || `${answer.status}`);
   return form === 'bytes' ? new Uint8Array(await answer.arrayBuffer()) : form === 'blob' ? answer.blob() : answer.json();
 }
 
@@ -135,7 +148,7 @@ export function api(name, values = {}) {
 
 export async function tell(path, value) {
   const answer = await fetch(path, { method: 'POST', headers: headers(), body: JSON.stringify(value) });
-  if (!answer.ok) throw new Error((await answer.text()).trim() || `${answer.status}`);
+  if (!answer.ok) throw new Refused((await answer.text()).trim() || `${answer.status}`);
 }
 
 export function save(blob, name) {

@@ -1,7 +1,7 @@
 // One run: how far it is, its curves, what happened, what was run, and what may be asked of it.
 import { Chart } from './chart.js';
 import { follow } from './live.js';
-import { address, ago, api, ask, badge, card, choice, clock, copyButton, download, duration, fill, h, number, run, setText, showError, tell, token } from './page.js';
+import { address, ago, api, ask, badge, card, choice, clock, copyButton, download, duration, fill, h, number, run, setText, showError, tell, token, unlessGone } from './page.js';
 
 const MOST = 4000; // points that come live before the curve is asked for anew
 const SLOW_MS = 4000; // between looks at what takes a look at all candidates
@@ -197,14 +197,26 @@ export async function show(view) {
 
   // ---- what comes
 
-  let asked = false;
+  let asked = false; // all was there once
+  let tried = false;
+  async function loadAll() {
+    try {
+      await loadCurve();
+      await showAbout();
+      asked = true;
+      await loadSlow(true);
+    } catch (error) {
+      if (!(error instanceof TypeError)) showError(error.message);
+    }
+  }
+
   follow(run, (message) => {
     if (message.state) {
       const ended = state.status === 'running' && message.state.status !== 'running';
       state = message.state;
-      if (ended) { showAbout(); loadSlow(true); }
+      if (ended) unlessGone(async () => { await showAbout(); await loadSlow(true); });
     }
-    if (message.hello) { events = message.events; older.hidden = events.length < 300; list(); if (asked) loadCurve(); }
+    if (message.hello) { events = message.events; older.hidden = events.length < 300; list(); if (asked) unlessGone(loadCurve); else if (tried) loadAll(); }
     else if (message.events) { events.push(...message.events); if (events.length > 5000) events = events.slice(-4000); list(); }
     for (const [generation, at, best, mean, evaluations] of message.generations ?? []) {
       if (generation <= (curve.generation.at(-1) ?? -1)) continue;
@@ -212,17 +224,11 @@ export async function show(view) {
     }
     showState();
     if (message.generations) {
-      if (curve.generation.length > MOST) loadCurve(); else draw();
-      if (asked) loadSlow();
+      if (curve.generation.length > MOST) unlessGone(loadCurve); else draw();
+      if (asked) unlessGone(loadSlow);
     }
   });
-  try {
-    await loadCurve();
-    asked = true;
-    await showAbout();
-    await loadSlow(true);
-  } catch (error) {
-    showError(error.message);
-  }
+  await loadAll();
+  tried = true;
   setInterval(() => { if (state.status !== 'running') showState(); }, 2000);
 }
