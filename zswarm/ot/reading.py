@@ -139,19 +139,7 @@ class Run:
     @property
     def going_on(self) -> bool:
         """Whether a program is at it now."""
-        try:
-            lock = os.open(self.folder / "lock", os.O_RDONLY | os.O_NONBLOCK)
-        except OSError:
-            return False
-        try:
-            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
-        except OSError:  # a file system without locks
-            return False
-        finally:
-            os.close(lock)
-        return False
+        return goes_on(self.folder)
 
     # ---- what it recorded
 
@@ -407,6 +395,23 @@ class Run:
 
     def _damaged(self, why: str) -> ConfigError:
         return ConfigError(f"{self._shown}/{DATABASE}: damaged: {why}")
+
+
+def goes_on(folder: Path) -> bool:
+    """Whether a program is at the run of a folder now."""
+    try:
+        lock = os.open(folder / "lock", os.O_RDONLY | os.O_NONBLOCK)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:  # a file system without locks
+        return False
+    finally:
+        os.close(lock)
+    return False
 
 
 def told_again(folder: Path, complete: Experiment) -> Result | None:

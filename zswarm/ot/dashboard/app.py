@@ -135,8 +135,7 @@ async def _serve(websocket: WebSocket, hub: Hub, id_: str, folder: Path | None) 
 async def _send(websocket: WebSocket, client: Client) -> None:
     """What comes for a tab, until it is behind."""
     with contextlib.suppress(TimeoutError):
-        while not client.full:
-            message = await client.take()
+        while not client.full and (message := await client.take()):
             async with asyncio.timeout(STUCK_S):
                 await websocket.send_text(message.decode())
 

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 RATE_S = 10.0  # over which trials per second are counted
-SPARK_BINS, SPARK_S = 30, 60.0  # of a server's small curve, and the time that it shows
+SPARK_BINS, SPARK_BIN_S = 30, 2.0  # of a server's small curve: a minute
 # What an event says of its server, and whether the server computes then.
 STATES = {
     "lease_waiting": "waiting for a slot",
@@ -109,11 +109,11 @@ class Server:
             trials: of all servers.
             going_on: the run is; else nobody computes.
         """
-        while self._recent and self._recent[0][0] < now - SPARK_S:
+        while self._recent and self._recent[0][0] < now - SPARK_BINS * SPARK_BIN_S:
             self._recent.popleft()
-        spark = [0] * SPARK_BINS
+        spark, last = [0] * SPARK_BINS, int(now / SPARK_BIN_S)  # bins of the clock: they move once in a while
         for at, count in self._recent:
-            spark[min(SPARK_BINS - 1, max(0, int((at - now + SPARK_S) / SPARK_S * SPARK_BINS)))] += count
+            spark[min(SPARK_BINS - 1, max(0, int(at / SPARK_BIN_S) - last + SPARK_BINS - 1))] += count
         state = self.state or (COMPUTING if self.trials else "")
         if not going_on and state in HOLDING:
             state = "done"

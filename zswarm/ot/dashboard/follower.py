@@ -5,9 +5,10 @@ from pathlib import Path
 from typing import Any
 
 from zswarm.errors import ConfigError
+from zswarm.experiment import Experiment
 from zswarm.ot import control
 from zswarm.ot.dashboard.fleet import RATE_S, Batch, Event, Fleet
-from zswarm.ot.dashboard.shelf import status
+from zswarm.ot.dashboard.shelf import stamp, status
 from zswarm.ot.reading import Run
 from zswarm.protocol.codec import clean
 
@@ -16,7 +17,8 @@ LIVE = 2000  # the last batches, that are looked at one by one; of those before,
 BEFORE = 20_000  # batches of before that a look sums up
 AT_MOST = 2000  # rows of a kind that a look reads
 PACE = 20  # generations whose mean time says how long the rest will take
-COLUMNS = "id, generation, count, server, seconds, at, faulted"
+SERVERS_S = 1.0  # between two looks at all servers, where nothing happened to one
+GOING_ON = ("running", "paused", "stopping")
 
 
 class Follower:
@@ -30,16 +32,18 @@ class Follower:
         self.folder = folder
         self.events: list[dict[str, Any]] = []  # the last ones
         self.state: dict[str, Any] = {"status": "reading"}
-        self._fleet = Fleet()
-        self._shown: dict[str, dict[str, Any]] = {}  # rows of servers as they were told
+        self._read_up_to: tuple[Any, ...] | None = None  # what the record was like when all of it had been read
+        self._run: Run | None = None  # as it was read last
+        self._complete: Experiment | None = None  # its experiment
         self._generation, self._event, self._outcome, self._before = -1, 0, 0, 0
         self._finished: list[tuple[int, float]] = []  # the last generations, and when
+        self._last: tuple[float | None, float | None] = (None, None)  # best and mean
+        self._evaluations = self._candidates = self._requeued = 0
         self._counted: dict[int, int] = {}  # trials of the generation that runs
-        self._recent: list[tuple[float, int]] = []
-        self._last: tuple[float | None, float | None] = (None, None)
-        self._evaluations = self._candidates = 0
-        self._requeued = 0
-        self._begun = False
+        self._recent: list[tuple[float, int]] = []  # when how many trials came, of the last seconds
+        self._fleet = Fleet()
+        self._servers_at = 0.0
+        self._shown: dict[str, dict[str, Any]] = {}  # rows of servers as they were told
 
     def servers(self) -> list[dict[str, Any]]:
         """All rows, as they were told."""
@@ -47,19 +51,17 @@ class Follower:
 
     def look(self) -> dict[str, Any]:
         """What is new: state, generations, events, servers; nothing of what has not changed."""
-        now = time.time()
+        now, new = time.time(), {}
         try:
-            run = Run(self.folder)
-            if run.meta.get("schema_version") and not self._begun:
-                self._begin(run)
-            new = self._read(run)
-            state = self._state(run, now)
+            new = self._read()
+            state = self._state(now)
         except ConfigError as error:
-            new, state = {}, {"status": "unreadable", "error": str(error)}
+            self._read_up_to, state = None, {"status": "unreadable", "error": str(error)}
         if state != self.state:
             self.state = new["state"] = state
-        if self._begun:
-            going_on = state["status"] in ("running", "paused", "stopping")
+        if "events" in new or ("state" in new and now >= self._servers_at + SERVERS_S):
+            self._servers_at = now
+            going_on = state["status"] in GOING_ON
             rows = self._fleet.rows(now if going_on else self._newest(), going_on=going_on)
             if changed := [row for row in rows if self._shown.get(row["server"]) != row]:
                 new["servers"] = changed
@@ -67,56 +69,62 @@ class Follower:
         return new
 
     def _begin(self, run: Run) -> None:
-        """Where to follow from."""
-        ((last, evaluations),) = run.rows(
-            "SELECT coalesce(max(generation), -1), coalesce(sum(evaluations), 0) FROM generations", tuple[int, int]
-        )
+        """Where to follow from: some generations, events and batches before the last ones, and sums of what was before."""
+        ((last,),) = run.rows("SELECT coalesce(max(generation), -1) FROM generations", tuple[int])
         ((newest,),) = run.rows("SELECT coalesce(max(id), 0) FROM outcomes", tuple[int])
         ((event,),) = run.rows("SELECT coalesce(max(rowid), 0) FROM events", tuple[int])
-        self._generation, self._evaluations = max(-1, last - PACE), 0
-        self._outcome = self._before = max(0, newest - LIVE)
-        # Of events before, those that say how servers stand; there are few of them.
-        self._fleet.happened(self._events(run, 0, max(0, event - EVENTS), AT_MOST))
+        self._generation = max(-1, last - PACE)
         self._event = max(0, event - EVENTS)
-        ((self._requeued,),) = run.rows(
-            f"SELECT coalesce(sum(count), 0) FROM events WHERE event = 'requeued' AND rowid <= {self._event}",  # noqa: S608  a number of ours
-            tuple[int],
-        )
-        ((before,),) = run.rows(
+        self._outcome = self._before = max(0, newest - LIVE)
+        ((self._evaluations,),) = run.rows(
             "SELECT coalesce(sum(evaluations), 0) FROM generations WHERE generation <= ?", tuple[int], self._generation
         )
-        self._evaluations, self._begun = before, True
+        ((self._requeued,),) = run.rows(
+            "SELECT coalesce(sum(count), 0) FROM events WHERE event = 'requeued' AND rowid <= ?", tuple[int], self._event
+        )
+        self._fleet.happened(self._events(run, "rowid <= ? ORDER BY rowid DESC", self._event)[::-1])
 
-    def _read(self, run: Run) -> dict[str, Any]:
+    def _read(self) -> dict[str, Any]:
+        """What was added to the record; nothing is opened where nothing was."""
+        now = stamp(self.folder)
+        if now == self._read_up_to:
+            return {}
+        run = Run(self.folder)
+        self._complete = run.experiment
+        if self._run is None:
+            self._begin(run)
+        self._run = run
         new: dict[str, Any] = {}
         if generations := self._generations(run):
             new["generations"] = generations
-        events = self._events(run, self._event, None, AT_MOST)
-        if events:
+        if events := self._events(run, "rowid > ? ORDER BY rowid", self._event):
             self._event = events[-1].rowid
             self._fleet.happened(events)
             self._requeued += sum(event.count for event in events if event.event == "requeued")
             new["events"] = [shown(event) for event in events]
             self.events = [*self.events, *new["events"]][-EVENTS:]
-        batches = [
-            Batch(*row[:3], clean(row[3]), *row[4:])
-            for row in run.rows(
-                f"SELECT {COLUMNS} FROM outcomes WHERE id > ? ORDER BY id LIMIT {AT_MOST}",  # noqa: S608  our own words
-                tuple[int, int, int, str, float, float, int],
-                self._outcome,
-            )
-        ]
-        if batches:
-            self._outcome = batches[-1].id
-            self._fleet.computed(batches)
-            for batch in batches:
-                if batch.generation > self._generation:
-                    self._counted[batch.generation] = self._counted.get(batch.generation, 0) + batch.count
-                self._recent.append((batch.at, batch.count))
-        self._counted = {key: value for key, value in self._counted.items() if key > self._generation}
+        batches = self._batches(run)
         if self._before:
             self._sum_up(run)
+        if not self._before and max(len(generations), len(events), len(batches)) < AT_MOST:
+            self._read_up_to = now
         return new
+
+    def _batches(self, run: Run) -> list[Batch]:
+        rows = run.rows(
+            f"SELECT id, generation, count, server, seconds, at, faulted FROM outcomes WHERE id > ? ORDER BY id LIMIT {AT_MOST}",  # noqa: S608  a number of ours
+            tuple[int, int, int, str, float, float, int],
+            self._outcome,
+        )
+        batches = [Batch(*row[:3], clean(row[3]), *row[4:]) for row in rows]
+        self._fleet.computed(batches)
+        for batch in batches:
+            self._outcome = batch.id
+            self._recent.append((batch.at, batch.count))
+            if batch.generation > self._generation:
+                self._counted[batch.generation] = self._counted.get(batch.generation, 0) + batch.count
+        self._counted = {key: value for key, value in self._counted.items() if key > self._generation}
+        return batches
 
     def _generations(self, run: Run) -> list[list[Any]]:
         found = run.rows(
@@ -133,17 +141,15 @@ class Follower:
             rows.append([generation, at, best, mean, self._evaluations])
         return rows
 
-    def _events(self, run: Run, after: int, until: int | None, limit: int) -> list[Event]:
-        """The first ones after a row, up to another; of so many the last."""
-        order, and_until = ("", "") if until is None else ("DESC", f"AND rowid <= {until}")
+    def _events(self, run: Run, where: str, row: int) -> list[Event]:
+        """Some of them, in the order that is asked for."""
         found = run.rows(
             "SELECT rowid, at, generation, event, coalesce(server, ''), coalesce(text, ''), coalesce(count, 0) "
-            f"FROM events WHERE rowid > ? {and_until} ORDER BY rowid {order} LIMIT {limit}",
+            f"FROM events WHERE {where} LIMIT {AT_MOST}",  # noqa: S608  our own words
             tuple[int, float, int | None, str, str, str, int],
-            after,
+            row,
         )
-        events = [Event(*row[:3], clean(row[3]), clean(row[4]), clean(row[5]), row[6]) for row in found]
-        return events if until is None else events[::-1]
+        return [Event(*row[:3], clean(row[3]), clean(row[4]), clean(row[5]), row[6]) for row in found]
 
     def _sum_up(self, run: Run) -> None:
         """Some of the batches of before, the newest first: a long run has many, and nobody waits for them."""
@@ -158,10 +164,12 @@ class Follower:
                 self._fleet.server(clean(server)).computed_before(trials, seconds, last_at)
         self._before = begin
 
-    def _state(self, run: Run, now: float) -> dict[str, Any]:
+    def _state(self, now: float) -> dict[str, Any]:
+        run, complete = self._run, self._complete
+        assert run is not None  # noqa: S101  it was read
+        assert complete is not None  # noqa: S101  likewise
         of = status(self.folder, finished=run.finished)
-        complete = run.experiment
-        going_on = of in ("running", "paused", "stopping")
+        going_on = of in GOING_ON
         self._recent = [(at, count) for at, count in self._recent if at >= now - RATE_S]
         rate = sum(count for _, count in self._recent) / RATE_S if going_on else 0.0
         each = complete.problem.trials if complete.ranking.kind == "absolute" else 0

@@ -42,8 +42,13 @@ class Client:
         except asyncio.QueueFull:
             self.full = True
 
+    def end(self) -> None:
+        """Nothing comes any more: it has to begin anew, once it took what waits."""
+        self.full = True
+        self.put(b"")
+
     async def take(self) -> bytes:
-        """The next message."""
+        """The next message; empty: there is none."""
         return await self._queue.get()
 
 
@@ -67,7 +72,7 @@ class Room:
     async def enter(self, client: Client, since: str) -> None:
         """A tab comes: it is told what it missed since a message that it names, or everything."""
         self.clients.add(client)
-        if self._task is None:
+        if self._task is None or self._task.done():
             self._task = asyncio.create_task(self._follow())
         await self._first.wait()
         boot, _, number = since.partition(".")
@@ -86,6 +91,14 @@ class Room:
             self._task = None
 
     async def _follow(self) -> None:
+        try:
+            await self._tell_what_is_new()
+        finally:  # by an error of ours, or because nobody watches
+            self._first.set()
+            for client in self.clients:
+                client.end()
+
+    async def _tell_what_is_new(self) -> None:
         quiet = 0.0
         while True:
             if new := await asyncio.to_thread(self._look):

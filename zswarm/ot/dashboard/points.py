@@ -129,20 +129,19 @@ def generation(run: Run, number: int) -> list[dict[str, Any]]:
 def champions(run: Run, most: int = SOME) -> list[dict[str, Any]]:
     """The last generations in which the best rose, and who has it; where scores are relative, the last ones."""
     last: float | None = None
-    found: list[tuple[int, float]] = []
+    found: list[int] = []
     for number, best in run.rows("SELECT generation, best FROM generations ORDER BY generation", tuple[int, float | None]):
         if best is not None and (run.relative or last is None or best > last):
-            found.append((number, best))
+            found.append(number)
         last = best if best is not None else last
-    best_of = dict(found[-most:])
     rows = run.rows(
-        f"SELECT generation, candidate, fitness FROM candidates WHERE generation IN ({_listed(list(best_of))}) ORDER BY 1, 2",  # noqa: S608  numbers of ours
-        tuple[int, int, float | None],
+        "SELECT generation, candidate, fitness FROM candidates "
+        f"WHERE generation IN ({_listed(found[-most:])}) AND fitness IS NOT NULL ORDER BY generation, fitness DESC, candidate",  # noqa: S608  numbers of ours
+        tuple[int, int, float],
     )
     champions: dict[int, dict[str, Any]] = {}
     for number, candidate, fitness in rows:
-        if fitness == best_of[number]:
-            champions.setdefault(number, {"generation": number, "candidate": candidate, "fitness": fitness})
+        champions.setdefault(number, {"generation": number, "candidate": candidate, "fitness": fitness})
     return list(champions.values())
 
 

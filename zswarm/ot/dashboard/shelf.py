@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from zswarm.errors import ConfigError
 from zswarm.ot import control
-from zswarm.ot.reading import Run, folders_below, in_short
+from zswarm.ot.reading import Run, folders_below, goes_on, in_short
 from zswarm.ot.record import DATABASE, EXPERIMENT
 from zswarm.protocol.codec import clean
 
@@ -59,10 +59,9 @@ class Shelf:
         return [self._row(id_, folder) for id_, folder in self._folders.items()]
 
     def _row(self, id_: str, folder: Path) -> dict[str, Any]:
-        stamp = tuple(_stamp(folder / name) for name in (DATABASE, f"{DATABASE}-wal", EXPERIMENT))
-        kept = self._rows.get(id_)
-        if kept is None or kept.stamp != stamp:
-            kept = self._rows[id_] = _Kept(stamp, _known(folder))
+        now, kept = stamp(folder), self._rows.get(id_)
+        if kept is None or kept.stamp != now:
+            kept = self._rows[id_] = _Kept(now, _known(folder))
         row = kept.row
         return {"id": id_, "name": clean(folder.resolve().name), "study": id_.rpartition(BETWEEN)[0], **row} | (
             {} if "error" in row else {"status": status(folder, finished=bool(row["history_hash"]))}
@@ -71,11 +70,7 @@ class Shelf:
 
 def status(folder: Path, *, finished: bool) -> str:
     """Of a run, in a word: finished, running, paused or stopped; stopping where that was asked of it."""
-    try:
-        going_on = Run(folder).going_on
-    except ConfigError:
-        return "unreadable"
-    if not going_on:
+    if not goes_on(folder):
         return "finished" if finished else "stopped"
     return {"pause": "paused", "drain": "stopping", "stop": "stopping"}.get(control.asked(folder), "running")
 
@@ -111,7 +106,12 @@ def _id(root: Path, folder: Path) -> str:
     return f"{plain[:LONGEST]}-{hashlib.blake2b(str(folder).encode(errors='replace'), digest_size=4).hexdigest()}"
 
 
-def _stamp(path: Path) -> tuple[int, int] | None:
+def stamp(folder: Path) -> tuple[tuple[int, int] | None, ...]:
+    """It is another one when the record or the experiment was written to."""
+    return tuple(_changed(folder / name) for name in (DATABASE, f"{DATABASE}-wal", EXPERIMENT))
+
+
+def _changed(path: Path) -> tuple[int, int] | None:
     try:
         found = path.stat()
     except OSError:
