@@ -1,7 +1,7 @@
 """Takes the pictures of the dashboard that the documents show: runs, a run, its servers, a candidate.
 
-Three servers of this machine evolve the stadium twice; a browser without a window looks at it. Needs chromium, and playwright of the
-extra ``dev``: python docs/screenshots.py
+Three servers of this machine evolve the stadium twice; a browser without a window looks at it. Needs chromium, and playwright
+of the extra ``dev``: python docs/screenshots.py
 """
 
 import re

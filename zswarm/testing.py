@@ -238,7 +238,7 @@ def _check_graph(name: str, network: Representation, genome: bytes) -> None:
     parts = 1 + max((node.part for node in graph.nodes), default=0)
     require(
         bool(kinds["state"]) or (kinds["input"], kinds["output"]) == (parts * network.inputs, parts * network.outputs),
-        f"{name}.graph must have {network.inputs} inputs and {network.outputs} outputs in each part, or states; it has {dict(kinds)}",
+        f"{name}.graph must have {network.inputs} inputs and {network.outputs} outputs a part, or states, not {dict(kinds)}",
     )
     for edge in graph.edges:
         there = 0 <= edge.source < len(graph.nodes) and 0 <= edge.target < len(graph.nodes)

@@ -42,7 +42,8 @@ def write(
             Controller(
                 simulator="emergency-exit", simulator_settings=complete.problem.settings, representation="fully-meshed",
                 representation_settings=complete.representation.settings, inputs=10, outputs=2,
-                sensors=[f"sensor {number}" for number in range(10)], actuators=["vx", "vy"], genome=genomes[0], fitness=1.0, run="run",
+                sensors=[f"sensor {number}" for number in range(10)], actuators=["vx", "vy"], genome=genomes[0],
+                fitness=1.0, run="run",
             )
         )  # fmt: skip
     trials = np.arange(CANDIDATES * complete.problem.trials, dtype="<u4")

@@ -32,7 +32,11 @@ def program(tmp_path: Path) -> Iterator[Callable[..., "subprocess.Popen[Any]"]]:
 
     def start(*arguments: str) -> "subprocess.Popen[Any]":
         with (tmp_path / f"program-{len(begun)}.log").open("wb") as log:
-            begun.append(subprocess.Popen([sys.executable, "-m", *arguments], stdin=subprocess.DEVNULL, stderr=log, stdout=log, cwd=tmp_path))
+            begun.append(
+                subprocess.Popen(
+                    [sys.executable, "-m", *arguments], stdin=subprocess.DEVNULL, stderr=log, stdout=log, cwd=tmp_path
+                )
+            )
         return begun[-1]
 
     yield start
@@ -53,7 +57,9 @@ def test_a_killed_server_is_seen_to_go_and_the_run_to_go_on(
 
     near, far = serve("near", ports[0]), serve("far", ports[1])
     reach = ["--no-multicast", *(word for port in ports for word in ("--connect", f"tcp/127.0.0.1:{port}"))]
-    run = program("zswarm.ot", "run", "stadium", "--servers", "2", "--set", "generations=1000000", "--out", str(tmp_path / "runs"), *reach)
+    run = program(
+        "zswarm.ot", "run", "stadium", "--servers", "2", "--set", "generations=1000000", "--out", str(tmp_path / "runs"), *reach
+    )
     shown = dashboard(tmp_path)
     page.goto(f"{shown.url}/#token={shown.token}")
     page.get_by_role("link", name="stadium").click(timeout=SLOW_MS)
@@ -85,12 +91,19 @@ def test_a_killed_server_is_seen_to_go_and_the_run_to_go_on(
     assert os.listdir(tmp_path / "runs") == ["stadium"]
 
 
-def test_a_run_shows_itself_while_it_goes_on(
-    page: Page, program: Callable[..., "subprocess.Popen[Any]"], tmp_path: Path
-) -> None:
+def test_a_run_shows_itself_while_it_goes_on(page: Page, program: Callable[..., "subprocess.Popen[Any]"], tmp_path: Path) -> None:
     """With ``run --dashboard``: its address is among the first lines, and it ends with the run."""
     run = program(
-        "zswarm.ot", "run", "stadium", "--servers", "local", "--set", "generations=1000000", "--out", str(tmp_path / "runs"), "--dashboard"
+        "zswarm.ot",
+        "run",
+        "stadium",
+        "--servers",
+        "local",
+        "--set",
+        "generations=1000000",
+        "--out",
+        str(tmp_path / "runs"),
+        "--dashboard",
     )
     found = None
     while found is None:

@@ -23,7 +23,8 @@ from zswarm.protocol.codec import clean
 def dashboard(folders: tuple[Path, ...], host: str, port: int | None, allowed: tuple[str, ...], until_stdin_closes: bool) -> None:
     """Show runs in the browser, live, until Ctrl-C.
 
-    RUNS are folders of runs, or folders that hold such; without one: runs. Runs that go on, finished ones and copied ones are shown alike.
+    RUNS are folders of runs, or folders that hold such; without one: runs. Those that go on, finished ones and copied ones are
+    shown alike.
 
     \b
       zswarm-ot dashboard

@@ -12,9 +12,10 @@ from zswarm.ot.dashboard import points
 from zswarm.ot.dashboard.fleet import Event
 from zswarm.ot.dashboard.follower import shown
 from zswarm.ot.reading import Run
+from zswarm.ot.record import NOT_DECISIVE
 from zswarm.ot.spreadsheet import to_csv
 from zswarm.protocol.codec import clean
-from zswarm.strict import convert
+from zswarm.strict import convert, to_json
 
 Query = Mapping[str, str]
 Answer = Callable[[Run, Query], Any]
@@ -66,6 +67,22 @@ def clean_lines(text: str) -> str:
     return "\n".join(map(clean, text.splitlines())) + "\n"
 
 
+def settings(run: Run, _: Query) -> dict[str, str]:
+    """What was run, by the keys of an experiment file; without what takes no part in it."""
+    found: dict[str, str] = {}
+
+    def flatten(value: Any, path: str) -> None:
+        if isinstance(value, dict):
+            for key, item in value.items():
+                flatten(item, path if key == "settings" else f"{path}.{key}" if path else str(key))
+        else:
+            found[clean(path)] = clean(value if isinstance(value, str) else to_json(value))
+
+    values = msgspec.to_builtins(run.experiment)
+    flatten({key: value for key, value in values.items() if key not in NOT_DECISIVE or key == "generations"}, "")
+    return found
+
+
 def curve(run: Run, query: Query) -> Any:
     """See ``points.curve``."""
     return points.curve(run, max(2, number(query, "points", points.MOST, points.MOST)))
@@ -96,9 +113,10 @@ def events(run: Run, query: Query) -> list[dict[str, Any]]:
     """Some before a row, the last first."""
     found = run.rows(
         "SELECT rowid, at, generation, event, coalesce(server, ''), coalesce(text, ''), coalesce(count, 0) FROM events "
-        f"WHERE rowid < ? ORDER BY rowid DESC LIMIT {EVENTS}",
+        "WHERE rowid < ? ORDER BY rowid DESC LIMIT ?",
         tuple[int, float, int | None, str, str, str, int],
         number(query, "before", 2**53),
+        EVENTS,
     )
     return [shown(Event(*row[:3], clean(row[3]), clean(row[4]), clean(row[5]), row[6])) for row in found]
 
@@ -180,6 +198,7 @@ def _history(run: Run) -> list[dict[str, Any]]:
 
 BY_NAME: dict[str, Answer] = {
     "about": about,
+    "settings": settings,
     "curve": curve,
     "spread": spread,
     "statistics": statistics,

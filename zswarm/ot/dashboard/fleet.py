@@ -25,6 +25,7 @@ STATES = {
     "server_faulty": "put aside",
     "server_wrong": "computes wrong",
 }
+LEASES = {"lease_waiting", "lease_preparing", "lease_ready"}
 COMPUTING = "computing"
 HOLDING = {COMPUTING, "ready", "getting ready"}  # states in which slots are held
 BAD = {"computes wrong", "put aside", "differs"}
@@ -73,7 +74,7 @@ class Server:
     def __init__(self, id_: str) -> None:
         self.id = id_
         self.state, self.why = "", ""
-        self.slots = self.trials = self.faults = self.losses = 0
+        self.leased = self.slots = self.trials = self.faults = self.losses = 0
         self.seconds = self.last_at = 0.0
         self._recent: deque[tuple[float, int]] = deque()  # when how many trials came
 
@@ -82,10 +83,13 @@ class Server:
         if event.event in STATES:
             self.state = STATES[event.event]
             self.why = event.text
-            if event.event in ("server_joined", "server_slots"):
+            if event.event in LEASES:
+                self.leased = event.count
+            elif event.event in ("server_joined", "server_slots"):
                 self.slots = event.count
+                self.leased = max(self.leased, event.count)
             elif self.state not in HOLDING:
-                self.slots = 0
+                self.leased = self.slots = 0
         if event.event in FAULTS:
             self.faults, self.why = self.faults + 1, event.text
         self.losses += event.event in LOSSES
@@ -122,6 +126,7 @@ class Server:
             "server": self.id,
             "state": state,
             "health": health,
+            "leased": self.leased if going_on else 0,
             "slots": self.slots if going_on else 0,
             "trials": self.trials,
             "share": self.trials / trials if trials else 0.0,
@@ -167,7 +172,7 @@ class Fleet:
         for event in events:
             if event.event == "began":  # who computed before has to join anew
                 for server in self.servers.values():
-                    server.slots = 0
+                    server.leased = server.slots = 0
                     if server.state in HOLDING:
                         server.state = "lost"
             if event.server:

@@ -1,5 +1,6 @@
-"""One run, followed in its record: each look reads only what was added since the one before, so it costs the same in a long run."""
+"""One run, followed in its record: each look reads what was added since the one before, so a long run costs no more."""
 
+import itertools
 import time
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,9 @@ LIVE = 2000  # the last batches, that are looked at one by one; of those before,
 BEFORE = 20_000  # batches of before that a look sums up
 AT_MOST = 2000  # rows of a kind that a look reads
 PACE = 20  # generations whose mean time says how long the rest will take
+EVENT = "SELECT rowid, at, generation, event, coalesce(server, ''), coalesce(text, ''), coalesce(count, 0) FROM events "
+AFTER_ROW = EVENT + "WHERE rowid > ? ORDER BY rowid LIMIT ?"
+BEFORE_ROW = EVENT + "WHERE rowid <= ? ORDER BY rowid DESC LIMIT ?"
 SERVERS_S = 1.0  # between two looks at all servers, where nothing happened to one
 GOING_ON = ("running", "paused", "stopping")
 
@@ -82,7 +86,7 @@ class Follower:
         ((self._requeued,),) = run.rows(
             "SELECT coalesce(sum(count), 0) FROM events WHERE event = 'requeued' AND rowid <= ?", tuple[int], self._event
         )
-        self._fleet.happened(self._events(run, "rowid <= ? ORDER BY rowid DESC", self._event)[::-1])
+        self._fleet.happened(self._events(run, BEFORE_ROW, self._event)[::-1])
 
     def _read(self) -> dict[str, Any]:
         """What was added to the record; nothing is opened where nothing was."""
@@ -97,7 +101,7 @@ class Follower:
         new: dict[str, Any] = {}
         if generations := self._generations(run):
             new["generations"] = generations
-        if events := self._events(run, "rowid > ? ORDER BY rowid", self._event):
+        if events := self._events(run, AFTER_ROW, self._event):
             self._event = events[-1].rowid
             self._fleet.happened(events)
             self._requeued += sum(event.count for event in events if event.event == "requeued")
@@ -112,9 +116,10 @@ class Follower:
 
     def _batches(self, run: Run) -> list[Batch]:
         rows = run.rows(
-            f"SELECT id, generation, count, server, seconds, at, faulted FROM outcomes WHERE id > ? ORDER BY id LIMIT {AT_MOST}",  # noqa: S608  a number of ours
+            "SELECT id, generation, count, server, seconds, at, faulted FROM outcomes WHERE id > ? ORDER BY id LIMIT ?",
             tuple[int, int, int, str, float, float, int],
             self._outcome,
+            AT_MOST,
         )
         batches = [Batch(*row[:3], clean(row[3]), *row[4:]) for row in rows]
         self._fleet.computed(batches)
@@ -129,9 +134,10 @@ class Follower:
     def _generations(self, run: Run) -> list[list[Any]]:
         found = run.rows(
             "SELECT generation, finished_at, best, mean, evaluations FROM generations WHERE generation > ? "
-            f"ORDER BY generation LIMIT {AT_MOST}",
+            "ORDER BY generation LIMIT ?",
             tuple[int, float, float | None, float | None, int],
             self._generation,
+            AT_MOST,
         )
         rows = []
         for generation, at, best, mean, evaluations in found:
@@ -141,14 +147,9 @@ class Follower:
             rows.append([generation, at, best, mean, self._evaluations])
         return rows
 
-    def _events(self, run: Run, where: str, row: int) -> list[Event]:
-        """Some of them, in the order that is asked for."""
-        found = run.rows(
-            "SELECT rowid, at, generation, event, coalesce(server, ''), coalesce(text, ''), coalesce(count, 0) "
-            f"FROM events WHERE {where} LIMIT {AT_MOST}",  # noqa: S608  our own words
-            tuple[int, float, int | None, str, str, str, int],
-            row,
-        )
+    def _events(self, run: Run, which: str, row: int) -> list[Event]:
+        """Some of them, in the order of the statement."""
+        found = run.rows(which, tuple[int, float, int | None, str, str, str, int], row, AT_MOST)
         return [Event(*row[:3], clean(row[3]), clean(row[4]), clean(row[5]), row[6]) for row in found]
 
     def _sum_up(self, run: Run) -> None:
@@ -197,7 +198,7 @@ class Follower:
     def _pace(self) -> float:
         """Seconds of a generation, lately; the median, for a pause is none of them. 0: not known."""
         times = [at for _, at in self._finished]
-        between = sorted(b - a for a, b in zip(times, times[1:], strict=False))
+        between = sorted(b - a for a, b in itertools.pairwise(times))
         return between[len(between) // 2] if between else 0.0
 
     def _newest(self) -> float:

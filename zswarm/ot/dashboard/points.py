@@ -45,8 +45,9 @@ def spread(run: Run, most: int = SOME) -> dict[str, list[Any]]:
     chosen = _chosen(run, most)
     rows = run.rows(
         "SELECT g.generation, g.finished_at, c.fitness FROM generations g JOIN candidates c ON c.generation = g.generation "
-        f"WHERE g.generation IN ({_listed(chosen)}) AND c.fitness IS NOT NULL",
+        "WHERE g.generation IN (SELECT value FROM json_each(?)) AND c.fitness IS NOT NULL",
         tuple[int, float, float],
+        json.dumps(chosen),
     )
     by_generation: dict[tuple[int, float], list[float]] = {}
     for generation, at, fitness in rows:
@@ -68,8 +69,10 @@ def statistics(run: Run, most: int = SOME) -> dict[str, Any]:
     """
     chosen = _chosen(run, most)
     rows = run.rows(
-        f"SELECT generation, finished_at, statistics FROM generations WHERE generation IN ({_listed(chosen)}) ORDER BY 1",  # noqa: S608  numbers of ours
+        "SELECT generation, finished_at, statistics FROM generations WHERE generation IN (SELECT value FROM json_each(?)) "
+        "ORDER BY generation",
         tuple[int, float, str],
+        json.dumps(chosen),
     )
     read = [_numbers(text) for _, _, text in rows]
     names = dict.fromkeys(name for numbers in read for name in numbers)
@@ -135,9 +138,10 @@ def champions(run: Run, most: int = SOME) -> list[dict[str, Any]]:
             found.append(number)
         last = best if best is not None else last
     rows = run.rows(
-        "SELECT generation, candidate, fitness FROM candidates "
-        f"WHERE generation IN ({_listed(found[-most:])}) AND fitness IS NOT NULL ORDER BY generation, fitness DESC, candidate",  # noqa: S608  numbers of ours
+        "SELECT generation, candidate, fitness FROM candidates WHERE generation IN (SELECT value FROM json_each(?)) "
+        "AND fitness IS NOT NULL ORDER BY generation, fitness DESC, candidate",
         tuple[int, int, float],
+        json.dumps(found[-most:]),
     )
     champions: dict[int, dict[str, Any]] = {}
     for number, candidate, fitness in rows:
@@ -154,11 +158,6 @@ def _chosen(run: Run, most: int) -> list[int]:
     count = run.generations()
     step = max(1, -(-count // most))
     return list(range(count - 1, -1, -step))[::-1]
-
-
-def _listed(numbers: list[int]) -> str:
-    """For a statement: SQLite takes few parameters."""
-    return ", ".join(map(str, numbers))
 
 
 def _numbers(text: str) -> dict[str, float]:

@@ -17,7 +17,7 @@ export async function show(view) {
   const summary = h('p', { class: 'dim' });
   const body = h('tbody');
   const rows = new Map(); // the elements of each server
-  const heads = [['server', 'server'], ['state', 'state'], ['slots', 'slots', 'n'], ['trials', 'trials', 'n'], ['share of work', 'share'], ['trials/s', 'rate', 'n'],
+  const heads = [['server', 'server'], ['state', 'state'], ['leased', 'leased', 'n'], ['slots', 'slots', 'n'], ['trials', 'trials', 'n'], ['share of work', 'share'], ['trials/s', 'rate', 'n'],
     ['last minute', ''], ['ms per trial', 'trial_ms', 'n'], ['last result', 'last_at', 'n'], ['faults', 'faults', 'n'], ['losses', 'losses', 'n'], ['why', 'why']];
   const table = h('table', { id: 'servers' }, h('thead', {}, h('tr', {}, ...heads.map(([text, key, kind]) => h('th', { class: kind, scope: 'col' },
     key ? h('button', { type: 'button', text, onclick: () => { order = [key, order[0] === key ? -order[1] : key === 'server' ? 1 : -1]; list(); } }) : text)))), body);
@@ -49,13 +49,13 @@ export async function show(view) {
   function update(row) {
     let kept = rows.get(row.server);
     if (!kept) {
-      const cells = Object.fromEntries(['state', 'slots', 'trials', 'rate', 'trial_ms', 'last_at', 'faults', 'losses', 'why'].map((name) => [name, h('td', { class: { state: 'state', why: 'why' }[name] ?? 'n' })]));
+      const cells = Object.fromEntries(['state', 'leased', 'slots', 'trials', 'rate', 'trial_ms', 'last_at', 'faults', 'losses', 'why'].map((name) => [name, h('td', { class: { state: 'state', why: 'why' }[name] ?? 'n' })]));
       const bar = h('i');
       const share = h('span', { class: 'dim small' });
       const spark = h('canvas', { class: 'spark', width: 180, height: 40, 'aria-hidden': 'true' });
       const health = h('span', { class: 'health' });
       cells.state.append(health);
-      const element = h('tr', {}, h('td', { class: 'name', text: row.server }), cells.state, cells.slots, cells.trials,
+      const element = h('tr', {}, h('td', { class: 'name', text: row.server }), cells.state, cells.leased, cells.slots, cells.trials,
         h('td', {}, h('span', { class: 'bar' }, bar), share), cells.rate, h('td', {}, spark), cells.trial_ms, cells.last_at, cells.faults, cells.losses, cells.why);
       kept = { element, cells, bar, share, spark, health };
       rows.set(row.server, kept);
@@ -66,7 +66,7 @@ export async function show(view) {
       setText(kept.health, row.state || '–');
       kept.bar.style.width = `${100 * row.share}%`;
       setText(kept.share, percent(row.share));
-      for (const name of ['slots', 'trials', 'rate', 'faults', 'losses']) setText(kept.cells[name], number(row[name], 4));
+      for (const name of ['leased', 'slots', 'trials', 'rate', 'faults', 'losses']) setText(kept.cells[name], number(row[name], 4));
       setText(kept.cells.trial_ms, number(row.trial_ms, 3));
       setText(kept.cells.why, row.why);
       paintSpark(kept.spark, row.spark);

@@ -1,7 +1,7 @@
 // All runs: a table, and the curves of those that are chosen, one over the other or as median and quartiles.
 import { Chart } from './chart.js';
 import { follow } from './live.js';
-import { ago, ask, badge, card, choice, fill, h, number, setText } from './page.js';
+import { ago, ask, badge, card, choice, fill, h, number, setText, unlessGone } from './page.js';
 
 const MOST = 14; // curves at once
 const FRESH_MS = 3000; // curves of runs that go on are asked for this often
@@ -19,6 +19,8 @@ export async function show(view) {
 
   const chart = new Chart({ label: 'Fitness of the chosen runs', height: 320, xLabel: 'generation', hint: 'drag to look closely, arrows to read' });
   const body = h('tbody');
+  const differences = h('details', { hidden: true }, h('summary', { text: 'what differs' }));
+  differences.addEventListener('toggle', () => { if (differences.open) compare(); });
   const count = h('p', { class: 'dim small' });
   const heads = [['', ''], ['run', 'name'], ['state', 'status'], ['generation', 'generation', 'n'], ['best', 'best', 'n'], ['evaluations', 'evaluations', 'n'],
     ['simulator', 'simulator'], ['network', 'representation'], ['optimizer', 'optimizer'], ['seed', 'seed', 'n'], ['last', 'at', 'n']];
@@ -34,7 +36,7 @@ export async function show(view) {
           choice('Runs', [['each', 'each run'], ['together', 'median and quartiles']], grouped, (value) => { grouped = value; draw(); })),
         h('div', { class: 'row' }, h('button', { type: 'button', text: 'none', onclick: () => { chosen.clear(); keep(); list(); draw(); } }),
           h('button', { type: 'button', text: 'PNG', onclick: () => chart.png('runs.png') }))),
-      chart.element),
+      chart.element, differences),
     card('All runs',
       h('div', { class: 'row between' }, h('input', { type: 'search', placeholder: 'filter', 'aria-label': 'Filter runs', oninput: (event) => { words = event.target.value.toLowerCase(); list(); } }), count),
       h('div', { class: 'scroll tall' }, table)));
@@ -84,6 +86,22 @@ export async function show(view) {
       } catch { /* it is in the table, with why */ }
     }));
     draw();
+    compare();
+  }
+
+  // The settings in which the chosen runs differ, and what they came to.
+  async function compare() {
+    const shown = [...chosen].filter((id) => runs.has(id) && !runs.get(id).error).slice(0, MOST);
+    differences.hidden = shown.length < 2;
+    if (!differences.open || differences.hidden) return;
+    const each = await unlessGone(() => Promise.all(shown.map((id) => ask(`/api/runs/${encodeURIComponent(id)}/settings`))));
+    if (!each) return;
+    const keys = [...new Set(each.flatMap((one) => Object.keys(one)))].filter((key) => new Set(each.map((one) => one[key])).size > 1);
+    const rows = [...keys.map((key) => [key, ...each.map((one) => one[key] ?? '–')]),
+      ['best', ...shown.map((id) => number(runs.get(id).best))], ['generation', ...shown.map((id) => number(runs.get(id).generation))], ['evaluations', ...shown.map((id) => number(runs.get(id).evaluations))]];
+    fill(differences, h('summary', { text: 'what differs' }), h('div', { class: 'scroll' }, h('table', {},
+      h('thead', {}, h('tr', {}, h('th'), ...shown.map((id) => h('th', { scope: 'col', text: id.replaceAll('~', '/') })))),
+      h('tbody', {}, ...rows.map(([name, ...values]) => h('tr', {}, h('th', { scope: 'row', text: name }), ...values.map((text) => h('td', { class: 'wrap', text }))))))));
   }
 
   function along(columns) {
