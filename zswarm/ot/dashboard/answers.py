@@ -8,6 +8,7 @@ import numpy as np
 
 from zswarm import experiment, plugins
 from zswarm.errors import ConfigError, UnknownPlugin
+from zswarm.ot.controller import Controller
 from zswarm.ot.dashboard import points
 from zswarm.ot.dashboard.fleet import Event
 from zswarm.ot.dashboard.follower import shown
@@ -39,8 +40,7 @@ def number(query: Query, name: str, default: int | None = None, most: int = 2**5
 
 def about(run: Run, _: Query) -> dict[str, Any]:
     """What was run, and what its pages have to know."""
-    complete, champion = run.experiment, run.champion()
-    faulted, doubtful = run.marked()
+    complete, champion = run.experiment, _champion(run)
     return {
         "name": run.name,
         "folder": clean(str(run.folder)),
@@ -55,11 +55,23 @@ def about(run: Run, _: Query) -> dict[str, Any]:
         "optimizer": complete.optimizer.kind,
         "ranking": complete.ranking.kind,
         "relative": run.relative,
-        "faulted": faulted,
-        "doubtful": doubtful,
-        "sensors": champion.sensors if champion else [],
-        "actuators": champion.actuators if champion else [],
+        "sensors": champion.sensors if isinstance(champion, Controller) else [],
+        "actuators": champion.actuators if isinstance(champion, Controller) else [],
     }
+
+
+def marks(run: Run, _: Query) -> dict[str, int]:
+    """Trials that were counted as faults, and doubtful ones."""
+    faulted, doubtful = run.marked()
+    return {"faulted": faulted, "doubtful": doubtful}
+
+
+def _champion(run: Run) -> Controller | str:
+    """Or why there is none."""
+    try:
+        return run.champion() or "no generation is finished"
+    except ConfigError as error:
+        return str(error)
 
 
 def clean_lines(text: str) -> str:
@@ -156,9 +168,9 @@ def candidate(run: Run, query: Query) -> dict[str, Any]:
 
 def _network(run: Run, genome: bytes) -> dict[str, Any]:
     """The genome's numbers and its drawing, as far as they are known here."""
-    champion = run.champion()
-    if champion is None:
-        return {"graph": None, "why": "no generation is finished"}
+    champion = _champion(run)
+    if isinstance(champion, str):
+        return {"graph": None, "why": champion}
     try:
         kind = plugins.load("representation", champion.representation)
         settings = convert(champion.representation_settings, kind.settings_type, "representation")
@@ -198,6 +210,7 @@ def _history(run: Run) -> list[dict[str, Any]]:
 
 BY_NAME: dict[str, Answer] = {
     "about": about,
+    "marks": marks,
     "settings": settings,
     "curve": curve,
     "spread": spread,

@@ -4,7 +4,7 @@ import { ago, api, ask, badge, card, choice, clock, colour, duration, fill, h, n
 
 const SLOW_MS = 3000;
 const ROW = 18; // pixels of a server in the timeline
-const MARKS = { server_left: '◁', server_lost: '✕', server_joined: '▷', server_back: '▷', fault: '▲', began: '│' };
+const MARKS = { server_left: '◁', server_lost: '✕', server_joined: '▷', server_back: '▷', fault: '▲' };
 
 export async function show(view) {
   const servers = new Map();
@@ -30,7 +30,7 @@ export async function show(view) {
       h('input', { type: 'search', placeholder: 'filter', 'aria-label': 'Filter servers', oninput: (event) => { words = event.target.value.toLowerCase(); list(); } }),
       h('div', { class: 'scroll tall' }, table)),
     card('When slots computed',
-      h('div', { class: 'row between' }, h('p', { class: 'dim small', text: 'Full height: all slots of the server computed; empty: none did. ▷ joined, ◁ left, ✕ lost, ▲ fault.' }),
+      h('div', { class: 'row between' }, h('p', { class: 'dim small', text: 'Full height: all slots of the server computed; empty: none did. ▷ joined, ◁ left, ✕ lost, ▲ fault; a line: the run began or went on.' }),
         choice('Time', [[60, '1 min'], [600, '10 min'], [0, 'all recorded']], seconds, (value) => { seconds = value; unlessGone(() => load(true)); })),
       h('div', { class: 'scroll tall' }, figure)));
 
@@ -122,6 +122,7 @@ export async function show(view) {
     for (const event of timeline.events) {
       const row = names.indexOf(event.server);
       pen.fillStyle = colour(event.event === 'server_joined' || event.event === 'server_back' ? '--good' : '--bad');
+      if (event.event === 'began') { pen.fillStyle = colour('--dim'); pen.fillRect(at(event.at), 0, 1, names.length * ROW); }
       if (row >= 0) pen.fillText(MARKS[event.event] ?? '·', at(event.at), row * ROW + ROW / 2);
     }
     pen.fillStyle = colour('--dim');

@@ -158,8 +158,9 @@ export async function show(view) {
       h('h3', { text: 'experiment.toml' }), h('pre', { text: about.experiment, tabindex: 0 }));
     const said = [];
     if (about.changed.length) said.push(`experiment.toml was changed after the run began (${about.changed.join(', ')}); this page shows what was run`);
-    if (about.faulted) said.push(`${number(about.faulted)} trials were counted as faults`);
-    if (about.doubtful) said.push(`${number(about.doubtful)} trials came from a server that was later proved to compute wrong`);
+    const marks = await ask(api('marks'));
+    if (marks.faulted) said.push(`${number(marks.faulted)} trials were counted as faults`);
+    if (marks.doubtful) said.push(`${number(marks.doubtful)} trials came from a server that was later proved to compute wrong`);
     if (about.meta.imported_from) said.push(`imported from ${about.meta.imported_from}`);
     fill(notes, ...said.map((text) => h('p', { class: 'note', text })));
   }
