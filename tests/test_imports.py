@@ -40,11 +40,10 @@ MAY_IMPORT = {
     "router": {"leaf", "session", "security"},
     "security": {"leaf", "protocol", "security"},
     "ot.optimizers": {"leaf", "nets", "ot.optimizers"},
-    "ot.dashboard": {"leaf", "experiment", "nets", "ot", "ot.dashboard", "protocol"},
     "ot.rankings": {"leaf", "ot.rankings"},
     "ot": {
         *("leaf", "protocol", "nets", "sims", "varied", "evaluate", "experiment", "labels", "session", "security"),
-        *("ot", "ot.dashboard", "ot.optimizers", "ot.rankings"),
+        *("ot", "ot.optimizers", "ot.rankings"),
     },
     "api": {"leaf", "experiment", "ot"},
     "ss": {"leaf", "protocol", "evaluate", "labels", "session", "security", "ss"},
