@@ -2,7 +2,9 @@
 
 from collections import deque
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import Any
+
+import msgspec
 
 RATE_S = 10.0  # over which trials per second are counted
 SPARK_BINS, SPARK_BIN_S = 30, 2.0  # of a server's small curve: a minute
@@ -39,7 +41,7 @@ WARNINGS = {
 }
 
 
-class Event(NamedTuple):
+class Event(msgspec.Struct, frozen=True):
     """A row of the record's table of that name."""
 
     rowid: int
@@ -56,7 +58,7 @@ class Event(NamedTuple):
         return "error" if self.event in ERRORS else "warning" if self.event in WARNINGS else "info"
 
 
-class Batch(NamedTuple):
+class Batch(msgspec.Struct, frozen=True):
     """A row of the table of outcomes, without the arrays."""
 
     id: int
