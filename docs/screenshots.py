@@ -33,25 +33,34 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
+def serve(number: int, port: int) -> "subprocess.Popen[bytes]":
+    """A server with two slots."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "zswarm.ss", "--name", f"lab-{number:02}", "--capacity", "2", "--no-multicast",
+         "--listen", f"tcp/127.0.0.1:{port}"],
+        stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+
+
 def evolve(folder: Path) -> None:
-    """Two runs of the stadium on three servers."""
+    """Two runs of the stadium on three servers, one of which is killed in the first run, and comes back."""
     ports = [free_port() for _ in range(3)]
-    servers = [
-        subprocess.Popen(
-            [sys.executable, "-m", "zswarm.ss", "--name", f"lab-{number:02}", "--capacity", "2", "--no-multicast",
-             "--listen", f"tcp/127.0.0.1:{port}"],
-            stderr=subprocess.DEVNULL,
-        )
-        for number, port in enumerate(ports, 1)
-    ]  # fmt: skip
+    servers = [serve(number, port) for number, port in enumerate(ports, 1)]
     reach = [word for port in ports for word in ("--connect", f"tcp/127.0.0.1:{port}")]
     try:
         for seed in ("1", "2"):
-            subprocess.run(
-                [sys.executable, "-m", "zswarm.ot", "run", "stadium", "--seed", seed, "--servers", "3", "--no-multicast", *reach,
-                 "--out", str(folder)],
-                check=True,
+            run = subprocess.Popen(
+                [sys.executable, "-m", "zswarm.ot", "run", "stadium", "--seed", seed, "--set", "optimizer.population=400",
+                 "--servers", "3", "--no-multicast", *reach, "--out", str(folder)],
+                stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True,
             )  # fmt: skip
+            assert run.stderr is not None
+            for line in run.stderr:
+                sys.stderr.write(line)
+                if line.startswith("generation 120/") and seed == "1":
+                    servers[2].kill()
+                    servers.append(serve(3, ports[2]))
+            run.wait()
     finally:
         for server in servers:
             server.terminate()

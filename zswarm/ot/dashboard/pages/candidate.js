@@ -80,7 +80,7 @@ export async function show(view) {
     fill(replay, h('h2', { text: `Replay of trial ${trial}` }), h('p', { class: 'dim', role: 'status', text: 'computing it from the record …' }));
     try {
       const bytes = await ask(api('trace', { generation, candidate, trial }), 'bytes');
-      if (!document.querySelector('link[href="/static/player.css"]')) document.head.append(h('link', { rel: 'stylesheet', href: '/static/player.css' }));
+      await style('/static/player.css');
       const { play: start } = await import('/static/player.js');
       fill(replay, h('h2', { text: `Replay of trial ${trial}` }), place);
       player = await start(place, bytes);
@@ -95,4 +95,11 @@ export async function show(view) {
   } catch (error) {
     showError(error.message);
   }
+}
+
+// Its colours are read when the player begins.
+async function style(href) {
+  if (document.querySelector(`link[href="${href}"]`)) return;
+  const link = h('link', { rel: 'stylesheet', href });
+  await new Promise((done) => { link.onload = done; link.onerror = done; document.head.append(link); });
 }

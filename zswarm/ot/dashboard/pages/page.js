@@ -190,7 +190,7 @@ export function colour(name) {
 }
 
 // A word and a sign for a state, for colour alone says nothing to some.
-const SIGNS = { running: '▶', paused: '⏸', stopping: '◼', stopped: '◻', finished: '✓', unreadable: '✕', reading: '…' };
+const SIGNS = { running: '▶', paused: '❚❚', stopping: '◼', stopped: '◻', finished: '✓', unreadable: '✕', reading: '…' };
 export function badge(status) {
   return h('span', { class: `badge ${status}`, text: `${SIGNS[status] ?? ''} ${status}` });
 }
