@@ -1,8 +1,8 @@
 """Who may ask what of the dashboard: refused is whatever does not come from its own page.
 
 A web page of somebody else can have a browser send requests here. Three things keep it out (docs/dashboard.md). ``Host`` must
-name this machine, so that no other name can be made to lead here (DNS rebinding). ``Origin`` must be the page's own on all that is
-not a GET, and on WebSockets, which browsers let pages of any origin open. What controls runs takes a token.
+name this machine, so that no other name can be made to lead here (DNS rebinding). ``Origin`` must be the page's own on all that
+is not a GET, and on WebSockets, which browsers let pages of any origin open. What controls runs takes a token.
 """
 
 import hmac

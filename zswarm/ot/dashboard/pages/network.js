@@ -21,10 +21,12 @@ export function drawNetwork(graph, sensors, actuators, say) {
   const states = graph.nodes.some((node) => node.kind === 'state');
   const columns = states ? null : layout(graph);
   const tallest = states ? 8 : Math.max(...columns.map((column) => column.length));
-  const width = states ? 520 : Math.max(460, 180 + 190 * (columns.length - 1) + 180);
+  const longest = (kind) => Math.min(24, Math.max(0, ...graph.nodes.filter((node) => node.kind === kind).map((node) => nameOf(node, sensors, actuators).length)));
+  const [left, right] = [28 + 6.5 * longest('input'), 60 + 6.5 * longest('output')];
+  const width = states ? 520 : left + 150 * (columns.length - 1) + right;
   const gap = tallest > 24 ? 20 : 34;
   const height = states ? 480 : Math.max(120, tallest * gap + 30);
-  const places = states ? circle(graph.nodes.length, width, height) : grid(columns, width, height, graph.nodes.length);
+  const places = states ? circle(graph.nodes.length, width, height) : grid(columns, left, height, graph.nodes.length);
   const most = Math.max(1e-9, ...graph.edges.map((edge) => Math.abs(edge.weight)));
   const svg = s('svg', { class: 'network', viewBox: `0 0 ${width} ${height}`, role: 'img',
     'aria-label': `network of ${graph.nodes.length} nodes and ${graph.edges.length} connections${parts > 1 ? ` in ${parts} parts` : ''}` });
@@ -80,10 +82,10 @@ function layout(graph) {
   return columns.filter((column) => column.length);
 }
 
-function grid(columns, width, height, count) {
+function grid(columns, left, height, count) {
   const places = Array.from({ length: count }, () => [0, 0]);
   columns.forEach((column, c) => column.forEach((node, r) => {
-    places[node] = [columns.length === 1 ? width / 2 : 180 + (width - 360) * c / (columns.length - 1), (r + 0.5) * height / column.length];
+    places[node] = [left + 150 * c, (r + 0.5) * height / column.length];
   }));
   return places;
 }
