@@ -25,6 +25,7 @@ BUNDLED: dict[Kind, dict[str, str]] = {
         "arena": "zswarm.sims.arena:Arena",
         "box-pushing": "zswarm.sims.box_pushing:BoxPushing",
         "emergency-exit": "zswarm.sims.emergency_exit:EmergencyExit",
+        "food-or-poison": "zswarm.sims.food_or_poison:FoodOrPoison",
         "foraging-physical": "zswarm.sims.foraging_physical:ForagingPhysical",
         "gymnasium": "zswarm.sims.gymnasium:Gymnasium",
         "inverted-pendulum": "zswarm.sims.inverted_pendulum:InvertedPendulum",
