@@ -5,16 +5,18 @@ import re
 import shutil
 from importlib import resources
 from pathlib import Path
+from typing import cast
 
 import pytest
+from starlette.websockets import WebSocket
 from written import written
 
 from zswarm.errors import ConfigError
 from zswarm.ot import control
-from zswarm.ot.dashboard import answers, points
+from zswarm.ot.dashboard import answers, app, hub, points, traces
 from zswarm.ot.dashboard.fleet import Batch, Event, Fleet, busy
 from zswarm.ot.dashboard.follower import Follower
-from zswarm.ot.dashboard.hub import WAITING, Client, Room
+from zswarm.ot.dashboard.hub import WAITING, Client, Hub, Room
 from zswarm.ot.dashboard.shelf import Shelf
 from zswarm.ot.dispatch import Note
 from zswarm.ot.reading import Run
@@ -226,3 +228,103 @@ def test_pages_make_text_and_never_markup() -> None:
             assert word not in text or allowed, f"{name}: {word}"
     page = pages["index.html"]
     assert re.findall(r"<script(?![^>]* src=)|<style|style=| on\w+=", page) == []
+
+
+class Stuck:
+    """A tab whose connection takes nothing."""
+
+    def __init__(self) -> None:
+        self.query_params: dict[str, str] = {}
+        self.closed: list[int] = []
+
+    async def send_text(self, _text: str) -> None:
+        await asyncio.Event().wait()
+
+    async def receive(self) -> dict[str, str]:
+        await asyncio.Event().wait()
+        raise AssertionError
+
+    async def close(self, code: int, _reason: str) -> None:
+        self.closed.append(code)
+
+
+def test_a_tab_that_is_stuck_is_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the code that tells it to come again, and nobody is followed for it any more."""
+    monkeypatch.setattr(app, "STUCK_S", 0.01)
+    folder = written(tmp_path, [1.0])
+    watched, tab = Hub(Shelf([tmp_path])), Stuck()
+    asyncio.run(app._serve(cast(WebSocket, tab), watched, "stadium", folder))
+    assert tab.closed == [1013]
+    assert watched._rooms == {}
+
+
+def test_there_are_so_many_tabs_and_no_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hub, "CLIENTS", 0)
+    tab = Stuck()
+    asyncio.run(app._serve(cast(WebSocket, tab), Hub(Shelf([tmp_path])), "", None))
+    assert tab.closed == [1013]
+
+
+def test_an_error_of_the_dashboard_itself_leaves_no_tab_waiting() -> None:
+    """It is told to come again, and the next one that comes begins anew."""
+    looks = iter([{"n": 1}])
+
+    async def scenario() -> None:
+        def look() -> dict[str, int]:
+            try:
+                return next(looks)
+            except StopIteration:
+                raise OSError("gone") from None
+
+        room, client = Room(look, dict), Client()
+        await room.enter(client, "")
+        while await client.take():
+            pass
+        assert client.full
+        with pytest.raises(OSError, match="gone"):
+            await cast("asyncio.Task[None]", room._task)
+        room.leave(client)
+
+    asyncio.run(scenario())
+
+
+# ---- replays
+
+
+def trace_of(program: str, monkeypatch: pytest.MonkeyPatch, *more: str) -> list[bytes]:
+    """What a page gets when the program that computes traces is another one; several are asked for one after the other."""
+    programs = iter([program, *more])
+    monkeypatch.setattr(traces, "MODULE", "json")
+    kept = traces.Traces()
+
+    async def ask() -> list[bytes]:
+        found = []
+        for one in programs:
+            monkeypatch.setattr(traces, "PROGRAM", one)
+            found.append(await kept.of(Path("run"), 0, 1, 2))
+        return found
+
+    return asyncio.run(ask())
+
+
+def test_a_replay_is_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By a program that is told run, generation, candidate and trial, and that may evaluate."""
+    monkeypatch.setenv("ZSWARM_PLAIN", "1")
+    told = "import os, sys; print(os.path.basename(sys.argv[1]), *sys.argv[2:], os.environ.get('ZSWARM_PLAIN'), end='')"
+    assert trace_of(told, monkeypatch, "raise SystemExit(1)") == [b"run 0 1 2 None"] * 2
+
+
+def test_why_there_is_no_replay_is_told_in_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ConfigError, match=r"^trial 2 is not there\\x1b$"):
+        trace_of("import sys; sys.stderr.write('warning\\n'); sys.exit('trial 2 is not there\\x1b')", monkeypatch)
+    with pytest.raises(ConfigError, match="the program that computes it ended"):
+        trace_of("import os; os._exit(3)", monkeypatch)
+
+
+def test_a_replay_that_takes_too_long_or_too_much_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(traces, "LARGEST", 100)
+    with pytest.raises(ConfigError, match="the replay has 1,000 bytes, and 100 is the most"):
+        trace_of("print('x' * 1000, end='')", monkeypatch)
+    monkeypatch.setattr(traces, "LONGEST_S", 0.05)
+    with pytest.raises(ConfigError, match="the replay takes longer than 0 s"):
+        trace_of("import time; time.sleep(60)", monkeypatch)
