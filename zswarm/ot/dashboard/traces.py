@@ -68,6 +68,7 @@ async def _computed(folder: Path, *numbers: int) -> bytes:
     finally:
         if program.returncode is None:
             program.kill()
+            await program.communicate()  # to its end: it is no child any more then
     if program.returncode:
         last = said.decode(errors="replace").strip().splitlines()[-1:] or ["the program that computes it ended"]
         raise ConfigError(clean(last[0]))
