@@ -156,7 +156,7 @@ def test_what_a_run_adds_comes_by_itself(page: Page, dashboard: Start, tmp_path:
 def test_a_dashboard_that_ends_is_missed_and_found_again(page: Page, watched: Watched, dashboard: Start, tmp_path: Path) -> None:
     """The page says how old it is, keeps what it shows, and goes on with what came meanwhile."""
     folder = write(tmp_path, finished=False)
-    shown = dashboard(tmp_path, options=["--port", "17468"])
+    shown = dashboard(tmp_path, options=["--port", "18467"])
     page.goto(f"{shown.url}/run?run=long")
     expect(page.locator(".tile", has_text="generation")).to_contain_text("100 / 105")
     shown.stop()

@@ -9,7 +9,7 @@ from starlette.responses import PlainTextResponse
 from zswarm.ot.dashboard.guard import Guard
 
 TOKEN = "secret"  # noqa: S105  of a test
-OURS = "127.0.0.1:7468"
+OURS = "127.0.0.1:8467"
 
 
 def ask(
@@ -54,13 +54,13 @@ def ask(
     return first["status"], {name.decode(): value.decode() for name, value in first["headers"]}
 
 
-@pytest.mark.parametrize("host", [OURS, "localhost:9000", "[::1]:7468", "LOCALHOST", "192.168.1.5:7468", "lab-01:7468"])
+@pytest.mark.parametrize("host", [OURS, "localhost:9000", "[::1]:8467", "LOCALHOST", "192.168.1.5:8467", "lab-01:8467"])
 def test_names_and_addresses_of_this_machine_are_let_in(host: str) -> None:
     assert ask(host=host)[0] == 200
 
 
 @pytest.mark.parametrize(
-    "host", ["", "evil.example", "evil.example:7468", "127.0.0.1.evil.example", "localhost.evil.example:7468"]
+    "host", ["", "evil.example", "evil.example:8467", "127.0.0.1.evil.example", "localhost.evil.example:8467"]
 )
 def test_a_name_that_is_made_to_lead_here_is_refused(host: str) -> None:
     """DNS rebinding: the browser would take the page for the attacker's own."""

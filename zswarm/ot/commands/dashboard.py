@@ -15,7 +15,7 @@ from zswarm.protocol.codec import clean
 @click.command()
 @click.argument("folders", nargs=-1, type=click.Path(path_type=Path), metavar="[RUNS]...", shell_complete=suggestions.runs)
 @click.option("--host", default="127.0.0.1", show_default=True, metavar="ADDRESS", help="Where it listens.")
-@click.option("--port", type=click.IntRange(1, 65535), metavar="N", help="Port.  [default: 7468, or the next free one]")
+@click.option("--port", type=click.IntRange(1, 65535), metavar="N", help="Port.  [default: 8467, or the next free one]")
 @click.option(
     "--allow-host", "allowed", multiple=True, metavar="NAME", help="A name by which browsers call this machine; may be repeated."
 )

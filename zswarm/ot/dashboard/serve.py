@@ -15,7 +15,7 @@ from zswarm.ot.dashboard.app import application
 from zswarm.ot.dashboard.guard import Guard
 from zswarm.ot.dashboard.shelf import Shelf
 
-PORT, PORTS = 7468, 100  # the first one, or the next free one of so many
+PORT, PORTS = 8467, 100  # the first one, or the next free one of so many
 LARGEST_MESSAGE = 4096  # bytes that a page may say on its WebSocket: it says nothing
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
