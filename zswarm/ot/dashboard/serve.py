@@ -35,8 +35,8 @@ def serve(folders: Sequence[Path], *, host: str, port: int | None, allowed: Sequ
     """
     listening = _listen(host, port)
     token = secrets.token_urlsafe(24)
-    closed = host not in LOOPBACK
-    names = [socket.gethostname(), socket.getfqdn(), *allowed] if closed else allowed
+    closed = host not in LOOPBACK or bool(allowed)  # others may reach it
+    names = [*allowed, *([socket.gethostname()] if closed else [])]
     guarded = Guard(application(Shelf(folders)), hosts=names, token=token, closed=closed)
     server = uvicorn.Server(
         uvicorn.Config(
