@@ -27,7 +27,7 @@ def test_beyond_this_machine_it_says_so_and_reading_takes_the_token(tmp_path: Pa
     """Until its standard input closes, as with ``run --dashboard``."""
     written(tmp_path, [1.0])
     program = subprocess.Popen(
-        [*COMMAND, str(tmp_path), "--host", "0.0.0.0", "--until-stdin-closes"],
+        [*COMMAND, str(tmp_path), "--host", "0.0.0.0", "--until-stdin-closes"],  # noqa: S104  that is the question
         stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert program.stderr is not None
