@@ -142,7 +142,8 @@ def test_each_of_two_runs_uses_the_servers_that_match_it_and_names_the_others_on
     excluded = {
         "minisim": {
             "logic": "no simulator 'minisim' here; there are xor",
-            "later": "another version is installed here: other code of simulator minisim",
+            "later": "another version is installed here: other code of simulator minisim; "
+            "install the same, and start this server again",
             "limited": "minisim.robots is 2; it is 1 at most here",
             "bare": "the experiment requires gpu=yes (it has gpu=no)",
         },

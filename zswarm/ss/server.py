@@ -507,7 +507,8 @@ class Server:
             if missing := lacking(here, told):
                 return f"packages that {simulator!r} needs are not installed here: {installing(*missing)}"[:MAX_TEXT]
             if parts := differing(here, told):
-                return f"another version is installed here: {'; '.join(parts)}"[:MAX_TEXT]
+                todo = "install the same, and start this server again"
+                return f"another version is installed here: {'; '.join(parts)[: MAX_TEXT // 2]}; {todo}"
             return f"another version of {simulator}, {representation}, zswarm or numba is installed here"
         if asked.trial_memory_mb > self.slot_memory_mb:
             return f"a slot here has {self.slot_memory_mb} MB, the run asks for {asked.trial_memory_mb}"
