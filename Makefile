@@ -6,7 +6,7 @@ TESTS ?= -n $$((2 * $$(nproc))) --dist worksteal  # many wait for programs; neig
 
 KILLS ?= 200
 
-.PHONY: run test long product vmas test-all chaos faults machines units kills lint format docs docs-commands reference bench bench-quick bench-methods scale soak clean
+.PHONY: run test long product vmas browser test-all chaos faults machines units kills lint format docs docs-commands reference bench bench-quick bench-methods scale soak clean
 
 run: $(READY)
 	$(BIN)/zswarm-ot run $(or $(ARGS),stadium)
@@ -24,6 +24,10 @@ product: $(READY)
 # Scenarios of VMAS, in an environment of their own: torch is large.
 vmas: build/vmas/ready
 	build/vmas/bin/python -m pytest $(TESTS) -m vmas $(ARGS)
+
+# Dashboard and player in a real browser: chromium (Debian: apt install chromium).
+browser: $(READY)
+	$(BIN)/python -m pytest $(TESTS) -m browser $(ARGS)
 
 test-all: test long product
 

@@ -33,6 +33,7 @@ NOT_RUN: dict[tuple[str, str], tuple[str, str]] = {
     ("CONTRIBUTING.md", "make test     # sets everything up in .venv, and runs the tests: some minutes"): (INSTALLS, ".ci/run"),
     ("commands.md", '$ zswarm-ot import "Emergency Exit_g199 (0.46).zre"'): ("needs a file of FREVO's", "tests/ot/test_frevo.py"),
     ("tutorial.md", "python3 -m venv ~/zswarm"): (INSTALLS, ".ci/run"),
+    ("dashboard.md", "*"): ("is looked at in a browser", "tests/browser/test_dashboard.py"),
     ("deploy.md", "*"): ("needs machines with systemd, of which root is the user", DEPLOY),
     ("faults.md", "make test                # 500 schedules among the rest, make long 1,500 more"): (
         "runs tests, for minutes",
@@ -68,7 +69,7 @@ serve() {  # a program that serves until it is stopped goes on in the background
     daemons=$((daemons + 1))
     command "$@" > "$STEPS/daemon-$daemons" 2>&1 &
     for _ in $(seq 600); do
-        if grep -q _ready "$STEPS/daemon-$daemons"; then return; fi
+        if grep -q -e _ready -e '^dashboard: http' "$STEPS/daemon-$daemons"; then return; fi
         if ! kill -0 $! 2> /dev/null; then cat "$STEPS/daemon-$daemons"; return 1; fi
         sleep 0.1
     done
@@ -80,6 +81,7 @@ stop() {  # a section does not count on the programs of the one before
 }
 zswarm-ss() { serve zswarm-ss "$@"; }
 zswarm-router() { serve zswarm-router "$@"; }
+zswarm-ot() { case "$1" in dashboard) serve zswarm-ot "$@";; *) command zswarm-ot "$@";; esac; }
 pip() {  # what it would do with a package that has no more than a module, without asking an index
     test "$*" = "install -e ."
     python "$STEPS/install.py"

@@ -59,6 +59,8 @@ ONLY_IN = {
     "matplotlib": {"ot.figures", "ot.reading", "api"},  # for their types; it is imported by extras.need, as are scipy and jinja2
     "scipy": set(),
     "jinja2": set(),
+    "starlette": {"ot.dashboard.app", "ot.dashboard.guard"},
+    "uvicorn": {"ot.dashboard.serve"},
     "cmaes": set(),  # the packages of optimizers, likewise
     "ribs": set(),
     "threadpoolctl": set(),
@@ -74,6 +76,7 @@ ONLY_IN = {
 }
 PURE = (
     *("ot.assessment", "ot.dispatch", "ot.plan", "ot.requests", "ot.verification", "ot.waiting", "ot.workload"),
+    "ot.dashboard.fleet",
     *("ss.slots", "ss.kept", "ot.rankings.absolute", "ot.rankings.full_tournament", "ot.rankings.multi_swiss"),
     *("ot.rankings.ranking", "ot.rankings.swiss", "ot.rankings.tournament"),
     *("protocol.codec", "protocol.keys", "protocol.messages", "labels"),

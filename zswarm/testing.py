@@ -11,6 +11,7 @@ Each check raises ``AssertionError`` with a text that names what is wrong; what 
 """
 
 import os
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import pairwise
@@ -69,7 +70,7 @@ def check_representation(
     same in plain Python, fills its output, repeats bit for bit, begins with a state of zeros, and touches nothing beside its
     arrays; that ``step_lanes`` decides as ``step``; that each operator gives the same for the same stream, and genomes that fit;
     that mutations and crossovers make something else of a genome; that distances are symmetric, zero to itself, and the same in
-    every batch.
+    every batch; that ``graph`` has every input and output, and edges between its nodes.
 
     Args:
         representation_class: the class to check.
@@ -90,6 +91,7 @@ def check_representation(
     _check_operators(name, network, genomes)
     _check_refusals(name, network, genomes[0])
     _check_decisions(name, network, genomes)
+    _check_graph(name, network, genomes[0])
 
 
 def _check_numbers(name: str, network: Representation, genomes: list[bytes]) -> None:
@@ -228,6 +230,21 @@ def _check_decisions(name: str, network: Representation, genomes: list[bytes]) -
         )
     if step_lanes is not None:
         _check_lanes(name, network, parameters, observations)
+
+
+def _check_graph(name: str, network: Representation, genome: bytes) -> None:
+    graph = network.graph(genome)
+    kinds = Counter(node.kind for node in graph.nodes)
+    parts = 1 + max((node.part for node in graph.nodes), default=0)
+    require(
+        bool(kinds["state"]) or (kinds["input"], kinds["output"]) == (parts * network.inputs, parts * network.outputs),
+        f"{name}.graph must have {network.inputs} inputs and {network.outputs} outputs a part, or states, not {dict(kinds)}",
+    )
+    for edge in graph.edges:
+        there = 0 <= edge.source < len(graph.nodes) and 0 <= edge.target < len(graph.nodes)
+        require(there, f"{name}.graph: an edge leads from {edge.source} to {edge.target}, of {len(graph.nodes)} nodes")
+        require(bool(np.isfinite(edge.weight)), f"{name}.graph: a weight is {edge.weight}")
+        require(graph.nodes[edge.target].kind != "input", f"{name}.graph: an edge leads to an input")
 
 
 class _Agent:

@@ -24,6 +24,7 @@ from zswarm import plugins
 from zswarm.draws import Stream
 from zswarm.errors import ConfigError
 from zswarm.jit import STEP_SIGNATURE, Step, kernel
+from zswarm.nets.graph import Graph
 from zswarm.nets.representation import Representation
 from zswarm.portable import to_int
 from zswarm.strict import convert
@@ -145,6 +146,15 @@ class Bulk(Representation):
         for number in range(self.settings.parts):
             total += self.part.distances(*([parts[number] for parts in side] for side in sides))
         return total / self.settings.parts
+
+    def graph(self, genome: bytes) -> Graph:
+        """See ``Representation``; the networks side by side."""
+        whole = Graph([], [])
+        for number, part in enumerate(self._split(genome)):
+            first, of_part = len(whole.nodes), self.part.graph(part)
+            whole.nodes.extend(node._replace(part=number) for node in of_part.nodes)
+            whole.edges.extend(edge._replace(source=first + edge.source, target=first + edge.target) for edge in of_part.edges)
+        return whole
 
     def _split(self, genome: bytes) -> list[bytes]:
         """The genomes of the parts.

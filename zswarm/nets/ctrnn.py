@@ -22,6 +22,7 @@ from msgspec import Meta
 
 from zswarm.jit import STEP_SIGNATURE, inline, kernel
 from zswarm.lanes import LANES, fill, load, store
+from zswarm.nets.graph import Graph, of_meshed
 from zswarm.nets.neurons import ZERO, add, padded, put, take
 from zswarm.nets.vector import FINE, Range, VectorRepresentation
 from zswarm.portable import tanh
@@ -145,7 +146,18 @@ class CTRNN(VectorRepresentation):
         rows[:, :HEADER] = settings.iterations, self.neurons
         body = rows[:, HEADER:].reshape(len(genomes), self.sources + 2, self._padded)
         body[:, :-1, : self.neurons] = tables[:, :-1]
-        share = (np.clip(tables[:, -1].astype(np.float64), -1.0, 1.0) + 1.0) / 2.0
-        taus = settings.tau_min + (settings.tau_max - settings.tau_min) * share
-        body[:, -1, : self.neurons] = 1.0 / (settings.iterations * taus)
+        body[:, -1, : self.neurons] = 1.0 / (settings.iterations * self._taus(tables[:, -1]))
         return rows
+
+    def graph(self, genome: bytes) -> Graph:
+        """See ``Representation``."""
+        table = self.vectors([genome]).reshape(self.neurons, self.sources + 2)
+        taus = self._taus(table[:, -1]).tolist()
+        texts = [f"bias {bias:.4g}, tau {tau:.4g}" for bias, tau in zip(table[:, -2].tolist(), taus, strict=True)]
+        return of_meshed(self.inputs, self.outputs, table[:, : self.sources], texts)
+
+    def _taus(self, genes: np.ndarray) -> np.ndarray:
+        """Time constants in decisions, float64."""
+        settings = self.settings
+        share = (np.clip(genes.astype(np.float64), -1.0, 1.0) + 1.0) / 2.0
+        return np.asarray(settings.tau_min + (settings.tau_max - settings.tau_min) * share)

@@ -19,6 +19,7 @@ from msgspec import Meta
 
 from zswarm.jit import STEP_SIGNATURE, kernel
 from zswarm.lanes import LANES, fill, load, store
+from zswarm.nets.graph import Graph, of_layers
 from zswarm.nets.neurons import ACTIVATIONS, MEANING, ONE, ZERO, Activation, activate, add, padded, put
 from zswarm.nets.vector import COARSE, Range, VectorRepresentation, absolute_differences
 
@@ -146,6 +147,15 @@ class Layered(VectorRepresentation):
         """Means of |difference| / range over all genes, added in gene order."""
         a, b = (self._numbers(side) / self.ranges for side in (left, right))
         return absolute_differences(a, b) / self.genes
+
+    def graph(self, genome: bytes) -> Graph:
+        """See ``Representation``."""
+        vector, tables, begin, sources = self.vectors([genome])[0], [], 0, self.inputs
+        for nodes in self.widths:
+            end = begin + nodes * (sources + 1)
+            tables.append(vector[begin:end].reshape(nodes, sources + 1))
+            begin, sources = end, nodes
+        return of_layers(self.inputs, self.widths, tables)
 
 
 class FeedForward(Layered):

@@ -17,6 +17,7 @@ from msgspec import Meta
 
 from zswarm.jit import STEP_SIGNATURE, kernel
 from zswarm.lanes import LANES, fill, load, store
+from zswarm.nets.graph import Graph, of_meshed
 from zswarm.nets.neurons import ACTIVATIONS, MEANING, ONE, ZERO, Activation, activate, add, padded, put, take
 from zswarm.nets.vector import COARSE, FINE, Range, VectorRepresentation
 
@@ -120,3 +121,8 @@ class FullyMeshed(VectorRepresentation):
         body = rows[:, HEADER:].reshape(len(genomes), self.sources + 1, self._padded)
         body[:, :, : self.neurons] = tables.transpose(0, 2, 1)
         return rows
+
+    def graph(self, genome: bytes) -> Graph:
+        """See ``Representation``."""
+        table = self.vectors([genome]).reshape(self.shape)
+        return of_meshed(self.inputs, self.outputs, table[:, :-1], [f"bias {bias:.4g}" for bias in table[:, -1].tolist()])

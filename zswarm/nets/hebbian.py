@@ -29,6 +29,7 @@ from msgspec import Meta
 
 from zswarm.jit import STEP_SIGNATURE, float32, kernel
 from zswarm.lanes import LANES, fill, load, store
+from zswarm.nets.graph import Graph, of_meshed
 from zswarm.nets.neurons import CLAMP, ONE, ZERO, activate, padded
 from zswarm.nets.vector import COARSE, FINE, Range, VectorRepresentation
 
@@ -133,3 +134,10 @@ class Hebbian(VectorRepresentation):
         body[:, self.sources : -1, : self.neurons] = tables[:, self.sources : -1] if self.plastic else 1.0
         body[:, -1, : self.neurons] = tables[:, -1]
         return rows
+
+    def graph(self, genome: bytes) -> Graph:
+        """See ``Representation``; the weights are those that it begins with."""
+        table = self.vectors([genome])[0, :-1].reshape(self.neurons, -1)
+        return of_meshed(
+            self.inputs, self.outputs, table[:, : self.sources], [f"bias {bias:.4g}" for bias in table[:, -1].tolist()]
+        )

@@ -32,6 +32,7 @@ from msgspec import Meta, field
 from zswarm.draws import Stream
 from zswarm.errors import ConfigError
 from zswarm.jit import STEP_SIGNATURE, kernel
+from zswarm.nets.graph import Edge, Graph, Node
 from zswarm.nets.representation import Representation
 from zswarm.portable import to_int
 
@@ -226,6 +227,22 @@ class Mealy(Representation):
         for row, numbers in enumerate(tables[0]):
             found[row] = np.count_nonzero(tables[1] != numbers, axis=1)
         return found
+
+    def graph(self, genome: bytes) -> Graph:
+        """States and transitions: how many rows of the table lead from one to another."""
+        self.parameters([genome])  # refuses what is no machine
+        machine = self._taken_apart(genome)
+        states = machine.following.shape[1]
+        nodes = [Node("state", state, "the first one" if state == machine.first else "") for state in range(states)]
+        edges = []
+        for state in range(states):
+            counts = np.bincount(machine.following[:, state], minlength=states)
+            edges += [
+                Edge(state, target, count / self.rows, f"{count} of {self.rows} combinations of inputs")
+                for target, count in enumerate(counts.tolist())
+                if count
+            ]
+        return Graph(nodes, edges)
 
     # ---- genomes --------------------------------------------------------------------------------------------------
 

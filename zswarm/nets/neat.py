@@ -39,6 +39,7 @@ from msgspec import Meta
 
 from zswarm.draws import Stream
 from zswarm.jit import STEP_SIGNATURE, inline, kernel
+from zswarm.nets.graph import Edge, Graph, Node
 from zswarm.nets.representation import Representation
 from zswarm.portable import exp
 
@@ -261,6 +262,23 @@ class Neat(Representation):
         return len(genes.nodes) - self.outputs, int(np.count_nonzero(genes.links["enabled"]))
 
     # ---- genomes --------------------------------------------------------------------------------------------------
+
+    def graph(self, genome: bytes) -> Graph:
+        """See ``Representation``; without links that are disabled."""
+        self.parameters([genome])  # refuses what is no network
+        genes = self._alive(genome)
+        order = [*genes.nodes[self.outputs :].tolist(), *genes.nodes[: self.outputs].tolist()]
+        nodes = [Node("input", number) for number in range(self.inputs)]
+        place = {id_: id_ - 1 for id_ in range(1, self.inputs + 1)}
+        hidden = len(order) - self.outputs
+        for number, (id_, bias, factor) in enumerate(order):
+            place[id_] = len(nodes)
+            if number < hidden:
+                nodes.append(Node("hidden", number, f"bias {bias:.4g}"))
+            else:
+                nodes.append(Node("output", number - hidden, f"bias {bias:.4g}, factor {factor:.4g}"))
+        links = genes.links[genes.links["enabled"] == 1]
+        return Graph(nodes, [Edge(place[source], place[target], weight) for source, target, weight, _ in links.tolist()])
 
     def _alive(self, genome: bytes) -> Genes:
         """A copy to change; of nodes with one id, the first."""

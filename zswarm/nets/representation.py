@@ -14,6 +14,7 @@ import numpy as np
 
 from zswarm.draws import Stream
 from zswarm.jit import Step
+from zswarm.nets.graph import Graph, Node
 
 
 class Representation(ABC):
@@ -69,3 +70,12 @@ class Representation(ABC):
     @abstractmethod
     def distances(self, left: Sequence[bytes], right: Sequence[bytes]) -> np.ndarray:
         """(len(left), len(right)) float64: how different each is from each; the same bits on every machine."""
+
+    def graph(self, genome: bytes) -> Graph:  # noqa: ARG002  this one knows its inputs and outputs only
+        """A genome's network, to draw it; here its inputs and outputs alone.
+
+        Raises:
+            ValueError: as ``parameters``.
+        """
+        inputs = [Node("input", number) for number in range(self.inputs)]
+        return Graph([*inputs, *(Node("output", number) for number in range(self.outputs))], [])

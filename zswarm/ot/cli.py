@@ -11,6 +11,7 @@ from zswarm.errors import ConfigError, NoServers, ZswarmError
 from zswarm.ot.commands.check import check
 from zswarm.ot.commands.compare import compare
 from zswarm.ot.commands.completion import completion
+from zswarm.ot.commands.dashboard import dashboard
 from zswarm.ot.commands.describe import describe
 from zswarm.ot.commands.doctor import doctor
 from zswarm.ot.commands.evaluate import evaluate
@@ -53,6 +54,7 @@ for _command in (
     plot,
     compare,
     report,
+    dashboard,
     list_,
     servers,
     doctor,

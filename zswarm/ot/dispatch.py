@@ -463,8 +463,8 @@ class Dispatch:
             server.trial_s = lease.trial_s
         self._changed |= lease.ready != was_ready
         self._renew_by(server.renewed + RENEW_S)
-        if lease.ready and not was_ready:
-            self._note("server_joined", server.id, count=lease.ready)
+        if lease.ready != was_ready:
+            self._note("server_slots" if was_ready else "server_joined", server.id, count=lease.ready)
         if server.ready < min(server.wanted, server.capacity):
             self._renew(server, now)  # held by the server until more slots are ready
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import threading
+import time
 from collections.abc import Callable, Generator, Iterator
 from functools import partial
 from pathlib import Path
@@ -9,8 +10,9 @@ from pathlib import Path
 from msgspec import structs
 
 from zswarm import experiment
+from zswarm.errors import Stopped
 from zswarm.experiment import Experiment, Study
-from zswarm.ot import run
+from zswarm.ot import control, run
 from zswarm.ot.connection import Connection
 from zswarm.ot.logger import Generation, Logger, Result, Started
 from zswarm.ot.reading import Run, told_again
@@ -32,7 +34,7 @@ class Evolution:
     def __init__(self, folder: Path, evolve: Evolve, logger: Logger) -> None:
         self.folder = folder
         self.result: Result | None = None
-        self._stop = threading.Event()
+        self._stop = control.Stop(folder)
         self._logger = logger
         self._generations = self._follow(evolve(self._stop))
 
@@ -66,9 +68,32 @@ class Evolution:
 
     def _follow(self, generations: Generator[Generation, None, Result]) -> Generator[Generation, None, None]:
         try:
-            self.result = yield from generations
+            with contextlib.closing(generations):
+                while True:
+                    try:
+                        generation = next(generations)
+                    except StopIteration as end:
+                        self.result = end.value
+                        return
+                    yield generation
+                    self._do_what_is_asked()
         finally:
             self._logger.on_end(self.result)
+
+    def _do_what_is_asked(self) -> None:
+        """Between two generations; the servers have the next one already, and keep it while the run pauses.
+
+        Raises:
+            Stopped: that was asked.
+        """
+        asked = control.asked(self.folder)
+        if asked == "pause":
+            self._logger.on_say("the run pauses, as it was asked to; it goes on when it is asked to")
+        while asked == "pause" and not self._stop.is_set():
+            time.sleep(control.LOOK_S)
+            asked = control.asked(self.folder)
+        if asked == "drain":
+            raise Stopped("stopped after a generation, as it was asked to")
 
 
 @contextlib.contextmanager
@@ -111,6 +136,7 @@ def resume(folder: Path, connection: Connection, logger: Logger) -> Iterator[Evo
         return
     record, complete = Record.open(folder)
     with record:
+        control.forget(folder)
         parts = run.build(complete)
         if not parts.optimizer.portable and (before := record.machine_changed()):
             logger.on_say(f"this run was made with {before}; results may differ from here on")

@@ -68,7 +68,7 @@ class Run:
         self._shown = clean(str(folder))
         if not _is_file(folder / EXPERIMENT) or not _is_file(folder / DATABASE):
             raise ConfigError(f"{self._shown}: no run{meant(folder)}; expected a folder with {EXPERIMENT} and {DATABASE}")
-        self._meta = dict(self._rows("SELECT key, value FROM meta", tuple[str, Any]))
+        self._meta = dict(self.rows("SELECT key, value FROM meta", tuple[str, Any]))
         self.meta = {
             clean(key): clean(value) if isinstance(value, str) and not _plain(value) else value
             for key, value in self._meta.items()
@@ -139,19 +139,7 @@ class Run:
     @property
     def going_on(self) -> bool:
         """Whether a program is at it now."""
-        try:
-            lock = os.open(self.folder / "lock", os.O_RDONLY | os.O_NONBLOCK)
-        except OSError:
-            return False
-        try:
-            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
-        except OSError:  # a file system without locks
-            return False
-        finally:
-            os.close(lock)
-        return False
+        return goes_on(self.folder)
 
     # ---- what it recorded
 
@@ -162,7 +150,7 @@ class Run:
         generations so far; where fitness is ``relative``, ``best`` is of the generation.
         """
         before, evaluations, history = self.meta.get("created_at"), 0, []
-        for generation, at, best, mean, count, statistics in self._rows(
+        for generation, at, best, mean, count, statistics in self.rows(
             "SELECT generation, finished_at, best, mean, evaluations, statistics FROM generations ORDER BY generation",
             tuple[int, float, float | None, float | None, int, str],
         ):
@@ -183,17 +171,17 @@ class Run:
 
     def generations(self) -> int:
         """Finished ones."""
-        return self._rows("SELECT count(*) FROM generations", tuple[int])[0][0]
+        return self.rows("SELECT count(*) FROM generations", tuple[int])[0][0]
 
     def best(self) -> float | None:
         """The best fitness so far; where it is ``relative``, the best score of the last generation."""
         last = " WHERE generation = (SELECT max(generation) FROM generations)" if self.relative else ""
-        return self._rows(f"SELECT max(best) FROM generations{last}", tuple[float | None])[0][0]  # noqa: S608  our own words
+        return self.rows(f"SELECT max(best) FROM generations{last}", tuple[float | None])[0][0]  # noqa: S608  our own words
 
     def events(self) -> list[dict[str, Any]]:
         """What happened besides, in that order: the columns of the table."""
         columns = ("at", "generation", "event", "server", "text", "count")
-        rows = self._rows(
+        rows = self.rows(
             f"SELECT {', '.join(columns)} FROM events ORDER BY rowid",  # noqa: S608  our own names
             tuple[float, int | None, str, str | None, str | None, int | None],
         )
@@ -202,7 +190,7 @@ class Run:
     def servers(self) -> list[dict[str, Any]]:
         """What each server did, who did most first: the columns of the view."""
         columns = ("server", "trials", "seconds", "first_at", "last_at")
-        rows = self._rows(
+        rows = self.rows(
             "SELECT server, sum(count), sum(seconds), min(at), max(at) FROM outcomes WHERE server <> '' "
             "GROUP BY server ORDER BY 2 DESC, 1",
             tuple[str, int, float, float, float],
@@ -213,7 +201,7 @@ class Run:
         """Trials that were counted as faults, and those whose server was later proved to compute wrong."""
         doubtful = "0" if self.meta["schema_version"] == 1 else "doubtful"  # schema 1 does not know them
         sums = f"coalesce(sum(faulted), 0), coalesce(sum(count * ({doubtful} <> 0)), 0)"
-        return self._rows(f"SELECT {sums} FROM outcomes", tuple[int, int])[0]  # noqa: S608  our own words
+        return self.rows(f"SELECT {sums} FROM outcomes", tuple[int, int])[0]  # noqa: S608  our own words
 
     def candidates(self, generation: int) -> list[dict[str, Any]]:
         """Those of a finished generation, in the order asked: candidate, genome (bytes), fitness and measures (a list).
@@ -221,7 +209,7 @@ class Run:
         Fitness and measures are as told to the optimizer; NaN is None. Where it wants no measures the list is empty.
         """
         measures = "NULL" if self.meta["schema_version"] in (1, 2, 3) else "measures"  # these do not know them
-        rows = self._rows(
+        rows = self.rows(
             f"SELECT candidate, genome, fitness, {measures} FROM candidates WHERE generation = ? ORDER BY candidate",  # noqa: S608  our own words
             tuple[int, bytes, float | None, bytes | None],
             generation,
@@ -241,7 +229,7 @@ class Run:
         """
         each, found = self.experiment.problem.trials, []
         players = "NULL" if self.meta["schema_version"] in (1, 2, 3) else "participants"  # these do not know them
-        for count, trials, fitness, metrics, server, participants in self._rows(
+        for count, trials, fitness, metrics, server, participants in self.rows(
             f"SELECT count, trials, fitness, metrics, server, {players} FROM outcomes WHERE generation = ? ORDER BY id",  # noqa: S608  our own words
             tuple[int, bytes, bytes, bytes, str, bytes | None],
             generation,
@@ -388,8 +376,12 @@ class Run:
             raise self._damaged("the statistics of a generation are no JSON object") from None
         return statistics
 
-    def _rows(self, sql: str, kind: type[T], *parameters: Any) -> list[T]:
-        """What a query finds, each row of these types."""
+    def rows(self, sql: str, kind: type[T], *parameters: Any) -> list[T]:
+        """What a query of the record's tables finds, each row of these types.
+
+        Raises:
+            ConfigError: the record is damaged, or cannot be read now.
+        """
         try:
             with opened(self.folder / DATABASE) as database:
                 rows = database.execute(sql, parameters).fetchall()
@@ -403,6 +395,23 @@ class Run:
 
     def _damaged(self, why: str) -> ConfigError:
         return ConfigError(f"{self._shown}/{DATABASE}: damaged: {why}")
+
+
+def goes_on(folder: Path) -> bool:
+    """Whether a program is at the run of a folder now."""
+    try:
+        lock = os.open(folder / "lock", os.O_RDONLY | os.O_NONBLOCK)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:  # a file system without locks
+        return False
+    finally:
+        os.close(lock)
+    return False
 
 
 def told_again(folder: Path, complete: Experiment) -> Result | None:
@@ -491,7 +500,7 @@ def folders_below(path: Path) -> list[Path]:
 
 def listed(parent: Path) -> list[dict[str, Any]]:
     """What is known of each run below a folder; of one that cannot be read, why. No run's generations are read."""
-    return [_listed(folder) for folder in folders_below(parent)]
+    return [in_short(folder) for folder in folders_below(parent)]
 
 
 @contextlib.contextmanager
@@ -542,7 +551,8 @@ def _is_file(path: Path) -> bool:
         return False
 
 
-def _listed(folder: Path) -> dict[str, Any]:
+def in_short(folder: Path) -> dict[str, Any]:
+    """What is known of a run without reading its generations; of one that cannot be read, why."""
     shown = clean(str(folder))
     if not _is_file(folder / EXPERIMENT):
         return {"run": shown, "error": f"no {EXPERIMENT} in it"}

@@ -95,6 +95,7 @@ def evolve(
         if optimizer.best()[0]:
             _keep_champion(parts, record, run_id)  # the end may have come between a generation and its champion
     history, improved, candidates = record.history(), optimizer.best()[1], record.evaluations()
+    record.note(Note("began", count=record.meta("epoch")))
     logger.on_start(Started(record.folder, complete, resumed.generation))
     logger.on_say(f"{complete.name}: {connection.who_computes()}")
     if optimizer.strayed is not None:

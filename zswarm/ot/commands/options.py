@@ -10,6 +10,9 @@ import click
 from zswarm import experiment, screen
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
+from zswarm.extras import need
+
+DASHBOARD = ("starlette", "uvicorn", "websockets")  # packages of the extra
 
 
 def _json_alone(context: click.Context, _: click.Parameter, as_json: bool) -> bool:
@@ -22,6 +25,22 @@ def _json_alone(context: click.Context, _: click.Parameter, as_json: bool) -> bo
 json_option = click.option("--json", "as_json", is_flag=True, callback=_json_alone, help="JSON on stdout.")
 json_lines_option = click.option(
     "--json", "as_json", is_flag=True, callback=_json_alone, help="JSON on stdout, an object a line."
+)
+
+
+def _dashboard_there(_context: click.Context, _: click.Parameter, wanted: bool) -> bool:
+    """Before anything begins."""
+    for package in DASHBOARD if wanted else ():
+        need(package, "dashboard", "--dashboard")
+    return wanted
+
+
+dashboard_option = click.option(
+    "--dashboard",
+    "with_dashboard",
+    is_flag=True,
+    callback=_dashboard_there,
+    help="Show it in the browser, too, live: the address is printed.",
 )
 set_option = click.option(
     "--set",

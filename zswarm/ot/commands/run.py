@@ -5,7 +5,7 @@ import logging
 import os
 import signal
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,15 @@ import click
 from zswarm import experiment
 from zswarm.errors import ZswarmError
 from zswarm.ot.commands import suggestions
-from zswarm.ot.commands.options import cluster_options, json_lines_option, named, out_option, set_option, with_cluster
+from zswarm.ot.commands.options import (
+    cluster_options,
+    dashboard_option,
+    json_lines_option,
+    named,
+    out_option,
+    set_option,
+    with_cluster,
+)
 from zswarm.ot.connection import Connection
 from zswarm.ot.exits import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_TERMINATED
 from zswarm.protocol.codec import clean
@@ -39,9 +47,17 @@ DEFAULT_EXAMPLE = "emergency-exit"
 )
 @cluster_options
 @out_option
+@dashboard_option
 @json_lines_option
 def run(
-    name: str, overrides: tuple[str, ...], seed: int | None, repeat: int | None, out: Path, as_json: bool, **cluster: Any
+    name: str,
+    overrides: tuple[str, ...],
+    seed: int | None,
+    repeat: int | None,
+    out: Path,
+    with_dashboard: bool,
+    as_json: bool,
+    **cluster: Any,
 ) -> None:
     """Evolve a controller.
 
@@ -67,22 +83,25 @@ def run(
             folders, connection = stack.enter_context(_pictures()), stack.enter_context(Connection(loaded.cluster))
             with named(overrides, path):
                 study = stack.enter_context(Study.create(loaded, str(path), out))
-            _play(study, connection, folders, as_json=as_json)
+            _play(study, connection, folders, as_json=as_json, with_dashboard=with_dashboard)
         return
     with _pictures() as folders, Connection(loaded.cluster) as connection, named(overrides, path):
         from zswarm.ot import evolution
         from zswarm.ot.display import display
 
-        with evolution.start(loaded, str(path), out, connection, display(as_json=as_json)) as begun, _resumable(begun):
+        shown = display(as_json=as_json)
+        with evolution.start(loaded, str(path), out, connection, shown) as begun, _resumable(begun):
             folders.append(begun.folder)
-            begun.finish()
+            with _dashboard(begun.folder, shown.on_say, wanted=with_dashboard):
+                begun.finish()
 
 
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path), metavar="RUN|STUDY", shell_complete=suggestions.runs)
 @cluster_options
+@dashboard_option
 @json_lines_option
-def resume(folder: Path, as_json: bool, **cluster: Any) -> None:
+def resume(folder: Path, with_dashboard: bool, as_json: bool, **cluster: Any) -> None:
     """Go on with a run or a study that was stopped.
 
     It goes on from the last thing that was recorded, and ends as if nothing had happened: with the same history.
@@ -101,7 +120,7 @@ def resume(folder: Path, as_json: bool, **cluster: Any) -> None:
         with _pictures() as folders, Study.open(folder) as study:
             options = with_cluster(study.experiment, cluster).cluster
             with Connection(options) if study.left else contextlib.nullcontext() as connection:
-                _play(study, connection, folders, as_json=as_json)
+                _play(study, connection, folders, as_json=as_json, with_dashboard=with_dashboard)
         return
     complete = with_cluster(load_experiment(folder), cluster)
     if (told := told_again(folder, complete)) is not None:
@@ -114,9 +133,23 @@ def resume(folder: Path, as_json: bool, **cluster: Any) -> None:
     with _pictures() as folders, Connection(complete.cluster) as connection:
         from zswarm.ot import evolution
 
-        with evolution.resume(folder, connection, display(as_json=as_json)) as begun, _resumable(begun):
+        shown = display(as_json=as_json)
+        with evolution.resume(folder, connection, shown) as begun, _resumable(begun):
             folders.append(begun.folder)
-            begun.finish()
+            with _dashboard(begun.folder, shown.on_say, wanted=with_dashboard):
+                begun.finish()
+
+
+@contextlib.contextmanager
+def _dashboard(folder: Path, say: Callable[[str], None], *, wanted: bool) -> Iterator[None]:
+    """Of the run or study, while it goes on."""
+    if not wanted:
+        yield
+        return
+    from zswarm.ot import beside
+
+    with beside.dashboard(folder, say):
+        yield
 
 
 def _is_study(folder: Path) -> bool:
@@ -125,13 +158,14 @@ def _is_study(folder: Path) -> bool:
     return is_study(folder)
 
 
-def _play(study: "Study", connection: Connection | None, folders: list[Path], *, as_json: bool) -> None:
+def _play(study: "Study", connection: Connection | None, folders: list[Path], *, as_json: bool, with_dashboard: bool) -> None:
     """However the study is stopped, its runs are closed, and a line says how to go on."""
     from zswarm.ot.study_display import follower
 
     signal.signal(signal.SIGTERM, _terminate)
     try:
-        outcome = study.play(connection, follower(as_json=as_json))
+        with _dashboard(study.folder, lambda line: click.echo(line, err=True), wanted=with_dashboard):
+            outcome = study.play(connection, follower(as_json=as_json))
     except (KeyboardInterrupt, SystemExit, ZswarmError, sqlite3.Error, OSError) as error:
         _say_how_to_go_on(study.folder, error)
         if study.going_on:  # a second Ctrl-C, or a disk that takes nothing: nobody waits for their threads

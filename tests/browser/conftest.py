@@ -1,0 +1,122 @@
+"""A real browser, and the dashboard as a real program. A page must end without an error and must have asked nobody else."""
+
+import re
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+from urllib.parse import urlsplit
+
+import pytest
+from playwright.sync_api import Browser, Page, sync_playwright
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or "chromium"
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    """The distribution's, without a window."""
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
+        yield browser
+        browser.close()
+
+
+class Watched(NamedTuple):
+    """What a page did that it should not."""
+
+    errors: list[str]
+    requests: list[str]
+
+    def watch(self, page: Page) -> Page:
+        """Have it noted."""
+        page.on("console", lambda said: self.errors.append(said.text) if said.type in ("error", "warning") else None)
+        page.on("pageerror", lambda error: self.errors.append(str(error)))
+        page.on("request", lambda request: self.requests.append(request.url))
+        return page
+
+    def forgive(self, page: Page) -> None:
+        """What a test provoked, once nothing more of it comes."""
+        page.goto("about:blank")
+        self.errors.clear()
+
+
+@pytest.fixture
+def watched() -> Watched:
+    """Of all pages of a test; a test that provokes an error forgives it."""
+    return Watched([], [])
+
+
+@pytest.fixture
+def page(browser: Browser, watched: Watched, dashboard: object) -> Iterator[Page]:
+    """A tab of its own, closed before dashboards end; it must have had no error, and asked nothing of other machines."""
+    context = browser.new_context(viewport={"width": 1280, "height": 800})
+    yield watched.watch(context.new_page())
+    context.close()
+    assert watched.errors == []
+    elsewhere = {urlsplit(url).hostname for url in watched.requests if urlsplit(url).scheme not in ("data", "blob", "file")}
+    assert elsewhere <= {"127.0.0.1"}
+
+
+class Dashboard:
+    """``zswarm-ot dashboard`` as a program.
+
+    Attributes:
+        url: its address.
+        token: for what controls runs.
+    """
+
+    def __init__(self, *folders: Path, options: Sequence[str] = ()) -> None:
+        self._arguments = [*map(str, folders), *options]
+        self.start()
+
+    def start(self) -> None:
+        """Begin, or begin again."""
+        self._program = subprocess.Popen(
+            [sys.executable, "-m", "zswarm.ot", "dashboard", *self._arguments],
+            stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        assert self._program.stderr is not None
+        line = self._program.stderr.readline()
+        found = re.fullmatch(r"dashboard: (http://\S+)/#token=(\S+)\n", line)
+        assert found, line + self._program.stderr.read()
+        self.url, self.token = found[1], found[2]
+        self._said: list[str] = []
+        self._listener = threading.Thread(target=self._said.extend, args=(self._program.stderr,), daemon=True)
+        self._listener.start()
+
+    def stop(self) -> str:
+        """End it; what it said since it began."""
+        self._program.terminate()
+        self._program.wait(30)
+        self._listener.join()
+        assert self._program.stderr is not None
+        self._program.stderr.close()
+        return "".join(self._said)
+
+    @property
+    def port(self) -> int:
+        """Where it listens."""
+        return int(urlsplit(self.url).port or 0)
+
+    def memory(self) -> int:
+        """Bytes that it holds."""
+        status = Path(f"/proc/{self._program.pid}/status").read_text()
+        return 1024 * int(re.findall(r"VmRSS:\s+(\d+)", status)[0])
+
+
+@pytest.fixture
+def dashboard() -> Iterator[Callable[..., Dashboard]]:
+    """Starts dashboards of folders; at the end none has anything to say, for it had no error."""
+    begun: list[Dashboard] = []
+
+    def start(*folders: Path, options: Sequence[str] = ()) -> Dashboard:
+        begun.append(Dashboard(*folders, options=options))
+        return begun[-1]
+
+    yield start
+    said = [one.stop() for one in begun]
+    assert said == [""] * len(begun)
