@@ -22,8 +22,8 @@ MODULES = {
     if path.stem != "__init__" and "examples" not in path.parts
 }
 LEAVES = {
-    *("draws", "endpoint", "errors", "extras", "files", "jit", "lanes", "log", "notify", "manifests", "plugins", "portable"),
-    *("ranges", "screen", "settings_sheet", "strict", "toml_line", "version_hash"),
+    *("draws", "endpoint", "errors", "extras", "files", "jit", "lanes", "log", "notify", "manifests", "nearest", "plugins"),
+    *("portable", "ranges", "screen", "settings_sheet", "strict", "toml_line", "version_hash"),
 }
 MAY_IMPORT = {
     "leaf": {"leaf"},
@@ -181,7 +181,7 @@ def test_nothing_but_tests_imports_the_checks() -> None:
 
 
 def test_the_tables_of_parts_name_modules_and_import_none() -> None:
-    assert own(MODULES["plugins"]) == {"errors", "manifests"}
+    assert own(MODULES["plugins"]) == {"errors", "manifests", "nearest"}
 
 
 @pytest.mark.parametrize("module", ["ss.server", "ss.slots", "ot.cluster", "ot.dispatch", "experiment", "protocol.codec"])

@@ -17,17 +17,31 @@ from zswarm.lanes import load, store
 from zswarm.version_hash import cache_hash
 
 PACKAGE = Path(zswarm.__file__).parent
-DECIDE = """
+TINY = """
+from zswarm.jit import array, float64, kernel, void
+from zswarm.portable import sigmoid
+
+@kernel(void(array(float64), array(float64)))
+def squash(numbers, made):
+    made[0] = sigmoid(numbers[0])
+"""
+SQUASH = """
 import numpy as np
 from zswarm import jit
-from zswarm.nets.fully_meshed import FullyMeshed, Settings
+from zswarm.nets.tiny import squash
 
-network = FullyMeshed(Settings(hidden=0, iterations=1, activation="sigmoid"), 1, 1)
-action = np.empty(1, np.float32)
-parameters = network.parameters([bytes(network.genome_bytes)])
-FullyMeshed.step(parameters[0], np.zeros(network.state_size, np.float32), np.zeros(1, np.float32), action)
-print(action[0], sum(FullyMeshed.step.stats.cache_hits.values()), jit.cache_folder())
+made = np.empty(1)
+squash(np.zeros(1), made)
+print(made[0], sum(squash.stats.cache_hits.values()), jit.cache_folder())
 """
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    """A folder with the package, which has one kernel more: little to compile."""
+    shutil.copytree(PACKAGE, tmp_path / "zswarm", ignore=shutil.ignore_patterns("__pycache__", "examples"))
+    (tmp_path / "zswarm" / "nets" / "tiny.py").write_text(TINY)
+    return tmp_path
 
 
 def run(code: str, tree: Path, cache: Path, *arguments: str, **environment: str) -> list[str]:
@@ -51,38 +65,37 @@ def run(code: str, tree: Path, cache: Path, *arguments: str, **environment: str)
     return done.stdout.split()
 
 
-def test_a_change_in_a_called_file_gives_the_new_result_and_a_new_cache_folder(tmp_path: Path) -> None:
+def test_a_change_in_a_called_file_gives_the_new_result_and_a_new_cache_folder(tree: Path) -> None:
     """The file of the kernel itself stays as it is: numba's own cache would give the old result."""
-    cache = tmp_path / "cache"
-    shutil.copytree(PACKAGE, tmp_path / "zswarm", ignore=shutil.ignore_patterns("__pycache__", "examples"))
-    callee = tmp_path / "zswarm" / "portable.py"
+    cache = tree / "cache"
+    callee = tree / "zswarm" / "portable.py"
     original = callee.read_text()
 
-    result, _, folder = run(DECIDE, tmp_path, cache)
+    result, _, folder = run(SQUASH, tree, cache)
     assert (result, Path(folder).parent) == ("0.5", cache)
 
     changed = original.replace("return 1.0 / (1.0 + exp(-x))", "return 1.5 / (1.0 + exp(-x))")
     assert changed != original
     callee.write_text(changed)
-    other_result, hits, other_folder = run(DECIDE, tmp_path, cache)
+    other_result, hits, other_folder = run(SQUASH, tree, cache)
     assert (other_result, hits) == ("0.75", "0")
     assert other_folder != folder
 
     callee.write_text(original)
-    assert run(DECIDE, tmp_path, cache) == ["0.5", "1", folder], "the first folder still serves the first code"
+    assert run(SQUASH, tree, cache) == ["0.5", "1", folder], "the first folder still serves the first code"
     assert {path.name for path in cache.iterdir()} == {Path(folder).name, Path(other_folder).name}
 
 
 @pytest.mark.long
-def test_machines_of_unlike_processors_share_a_cache_and_each_finds_its_own_kernels(tmp_path: Path) -> None:
+def test_machines_of_unlike_processors_share_a_cache_and_each_finds_its_own_kernels(tree: Path) -> None:
     """A home folder of the network: code for a newer processor would end the program on the older one."""
-    generic = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
-    first, second = run(DECIDE, PACKAGE.parent, tmp_path), run(DECIDE, PACKAGE.parent, tmp_path, **generic)
+    cache, generic = tree / "cache", {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
+    first, second = run(SQUASH, tree, cache), run(SQUASH, tree, cache, **generic)
     assert (first[:2], second[:2]) == (["0.5", "0"], ["0.5", "0"]), "each compiles"
-    assert Path(first[2]).parent == Path(second[2]).parent == tmp_path
+    assert Path(first[2]).parent == Path(second[2]).parent == cache
     assert first[2] != second[2]
-    assert run(DECIDE, PACKAGE.parent, tmp_path) == ["0.5", "1", first[2]]
-    assert run(DECIDE, PACKAGE.parent, tmp_path, **generic) == ["0.5", "1", second[2]]
+    assert run(SQUASH, tree, cache) == ["0.5", "1", first[2]]
+    assert run(SQUASH, tree, cache, **generic) == ["0.5", "1", second[2]]
 
 
 WARM_UP = """

@@ -8,6 +8,7 @@ import pytest
 
 from zswarm import plugins
 from zswarm.errors import ConfigError, UnknownPlugin
+from zswarm.nearest import nearest
 from zswarm.nets.representation import Representation
 from zswarm.ot.optimizers.optimizer import Optimizer
 from zswarm.ot.rankings.ranking import Ranking
@@ -169,4 +170,4 @@ def test_an_unknown_name_is_refused_with_the_nearest_and_all_known() -> None:
 
 @pytest.mark.parametrize(("word", "answer"), [("optimiser", " (did you mean 'optimizer'?)"), ("xyz", "")])
 def test_the_nearest_word_is_offered_only_where_it_is_near(word: str, answer: str) -> None:
-    assert plugins.nearest(word, ["optimizer", "problem"]) == answer
+    assert nearest(word, ["optimizer", "problem"]) == answer

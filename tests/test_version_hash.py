@@ -4,6 +4,7 @@ import ast
 import re
 import shutil
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,7 @@ from zswarm import plugins, version_hash
 PACKAGE = Path(version_hash.__file__).parent
 # They name, check and refuse; messages.py says how many trials the probe has, which the version of the protocol fixes.
 COMPUTES_NOTHING = {
-    *("errors.py", "extras.py", "manifests.py", "messages.py", "plugins.py", "strict.py", "version_hash.py"),
+    *("errors.py", "extras.py", "manifests.py", "messages.py", "nearest.py", "plugins.py", "strict.py", "version_hash.py"),
 }
 
 
@@ -22,17 +23,26 @@ def imported(file: Path) -> set[Path]:
     found: set[Path] = set()
     waiting = [file]
     while waiting:
-        for node in ast.walk(ast.parse(waiting.pop().read_text())):
-            names: list[str] = []
-            if isinstance(node, ast.Import):
-                names = [alias.name for alias in node.names]
-            elif isinstance(node, ast.ImportFrom):
-                names = [node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)]
-            for name in names:
-                module = PACKAGE.parent.joinpath(*name.split(".")).with_suffix(".py")
-                if name.startswith("zswarm.") and module.is_file() and module not in found:
-                    found.add(module)
-                    waiting.append(module)
+        more = named(waiting.pop()) - found
+        found |= more
+        waiting += more
+    return found
+
+
+@cache
+def named(file: Path) -> set[Path]:
+    """Those that its own text names."""
+    found = set()
+    for node in ast.walk(ast.parse(file.read_text())):
+        names: list[str] = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names = [node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)]
+        for name in names:
+            module = PACKAGE.parent.joinpath(*name.split(".")).with_suffix(".py")
+            if name.startswith("zswarm.") and module.is_file():
+                found.add(module)
     return found
 
 

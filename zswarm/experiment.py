@@ -21,7 +21,7 @@ from msgspec import Meta
 
 from zswarm import endpoint, labels, plugins, ranges, settings_sheet, toml_line
 from zswarm.errors import ConfigError, UnknownPlugin
-from zswarm.plugins import nearest
+from zswarm.nearest import nearest
 from zswarm.protocol import keys
 from zswarm.protocol.codec import clean
 from zswarm.protocol.messages import MIN_MEMORY_MB, Megabytes

@@ -14,6 +14,7 @@ import msgspec
 import platformdirs
 from msgspec import Meta
 
+from zswarm import strict
 from zswarm.errors import ConfigError
 
 SYSTEM = Path("/etc/zswarm/simulators")
@@ -44,8 +45,6 @@ def read(path: Path) -> Manifest:
     Raises:
         ConfigError: it cannot be read, or something in it is unknown, missing or impossible.
     """
-    from zswarm import strict  # which needs plugins, and plugins this
-
     manifest = strict.convert(strict.read(path), Manifest, str(path))
     for name in manifest.files:
         if not (path.parent / name).is_file():

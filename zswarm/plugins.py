@@ -5,7 +5,6 @@ and ``zswarm.rankings``; a program becomes a simulator by a manifest (``manifest
 program started, when it is asked for, never by listing it, so a broken plug-in hurts nobody who does not use it.
 """
 
-import difflib
 import importlib
 import importlib.util
 import re
@@ -17,6 +16,7 @@ from typing import Any, Literal
 
 from zswarm import manifests
 from zswarm.errors import UnknownPlugin
+from zswarm.nearest import nearest
 
 Kind = Literal["simulator", "representation", "optimizer", "ranking"]
 
@@ -111,12 +111,6 @@ def load(kind: Kind, name: str) -> Any:
         if name in BUNDLED[kind]:
             raise
         raise UnknownPlugin(f"{kind} {name!r} cannot be imported: {type(error).__name__}: {error}") from error
-
-
-def nearest(word: str, known: Any) -> str:
-    """`` (did you mean 'x'?)`` when a known word is near, else nothing."""
-    close = difflib.get_close_matches(word, list(known), 1)
-    return f" (did you mean {close[0]!r}?)" if close else ""
 
 
 def source_files(kind: Kind, name: str) -> list[Path]:

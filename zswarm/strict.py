@@ -14,7 +14,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin
 import msgspec
 
 from zswarm.errors import ConfigError
-from zswarm.plugins import nearest
+from zswarm.nearest import nearest
 
 T = TypeVar("T", bound=msgspec.Struct)
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-DEADLINE_S = 60.0
+DEADLINE_S = 180.0
 
 
 def free_port() -> int:

@@ -58,7 +58,7 @@ def test_a_killed_slot_costs_one_trial_an_attempt(scene: Scene, undisturbed: Und
     scene.check(optimizer.done(), undisturbed)
     faults = scene.events("fault")
     assert len(faults) == 1
-    assert faults[0].startswith("crashed: the slot's process was killed by signal 9 (")
+    assert faults[0].startswith("crashed: simulator paced: the slot's process was killed by signal 9 (")
     assert faults[0].endswith(", attempt 1)")
     assert len(server.workers()) == 2, "the slot has a new process"
 
@@ -75,7 +75,7 @@ def test_a_stopped_slot_is_killed_at_the_trials_timeout_and_blames_one_trial(sce
     assert status(held) is None, "a stopped process was left behind"
     faults = scene.events("fault")
     assert len(faults) == 1
-    assert faults[0].startswith("timeout: one trial took longer than 3 s (trial ")
+    assert faults[0].startswith("timeout: simulator paced: one trial took longer than 3 s (cluster.trial_timeout_s) (trial ")
     assert [event["kind"] for event in server.events("slot_died")] == ["timeout"]
 
 

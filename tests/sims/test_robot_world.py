@@ -85,9 +85,9 @@ def test_restitution_is_the_share_of_speed_after_a_bump() -> None:
     for restitution in (0.0, 0.64):
         puck = Thing("puck", 0.1, 1.0, 0.0, is_box=False)
         built = world((1, 1, 0), things=[(puck, (9.0, 5.0, 0.0))], restitution=restitution, substeps=10)
-        built._bodies[1].velocity = 2.0, 0.0
+        built._bodies[1].velocity = 0.02, 0.0  # m in a step of the physics, .01 s
         drive(built, [0], [0], 10)
-        assert built._bodies[1].velocity.x == pytest.approx(-2 * restitution, abs=1e-6)
+        assert built._bodies[1].velocity.x == pytest.approx(-0.02 * restitution, abs=1e-8)
 
 
 @pytest.mark.parametrize(("robots", "moves"), [(1, False), (2, True)])
@@ -107,7 +107,7 @@ def test_what_slides_is_stopped_by_friction_with_the_ground() -> None:
     """After speed squared / (2 g times the coefficient)."""
     puck = Thing("puck", 0.1, 0.5, 0.4, is_box=False)
     built = world((1, 1, 0), things=[(puck, (3.0, 5.0, 0.0))], step_s=0.01, substeps=1)
-    built._bodies[1].velocity = 2.0, 0.0
+    built._bodies[1].velocity = 0.02, 0.0  # m in a step of the physics, .01 s
     drive(built, [0], [0], 100)
     assert built.things[0, 0] - 3 == pytest.approx(2.0**2 / (2 * GRAVITY * 0.4), rel=0.02)
 

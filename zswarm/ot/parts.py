@@ -11,6 +11,7 @@ import msgspec
 
 from zswarm import experiment, manifests, plugins, settings_sheet
 from zswarm.errors import ConfigError, UnknownPlugin
+from zswarm.nearest import nearest
 from zswarm.protocol.codec import clean
 from zswarm.settings_sheet import Key
 
@@ -52,9 +53,7 @@ def find(name: str) -> list[Part]:
         if name in {path.stem for path in experiment.examples_folder().glob("*.toml")}:
             raise UnknownPlugin(f"{clean(name)} is no part, but an example; it is explained by: zswarm-ot check {clean(name)}")
         known = {known for kind in KINDS for known in plugins.names(kind)}
-        raise UnknownPlugin(
-            f"no part has the name {clean(name)!r}{plugins.nearest(name, known)}; all are shown by: zswarm-ot list"
-        )
+        raise UnknownPlugin(f"no part has the name {clean(name)!r}{nearest(name, known)}; all are shown by: zswarm-ot list")
     return found
 
 

@@ -23,7 +23,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from zswarm.errors import ConfigError, KeysError
 from zswarm.files import make_private, write_whole
-from zswarm.plugins import nearest
+from zswarm.nearest import nearest
 from zswarm.protocol import keys
 from zswarm.security import certificates, keyring
 from zswarm.security.bundle import MEMBERS_FILE, SUFFIX, Bundle

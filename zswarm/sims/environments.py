@@ -18,7 +18,7 @@ from msgspec import Meta
 
 from zswarm.errors import ConfigError
 from zswarm.extras import need
-from zswarm.plugins import nearest
+from zswarm.nearest import nearest
 from zswarm.sims.simulator import Body, Frame, Outcome, Simulator, Turn
 
 LIBRARIES = ("gymnasium",)

@@ -4,10 +4,13 @@ The world knows commands (linear and angular velocity) and readings (poses, a la
 Axes are those of ROS: x ahead, y to the left, angles in radians, counter-clockwise from x. Lengths are in m, masses in kg.
 
 pymunk moves discs and boxes and has them push each other; motors and lasers are kernels. What pymunk computes has the same bits
-on machines of one architecture.
+on machines of one architecture, whatever their C library. It asks that for powers, sines and cosines, which differ in the last
+bit between C libraries and processors. So its unit of time is a step of the physics: x to the power of 1 is x everywhere. And
+boxes, and robots that hold something, are at angle 0 for it: what turns with them is turned here (``_turn_here``). How far a disc
+has turned makes no difference to it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated, NamedTuple
 
 import msgspec
@@ -20,13 +23,14 @@ from pymunk.batch import BodyFields
 from zswarm.draws import Stream
 from zswarm.errors import ConfigError
 from zswarm.jit import array, float32, float64, inline, int64, kernel, void
-from zswarm.portable import PI, cos, sin
+from zswarm.portable import PI, cos, exp, sin
 from zswarm.sims.simulator import Body, Frame, Place, Ray
 
 LIBRARIES = ("pymunk",)  # its machine code plays the trials
 GRAVITY = 9.81  # m/s^2
 TRACK = 0.65  # half the distance between the wheels / radius; that of a TurtleBot 2
 SLOP = 0.001  # m that bodies may overlap; without any, contacts come and go
+PARTING = 6.3  # 1/s: of what they overlap more, and of the way to what a robot holds, exp(-PARTING t) is left after t s
 RIM = 0.1  # m, thickness of the walls around a room
 OUTSIDE = 1e6  # m from here robots and things stand that were taken out, each at a place of its own
 TRIES = 4096  # places that are tried for all robots or things of a start
@@ -36,7 +40,7 @@ SCAN = tuple(f"scan_{sector}" for sector in range(SECTORS))  # from the right to
 ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
 STEEP = 1e12  # in place of 1 / 0
 
-# ``rows``: float64, one for each robot, then for each thing, then for the ground.
+# ``rows``: float64, one for each robot, then for each thing, then for the ground; speeds are in m and radians per step.
 X, Y, ANGLE, SPEED_X, SPEED_Y, TURNING = range(6)
 READ = BodyFields.POSITION | BodyFields.ANGLE | BodyFields.VELOCITY | BodyFields.ANGULAR_VELOCITY
 WRITTEN = BodyFields.FORCE | BodyFields.TORQUE
@@ -108,8 +112,11 @@ class RobotWorld:
         angles = [(settings.view * (ray / (settings.rays - 1)) - settings.view / 2) * PI / 180 for ray in range(settings.rays)]
         self._rays = np.array([[cos(angle), sin(angle)] for angle in angles])
         self._moment = 0.5 * settings.mass * settings.radius * settings.radius  # kg m^2, of a disc
+        self._substep_s = settings.step_s / settings.substeps
+        self._left = exp(-PARTING * self._substep_s)
         robots = settings.robots
         self._rows = np.zeros((robots + len(things) + 1, 6))
+        self._turned = np.zeros(robots + len(things) + 1)  # by how much more than pymunk has it turned
         self._forces = np.zeros((robots + len(things) + 1, 3))
         self._linear, self._angular = np.zeros(robots), np.zeros(robots)
         self.inside = np.ones(robots, np.int64)
@@ -128,11 +135,12 @@ class RobotWorld:
         """
         settings = self.settings
         self._space = space = pymunk.Space()
-        space.collision_slop = SLOP
+        space.collision_slop, space.collision_bias = SLOP, self._left
         for left, low, right, high in self.walls.tolist():
             self._touching(pymunk.Poly(space.static_body, [(left, low), (right, low), (right, high), (left, high)]))
         self._bodies: list[pymunk.Body] = []
-        self._joints: dict[int, pymunk.Constraint] = {}  # of robots that hold something
+        self._joints: dict[int, pymunk.PivotJoint] = {}  # of robots that hold something
+        self._turned[:] = 0
         for pose in poses.tolist():
             body = self._body(settings.mass, self._moment, pose)
             self._touching(pymunk.Circle(body, settings.radius))
@@ -153,18 +161,18 @@ class RobotWorld:
             angular: (robots,) float64, rad/s counter-clockwise, likewise.
         """
         settings, space = self.settings, self._space
-        duration_s = settings.step_s / settings.substeps
         WRITE_BUFFER.set_float_buf(self._forces)
         for _ in range(settings.substeps):
             push(
                 self._rows, self.inside, linear, angular, settings.speed, settings.turn, settings.mass, self._moment,
-                settings.force, settings.force * settings.radius * TRACK, duration_s, self._forces,
+                settings.force, settings.force * settings.radius * TRACK, self._substep_s, self._forces,
             )  # fmt: skip
             batch.set_space_bodies(space, WRITTEN, WRITE_BUFFER)
-            space.step(duration_s)
+            space.step(1.0)
             READ_BUFFER.clear()
             batch.get_space_bodies(space, READ, READ_BUFFER)
             self._rows.ravel()[:] = np.frombuffer(READ_BUFFER.float_buf())
+            self._rows[:, ANGLE] += self._turned
         self._look()
 
     def obey(self, actions: np.ndarray, agents: np.ndarray) -> None:
@@ -180,14 +188,21 @@ class RobotWorld:
     def hold(self, robot: int, thing: int) -> None:
         """A robot holds a disc at its front from now on."""
         body, held = self._bodies[robot], self._bodies[self.settings.robots + thing]
-        joint = pymunk.PivotJoint(body, held, (self.settings.radius + self._of[thing].size, 0), (0, 0))
-        joint.collide_bodies = False
+        joint = pymunk.PivotJoint(body, held, (0, 0), (0, 0))
+        joint.collide_bodies, joint.error_bias = False, self._left
         self._space.add(joint)
         self._joints[robot] = joint
+        arm = self.settings.radius + self._of[thing].size
+
+        def turn(c: float, s: float) -> None:
+            joint.anchor_a = arm * c, arm * s
+
+        self._turn_here(robot, turn)
 
     def let_go(self, robot: int) -> None:
         """It holds that no more."""
         self._space.remove(self._joints.pop(robot))
+        self._bodies[robot].position_func = pymunk.Body.update_position
 
     def take_out(self, robot: int) -> None:
         """A robot is in this world no more."""
@@ -230,11 +245,18 @@ class RobotWorld:
 
     def _put(self, thing: Thing, pose: Sequence[float]) -> None:
         """Friction with the ground is a joint with limited force: it holds what stands and brakes what moves."""
-        weight = thing.mass * GRAVITY * thing.grip
+        weight = thing.mass * GRAVITY * thing.grip * self._substep_s * self._substep_s
         if thing.is_box:
-            side = 2 * thing.size
+            side, size = 2 * thing.size, thing.size
             body = self._body(thing.mass, thing.mass * side * side / 6, pose)
-            self._touching(pymunk.Poly.create_box(body, (side, side)))
+            box = pymunk.Poly.create_box(body, (side, side))
+
+            def turn(c: float, s: float) -> None:
+                p, q = size * (c - s), size * (c + s)
+                box.unsafe_set_vertices([(p, q), (-q, p), (-p, -q), (q, -p)])
+
+            self._turn_here(len(self._bodies) - 1, turn)
+            self._touching(box)
             arm = 0.3826 * side  # mean distance of a square's points from its middle
         else:
             body = self._body(thing.mass, thing.mass * thing.size * thing.size / 2, pose)
@@ -252,6 +274,19 @@ class RobotWorld:
         self._space.add(body)
         self._bodies.append(body)
         return body
+
+    def _turn_here(self, row: int, turn: Callable[[float, float], None]) -> None:
+        """From now on a body does not turn for pymunk; ``turn`` takes cosine and sine of its angle, and turns what it is made of."""
+        body, turned = self._bodies[row], self._turned
+
+        def move(body: pymunk.Body, duration: float) -> None:
+            pymunk.Body.update_position(body, duration)
+            turned[row] += body.angle
+            body.angle = 0
+            turn(cos(turned[row]), sin(turned[row]))
+
+        move(body, 0.0)
+        body.position_func = move
 
     def _touching(self, shape: pymunk.Shape) -> None:
         # pymunk multiplies both numbers of the two that touch.
@@ -344,22 +379,25 @@ def push(  # type: ignore[no-untyped-def]  # compiled
     """What the wheels do in a step of the physics: as much as is needed for the wanted velocity, at most what they can.
 
     Args:
-        torque: at most, N m.
-        forces: (robots + things + 1, 3) float64, filled for robots: N, N, N m.
+        linear, angular, speed, turn, force, torque: m/s, rad/s, N, N m; the last four are the most of each.
+        duration_s: of the step.
+        forces: (robots + things + 1, 3) float64, filled for robots: kg m/step^2 along x and y, and kg m^2/step^2.
     """
+    most, most_around = force * duration_s * duration_s, torque * duration_s * duration_s
     for robot in range(inside.shape[0]):
         forces[robot, 0], forces[robot, 1], forces[robot, 2] = 0.0, 0.0, 0.0
         if inside[robot] == 0:
             continue
         ahead, around = max(min(linear[robot], speed), -speed), max(min(angular[robot], turn), -turn)
-        towards = rows[robot, ANGLE] + 0.5 * around * duration_s  # the middle of the arc
+        ahead, around = ahead * duration_s, around * duration_s
+        towards = rows[robot, ANGLE] + 0.5 * around  # the middle of the arc
         along, aside = ahead * cos(towards), ahead * sin(towards)
-        x, y = (along - rows[robot, SPEED_X]) * mass / duration_s, (aside - rows[robot, SPEED_Y]) * mass / duration_s
+        x, y = (along - rows[robot, SPEED_X]) * mass, (aside - rows[robot, SPEED_Y]) * mass
         size = np.sqrt(x * x + y * y)
-        if size > force:
-            x, y = x * (force / size), y * (force / size)
-        turning = (around - rows[robot, TURNING]) * moment / duration_s
-        forces[robot, 0], forces[robot, 1], forces[robot, 2] = x, y, max(min(turning, torque), -torque)
+        if size > most:
+            x, y = x * (most / size), y * (most / size)
+        turning = (around - rows[robot, TURNING]) * moment
+        forces[robot, 0], forces[robot, 1], forces[robot, 2] = x, y, max(min(turning, most_around), -most_around)
 
 
 @kernel(

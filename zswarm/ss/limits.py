@@ -10,7 +10,7 @@ from msgspec import inspect
 
 from zswarm import plugins, ranges
 from zswarm.errors import ConfigError
-from zswarm.plugins import nearest
+from zswarm.nearest import nearest
 from zswarm.protocol.codec import clean
 from zswarm.protocol.messages import MAX_PARTS, MAX_TEXT
 from zswarm.strict import convert
