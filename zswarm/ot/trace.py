@@ -54,6 +54,7 @@ class Trace:
         fitness: of each participant; NaN where the trial failed.
         metrics: by name.
         error: why it failed, or "".
+        no_picture: what the simulator's ``frame`` raised, or "".
         about: where it is from, by names that people read.
         note: what is to be known before anybody trusts it, or "".
     """
@@ -71,6 +72,7 @@ class Trace:
     fitness: Sequence[float]
     metrics: dict[str, float]
     error: str = ""
+    no_picture: str = ""
     about: dict[str, Any] = field(default_factory=dict)
     note: str = ""
 
@@ -191,6 +193,7 @@ def record(
         fitness=fitness,
         metrics=dict(zip(map(clean, simulator.metrics), metrics, strict=True)),
         error=error,
+        no_picture=watched.no_picture,
     )
 
 
@@ -201,6 +204,7 @@ class _Watched:
         self.simulator, self.representation = simulator, representation
         self.width = simulator.inputs + simulator.outputs + len(representation.hidden_at)
         self.frames: list[Frame] = []
+        self.no_picture = ""
         self.every, self.rounds = 1, 0
         self._numbers: list[np.ndarray] = []  # (agents, width) float32 each
         self._now = np.empty((0, self.width), np.float32)
@@ -235,8 +239,7 @@ class _Watched:
     def end(self) -> None:
         """The trial is over, or left."""
         self.rounds += 1
-        if (frame := self.simulator.frame()) is not None:
-            self.frames.append(frame)
+        self._picture()
 
     def part(self, begin: int, end: int) -> np.ndarray:
         """Some of the numbers of all rounds: (rounds, agents, end - begin)."""
@@ -245,13 +248,22 @@ class _Watched:
         return np.stack([numbers[:, begin:end] for numbers in self._numbers])
 
     def _keep(self) -> None:
-        if (frame := self.simulator.frame()) is not None:
-            self.frames.append(frame)
+        self._picture()
         self._numbers.append(self._now)
-        kept, bodies = len(self._numbers), len(frame.bodies) if frame else 0
+        kept, bodies = len(self._numbers), len(self.frames[-1].bodies) if self.frames else 0
         if kept >= MOST_FRAMES or kept * bodies >= MOST_POSITIONS or kept * self._now.size >= MOST_NUMBERS:
             self.frames, self._numbers = self.frames[::2], self._numbers[::2]
             self.every *= 2
+
+    def _picture(self) -> None:
+        """Of the present state; the trial goes on without where there is none."""
+        if self.no_picture:
+            return
+        try:
+            if (frame := self.simulator.frame()) is not None:
+                self.frames.append(frame)
+        except Exception as raised:  # a plug-in's may raise anything
+            self.frames, self.no_picture = [], clean(f"{type(raised).__name__}: {raised}")
 
 
 # ---- what a run has -----------------------------------------------------------------------------------------------
@@ -361,7 +373,7 @@ class _Track(NamedTuple):
 def _header(of: Trace) -> dict[str, Any]:
     """All that is no table."""
     header: dict[str, Any] = {
-        "about": of.about, "note": of.note, "error": of.error,
+        "about": of.about, "note": of.note, "error": of.error, "no_picture": of.no_picture,
         "fitness": [_shown_number(value) for value in of.fitness],
         "metrics": {name: _shown_number(value) for name, value in of.metrics.items()},
         "rounds": of.rounds, "every": of.every, "agents": len(of.owners), "owners": [*of.owners],

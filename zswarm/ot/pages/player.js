@@ -146,7 +146,10 @@ class Player {
     this.stage.append(this.canvas);
     const left = made("div", "zp-left"), row = made("div", "zp-row");
     if (trace.width) left.append(this.stage);
-    else left.append(made("p", "zp-dim", "This simulator draws no picture: what the agents observe and do is shown alone."));
+    else {
+      const why = trace.no_picture ? ` (${trace.no_picture})` : "";
+      left.append(made("p", "zp-dim", `This simulator draws no picture${why}: what the agents observe and set is shown alone.`));
+    }
     left.append(this.bar(), this.legend());
     row.append(left, this.panel());
     root.append(row, this.facts());
