@@ -518,7 +518,7 @@ class Player {
   words() {
     const { trace } = this, counts = new Map();
     for (let body = 0; body < this.bodies; body += 1) counts.set(this.kind(body), (counts.get(this.kind(body)) ?? 0) + 1);
-    const parts = [...counts].map(([kind, count]) => `${count} × ${trace.kinds[kind]}`);
+    const parts = [...counts].map(([kind, count]) => `${trace.kinds[kind]}: ${count}`);
     return `picture of the trial: ${parts.join(", ")}`;
   }
 
