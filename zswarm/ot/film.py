@@ -24,6 +24,8 @@ KNOWN = {
     **dict.fromkeys(("exit", "goal", "right"), "#35a36b"),
     **dict.fromkeys(("home", "nest"), "#cfe3f5"),
     **dict.fromkeys(("flag's stand", "light"), "#f2d16b"),
+    "opponents' home": "#f6d9c4",
+    "opponents' flag's stand": "#d9a300",
 }
 TRANSFORMS = ("translate", "rotate")
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#f0e442", "#000000")  # Okabe and Ito
@@ -47,7 +49,7 @@ def svg(panels: Sequence[Panel]) -> str:
     """Panels side by side, played together again and again."""
     longest = max(len(panel.frames) for panel in panels)
     play_s = min(max(longest * FRAME_S, SHORTEST_S), LONGEST_S)
-    colour_of = colours([frame for panel in panels for frame in (panel.frames[0], *panel.frames)])
+    colour_of = colours(*(panel.frames for panel in panels))
     parts, left, height = [], 1.0, 0.0
     for panel in panels:
         scale = SIDE / max(panel.frames[0].width, panel.frames[0].height)
@@ -68,11 +70,13 @@ def svg(panels: Sequence[Panel]) -> str:
     )
 
 
-def colours(frames: Sequence[Frame]) -> dict[str, str]:
-    """A colour for each kind of thing in a trial, in the order in which they come."""
-    kinds = dict.fromkeys(place.kind for place in frames[0].places)
-    kinds |= dict.fromkeys(line.kind for line in frames[0].lines)
-    kinds |= dict.fromkeys(body.kind for frame in frames for body in frame.bodies)
+def colours(*trials: Sequence[Frame]) -> dict[str, str]:
+    """A colour for each kind of thing in some trials, in the order in which they come."""
+    kinds: dict[str, None] = {}
+    for frames in trials:
+        kinds |= dict.fromkeys(place.kind for place in frames[0].places)
+        kinds |= dict.fromkeys(line.kind for line in frames[0].lines)
+        kinds |= dict.fromkeys(body.kind for frame in frames for body in frame.bodies)
     others = dict(zip((kind for kind in kinds if kind not in KNOWN), itertools.cycle(PALETTE)))
     return {kind: KNOWN.get(kind) or others[kind] for kind in kinds}
 

@@ -102,7 +102,7 @@ def trace(run: Run, generation: int | None = None, candidate: int | None = None,
         EvaluationError: the simulator's program ended.
     """
     generation = _generation(run, generation)
-    candidates = run.candidates(generation)
+    candidates = {one["candidate"]: one for one in run.candidates(generation)}
     candidate = _candidate(run, generation, candidates, candidate)
     problem = Problem(run.experiment)
     trials = [one for one in run.trials(generation) if candidate in one.get("candidates", (one.get("candidate"),))]
@@ -117,6 +117,8 @@ def trace(run: Run, generation: int | None = None, candidate: int | None = None,
         recorded = next((one for one in trials if one["trial"] == trial), None)
         players, number = [candidate], trial
     seed = int(problem.trial_seeds(generation)[number])
+    if missing := [player for player in players if player not in candidates]:
+        raise ConfigError(f"{_shown(run)}: damaged: candidate {missing[0]} played in generation {generation}, and has no genome")
     genomes = [candidates[player]["genome"] for player in players]
     try:
         found = record(problem.simulator, problem.representation, genomes, seed)
@@ -282,10 +284,10 @@ def _generation(run: Run, generation: int | None) -> int:
     return generation
 
 
-def _candidate(run: Run, generation: int, candidates: Sequence[dict[str, Any]], candidate: int | None) -> int:
-    if candidate is None:
-        return max(range(len(candidates)), key=lambda one: (-math.inf if (f := candidates[one]["fitness"]) is None else f, -one))
-    if not 0 <= candidate < len(candidates):
+def _candidate(run: Run, generation: int, candidates: dict[int, dict[str, Any]], candidate: int | None) -> int:
+    if candidate is None and candidates:
+        return max(candidates, key=lambda one: (-math.inf if (f := candidates[one]["fitness"]) is None else f, -one))
+    if candidate not in candidates:
         what = f"no candidate {candidate} in generation {generation}"
         raise ConfigError(f"{_shown(run)}: {what}; {_numbers('candidate', len(candidates))}")
     return candidate
@@ -376,16 +378,16 @@ def _header(of: Trace) -> dict[str, Any]:
         "about": of.about, "note": of.note, "error": of.error, "no_picture": of.no_picture,
         "fitness": [_shown_number(value) for value in of.fitness],
         "metrics": {name: _shown_number(value) for name, value in of.metrics.items()},
-        "rounds": of.rounds, "every": of.every, "agents": len(of.owners), "owners": [*of.owners],
+        "rounds": of.rounds, "every": of.every, "agents": len(of.owners), "owners": [*map(int, of.owners)],
         "sensors": [*of.sensors], "actuators": [*of.actuators], "neurons": [*of.neurons],
         "numbers_every": _numbers_every(of),
     }  # fmt: skip
     if of.frames:
         first, kinds = of.frames[0], _kinds(of.frames)
         header |= {
-            "width": first.width, "height": first.height, "kinds": [clean(kind) for kind in kinds],
+            "width": float(first.width), "height": float(first.height), "kinds": [clean(kind) for kind in kinds],
             "places": [[kinds[place.kind], *map(float, place[1:])] for place in first.places],
-            "radii": [body.radius for body in first.bodies],
+            "radii": [float(body.radius) for body in first.bodies],
             "shapes": [body.shape for body in first.bodies],
             "headed": [int(body.heading is not None) for body in first.bodies],
             "lines": [kinds[line.kind] for line in first.lines],

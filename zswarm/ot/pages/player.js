@@ -10,11 +10,13 @@ const TURN = 65536, STEPS = 65535, LEVELS = 254;
 const SPEEDS = [0.25, 0.5, 1, 2, 4, 8, 16];
 const SECONDS = 20, SLOWEST = 3, FASTEST = 500; // of a trial at speed 1; frames per second at least and at most
 const TRAIL = 40; // frames
-const JUMP = 4; // radii: what moves further from one frame to the next is not seen on the way
+const JUMP = 5; // radii in a round: what moves further is not seen on the way
 const PANEL_MS = 80; // between two changes of the numbers
 const TALLEST = 0.68; // of the window, the picture
 const FAINT = /\bout\b|outside|out of view|in the nest/; // kinds that take no part any more
+const ACTS = /^(robot|opponent|cart|defender)\b(?!.*says)(?!s')/; // kinds that are not known by what they are near
 const KNOWN = [
+  [/^opponents' home/, "--zp-home-2"], [/^opponents' flag/, "--zp-flag-2"],
   [/wall|blockade|track/, "--zp-wall"], [/exit|goal/, "--zp-exit"], [/nest|home/, "--zp-home"], [/flag's stand|^light$/, "--zp-flag"],
   [/^rod$/, "--zp-wall"], [/right/, "--zp-c3"], [/wrong|too much/, "--zp-c2"], [/too little/, "--zp-c1"],
 ];
@@ -289,7 +291,7 @@ class Player {
     document.addEventListener("visibilitychange", () => { this.before = undefined; }, { signal });
     this.themes = new MutationObserver(() => this.restyle());
     this.themes.observe(document.documentElement, { attributes: true, attributeFilter: ["data-theme"] });
-    this.sizes = new ResizeObserver(() => this.resize());
+    this.sizes = new ResizeObserver(() => requestAnimationFrame(() => this.root.isConnected && this.resize()));
     this.sizes.observe(this.root);
   }
 
@@ -404,7 +406,7 @@ class Player {
     this.colours = { fg: colour("--zp-fg"), field: colour("--zp-field"), edge: colour("--zp-line"), accent: colour("--zp-accent") };
     let next = 0;
     this.kindColours = (this.trace.kinds ?? []).map((kind) => {
-      const known = KNOWN.find(([pattern]) => pattern.test(kind) && !/^robot with|^opponent/.test(kind));
+      const known = KNOWN.find(([pattern]) => !ACTS.test(kind) && pattern.test(kind));
       return colour(known ? known[1] : PALETTE[next++ % PALETTE.length]);
     });
     for (const [canvas, kind, shape] of this.swatches) this.drawSwatch(canvas, kind, shape);
@@ -442,8 +444,12 @@ class Player {
     const x0 = this.real(x, from), y0 = this.real(y, from);
     if (part === 0 || frame >= this.last) return [x0, y0];
     const x1 = this.real(x, from + x.columns), y1 = this.real(y, from + y.columns);
-    if (radius !== undefined && Math.hypot(x1 - x0, y1 - y0) > Math.max(JUMP * radius, 1.5)) return part < 0.5 ? [x0, y0] : [x1, y1];
+    if (radius !== undefined && Math.hypot(x1 - x0, y1 - y0) > this.jump(radius)) return part < 0.5 ? [x0, y0] : [x1, y1];
     return [x0 + (x1 - x0) * part, y0 + (y1 - y0) * part];
+  }
+
+  jump(radius) {
+    return JUMP * radius * this.trace.every;
   }
 
   real(track, at) {
@@ -480,6 +486,7 @@ class Player {
     if (!this.playing || now - this.panelAt > PANEL_MS) {
       this.panelAt = now;
       this.drawNumbers();
+      if (trace.width) this.canvas.setAttribute("aria-label", this.words());
     }
   }
 
@@ -511,7 +518,6 @@ class Player {
       context.stroke();
     }
     this.drawLabels(context);
-    canvas.setAttribute("aria-label", this.words());
   }
 
   /** The picture, for those who do not see it. */
@@ -553,7 +559,7 @@ class Player {
   /** The way of a body since a frame. */
   drawWay(context, body, begin, width) {
     const { x, y } = this.trace.tracks, { view, trace } = this, end = Math.floor(this.at);
-    const every = Math.max(1, Math.floor((end - begin) / 600)), jump = Math.max(JUMP * trace.radii[body], 1.5) * every;
+    const every = Math.max(1, Math.floor((end - begin) / 600)), jump = this.jump(trace.radii[body]) * every;
     context.beginPath();
     let px, py;
     for (let frame = begin; frame <= end; frame += every) {
