@@ -5,14 +5,12 @@ import time
 from pathlib import Path
 
 import pytest
+from playwright.sync_api import Browser, Page, expect
 
 from zswarm import evaluate
 from zswarm.draws import Stream
 from zswarm.ot import replay
 from zswarm.ot.trace import Trace, record
-
-pytest.importorskip("playwright", reason="no playwright")
-from playwright.sync_api import Browser, Page, expect
 
 pytestmark = pytest.mark.browser
 HOSTILE = '<img src=x onerror="document.title=1">'

@@ -83,8 +83,25 @@ function made(tag, name, text) {
   return element;
 }
 
-function button(label, words, act) {
-  const element = made("button", "zp-button", words);
+const SVG = "http://www.w3.org/2000/svg";
+const ICONS = { // paths in a square of 16
+  start: "M2 2h3v12H2zM14 2v12L5 8z", back: "M12 2v12L3 8z", play: "M4 2v12l10-6z", pause: "M3 2h4v12H3zM9 2h4v12H9z",
+  ahead: "M3 2v12l8-6zM12 2h2v12h-2z",
+};
+
+function icon(name) {
+  const picture = document.createElementNS(SVG, "svg"), path = document.createElementNS(SVG, "path");
+  picture.setAttribute("viewBox", "0 0 16 16");
+  picture.setAttribute("class", "zp-icon");
+  picture.setAttribute("aria-hidden", "true");
+  path.setAttribute("d", ICONS[name]);
+  picture.append(path);
+  return picture;
+}
+
+function button(label, picture, act) {
+  const element = made("button", "zp-button");
+  element.append(icon(picture));
   element.type = "button";
   element.setAttribute("aria-label", label);
   element.title = label;
@@ -167,7 +184,7 @@ class Player {
     Object.assign(this.slider, { type: "range", min: 0, max: this.last, step: 1, value: 0 });
     this.slider.setAttribute("aria-label", "round");
     this.slider.addEventListener("input", () => this.go(Number(this.slider.value)));
-    this.playButton = button("play", "▶", () => this.toggle());
+    this.playButton = button("play", "play", () => this.toggle());
     this.clock = made("span", "zp-clock");
     this.speeds = made("select", "zp-select");
     this.speeds.setAttribute("aria-label", "speed");
@@ -176,8 +193,8 @@ class Player {
     this.speeds.addEventListener("change", () => { this.speed = Number(this.speeds.value); });
     const first = made("div", "zp-line"), second = made("div", "zp-line");
     first.append(
-      button("back to the start", "⏮", () => this.go(0)), button("a round back", "◀", () => this.step(-1)), this.playButton,
-      button("a round ahead", "▶|", () => this.step(1)), this.slider, this.clock,
+      button("back to the start", "start", () => this.go(0)), button("a round back", "back", () => this.step(-1)), this.playButton,
+      button("a round ahead", "ahead", () => this.step(1)), this.slider, this.clock,
     );
     second.append(this.speeds);
     if (trace.width) {
@@ -344,8 +361,8 @@ class Player {
   }
 
   said() {
-    this.playButton.textContent = this.playing ? "⏸" : "▶";
     this.playButton.title = this.playing ? "pause" : "play";
+    this.playButton.replaceChildren(icon(this.playButton.title));
     this.playButton.setAttribute("aria-label", this.playButton.title);
   }
 
