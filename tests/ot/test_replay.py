@@ -75,7 +75,7 @@ def test_a_table_has_a_row_for_each_body_in_each_state(folder: Path, tmp_path: P
 
 
 def test_a_trial_without_pictures_has_a_table_of_agents() -> None:
-    found = of("minisim", steps=6)
+    found = of("minisim", steps=6, width=4)
     header, rows = replay.table(Trace(**{**found.__dict__, "frames": []}))
     told = list(rows)
     assert len(told) == 6 * 8
@@ -84,9 +84,10 @@ def test_a_trial_without_pictures_has_a_table_of_agents() -> None:
 
 
 @pytest.mark.parametrize("simulator", ["minisim", "inverted-pendulum", "xor"])
-def test_a_moving_picture_shows_every_state_or_some_and_stays_at_the_end(simulator: str) -> None:
-    settings = {} if simulator == "xor" else {"steps": 10 if simulator == "minisim" else 1000}
-    found = of(simulator, **(settings | ({"width": 5} if simulator == "minisim" else {})))
+def test_a_moving_picture_shows_every_state_or_some_and_stays_at_the_end(simulator: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gif, "MOST_FRAMES", 12)
+    settings = {"minisim": {"steps": 10, "width": 5}, "inverted-pendulum": {"steps": 30}, "xor": {}}
+    found = of(simulator, **settings[simulator])
     picture = Image.open(io.BytesIO(gif.gif(found, "a very long title " * 20)))
     assert picture.format == "GIF"
     assert 2 <= picture.n_frames <= gif.MOST_FRAMES + 1
@@ -100,7 +101,7 @@ def test_a_moving_picture_shows_every_state_or_some_and_stays_at_the_end(simulat
 
 
 def test_a_trial_without_pictures_makes_no_gif_and_says_so() -> None:
-    found = of("minisim", steps=6)
+    found = of("minisim", steps=6, width=4)
     with pytest.raises(Exception, match="x: its simulator draws no picture; expected html or csv"):
         gif.gif(Trace(**{**found.__dict__, "frames": []}), "x")
 

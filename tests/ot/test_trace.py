@@ -150,7 +150,7 @@ def test_a_game_is_played_with_those_who_played_it(tmp_path: Path) -> None:
 
 def test_what_agents_observe_and_set_is_what_the_trial_had() -> None:
     """Robots of minisim see all at once: the turns tell the observations, and the network decides again."""
-    built, network = evaluate.build("minisim", {"steps": 9, "robots": 3}, "fully-meshed", {"hidden": 3})
+    built, network = evaluate.build("minisim", {"steps": 9, "robots": 3, "width": 8}, "fully-meshed", {"hidden": 3})
     (genome,) = network.random(1, Stream(3))
     found = record(built, network, [genome], 5)
     parameters = network.parameters([genome])
@@ -204,12 +204,12 @@ def test_a_long_trial_is_thinned_with_its_end(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr("zswarm.ot.trace.MOST_FRAMES", 8)
     built, network = evaluate.build("minisim", {"steps": 30, "robots": 2}, "fully-meshed", {})
     found = record(built, network, network.random(1, Stream(1)), 5)
-    assert (found.every, found.rounds, len(found.frames), len(found.inputs)) == (4, 30, 9, 8)
-    assert [found.at(number) for number in range(9)] == [0, 4, 8, 12, 16, 20, 24, 28, 30]
+    assert (found.every, found.rounds, len(found.frames), len(found.inputs)) == (8, 30, 5, 4)
+    assert [found.at(number) for number in range(5)] == [0, 8, 16, 24, 30]
     whole = list(found.frames)
     monkeypatch.undo()
     every = record(built, network, network.random(1, Stream(1)), 5)
-    assert whole == [*every.frames[:30:4], every.frames[30]]
+    assert whole == [*every.frames[:30:8], every.frames[30]]
 
 
 @pytest.mark.long

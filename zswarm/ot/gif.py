@@ -3,6 +3,7 @@
 import io
 import math
 from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 from zswarm.errors import ConfigError
@@ -15,7 +16,7 @@ from zswarm.sims.simulator import Body, Frame
 SIDE = 480  # pixels of the longer side of the field
 FINER = 2  # as large it is drawn, and then made smaller: smooth edges
 LINE, LETTER = 22, 14  # pixels of a line of text, and of its letters
-MOST_FRAMES = 240
+MOST_FRAMES = 150
 FRAME_S, SHORTEST_S, LONGEST_S, HOLD_S = 0.12, 3.0, 12.0, 1.5  # as in ``film``
 WHITE, FIELD, EDGE, INK = "#ffffff", "#fafafa", "#bbbbbb", "#333333"
 COLOURS = 128
@@ -53,8 +54,8 @@ class _Painter:
         first = trace.frames[0]
         self.scale = FINER * SIDE / max(first.width, first.height)
         self.colours = film.colours(trace.frames)
-        self.font = fonts.load_default(FINER * LETTER)
-        self.fonts = fonts
+        self.letters = cache(fonts.load_default)
+        self.font = self.letters(FINER * LETTER)
         self.width = max(round(first.width * self.scale), FINER * SIDE // 2)
         self.field_height = round(first.height * self.scale)
         self.top = FINER * LINE * 2
@@ -89,7 +90,7 @@ class _Painter:
         for body in reversed(frame.bodies):
             self._body(draw, body)
         for label in frame.labels:
-            font = self.fonts.load_default(max(label.size * scale, FINER * 9))
+            font = self.letters(max(label.size * scale, FINER * 9))
             draw.text((label.x * scale, label.y * scale), clean(label.text), INK, font, anchor="mm")
 
     def _body(self, draw: Any, body: Body) -> None:
