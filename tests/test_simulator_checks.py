@@ -5,6 +5,7 @@ import os
 import random
 import re
 import signal
+import sys
 import textwrap
 import threading
 import time
@@ -66,6 +67,11 @@ class LooksAtTheClock(Gather):
 
     def outcome(self) -> Outcome:
         return Outcome([self.day], [])
+
+
+class Exits(Gather):
+    def outcome(self) -> Outcome:
+        sys.exit(3)
 
 
 class AsksTheSystem(Gather):
@@ -231,6 +237,7 @@ AGAIN = "played again, after other trials, has another outcome: "
         (GivesATuple, r"GivesATuple.reset must return a Turn, not \(range\(0, 3\), array"),
         (GivesANumber, "GivesANumber.outcome must return an Outcome, not 1.0"),
         (NeverEnds, "NeverEnds: the trial goes on after 300 turns: step must return None when it is over"),
+        (Exits, r"Exits: a trial must end by returning None from step, not by exit\(3\)"),
         (HasNoSettings, "HasNoSettings.settings_type must be a frozen msgspec.Struct, not None"),
         (HasNoOwners, "HasNoOwners.owners is missing: per agent the participant that drives it"),
         (KeepsMemory, r"KeepsMemory: a trial leaves [\d,]+ bytes behind, each time"),
@@ -245,14 +252,16 @@ def test_a_broken_rule_is_named(broken: type[Simulator], text: str, monkeypatch:
         check_simulator(broken)
 
 
-def test_a_seeded_generator_of_ones_own_and_a_cache_are_no_mistake() -> None:
+def test_a_seeded_generator_of_ones_own_and_caches_are_no_mistake() -> None:
     class Cautious(Gather):
         def __init__(self, settings: Any) -> None:
             super().__init__(settings)
             self.table: np.ndarray | None = None
+            self.kept: list[bytes] = []
 
         def reset(self, seed: int) -> Turn:
             self.table = np.ones(100_000) if self.table is None else self.table
+            self.kept += [bytes(9_000)] if len(self.kept) < 25 else []  # filled by several trials
             turn: Turn = super().reset(seed)
             self.x[0] += np.random.default_rng(seed).uniform()
             return turn

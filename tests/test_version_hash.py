@@ -260,3 +260,11 @@ def test_what_differs_between_two_versions_is_named(copy: Path) -> None:
         assert version_hash.differing(version_hash.versions("emergency-exit", "fully-meshed"), before) == [told]
         (copy / file).write_text(text)
     assert version_hash.differing({"numpy": "2.1.0"}, {"numpy": "2.3.0", "jax": "0.9"}) == ["numpy 2.1.0, not 2.3.0", "no jax"]
+
+
+def test_packages_that_are_missing_are_told_as_pip_is_told_of_them() -> None:
+    """Those that only one of two has; a version that is none is not passed on."""
+    here = {"numpy": "2.1.0", "torch": "none", "vmas": "none", "scipy": "none"}
+    asked = {"numpy": "2.3.0", "torch": "2.13.0+cpu", "vmas": "1; reboot", "scipy": "none", "jax": "0.9"}
+    assert version_hash.lacking(here, asked) == ["torch==2.13.0+cpu", "vmas"]
+    assert version_hash.lacking({"numpy": "2.1.0"}, asked) == []

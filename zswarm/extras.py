@@ -33,10 +33,15 @@ def need(module: str, extra: str, what: str) -> ModuleType:
 
 def how(*extras: str) -> str:
     """The command that installs the packages of extras where this program runs, wherever zswarm itself came from."""
+    names = dict.fromkeys(name for extra in extras for name in packages(extra))
+    return installing(*(names or [f"zswarm[{','.join(extras)}]"]))
+
+
+def installing(*names: str) -> str:
+    """The command that installs packages where this program runs."""
     python = shlex.quote(sys.executable)
     pip = f"{python} -m pip install" if importlib.util.find_spec("pip") else f"uv pip install --python {python}"
-    names = dict.fromkeys(name for extra in extras for name in packages(extra))
-    return " ".join([pip, *(names or [f"'zswarm[{','.join(extras)}]'"])])
+    return " ".join([pip, *map(shlex.quote, names)])
 
 
 def packages(extra: str) -> list[str]:

@@ -25,6 +25,7 @@ BUNDLED: dict[Kind, dict[str, str]] = {
         "arena": "zswarm.sims.arena:Arena",
         "box-pushing": "zswarm.sims.box_pushing:BoxPushing",
         "emergency-exit": "zswarm.sims.emergency_exit:EmergencyExit",
+        "food-or-poison": "zswarm.sims.food_or_poison:FoodOrPoison",
         "foraging-physical": "zswarm.sims.foraging_physical:ForagingPhysical",
         "gymnasium": "zswarm.sims.gymnasium:Gymnasium",
         "inverted-pendulum": "zswarm.sims.inverted_pendulum:InvertedPendulum",
@@ -103,14 +104,18 @@ def load(kind: Kind, name: str) -> Any:
     if name in programs:
         return importlib.import_module(FOREIGN).simulator_class(name, programs[name])
     if name not in table:
-        known = names(kind)
-        raise UnknownPlugin(f"unknown {kind} {name!r}{nearest(name, known)}; known are: {', '.join(known)}")
+        raise _unknown(kind, name)
     try:
         return table[name].load()
     except (Exception, SystemExit) as error:  # a plug-in's import runs code of its authors: whatever it raises is named, not ours
         if name in BUNDLED[kind]:
             raise
         raise UnknownPlugin(f"{kind} {name!r} cannot be imported: {type(error).__name__}: {error}") from error
+
+
+def _unknown(kind: Kind, name: str) -> UnknownPlugin:
+    known = names(kind)
+    return UnknownPlugin(f"unknown {kind} {name!r}{nearest(name, known)}; known are: {', '.join(known)}")
 
 
 def source_files(kind: Kind, name: str) -> list[Path]:
@@ -120,9 +125,14 @@ def source_files(kind: Kind, name: str) -> list[Path]:
     one those of all that it may be made of; for a plug-in every file of its top-level package; and the bundled modules of
     simulators and representations that these import. For a program its manifest, the files that this names, and the modules that
     speak with programs.
+
+    Raises:
+        UnknownPlugin: no such name.
     """
     if manifest := foreign(kind).get(name):
         return [*manifests.files(manifest), *sorted(_bundled_files(FOREIGN))]
+    if name not in _installed(kind):
+        raise _unknown(kind, name)
     if name not in BUNDLED[kind]:
         own = list(_package_files(_installed(kind)[name].module.split(".")[0]))
     else:

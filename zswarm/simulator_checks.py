@@ -13,7 +13,6 @@ import threading
 import time
 import tracemalloc
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
@@ -29,7 +28,7 @@ from zswarm.sims.simulator import Body, CompiledSimulator, Frame, Outcome, Simul
 from zswarm.strict import convert
 
 TRIAL_SEEDS = (0, 1, 2**63 + 5, 2**64 - 1)
-AGAIN = 3  # times that a trial is played to see what it leaves behind
+AGAIN, MOST = 3, 30  # times that a trial is played to see what it leaves behind: at least; while each leaves more
 LEAK_BYTES = 4096  # left behind by a trial each time
 CLOCKS = {
     "time": 1.0,
@@ -106,6 +105,8 @@ def check_simulator(simulator_class: type[Simulator], settings: Mapping[str, Any
             play_in_turns(player, network, parameters[participants[trial]], int(seeds[trial]), fitness, metrics)
         except BrokenContractError as error:
             raise AssertionError(f"{name}: {error}") from None
+        except SystemExit as error:
+            raise AssertionError(f"{name}: a trial must end by returning None from step, not by exit({error.code})") from error
         return fitness.tobytes() + metrics.tobytes()
 
     def alone(trial: int, state: int) -> bytes:
@@ -183,27 +184,31 @@ class _World:
 
 
 def _check_left_behind(name: str, play: Callable[[], object]) -> None:
-    """Play a trial again and again; what grows each time is left behind."""
+    """Play a trial again and again; what grows each time is left behind, what stops growing is kept for the next ones."""
     held: list[dict[str, int]] = []
+    least: dict[str, int] = {}
     tracing = tracemalloc.is_tracing()
     tracemalloc.start()
     gc.freeze()  # or looking for what nobody uses any more would take the time of many trials
     try:
-        for _ in range(AGAIN + 2):  # the first one may fill what is kept for the next
+        for number in range(-1, MOST + 1):  # the first one may fill what is kept for the next
             play()
             gc.collect()
             held.append({**_holds(), "bytes": tracemalloc.get_traced_memory()[0] // LEAK_BYTES * LEAK_BYTES})
+            if number > 0:
+                grows = {what: count - held[-2][what] for what, count in held[-1].items()}
+                least = {what: min(count, least.get(what, count)) for what, count in grows.items()}
+            if number >= AGAIN and max(least.values()) <= 0:
+                return
     finally:
         gc.unfreeze()
         if not tracing:
             tracemalloc.stop()
-    for what in held[0]:
-        grows = [after[what] - before[what] for before, after in pairwise(held[1:])]
-        require(
-            min(grows) <= 0,
-            f"{name}: a trial leaves {min(grows):,} {what} behind, each time; what it opens, starts or keeps must end with "
-            "it, or serve all trials",
-        )
+    what, count = next(each for each in least.items() if each[1] > 0)
+    raise AssertionError(
+        f"{name}: a trial leaves {count:,} {what} behind, each time; what it opens, starts or keeps must end with it, or serve "
+        "all trials"
+    )
 
 
 def _holds() -> dict[str, int]:

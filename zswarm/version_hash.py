@@ -22,7 +22,8 @@ from pathlib import Path
 from zswarm import plugins
 
 LIBRARIES = ("llvmlite", "numba", "numpy", "pymunk")
-CODE = "code of "
+CODE, NONE = "code of ", "none"
+PACKAGE_VERSION = re.compile(r"\w[\w.!+-]*")
 CPUINFO = Path("/proc/cpuinfo")
 # What compiled code depends on: x86-64, then aarch64. The rest differs between equal machines, or from day to day.
 KIND = "vendor_id|cpu family|model|flags|CPU implementer|CPU architecture|CPU variant|CPU part|Features"
@@ -61,6 +62,12 @@ def differing(here: Mapping[str, str], asked: Mapping[str, str]) -> list[str]:
         for name, theirs in asked.items()
         if here.get(name) != theirs
     ]
+
+
+def lacking(here: Mapping[str, str], asked: Mapping[str, str]) -> list[str]:
+    """Packages that are not installed for the first of two versions, but for the second, as pip is told of them."""
+    missing = {name: asked[name] for name, said in here.items() if said == NONE != asked.get(name, NONE)}
+    return [f"{name}=={said}" if PACKAGE_VERSION.fullmatch(said) else name for name, said in missing.items()]
 
 
 @cache
@@ -127,7 +134,7 @@ def _version(library: str) -> str:
     try:
         return version(library)
     except PackageNotFoundError:
-        return "none"
+        return NONE
 
 
 def _add(total: "hashlib.blake2b", file: Path) -> None:

@@ -3,6 +3,7 @@
 ``Forks`` starts the program, which is this file, and has it play; each run is one process with a record and a session of its own.
 """
 
+import gc
 import json
 import os
 import signal
@@ -61,6 +62,7 @@ class Forks:
 def main() -> None:
     """Fork for each line of the input; answer with the exit status."""
     import_everything()
+    gc.freeze()  # a forked process that looked through all this would copy every page of it
     for line in sys.stdin:
         child = os.fork()
         if not child:
@@ -78,10 +80,10 @@ def main() -> None:
 
 
 def import_everything() -> None:
-    """What a run imports; no session is open yet, for a process that has one cannot be forked."""
+    """What a run imports, and has numba compile; no session is open yet, for a process that has one cannot be forked."""
     import cmaes  # noqa: F401
     import ribs.archives
-    import ribs.emitters  # noqa: F401
+    import ribs.emitters
 
     from zswarm import plugins
     from zswarm.ot import evaluations, evolution, leases  # noqa: F401
@@ -89,6 +91,11 @@ def import_everything() -> None:
     for kind, table in plugins.BUNDLED.items():
         for name in table:
             plugins.load(kind, name)
+    archive = ribs.archives.GridArchive(solution_dim=2, dims=[2], ranges=[(0, 1)])
+    emitter = ribs.emitters.EvolutionStrategyEmitter(archive, x0=[0.0, 0.0], sigma0=1.0, batch_size=4)
+    fitness, measures = [0.0] * 4, [[0.0]] * 4
+    solutions = emitter.ask()
+    emitter.tell(solutions, fitness, measures, archive.add(solutions, fitness, measures))
 
 
 def play(task: dict[str, Any]) -> None:

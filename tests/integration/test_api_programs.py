@@ -75,7 +75,7 @@ def test_an_interrupted_program_keeps_its_servers_and_its_run(tmp_path: Path) ->
 
 def test_simulators_that_fail_are_told_and_the_connection_goes_on(tmp_path: Path) -> None:
     """What raises is a candidate's NaN; what ends the process is an error."""
-    environment = os.environ | {"PYTHONPATH": plugin.install(tmp_path)}
+    environment = os.environ | {"PYTHONPATH": plugin.install(tmp_path), "ZSWARM_PLAIN": "1"}
     done = subprocess.run(
         [sys.executable, "-c", FAILING], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
     )

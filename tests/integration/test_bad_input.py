@@ -123,7 +123,7 @@ def test_a_mistake_is_named_in_one_line(
 
 def test_a_port_in_use_is_named(tmp_path: Path) -> None:
     first = Server(tmp_path, "first", capacity=1, ZSWARM_PLAIN="1").ready()
-    second = Server(tmp_path, "second", port=int(first.endpoint.rsplit(":", 1)[1]))
+    second = Server(tmp_path, "second", port=int(first.endpoint.rsplit(":", 1)[1]), ZSWARM_PLAIN="1")
     try:
         assert second.wait() == 2
         assert "the port is in use" in second.err.read_text()
@@ -144,14 +144,14 @@ def test_a_port_in_use_is_named(tmp_path: Path) -> None:
 )
 def test_a_damaged_daemon_configuration_exits_with_78(tmp_path: Path, text: str, words: str) -> None:
     (tmp_path / "daemon.toml").write_text(text)
-    server = Server(tmp_path, "ss", options=("--config", "daemon.toml"))
+    server = Server(tmp_path, "ss", options=("--config", "daemon.toml"), ZSWARM_PLAIN="1")
     assert server.wait() == 78
     assert words in server.err.read_text()
 
 
 @pytest.mark.parametrize(("name", "words"), [("none.toml", "No such file or directory"), (".", "Is a directory")])
 def test_a_daemon_configuration_that_cannot_be_read_is_named(tmp_path: Path, name: str, words: str) -> None:
-    server = Server(tmp_path, "ss", options=("--config", name))
+    server = Server(tmp_path, "ss", options=("--config", name), ZSWARM_PLAIN="1")
     assert server.wait() == 78
     assert server.err.read_text() == f"zswarm-ss: {name}: cannot be read: {words}\n"
 
@@ -168,7 +168,8 @@ def test_a_server_whose_slots_have_too_little_memory_is_named(tmp_path: Path) ->
 
 
 def test_more_memory_than_this_machine_has_is_named(tmp_path: Path) -> None:
-    optimizer = Optimizer(tmp_path, "ot", ["run", "--servers", "local", "--set", "cluster.trial_memory_mb=1000000000"])
+    options = ["--servers", "local", "--set", "cluster.trial_memory_mb=1000000000"]
+    optimizer = Optimizer(tmp_path, "ot", ["run", *options], ZSWARM_PLAIN="1")
     assert optimizer.wait() == 1
     assert "the run asks for 1000000000" in only_line(optimizer.err.read_text())
 

@@ -1,9 +1,12 @@
 """Programs in C and Java evolve as the bundled simulator does, bit by bit, on a real server, and whatever happens to them."""
 
+import json
 import os
+import re
 import shutil
 import signal
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +44,33 @@ NETWORKS = [
     {"activation": "relu", "hidden": 5},
     {"activation": "tanh", "hidden": 9, "iterations": 3},
 ]
+ROUGH = Path(__file__).parents[1] / "sims" / "rough_program.py"  # trial k does what stands at k
+NAN = ("error", "short", "no-agent", "nan")
+HARMLESS = ("floods", "fine")
+FAULTS = {
+    "eats": "its program ended with code 1; turn or end was expected; it wrote: .*MemoryError",
+    "prints": "its program was ended: its standard output has '.*agent 0 is here' where turn or end was expected; messages alone",
+    "cut-frame": "its program ended with code 0; turn or end was expected",
+    "hangs": r"simulator rough: one trial took longer than 1 s \(cluster.trial_timeout_s\)",
+    "leaves-a-child": "its program ended with code 3; turn or end was expected",
+}
+OF_ROUGH = """
+name = "rough"
+seed = 1
+generations = 1
+[problem]
+simulator = "rough"
+trials = {trials}
+[representation]
+kind = "fully-meshed"
+[optimizer]
+kind = "random"
+population = 2
+[cluster]
+trial_timeout_s = 1.0
+trial_memory_mb = 512
+on_fault = "quarantine"
+"""
 
 BOTH = [("emergency-exit-c", "in_c"), pytest.param("emergency-exit-java", "in_java", marks=pytest.mark.long)]  # javac takes long
 
@@ -154,6 +184,53 @@ def test_whole_runs_have_the_same_history(language: str, field: str, tmp_path: P
     arguments = ["run", str(write(tmp_path, simulator, size)), "--json", "--servers", "local", "--set", "cluster.local_slots=2"]
     done = Optimizer(tmp_path, "ot", arguments, ZSWARM_SIMULATORS=str(programs)).done()
     assert done["history_hash"] == history(tmp_path, size)
+
+
+def rough(folder: Path, each: tuple[str, ...]) -> Path:
+    """A folder with the manifest of a program that does something else in each trial."""
+    folder.mkdir()
+    shutil.copy(ROUGH, folder)
+    command = [sys.executable, ROUGH.name, ",".join(each)]
+    (folder / "rough.toml").write_text(f'command = {json.dumps(command)}\nfiles = ["{ROUGH.name}"]\n')
+    return folder
+
+
+def test_whatever_a_program_does_costs_its_own_trials_and_nothing_else(tmp_path: Path) -> None:
+    """What it says wrongly is this trial's outcome; that it ends, hangs, or says what is no message is a fault, three times.
+
+    When its files are not those any more that the server began with, no slot goes on with it.
+    """
+    each = (*NAN, "floods", *FAULTS, "fine")
+    mine, theirs = rough(tmp_path / "mine", each), rough(tmp_path / "theirs", each)
+    (tmp_path / "rough.toml").write_text(OF_ROUGH.format(trials=len(each)))
+    server = Server(tmp_path, "ss", capacity=1, ZSWARM_SIMULATORS=str(theirs), ZSWARM_PLAIN="1").ready()
+    reach = ["--json", "--no-multicast", "--servers", "1", "--connect", server.endpoint]
+    try:
+        optimizer = Optimizer(tmp_path, "ot", ["run", "rough.toml", *reach], ZSWARM_SIMULATORS=str(mine), ZSWARM_PLAIN="1")
+        done = optimizer.done()
+        with (theirs / ROUGH.name).open("a") as changed:
+            changed.write("# a version later\n")
+        again = ["run", "rough.toml", *reach, "--set", "problem.settings.steps=4"]
+        later = Optimizer(tmp_path, "later", again, ZSWARM_SIMULATORS=str(mine), ZSWARM_PLAIN="1")
+        refused = wait_until(lambda: [line for line in later.err.read_text().splitlines() if "is not used" in line], "it is told")
+        later.close()
+    finally:
+        server.close()
+    fitness = np.full(2 * len(each), np.inf)
+    for trials, values in query(tmp_path / "runs" / "rough", "SELECT trials, fitness FROM outcomes"):
+        fitness[np.frombuffer(trials, "<u4")] = np.frombuffer(values, "<f8")
+    for candidate in np.isfinite(fitness).reshape(2, -1):
+        assert {what for what, fine in zip(each, candidate, strict=True) if fine} == set(HARMLESS)
+    assert done["faulted"] == 2 * len(FAULTS)
+    told = [text for (text,) in query(tmp_path / "runs" / "rough", "SELECT text FROM events WHERE event = 'fault'")]
+    for what, words in FAULTS.items():
+        mine_ = [text for text in told if re.search(words, text)]
+        assert len(mine_) == 6, (what, told)
+    assert len(refused) == 1
+    assert refused[0].endswith(
+        "files of rough, fully-meshed or zswarm changed after the server was started; a run must not go on with other code: "
+        "start the server again"
+    )
 
 
 @pytest.mark.parametrize("network", NETWORKS, ids=lambda network: str(network["activation"]))

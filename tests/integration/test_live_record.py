@@ -1,5 +1,7 @@
 """The record of a real run, read while it is written."""
 
+import contextlib
+import subprocess
 from pathlib import Path
 
 import evacuation
@@ -25,6 +27,8 @@ def test_a_run_is_read_while_it_goes_on_and_not_disturbed(tmp_path: Path) -> Non
         run = wait_until(lambda: read(folder), "the run's folder is there")
         assert run.going_on
         while watched.process.poll() is None:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                watched.process.wait(0.03)  # reading all the time would take the time of the run
             now = Run(folder)
             seen.append(now.history())
             assert len(now.trials(len(seen[-1]))) <= 50 * 20

@@ -273,7 +273,7 @@ def test_a_drained_daemon_finishes_what_runs_and_ends(scene: Scene) -> None:
 def test_local_slots_of_a_run_are_no_daemon(tmp_path: Path) -> None:
     """They are the run's own business."""
     options = ["--no-multicast", "--until-stdin-closes", "--listen", f"unixsock-stream/{tmp_path}/s"]
-    local = Program(tmp_path, "local", ["-m", "zswarm.ss", "--name", "local", *options])
+    local = Program(tmp_path, "local", ["-m", "zswarm.ss", "--name", "local", *options], ZSWARM_PLAIN="1")
     assert local.wait() == 0
     assert not list(tmp_path.glob("local-*.sock"))
 
@@ -345,7 +345,7 @@ def test_a_port_in_use_is_named(tmp_path: Path) -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        server = Server(tmp_path, "ss", options=("--metrics", str(port)))
+        server = Server(tmp_path, "ss", options=("--metrics", str(port)), ZSWARM_PLAIN="1")
         assert server.wait() == 2
     assert (
         server.err.read_text() == f"zswarm-ss: --metrics {port}: 127.0.0.1:{port} cannot be listened on: Address already in use\n"
@@ -355,7 +355,7 @@ def test_a_port_in_use_is_named(tmp_path: Path) -> None:
 def test_a_missing_package_is_named_with_the_command_that_installs_it(tmp_path: Path) -> None:
     (tmp_path / "prometheus_client.py").write_text("raise ModuleNotFoundError(name='prometheus_client')\n")
     path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
-    server = Server(tmp_path, "ss", options=("--metrics", str(free_port())), PYTHONPATH=path)
+    server = Server(tmp_path, "ss", options=("--metrics", str(free_port())), PYTHONPATH=path, ZSWARM_PLAIN="1")
     assert server.wait() == 2
     assert server.err.read_text().startswith("zswarm-ss: --metrics needs the package prometheus_client: ")
     assert server.err.read_text().endswith(" install prometheus-client\n")

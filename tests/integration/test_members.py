@@ -226,7 +226,8 @@ def test_a_server_that_goes_without_keys_is_named(lab: Lab, tmp_path: Path) -> N
 def test_keys_of_another_role_are_named(
     lab: Lab, tmp_path: Path, module: str, arguments: list[str], who: str, words: str
 ) -> None:
-    program = Program(tmp_path, "wrong", ["-m", module, *arguments, "--no-multicast"], ZSWARM_KEYS=lab.keys(who))
+    command = ["-m", module, *arguments, "--no-multicast"]
+    program = Program(tmp_path, "wrong", command, ZSWARM_KEYS=lab.keys(who), ZSWARM_PLAIN="1")
     assert program.wait() == 2
     assert words in program.err.read_text().splitlines()[-1]
     assert not (tmp_path / "runs").exists()
@@ -368,7 +369,9 @@ def test_a_reload_that_takes_the_network_away_is_undone_as_soon_as_that_can_be(l
     """The new port is taken, then the old one as well."""
     file, at, wanted = tmp_path / "ss.toml", free_port(), free_port()
     file.write_text(f"listen = ['tls/127.0.0.1:{at}']\nmulticast = false\ncapacity = 1\n")
-    server = Program(tmp_path, "lab-01", ["-m", "zswarm.ss", "--config", str(file)], ZSWARM_KEYS=lab.keys("lab-01"))
+    server = Program(
+        tmp_path, "lab-01", ["-m", "zswarm.ss", "--config", str(file)], ZSWARM_KEYS=lab.keys("lab-01"), ZSWARM_PLAIN="1"
+    )
     try:
         wait_until(lambda: server.events("server_ready"), "it serves")
         with socket.create_server(("127.0.0.1", wanted)):
@@ -403,7 +406,7 @@ def test_a_server_says_why_its_router_does_not_let_it_in(lab: Lab, tmp_path: Pat
 def test_a_server_that_requires_keys_does_not_start_without(tmp_path: Path) -> None:
     file = tmp_path / "ss.toml"
     file.write_text("require_keys = true\n")
-    server = Server(tmp_path, "open", options=("--config", str(file)), ZSWARM_KEYS="none")
+    server = Server(tmp_path, "open", options=("--config", str(file)), ZSWARM_KEYS="none", ZSWARM_PLAIN="1")
     assert server.wait() == 78
     assert server.err.read_text().splitlines()[-1] == (
         "zswarm-ss: require_keys is set, and no keys are installed: zswarm-keys join BUNDLE"
@@ -423,7 +426,8 @@ def test_a_server_without_keys_says_so_in_one_line(tmp_path: Path) -> None:
 def test_endpoints_in_the_clear_do_not_go_with_keys(lab: Lab, tmp_path: Path, program: str) -> None:
     who = "lab-01" if program == "zswarm.ss" else "gate"
     at = f"tcp/127.0.0.1:{free_port()}"
-    started = Program(tmp_path, "clear", ["-m", program, "--no-multicast", "--listen", at], ZSWARM_KEYS=lab.keys(who))
+    options = ["--no-multicast", "--listen", at]
+    started = Program(tmp_path, "clear", ["-m", program, *options], ZSWARM_KEYS=lab.keys(who), ZSWARM_PLAIN="1")
     assert started.wait() == 2
     assert "an endpoint must begin with tls/" in started.err.read_text().splitlines()[-1]
 

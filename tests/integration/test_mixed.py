@@ -3,6 +3,9 @@
 import os
 import shutil
 import signal
+import sys
+import sysconfig
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +14,11 @@ import zenoh
 from programs import Optimizer, Server, query, wait_until
 
 import zswarm
-from zswarm import evaluate, experiment, session
+from zswarm import evaluate, experiment, extras, plugins, session
 from zswarm.ot import run as runs
 from zswarm.ot.history import History
 from zswarm.protocol import codec, keys, messages
-from zswarm.version_hash import version_hash
+from zswarm.version_hash import version_hash, versions
 
 EXPERIMENT = """
 name = "{name}"
@@ -72,6 +75,21 @@ def altered(folder: Path) -> str:
     return str(folder)
 
 
+def python_without(folder: Path, *packages: str) -> str:
+    """The program of an environment that has what this one has, but for some packages."""
+    hidden = {file.parts[0] for package in packages for file in metadata.files(package) or []}
+    site = folder / "lib" / f"python{sys.version_info.major}.{sys.version_info.minor}" / "site-packages"
+    site.mkdir(parents=True)
+    for path in Path(sysconfig.get_path("purelib")).iterdir():
+        if path.name not in hidden:
+            (site / path.name).symlink_to(path)
+    program = Path(sys._base_executable)
+    (folder / "pyvenv.cfg").write_text(f"home = {program.parent}\ninclude-system-site-packages = false\n")
+    (folder / "bin").mkdir()
+    (folder / "bin" / "python").symlink_to(program)
+    return str(folder / "bin" / "python")
+
+
 def ask(server: Server, message: messages.Requirements | messages.Reserve) -> messages.Reply:
     """What a server answers to whoever asks."""
     opened = session.open_optimizer(session.Reach([server.endpoint], multicast=False))
@@ -124,7 +142,8 @@ def test_each_of_two_runs_uses_the_servers_that_match_it_and_names_the_others_on
     excluded = {
         "minisim": {
             "logic": "no simulator 'minisim' here; there are xor",
-            "later": "another version is installed here: other code of simulator minisim",
+            "later": "another version is installed here: other code of simulator minisim; "
+            "install the same, and start this server again",
             "limited": "minisim.robots is 2; it is 1 at most here",
             "bare": "the experiment requires gpu=yes (it has gpu=no)",
         },
@@ -187,3 +206,41 @@ def test_each_of_two_runs_uses_the_servers_that_match_it_and_names_the_others_on
     assert next(iter(seen)) == "tanks", "who matches comes first"
     assert (seen["limited"]["labels"]["gpu"], seen["limited"]["limits"]) == ("yes", ["minisim.robots 1 at most"])
     assert {line["labels"]["name"] for line in seen.values()} == set(options)
+
+
+def test_where_the_packages_of_a_simulator_are_missing_a_line_says_what_to_install(tmp_path: Path) -> None:
+    """A server without them is not used, and plays the others all the same; an optimizer without them ends."""
+    here, common = versions("pettingzoo", "fully-meshed"), versions("minisim", "fully-meshed")
+    named = plugins.libraries(plugins.source_files("simulator", "pettingzoo"))
+    packages = {name: here[name] for name in named if name not in common and here[name] != "none"}
+
+    class Bare:
+        python = python_without(tmp_path / "bare", *packages)
+
+    server = type("BareServer", (Bare, Server), {})(tmp_path, "bare-server", capacity=1)
+    optimizer = type("BareOptimizer", (Bare, Optimizer), {})(
+        tmp_path, "ot", ["run", "pettingzoo", "--no-multicast", "--connect", server.endpoint]
+    )
+    try:
+        server.ready()
+        offers = []
+        for simulator in ("pettingzoo", "minisim"):
+            asked = messages.Requirements(
+                simulator=simulator, representation="fully-meshed", versions=versions(simulator, "fully-meshed"),
+                version_hash=version_hash(simulator, "fully-meshed"),
+            )  # fmt: skip
+            offers.append(ask(server, asked).mismatch)
+        refused = refusal(server, "pettingzoo", {})
+        assert optimizer.wait() == 2
+    finally:
+        server.close()
+        optimizer.close()
+    needed = " ".join(f"{name}=={said}" for name, said in packages.items())
+    assert offers[0].startswith("packages that 'pettingzoo' needs are not installed here: ")
+    assert offers[0].endswith(f"install {needed}")
+    assert offers[1] == ""
+    assert "another version" in refused
+    said = optimizer.err.read_text().splitlines()
+    assert len(said) == 1
+    assert "simulator pettingzoo needs pettingzoo: " in said[0]
+    assert said[0].endswith(extras.how("gym").partition(" install ")[2])

@@ -10,13 +10,7 @@ from programs import Optimizer, Server, free_port, query, wait_until
 from promise import check_run
 
 STEPS = 3_000  # a run takes some seconds: long enough to disturb it
-
-
-@pytest.fixture(scope="module")
-def alone(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """The history hash of the experiment on one local slot."""
-    folder = tmp_path_factory.mktemp("alone")
-    return str(run(folder, "alone", "--servers", "local", "--set", "cluster.local_slots=1").done()["history_hash"])
+ALONE = "4f59c4480f0bd4ba1aee798341bf9694"  # the history hash of the experiment when nothing happens to it, made once
 
 
 def run(folder: Path, name: str, *options: str) -> Optimizer:
@@ -38,7 +32,7 @@ def counted(folder: Path) -> int:
     return int(rows[0][0]) if rows else 0
 
 
-def test_killed_servers_and_a_late_one_leave_the_history_as_it_is(tmp_path: Path, alone: str) -> None:
+def test_killed_servers_and_a_late_one_leave_the_history_as_it_is(tmp_path: Path) -> None:
     """One is killed, the others go on; then these are killed, and what is left is done by one that starts only now."""
     servers = [Server(tmp_path, f"ss-{number}", capacity=1) for number in range(3)]
     late_port = free_port()
@@ -60,15 +54,15 @@ def test_killed_servers_and_a_late_one_leave_the_history_as_it_is(tmp_path: Path
         for program in programs:
             program.close()
     shares = dict(query(record, "SELECT server, trials FROM servers"))
-    assert done["history_hash"] == alone
+    assert done["history_hash"] == ALONE
     assert done["requeued"] > 0
     assert query(record, "SELECT sum(count) > 0 FROM events WHERE event = 'requeued'") == [(1,)]
     assert sum(trials for server, trials in shares.items() if server.startswith("late-")) > 0
     assert sum(shares.values()) == TRIALS
-    assert check_run(record).history_hash == alone
+    assert check_run(record).history_hash == ALONE
 
 
-def test_a_killed_optimizer_goes_on_and_repeats_nothing(tmp_path: Path, alone: str) -> None:
+def test_a_killed_optimizer_goes_on_and_repeats_nothing(tmp_path: Path) -> None:
     server = Server(tmp_path, "ss")
     try:
         killed = run(tmp_path, "killed", *remote(server))
@@ -80,15 +74,15 @@ def test_a_killed_optimizer_goes_on_and_repeats_nothing(tmp_path: Path, alone: s
         taken_over = server.events("lease_taken_over")
     finally:
         server.close()
-    assert done["history_hash"] == alone
+    assert done["history_hash"] == ALONE
     assert 1200 < before < TRIALS
     assert counted(tmp_path) == TRIALS, "a recorded trial was evaluated again"
     assert len(taken_over) == 1, "the slots were not taken over at once"
-    assert check_run(tmp_path / "runs" / "disturbed").history_hash == alone
+    assert check_run(tmp_path / "runs" / "disturbed").history_hash == ALONE
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.long)])
-def test_a_stopped_optimizer_says_how_to_go_on(tmp_path: Path, alone: str, number: int, code: int) -> None:
+def test_a_stopped_optimizer_says_how_to_go_on(tmp_path: Path, number: int, code: int) -> None:
     stopped = run(tmp_path, "stopped", "--servers", "local")
     wait_until(lambda: counted(tmp_path) > 100, "some trials are counted")
     stopped.kill(number)
@@ -97,13 +91,13 @@ def test_a_stopped_optimizer_says_how_to_go_on(tmp_path: Path, alone: str, numbe
     assert "Traceback" not in stopped.err.read_text()
     (tmp_path / "runs" / "disturbed" / "fitness.png").unlink(missing_ok=True)  # a picture, if a generation was finished
     done = Optimizer(tmp_path, "resumed", ["resume", "runs/disturbed", "--json", "--servers", "local"]).done()
-    assert done["history_hash"] == alone
+    assert done["history_hash"] == ALONE
     assert counted(tmp_path) == TRIALS
-    assert check_run(tmp_path / "runs" / "disturbed").history_hash == alone
+    assert check_run(tmp_path / "runs" / "disturbed").history_hash == ALONE
     assert (tmp_path / "runs" / "disturbed" / "fitness.png").is_file()
 
 
-def test_two_optimizers_of_one_user_share_the_servers_and_both_finish(tmp_path: Path, alone: str) -> None:
+def test_two_optimizers_of_one_user_share_the_servers_and_both_finish(tmp_path: Path) -> None:
     folders = [tmp_path / "one", tmp_path / "two"]
     for folder in folders:
         folder.mkdir()
@@ -114,11 +108,11 @@ def test_two_optimizers_of_one_user_share_the_servers_and_both_finish(tmp_path: 
     finally:
         for program in (*servers, *optimizers):
             program.close()
-    assert hashes == [alone, alone]
+    assert hashes == [ALONE, ALONE]
     assert [check_run(folder / "runs" / "disturbed").history_hash for folder in folders] == hashes
 
 
-def test_runs_that_wait_for_a_slot_get_it_in_the_order_in_which_they_came(tmp_path: Path, alone: str) -> None:
+def test_runs_that_wait_for_a_slot_get_it_in_the_order_in_which_they_came(tmp_path: Path) -> None:
     server = Server(tmp_path, "ss", capacity=1).ready()
     short = ["--set", "generations=1"]
     folders = [tmp_path / name for name in ("first", "second", "third")]
@@ -140,7 +134,7 @@ def test_runs_that_wait_for_a_slot_get_it_in_the_order_in_which_they_came(tmp_pa
     assert spans[1][1] < spans[2][0], "the third run was served before the second"
 
 
-def test_a_drained_server_finishes_what_runs_and_exits(tmp_path: Path, alone: str) -> None:
+def test_a_drained_server_finishes_what_runs_and_exits(tmp_path: Path) -> None:
     servers = [Server(tmp_path, f"ss-{number}") for number in range(2)]
     optimizer = run(tmp_path, "ot", *remote(*servers))
     try:
@@ -149,11 +143,11 @@ def test_a_drained_server_finishes_what_runs_and_exits(tmp_path: Path, alone: st
         assert servers[0].wait() == 143
         assert [event["event"] for event in servers[0].events("server_stopped")] == ["server_stopped"]
         assert not servers[0].events("drain_cut_short")
-        assert optimizer.done()["history_hash"] == alone
+        assert optimizer.done()["history_hash"] == ALONE
     finally:
         for program in (*servers, optimizer):
             program.close()
-    assert check_run(tmp_path / "runs" / "disturbed").history_hash == alone
+    assert check_run(tmp_path / "runs" / "disturbed").history_hash == ALONE
 
 
 def test_fresh_seeds_and_local_slots_give_the_same_for_any_number_of_slots(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from standing import Servers, result
 
 from zswarm import experiment, plugins
 from zswarm.errors import ConfigError
@@ -50,38 +51,10 @@ class Measuring(NNGA):
         self.told = [generation.measures for generation in told]
 
 
-class Servers:
-    """Stands for servers and connection: a candidate's fitness is its first gene, the same for each of its trials."""
+class Genes(Servers):
+    """A candidate's fitness is its first gene, the same for each of its trials."""
 
-    servers, slots, probe = 1, 2, b"digest"
-
-    def __init__(self) -> None:
-        self.asked: dict[str, Any] = {}
-        self.handed: list[Workload] = []  # in their order
-
-    def __call__(self, *_args: object, **asked: Any) -> "Servers":
-        self.asked = asked
-        return self
-
-    def __enter__(self) -> "Servers":
-        return self
-
-    def __exit__(self, *_error: object) -> None:
-        pass
-
-    def who_computes(self) -> str:
-        return "nobody"
-
-    def wait(self) -> Iterator[None]:
-        return iter(())
-
-    rest = wait
-
-    def evaluate(self, workload: Workload) -> Iterator[Counted]:
-        self.handed.append(workload)
-        return self._evaluate(workload)
-
-    def _evaluate(self, workload: Workload) -> Iterator[Counted]:
+    def play(self, workload: Workload) -> Iterator[Counted]:
         trials = np.flatnonzero(~workload.counted)
         genes = np.array([np.frombuffer(genome, "<f4")[0] for genome in workload.genomes])
         workload.fitness[trials] = genes[workload.participants[trials]]
@@ -91,13 +64,13 @@ class Servers:
 
 
 @pytest.fixture
-def servers(monkeypatch: pytest.MonkeyPatch) -> Servers:
-    made = Servers()
+def servers(monkeypatch: pytest.MonkeyPatch) -> Genes:
+    made = Genes()
     monkeypatch.setattr(run, "Evaluations", made)
     return made
 
 
-def begun(record: Record, complete: experiment.Experiment, servers: Servers) -> Generator[Generation, None, Result]:
+def begun(record: Record, complete: experiment.Experiment, servers: Genes) -> Generator[Generation, None, Result]:
     return run.evolve(run.build(complete), record, servers, Logger(), threading.Event())  # type: ignore[arg-type]
 
 
@@ -110,15 +83,7 @@ def created(out: Path, complete: experiment.Experiment) -> Record:
     return Record.create(out, complete, "0" * 32, run.build(complete).problem.simulator.metrics)
 
 
-def result(evolution: Generator[Generation, None, Result]) -> Result:
-    while True:
-        try:
-            next(evolution)
-        except StopIteration as end:
-            return end.value  # type: ignore[no-any-return]
-
-
-def test_a_generation_is_told_when_it_is_on_the_disk_and_servers_have_the_next(tmp_path: Path, servers: Servers) -> None:
+def test_a_generation_is_told_when_it_is_on_the_disk_and_servers_have_the_next(tmp_path: Path, servers: Genes) -> None:
     complete = loaded()
     with created(tmp_path, complete) as record:
         evolution = begun(record, complete, servers)
@@ -138,7 +103,7 @@ def with_cmaes(*overrides: str) -> experiment.Experiment:
 
 @pytest.mark.parametrize("complete", [loaded(), with_cmaes()], ids=["nnga", "cmaes"])
 def test_a_run_that_is_left_in_its_loop_goes_on_as_if_it_had_not(
-    tmp_path: Path, servers: Servers, complete: experiment.Experiment
+    tmp_path: Path, servers: Genes, complete: experiment.Experiment
 ) -> None:
     """Of the generation that servers had by then nothing is recorded; it is asked for again."""
     with created(tmp_path / "whole", complete) as record:
@@ -158,7 +123,7 @@ def test_a_run_that_is_left_in_its_loop_goes_on_as_if_it_had_not(
     assert servers.handed[-2].genomes == left
 
 
-def test_a_finished_run_asks_for_nothing(tmp_path: Path, servers: Servers) -> None:
+def test_a_finished_run_asks_for_nothing(tmp_path: Path, servers: Genes) -> None:
     complete = loaded()
     with created(tmp_path, complete) as record:
         first = result(begun(record, complete, servers))
@@ -171,7 +136,7 @@ def test_a_finished_run_asks_for_nothing(tmp_path: Path, servers: Servers) -> No
 
 @pytest.mark.parametrize(("islands", "trials", "slots"), [(1, 1, 10), (3, 2, 60)])
 def test_slots_are_wanted_for_the_candidates_of_all_islands(
-    tmp_path: Path, servers: Servers, islands: int, trials: int, slots: int
+    tmp_path: Path, servers: Genes, islands: int, trials: int, slots: int
 ) -> None:
     complete = loaded(f"optimizer.islands={islands}", f"problem.trials={trials}", "generations=1")
     with created(tmp_path, complete) as record:
@@ -180,7 +145,7 @@ def test_slots_are_wanted_for_the_candidates_of_all_islands(
 
 
 def test_what_is_written_of_a_generation_is_one_transaction(
-    tmp_path: Path, servers: Servers, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, servers: Genes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its outcomes are not older than 0.1 s: they wait for it."""
     complete = loaded("generations=3")
@@ -207,7 +172,7 @@ class Said(Logger):
 
 
 def test_where_an_optimizer_proposes_otherwise_than_before_the_run_goes_on_and_says_so(
-    tmp_path: Path, servers: Servers, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, servers: Genes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """On another processor, or with another version of its package: here its draws are others from the third generation on."""
     complete = with_cmaes()
@@ -222,7 +187,7 @@ def test_where_an_optimizer_proposes_otherwise_than_before_the_run_goes_on_and_s
     said = Said()
     with record:
         record.begin(3, servers.handed[-1])
-        for counted in servers._evaluate(servers.handed[-1]):
+        for counted in servers.play(servers.handed[-1]):
             record.add(counted, servers.handed[-1])
         ended = result(run.evolve(run.build(complete), record, servers, said, threading.Event()))  # type: ignore[arg-type]
     assert said.lines[1:] == [
@@ -244,7 +209,7 @@ def measuring(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("measuring")
-def test_measures_are_means_of_metrics_in_trial_order_told_hashed_and_recorded(tmp_path: Path, servers: Servers) -> None:
+def test_measures_are_means_of_metrics_in_trial_order_told_hashed_and_recorded(tmp_path: Path, servers: Genes) -> None:
     """Also to an optimizer that goes on from the record; what they are added in changes bits."""
     complete = loaded("optimizer.kind=measuring", "optimizer.measures=['rounds', 'escaped']", "problem.trials=3", "generations=3")
     assert run.build(complete).problem.simulator.metrics == ("escaped", "rounds")

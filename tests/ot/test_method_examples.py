@@ -1,11 +1,13 @@
-"""The examples of optimizers find what their comments say, and each optimizer beats random search on its example."""
+"""The examples of methods find what their comments say, and each optimizer beats random search on its example."""
 
 from collections.abc import Sequence
 
+import numpy as np
 import pytest
 from scipy.stats import mannwhitneyu
 
 from zswarm import experiment, plugins
+from zswarm.draws import derive_seed
 from zswarm.evaluate import evaluate
 from zswarm.ot import run
 from zswarm.ot.assessment import Assessment
@@ -18,7 +20,11 @@ NAMED = {  # optimizers with the example of what they are known for, and evaluat
     "nnga": ("stadium", 2000),
     "novelty": ("maze", 15_000),
 }
-BY_SCORE = {"cma-me", "map-elites"}  # of the archive: tests/ot/test_elites.py
+OTHERWISE = {  # compared by the score of their archive, also in tests/ot/test_elites.py; what others are compared with
+    "cma-me": "cma-me",
+    "map-elites": "minisim-elites",
+    "random": "baseline",
+}
 
 
 def best(name: str, changes: Sequence[str] = (), evaluations: int = 10**9) -> float:
@@ -28,9 +34,16 @@ def best(name: str, changes: Sequence[str] = (), evaluations: int = 10**9) -> fl
 
 def evolved(name: str, changes: Sequence[str], evaluations: int) -> tuple[float, int]:
     """The best, and how many evaluations there were: whole generations, as many as it takes for those asked for."""
+    (_, optimizer), told = played(name, changes, evaluations)
+    return optimizer.best()[1], told
+
+
+def played(name: str, changes: Sequence[str], evaluations: int = 10**9) -> tuple[run.Parts, int]:
+    """The parts of an example after its run, and how many evaluations there were."""
     loaded = experiment.load(experiment.examples_folder() / f"{name}.toml", changes)
     complete = experiment.complete(loaded, name)
-    (problem, optimizer), told = run.build(complete), 0
+    parts, told = run.build(complete), 0
+    problem, optimizer = parts
     for generation in range(complete.generations):
         assessment, more = Assessment(problem, optimizer.ask(), generation), True
         while more:
@@ -44,7 +57,7 @@ def evolved(name: str, changes: Sequence[str], evaluations: int) -> tuple[float,
         told += len(assessment.genomes)
         if told >= evaluations:
             break
-    return optimizer.best()[1], told
+    return parts, told
 
 
 @pytest.mark.parametrize("name", STADIUM)
@@ -54,13 +67,20 @@ def test_everybody_leaves_the_stadium(name: str) -> None:
 
 
 def test_every_optimizer_has_an_example_on_which_it_is_compared() -> None:
-    assert NAMED.keys() | BY_SCORE | {"random"} == set(plugins.BUNDLED["optimizer"])
-    for name, (example, _) in NAMED.items():
+    examples = OTHERWISE | {name: example for name, (example, _) in NAMED.items()}
+    assert examples.keys() == set(plugins.BUNDLED["optimizer"])
+    for name, example in examples.items():
         assert experiment.load(experiment.find(example)).optimizer.kind == name
 
 
+def test_every_network_has_an_example() -> None:
+    """Parts of a bulk do not count."""
+    files = experiment.examples_folder().glob("*.toml")
+    assert {experiment.load(file).representation.kind for file in files} == set(plugins.BUNDLED["representation"])
+
+
 @pytest.mark.long
-@pytest.mark.parametrize("name", NAMED)
+@pytest.mark.parametrize("name", [name for name in NAMED if name != "novelty"])
 def test_each_beats_random_search_at_equal_evaluations(name: str) -> None:
     """Random search has as many or some more, of the same genomes."""
     example, evaluations = NAMED[name]
@@ -68,15 +88,70 @@ def test_each_beats_random_search_at_equal_evaluations(name: str) -> None:
     for seed in range(10):
         fitness, told = evolved(example, [f"seed={seed}"], evaluations)
         found.append(fitness)
-        chance.append(best(example, [f"seed={seed}", 'optimizer={kind="random"}', "generations=1000"], told))
+        chance.append(by_chance(example, seed, told))
     assert mannwhitneyu(found, chance, alternative="greater").pvalue < 0.01
 
 
 @pytest.mark.long
 def test_novelty_finds_the_way_round_where_fitness_leads_behind_a_wall() -> None:
-    """The goal of the maze is reached with fitness 1 and more; who breeds for nearness to it does not come there."""
-    found = [best("maze", [f"seed={seed}"]) for seed in range(10)]
-    bred = [best("maze", [f"seed={seed}", 'optimizer={kind="nnga"}', "generations=1000"], 15_000) for seed in range(10)]
+    """The goal is reached with fitness 1 and more; who breeds for nearness to it does not come there, and chance is worse."""
+    example, evaluations = NAMED["novelty"]
+    found = [best(example, [f"seed={seed}"]) for seed in range(10)]
+    bred = [best(example, [f"seed={seed}", 'optimizer={kind="nnga"}', "generations=1000"], evaluations) for seed in range(10)]
+    chance = [by_chance(example, seed, evaluations) for seed in range(10)]
     assert sum(fitness >= 1.0 for fitness in found) >= 8
     assert sum(fitness >= 1.0 for fitness in bred) <= 2
     assert mannwhitneyu(found, bred, alternative="greater").pvalue < 0.01
+    assert mannwhitneyu(found, chance, alternative="greater").pvalue < 0.01
+
+
+def by_chance(example: str, seed: int, evaluations: int) -> float:
+    return best(example, [f"seed={seed}", 'optimizer={kind="random"}', "generations=1000"], evaluations)
+
+
+@pytest.mark.long
+def test_cma_me_has_a_higher_score_than_map_elites_with_as_many_candidates() -> None:
+    """Six of the ten seeds of the example's comment."""
+    scores = {
+        name: [played(name, [f"seed={seed}", "generations=100"])[0].optimizer.statistics()["qd_score"] for seed in range(1, 7)]
+        for name in ("cma-me", "minisim-elites")
+    }
+    assert mannwhitneyu(scores["cma-me"], scores["minisim-elites"], alternative="greater").pvalue < 0.01
+
+
+# ---- networks that learn during a trial
+
+
+def late(parts: run.Parts, genome: bytes) -> float:
+    """The share of right decisions in the second half of 200 trials that were never seen in evolution."""
+    simulator = parts.problem.simulator
+    unseen = np.array([derive_seed(0, "unseen", trial) for trial in range(200)], np.uint64)
+    outcomes = evaluate(simulator, parts.problem.representation, [genome], np.zeros((len(unseen), 1), np.int64), unseen)
+    return float(outcomes.metrics[:, simulator.metrics.index("late")].mean())
+
+
+@pytest.mark.long
+def test_a_network_that_learns_finds_out_what_is_food_and_others_do_not() -> None:
+    """Others: the champion without its learning rate, which is its last number, and networks that keep their weights."""
+    for seed in range(1, 5):
+        parts, _ = played("food-or-poison", [f"seed={seed}"])
+        champion = parts.optimizer.best()[0]
+        assert late(parts, champion) > 0.8
+        assert late(parts, champion[:-4] + bytes(4)) < 0.6
+    for kept in ('{kind="fully-meshed",hidden=0,iterations=1}', '{kind="fully-meshed",hidden=12}'):
+        parts, _ = played("food-or-poison", ["seed=1", f"representation={kept}"])
+        assert late(parts, parts.optimizer.best()[0]) < 0.65
+
+
+# ---- random search
+
+
+@pytest.mark.long
+def test_the_baseline_says_what_an_optimizer_is_worth() -> None:
+    """The medians in the comment of the example."""
+    told = {
+        kind: [best("baseline", [f"seed={seed}", f'optimizer={{kind="{kind}"}}']) for seed in range(1, 11)]
+        for kind in ("random", "nnga")
+    }
+    assert np.median(told["random"]) == pytest.approx(-187, abs=0.5)
+    assert np.median(told["nnga"]) == pytest.approx(0.34, abs=0.005)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from standing import Servers, result
 
 from zswarm import experiment, plugins
 from zswarm.errors import ConfigError, Stopped
@@ -24,40 +25,17 @@ from zswarm.ot.workload import Workload
 GENERATIONS, POPULATION, TRIALS = 3, 7, 2
 
 
-class Servers:
-    """Stands for servers and connection: a participant's fitness is its first gene; some trials at a time."""
-
-    servers, slots, probe = 1, 2, b"digest"
+class Players(Servers):
+    """A participant's fitness is its first gene; some trials at a time."""
 
     def __init__(self, at_once: int = 5, stop_after: int | None = None) -> None:
+        super().__init__()
         self.at_once, self.left = at_once, stop_after
-        self.handed: list[Workload] = []
         self.played: list[tuple[bytes, ...]] = []  # the genomes of each trial, and its seed
         self.fitness = "genes"
         self.retract_in: tuple[int, int] | None = None  # a round of a generation, counted from the first handed out
 
-    def __call__(self, *_args: object, **_asked: Any) -> "Servers":
-        return self
-
-    def __enter__(self) -> "Servers":
-        return self
-
-    def __exit__(self, *_error: object) -> None:
-        pass
-
-    def who_computes(self) -> str:
-        return "nobody"
-
-    def wait(self) -> Iterator[None]:
-        return iter(())
-
-    rest = wait
-
-    def evaluate(self, workload: Workload) -> Iterator[Counted | Retracted]:
-        self.handed.append(workload)
-        return self._evaluate(workload)
-
-    def _evaluate(self, workload: Workload) -> Iterator[Counted | Retracted]:
+    def play(self, workload: Workload) -> Iterator[Counted | Retracted]:
         genes = np.array([np.frombuffer(genome, "<f4")[0] for genome in workload.genomes], np.float64)
         while len(waiting := np.flatnonzero(~workload.counted)):
             trials = waiting[: self.at_once]
@@ -79,8 +57,8 @@ class Servers:
 
 
 @pytest.fixture
-def servers(monkeypatch: pytest.MonkeyPatch) -> Servers:
-    made = Servers()
+def servers(monkeypatch: pytest.MonkeyPatch) -> Players:
+    made = Players()
     monkeypatch.setattr(run, "Evaluations", made)
     return made
 
@@ -90,19 +68,14 @@ def loaded(*overrides: str) -> experiment.Experiment:
     return experiment.complete(experiment.load(experiment.find("minisim-duel"), [*settings, *overrides]), "test")
 
 
-def evolved(parent: Path, complete: experiment.Experiment, servers: Servers, logger: Logger | None = None) -> tuple[Path, Result]:
+def evolved(parent: Path, complete: experiment.Experiment, servers: Players, logger: Logger | None = None) -> tuple[Path, Result]:
     parts = run.build(complete)
     with Record.create(parent, complete, "0" * 32, parts.problem.simulator.metrics, relative=1) as record:
         return record.folder, followed(parts, record, servers, logger)
 
 
-def followed(parts: run.Parts, record: Record, servers: Servers, logger: Logger | None = None) -> Result:
-    evolution = run.evolve(parts, record, servers, logger or Logger(), threading.Event())  # type: ignore[arg-type]
-    while True:
-        try:
-            next(evolution)
-        except StopIteration as end:
-            return end.value  # type: ignore[no-any-return]
+def followed(parts: run.Parts, record: Record, servers: Players, logger: Logger | None = None) -> Result:
+    return result(run.evolve(parts, record, servers, logger or Logger(), threading.Event()))  # type: ignore[arg-type]
 
 
 def rows(folder: Path, sql: str) -> list[tuple[Any, ...]]:
@@ -113,7 +86,7 @@ def rows(folder: Path, sql: str) -> list[tuple[Any, ...]]:
         database.close()
 
 
-def test_a_generation_plays_its_rounds_and_is_told_the_scores(tmp_path: Path, servers: Servers) -> None:
+def test_a_generation_plays_its_rounds_and_is_told_the_scores(tmp_path: Path, servers: Players) -> None:
     """Of seven, three pairs play in each of three rounds; who has the greatest gene wins all its games."""
     folder, _ = evolved(tmp_path, loaded(), servers)
     assert [(workload.round, workload.first, len(workload.seeds)) for workload in servers.handed] == [
@@ -129,7 +102,7 @@ def test_a_generation_plays_its_rounds_and_is_told_the_scores(tmp_path: Path, se
     assert first.tolist() == [[0, 6], [0, 6], [1, 5], [1, 5], [2, 4], [2, 4]]
 
 
-def test_the_next_generation_is_handed_out_before_this_one_is_told(tmp_path: Path, servers: Servers) -> None:
+def test_the_next_generation_is_handed_out_before_this_one_is_told(tmp_path: Path, servers: Players) -> None:
     told: list[int] = []
 
     class Watching(Logger):
@@ -142,16 +115,16 @@ def test_the_next_generation_is_handed_out_before_this_one_is_told(tmp_path: Pat
 
 @pytest.mark.parametrize("stop_after", [0, 3, 5, 6, 9, 12, 17, 18, 20, 30, 53])
 def test_a_run_stopped_in_any_round_goes_on_as_if_it_had_not_been(
-    tmp_path: Path, servers: Servers, monkeypatch: pytest.MonkeyPatch, stop_after: int
+    tmp_path: Path, servers: Players, monkeypatch: pytest.MonkeyPatch, stop_after: int
 ) -> None:
     """No recorded trial is played again, and the history is the same."""
     complete = loaded()
     _, whole = evolved(tmp_path / "whole", complete, servers)
-    stopping = Servers(at_once=3, stop_after=stop_after)
+    stopping = Players(at_once=3, stop_after=stop_after)
     monkeypatch.setattr(run, "Evaluations", stopping)
     with pytest.raises(Stopped):
         evolved(tmp_path / "stopped", complete, stopping)
-    resuming = Servers(at_once=2)
+    resuming = Players(at_once=2)
     monkeypatch.setattr(run, "Evaluations", resuming)
     record, complete = Record.open(tmp_path / "stopped" / "minisim-duel")
     with record:
@@ -161,7 +134,7 @@ def test_a_run_stopped_in_any_round_goes_on_as_if_it_had_not_been(
     assert sorted(stopping.played + resuming.played) == sorted(servers.played)
 
 
-def test_the_record_says_who_played_each_trial(tmp_path: Path, servers: Servers) -> None:
+def test_the_record_says_who_played_each_trial(tmp_path: Path, servers: Players) -> None:
     folder, _ = evolved(tmp_path, loaded(), servers)
     found = rows(folder, "SELECT generation, round, count, trials, participants, fitness FROM outcomes ORDER BY id")
     seen: dict[int, list[int]] = {}
@@ -179,7 +152,7 @@ def test_the_record_says_who_played_each_trial(tmp_path: Path, servers: Servers)
     assert [trial["candidates"] for trial in read] == together.tolist()
 
 
-def test_a_wrong_server_loses_its_round_and_what_it_did_before_is_doubtful(tmp_path: Path, servers: Servers) -> None:
+def test_a_wrong_server_loses_its_round_and_what_it_did_before_is_doubtful(tmp_path: Path, servers: Players) -> None:
     """The games of a round were paired by what came before: those rounds stay, marked."""
     _, whole = evolved(tmp_path / "whole", loaded(), servers)
     servers.handed.clear()
@@ -192,7 +165,7 @@ def test_a_wrong_server_loses_its_round_and_what_it_did_before_is_doubtful(tmp_p
     assert told.doubtful == 6
 
 
-def test_outcomes_of_other_games_are_refused(tmp_path: Path, servers: Servers) -> None:
+def test_outcomes_of_other_games_are_refused(tmp_path: Path, servers: Players) -> None:
     """Another ranking's code pairs otherwise: what was recorded is of other candidates."""
     complete = loaded()
     servers.left = 3
@@ -209,7 +182,7 @@ def test_outcomes_of_other_games_are_refused(tmp_path: Path, servers: Servers) -
             record.restore(workload)
 
 
-def test_the_champion_is_the_best_of_the_last_generation(tmp_path: Path, servers: Servers) -> None:
+def test_the_champion_is_the_best_of_the_last_generation(tmp_path: Path, servers: Players) -> None:
     """It is replaced in every generation, also by one with fewer points."""
     champions: list[Controller] = []
 
@@ -230,7 +203,7 @@ def test_the_champion_is_the_best_of_the_last_generation(tmp_path: Path, servers
     assert listed == [(generation, champion.fitness) for generation, champion in enumerate(champions)]
 
 
-def test_a_generation_in_which_all_games_fail_has_no_champion_and_ends_nothing(tmp_path: Path, servers: Servers) -> None:
+def test_a_generation_in_which_all_games_fail_has_no_champion_and_ends_nothing(tmp_path: Path, servers: Players) -> None:
     servers.fitness = "nothing"
     folder, told = evolved(tmp_path, loaded(), servers)
     assert told.best == -np.inf
@@ -238,7 +211,7 @@ def test_a_generation_in_which_all_games_fail_has_no_champion_and_ends_nothing(t
     assert [candidate["fitness"] for candidate in Run(folder).candidates(1)] == [None] * POPULATION
 
 
-def test_measures_of_a_candidate_are_means_over_all_its_games(tmp_path: Path, servers: Servers) -> None:
+def test_measures_of_a_candidate_are_means_over_all_its_games(tmp_path: Path, servers: Players) -> None:
     """The stand-in's metrics are the sum of a game's candidates, once, twice and three times."""
     assessment = Assessment(run.build(loaded()).problem, [bytes([1, 0, 0, number]) * 76 for number in range(7)], 0)
     opponents: dict[int, list[int]] = {candidate: [] for candidate in range(7)}

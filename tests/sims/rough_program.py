@@ -1,6 +1,7 @@
 """A program that is a simulator, and does wrong what its argument says; without zswarm, as anybody's would be.
 
-One agent observes the trial's seed; fitness is the sum of what it did in three turns. Seed 1 is the trial in which it goes wrong.
+One agent observes the trial's seed; fitness is the sum of what it did in three turns. Seed 1 is the trial in which it goes wrong;
+of several things, separated by commas, seed 2 is that of the second, and so on.
 """
 
 import os
@@ -13,13 +14,19 @@ import time
 import msgspec
 
 HOW = sys.argv[1]
-out = sys.stdout.buffer
+EACH = HOW.split(",")
+out = os.fdopen(1, "wb", closefd=False)  # with a buffer, whatever the environment says
 
 
 def say(**message: object) -> None:
+    write(**message)
+    out.flush()
+
+
+def write(**message: object) -> None:
+    """To be said with what is said next."""
     body = msgspec.msgpack.encode(message)
     out.write(struct.pack("<I", len(body)) + body)
-    out.flush()
 
 
 def shout(text: str) -> None:
@@ -76,7 +83,8 @@ while True:
             say(
                 type="ready", inputs=1, outputs=1, owners=[2 if HOW == "bad-owner" else 0], metrics=["turns", "again"],
                 sensors=["a", "b"] if HOW == "bad-sensors" else ["seed"],
-                first_seed=5 if HOW == "first-seed" else None, hosts=HOW == "hosts" and message["network"] is not None,
+                first_seed=5 if HOW == "first-seed" else 1 if EACH[1:] else None,
+                hosts=HOW == "hosts" and message["network"] is not None,
             )  # fmt: skip
             again = 0
             continue
@@ -89,18 +97,25 @@ while True:
             total += struct.unpack("<f", message["actions"])[0]
             turns += 1
     fitness, agents, observations = [total], [0], struct.pack("<f", seed)
-    if seed == 1 and turns == 1:
-        match HOW:
+    if 1 <= seed <= len(EACH) and turns == 1:
+        match EACH[seed - 1]:
             case "exits":
                 sys.stderr.write("cannot load map\n")
                 sys.exit(7)
             case "is-killed":
                 os.kill(os.getpid(), signal.SIGKILL)
+            case "hangs":
+                signal.signal(signal.SIGTERM, signal.SIG_IGN)
+                time.sleep(1000)
+            case "eats":
+                eaten = bytearray(600 << 20)
+            case "says-twice":
+                write(type="turn", agents=agents, observations=observations)
             case "closes":
                 os.close(1)
                 time.sleep(1000)
             case "prints":
-                shout("agent 0 is here")
+                shout("\x1b[31magent 0 is here")
             case "prints-little":
                 shout("1")
             case "long-frame":
@@ -133,6 +148,6 @@ while True:
                 fitness = [1.0, 2.0]
                 turns = settings["steps"]
     if turns == settings["steps"]:
-        say(type="end", fitness=fitness, metrics=[turns, again if HOW != "fine" else 0])
+        say(type="end", fitness=fitness, metrics=[turns, again if HOW != "fine" and not EACH[1:] else 0])
     else:
         say(type="turn", agents=agents, observations=observations)

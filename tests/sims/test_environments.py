@@ -47,6 +47,9 @@ class Visitors:
         self.agents = [name for name in reversed(self.possible_agents) if name != gone] if self.at < self.steps else []
         return self.seen(), paid, {}, {}, {}
 
+    def close(self) -> None:
+        self.closed = True
+
     def seen(self) -> dict[str, Any]:
         share = np.float32(self.seed / 2**32)
         return {name: np.array([share, 1.0]) if name.startswith("host") else self.at % 5 for name in self.agents}
@@ -138,6 +141,14 @@ def test_a_seed_is_folded_and_seeds_the_generators_that_environments_share() -> 
         simulator.reset(seed)
         drawn.append(np.random.random())
     assert drawn[0] == drawn[1] != drawn[2]
+
+
+def test_an_environment_is_closed_with_its_simulator() -> None:
+    """As when a slot prepares another experiment."""
+    simulator = visit()
+    environment = simulator._environment
+    del simulator
+    assert environment.closed
 
 
 @pytest.mark.parametrize(

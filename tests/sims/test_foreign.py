@@ -29,7 +29,7 @@ BROKEN = {  # in the second of three turns, where turn, end or error is expected
     "exits": "its program ended with code 7; turn or end was expected; it wrote: cannot load map",
     "is-killed": "its program was killed by signal 9 (SIGKILL); turn or end was expected",
     "closes": "its program closed its input or output; turn or end was expected",
-    "prints": "its program was ended: its standard output has 'agent 0 is here' where turn or end was expected; "
+    "prints": "its program was ended: its standard output has '\\x1b[31magent 0 is here' where turn or end was expected; "
     "messages alone belong there, whatever else to standard error",
     "prints-little": "its program was ended: its standard output has '1' where turn or end was expected; "
     "messages alone belong there, whatever else to standard error",
@@ -39,6 +39,7 @@ BROKEN = {  # in the second of three turns, where turn, end or error is expected
     "no-message": "its program was ended: it said what is no message: Expected `int`, got `str` - at `$.agents[0]`; "
     "turn or end was expected",
     "other-message": "its program was ended: it said ready where turn or end was expected",
+    "says-twice": "its program was ended: it said more than was asked; one answer to each message was expected",
     "leaves-a-child": "its program ended with code 3; turn or end was expected",
 }
 DECIDED = {

@@ -76,6 +76,7 @@ def test_all_limits_that_are_broken_are_told_and_each_is_told_in_words() -> None
         ("arena.robots", {"max": "1"}, "'arena.robots': max: expected int | float | null, got str"),
         ("emergency-exit.field", {"choice": ["stadion"]}, "'emergency-exit.field': choice: 'stadion' is no value of it: "),
         ("arena.robots", {"min": 5, "max": 4}, "'arena.robots': nothing is 5 at least and 4 at most"),
+        ("arena.robots", {"max": float("nan")}, "'arena.robots': nan is no bound; expected numbers"),
         ("emergency-exit.field", {"max": 4}, "'emergency-exit.field': no number, which could have bounds; expected"),
         ("arena.\x1b", {"max": 4}, "'arena.\\x1b': arena has no setting"),
     ],

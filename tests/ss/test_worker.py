@@ -22,6 +22,7 @@ from zswarm.protocol import codec
 from zswarm.protocol.messages import MIN_MEMORY_MB, Evaluate, Outcomes, Part, Reserve
 from zswarm.ss import worker
 from zswarm.ss.worker import LONGEST_PAUSE_S, Ready, Worker
+from zswarm.version_hash import version_hash
 
 ANSWER_S = 120.0  # a compiler may be at work
 
@@ -44,7 +45,7 @@ def new_worker() -> Iterator[Callable[..., Worker]]:
 def reserve(simulator: str = "minisim", representation: str = "fully-meshed", trial_memory_mb: int = 0) -> Reserve:
     return Reserve(
         nonce=bytes(16), epoch=0, slots=1, simulator=Part(simulator, {}), representation=Part(representation, {}),
-        version_hash="", trial_timeout_s=1.0, trial_memory_mb=trial_memory_mb,
+        version_hash=version_hash(simulator, representation), trial_timeout_s=1.0, trial_memory_mb=trial_memory_mb,
     )  # fmt: skip
 
 
@@ -77,8 +78,12 @@ def pairs() -> Iterator[Any]:
 
 
 def pid(of: Worker) -> int:
+    """Its number, which the thread that started it may learn after it said that it is here."""
     assert of._process is not None
-    assert of._process.pid is not None
+    end = time.monotonic() + ANSWER_S
+    while of._process.pid is None:
+        assert time.monotonic() < end
+        time.sleep(0.001)
     return of._process.pid
 
 
@@ -190,7 +195,7 @@ def test_what_is_sent_while_no_process_is_there_waits_for_it_unless_it_is_killed
     slot = new_worker()
     os.kill(pid(slot), signal.SIGKILL)
     slot.exit_reason()
-    slot.prepare(reserve("nothing-of-this-name"), probe=True)
+    slot.prepare(msgspec.structs.replace(reserve(), simulator=Part("nothing-of-this-name", {})), probe=True)
     slot.kill()
     slot.prepare(reserve(), probe=True)
     start(slot)

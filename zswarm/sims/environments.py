@@ -2,12 +2,14 @@
 
 An environment has ``possible_agents``, names; ``agents``, those that act next; ``observation_space(name)`` and
 ``action_space(name)``, spaces of Gymnasium; ``reset(seed=...)``, which gives observations by name, and infos;
-``step(actions)``, which takes actions by name and gives observations, rewards, terminations, truncations and infos by name.
+``step(actions)``, which takes actions by name and gives observations, rewards, terminations, truncations and infos by name;
+``close()``.
 """
 
 import os
 import random
 import re
+import weakref
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
@@ -63,6 +65,7 @@ class ParallelEnvironment(Simulator):
         super().__init__(settings)
         check_options(settings.options)
         self._environment = environment = self.make(**settings.options)
+        weakref.finalize(self, environment.close)
         self._names = list(environment.possible_agents)
         self._index = {name: agent for agent, name in enumerate(self._names)}
         kinds = [kind(name) for name in self._names]

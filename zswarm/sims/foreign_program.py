@@ -29,7 +29,7 @@ ENDING_S = 1.0  # a program that closed its output, or was killed, is waited for
 CHUNK = 1 << 16  # bytes that a pipe has, mostly
 MAX_LAST_WORDS = 200  # characters of its standard error in an error
 LISTENED = 16  # pipes full of it that are read when it ended
-PRINTED = re.compile(rb"[\t\n\r -~]{2,40}")  # rather than the beginning of a message
+PRINTED = re.compile(rb"[\t\n\r\x1b -~]{2,40}")  # rather than the beginning of a message; colours, too
 MAP = frozenset((*range(0x80, 0x90), 0xDE, 0xDF))  # how a map of msgpack begins
 # Ends a process group when the pipe closes; a line "done" says that it need not.
 GUARD = 'read group && ! read done && kill -s KILL -- "-$group"'
@@ -110,6 +110,10 @@ class Program:
             EvaluationError: it ended, or broke the protocol and was ended for it; the text says what was expected.
         """
         what = " or ".join(_tag(kind) for kind in expected if kind is not Error)
+        with contextlib.suppress(BlockingIOError):  # nothing
+            self._said += os.read(self._output, CHUNK)
+        if self._said:
+            raise self._broken("it said more than was asked; one answer to each message was expected")
         body = _encoder.encode(message)
         if len(body) > MAX_FRAME:
             raise ValueError(f"a message to a simulator's program has {len(body)} bytes; at most {MAX_FRAME} are sent")
@@ -169,7 +173,7 @@ class Program:
             return
         printed = PRINTED.match(self._said)
         if printed:
-            shown = clean(printed[0].decode().strip().partition("\n")[0])
+            shown = printed[0].decode().strip().partition("\n")[0]
             raise self._broken(
                 f"its standard output has {shown!r} where {what} was expected; messages alone belong there, "
                 "whatever else to standard error"

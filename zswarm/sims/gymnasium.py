@@ -1,5 +1,6 @@
 """Environments of Gymnasium (gymnasium.farama.org), and those that other packages register with it: one agent."""
 
+import weakref
 from abc import abstractmethod
 from typing import Annotated, Any, ClassVar
 
@@ -47,7 +48,7 @@ class Environment(Simulator):
     def __init__(self, settings: Any) -> None:
         super().__init__(settings)
         check_options(settings.options)
-        self._environment = self.make(**settings.options)
+        self._environment = self._made()
         self._senses = sense(self._environment.observation_space, "observations")
         self._acts = act(self._environment.action_space, "actions")
         self.inputs, self.outputs = self._senses.size, self._acts.size
@@ -62,8 +63,8 @@ class Environment(Simulator):
 
     def reset(self, seed: int) -> Turn:
         """Start a trial, in a new environment: some leave something over for the next one, and making one takes little."""
-        self._environment.close()
-        self._environment = self.make(**self.settings.options)
+        self._close()
+        self._environment = self._made()
         seed = folded(seed)
         seed_generators(seed)
         observation, _ = self._environment.reset(seed=seed)
@@ -81,6 +82,12 @@ class Environment(Simulator):
     def outcome(self) -> Outcome:
         """Fitness and metrics of the trial that ended."""
         return Outcome([self._return], [self._steps])
+
+    def _made(self) -> Any:
+        """An environment, which is closed by ``_close`` or with this simulator."""
+        environment = self.make(**self.settings.options)
+        self._close = weakref.finalize(self, environment.close)
+        return environment
 
     def _turn(self, observation: Any) -> Turn:
         return Turn((0,), self._senses.numbers(observation).astype(np.float32).reshape(1, -1))

@@ -141,6 +141,7 @@ class RobotWorld:
         self._bodies: list[pymunk.Body] = []
         self._joints: dict[int, pymunk.PivotJoint] = {}  # of robots that hold something
         self._turned[:] = 0
+        self._interrupted: BaseException | None = None
         for pose in poses.tolist():
             body = self._body(settings.mass, self._moment, pose)
             self._touching(pymunk.Circle(body, settings.radius))
@@ -169,6 +170,8 @@ class RobotWorld:
             )  # fmt: skip
             batch.set_space_bodies(space, WRITTEN, WRITE_BUFFER)
             space.step(1.0)
+            if self._interrupted:
+                raise self._interrupted
             READ_BUFFER.clear()
             batch.get_space_bodies(space, READ, READ_BUFFER)
             self._rows.ravel()[:] = np.frombuffer(READ_BUFFER.float_buf())
@@ -276,17 +279,23 @@ class RobotWorld:
         return body
 
     def _turn_here(self, row: int, turn: Callable[[float, float], None]) -> None:
-        """From now on a body does not turn for pymunk; ``turn`` takes cosine and sine of its angle, and turns what it is made of."""
-        body, turned = self._bodies[row], self._turned
+        """A body does not turn for pymunk from now on; ``turn`` takes cosine and sine of its angle, and turns its parts."""
+        turned = self._turned
 
-        def move(body: pymunk.Body, duration: float) -> None:
-            pymunk.Body.update_position(body, duration)
+        def take_over(body: pymunk.Body) -> None:
             turned[row] += body.angle
             body.angle = 0
             turn(cos(turned[row]), sin(turned[row]))
 
-        move(body, 0.0)
-        body.position_func = move
+        def move(body: pymunk.Body, duration: float) -> None:
+            try:
+                pymunk.Body.update_position(body, duration)
+                take_over(body)
+            except BaseException as error:  # pymunk's C would print it and go on
+                self._interrupted = error
+
+        take_over(self._bodies[row])
+        self._bodies[row].position_func = move
 
     def _touching(self, shape: pymunk.Shape) -> None:
         # pymunk multiplies both numbers of the two that touch.

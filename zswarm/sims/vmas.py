@@ -96,6 +96,9 @@ class OneScenario:
         returned = {name: reward.item() for name, reward in zip(self.possible_agents, rewards, strict=True)}
         return self._by_name(observations), returned, dict.fromkeys(self.possible_agents, bool(over.item())), {}, {}
 
+    def close(self) -> None:
+        """Nothing is open."""
+
     def _by_name(self, observations: list[Any]) -> dict[str, np.ndarray]:
         return {name: _flat(observed) for name, observed in zip(self.possible_agents, observations, strict=True)}
 

@@ -112,6 +112,8 @@ def _said(table: Mapping[str, Any], kind: Any, at: str) -> Said:
             raise ConfigError(f"{at}: choice: {clean(repr(value))} is no value of it: {why}") from None
     if bounded and not _is_number(inspect.type_info(kind)):
         raise ConfigError(f"{at}: no number, which could have bounds; expected {{ choice = [...] }}")
+    if "nan" in (str(said.min), str(said.max)):  # nothing is below it or above it
+        raise ConfigError(f"{at}: nan is no bound; expected numbers")
     if said.min is not None and said.max is not None and said.min > said.max:
         raise ConfigError(f"{at}: nothing is {said.min} at least and {said.max} at most")
     return said

@@ -23,6 +23,7 @@ import structlog
 import zswarm
 from zswarm import notify, plugins
 from zswarm.errors import ConfigError, RemoteProtocolError
+from zswarm.extras import installing
 from zswarm.protocol import codec, keys
 from zswarm.protocol.messages import MAX_TEXT, Offer, Refused, Requirements, Reserve
 from zswarm.security import keyring, refusals
@@ -31,7 +32,7 @@ from zswarm.ss import control, facts, limits, memory, orphans, slots, view
 from zswarm.ss.options import AT_START, Options, offered
 from zswarm.ss.presence import Presence, Question
 from zswarm.ss.worker import SAID_WIDTH, Ready, Rest, Worker
-from zswarm.version_hash import differing, version_hash, versions
+from zswarm.version_hash import differing, lacking, version_hash, versions
 
 if TYPE_CHECKING:
     from zswarm.ss.metrics import Metrics
@@ -502,9 +503,12 @@ class Server:
         if (simulator, representation) not in self._hashes:
             return f"no representation {representation!r} here"
         if self._hashes[simulator, representation] != asked.version_hash:
-            told = asked.versions if isinstance(asked, Requirements) else {}
-            if parts := differing(self._versions[simulator, representation], told):
-                return f"another version is installed here: {'; '.join(parts)}"[:MAX_TEXT]
+            told, here = asked.versions if isinstance(asked, Requirements) else {}, self._versions[simulator, representation]
+            if missing := lacking(here, told):
+                return f"packages that {simulator!r} needs are not installed here: {installing(*missing)}"[:MAX_TEXT]
+            if parts := differing(here, told):
+                todo = "install the same, and start this server again"
+                return f"another version is installed here: {'; '.join(parts)[: MAX_TEXT // 2]}; {todo}"
             return f"another version of {simulator}, {representation}, zswarm or numba is installed here"
         if asked.trial_memory_mb > self.slot_memory_mb:
             return f"a slot here has {self.slot_memory_mb} MB, the run asks for {asked.trial_memory_mb}"

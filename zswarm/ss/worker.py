@@ -39,6 +39,7 @@ from zswarm.errors import ConfigError, EvaluationError, RemoteProtocolError
 from zswarm.protocol import codec
 from zswarm.protocol.messages import Evaluate, Outcomes, Refused, Reserve
 from zswarm.ss import memory
+from zswarm.version_hash import version_hash
 
 if TYPE_CHECKING:
     from zswarm.evaluate import Outcomes as Played
@@ -356,6 +357,7 @@ def main(pipe: Connection, shared: object, memory_mb: int, saying: Connection) -
                     continue
                 setup = codec.decode_request(body)
                 assert isinstance(setup, Reserve)  # noqa: S101  that is what prepare sends
+                _check_version(setup)
                 too_much = _too_much(setup.trial_memory_mb, memory_mb).encode()
                 evaluator = Evaluator(setup, setup.trial_memory_mb or memory_mb)
                 pipe.send_bytes(b"R" + msgspec.msgpack.encode(evaluator.warm_up(probe=letter == b"P")))
@@ -383,6 +385,20 @@ def _too_much(asked_mb: int, memory_mb: int) -> str:
     if asked_mb:
         return f"it needs more than the {asked_mb} MB of cluster.trial_memory_mb: raise that, if servers have more"
     return f"it needs more than the {memory_mb} MB of a slot: raise slot_memory_mb of the server, or run it with fewer slots"
+
+
+def _check_version(setup: Reserve) -> None:
+    """See that the code is still what the server said: this process loads it from files that somebody may have changed since.
+
+    Raises:
+        ConfigError: it is not.
+    """
+    simulator, representation = setup.simulator.kind, setup.representation.kind
+    if version_hash(simulator, representation) != setup.version_hash:
+        raise ConfigError(
+            f"files of {simulator}, {representation} or zswarm changed after the server was started; a run must not go on with "
+            "other code: start the server again"
+        )
 
 
 class Evaluator:
