@@ -195,6 +195,7 @@ def rough(folder: Path, each: tuple[str, ...]) -> Path:
     return folder
 
 
+@pytest.mark.long
 def test_whatever_a_program_does_costs_its_own_trials_and_nothing_else(tmp_path: Path) -> None:
     """What it says wrongly is this trial's outcome; that it ends, hangs, or says what is no message is a fault, three times.
 
@@ -204,18 +205,22 @@ def test_whatever_a_program_does_costs_its_own_trials_and_nothing_else(tmp_path:
     mine, theirs = rough(tmp_path / "mine", each), rough(tmp_path / "theirs", each)
     (tmp_path / "rough.toml").write_text(OF_ROUGH.format(trials=len(each)))
     server = Server(tmp_path, "ss", capacity=1, ZSWARM_SIMULATORS=str(theirs), ZSWARM_PLAIN="1").ready()
-    reach = ["--json", "--no-multicast", "--servers", "1", "--connect", server.endpoint]
+    arguments = ["run", "rough.toml", "--json", "--no-multicast", "--servers", "1", "--connect", server.endpoint]
+    optimizers: list[Optimizer] = []
+
+    def start(name: str, *more: str) -> Optimizer:
+        optimizers.append(Optimizer(tmp_path, name, [*arguments, *more], ZSWARM_SIMULATORS=str(mine), ZSWARM_PLAIN="1"))
+        return optimizers[-1]
+
     try:
-        optimizer = Optimizer(tmp_path, "ot", ["run", "rough.toml", *reach], ZSWARM_SIMULATORS=str(mine), ZSWARM_PLAIN="1")
-        done = optimizer.done()
+        done = start("ot").done()
         with (theirs / ROUGH.name).open("a") as changed:
             changed.write("# a version later\n")
-        again = ["run", "rough.toml", *reach, "--set", "problem.settings.steps=4"]
-        later = Optimizer(tmp_path, "later", again, ZSWARM_SIMULATORS=str(mine), ZSWARM_PLAIN="1")
-        refused = wait_until(lambda: [line for line in later.err.read_text().splitlines() if "is not used" in line], "it is told")
-        later.close()
+        later = start("later", "--set", "problem.settings.steps=4")
+        refused = wait_until(lambda: [line for line in later.err.read_text().splitlines() if " refused: " in line], "it is told")
     finally:
-        server.close()
+        for program in (*optimizers, server):
+            program.close()
     fitness = np.full(2 * len(each), np.inf)
     for trials, values in query(tmp_path / "runs" / "rough", "SELECT trials, fitness FROM outcomes"):
         fitness[np.frombuffer(trials, "<u4")] = np.frombuffer(values, "<f8")

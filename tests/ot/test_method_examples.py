@@ -143,6 +143,15 @@ def test_a_network_that_learns_finds_out_what_is_food_and_others_do_not() -> Non
         assert late(parts, parts.optimizer.best()[0]) < 0.65
 
 
+# ---- networks without memory
+
+
+@pytest.mark.long
+def test_a_network_without_memory_balances_a_pole() -> None:
+    """All 500 steps of five trials: the most there is."""
+    assert best("gymnasium") == 2500.0
+
+
 # ---- random search
 
 

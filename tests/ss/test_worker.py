@@ -129,6 +129,14 @@ def test_a_process_gets_what_the_server_gives_when_the_run_asks_for_nothing(new_
     assert limit(slot, "Max data size") == str(700 << 20)
 
 
+def test_a_process_does_not_compute_with_other_code_than_the_server_said(new_worker: Callable[..., Worker]) -> None:
+    slot = new_worker()
+    slot.prepare(msgspec.structs.replace(reserve(), version_hash="0" * 32), probe=False)
+    letter, why = answer(slot)
+    assert letter == b"F"
+    assert why.startswith(b"files of minisim, fully-meshed or zswarm changed after the server was started; ")
+
+
 def test_a_process_is_prepared_once(new_worker: Callable[..., Worker]) -> None:
     """What a problem left behind takes no memory from the next one."""
     slot = new_worker()
