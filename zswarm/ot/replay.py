@@ -21,10 +21,10 @@ NAME = "replay.html"
 def page(trace: Trace, title: str) -> str:
     """One file with all that it shows; it asks no network, and its rules forbid that it does."""
     parts = {
-        "TITLE": html.escape(clean(title)),
         "STYLE": (HERE / "player.css").read_text(encoding="utf-8"),
         "PLAYER": (HERE / "player.js").read_text(encoding="utf-8"),
         "TRACE": base64.b64encode(trace.encode()).decode(),
+        "TITLE": html.escape(clean(title)),  # the last: nothing is looked for in what others wrote
     }
     text = (HERE / NAME).read_text(encoding="utf-8")
     for name, part in parts.items():

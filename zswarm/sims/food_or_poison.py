@@ -87,7 +87,7 @@ class FoodOrPoison(CompiledSimulator):
         does = "has found it" if not game[TASTED] else "tastes food" if foods[game[KIND]] else "tastes poison"
         animal = Body(f"animal, {does}", x, y + 0.5, 0.15, shape="triangle")
         eaten = f"item {min(game[ITEM] + 1, self.settings.items)} of {self.settings.items}; eaten: {game[FOOD_EATEN]} food, "
-        words = Label(f"{eaten}{game[POISON_EATEN]} poison", across / 2, 0.5, 0.3)
+        words = Label(f"{eaten}{game[POISON_EATEN]} poison", across / 2, 0.5, 0.25)
         return Frame(across, 1.2 * (self.settings.kinds // across + 2), [], [animal, *kinds], labels=[words])
 
     def play(self, step: Step, batch: Batch) -> None:

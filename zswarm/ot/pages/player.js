@@ -14,7 +14,7 @@ const JUMP = 5; // radii in a round: what moves further is not seen on the way
 const PANEL_MS = 80; // between two changes of the numbers
 const TALLEST = 0.68; // of the window, the picture
 const FAINT = /\bout\b|outside|out of view|in the nest/; // kinds that take no part any more
-const ACTS = /^(robot|opponent|cart|defender)\b(?!.*says)(?!s')/; // kinds that are not known by what they are near
+const ACTS = /^(robot|opponent|cart|defender)\b(?!.*says)/; // kinds that are not known by what they are near
 const KNOWN = [
   [/^opponents' home/, "--zp-home-2"], [/^opponents' flag/, "--zp-flag-2"],
   [/wall|blockade|track/, "--zp-wall"], [/exit|goal/, "--zp-exit"], [/nest|home/, "--zp-home"], [/flag's stand|^light$/, "--zp-flag"],
@@ -263,6 +263,8 @@ class Player {
       if (!trace.tracks[track]) continue;
       panel.append(made("h4", "zp-what", title));
       const table = made("div", "zp-numbers");
+      table.setAttribute("role", "group"); // it scrolls, and then has the focus
+      table.setAttribute("aria-label", title);
       names.forEach((name, number) => {
         const value = made("span", "zp-value"), bar = made("span", "zp-amount"), rail = made("span", "zp-rail");
         const label = made("span", "zp-name", name);
@@ -322,6 +324,7 @@ class Player {
       Home: () => this.go(0),
       End: () => this.go(this.last),
       "+": () => this.faster(1),
+      "=": () => this.faster(1),
       "-": () => this.faster(-1),
       "[": () => this.choose(this.chosen - 1),
       "]": () => this.choose(this.chosen + 1),
