@@ -31,7 +31,11 @@ SIMULATOR, NETWORK, SMALLEST = "arena", "fully-meshed", "xor"  # partners: whose
 SIMULATORS = [
     name for name in plugins.names("simulator") if set(plugins.libraries(plugins.source_files("simulator", name))) <= {"pymunk"}
 ]  # environments of other packages have bits of theirs
-SMALL = {name: {"robots": 2, "rays": 8} for name in ("box-pushing", "foraging-physical", "turtlebot-exit")}  # short
+SMALL: dict[str, dict[str, Any]] = {  # settings of short trials in which what genomes do makes a difference
+    "box-pushing": {"robots": 2, "rays": 8, "side": 1.7, "box": 0.5, "box_mass": 1.0, "goal": 0.4, "speed": 2.0},
+    "foraging-physical": {"robots": 2, "rays": 8, "side": 1.6, "nest": 0.4, "pucks": 2, "speed": 2.0},
+    "turtlebot-exit": {"robots": 2, "rays": 8},
+}
 NEEDED = {("minisim", "teams"): {"defenders": 0}}  # by other settings than the one that names choices
 
 
@@ -64,12 +68,12 @@ def problem(simulator: str, network: str, rules: dict[str, Any], shape: dict[str
     """Its name, and both of its parts."""
     name = " ".join([simulator, network, *(f"{key}={value}" for key, value in {**rules, **shape}.items())])
     if STEPS and hasattr(plugins.load("simulator", simulator).settings_type, "steps"):
-        rules = SMALL.get(simulator, {}) | rules | {"steps": STEPS}
+        rules = {"steps": STEPS} | SMALL.get(simulator, {}) | rules
     return name, *evaluate.build(simulator, rules, network, shape)
 
 
-def played(simulator: Any, network: Any) -> bytes:
-    """The outcomes of some trials, in a batch and in turns."""
+def played(simulator: Any, network: Any) -> tuple[bytes, int]:
+    """The outcomes of some trials, in a batch and in turns; and how many of the first seed's differ."""
     genomes = network.random(GENOMES, Stream(3))
     if network.genes is None:  # new ones are all of one structure
         stream = Stream(6)
@@ -81,7 +85,9 @@ def played(simulator: Any, network: Any) -> bytes:
     outcomes = evaluate.evaluate(simulator, network, genomes, participants, np.tile(SEEDS, GENOMES))
     fitness, metrics = np.empty(simulator.participants), np.empty(len(simulator.metrics))
     evaluate.play_in_turns(simulator, network, network.parameters(genomes)[participants[0]], int(SEEDS[0]), fitness, metrics)
-    return b"".join(numbers.tobytes() for numbers in (outcomes.fitness, outcomes.metrics, fitness, metrics))
+    numbers = np.concatenate([outcomes.fitness, outcomes.metrics], axis=1)
+    different = {row.tobytes() for row in numbers[:: len(SEEDS)]}
+    return b"".join(array.tobytes() for array in (numbers, fitness, metrics)), len(different)
 
 
 def operated(network: Any) -> bytes:
@@ -114,11 +120,13 @@ def drawn() -> bytes:
     return b"".join(array.tobytes() for array in numbers) + str([stream.integer(1000) for _ in range(100)]).encode()
 
 
-def results() -> Iterator[tuple[str, bytes]]:
-    """Name and bytes of everything."""
+def results() -> Iterator[tuple[str, bytes | int]]:
+    """Name and bytes of everything, and how many outcomes differ."""
     yield "draws", drawn()
     for name, simulator, network in problems():
-        yield f"{name}: outcomes", played(simulator, network)
+        outcomes, different = played(simulator, network)
+        yield f"{name}: outcomes", outcomes
+        yield f"{name}: different", different
     for representation in plugins.names("representation"):
         _, simulator, network = problem(SMALLEST, representation, {}, {})
         yield f"{representation}: operators", operated(network)
@@ -133,5 +141,10 @@ def results() -> Iterator[tuple[str, bytes]]:
                         yield f"{representation}: {kind} {chosen}", evolved(optimizer, simulator, network)
 
 
+def digest(value: bytes | int) -> str | int:
+    """Of bytes."""
+    return value if isinstance(value, int) else hashlib.blake2b(value, digest_size=8).hexdigest()
+
+
 if __name__ == "__main__":
-    json.dump({name: hashlib.blake2b(value, digest_size=8).hexdigest() for name, value in results()}, sys.stdout)
+    json.dump({name: digest(value) for name, value in results()}, sys.stdout)

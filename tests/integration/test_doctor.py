@@ -251,8 +251,8 @@ def test_check_names_the_servers_that_match_and_why_others_do_not(tmp_path: Path
 )
 def test_a_run_that_finds_nobody_says_after_a_while_what_to_do(options: list[str], words: str, tmp_path: Path) -> None:
     """Once."""
-    long = ["run", "minisim", "--no-multicast", "--realm", "lab7", "--set=generations=100000", "--set=problem.settings.steps=5"]
-    started = Optimizer(tmp_path, "ot", [*long, *options], ZSWARM_PLAIN="1")
+    long = ["run", "minisim", "--no-multicast", "--realm", "lab7", "--set=generations=100000"]
+    started = Optimizer(tmp_path, "ot", [*long, *options])
     try:
         hint = words + "zswarm-ot doctor says why, docs/network.md what to do\n"
         wait_until(lambda: started.err.read_text().partition(hint)[2].count("\n"), "the hint, and a line after it")
@@ -263,8 +263,8 @@ def test_a_run_that_finds_nobody_says_after_a_while_what_to_do(options: list[str
 
 
 def test_a_run_of_this_machine_alone_misses_nobody(tmp_path: Path) -> None:
-    options = ["--servers", "local", "--set=cluster.local_slots=1", "--set=generations=100000", "--set=problem.settings.steps=5"]
-    started = Optimizer(tmp_path, "ot", ["run", "minisim", *options], ZSWARM_PLAIN="1")
+    options = ["--servers", "local", "--set=cluster.local_slots=1", "--set=generations=100000"]
+    started = Optimizer(tmp_path, "ot", ["run", "minisim", *options])
     try:
         wait_until(lambda: len(started.err.read_text().splitlines()) > 20, "some generations")
         assert "doctor" not in started.err.read_text()

@@ -36,7 +36,7 @@ def test_killed_servers_and_a_late_one_leave_the_history_as_it_is(tmp_path: Path
     """One is killed, the others go on; then these are killed, and what is left is done by one that starts only now."""
     servers = [Server(tmp_path, f"ss-{number}", capacity=1) for number in range(3)]
     late_port = free_port()
-    optimizer = run(tmp_path, "ot", *remote(*servers), f"--connect=tcp/127.0.0.1:{late_port}")
+    optimizer = run(tmp_path, "ot", *remote(*[server.ready() for server in servers]), f"--connect=tcp/127.0.0.1:{late_port}")
     record = tmp_path / "runs" / "disturbed"
     programs = [*servers, optimizer]
     try:
@@ -136,7 +136,7 @@ def test_runs_that_wait_for_a_slot_get_it_in_the_order_in_which_they_came(tmp_pa
 
 def test_a_drained_server_finishes_what_runs_and_exits(tmp_path: Path) -> None:
     servers = [Server(tmp_path, f"ss-{number}") for number in range(2)]
-    optimizer = run(tmp_path, "ot", *remote(*servers))
+    optimizer = run(tmp_path, "ot", *remote(*[server.ready() for server in servers]))
     try:
         wait_until(lambda: counted(tmp_path) > 100, "some trials are counted")
         servers[0].kill(signal.SIGTERM)

@@ -177,9 +177,9 @@ def played(parts: run.Parts, generations: int, genomes: Any = None) -> run.Parts
 
 @pytest.mark.long
 def test_they_find_more_and_better_ways_to_play_than_random_search() -> None:
-    """As many evaluations, 5,000; six seeds of each."""
+    """As many evaluations, 5,000; ten seeds of each."""
     scores: dict[str, list[float]] = {"map-elites": [], "cma-me": [], "random": []}
-    for seed in range(6):
+    for seed in range(10):
         for kind, settings in (("map-elites", {"population": 50}), ("cma-me", {"emitters": 5, "population": 10})):
             complete = experiment.complete(
                 experiment.check(experiment.to_mapping(loaded(kind=kind, **settings)) | {"seed": seed}, "test"), "test"

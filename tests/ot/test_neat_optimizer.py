@@ -252,8 +252,8 @@ def test_xor_is_solved_by_neurons_that_were_not_there_at_first() -> None:
 @pytest.mark.long
 def test_xor_takes_as_many_generations_as_in_the_paper() -> None:
     """There 100 of 100 runs, in 32 generations, 4,755 evaluations and with 2.35 hidden neurons on average."""
-    runs = [solved(seed) for seed in range(50)]
-    assert None not in runs
+    runs = [solved(seed) for seed in range(100)]
+    assert sum(found is not None for found in runs) >= 99
     generations, evaluations, hidden = np.mean([found for found in runs if found], axis=0)
     assert 15 < generations < 40
     assert 2000 < evaluations < 6000

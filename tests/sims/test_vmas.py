@@ -30,10 +30,11 @@ def test_a_scenario_keeps_the_contract(scenario: str) -> None:
 
 
 @pytest.mark.parametrize("scenario", ["circle_trajectory", "line_trajectory"])
-def test_evolved_controllers_are_better_than_random_ones_on_seeds_they_never_saw(scenario: str) -> None:
-    """Champions of two runs; a step takes milliseconds, so they are short."""
-    settings = {"scenario": scenario, "steps": 25}
-    assert compared("vmas", settings, seeds=[1, 2], generations=8, population=10, trials=2, unseen=25).p < 0.01
+def test_evolution_is_better_than_random_on_seeds_it_never_saw(scenario: str) -> None:
+    """Than random actions and random networks; a step takes milliseconds, so trials are short and few."""
+    settings = {"scenario": scenario, "steps": 30}
+    found = compared("vmas", settings, generations=6, population=10, trials=2, unseen=12)
+    assert found.p < 0.01, found
 
 
 @pytest.mark.parametrize(
