@@ -57,6 +57,7 @@ ONLY_IN = {
     "pymunk": {"sims.robot_world"},
     "prometheus_client": {"ss.metrics"},
     "matplotlib": {"ot.figures", "ot.reading", "api"},  # for their types; it is imported by extras.need, as are scipy and jinja2
+    "PIL": set(),
     "scipy": set(),
     "jinja2": set(),
     "starlette": {"ot.dashboard.app", "ot.dashboard.guard"},

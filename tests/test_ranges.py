@@ -16,7 +16,7 @@ from zswarm.errors import ConfigError
 from zswarm.evaluate import build, evaluate, probe, turns
 from zswarm.nets.fully_meshed import FullyMeshed
 from zswarm.nets.fully_meshed import Settings as NetworkSettings
-from zswarm.ot import film
+from zswarm.ot import trace
 from zswarm.sims.emergency_exit import EmergencyExit
 from zswarm.sims.simulator import Batch, HostingSimulator, Outcome, Simulator, Turn
 from zswarm.varied import KEPT, Varied, drawn
@@ -353,7 +353,7 @@ def test_the_number_of_agents_may_differ_by_trial() -> None:
     parameters = NETWORK.parameters(genomes)
     assert [len(next(turns(varied, NETWORK, parameters, seed)).agents) for seed in range(30)] == numbers
     arena, network = build("arena", {"robots": {"from": 2, "to": 9}, "steps": 2}, "fully-meshed", {})
-    pictures = film.frames(arena, network, network.random(1, Stream(1))[0], 5)
+    pictures = trace.record(arena, network, network.random(1, Stream(1)), 5).frames
     assert len(pictures[0].bodies) == drawn({"robots": {"from": 2, "to": 9}}, 5)["robots"]
 
 

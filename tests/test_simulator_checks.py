@@ -18,7 +18,7 @@ import pytest
 
 from zswarm import evaluate
 from zswarm.draws import Stream
-from zswarm.sims.simulator import Outcome, Simulator, Turn
+from zswarm.sims.simulator import Body, Frame, Line, Outcome, Ray, Simulator, Turn
 from zswarm.testing import check_simulator
 
 MOST_LINES = 40  # of the contract: a screen
@@ -274,3 +274,40 @@ def test_clocks_and_generators_are_as_before() -> None:
     check_simulator(Gather)
     assert random.getstate() == state
     assert time.time is before
+
+
+class Draws(Gather):
+    """What the picture shows at the start, and from then on."""
+
+    pictures: tuple[Any, Any]
+
+    def frame(self) -> Any:
+        return self.pictures[0 if self.left == self.settings.steps else 1]
+
+
+ROBOTS = Frame(1, 1, [], [Body("robot", 0, 0, 1)] * 3)
+
+
+@pytest.mark.parametrize(
+    ("pictures", "text"),
+    [
+        (
+            (ROBOTS, ROBOTS._replace(bodies=ROBOTS.bodies[:2])),
+            "the same bodies, not 3 bodies (disc disc disc), 0 lines and 0 rays",
+        ),
+        ((ROBOTS, ROBOTS._replace(lines=[Line("rod", 0, 0, 1, 1)])), "and then 3 bodies (disc disc disc), 1 lines and 0 rays"),
+        (
+            (ROBOTS, ROBOTS._replace(bodies=[Body("robot", 0, 0, 1, None, "square")] * 3)),
+            "and then 3 bodies (square square square)",
+        ),
+        ((ROBOTS, None), "and then no frame"),
+        ((ROBOTS._replace(rays=[Ray(2, 0.0, 0.0, 1.0)]),) * 2, "a ray's sensor must be in range(0, 2), not 2"),
+        ((ROBOTS._replace(bodies=[Body("robot", 0, 0, 1, None, "round")]),) * 2, "a shape must be one of disc, square"),  # type: ignore[arg-type]
+        (("a picture",) * 2, "must return a Frame or None, not 'a picture'"),
+    ],
+)
+def test_a_picture_that_cannot_be_shown_is_told(pictures: Any, text: str) -> None:
+    broken = type("Drawn", (Draws,), {"pictures": pictures})
+    with pytest.raises(AssertionError, match=r"^Drawn\.frame") as raised:
+        check_simulator(broken)
+    assert text in str(raised.value)

@@ -14,7 +14,7 @@ import time
 import tracemalloc
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import msgspec
 import numpy as np
@@ -24,7 +24,7 @@ from zswarm.draws import Stream
 from zswarm.evaluate import BrokenContractError, evaluate, play_in_turns, turns
 from zswarm.lanes import LANES
 from zswarm.nets.representation import Representation
-from zswarm.sims.simulator import CompiledSimulator, Frame, Outcome, Simulator, Turn
+from zswarm.sims.simulator import Body, CompiledSimulator, Frame, Outcome, Simulator, Turn
 from zswarm.strict import convert
 
 TRIAL_SEEDS = (0, 1, 2**63 + 5, 2**64 - 1)
@@ -39,6 +39,7 @@ CLOCKS = {
     "perf_counter_ns": 1e9,
 }  # per s
 LATER_S = 1e6
+SHAPES = get_args(Body.__annotations__["shape"])
 
 
 class Speed(NamedTuple):
@@ -291,7 +292,7 @@ class _CheckedSimulator(Simulator):
         turn = self.simulator.reset(seed)
         require(turn is not None, f"{self.name}.reset must return a Turn: somebody must act")
         self.turns, self.acting = 0, None
-        self.bodies = self._bodies()
+        self.drawn = self._drawn()
         return self._checked(turn, "reset")
 
     def step(self, actions: np.ndarray) -> Turn | None:
@@ -311,16 +312,25 @@ class _CheckedSimulator(Simulator):
             f"{self.name}.step changes the observations of the turn before: each turn needs an array of its own",
         )
 
-    def _bodies(self) -> int:
-        """How many bodies a frame shows."""
+    def _drawn(self) -> str:
+        """What of a frame stays the same throughout a trial, in words."""
         frame = self.simulator.frame()
-        require(frame is None or isinstance(frame, Frame), f"{self.name}.frame must return a Frame or None, not {frame!r:.80}")
-        return 0 if frame is None else len(frame.bodies)
+        where = f"{self.name}.frame"
+        require(frame is None or isinstance(frame, Frame), f"{where} must return a Frame or None, not {frame!r:.80}")
+        if frame is None:
+            return "no frame"
+        for body in frame.bodies:
+            require(body.shape in SHAPES, f"{where}: a shape must be one of {', '.join(SHAPES)}, not {body.shape!r:.40}")
+        for ray in frame.rays:
+            known = range(self.inputs)
+            require(ray.sensor in known, f"{where}: a ray's sensor must be in {known}, not {ray.sensor}")
+        shapes = " ".join(body.shape for body in frame.bodies)
+        return f"{len(frame.bodies)} bodies ({shapes:.60}), {len(frame.lines)} lines and {len(frame.rays)} rays"
 
     def outcome(self) -> Outcome:
-        bodies = self._bodies()
-        same = f"{self.name}.frame: the frames of a trial must show the same bodies, not {self.bodies} and then {bodies}"
-        require(bodies == self.bodies, same)
+        drawn = self._drawn()
+        same = f"{self.name}.frame: the frames of a trial must show the same bodies, not {self.drawn} and then {drawn}"
+        require(drawn == self.drawn, same)
         outcome = self.simulator.outcome()
         require(isinstance(outcome, Outcome), f"{self.name}.outcome must return an Outcome, not {outcome!r:.80}")
         for what, values, count in (

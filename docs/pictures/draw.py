@@ -7,7 +7,7 @@ import sqlite3
 import sys
 from pathlib import Path
 
-from zswarm.ot import film
+from zswarm.ot import film, trace
 from zswarm.ot.problem import Problem
 from zswarm.ot.record import load_experiment
 
@@ -21,7 +21,7 @@ def main() -> None:
     panels = []
     for where in ("generation = 0", "1"):
         genome, generation = database.execute(pick.format(where)).fetchone()
-        frames = film.frames(problem.simulator, problem.representation, genome, 0)
+        frames = trace.record(problem.simulator, problem.representation, [genome], 0).frames
         out = sum(body.kind == "robot outside" for body in frames[-1].bodies)
         panels.append(film.Panel(f"generation {generation}: {out} of {len(frames[-1].bodies)} robots leave", frames))
     Path(__file__).with_name("stadium.svg").write_text(film.svg(panels))

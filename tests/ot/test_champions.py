@@ -8,7 +8,7 @@ import pytest
 
 from zswarm import evaluate, plugins
 from zswarm.draws import Stream
-from zswarm.ot import film, unseen
+from zswarm.ot import trace, unseen
 from zswarm.ot.controller import CHAMPION, Controller, load_controller
 
 GAME = {"steps": 8, "robots": 1, "width": 8}
@@ -28,7 +28,7 @@ def test_the_champion_of_every_kind_of_network_is_of_use(kind: str, tmp_path: Pa
     champion = load_controller(tmp_path)
     assert champion == written
 
-    frames = film.frames(simulator, network, genome, unseen.trial_seed(0, 0))
+    frames = trace.record(simulator, network, [genome], unseen.trial_seed(0, 0)).frames
     assert len(frames) == 9
     turn, driver, path = simulator.reset(unseen.trial_seed(0, 0)), champion.driver(), []
     while turn is not None:

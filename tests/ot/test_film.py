@@ -1,6 +1,7 @@
 """A trial becomes a picture in which every body is where the simulator had it."""
 
 import itertools
+import math
 import re
 from xml.etree import ElementTree
 
@@ -8,9 +9,9 @@ import pytest
 
 from zswarm import evaluate
 from zswarm.draws import Stream
-from zswarm.ot.film import MOST_FRAMES, NAMESPACE, Panel, frames, svg
-from zswarm.sims.minisim import Minisim
-from zswarm.sims.simulator import Body, Frame, Place
+from zswarm.ot.film import MOST_FRAMES, NAMESPACE, Panel, svg
+from zswarm.ot.trace import record
+from zswarm.sims.simulator import Body, Frame, Label, Line, Place
 
 SVG = f"{{{NAMESPACE}}}"
 WALK = [Frame(10, 5, [Place("wall", 4, 0, 1, 2)], [Body("robot", x, 2.5, 0.4), Body("rock", 1, 1, 0.4)]) for x in range(11)]
@@ -35,7 +36,7 @@ def animations(picture: ElementTree.Element) -> dict[str, tuple[list[float], lis
 def test_a_trial_is_looked_at_once_a_round(simulator: str, rounds: int) -> None:
     """From the start to the end; in both, turns of one robot and turns of all."""
     built, network = evaluate.build(simulator, {}, "fully-meshed", {})
-    seen = frames(built, network, network.random(1, Stream(3))[0], 5)
+    seen = record(built, network, network.random(1, Stream(3)), 5).frames
     assert len(seen) == rounds + 1
     start = built.reset(5)
     assert start is not None
@@ -77,32 +78,27 @@ def test_whoever_wants_no_motion_gets_the_paths() -> None:
     assert re.search(r"prefers-reduced-motion:reduce\){\.zs \.moving{display:none}", svg([Panel("", WALK)]))
 
 
-class Drawn(Minisim):
-    """A simulator whose pictures a test chooses."""
+def test_what_has_a_heading_is_turned_the_short_way() -> None:
+    """Over the turn's end, too; a square turns as a whole."""
+    angles = [2.8, 3.1, 3.4 - 2 * math.pi, 3.7 - 2 * math.pi]
+    seen = [Frame(10, 5, [], [Body("box", x, 1, 0.4, angle, "square")]) for x, angle in enumerate(angles)]
+    (turning,) = [each for each in drawn(seen).iter(f"{SVG}animateTransform") if each.attrib["type"] == "rotate"]
+    degrees = [float(value) for value in turning.attrib["values"].split(";")]
+    assert degrees == sorted(degrees)
+    assert degrees[-1] - degrees[0] == pytest.approx(math.degrees(0.9), abs=0.2)
 
-    pictures: list[Frame]
 
-    def frame(self) -> Frame:
-        return self.pictures.pop(0) if len(self.pictures) > 1 else self.pictures[0]
-
-
-@pytest.mark.parametrize(
-    "pictures",
-    [
-        [WALK[0], WALK[1]._replace(bodies=WALK[1].bodies[:1])],
-        [WALK[0]._replace(bodies=[]), WALK[1]],
-        [WALK[0], WALK[1]._replace(bodies=[Body("robot", float("nan"), 0, 0.4), WALK[1].bodies[1]])],
-        [WALK[0]._replace(width=0)],
-        [WALK[0]._replace(places=[Place("wall", float("inf"), 0, 1, 1)])],
-    ],
-    ids=["a body goes", "a body comes", "no place", "no field", "a place without an end"],
-)
-def test_what_cannot_be_drawn_makes_no_picture(pictures: list[Frame]) -> None:
-    """A plug-in's frames may be anything: the report is there without them."""
-    built, network = evaluate.build("minisim", {}, "fully-meshed", {})
-    simulator = Drawn(built.settings)
-    simulator.pictures = pictures
-    assert frames(simulator, network, network.random(1, Stream(3))[0], 5) == []
+def test_lines_move_with_their_ends_and_words_are_there_while_they_are_said() -> None:
+    seen = [Frame(10, 5, [], [], [Line("rod", 1, 1, 2 + at, 1)], [Label(f"score {at // 2}", 5, 1, 0.5)]) for at in range(4)]
+    picture = drawn(seen)
+    assert [each.attrib["attributeName"] for each in picture.iter(f"{SVG}animate") if "2" in each.attrib["attributeName"]] == [
+        "x2"
+    ]
+    moving = next(group for group in picture.iter(f"{SVG}g") if group.attrib.get("class") == "moving")
+    assert {text.text: text.attrib["visibility"] for text in moving.iter(f"{SVG}text")} == {
+        "score 0": "visible",
+        "score 1": "hidden",
+    }
 
 
 def test_names_of_a_plug_in_are_text() -> None:

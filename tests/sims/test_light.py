@@ -122,8 +122,10 @@ def test_a_trial_has_a_step_more_than_count() -> None:
 
 def test_the_frame_shows_robot_and_light_where_they_are() -> None:
     frame = begun(x=10.0, y=20.0, heading=90.0, light_x=-80.0, light_y=0.0).frame()
-    robot, spot = frame.bodies
+    (robot,) = frame.bodies
     light = next(place for place in frame.places if place.kind == "light")
     assert (robot.kind, robot.x, robot.y, robot.radius) == ("robot", 120.0, 130.0, 5.0)
-    assert (spot.x, spot.y) == (pytest.approx(123.5), pytest.approx(130.0))
+    assert robot.heading == 0.0, "to the right"
+    left, right = frame.rays
+    assert (left.sensor, left.aside, right.sensor, right.aside) == (0, -5.0, 1, 5.0)
     assert (light.x + light.width / 2, light.y + light.height / 2) == (30.0, 110.0)

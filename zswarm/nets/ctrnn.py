@@ -137,6 +137,7 @@ class CTRNN(VectorRepresentation):
         super().__init__(settings, inputs, outputs, ranges=ranges, blocks=blocks, least=np.full(len(ranges), FINE))
         self._padded = padded(self.neurons)
         self.state_size = 3 * self._padded
+        self.hidden_at = range(2 * self._padded, 2 * self._padded + settings.hidden)
 
     def parameters(self, genomes: Sequence[bytes]) -> np.ndarray:
         """Header; per source its weights to all neurons (padded with zeros); the biases; dt / tau."""

@@ -112,6 +112,7 @@ class FullyMeshed(VectorRepresentation):
         super().__init__(settings, inputs, outputs, ranges=ranges.ravel(), blocks=blocks, least=least.ravel())
         self._padded = padded(self.neurons)
         self.state_size = 3 * self._padded
+        self.hidden_at = range(settings.hidden)
 
     def parameters(self, genomes: Sequence[bytes]) -> np.ndarray:
         """Header, then per source its weights to all neurons (padded with zeros), then the biases."""

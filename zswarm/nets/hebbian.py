@@ -121,6 +121,7 @@ class Hebbian(VectorRepresentation):
         super().__init__(settings, inputs, outputs, ranges=genes[:, 0].copy(), blocks=blocks, least=genes[:, 1].copy())
         self._padded = padded(self.neurons)
         self.state_size = 2 * (self.sources + 1) * self._padded + 1
+        self.hidden_at = range(settings.hidden)
 
     def parameters(self, genomes: Sequence[bytes]) -> np.ndarray:
         """Header; per source its weights to all neurons (padded with zeros); likewise the plasticities; the biases."""

@@ -29,6 +29,7 @@ class Representation(ABC):
         state_size: float32 numbers of state per agent; all zero at the start of a trial.
         genome_bytes: length of every genome, or None where it varies.
         genes: float32 numbers that a genome is a plain list of, any finite ones; None where it is something else.
+        hidden_at: where in a state the hidden neurons' values stand after a decision, for pictures; empty where they do not.
         ranges: (genes,) float64, new genomes are uniform in plus or minus these; None where ``genes`` is.
     """
 
@@ -38,6 +39,7 @@ class Representation(ABC):
     state_size: int
     genome_bytes: int | None
     genes: int | None = None
+    hidden_at: range = range(0)
     ranges: np.ndarray | None = None
 
     def __init__(self, settings: msgspec.Struct, inputs: int, outputs: int) -> None:

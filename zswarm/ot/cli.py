@@ -21,6 +21,7 @@ from zswarm.ot.commands.list import list_
 from zswarm.ot.commands.menu import Menu
 from zswarm.ot.commands.new import new
 from zswarm.ot.commands.plot import plot
+from zswarm.ot.commands.replay import replay
 from zswarm.ot.commands.report import report
 from zswarm.ot.commands.run import resume, run
 from zswarm.ot.commands.servers import servers
@@ -53,6 +54,7 @@ for _command in (
     evaluate,
     plot,
     compare,
+    replay,
     report,
     dashboard,
     list_,

@@ -15,11 +15,11 @@ import msgspec
 import numpy as np
 
 from zswarm import evaluate, experiment, plugins, ranges, varied
-from zswarm.errors import ConfigError, UnknownPlugin
+from zswarm.errors import ConfigError, EvaluationError, UnknownPlugin
 from zswarm.extras import need
 from zswarm.files import write_for_user
 from zswarm.nets.fully_meshed import FullyMeshed
-from zswarm.ot import comparison, curves, figures, film, grouping, reading, unseen
+from zswarm.ot import comparison, curves, figures, film, grouping, reading, trace, unseen
 from zswarm.ot.controller import Controller
 from zswarm.ot.reading import Run
 from zswarm.ot.record import EXPERIMENT
@@ -207,12 +207,13 @@ def _film(champion: Controller) -> dict[str, str]:
     values = varied.values(champion.simulator_settings, seed)
     drawn = "".join(f", {clean(ranges.name(path))} {clean(ranges.shown(value))}" for path, value in values.items())
     try:
-        frames = film.frames(simulator, network, champion.genome, seed)
-    except Exception as error:  # whatever the code of a simulator raises: the rest of the page is there without it
+        seen = trace.record(simulator, network, [champion.genome] * simulator.participants, seed, film.MOST_TURNS)
+    except (ValueError, EvaluationError, MemoryError) as error:  # the rest of the page is there without it
         return {"no_film": clean(f"{type(error).__name__}: {error}")}
-    if not frames:
-        return {}
-    panel = film.Panel(f"the first of the unseen trials{drawn}", frames)
+    if not seen.frames or seen.error:
+        why = seen.error or seen.no_picture
+        return {"no_film": why} if why else {}
+    panel = film.Panel(f"the first of the unseen trials{drawn}", seen.frames)
     return {"film": film.svg([panel]).replace(f' xmlns="{film.NAMESPACE}"', "")}
 
 

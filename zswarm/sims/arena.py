@@ -12,6 +12,7 @@ from msgspec import Meta
 from zswarm.errors import ConfigError
 from zswarm.jit import STEP, Step, array, float32, float64, inline, int32, int64, kernel, uint64, void
 from zswarm.lanes import LANES, load, select, store, window
+from zswarm.portable import PI, atan2
 from zswarm.sims.arena_tasks import (
     CARRIES,
     CONTACTS,
@@ -22,16 +23,31 @@ from zswarm.sims.arena_tasks import (
     TASK_ACTUATORS,
     TASK_SENSORS,
     TASKS,
+    TRUTH,
     happen,
     judge,
     measure,
     sense_task,
     start,
 )
-from zswarm.sims.arena_world import COUNT, PLACE_ROWS, QUEUE_ROWS, RAYS, X, Y, cells_per_side, drive, look
-from zswarm.sims.simulator import Batch, Body, CompiledSimulator, Frame, Outcome, Place, Turn
+from zswarm.sims.arena_world import (
+    COUNT,
+    HEADING_X,
+    HEADING_Y,
+    PLACE_ROWS,
+    QUEUE_ROWS,
+    RAYS,
+    SAID,
+    X,
+    Y,
+    cells_per_side,
+    drive,
+    look,
+)
+from zswarm.sims.simulator import Batch, Body, CompiledSimulator, Frame, Label, Outcome, Place, Ray, Turn
 
 ITEM_RADIUS = 0.05  # m, in pictures
+ABOUT = 0.1  # of the truth: who says so, says what is true
 
 Metres = Annotated[float, Meta(ge=1e-3, le=1e4)]
 
@@ -158,15 +174,24 @@ class Arena(CompiledSimulator):
         return Outcome(list(fitness), list(metrics))
 
     def frame(self) -> Frame:
-        """The room; robots that carry something are of another kind."""
+        """The room; robots that carry something, and those that say what is true or not, are of another kind."""
         s = self.settings
         robots, items = self._robots.tolist(), self._items.tolist()
+        headings = [float(atan2(y, x)) for x, y in zip(robots[HEADING_X], robots[HEADING_Y], strict=True)]
+        places, labels = [], []
+        kinds = ["robot with an item" if carries else "robot" for carries in robots[CARRIES]]
+        if s.task == "foraging":
+            places = [Place("nest", 0, 0, s.nest, s.side)]
+        elif s.task == "consensus":
+            truth = float(self._tally[TRUTH])
+            kinds = [_says(said - truth) for said in robots[SAID]]
+            labels = [Label(f"the truth is {truth:.2f}", s.side / 2, 0.05 * s.side, 0.04 * s.side)]
         bodies = [
-            Body("robot with an item" if carries else "robot", x, y, s.radius)
-            for x, y, carries in zip(robots[X], robots[Y], robots[CARRIES], strict=True)
+            Body(kind, x, y, s.radius, heading) for kind, x, y, heading in zip(kinds, robots[X], robots[Y], headings, strict=True)
         ]
-        bodies += [Body("item", x, y, ITEM_RADIUS) for x, y in zip(items[X], items[Y], strict=True)]
-        return Frame(s.side, s.side, [Place("nest", 0, 0, s.nest, s.side)] if s.task == "foraging" else [], bodies)
+        bodies += [Body("item", x, y, ITEM_RADIUS, shape="square") for x, y in zip(items[X], items[Y], strict=True)]
+        rays = [Ray(number, number * PI / 4, s.sight, 0.0) for number in range(8)]
+        return Frame(s.side, s.side, places, bodies, labels=labels, rays=rays)
 
     def play(self, step: Step, batch: Batch) -> None:
         """See ``CompiledSimulator.play``."""
@@ -210,6 +235,11 @@ class Arena(CompiledSimulator):
         )
         sense_task(self.task, self._robots, self._items, self._lengths, observations)
         return Turn(range(self.settings.robots), observations.reshape(self.settings.robots, self.inputs))
+
+
+def _says(off: float) -> str:
+    """What to call a robot that says so much more than what is true."""
+    return "robot, says it about right" if abs(off) <= ABOUT else "robot, says too much" if off > 0 else "robot, says too little"
 
 
 @inline(counts=False, inner=True)

@@ -14,7 +14,8 @@ from zswarm.draws import draw_java, start_java
 from zswarm.errors import ConfigError
 from zswarm.jit import STEP, Step, array, float32, float64, inline, int32, int64, kernel, uint64, void
 from zswarm.lanes import LANES, any_of, fill, load, scatter, select, store, window
-from zswarm.sims.simulator import Batch, Body, CompiledSimulator, Frame, Outcome, Place, Turn
+from zswarm.portable import PI
+from zswarm.sims.simulator import Batch, Body, CompiledSimulator, Frame, Outcome, Place, Ray, Turn
 
 INPUTS, OUTPUTS = 10, 2
 # Sensors 2-9 look at the eight cells around, from north clockwise; y grows downward.
@@ -181,6 +182,7 @@ class EmergencyExit(CompiledSimulator):
                 Body("robot inside" if inside else "robot outside", x + 0.5, y + 0.5, 0.35)
                 for (x, y), inside in zip(here, self._inside, strict=True)
             ],
+            rays=[Ray(2 + eighth, (eighth - 2) * PI / 4, 0.0, 1.0) for eighth in range(8)],
         )
 
     def play(self, step: Step, batch: Batch) -> None:

@@ -21,12 +21,13 @@ from msgspec import Meta
 from zswarm.errors import ConfigError
 from zswarm.extras import need
 from zswarm.nearest import nearest
-from zswarm.sims.simulator import Outcome, Simulator, Turn
+from zswarm.sims.simulator import Body, Frame, Outcome, Simulator, Turn
 
 LIBRARIES = ("gymnasium",)
 HALF_WORD, MASK = 32, 0xFFFFFFFF  # the seeds that environments take: bits, and the largest
 DEEPEST = 5  # tables in tables
 TEXT = re.compile(r"\w[\w .+-]*|")  # names no file, and no module
+PLANE = 3.0  # width of what a picture shows; agents of most environments start within 1 of its middle
 NUMBERED = re.compile(r"[ _-]?\d+$")  # the end of an agent's name
 
 
@@ -116,6 +117,15 @@ class ParallelEnvironment(Simulator):
         means = [self._total(self._type_of, each) / self._type_of.count(each) for each in range(len(self.types))]
         return Outcome(fitness, [self._steps, *means])
 
+    def frame(self) -> Frame | None:
+        """The plane in which the agents and landmarks of MPE2 and VMAS are; other environments say of no place."""
+        world = getattr(getattr(self._environment, "unwrapped", None), "world", None)
+        try:
+            things = [*world.agents, *world.landmarks]  # type: ignore[union-attr]  # None has no such attributes, which is told below
+            return plane([place(thing) for thing in things])
+        except (AttributeError, TypeError, ValueError):
+            return None
+
     def _total(self, groups: Sequence[int], group: int) -> float:
         """Returns of the agents of a group, added in their order."""
         total = 0.0
@@ -144,6 +154,44 @@ def kind(name: Any) -> str:
     """The type of an agent: its name without the number at the end."""
     text = str(name)
     return re.sub(r"\W+", "_", NUMBERED.sub("", text) or text)
+
+
+class Thing(NamedTuple):
+    """An agent or landmark in a plane, x to the right and y up from the middle."""
+
+    kind: str
+    x: float
+    y: float
+    radius: float
+    angle: float
+    shape: Literal["disc", "square", "diamond"]
+
+
+def place(thing: Any) -> Thing:
+    """Where something of MPE2 is (``state.p_pos``), or of VMAS (``state.pos``); what is not round is shown as a square.
+
+    Raises:
+        AttributeError, TypeError, ValueError: it does not say.
+    """
+    name = kind(thing.name)
+    if hasattr(thing.state, "p_pos"):
+        x, y = map(float, thing.state.p_pos)
+        return Thing(name, x, y, float(thing.size), 0.0, "disc" if thing.movable else "diamond")
+    x, y = thing.state.pos[0].tolist()
+    radius = getattr(thing.shape, "radius", None)
+    if radius is None:
+        return Thing(name, x, y, float(thing.shape.circumscribed_radius()) / 2, float(thing.state.rot[0, 0]), "square")
+    return Thing(name, x, y, float(radius), 0.0, "disc" if thing.movable else "diamond")
+
+
+def plane(things: Sequence[Thing]) -> Frame:
+    """A picture of what is in a plane; that may be further out than it is wide."""
+    middle = PLANE / 2
+    bodies = [
+        Body(one.kind, middle + one.x, middle - one.y, one.radius, -one.angle if one.shape == "square" else None, one.shape)
+        for one in things
+    ]
+    return Frame(PLANE, PLANE, [], bodies)
 
 
 def folded(seed: int) -> int:

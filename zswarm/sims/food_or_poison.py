@@ -13,7 +13,7 @@ from msgspec import Meta
 
 from zswarm.draws import draw_integer
 from zswarm.jit import STEP, Step, array, float32, float64, inline, int64, kernel, uint64, void
-from zswarm.sims.simulator import Batch, CompiledSimulator, Outcome, Turn
+from zswarm.sims.simulator import Batch, Body, CompiledSimulator, Frame, Label, Outcome, Turn
 
 HALF, ZERO, ONE = np.float32(0.5), np.float32(0), np.float32(1)
 
@@ -74,6 +74,21 @@ class FoodOrPoison(CompiledSimulator):
         fitness, metrics = np.zeros(1), np.zeros(len(self.metrics))
         judge(self.settings.items, self._game, fitness, metrics)
         return Outcome(list(fitness), list(metrics))
+
+    def frame(self) -> Frame:
+        """The kinds, and the animal below the one that it has found, or tastes."""
+        across, foods, game = max(6, int(np.sqrt(self.settings.kinds))), self._foods.tolist(), self._game.tolist()
+        places = [(0.5 + kind % across, 1.4 + 1.2 * (kind // across)) for kind in range(self.settings.kinds)]
+        kinds = [
+            Body("food", x, y, 0.25) if food else Body("poison", x, y, 0.25, shape="diamond")
+            for food, (x, y) in zip(foods, places, strict=True)
+        ]
+        x, y = places[game[KIND]]
+        does = "has found it" if not game[TASTED] else "tastes food" if foods[game[KIND]] else "tastes poison"
+        animal = Body(f"animal, {does}", x, y + 0.5, 0.15, shape="triangle")
+        eaten = f"item {min(game[ITEM] + 1, self.settings.items)} of {self.settings.items}; eaten: {game[FOOD_EATEN]} food, "
+        words = Label(f"{eaten}{game[POISON_EATEN]} poison", across / 2, 0.5, 0.25)
+        return Frame(across, 1.2 * (self.settings.kinds // across + 2), [], [animal, *kinds], labels=[words])
 
     def play(self, step: Step, batch: Batch) -> None:
         """See ``CompiledSimulator.play``."""

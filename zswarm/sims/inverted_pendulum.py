@@ -12,7 +12,7 @@ from msgspec import Meta
 
 from zswarm.jit import STEP, Step, array, float32, float64, inline, int64, kernel, void
 from zswarm.portable import PI, cos, remainder, sin
-from zswarm.sims.simulator import Batch, Body, CompiledSimulator, Frame, Outcome, Place, Turn
+from zswarm.sims.simulator import Batch, Body, CompiledSimulator, Frame, Line, Outcome, Place, Turn
 
 GRAVITY, CART_KG, MASS_KG, ROD_M = 9.81, 0.1, 0.01, 1.0
 STRONGEST = 5.0  # N, on the cart
@@ -117,12 +117,12 @@ class InvertedPendulum(CompiledSimulator):
         is_seen = abs(position) <= inner
         x, y = width / 2 + min(max(position, -inner), inner), height / 2
         along, up = cos(phi), sin(phi)
-        rod = [Body("rod", x + along * part / 10, y - up * part / 10, 0.02) for part in range(1, 10)]
         return Frame(
             width,
             height,
             [Place("track", 0.0, y - 0.01, width, 0.02), Place("start", width / 2 - 0.02, y + 0.12, 0.04, 0.12)],
-            [Body("cart" if is_seen else "cart, out of view", x, y, 0.12), *rod, Body("mass", x + along, y - up, 0.08)],
+            [Body("cart" if is_seen else "cart, out of view", x, y, 0.12, shape="square"), Body("mass", x + along, y - up, 0.08)],
+            [Line("rod", x, y, x + along, y - up)],
         )
 
     def play(self, step: Step, batch: Batch) -> None:

@@ -14,7 +14,7 @@ from msgspec import Meta
 from zswarm.draws import draw_java, skip_java, start_java
 from zswarm.jit import STEP, Step, array, float32, float64, inline, int64, kernel, uint64, void
 from zswarm.portable import PI, atan2, cos, exp, remainder, sin
-from zswarm.sims.simulator import Batch, Body, CompiledSimulator, Frame, Outcome, Place, Turn
+from zswarm.sims.simulator import Batch, Body, CompiledSimulator, Frame, Outcome, Place, Ray, Turn
 
 INPUTS, OUTPUTS = 2, 2
 SIDE, DIAMETER, WHEEL = 200.0, 10.0, 5.0  # of the room, the robot, its wheels
@@ -99,11 +99,10 @@ class Light(CompiledSimulator):
         return Outcome(list(fitness), list(metrics))
 
     def frame(self) -> Frame:
-        """The room, with a rim in which lights can be, too; a spot on the robot is where it looks."""
+        """The room, with a rim in which lights can be, too."""
         rim = 10.0
         middle = SIDE / 2 + rim
         x, y, heading, light_x, light_y = self._world.tolist()
-        ahead_x, ahead_y = sin(heading * RADIANS), -cos(heading * RADIANS)
         return Frame(
             SIDE + 2 * rim,
             SIDE + 2 * rim,
@@ -115,8 +114,15 @@ class Light(CompiledSimulator):
                 Place("light", middle + light_x - 2.5, middle + light_y - 2.5, 5.0, 5.0),
             ],
             [
-                Body("robot at the light" if self._game[FOUND] else "robot", middle + x, middle + y, DIAMETER / 2),
-                Body("where it looks", middle + x + 3.5 * ahead_x, middle + y + 3.5 * ahead_y, 1.5),
+                Body(
+                    "robot at the light" if self._game[FOUND] else "robot",
+                    *(middle + x, middle + y, DIAMETER / 2),
+                    (heading - 90.0) * RADIANS,
+                )
+            ],
+            rays=[
+                Ray(sensor, 0.0, SIGHT, 0.0, FIELD_OF_VIEW * RADIANS, aside)
+                for sensor, aside in enumerate((-DIAMETER / 2, DIAMETER / 2))
             ],
         )
 

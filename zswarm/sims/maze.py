@@ -13,7 +13,7 @@ from msgspec import Meta
 
 from zswarm.jit import STEP, Step, array, float32, float64, inline, int64, kernel, void
 from zswarm.portable import PI, cos, sin
-from zswarm.sims.simulator import Batch, Body, CompiledSimulator, Frame, Outcome, Place, Turn
+from zswarm.sims.simulator import Batch, Body, CompiledSimulator, Frame, Outcome, Place, Ray, Turn
 
 RADIUS = 0.08  # m, of the robot
 SIGHT = 1.0  # m, of a range finder
@@ -25,6 +25,7 @@ ROOT_HALF = 0.7071067811865476
 FINDERS = np.array(  # directions in the robot's frame: ahead, to the right
     [[0.0, -1.0], [ROOT_HALF, -ROOT_HALF], [1.0, 0.0], [ROOT_HALF, ROOT_HALF], [0.0, 1.0], [-1.0, 0.0]]
 )
+FINDER_TURNS = (-2, -1, 0, 1, 2, 4)  # the same in eighths of a turn, clockwise from ahead
 INPUTS, OUTPUTS = len(FINDERS) + 4, 2
 ZERO, ONE = np.float32(0), np.float32(1)
 
@@ -116,7 +117,7 @@ class Maze(CompiledSimulator):
         return Outcome(list(fitness), list(metrics))
 
     def frame(self) -> Frame:
-        """The maze; a spot on the robot is where it looks."""
+        """The maze, its walls as thick as can be seen."""
         rim, thick = 0.05, 0.02
         _, _, _, goal_x, goal_y, width, height = PLANS[self.settings.map]
         walls = [
@@ -129,10 +130,8 @@ class Maze(CompiledSimulator):
             width + 2 * rim,
             height + 2 * rim,
             [*walls, Place("goal", rim + goal_x - NEAR, rim + goal_y - NEAR, 2 * NEAR, 2 * NEAR)],
-            [
-                Body("robot at the goal" if self._game[REACHED] else "robot", x, y, RADIUS),
-                Body("where it looks", x + 0.05 * cos(towards), y + 0.05 * sin(towards), 0.02),
-            ],
+            [Body("robot at the goal" if self._game[REACHED] else "robot", x, y, RADIUS, towards)],
+            rays=[Ray(finder, PI / 4 * turn, 0.0, SIGHT) for finder, turn in enumerate(FINDER_TURNS)],
         )
 
     def play(self, step: Step, batch: Batch) -> None:

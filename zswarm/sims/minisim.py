@@ -33,7 +33,7 @@ from zswarm.sims.minisim_board import (
     move,
 )
 from zswarm.sims.minisim_duel import DUEL
-from zswarm.sims.simulator import Batch, Body, CompiledSimulator, Frame, Outcome, Place, Turn
+from zswarm.sims.simulator import Batch, Body, CompiledSimulator, Frame, Label, Outcome, Place, Turn
 
 INPUTS = 9
 
@@ -174,9 +174,11 @@ class Minisim(CompiledSimulator):
             Body("robot with the flag" if game[CARRIER] == number else "robot", robot[X] + 0.5, robot[Y] + 0.5, 0.4)
             for number, robot in enumerate(robots)
         ]
-        bodies += [Body("defender", defender[X] + 0.5, defender[Y] + 0.5, 0.4) for defender in defenders]
+        bodies += [Body("defender", defender[X] + 0.5, defender[Y] + 0.5, 0.4, shape="triangle") for defender in defenders]
         places = [Place("home", 0, 0, 1, self.settings.height), Place("flag's stand", stand[X], stand[Y], 1, 1)]
-        return Frame(self.settings.width, self.settings.height, places, bodies)
+        return Frame(
+            self.settings.width, self.settings.height, places, bodies, labels=[self._score(f"flags home: {game[CAPTURES]}")]
+        )
 
     def _frame_of_two(self) -> Frame:
         robots, (stand_x, stand_y), games = (table.tolist() for table in self._state)
@@ -187,14 +189,18 @@ class Minisim(CompiledSimulator):
             x, y = (robot[X], robot[Y]) if team == 0 else (width - 1 - robot[X], height - 1 - robot[Y])
             name = ("robot", "opponent")[team]
             kind = f"{name} with the flag" if games[team][CARRIER] == number else name
-            bodies.append(Body(kind, x + 0.5, y + 0.5, 0.4))
+            bodies.append(Body(kind, x + 0.5, y + 0.5, 0.4, shape=("disc", "triangle")[team]))
         places = [
             Place("home", 0, 0, 1, height),
             Place("opponents' home", width - 1, 0, 1, height),
             Place("flag's stand", width - 1 - stand_x, height - 1 - stand_y, 1, 1),
             Place("opponents' flag's stand", stand_x, stand_y, 1, 1),
         ]
-        return Frame(width, height, places, bodies)
+        score = self._score(f"flags home: {games[0][CAPTURES]} robots, {games[1][CAPTURES]} opponents")
+        return Frame(width, height, places, bodies, labels=[score])
+
+    def _score(self, text: str) -> Label:
+        return Label(text, self.settings.width / 2, 0.05 * self.settings.height, 0.04 * self.settings.height)
 
     def play(self, step: Step, batch: Batch) -> None:
         """See ``CompiledSimulator.play``."""

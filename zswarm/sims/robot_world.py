@@ -24,7 +24,7 @@ from zswarm.draws import Stream
 from zswarm.errors import ConfigError
 from zswarm.jit import array, float32, float64, inline, int64, kernel, void
 from zswarm.portable import PI, cos, exp, sin
-from zswarm.sims.simulator import Body, Frame, Place
+from zswarm.sims.simulator import Body, Frame, Place, Ray
 
 LIBRARIES = ("pymunk",)  # its machine code plays the trials
 GRAVITY = 9.81  # m/s^2
@@ -232,16 +232,19 @@ class RobotWorld:
             for place in (*places, *walls)
         ]
         bodies = [
-            Body(kind, x - left + RIM, top - y, self.settings.radius)
-            for kind, (x, y, _) in zip(robots, self.poses.tolist(), strict=True)
+            Body(kind, x - left + RIM, top - y, self.settings.radius, -angle)
+            for kind, (x, y, angle) in zip(robots, self.poses.tolist(), strict=True)
         ]
-        for kind, thing, (x, y, angle) in zip(things, self._of, self.things.tolist(), strict=True):
-            x, y = x - left + RIM, top - y
-            bodies.append(Body(kind, x, y, thing.size))
-            if thing.is_box:  # its corners
-                c, s, small = cos(angle) * thing.size * 0.8, sin(angle) * thing.size * 0.8, thing.size * 0.2
-                bodies += [Body(kind, x + p * c - q * s, y - p * s - q * c, small) for p in (-1, 1) for q in (-1, 1)]
-        return Frame(right - left + 2 * RIM, high - low + 2 * RIM, shown, bodies)
+        bodies += [
+            Body(kind, x - left + RIM, top - y, thing.size, -angle, "square" if thing.is_box else "diamond")
+            for kind, thing, (x, y, angle) in zip(things, self._of, self.things.tolist(), strict=True)
+        ]
+        view = self.settings.view * PI / 180
+        rays = [
+            Ray(sector, view * (0.5 - (sector + 0.5) / SECTORS), self.settings.range, 0.0, view / SECTORS)
+            for sector in range(SECTORS)
+        ]
+        return Frame(right - left + 2 * RIM, high - low + 2 * RIM, shown, bodies, rays=rays)
 
     def _put(self, thing: Thing, pose: Sequence[float]) -> None:
         """Friction with the ground is a joint with limited force: it holds what stands and brakes what moves."""

@@ -10,7 +10,7 @@ kernel; its turns must give the same bits. ``HostingSimulator`` may play whole t
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -35,12 +35,14 @@ class Outcome(NamedTuple):
 
 
 class Body(NamedTuple):
-    """Something that moves, as a disc; lengths as in its ``Frame``."""
+    """Something that moves; lengths as in its ``Frame``."""
 
     kind: str  # what people call it: "robot", "defender"; may change, such as to "robot with the flag"
     x: float  # of its centre
     y: float
-    radius: float
+    radius: float  # half the side of a square
+    heading: float | None = None  # radians from the x axis clockwise, where it looks; of a square, how far it is turned
+    shape: Literal["disc", "square", "triangle", "diamond"] = "disc"  # those of unlike teams or sorts differ; stays
 
 
 class Place(NamedTuple):
@@ -53,13 +55,49 @@ class Place(NamedTuple):
     height: float
 
 
+class Line(NamedTuple):
+    """Something long that moves: a rod, a rope."""
+
+    kind: str
+    x: float  # of one end
+    y: float
+    to_x: float
+    to_y: float
+
+
+class Label(NamedTuple):
+    """Words in the picture, such as a score; they may change."""
+
+    text: str
+    x: float  # of its middle
+    y: float
+    size: float  # of its letters
+
+
+class Ray(NamedTuple):
+    """A distance sensor, the same in each agent: shown from the agent's body, as long as what it reads says."""
+
+    sensor: int  # index of its number in an observation
+    angle: float  # radians from the body's heading clockwise; from the x axis where the body has none
+    at_0: float  # its length where that number is 0
+    at_1: float  # where it is 1
+    spread: float = 0.0  # radians that it looks at, half of them on each side; 0 for a beam
+    aside: float = 0.0  # it begins so far on the right of the body's centre
+
+
 class Frame(NamedTuple):
-    """What a picture of the present state needs; lengths in the simulator's unit, x to the right and y downwards from (0, 0)."""
+    """What a picture of the present state needs; lengths in the simulator's unit, x to the right and y downwards from (0, 0).
+
+    Bodies and lines are in the same order throughout a trial, the agents' bodies first. Places and rays stay as they are.
+    """
 
     width: float
     height: float
     places: Sequence[Place]
-    bodies: Sequence[Body]  # in the same order throughout a trial
+    bodies: Sequence[Body]
+    lines: Sequence[Line] = ()
+    labels: Sequence[Label] = ()
+    rays: Sequence[Ray] = ()
 
 
 class Simulator(ABC):

@@ -64,6 +64,11 @@ class OneScenario:
         self._observed, _ = self.reset(0)
         self.agents: list[str] = []
 
+    @property
+    def unwrapped(self) -> Any:
+        """What has the ``world``."""
+        return self._scenario.scenario
+
     def observation_space(self, name: str) -> Any:
         """Numbers without bounds."""
         return self._spaces.Box(-np.inf, np.inf, self._observed[name].shape)

@@ -5,11 +5,12 @@ import numpy as np
 
 from zswarm.jit import STEP, Step, array, float32, float64, inline, int64, kernel, void
 from zswarm.lanes import LANES
-from zswarm.sims.simulator import Batch, CompiledSimulator, Outcome, Turn
+from zswarm.sims.simulator import Batch, Body, CompiledSimulator, Frame, Label, Outcome, Turn
 
 INPUTS, OUTPUTS, CASES = 2, 1, 4
 CASE_INPUTS = np.array([[0, 0], [0, 1], [1, 0], [1, 1]], np.float32)
 WANTED = np.array([0, 1, 1, 0], np.float32)
+CORRECT = 0.5  # an error below it
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -39,6 +40,7 @@ class XOR(CompiledSimulator):
 
     def reset(self, seed: int) -> Turn:  # noqa: ARG002  nothing is drawn
         """All four cases."""
+        self._said: np.ndarray | None = None
         return Turn(range(CASES), CASE_INPUTS.copy())
 
     def step(self, actions: np.ndarray) -> Turn | None:
@@ -48,9 +50,25 @@ class XOR(CompiledSimulator):
 
     def outcome(self) -> Outcome:
         """Fitness and metrics of what was said."""
+        assert self._said is not None  # noqa: S101  the trial is over
         fitness, metrics = np.zeros(1), np.zeros(len(self.metrics))
         judge(self._said, fitness, metrics)
         return Outcome(list(fitness), list(metrics))
+
+    def frame(self) -> Frame:
+        """The truth table: a row for each case, and what the network says."""
+        row, size = 1.0, 0.4
+        said = [None] * CASES if self._said is None else self._said.tolist()
+        heads = [Label(head, x, 0.6, size) for head, x in (("a", 0.6), ("b", 1.4), ("wanted", 2.8), ("said", 4.8))]
+        labels, bodies = list(heads), []
+        for case, ((a, b), wanted, answer) in enumerate(zip(CASE_INPUTS.tolist(), WANTED.tolist(), said, strict=True)):
+            y = 1.6 + case * row
+            words = "?" if answer is None else f"{answer:.3f}"
+            for text, x in ((f"{a:.0f}", 0.6), (f"{b:.0f}", 1.4), (f"{wanted:.0f}", 2.8), (words, 4.8)):
+                labels.append(Label(text, x, y, size))
+            kind = "not yet said" if answer is None else "right" if abs(answer - wanted) < CORRECT else "wrong"
+            bodies.append(Body(kind, 6.2, y, 0.25))
+        return Frame(7.0, 1.2 + CASES * row, [], bodies, labels=labels)
 
     def play(self, step: Step, batch: Batch) -> None:
         """See ``CompiledSimulator.play``."""
@@ -72,7 +90,7 @@ def judge(said, fitness, metrics):  # type: ignore[no-untyped-def]  # compiled
     for case in range(CASES):
         error = np.float64(said[case] - WANTED[case])
         total += error * error
-        correct += int(abs(error) < 0.5)
+        correct += int(abs(error) < CORRECT)
         metrics[1 + case] = said[case]
     fitness[0] = 0.0 - np.sqrt(total / 4.0)
     metrics[0] = correct

@@ -1,0 +1,192 @@
+"""The player in a real browser: it shows a trace, by mouse, keyboard and touch, narrow and dark."""
+
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+from zswarm import evaluate
+from zswarm.draws import Stream
+from zswarm.ot import replay
+from zswarm.ot.trace import Trace, record
+
+pytestmark = pytest.mark.browser
+HOSTILE = '<img src=x onerror="document.title=1">'
+
+
+def of(simulator: str, **settings: object) -> Trace:
+    built, network = evaluate.build(simulator, settings, "fully-meshed", {})
+    found = record(built, network, network.random(built.participants, Stream(1)), 5)
+    return Trace(**{**found.__dict__, "about": {"run": "a-run", "generation": 3, "candidate": 1, "trial": 0}})
+
+
+def opened(page: Page, trace: Trace, folder: Path) -> Page:
+    (folder / "replay.html").write_text(replay.page(trace, "a run"))
+    page.goto((folder / "replay.html").as_uri())
+    expect(page.get_by_role("slider", name="round")).to_be_visible()
+    return page
+
+
+def paused(page: Page, trace: Trace, folder: Path) -> Page:
+    page.emulate_media(reduced_motion="reduce")
+    return opened(page, trace, folder)
+
+
+def said(page: Page) -> str:
+    return page.locator(".zp-clock").inner_text()
+
+
+def test_it_plays_by_itself_to_the_end(page: Page, tmp_path: Path) -> None:
+    opened(page, of("minisim", steps=20, width=5), tmp_path)
+    page.get_by_role("combobox", name="speed").select_option("16")
+    expect(page.locator(".zp-clock")).to_have_text("20 / 20")
+    expect(page.get_by_role("button", name="play", exact=True)).to_be_visible()
+    assert page.evaluate("player.frames") > 2
+
+
+def test_it_is_played_by_the_keyboard(page: Page, tmp_path: Path) -> None:
+    paused(page, of("minisim", steps=100), tmp_path)
+    assert said(page) == "0 / 100"
+    for key, shown in (
+        ("ArrowRight", "1 / 100"),
+        ("Shift+ArrowRight", "11 / 100"),
+        ("ArrowLeft", "10 / 100"),
+        ("End", "100 / 100"),
+        ("Home", "0 / 100"),
+        ("ArrowLeft", "0 / 100"),
+    ):
+        page.keyboard.press(key)
+        assert said(page) == shown, key
+    page.keyboard.press("+")
+    assert page.get_by_role("combobox", name="speed").input_value() == "2"
+    page.keyboard.press("]")
+    expect(page.get_by_role("heading", name="agent 2")).to_be_visible()
+    page.keyboard.press("t")
+    expect(page.get_by_role("checkbox", name="trails")).to_be_checked()
+    page.keyboard.press(" ")
+    expect(page.get_by_role("button", name="pause")).to_be_visible()
+    page.keyboard.press(" ")
+    expect(page.get_by_role("button", name="play", exact=True)).to_be_visible()
+
+
+def test_every_control_has_a_name_and_is_reached_by_tab(page: Page, tmp_path: Path) -> None:
+    paused(page, of("maze", steps=50), tmp_path)
+    names = []
+    for _ in range(14):
+        page.keyboard.press("Tab")
+        focused = page.evaluate(
+            "(() => { const e = document.activeElement; const words = e.closest('label, summary')?.textContent;"
+            " return [e.tagName, e.getAttribute('aria-label') ?? words ?? '', getComputedStyle(e).outlineStyle]; })()"
+        )
+        names.append(focused[1])
+        if focused[0] != "BODY":
+            assert focused[1], focused
+            assert focused[2] != "none", focused
+    assert {"round", "play", "a round ahead", "speed", "sensors", "agent"} <= set(names)
+
+
+def test_what_is_shown_is_what_the_trace_has(page: Page, tmp_path: Path) -> None:
+    """Numbers of the chosen agent at a round, and the picture in words."""
+    trace = of("turtlebot-exit", steps=30, robots=3)
+    paused(page, trace, tmp_path)
+    page.get_by_role("combobox", name="agent").select_option("2")
+    page.evaluate("document.querySelector('.zp-slider').focus()")
+    for _ in range(7):
+        page.keyboard.press("ArrowRight")
+    assert said(page) == "7 / 30"
+    shown = [float(text) for text in page.locator(".zp-value").all_inner_texts()]
+    numbers = [*trace.inputs[7, 2], *trace.hidden[7, 2], *trace.outputs[7, 2]]
+    spread = max(float(part.max() - part.min()) for part in (trace.inputs, trace.hidden, trace.outputs))
+    assert shown == pytest.approx(numbers, abs=spread / 254 + 0.006)
+    expect(page.get_by_role("img", name="picture of the trial: robot: 3")).to_be_visible()
+    assert page.locator(".zp-name").all_inner_texts()[:2] == ["scan_0", "scan_1"]
+
+
+def test_an_agent_is_chosen_by_a_touch(browser: Browser, tmp_path: Path) -> None:
+    trace = of("turtlebot-exit", steps=5, robots=4)
+    context = browser.new_context(viewport={"width": 400, "height": 800}, has_touch=True, reduced_motion="reduce")
+    page = opened(context.new_page(), trace, tmp_path)
+    frame, box = trace.frames[0], page.locator(".zp-canvas").bounding_box()
+    assert box is not None
+    body = frame.bodies[2]
+    page.touchscreen.tap(box["x"] + body.x / frame.width * box["width"], box["y"] + body.y / frame.height * box["height"])
+    expect(page.get_by_role("heading", name="agent 3")).to_be_visible()
+    page.touchscreen.tap(box["x"] + 3, box["y"] + 3)
+    expect(page.get_by_role("heading", name="no agent chosen")).to_be_visible()
+    context.close()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("simulator", ["xor", "inverted-pendulum", "arena"])
+def test_nothing_is_wider_than_a_phone(page: Page, tmp_path: Path, simulator: str, scheme: str) -> None:
+    """Every swatch of the legend has a colour that differs from the field's."""
+    page.set_viewport_size({"width": 400, "height": 800})
+    page.emulate_media(color_scheme=scheme, reduced_motion="reduce")  # type: ignore[arg-type]  # one of the two
+    paused(page, of(simulator, **({"steps": 20} if simulator != "xor" else {})), tmp_path)
+    assert page.evaluate("document.documentElement.scrollWidth") <= 400
+    background = page.evaluate("getComputedStyle(document.body).backgroundColor")
+    light = sum(int(part) for part in background[4:-1].split(",")[:3]) > 380
+    assert light == (scheme == "light")
+
+
+def test_the_colours_change_by_a_button(page: Page, tmp_path: Path) -> None:
+    paused(page, of("minisim", steps=5, width=4), tmp_path)
+    picture = "document.querySelector('.zp-canvas').toDataURL()"
+    before = page.evaluate(picture)
+    page.get_by_role("button", name="light or dark").click()
+    page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    assert page.evaluate(picture) != before
+
+
+def test_who_wants_less_motion_gets_none(page: Page, tmp_path: Path) -> None:
+    paused(page, of("minisim", steps=20), tmp_path)
+    page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    assert said(page) == "0 / 20"
+
+
+def test_names_are_text(page: Page, tmp_path: Path) -> None:
+    trace = of("minisim", steps=5, width=4)
+    frames = [frame._replace(bodies=[body._replace(kind=HOSTILE) for body in frame.bodies]) for frame in trace.frames]
+    hostile = Trace(
+        **{
+            **trace.__dict__, "frames": frames, "note": HOSTILE, "error": HOSTILE, "sensors": [HOSTILE] * 9,
+            "metrics": {HOSTILE: 1.0}, "about": {"run": HOSTILE, HOSTILE: HOSTILE},
+        }
+    )  # fmt: skip
+    paused(page, hostile, tmp_path)
+    expect(page.get_by_role("alert").first).to_have_text(HOSTILE)
+    expect(page.locator(".zp-legend")).to_contain_text(HOSTILE)
+    assert page.locator("img").count() == 0
+    assert page.title() == "a run"
+
+
+def test_a_trial_without_pictures_shows_its_numbers(page: Page, tmp_path: Path) -> None:
+    trace = of("minisim", steps=8, width=4)
+    paused(page, Trace(**{**trace.__dict__, "frames": []}), tmp_path)
+    expect(page.get_by_text("This simulator draws no picture")).to_be_visible()
+    page.keyboard.press("End")
+    assert said(page) == "8 / 8"
+    assert page.locator(".zp-value").count() == 9 + 2 + 2
+
+
+def test_bytes_that_are_no_trace_are_told(page: Page, tmp_path: Path) -> None:
+    class Damaged(Trace):
+        def encode(self) -> bytes:
+            return b"zswtrace" + bytes(8)
+
+    trace = of("minisim", steps=5, width=4)
+    (tmp_path / "x.html").write_text(replay.page(Damaged(**trace.__dict__), "x"))
+    page.goto((tmp_path / "x.html").as_uri())
+    expect(page.get_by_text("This trace cannot be shown: a trace of version 0, expected 1")).to_be_visible()
+
+
+def test_a_hundred_agents_are_drawn_fluently(page: Page, tmp_path: Path) -> None:
+    """The aim is 28 pictures a second; how many there are depends on the machine, so it is printed."""
+    opened(page, of("arena", robots=100, steps=1000, side=8.0), tmp_path)
+    hundred = "new Promise((done) => { const look = () => player.frames < 100 ? requestAnimationFrame(look) : done(); look(); })"
+    begin = time.monotonic()
+    page.evaluate(hundred)
+    sys.stdout.write(f"\nplayer: {100 / (time.monotonic() - begin):.1f} pictures/s of 100 agents\n")
+    assert page.evaluate("player.frames") >= 100
