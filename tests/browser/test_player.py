@@ -2,9 +2,12 @@
 
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+from played import played
 from playwright.sync_api import Browser, Page, expect
 
 from zswarm import evaluate
@@ -190,3 +193,15 @@ def test_a_hundred_agents_are_drawn_fluently(page: Page, tmp_path: Path) -> None
     page.evaluate(hundred)
     sys.stdout.write(f"\nplayer: {100 / (time.monotonic() - begin):.1f} pictures/s of 100 agents\n")
     assert page.evaluate("player.frames") >= 100
+
+
+def test_a_trial_is_played_on_the_page_of_its_candidate(page: Page, dashboard: Callable[..., Any], tmp_path: Path) -> None:
+    """The dashboard serves the same player, under rules that forbid scripts and styles within a page."""
+    played(tmp_path)
+    page.goto(f"{dashboard(tmp_path).url}/candidate?run=minisim")
+    page.get_by_role("button", name="Play trial 0").click()
+    expect(page.get_by_role("slider", name="round")).to_be_visible()
+    page.get_by_role("combobox", name="speed").select_option("16")
+    expect(page.get_by_role("button", name="play", exact=True)).to_be_visible(timeout=30_000)
+    rounds, of_all = said(page).split(" / ")
+    assert rounds == of_all != "0"
