@@ -6,6 +6,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,17 @@ def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
+
+
+def wait_until_somebody_listens(port: int) -> None:
+    """However busy the machine."""
+    end = time.monotonic() + SLOW_MS / 1000
+    while time.monotonic() < end:
+        with socket.socket() as probe:
+            if probe.connect_ex(("127.0.0.1", port)) == 0:
+                return
+        time.sleep(0.01)
+    raise AssertionError(f"nobody listens at {port}")
 
 
 @pytest.fixture
@@ -56,6 +68,8 @@ def test_a_killed_server_is_seen_to_go_and_the_run_to_go_on(
         return program("zswarm.ss", "--name", name, "--capacity", "1", "--no-multicast", "--listen", f"tcp/127.0.0.1:{port}")
 
     near, far = serve("near", ports[0]), serve("far", ports[1])
+    for port in ports:
+        wait_until_somebody_listens(port)
     reach = ["--no-multicast", *(word for port in ports for word in ("--connect", f"tcp/127.0.0.1:{port}"))]
     run = program(
         "zswarm.ot", "run", "stadium", "--servers", "2", "--set", "generations=1000000", "--out", str(tmp_path / "runs"), *reach
