@@ -29,11 +29,20 @@ def test_a_scenario_keeps_the_contract(scenario: str) -> None:
     check_simulator(plugins.load("simulator", "vmas"), {"scenario": scenario, "steps": 10})
 
 
-@pytest.mark.parametrize("scenario", ["circle_trajectory", "line_trajectory"])
-def test_evolution_is_better_than_random_on_seeds_it_never_saw(scenario: str) -> None:
+@pytest.mark.parametrize(
+    ("scenario", "options", "effort"),
+    [
+        ("simple", {}, {"generations": 30, "trials": 4, "runs": 3}),
+        ("circle_trajectory", {}, {"generations": 15, "trials": 3, "runs": 4}),
+        ("navigation", {"n_agents": 2}, {"generations": 20, "trials": 4, "runs": 3}),
+    ],
+)
+def test_evolution_is_better_than_random_on_seeds_it_never_saw(
+    scenario: str, options: dict[str, Any], effort: dict[str, Any]
+) -> None:
     """Than random actions and random networks; a step takes milliseconds, so trials are short and few."""
-    settings = {"scenario": scenario, "steps": 30}
-    found = compared("vmas", settings, generations=6, population=10, trials=2, unseen=12)
+    settings = {"scenario": scenario, "options": options, "steps": 30}
+    found = compared("vmas", settings, population=10, unseen=12, others=12, **effort)
     assert found.p < 0.01, found
 
 
