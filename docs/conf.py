@@ -22,6 +22,7 @@ nitpicky = True
 smartquotes = False  # "fixed" is what is typed
 nitpick_ignore_regex = [
     ("py:.*", r"(?!zswarm\.).*"),  # types of libraries, which are not looked up in the network, and shapes in words
+    ("py:class", r"zswarm\..*\.T"),  # type variables
     ("py:.*", r"zswarm\.(experiment|ot\.(run|record|workload|discovery))\..*"),  # told elsewhere, or nobody's to use
 ]
 

@@ -22,6 +22,7 @@ DEADLINE_S = 60.0
 PROGRAMS = {"zswarm-ot": ot.command, "zswarm-ss": ss.command, "zswarm-router": router.command, "zswarm-keys": security.command}
 WITHOUT_JSON = {
     "init": "writes a file",
+    "dashboard": "serves",
     "simulator": "writes a folder",
     "completion": "prints a script",
     "zswarm-ss": "serves",
