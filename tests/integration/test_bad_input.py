@@ -156,6 +156,7 @@ def test_a_daemon_configuration_that_cannot_be_read_is_named(tmp_path: Path, nam
     assert server.err.read_text() == f"zswarm-ss: {name}: cannot be read: {words}\n"
 
 
+@pytest.mark.faults
 def test_a_server_whose_slots_have_too_little_memory_is_named(tmp_path: Path) -> None:
     server = Server(tmp_path, "ss", options=("--slot-memory", "512"), ZSWARM_PLAIN="1").ready()
     options = ["--no-multicast", "--connect", server.endpoint, "--set", "cluster.trial_memory_mb=1024"]
@@ -190,6 +191,7 @@ def test_servers_that_do_not_match_are_named_with_the_reason(tmp_path: Path) -> 
         server.close()
 
 
+@pytest.mark.faults
 def test_a_server_of_another_protocol_version_is_named(tmp_path: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     opened, _ = session.open_server([endpoint], session.Reach([], multicast=False))
@@ -272,6 +274,7 @@ def test_a_simulator_that_cannot_be_set_up_is_named(tmp_path: Path, rough: str) 
     assert "no licence found" in only_line(optimizer.err.read_text())
 
 
+@pytest.mark.faults
 def test_a_plug_in_that_cannot_be_imported_is_named_and_hurts_no_other(tmp_path: Path, rough: str) -> None:
     broken = Optimizer(tmp_path, "broken", ["run", "--set", "problem.simulator=broken"], PYTHONPATH=rough)
     assert broken.wait() == 2
@@ -292,6 +295,7 @@ def test_a_daemon_survives_bad_simulators_and_serves_the_next_run(tmp_path: Path
         server.close()
 
 
+@pytest.mark.faults
 def test_slots_that_die_at_their_start_again_and_again_leave_the_daemon_serving(tmp_path: Path) -> None:
     """As when the machine has no memory left: they are started anew, more and more slowly, until it works."""
     server = Server(tmp_path, "ss", capacity=1).ready()

@@ -144,6 +144,7 @@ def test_a_daemon_whose_fork_server_stands_still_can_be_stopped(scene: Scene) ->
     assert server.wait() == 143
 
 
+@pytest.mark.faults
 def test_systemd_hears_that_a_daemon_stops_and_how_long_it_may_take(scene: Scene, systemd: Systemd) -> None:
     scene.environment |= systemd.environment
     server, pace = scene.server("ss")
@@ -216,6 +217,7 @@ def test_status_shows_what_a_daemon_does(scene: Scene) -> None:
     assert view(scene.folder)["slots"]["free"] == 3
 
 
+@pytest.mark.faults
 def test_status_lists_several_daemons_and_drain_wants_to_know_which(tmp_path: Path) -> None:
     one, other = (Server(tmp_path, name, capacity=1, ZSWARM_PLAIN="1").ready() for name in ("one", "other"))
     try:
@@ -239,6 +241,7 @@ def test_status_lists_several_daemons_and_drain_wants_to_know_which(tmp_path: Pa
         other.close()
 
 
+@pytest.mark.faults
 def test_a_daemon_that_hangs_is_named_and_the_others_are_shown(scene: Scene) -> None:
     hanging, other = scene.server("hanging")[0], scene.server("other")[0]
     scene.stop(hanging.process.pid)
@@ -281,6 +284,7 @@ def test_local_slots_of_a_run_are_no_daemon(tmp_path: Path) -> None:
 # ---- Prometheus
 
 
+@pytest.mark.faults
 def test_metrics_agree_with_the_run(scene: Scene) -> None:
     server, pace, port = metered(scene)
     pace.arm()

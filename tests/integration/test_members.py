@@ -145,6 +145,7 @@ def test_a_member_evolves_through_tls_and_its_name_is_the_users(lab: Lab, server
     assert not [*server.events("link_refused"), *server.events("member_refused"), *server.events("member_unknown")]
 
 
+@pytest.mark.faults
 def test_members_meet_through_a_router_that_holds_their_rules(lab: Lab, tmp_path: Path) -> None:
     at = f"tls/127.0.0.1:{free_port()}"
     router = Program(tmp_path, "gate", ["-m", "zswarm.router", "--no-multicast", "--listen", at], ZSWARM_KEYS=lab.keys("gate"))
@@ -205,6 +206,7 @@ def test_who_has_no_good_keys_is_refused_in_words_on_both_sides(
         assert at_the_optimizer in said
 
 
+@pytest.mark.faults
 def test_a_server_that_goes_without_keys_is_named(lab: Lab, tmp_path: Path) -> None:
     server = Server(tmp_path, "open", ZSWARM_KEYS="none", ZSWARM_PLAIN="1").ready()
     try:
@@ -233,6 +235,7 @@ def test_keys_of_another_role_are_named(
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.faults
 def test_a_server_that_came_later_than_the_list_is_named_to_the_user(lab: Lab, server: Server, tmp_path: Path) -> None:
     """Though another one serves the run."""
     unpacked(lab.folder / "lab-03", issued(lab.folder / "authority", of("ss", "lab-03"))[0])
@@ -365,6 +368,7 @@ def test_a_reload_of_bad_keys_changes_nothing(lab: Lab, server: Server, tmp_path
     assert not server.events("reloaded")
 
 
+@pytest.mark.faults
 def test_a_reload_that_takes_the_network_away_is_undone_as_soon_as_that_can_be(lab: Lab, tmp_path: Path) -> None:
     """The new port is taken, then the old one as well."""
     file, at, wanted = tmp_path / "ss.toml", free_port(), free_port()
@@ -388,6 +392,7 @@ def test_a_reload_that_takes_the_network_away_is_undone_as_soon_as_that_can_be(l
         server.close()
 
 
+@pytest.mark.faults
 def test_a_server_says_why_its_router_does_not_let_it_in(lab: Lab, tmp_path: Path) -> None:
     at = f"tls/127.0.0.1:{free_port()}"
     other = make(tmp_path / "other", ("router", "gate"))

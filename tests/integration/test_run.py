@@ -97,6 +97,7 @@ def test_a_stopped_optimizer_says_how_to_go_on(tmp_path: Path, number: int, code
     assert (tmp_path / "runs" / "disturbed" / "fitness.png").is_file()
 
 
+@pytest.mark.long
 def test_two_optimizers_of_one_user_share_the_servers_and_both_finish(tmp_path: Path) -> None:
     folders = [tmp_path / "one", tmp_path / "two"]
     for folder in folders:
@@ -112,6 +113,7 @@ def test_two_optimizers_of_one_user_share_the_servers_and_both_finish(tmp_path: 
     assert [check_run(folder / "runs" / "disturbed").history_hash for folder in folders] == hashes
 
 
+@pytest.mark.long
 def test_runs_that_wait_for_a_slot_get_it_in_the_order_in_which_they_came(tmp_path: Path) -> None:
     server = Server(tmp_path, "ss", capacity=1).ready()
     short = ["--set", "generations=1"]
@@ -150,6 +152,7 @@ def test_a_drained_server_finishes_what_runs_and_exits(tmp_path: Path) -> None:
     assert check_run(tmp_path / "runs" / "disturbed").history_hash == ALONE
 
 
+@pytest.mark.long
 def test_fresh_seeds_and_local_slots_give_the_same_for_any_number_of_slots(tmp_path: Path) -> None:
     small = ["--set", "problem.seeds=fresh", "--set", "problem.settings.steps=50", "--servers", "local"]
     hashes = set()
