@@ -200,8 +200,8 @@ def test_a_trial_is_played_on_the_page_of_its_candidate(page: Page, dashboard: C
     played(tmp_path)
     page.goto(f"{dashboard(tmp_path).url}/candidate?run=minisim")
     page.get_by_role("button", name="Play trial 0").click()
-    expect(page.get_by_role("slider", name="round")).to_be_visible(timeout=60_000)  # first a program starts that computes it
+    expect(page.get_by_role("slider", name="round")).to_be_visible()
     page.get_by_role("combobox", name="speed").select_option("16")
-    expect(page.get_by_role("button", name="play", exact=True)).to_be_visible(timeout=30_000)
+    expect(page.get_by_role("button", name="play", exact=True)).to_be_visible()
     rounds, of_all = said(page).split(" / ")
     assert rounds == of_all != "0"
