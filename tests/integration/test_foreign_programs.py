@@ -149,7 +149,18 @@ def evolve_and_kill(to: Path, programs: Path, simulator: str, size: dict[str, An
         wait_until(
             lambda: query(record, "SELECT 1 FROM outcomes") or optimizer.process.poll() is not None, "some trials are counted"
         )
-        os.kill(victims()[0], signal.SIGKILL)
+        while not server.events("slot_died"):  # of one that is killed between two trials nobody takes notice
+            (victim, *_), ended = victims(), optimizer.process.poll()
+            assert ended is None, "no program was killed within a trial"
+            os.kill(victim, signal.SIGKILL)
+            wait_until(
+                lambda victim=victim: (
+                    server.events("slot_died")
+                    or (len(now := victims()) == 2 and victim not in now)
+                    or optimizer.process.poll() is not None
+                ),
+                "the slot or its program is there again",
+            )
         done = optimizer.done()
     finally:
         optimizer.close()
