@@ -12,9 +12,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from zswarm import experiment
+from zswarm.controller import Controller, load_controller
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
-from zswarm.ot.controller import Controller, load_controller
 
 FUZZ = settings(derandomize=True, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 EXAMPLE = (experiment.examples_folder() / "minisim.toml").read_text(encoding="utf-8")

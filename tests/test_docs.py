@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from zswarm import experiment, plugins, router, settings_sheet
+from zswarm.controller import Controller
 from zswarm.errors import ConfigError
 from zswarm.ot import cli as ot
 from zswarm.ot import exits, schema
 from zswarm.ot.commands import new
-from zswarm.ot.controller import Controller
 from zswarm.ot.rankings.ranking import Round
 from zswarm.protocol import codec, messages
 from zswarm.security import cli as security

@@ -36,6 +36,9 @@ MAY_IMPORT = {
     "experiment": {"leaf", "labels", "protocol"},
     "varied": {"leaf", "sims"},
     "evaluate": {"leaf", "protocol", "nets", "sims", "varied"},
+    "controller": {"leaf", "protocol", "nets"},
+    "robots": {"leaf", "nets", "sims", "controller", "evaluate", "robots"},
+    "ros": {"leaf", "protocol", "nets", "sims", "controller", "robots", "ros"},
     "session": {"leaf", "protocol", "security"},
     "router": {"leaf", "session", "security"},
     "security": {"leaf", "protocol", "security"},
@@ -43,7 +46,7 @@ MAY_IMPORT = {
     "ot.rankings": {"leaf", "ot.rankings"},
     "ot": {
         *("leaf", "protocol", "nets", "sims", "varied", "evaluate", "experiment", "labels", "session", "security"),
-        *("ot", "ot.optimizers", "ot.rankings"),
+        *("controller", "robots", "ot", "ot.optimizers", "ot.rankings"),
     },
     "api": {"leaf", "experiment", "ot"},
     "ss": {"leaf", "protocol", "evaluate", "labels", "session", "security", "ss"},

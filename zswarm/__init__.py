@@ -16,10 +16,10 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from zswarm.api import connect, load, plot, problem, read, resume, run, start, study
+    from zswarm.controller import Controller, Driver
     from zswarm.errors import ConfigError, EvaluationError, KeysError, NoServers, Stopped, UnknownPlugin, ZswarmError
     from zswarm.experiment import Experiment
     from zswarm.ot.connection import Connection, Outcomes
-    from zswarm.ot.controller import Controller, Driver
     from zswarm.ot.dispatch import Note
     from zswarm.ot.evolution import Evolution
     from zswarm.ot.logger import Generation, Logger, Result, Started
@@ -67,7 +67,7 @@ _HOME = {
     ),
     "Experiment": "zswarm.experiment",
     **dict.fromkeys(("Connection", "Outcomes"), "zswarm.ot.connection"),
-    **dict.fromkeys(("Controller", "Driver"), "zswarm.ot.controller"),
+    **dict.fromkeys(("Controller", "Driver"), "zswarm.controller"),
     "Note": "zswarm.ot.dispatch",
     "Evolution": "zswarm.ot.evolution",
     **dict.fromkeys(("Generation", "Logger", "Result", "Started"), "zswarm.ot.logger"),

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from zswarm import experiment
-from zswarm.ot.controller import Controller
+from zswarm.controller import Controller
 from zswarm.ot.record import Record
 from zswarm.ot.schema import SCHEMA_VERSION
 

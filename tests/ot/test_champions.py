@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from zswarm import evaluate, plugins
+from zswarm.controller import CHAMPION, Controller, load_controller
 from zswarm.draws import Stream
 from zswarm.ot import trace, unseen
-from zswarm.ot.controller import CHAMPION, Controller, load_controller
 
 GAME = {"steps": 8, "robots": 1, "width": 8}
 

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from zswarm import experiment
+from zswarm.controller import Controller
 from zswarm.ot import logger as loggers
-from zswarm.ot.controller import Controller
 from zswarm.ot.dispatch import Note
 from zswarm.ot.logger import Generation, InBackground, Logger, Loggers, Result, Started
 

@@ -21,8 +21,8 @@ from hypothesis import strategies as st
 from older import as_schema
 
 from zswarm import experiment
+from zswarm.controller import Controller
 from zswarm.errors import ConfigError
-from zswarm.ot.controller import Controller
 from zswarm.ot.dispatch import Counted, Note
 from zswarm.ot.grouping import groups
 from zswarm.ot.reading import Run, listed, runs_below

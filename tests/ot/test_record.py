@@ -15,10 +15,10 @@ import pytest
 from older import as_schema
 
 from zswarm import experiment
+from zswarm.controller import Controller, load_controller
 from zswarm.errors import ConfigError
 from zswarm.ot import database as database_module
 from zswarm.ot import record as record_module
-from zswarm.ot.controller import Controller, load_controller
 from zswarm.ot.dispatch import Counted, Note
 from zswarm.ot.history import History
 from zswarm.ot.reading import listed

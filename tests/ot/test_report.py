@@ -12,8 +12,8 @@ from click.testing import CliRunner
 from written import written
 
 import zswarm
+from zswarm.controller import CHAMPION, load_controller
 from zswarm.ot import cli, reading, report, unseen
-from zswarm.ot.controller import CHAMPION, load_controller
 from zswarm.ot.dispatch import Note
 from zswarm.sims.emergency_exit import EmergencyExit
 

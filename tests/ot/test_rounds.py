@@ -11,10 +11,10 @@ import pytest
 from standing import Servers, result
 
 from zswarm import experiment, plugins
+from zswarm.controller import Controller, load_controller
 from zswarm.errors import ConfigError, Stopped
 from zswarm.ot import run
 from zswarm.ot.assessment import Assessment
-from zswarm.ot.controller import Controller, load_controller
 from zswarm.ot.dispatch import Counted, Retracted
 from zswarm.ot.logger import Generation, Logger, Result
 from zswarm.ot.optimizers.nnga import NNGA

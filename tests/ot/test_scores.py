@@ -10,9 +10,9 @@ import pytest
 from click.testing import CliRunner
 
 from zswarm import experiment
+from zswarm.controller import Controller
 from zswarm.ot import curves, report, run, unseen
 from zswarm.ot.cli import command
-from zswarm.ot.controller import Controller
 from zswarm.ot.display import summary
 from zswarm.ot.logger import Result
 from zswarm.ot.reading import Run, listed

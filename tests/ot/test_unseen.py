@@ -9,9 +9,9 @@ import pytest
 from click.testing import CliRunner
 from written import written
 
+from zswarm.controller import load_controller
 from zswarm.errors import ConfigError
 from zswarm.ot.cli import command
-from zswarm.ot.controller import load_controller
 from zswarm.ot.unseen import Played
 from zswarm.sims.emergency_exit import EmergencyExit
 

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from zswarm import experiment
-from zswarm.ot.controller import Controller
+from zswarm.controller import Controller
 from zswarm.ot.dispatch import Counted, Note
 from zswarm.ot.history import History
 from zswarm.ot.record import Record

@@ -16,9 +16,9 @@ from xml.parsers import expat
 import numpy as np
 
 from zswarm import evaluate, experiment
+from zswarm.controller import Controller
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
-from zswarm.ot.controller import Controller
 from zswarm.ot.history import History
 from zswarm.ot.problem import Problem
 from zswarm.ot.record import Record

@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import NamedTuple
 
+from zswarm.controller import Controller
 from zswarm.experiment import Experiment
-from zswarm.ot.controller import Controller
 from zswarm.ot.dispatch import Note
 
 WAITING = 1000  # calls that a slow logger may be behind; later ones are dropped

@@ -8,9 +8,9 @@ import msgspec
 import numpy as np
 
 from zswarm import evaluate, plugins
+from zswarm.controller import Controller
 from zswarm.draws import Stream, derive_seed
 from zswarm.experiment import Experiment
-from zswarm.ot.controller import Controller
 from zswarm.ot.rankings.ranking import Ranking, Round
 from zswarm.ot.workload import Workload
 from zswarm.strict import convert

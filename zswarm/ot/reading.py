@@ -22,10 +22,10 @@ import numpy as np
 
 import zswarm
 from zswarm import experiment, plugins
+from zswarm.controller import CHAMPION, Controller, load_controller
 from zswarm.errors import ConfigError, UnknownPlugin
 from zswarm.experiment import Experiment
 from zswarm.extras import need
-from zswarm.ot.controller import CHAMPION, Controller, load_controller
 from zswarm.ot.database import in_words, passing
 from zswarm.ot.logger import Result
 from zswarm.ot.record import DATABASE, EXPERIMENT, meant

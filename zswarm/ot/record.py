@@ -28,10 +28,10 @@ import numpy as np
 
 import zswarm
 from zswarm import experiment
+from zswarm.controller import CHAMPION, Controller
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
 from zswarm.files import sync, write_whole
-from zswarm.ot.controller import CHAMPION, Controller
 from zswarm.ot.database import Database, Statement, connect, in_words, on_network, passing, transact
 from zswarm.ot.dispatch import Counted, Note
 from zswarm.ot.history import History

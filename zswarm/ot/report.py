@@ -15,12 +15,12 @@ import msgspec
 import numpy as np
 
 from zswarm import evaluate, experiment, plugins, ranges, varied
+from zswarm.controller import Controller
 from zswarm.errors import ConfigError, EvaluationError, UnknownPlugin
 from zswarm.extras import need
 from zswarm.files import write_for_user
 from zswarm.nets.fully_meshed import FullyMeshed
 from zswarm.ot import comparison, curves, figures, film, grouping, reading, trace, unseen
-from zswarm.ot.controller import Controller
 from zswarm.ot.reading import Run
 from zswarm.ot.record import EXPERIMENT
 from zswarm.ot.terminal import plural

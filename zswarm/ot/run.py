@@ -9,12 +9,12 @@ from typing import NamedTuple
 import msgspec
 
 from zswarm import plugins
+from zswarm.controller import Controller
 from zswarm.draws import derive_seed
 from zswarm.errors import ConfigError, ZswarmError
 from zswarm.experiment import Experiment
 from zswarm.ot.assessment import Assessment
 from zswarm.ot.connection import Connection
-from zswarm.ot.controller import Controller
 from zswarm.ot.dispatch import Counted, Note, Retracted
 from zswarm.ot.evaluations import Evaluations, Happened
 from zswarm.ot.logger import Generation, Logger, Result, Started

@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 
 from zswarm import evaluate
+from zswarm.controller import Controller
 from zswarm.draws import derive_seed
 from zswarm.errors import ConfigError
-from zswarm.ot.controller import Controller
 from zswarm.protocol.codec import clean
 
 CHUNK = 500  # trials

@@ -41,8 +41,8 @@ def evaluate(path: Path, trials: int, seed: int | None, against: Path | None, ov
       zswarm-ot evaluate runs/minisim-duel --against runs/minisim-duel-2
     """  # noqa: D301  click's mark for text that is not to be wrapped
     from zswarm import experiment
+    from zswarm.controller import load_controller
     from zswarm.ot import terminal, unseen
-    from zswarm.ot.controller import load_controller
     from zswarm.protocol.codec import clean
 
     loaded = [load_controller(each) for each in (path, against) if each is not None]

@@ -7,8 +7,8 @@ import msgspec
 import numpy as np
 
 from zswarm import experiment, plugins
+from zswarm.controller import Controller
 from zswarm.errors import ConfigError, UnknownPlugin
-from zswarm.ot.controller import Controller
 from zswarm.ot.dashboard import points
 from zswarm.ot.dashboard.fleet import Event
 from zswarm.ot.dashboard.follower import shown
