@@ -3,9 +3,10 @@
 With a network that it knows the program plays whole trials; otherwise it is asked for turns, and told what the agents do.
 """
 
+import contextlib
 import keyword
 import weakref
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -44,6 +45,7 @@ class Foreign(HostingSimulator):
         super().__init__(settings)
         self._setup = messages.Setup(settings=msgspec.to_builtins(settings), network=None)
         self._taken: list[Program] = []  # by the trial under way
+        self._where = f"simulator {self.name!r}"  # and the seed of that trial
         weakref.finalize(self, _leave, self._taken, self.spare).atexit = False
         self._ready = ready = self._tell_setup()
         _leave(self._taken, self.spare)
@@ -117,25 +119,23 @@ class Foreign(HostingSimulator):
         return Outcome(said.fitness, said.metrics)
 
     def _begin(self, seed: int) -> None:
-        self._seed = seed
+        self._where = f"simulator {self.name!r}, trial seed {seed}"
         if self._program().set_up is not self._setup:
             self._tell_setup()
 
     def _ask(self, message: messages.Asked, *expected: type[messages.Said]) -> messages.Said:
         """The program's answer to what it is asked in a trial."""
-        try:
-            said = self._program().ask(message, (*expected, messages.Error))
-        except EvaluationError as error:
-            raise EvaluationError(f"simulator {self.name!r}, trial seed {self._seed}: {error}") from None
+        program = self._program()
+        with self._named():
+            said = program.ask(message, (*expected, messages.Error))
         if isinstance(said, messages.Error):
             raise self._wrong(clean(said.text))
         return said
 
     def _tell_setup(self) -> messages.Ready:
-        try:
-            said = self._program().ask(self._setup, (messages.Ready, messages.Error), START_S)
-        except (ConfigError, EvaluationError) as error:
-            raise type(error)(f"simulator {self.name!r}: {error}") from None
+        program = self._program()
+        with self._named():
+            said = program.ask(self._setup, (messages.Ready, messages.Error), START_S)
         if isinstance(said, messages.Error):
             raise self._refusal(clean(said.text))
         assert isinstance(said, messages.Ready)  # noqa: S101  one of the expected answers
@@ -147,8 +147,17 @@ class Foreign(HostingSimulator):
         if not self._taken or not self._taken[0].open:
             while self.spare and not self.spare[0].is_there():
                 self.spare.pop().close()
-            self._taken[:] = [self.spare.pop() if self.spare else Program(self.manifest, self.folder)]
+            with self._named():
+                self._taken[:] = [self.spare.pop() if self.spare else Program(self.manifest, self.folder)]
         return self._taken[0]
+
+    @contextlib.contextmanager
+    def _named(self) -> Iterator[None]:
+        """What goes wrong with the program is told with the simulator and the trial."""
+        try:
+            yield
+        except (ConfigError, EvaluationError) as error:
+            raise type(error)(f"{self._where}: {error}") from None
 
     def _wrong(self, why: str) -> ProgramError:
         """The trial is over: at the next one the program gives up what it still knows of this one."""
