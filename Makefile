@@ -6,7 +6,7 @@ TESTS ?= -n $$((2 * $$(nproc))) --dist worksteal  # many wait for programs; neig
 
 KILLS ?= 200
 
-.PHONY: run test long product vmas browser test-all chaos faults machines units kills lint format docs docs-commands reference bench bench-quick bench-methods scale soak clean
+.PHONY: run test long product vmas browser robots test-all chaos faults machines units kills lint format docs docs-commands reference bench bench-quick bench-methods scale soak clean
 
 run: $(READY)
 	$(BIN)/zswarm-ot run $(or $(ARGS),stadium)
@@ -28,6 +28,10 @@ vmas: build/vmas/ready
 # Dashboard and player in a real browser: chromium (Debian: apt install chromium).
 browser: $(READY)
 	$(BIN)/python -m pytest $(TESTS) -m browser $(ARGS)
+
+# ROS 1 (Debian: apt install ros-core), ROS 2, compilers and other processors: exports are compiled, ROS simulations run.
+robots: $(READY)
+	$(BIN)/python -m pytest $(TESTS) -m robots $(ARGS)
 
 test-all: test long product
 
@@ -110,6 +114,14 @@ $(READY): pyproject.toml Makefile
 build/vmas/ready: pyproject.toml Makefile
 	$(PYTHON) -m venv build/vmas
 	build/vmas/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,vmas]' 'torch==2.13.*'
+	@touch $@
+
+# rclpy has an environment of its own: it starts each of its programs twice. Without a build for this machine there is none.
+build/ros2/ready: Makefile
+	$(PYTHON) -m venv build/ros2
+	build/ros2/bin/python -m pip install --quiet --disable-pip-version-check 'ros-kilted-rclpy[fastrtps]==9.1.2' \
+	    ros-kilted-geometry-msgs==5.5.1 ros-kilted-sensor-msgs==5.5.1 ros-kilted-nav-msgs==5.5.1 ros-kilted-rosgraph-msgs==2.3.0 \
+	    || { rm -rf build/ros2; exit 1; }
 	@touch $@
 
 # Each peer by itself; what pip said of one that cannot be installed is shown in its place, and it is tried again next time.
