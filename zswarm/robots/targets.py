@@ -30,6 +30,7 @@ class Target(NamedTuple):
 
 TARGETS = {
     "json": Target("zswarm.robots.json_file:as_json", "python3 -m json.tool {name}.json"),
+    "onnx": Target("zswarm.robots.onnx_file:model", "python3 -m onnx.checker {name}.onnx"),
     "python": Target("zswarm.robots.python_file:python", "python3 {name}.py"),
 }
 
