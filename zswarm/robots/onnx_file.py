@@ -18,7 +18,7 @@ def model(controller: Controller, name: str) -> dict[str, bytes]:
     """The file ``zs_<name>.onnx``.
 
     Args:
-        name: as ``original.identifier`` gives it.
+        name: as ``names.folded`` gives it.
 
     Raises:
         ConfigError: onnx is not installed, the network is none of those that are bundled, or as ``Controller.network``.
