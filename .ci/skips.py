@@ -1,4 +1,4 @@
-"""Fail when a test was skipped that is not in .ci/allowed-skips.txt, which holds one test id a line, without parameters, and its reason."""
+"""Fail when a test was skipped that is not in .ci/allowed-skips.txt: a test id a line, without parameters, and the reason."""
 
 import sys
 import xml.etree.ElementTree as ET

@@ -1,8 +1,11 @@
 """A controller's C99 pair decides as the controller does, bit for bit, and is C that strict compilers take."""
 
 import ctypes
+import os
 import re
 import subprocess
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import msgspec
@@ -10,12 +13,15 @@ import numpy as np
 import pytest
 from compiled import STRICT, decisions, library, require
 from controllers import KINDS, controller, named, observed
+from documents import REPOSITORY
 
 from zswarm import plugins
 from zswarm.controller import Controller
+from zswarm.errors import ConfigError
 from zswarm.robots.c99 import pair
 from zswarm.robots.original import sha256
 
+PAGE = REPOSITORY / "docs" / "representations.md"
 STEPS = 60
 INPUTS, OUTPUTS = 4, 3
 
@@ -113,6 +119,52 @@ def test_only_what_is_used_is_written() -> None:
     assert "zs_night_exp" in sigmoid
     assert "zs_night_tanh" not in sigmoid
     assert not re.search(r"\b(malloc|printf|stdio|static (?!const)\w+ \w+( =|;))", clamp + sigmoid)
+
+
+@pytest.fixture
+def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str, str], Controller]]:
+    """A controller of the plug-in that docs/representations.md shows, of which one text is replaced by another."""
+    (code,) = re.findall(r"`zswarm_linear.py`:\n\n```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setitem(plugins.BUNDLED["representation"], "linear", "zswarm_linear:Linear")
+
+    def made(old: str, new: str) -> Controller:
+        assert old in code
+        (tmp_path / "zswarm_linear.py").write_text(code.replace(old, new), encoding="utf-8")
+        plugins._installed.cache_clear()
+        return controller("linear", inputs=INPUTS, outputs=OUTPUTS)
+
+    yield made
+    sys.modules.pop("zswarm_linear", None)
+    monkeypatch.undo()
+    plugins._installed.cache_clear()
+
+
+def test_a_plugin_is_translated_too(plugin: Callable[[str, str], Controller], tmp_path: Path) -> None:
+    """One without a state, here."""
+    evolved = plugin("ZERO", "ZERO")
+    made = library(pair(evolved, "night"), tmp_path, "-O2")
+    assert made.zs_night_selftest() == 0
+    seen, driver = observed(INPUTS, STEPS), evolved.driver()
+    seen[7, 1], seen[9, 2] = np.inf, -np.inf
+    assert decisions(made, "zs_night", seen, OUTPUTS, 1) == [driver.act(row).tobytes().hex() for row in seen]
+
+
+def test_a_plugin_that_c_cannot_say_is_refused_in_a_line(plugin: Callable[[str, str], Controller]) -> None:
+    evolved = plugin("min(max(total, ZERO), ONE)", "np.minimum(total, ONE)")
+    with pytest.raises(ConfigError, match=r"^zswarm_linear\.py, line \d+: cannot be said in C: `np\.minimum`$"):
+        pair(evolved, "night")
+
+
+def test_it_is_written_without_the_compiler_too() -> None:
+    """By programs that evaluate nothing."""
+    code = (
+        "from controllers import controller; from zswarm.robots.c99 import pair; import sys; "
+        "sys.stdout.write(pair(controller('ctrnn'), 'night')['zs_night.c']); assert 'numba' not in sys.modules"
+    )
+    environment = {**os.environ, "ZSWARM_PLAIN": "1", "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment)
+    assert (done.stdout, done.stderr) == (pair(controller("ctrnn"), "night")["zs_night.c"], "")
 
 
 HOSTILE = ["*/ int x; /*", "??/", "\\", 'a"b', "%s%n", "\N{SNOWMAN} \x07 \n#error no", "", "int", "a" * 200, "// \\\n", "\ud800"]
