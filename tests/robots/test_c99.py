@@ -216,7 +216,7 @@ def test_the_header_is_for_cplusplus_too(tmp_path: Path) -> None:
     assert subprocess.run([tmp_path / "main"], check=False).returncode == 0
 
 
-@pytest.mark.parametrize("flag", ["-ffast-math", "-Ofast", "-mfpmath=387"])
+@pytest.mark.parametrize("flag", ["-ffast-math", "-Ofast", "-ffinite-math-only", "-mfpmath=387"])
 def test_flags_that_change_decisions_are_refused(flag: str, tmp_path: Path) -> None:
     require("gcc")
     for name, text in pair(controller("fully-meshed"), "night").items():
