@@ -1,6 +1,5 @@
 """Profiles: names, types and limits of robots' topics, as TOML files (docs/profiles.md). Imports leaves only."""
 
-import functools
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -96,7 +95,6 @@ def names() -> list[str]:
     return sorted(path.stem for path in FOLDER.glob("*.toml"))
 
 
-@functools.cache
 def read(name: str) -> Profile:
     """A bundled profile by its name, or one's own by the path of its file, which ends in ``.toml``.
 
@@ -105,9 +103,8 @@ def read(name: str) -> Profile:
     """
     if not name.endswith(".toml"):
         if name not in names():
-            raise ConfigError(
-                f"no profile {name!r}{nearest(name, names())}; there are {', '.join(names())}, or a path to FILE.toml"
-            )
+            known = ", ".join(names())
+            raise ConfigError(f"no profile {name!r}{nearest(name, names())}; there are {known}, or a path to FILE.toml")
         return _read(FOLDER / f"{name}.toml")
     return _read(Path(name))
 
