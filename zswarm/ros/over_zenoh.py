@@ -7,6 +7,8 @@ tokens say which nodes, publishers and subscriptions there are: ``ros2 topic lis
 This file needs eclipse-zenoh, rosbags and numpy alone, and is shipped with nodes for robots.
 """
 
+from __future__ import annotations
+
 import itertools
 import json
 import os
