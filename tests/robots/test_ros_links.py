@@ -147,6 +147,7 @@ def test_nothing_is_left_when_whoever_has_the_link_is_killed(here: graph.Graph) 
     assert holder.stdout.readline() == "there\n"
     started = below(holder.pid)
     assert started
+    assert not any("/dev/shm/" in Path(f"/proc/{child}/maps").read_text() for child in started)  # noqa: S108  nor there
     holder.kill()
     holder.wait()
     holder.stdout.close()

@@ -29,6 +29,7 @@ def main() -> None:
     if any(topic["type"] == frames.CLOCKS and topic["publish"] for topic in set_up["topics"]):
         rospy.set_param("/use_sim_time", True)
     rospy.impl.simtime.init_simtime = no_time
+    rospy.core.configure_logging = lambda *_: None  # no files: what goes wrong goes to standard error
     rospy.init_node(set_up["node"], anonymous=True, disable_signals=True, log_level=rospy.ERROR)
     conversion = Conversion(lambda name: kind(name)(), stamp=("secs", "nsecs"))
     sending, connected = {}, []
