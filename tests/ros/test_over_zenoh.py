@@ -43,6 +43,29 @@ def test_bytes_and_hashes_are_those_of_ros_2(kind: str, node: Node) -> None:
     assert conversion.body(kind)(back).hex() == known["body"]
 
 
+def test_numbers_stand_where_ros_looks_for_them(node: Node) -> None:
+    """Poses in metres, the quaternion's z and w, velocities ahead and to the left; stamps in seconds and nanoseconds."""
+
+    def message(kind: str) -> Any:
+        return node.store.deserialize_cdr(bytes.fromhex(GOLDEN[kind]["cdr"]), spelled(kind))
+
+    odometry = message("nav_msgs/Odometry")
+    place, speed = odometry.pose.pose, odometry.twist.twist
+    assert (place.position.x, place.position.y, place.orientation.z, place.orientation.w) == (0.1, -2.5, 0.6, 0.8)
+    assert (speed.linear.x, speed.angular.z) == (0.22, -1 / 3)
+    assert (odometry.header.frame_id, odometry.child_frame_id) == ("robot_1/ray", "robot_1/hub")
+    scan = message("sensor_msgs/LaserScan")
+    assert (scan.header.stamp.sec, scan.header.stamp.nanosec) == (1_234_567_890, 123_456_789)
+    assert (scan.angle_min, scan.angle_max, scan.range_min, scan.range_max) == (-1.5, 1.5, 0.0, 4.0)
+    assert scan.angle_increment == np.float32(0.1)
+    assert scan.ranges[3] == 3.25
+    stamped = message("geometry_msgs/TwistStamped")
+    assert (stamped.header.stamp.sec, stamped.header.stamp.nanosec) == (2, 999_999_999)
+    assert (stamped.twist.linear.x, stamped.twist.angular.z) == (0.1, -2.84)
+    assert message("rosgraph_msgs/Clock").clock.sec == 60
+    assert message("std_msgs/UInt64").data == 2**64 - 1
+
+
 def test_a_key_has_domain_topic_type_and_hash(node: Node) -> None:
     assert node.key("/robot_1/cmd_vel", TWIST) == (
         f"7/robot_1/cmd_vel/geometry_msgs::msg::dds_::Twist_/{GOLDEN['geometry_msgs/Twist']['hash']}"
