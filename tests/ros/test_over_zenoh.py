@@ -23,6 +23,7 @@ from conversion import Conversion  # type: ignore[import-not-found]
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "ros2_bytes.json").read_text())  # robots/ros2_bytes.py made it
 TOPIC = {"frame": "robot_1/ray", "child_frame": "robot_1/hub"}
 TWIST = "geometry_msgs/msg/Twist"
+LITTLE_ENDIAN_CDR = b"\x00\x01\x00\x00"
 TIMEOUT_S = 20
 
 
@@ -115,15 +116,18 @@ def test_others_see_who_is_there_and_what_was_sent_is_numbered() -> None:
         assert wait_for_tokens(watching, 0) == []
 
 
-def test_what_is_no_message_is_dropped() -> None:
+@pytest.mark.parametrize("body", [b"", b"hello", LITTLE_ENDIAN_CDR, LITTLE_ENDIAN_CDR + bytes(47), LITTLE_ENDIAN_CDR + bytes(49)])
+def test_what_is_no_message_is_dropped(body: bytes, capfd: pytest.CaptureFixture[str]) -> None:
+    """Without a word: anybody may send anything."""
     came: queue.SimpleQueue[Any] = queue.SimpleQueue()
     with open_session([], []) as session:
         node = Node(session, "robot")
         node.subscribe("/cmd_vel", TWIST, came.put)
-        session.put(node.key("/cmd_vel", TWIST), b"hello")
+        session.put(node.key("/cmd_vel", TWIST), body)
         node.publisher("/cmd_vel", TWIST).publish(empty(node.store, TWIST))
         assert came.get(timeout=TIMEOUT_S).linear.x == 0.0
         assert came.empty()
+    assert capfd.readouterr() == ("", "")
 
 
 def wait_for_tokens(session: zenoh.Session, count: int) -> list[str]:
