@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import zenoh
 
-from zswarm.ros import bridges
+from zswarm.ros import bridges, graph
 from zswarm.ros.over_zenoh import ATTACHMENT, Node, open_session
 
 sys.path.append(str(Path(bridges.__file__).parent))  # its programs import each other so, in other Pythons
@@ -90,7 +90,11 @@ def test_an_unknown_distribution_is_named() -> None:
 def test_others_see_who_is_there_and_what_was_sent_is_numbered() -> None:
     """A session that knows nothing of nodes reads tokens, keys and attachments as rmw_zenoh's design has them."""
     samples: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
-    with open_session([], ["tcp/127.0.0.1:27447"]) as watching, open_session(["tcp/127.0.0.1:27447"], []) as session:
+    with (
+        graph.private("zenoh") as here,
+        open_session([], here.connect) as watching,
+        open_session(here.connect, []) as session,
+    ):
         node = Node(session, "robot", domain=7)
         watching.declare_subscriber("7/**", samples.put)
         publisher = node.publisher("/robot_1/cmd_vel", TWIST, reliable=False)
