@@ -15,14 +15,15 @@ from zswarm.portable import PI
 ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
 FINEST = 1e-6  # radians; a scan whose rays are nearer to each other than that says nothing
 MOST_PLACES = 1e7
+TOO_CLOSE = np.float32(-3e38)  # what is less is ROS's minus infinity (REP 117): something is nearer than the scanner can measure
 
 
 @inline
 def fit_scan(ranges, readings, angle_min, angle_increment, rays, view, reach, fitted):  # type: ignore[no-untyped-def]  # compiled
     """What any scanner reads, as the controller's scanner would: in each of its rays the shortest of those that look there.
 
-    0 and below, NaN, and what is farther than ``reach`` are nothing there, which is ``reach``, as is where no ray looks. A scan
-    of the controller's own scanner stays as it is.
+    0 and below, NaN, and what is farther than ``reach`` are nothing there, which is ``reach``, as is where no ray looks; minus
+    infinity is 0. A scan of the controller's own scanner stays as it is.
 
     Args:
         ranges: (readings,) float32, m.
@@ -58,8 +59,11 @@ def shortest_around(ranges, readings, angle_min, angle_increment, angle, half, r
                 which = step + around
             elif which >= readings:
                 which = step - around
-            if 0 <= which < readings and ZERO < ranges[which] < shortest:
-                shortest = ranges[which]
+            if 0 <= which < readings:
+                if ranges[which] < TOO_CLOSE:
+                    shortest = ZERO
+                elif ZERO < ranges[which] < shortest:
+                    shortest = ranges[which]
     return shortest
 
 
