@@ -1,9 +1,9 @@
 """The room of turtlebot-exit as a ROS simulation, with the topics of a profile: ``python -m zswarm.ros.node`` (docs/ros.md).
 
-It speaks of each robot that is inside, and at last of one that got out: odometry, ground truth and scan, with one stamp, after the
-clock. In lock-step it then waits for a velocity of each; free-running it goes on by the wall's clock, as Stage does, with the
-velocity that came last, and stops a robot that nobody told anything for the profile's ``watchdog_s`` of its time. Odometry is exact
-and in the room's frame. The clock begins anew with each trial.
+It speaks of each robot that is inside, and at last of one that got out: odometry, ground truth and scan, with one stamp, after
+the clock. In lock-step it then waits for a velocity of each; free-running it goes on by the wall's clock, as Stage does, with the
+velocity that came last, and stops a robot that nobody told anything for the profile's ``watchdog_s`` of its time. Odometry is
+exact and in the room's frame. The clock begins anew with each trial.
 """
 
 import json
@@ -20,6 +20,8 @@ import numpy as np
 
 from zswarm.errors import ConfigError, EvaluationError
 from zswarm.ros import profiles
+from zswarm.ros.bridges import frames
+from zswarm.ros.child import START_S
 from zswarm.ros.graph import Graph, LinkKind
 from zswarm.ros.link import Link
 from zswarm.ros.lock_step import LockStep, Overdue, Step
@@ -78,11 +80,9 @@ class Node:
                     self._begin(message.seed)
                 else:
                     self._go_on(message)
-            except EvaluationError as error:
-                if not self._link.open:
-                    raise
+            except EvaluationError as error:  # a robot's fault; if the link is broken, the next message says so again
                 self._agents = []
-                print(f"zswarm.ros.node: {error}", file=sys.stderr, flush=True)  # noqa: T201  it may have been a robot's fault
+                click.echo(f"zswarm.ros.node: {error}", err=True)
 
     def _next_message(self) -> Message | None:
         now = time.monotonic()
@@ -148,14 +148,12 @@ class Node:
         first, spread = float(np.float32(-interface.view / 2)), float(np.float32(interface.view / (interface.rays - 1)))
         for robot in robots:
             x, y, z, w = simulator.poses[robot].tolist()
-            for channel in ("odometry", "ground_truth"):
-                if channel in told:
-                    messages.append(
-                        Odometry(
-                            robot=robot, stamp_ns=self._stamp_ns, x=x, y=y, z=z, w=w, linear=float(self._linear[robot]),
-                            angular=float(self._angular[robot]), truth=channel == "ground_truth",
-                        )
-                    )  # fmt: skip
+            linear, angular = float(self._linear[robot]), float(self._angular[robot])
+            odometry = Odometry(robot=robot, stamp_ns=self._stamp_ns, x=x, y=y, z=z, w=w, linear=linear, angular=angular)
+            if "odometry" in told:
+                messages.append(odometry)
+            if "ground_truth" in told:
+                messages.append(msgspec.structs.replace(odometry, truth=True))
             if "scan" in told:
                 messages.append(
                     Scan(
@@ -166,13 +164,15 @@ class Node:
         self._link.send(messages)
 
 
-def _until_stdin_closes() -> None:
-    """End with whoever holds the other end of standard input."""
+def _belong_to_parent() -> None:
+    """Say that the node is there, and end with whoever holds the other end of standard input; see ``child.Child``."""
+
     def wait() -> None:
-        while os.read(0, 1 << 12):
+        while os.read(0, frames.CHUNK):
             pass
         os._exit(0)  # the link's child ends when its own input closes
 
+    os.write(1, frames.frame(frames.CONTROL, b""))
     threading.Thread(target=wait, daemon=True).start()
 
 
@@ -191,11 +191,9 @@ def _until_stdin_closes() -> None:
 @click.option("--deadline-s", type=click.FloatRange(1e-3, 1e6), default=10.0, help="a robot must answer in")
 @click.option("--seed", type=click.IntRange(0, 2**64 - 1), default=None, help="play one trial, tell its outcome and end")
 @click.option("--poses", type=click.Path(dir_okay=False, path_type=Path), default=None, help="with --seed: FILE.npy of all poses")
-@click.option("--until-stdin-closes", is_flag=True, help="end when standard input closes")
+@click.option("--child", is_flag=True, hidden=True, help="a slot's own")
 def main(**options: Any) -> None:
     """Simulate the room of turtlebot-exit for ROS."""
-    if options["until_stdin_closes"]:
-        _until_stdin_closes()
     try:
         run(**options)
     except (ConfigError, EvaluationError) as error:
@@ -205,7 +203,7 @@ def main(**options: Any) -> None:
 
 def run(
     *, link: LinkKind, profile: str, settings: str, channels: str, mode: str, rate: float, deadline_s: float, seed: int | None,
-    poses: Path | None, **reach: Any,
+    poses: Path | None, child: bool, **reach: Any,
 ) -> None:  # fmt: skip
     """Set up and go on.
 
@@ -231,6 +229,8 @@ def run(
     options = Options(mode == "lock-step", rate, deadline_s, told)
     with Link(graph, found, robots=robots, side="simulation", channels=used) as opened:
         node = Node(simulator, opened, found, options)
+        if child:
+            _belong_to_parent()
         if seed is None:
             node.serve()
             return
