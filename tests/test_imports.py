@@ -54,7 +54,15 @@ MAY_IMPORT = {
     "testing": {"leaf", "nets", "simulator_checks", "ot.optimizers"},
 }
 ONLY_IN = {
-    "zenoh": {"session", "ot.cluster", "ot.discovery", "ss.presence", "security.refusals"},  # docs/architecture.md says why
+    "zenoh": {
+        "session",
+        "ot.cluster",
+        "ot.discovery",
+        "ss.presence",
+        "security.refusals",
+        "ros.over_zenoh",
+        "ros.bridges.by_zenoh",
+    },  # docs/architecture.md says why
     "numba": {"jit", "lanes"},
     "cryptography": {"security.authority", "security.certificates", "security.bundle", "security.install"},
     "pymunk": {"sims.robot_world"},
@@ -79,7 +87,7 @@ ONLY_IN = {
     "vmas": set(),
 }
 PURE = (
-    *("ot.assessment", "ot.dispatch", "ot.plan", "ot.requests", "ot.verification", "ot.waiting", "ot.workload"),
+    *("ot.assessment", "ot.cost_model", "ot.dispatch", "ot.plan", "ot.requests", "ot.verification", "ot.waiting", "ot.workload"),
     "ot.dashboard.fleet",
     *("ss.slots", "ss.kept", "ot.rankings.absolute", "ot.rankings.full_tournament", "ot.rankings.multi_swiss"),
     *("ot.rankings.ranking", "ot.rankings.swiss", "ot.rankings.tournament"),

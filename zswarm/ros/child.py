@@ -6,6 +6,7 @@ process dies; and is killed if it takes long.
 
 import collections
 import contextlib
+import functools
 import json
 import os
 import select
@@ -48,15 +49,13 @@ class Child:
         """
         self._name = name
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115  closed with the child
-        self._logs = tempfile.TemporaryDirectory(prefix="zswarm-ros-")
-        logs = {"ROS_LOG_DIR": self._logs.name, "ROS_HOME": self._logs.name}
         try:
             self._process = subprocess.Popen(
-                command, env={**os.environ, **logs, **environment}, process_group=0, bufsize=0,
+                command, env={**os.environ, **environment}, process_group=0, bufsize=0,
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._errors,
             )  # fmt: skip
         except OSError as error:
-            self._forget()
+            self._errors.close()
             raise ConfigError(f"{command[0]} cannot be started for {name}: {error.strerror}") from None
         assert self._process.stdin and self._process.stdout  # noqa: S101, PT018  pipes, as asked for
         self._input, self._output = self._process.stdin.fileno(), self._process.stdout.fileno()
@@ -78,7 +77,7 @@ class Child:
             raise
         self.said = first[1]
 
-    def write(self, body: bytes) -> None:
+    def write(self, body: bytes | bytearray) -> None:
         """Write frames; what it says meanwhile is kept.
 
         Raises:
@@ -125,11 +124,7 @@ class Child:
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
-        self._forget()
-
-    def _forget(self) -> None:
         self._errors.close()
-        self._logs.cleanup()
 
     def _read(self) -> None:
         try:
@@ -161,19 +156,19 @@ class Child:
 
 
 def command(program: str, library: str) -> list[str]:
-    """How to run a program of ``bridges/`` with the Python that has a library; where none has, with the system's, which refuses."""
+    """How to run a program of ``bridges/``: with the Python that has a library; if none has, the program refuses."""
     python = sys.executable
     if variable := PYTHONS.get(library):
         python = os.environ.get(variable) or _python_with(library)
     return [python, str(FOLDER / f"{program}.py")]
 
 
+@functools.cache
 def _python_with(library: str) -> str:
-    """The first of this Python, the one on the path and the system's that has a library."""
-    look = f"import importlib.util, sys; sys.exit(importlib.util.find_spec({library!r}) is None)"
+    """The first of this Python, the one on the path and the system's that has a library, and can load it."""
     candidates = (sys.executable, "python3", "/usr/bin/python3")
     for python in candidates:
         with contextlib.suppress(OSError):
-            if subprocess.run([python, "-c", look], capture_output=True, check=False).returncode == 0:
+            if subprocess.run([python, "-c", f"import {library}"], capture_output=True, check=False).returncode == 0:
                 return python
     return candidates[-1]

@@ -49,7 +49,9 @@ class Link:
         """
         ros = 1 if graph.link == "rospy" else 2
         if profile.ros != ros:
-            raise ConfigError(f"the link {graph.link} speaks ROS {ros}, and the profile ({profile.description}) is of ROS {profile.ros}")
+            raise ConfigError(
+                f"the link {graph.link} speaks ROS {ros}, and the profile ({profile.description}) is of ROS {profile.ros}"
+            )
         self._topics = [
             (channel, robot)
             for channel in profile.channels
@@ -110,7 +112,7 @@ class Link:
         self._child.write(said)
 
     def receive(self, timeout_s: float) -> Message | None:
-        """The next message; None: none came in time. Those of one topic come in their order.
+        """The next message; None: none came in time. Those of one topic come in their order, those of several in any.
 
         Raises:
             EvaluationError: the child process ended.

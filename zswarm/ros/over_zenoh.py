@@ -7,6 +7,8 @@ tokens say which nodes, publishers and subscriptions there are: ``ros2 topic lis
 This file needs eclipse-zenoh, rosbags and numpy alone, and is shipped with nodes for robots.
 """
 
+from __future__ import annotations
+
 import itertools
 import json
 import os
@@ -17,11 +19,11 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import zenoh
+from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
 ROUTER = "tcp/127.0.0.1:7447"  # where rmw_zenohd listens
 ATTACHMENT = struct.Struct("<qqB16s")  # number, time in ns, length of the name, name of the publisher
-LITTLE_ENDIAN_CDR = b"\x00\x01\x00\x00"  # how each message begins
 HASHLESS = ("humble",)  # distributions without hashes of types
 NO_HASH = "TypeHashNotSupported"
 RELIABLE, BEST_EFFORT = "", "2"  # in a token; the first is the default
@@ -84,7 +86,7 @@ class Node:
             session.liveliness().declare_token(f"{self._self}/0/NN/%/%/{name}"),
         ]
 
-    def publisher(self, topic: str, kind: str, *, reliable: bool = True) -> "Publisher":
+    def publisher(self, topic: str, kind: str, *, reliable: bool = True) -> Publisher:
         """Publish a topic.
 
         Args:
@@ -105,11 +107,16 @@ class Node:
         """
 
         def taken(sample: zenoh.Sample) -> None:
-            body = sample.payload.to_bytes()
-            if body.startswith(LITTLE_ENDIAN_CDR):
-                callback(self.store.deserialize_cdr(body, kind))
+            try:
+                message = self.store.deserialize_cdr(sample.payload.to_bytes(), kind)
+            except SerdeError:
+                return
+            callback(message)
 
-        self._declared += [self._session.declare_subscriber(self.key(topic, kind), taken), self._token("MS", topic, kind, reliable)]
+        self._declared += [
+            self._session.declare_subscriber(self.key(topic, kind), taken),
+            self._token("MS", topic, kind, reliable),
+        ]
 
     def publishers(self, topic: str, kind: str) -> int:
         """How many publish a topic."""
@@ -171,7 +178,8 @@ class Publisher:
 
     def connected(self) -> int:
         """How many have the topic given to them, once Zenoh knows the way."""
-        return self._node.subscriptions(self._topic, self._kind) if self._publisher.matching_status.matching else 0
+        status: Any = self._publisher.matching_status  # zenoh's stub calls it a bool
+        return self._node.subscriptions(self._topic, self._kind) if status.matching else 0
 
     def undeclare(self) -> None:
         """Publish no more."""
