@@ -9,7 +9,6 @@ import pytest
 from ros_here import LINKS, need
 from trials import built, by_network, by_policy, robot_controllers
 
-
 pytestmark = pytest.mark.robots
 CROWD = {"robots": 5, "steps": 60, "map": "open", "epsilon": 0.5}  # by hand some are out early, one after the other
 

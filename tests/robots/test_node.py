@@ -4,7 +4,6 @@ import itertools
 import json
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -53,19 +52,19 @@ def test_one_trial_leaves_its_poses_and_its_outcome(here: Graph, tmp_path: Path)
     world = built("turtlebot-exit", **ROOM)
     turn: Turn | None = world.reset(5)
     poses = [world.poses.copy()]
-    with node(here, "--seed", "5", "--poses", str(tmp_path / "poses.npy"), "--channels", "scan,odometry") as started:
-        with controllers(here) as link:  # noqa: SIM117  it is closed first
-            link.ready(30.0)
-            while turn is not None:
-                seen: dict[str, set[int]] = {"Scan": set(), "Odometry": set()}
-                while not all(robots == {0, 1} for robots in seen.values()):
-                    message = link.receive(20.0)
-                    assert isinstance(message, Scan | Odometry)
-                    seen[type(message).__name__].add(message.robot)
-                link.send([Velocity(robot=robot, stamp_ns=0, linear=0.3, angular=robot - 0.5) for robot in (0, 1)])
-                turn = world.drive(np.array([0.3, 0.3]), np.array([-0.5, 0.5]))
-                poses.append(world.poses.copy())
-            said, errors = started.communicate(timeout=30)
+    options = ["--seed", "5", "--poses", str(tmp_path / "poses.npy"), "--channels", "scan,odometry"]
+    with node(here, *options) as started, controllers(here) as link:
+        link.ready(30.0)
+        while turn is not None:
+            seen: dict[str, set[int]] = {"Scan": set(), "Odometry": set()}
+            while not all(robots == {0, 1} for robots in seen.values()):
+                message = link.receive(20.0)
+                assert isinstance(message, Scan | Odometry)
+                seen[type(message).__name__].add(message.robot)
+            link.send([Velocity(robot=robot, stamp_ns=0, linear=0.3, angular=robot - 0.5) for robot in (0, 1)])
+            turn = world.drive(np.array([0.3, 0.3]), np.array([-0.5, 0.5]))
+            poses.append(world.poses.copy())
+        said, errors = started.communicate(timeout=30)
     assert (started.returncode, errors) == (0, "")
     assert np.load(tmp_path / "poses.npy").tobytes() == np.stack(poses).tobytes()
     outcome = json.loads(said)
@@ -144,9 +143,7 @@ def test_a_simulation_that_runs_is_driven_by_one_slot(here: Graph) -> None:
         expected = by_network(built("turtlebot-exit", **ROOM), 6)
         for _ in range(2):
             assert by_network(simulator, 6).bits == expected.bits
-        with pytest.raises(
-            EvaluationError, match="another slot drives this simulation; one server with --capacity 1"
-        ):
+        with pytest.raises(EvaluationError, match="another slot drives this simulation; one server with --capacity 1"):
             other.reset(1)
         simulator.close()
         assert by_network(other, 6).bits == expected.bits

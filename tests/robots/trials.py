@@ -13,7 +13,8 @@ from zswarm.sims.simulator import Outcome
 
 _path = Path(__file__).parents[1] / "sims" / "robot_controllers.py"
 _spec = importlib.util.spec_from_file_location("robot_controllers", _path)
-assert _spec is not None and _spec.loader is not None
+assert _spec is not None
+assert _spec.loader is not None
 robot_controllers = importlib.util.module_from_spec(_spec)  # what somebody would write by hand
 _spec.loader.exec_module(robot_controllers)
 

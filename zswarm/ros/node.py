@@ -242,6 +242,7 @@ def run(
             _belong_to_parent()
         if seed is None:
             node.serve(forgiving=not child)
+            return
         opened.ready(max(deadline_s, START_S), [*told, "velocity"])
         node.play(seed)
         if poses is not None:
