@@ -137,7 +137,7 @@ def test_a_free_running_simulation_tells_how_late_the_controllers_are() -> None:
 
 
 def test_a_simulation_that_runs_is_driven_by_one_slot(here: Graph) -> None:
-    reach = {"launch": "running", "connect": tuple(here.connect)}
+    reach = {"launch": "running", "connect": here.connect}
     with node(here) as started:
         simulator, other = (built("turtlebot-exit-ros", **ROOM, **reach) for _ in range(2))
         expected = by_network(built("turtlebot-exit", **ROOM), 6)
@@ -153,6 +153,6 @@ def test_a_simulation_that_runs_is_driven_by_one_slot(here: Graph) -> None:
 
 
 def test_a_simulation_that_is_not_there_is_named(here: Graph) -> None:
-    simulator = built("turtlebot-exit-ros", **ROOM, launch="running", connect=tuple(here.connect), deadline_s=1.0)
+    simulator = built("turtlebot-exit-ros", **ROOM, launch="running", connect=here.connect, deadline_s=1.0)
     with pytest.raises(EvaluationError, match="simulator 'turtlebot-exit-ros', trial seed 1: "):
         simulator.reset(1)

@@ -33,7 +33,9 @@ class Settings(turtlebot_exit.Settings, frozen=True, kw_only=True, forbid_unknow
     deadline_s: Annotated[float, Meta(ge=0.1, le=1e5, description="s in which the simulation must answer")] = 10.0
     master: Annotated[str, Meta(description="running, rospy: URI of the master; empty: as ROS_MASTER_URI says")] = ""
     domain: Annotated[int, Meta(ge=0, le=232, description="running, rclpy and zenoh: ROS domain")] = 0
-    connect: Annotated[tuple[str, ...], Meta(description="running, zenoh: endpoints to dial, such as tcp/127.0.0.1:7447")] = ()
+    connect: Annotated[  # msgspec copies the list
+        list[str], Meta(description="running, zenoh: endpoints to dial, such as tcp/127.0.0.1:7447")
+    ] = []  # noqa: RUF012
 
     @property
     def profile_or_default(self) -> str:

@@ -62,7 +62,7 @@ class Simulation:
                     link=settings.link,
                     master=settings.master,
                     domain=settings.domain,
-                    connect=list(settings.connect),
+                    connect=settings.connect,
                     local=False,
                 )
                 self._node = None
