@@ -29,8 +29,10 @@ SEEDS = np.array([1] if FEW else [1, 2**63 + 5], np.uint64)
 GENERATIONS = 3
 SIMULATOR, NETWORK, SMALLEST = "arena", "fully-meshed", "xor"  # partners: whose metrics show every bit of what is decided, lanes
 SIMULATORS = [
-    name for name in plugins.names("simulator") if set(plugins.libraries(plugins.source_files("simulator", name))) <= {"pymunk"}
-]  # environments of other packages have bits of theirs
+    name
+    for name in plugins.names("simulator")
+    if set(plugins.libraries(plugins.source_files("simulator", name))) <= {"pymunk"} and name != "turtlebot-exit-ros"
+]  # environments of other packages have bits of theirs; what ROS plays has those of turtlebot-exit
 SMALL: dict[str, dict[str, Any]] = {  # settings of short trials in which what genomes do makes a difference
     "box-pushing": {"robots": 2, "rays": 8, "side": 1.7, "box": 0.5, "box_mass": 1.0, "goal": 0.4, "speed": 2.0},
     "foraging-physical": {"robots": 2, "rays": 8, "side": 1.6, "nest": 0.4, "pucks": 2, "speed": 2.0},

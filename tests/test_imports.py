@@ -92,7 +92,7 @@ PURE = (
     "ot.dashboard.fleet",
     *("ss.slots", "ss.kept", "ot.rankings.absolute", "ot.rankings.full_tournament", "ot.rankings.multi_swiss"),
     *("ot.rankings.ranking", "ot.rankings.swiss", "ot.rankings.tournament"),
-    *("protocol.codec", "protocol.keys", "protocol.messages", "labels"),
+    *("protocol.codec", "protocol.keys", "protocol.messages", "labels", "ros.lock_step", "ros.readings"),
 )
 WORLDLY = {"asyncio", "multiprocessing", "os", "queue", "select", "socket", "subprocess", "threading", "time", "datetime"}
 

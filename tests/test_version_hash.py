@@ -15,7 +15,7 @@ PACKAGE = Path(version_hash.__file__).parent
 # They name, check and refuse; messages.py says how many trials the probe has, which the version of the protocol fixes.
 COMPUTES_NOTHING = {
     *("errors.py", "extras.py", "graph.py", "manifests.py", "messages.py", "nearest.py", "plugins.py", "strict.py"),
-    "version_hash.py",
+    *("version_hash.py", "codec.py", "frames.py", "keys.py", "toml_line.py"),
 }
 
 

@@ -35,6 +35,7 @@ BUNDLED: dict[Kind, dict[str, str]] = {
         "pettingzoo": "zswarm.sims.pettingzoo:PettingZoo",
         "simplified-emergency-exit": "zswarm.sims.simplified_emergency_exit:SimplifiedEmergencyExit",
         "turtlebot-exit": "zswarm.sims.turtlebot_exit:TurtlebotExit",
+        "turtlebot-exit-ros": "zswarm.ros.simulator:TurtlebotExitRos",
         "vmas": "zswarm.sims.vmas:Vmas",
         "xor": "zswarm.sims.xor:XOR",
     },
@@ -68,8 +69,8 @@ BUNDLED: dict[Kind, dict[str, str]] = {
         "swiss": "zswarm.ot.rankings.swiss:Swiss",
     },
 }
-OF_ONE = re.compile(r"^\s*(?:from|import)\s+zswarm\.(nets|sims)\.(\w+)", re.M)  # imports; looked for, for parsing takes long
-OF_SEVERAL = re.compile(r"^\s*from\s+zswarm\.(nets|sims)\s+import\s+(\([^)]*\)|.*)", re.M)
+OF_ONE = re.compile(r"^\s*(?:from|import)\s+zswarm\.(nets|sims|ros)\.(\w+)", re.M)  # imports; looked for, for parsing takes long
+OF_SEVERAL = re.compile(r"^\s*from\s+zswarm\.(nets|sims|ros)\s+import\s+(\([^)]*\)|.*)", re.M)
 DECLARED = re.compile(r"^LIBRARIES = \(([^)]*)\)", re.M)
 FOREIGN = "zswarm.sims.foreign"  # makes classes of programs
 COMPOSED = {("representation", "bulk")}  # made of other bundled parts of their kind, which settings name

@@ -51,7 +51,7 @@ PROBLEMS = {
 }
 GAMES = {"duel"}
 SOME = {"box-pushing", "crowds", "foraging-physical", "gymnasium", "pettingzoo", "turtlebot-exit"}
-LARGE = {"vmas"}  # not installed here: tests/sims/test_vmas.py
+LARGE = {"vmas", "turtlebot-exit-ros"}  # not installed here: tests/sims/test_vmas.py, test_ros_programs.py
 VECTORS = {"cma-me", "cmaes", "cuckoo", "map-elites", "openai-es", "pso"}  # optimizers that search vectors of numbers
 NO_VECTORS = {"mealy", "neat"}  # genomes that are none
 COMPETING = {"cea2d", "cmaes", "neat", "nnga", "openai-es", "random"}  # optimizers that take scores of a tournament
