@@ -1,0 +1,1 @@
+"""Controllers leave for robots: C99, packages for ROS, files that other programs read."""

@@ -1,0 +1,182 @@
+"""Packages for robots: a controller with all that a robot needs around it, as the files of a folder.
+
+A package holds the controller as C99 and as Python, the functions through which it observed in evolution, and a node that
+subscribes to a laser scan and odometry and publishes velocities. Files that are the same for all robots lie in ``templates``;
+``@{word}`` in one stands for what is particular.
+"""
+
+import math
+import re
+from pathlib import Path
+from typing import NamedTuple
+from xml.sax.saxutils import escape
+
+import numpy as np
+
+from zswarm import evaluate
+from zswarm.controller import Controller
+from zswarm.errors import ConfigError
+from zswarm.robots import c99, fitting, gather, original, python_file, translate
+from zswarm.ros import profiles
+from zswarm.ros.profiles import Profile
+from zswarm.sims import robot_interface
+from zswarm.sims.simulator import RobotInterface
+
+TEMPLATES = Path(__file__).parent / "templates"
+WORD = re.compile(r"@\{(\w+)\}")
+SILENT_STEPS = 3  # of the controller without a message at least, before the watchdog stops the robot
+KERNELS = [robot_interface.fit_scan, robot_interface.observe, robot_interface.velocity, fitting.covers, fitting.limited]
+
+Files = dict[str, str | bytes]  # path in the package's folder -> content
+
+
+class Robot(NamedTuple):
+    """What a package is made of."""
+
+    name: str  # of the package: zs_ and an identifier
+    controller: Controller
+    interface: RobotInterface
+    profile: Profile
+    profile_name: str
+
+    @property
+    def speed(self) -> float:
+        """m/s at most: as evolved, and as its base takes."""
+        return min(self.interface.speed, self.profile.speed)
+
+    @property
+    def turn(self) -> float:
+        """rad/s at most, likewise."""
+        return min(self.interface.turn, self.profile.turn)
+
+    @property
+    def watchdog_s(self) -> float:
+        """Silence after which it stops."""
+        return max(self.profile.watchdog_s, SILENT_STEPS * self.interface.step_s)
+
+    @property
+    def places(self) -> list[float]:
+        """X, y of the first target, of the second ..., m."""
+        return [float(number) for target in self.interface.targets for number in target]
+
+
+def robot(controller: Controller, name: str, profile: str, ros: int) -> Robot:
+    """A robot to be packed.
+
+    Args:
+        name: as ``original.identifier`` gives it.
+        profile: name, or path of a file.
+        ros: the version that the package is for.
+
+    Raises:
+        ConfigError: the controller drives no robot with messages; the profile is unknown, wrong, or of another ROS.
+    """
+    simulator, _ = evaluate.build(
+        controller.simulator, controller.simulator_settings, controller.representation, controller.representation_settings
+    )
+    if simulator.robot is None:
+        raise ConfigError(
+            f"{controller.simulator}: its controllers fit no robot; expected a simulator with a robot's interface: {_fitting()}"
+        )
+    read = profiles.read(profile)
+    if read.ros != ros:
+        fit = ", ".join(one for one in profiles.names() if profiles.read(one).ros == ros)
+        raise ConfigError(f"profile {profile}: is for ROS {read.ros}; expected one for ROS {ros}: {fit}")
+    return Robot(f"zs_{name}", controller, simulator.robot, read, profile)
+
+
+def _fitting() -> str:
+    """Bundled simulators whose controllers drive robots."""
+    return "turtlebot-exit"
+
+
+def words(robot: Robot) -> dict[str, str]:
+    """What the words of templates stand for."""
+    interface, profile, controller = robot.interface, robot.profile, robot.controller
+    network, parameters = controller.network()
+    return {
+        "name": robot.name,
+        "prefix": robot.name.upper(),
+        "sha256": original.sha256(parameters),
+        "step_s": _number(interface.step_s),
+        "rate": f"{1 / interface.step_s:.3g}",
+        "speed": _number(robot.speed),
+        "turn": _number(robot.turn),
+        "evolved_speed": _number(interface.speed),
+        "evolved_turn": _number(interface.turn),
+        "view": _number(interface.view),
+        "degrees": f"{interface.view * 180 / math.pi:.6g}",
+        "rays": str(interface.rays),
+        "range": _number(interface.range),
+        "reach": f"{float(np.float32(interface.range)).hex()}f",
+        "sectors": str(interface.sectors),
+        "targets": str(len(interface.targets)),
+        "places": ", ".join(map(_number, robot.places)),
+        "arrived": _number(interface.arrived),
+        "watchdog_s": _number(robot.watchdog_s),
+        "state": str(network.state_size),
+        "scan": profile.scan.name,
+        "odometry": profile.odometry.name,
+        "velocity": profile.velocity.name,
+        "frame": profile.velocity.frame,
+        "stamped": str(profile.velocity.stamped),
+        "twist": "TwistStamped" if profile.velocity.stamped else "Twist",
+        "distribution": profile.distribution,
+        "profile": robot.profile_name,
+        "simulator": controller.simulator,
+        "representation": controller.representation,
+        "run": controller.run,
+        "fitness": f"{controller.fitness:.6g}",
+        "description": escape(f"A robot's controller, evolved with zswarm: {controller.simulator}, {controller.representation}"),
+    }
+
+
+def fill(template: str, known: dict[str, str]) -> str:
+    """The text of a template, its words replaced; nothing is looked for in what replaces them."""
+    text = (TEMPLATES / template).read_text(encoding="utf-8")
+    return WORD.sub(lambda word: known[word[1]], text)
+
+
+def c_files(robot: Robot, known: dict[str, str], folder: str) -> Files:
+    """The robot in C99: controller, observation, command."""
+    pair = c99.pair(robot.controller, robot.name.removeprefix("zs_"))
+    kernels = translate.functions(KERNELS, "")
+    files = pair | {f"robot.{kind}": fill(f"c/robot.{kind}", known | {"kernels": kernels}) for kind in "hc"}
+    return {f"{folder}/{path}": text for path, text in files.items()}
+
+
+def python_files(robot: Robot, known: dict[str, str]) -> Files:
+    """A Python package: the robot in Python, and when it decides and stops."""
+    network = python_file.python(robot.controller, robot.name.removeprefix("zs_"))[f"{robot.name}.py"]
+    head = '"""The functions with which the controller was evolved, as they are."""\n\nimport numpy as np\n\n'
+    files = {
+        "__init__.py": "",
+        "network.py": network,
+        "kernels.py": head + gather.functions(KERNELS),
+        "settings.py": settings(robot, known),
+        **{path: (TEMPLATES / "python" / path).read_text(encoding="utf-8") for path in ("driving.py", "robot.py")},
+    }
+    return {f"{robot.name}/{path}": text for path, text in files.items()}
+
+
+def settings(robot: Robot, known: dict[str, str]) -> str:
+    """The numbers and names of one robot, as a Python module."""
+    texts = {
+        "NAME": "name", "SHA256": "sha256", "SCAN_TOPIC": "scan", "ODOMETRY_TOPIC": "odometry", "VELOCITY_TOPIC": "velocity",
+        "VELOCITY_FRAME": "frame", "DISTRIBUTION": "distribution",
+    }  # fmt: skip
+    numbers = {
+        "STEP_S": "step_s", "SPEED": "speed", "TURN": "turn", "EVOLVED_SPEED": "evolved_speed", "EVOLVED_TURN": "evolved_turn",
+        "VIEW": "view", "VIEW_DEGREES": "degrees", "RAYS": "rays", "RANGE": "range", "SECTORS": "sectors", "ARRIVED": "arrived",
+        "WATCHDOG_S": "watchdog_s", "STATE": "state", "STAMPED": "stamped",
+    }  # fmt: skip
+    lines = ['"""What is particular to this robot; m, radians, s."""', ""]
+    lines += [f"{constant} = {ascii(known[word])}" for constant, word in texts.items()]
+    lines += [f"{constant} = {known[word]}" for constant, word in numbers.items()]
+    lines += [f"TARGETS = ({known['places']})", ""]
+    return "\n".join(lines)
+
+
+def _number(number: float) -> str:
+    """A decimal number with a point or an exponent, that every language reads back to the same float64."""
+    return repr(float(number))
