@@ -1,0 +1,1 @@
+"""Programs between a link and ROS, each a child process: by rospy, by rclpy, by Zenoh."""
