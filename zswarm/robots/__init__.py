@@ -1,1 +1,1 @@
-"""Controllers leave for robots: C99, packages for ROS, files that other programs read."""
+"""Evolved controllers as files for robots, and what robots sense and do."""
