@@ -17,9 +17,10 @@ from zswarm.evaluate import Outcomes, build, evaluate
 from zswarm.ot import run
 from zswarm.ot.problem import Problem
 from zswarm.sims.box_pushing import BoxPushing
+from zswarm.sims.exit_fitness import cpswarm_log
 from zswarm.sims.foraging_physical import ForagingPhysical
 from zswarm.sims.simulator import Simulator
-from zswarm.sims.turtlebot_exit import TurtlebotExit, cpswarm_log
+from zswarm.sims.turtlebot_exit import TurtlebotExit
 from zswarm.testing import check_simulator
 
 TASKS: dict[str, tuple[type[Simulator], dict[str, Any]]] = {

@@ -61,7 +61,7 @@ def test_what_controllers_decide_is_cut_to_what_robots_can() -> None:
     actions = np.array([[np.nan, 0.5], [7, -3], [np.inf, -np.inf], [0.5, 0.75]], np.float32)
     linear, angular = np.full(5, 9.0), np.full(5, 9.0)
     command(actions, np.array([0, 1, 2, 4]), 0.65, 3.14, linear, angular)
-    assert linear.tolist() == [-0.65, 0.65, 0.65, 9, 0]
+    assert linear.tolist() == [0, 0.65, 0.65, 9, 0]
     assert angular.tolist() == [0, -3.14, -3.14, 9, 1.57]
 
 

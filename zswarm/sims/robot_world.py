@@ -24,6 +24,7 @@ from zswarm.draws import Stream
 from zswarm.errors import ConfigError
 from zswarm.jit import array, float32, float64, inline, int64, kernel, void
 from zswarm.portable import PI, cos, exp, sin
+from zswarm.sims.robot_interface import velocity
 from zswarm.sims.simulator import Body, Frame, Place, Ray
 
 LIBRARIES = ("pymunk",)  # its machine code plays the trials
@@ -37,7 +38,7 @@ TRIES = 4096  # places that are tried for all robots or things of a start
 FILLED = 0.35  # of an area at most may be covered at the start, so that a few tries find a place
 SECTORS = 8
 SCAN = tuple(f"scan_{sector}" for sector in range(SECTORS))  # from the right to the left
-ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
+ZERO, ONE = np.float32(0), np.float32(1)
 STEEP = 1e12  # in place of 1 / 0
 
 # ``rows``: float64, one for each robot, then for each thing, then for the ground; speeds are in m and radians per step.
@@ -509,18 +510,13 @@ def bearings(poses, headings, targets, gone, reach, column, observations, distan
 
 @kernel(void(array(float32, 2), array(int64), float64, float64, GRID, GRID))
 def command(actions, agents, speed, turn, linear, angular):  # type: ignore[no-untyped-def]  # compiled
-    """Velocities from what robots decided: 0 full speed back or to the right, .5 none, 1 ahead or to the left.
+    """Velocities from what robots decided, see ``robot_interface.velocity``.
 
     Args:
-        actions: (agents, 2) float32: drive, turn; cut to 0..1, NaN is 0.
+        actions: (agents, 2) float32: drive, turn.
         agents: (agents,) int64, which robots these are.
         linear, angular: (robots,) float64, filled for them: m/s, rad/s.
     """
     for row in range(agents.shape[0]):
-        for which in range(2):
-            share = actions[row, which]
-            share = min(share, ONE) if share > ZERO else ZERO
-            if which == 0:
-                linear[agents[row]] = np.float64(TWO * share - ONE) * speed
-            else:
-                angular[agents[row]] = np.float64(TWO * share - ONE) * turn
+        linear[agents[row]] = velocity(actions[row, 0], speed)
+        angular[agents[row]] = velocity(actions[row, 1], turn)

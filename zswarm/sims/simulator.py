@@ -100,6 +100,21 @@ class Frame(NamedTuple):
     rays: Sequence[Ray] = ()
 
 
+class RobotInterface(msgspec.Struct, frozen=True, kw_only=True):
+    """How a robot's messages become what controllers observe, and what they decide its velocity; see ``robot_interface``."""
+
+    rays: int  # of the laser scanner
+    view: float  # radians from the first ray, on the right, to the last, half of them to each side
+    range: float  # m; so much is read where nothing is
+    sectors: int  # parts of the scan that are observed, from the right to the left
+    targets: tuple[tuple[float, float], ...]  # m: x, y; the direction of the nearest one is observed
+    arrived: float  # m from a target at which a robot is done
+    speed: float  # m/s at most
+    turn: float  # rad/s at most
+    step_s: float  # a controller decides once in each
+    radius: float  # m, of a robot
+
+
 class Simulator(ABC):
     """One problem with its settings.
 
@@ -138,6 +153,7 @@ class Simulator(ABC):
         inputs, outputs: numbers an agent observes and sets in one decision.
         sensors, actuators: their names, for robots; may be empty.
         owners: per agent the participant that drives it.
+        robot: how its controllers drive a real robot; None where they fit none.
     """
 
     settings_type: ClassVar[type[msgspec.Struct]]
@@ -148,6 +164,7 @@ class Simulator(ABC):
     sensors: Sequence[str] = ()
     actuators: Sequence[str] = ()
     owners: Sequence[int]
+    robot: RobotInterface | None = None
 
     def __init__(self, settings: msgspec.Struct) -> None:
         self.settings = settings

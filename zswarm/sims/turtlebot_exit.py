@@ -1,30 +1,21 @@
 """TurtleBots leave a room: EmergencyExit as the paper's robots play it in ROS, with motors, lasers and contacts.
 
-The world (``robot_world``) takes what ``cmd_vel`` carries and gives what ``base_scan`` and ``base_pose_ground_truth`` do; all
-else is the task, in this file.
+The world (``robot_world``) takes what ``cmd_vel`` carries and gives what ``base_scan`` and ``base_pose_ground_truth`` do. The
+task knows nothing else, so it is the same in this process and in ROS (``zswarm/ros``).
 """
 
-from collections.abc import Sequence
 from typing import Annotated, Literal
 
 import numpy as np
 from msgspec import Meta
 
 from zswarm.draws import Stream
-from zswarm.sims.robot_world import (
-    SCAN,
-    SECTORS,
-    Area,
-    Metres,
-    RobotSettings,
-    RobotWorld,
-    bearings,
-    require_room,
-    sectors,
-    shrunk,
-    strew,
-)
-from zswarm.sims.simulator import Frame, Outcome, Place, Simulator, Turn
+from zswarm.jit import array, float32, float64, int64, kernel, void
+from zswarm.portable import PI, cos, sin
+from zswarm.sims.exit_fitness import cpswarm_log, last_distance
+from zswarm.sims.robot_interface import observe
+from zswarm.sims.robot_world import SCAN, SECTORS, Area, Metres, RobotSettings, RobotWorld, command, require_room, shrunk, strew
+from zswarm.sims.simulator import Frame, Outcome, Place, RobotInterface, Simulator, Turn
 
 ROOM: Area = (-2.5, -2.5, 2.5, 2.5)
 EXITS = ((-2.0, 1.0), (2.0, 1.0))
@@ -35,7 +26,6 @@ WALLS: dict[str, list[Area]] = {
     "small-maze": [(-1.3, 0.0, 1.3, 0.1), (-1.3, -0.8, -1.2, 0.0), (1.2, -0.8, 1.3, 0.0)],
 }
 LOG_S = 2.0  # the paper's robots write a line of their log so often
-FARTHEST, LONGEST, ARRIVED = 50.0, 90, 0.2  # m, lines and m of the fitness cpswarm-log
 
 
 class Settings(RobotSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -50,6 +40,86 @@ class Settings(RobotSettings, frozen=True, kw_only=True, forbid_unknown_fields=T
         Literal["last-distance", "cpswarm-log"],
         Meta(description="last-distance: minus the sum of the last distances; cpswarm-log: by distance and time, 0 to 200"),
     ] = "last-distance"
+
+
+class ExitTask:
+    """The task of a trial, from what robots' messages carry: who acts, what they observe, who is out, and the outcome.
+
+    Attributes:
+        interface: how observations are made.
+        agents: (k,) int64, the robots that are still inside.
+        distances: (robots,) float64, m of each to its nearest exit, at last.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self.interface = RobotInterface(
+            rays=settings.rays,
+            view=settings.view * PI / 180,
+            range=settings.range,
+            sectors=SECTORS,
+            targets=EXITS,
+            arrived=settings.epsilon,
+            speed=settings.speed,
+            turn=settings.turn,
+            step_s=settings.step_s,
+            radius=settings.radius,
+        )
+        self._exits = np.array(EXITS).ravel()
+        self.distances = np.zeros(settings.robots)
+        self._left = np.zeros(settings.robots, np.int64)  # steps until each was out
+        self.linear, self.angular = np.zeros(settings.robots), np.zeros(settings.robots)
+
+    def begin(self, scans: np.ndarray, poses: np.ndarray) -> Turn:
+        """Start a trial; see ``go_on``."""
+        self._steps = 0
+        self._left[:] = self.settings.steps
+        self.agents = np.arange(self.settings.robots)
+        self.linear[:] = self.angular[:] = 0
+        return self._turn(self._observe(scans, poses))
+
+    def decide(self, actions: np.ndarray) -> None:
+        """Set ``linear`` and ``angular``, (robots,) float64 in m/s and rad/s, of those that act.
+
+        Args:
+            actions: (agents, 2) float32.
+        """
+        command(np.ascontiguousarray(actions), self.agents, self.settings.speed, self.settings.turn, self.linear, self.angular)
+
+    def go_on(self, scans: np.ndarray, poses: np.ndarray) -> tuple[Turn | None, list[int]]:
+        """The turn after a step, None at the end; and the robots that are out since then.
+
+        Args:
+            scans: (robots, rays) float32, m.
+            poses: (robots, 4) float64: x, y, and z, w of the quaternion.
+        """
+        self._steps += 1
+        observations = self._observe(scans, poses)
+        out = [robot for robot in self.agents.tolist() if self.distances[robot] < self.settings.epsilon]
+        self._left[out] = self._steps
+        self.agents = self.agents[~np.isin(self.agents, out)]
+        over = self._steps == self.settings.steps or not self.agents.size
+        return None if over else self._turn(observations), out
+
+    def outcome(self) -> Outcome:
+        """Fitness and metrics of the trial that ended."""
+        distances = self.distances.tolist()
+        seconds = [steps * self.settings.step_s for steps in self._left.tolist()]
+        total = last_distance(distances)
+        if self.settings.fitness == "last-distance":
+            fitness = total
+        else:
+            fitness = cpswarm_log(distances, [int(time_s / LOG_S) + 1 for time_s in seconds])
+        return Outcome([fitness], [len(distances) - self.agents.size, -total / len(distances), max(seconds)])
+
+    def _observe(self, scans: np.ndarray, poses: np.ndarray) -> np.ndarray:
+        """(robots, inputs) float32; and how far each robot is from its nearest exit."""
+        observations = np.empty((self.settings.robots, SECTORS + 2), np.float32)
+        observe_each(scans, poses, np.float32(self.settings.range), SECTORS, self._exits, observations, self.distances)
+        return observations
+
+    def _turn(self, observations: np.ndarray) -> Turn:
+        return Turn(self.agents.tolist(), observations[self.agents])
 
 
 class TurtlebotExit(Simulator):
@@ -85,43 +155,36 @@ class TurtlebotExit(Simulator):
         self.owners = (0,) * settings.robots
         self._start = shrunk(START, settings.radius)
         require_room("turtlebot-exit", "robots", settings.robots, settings.radius, self._start)
+        self.task = ExitTask(settings)
+        self.robot = self.task.interface
         self._world = RobotWorld(settings, ROOM, WALLS[settings.map])
-        self._exits, self._none_gone = np.array(EXITS), np.zeros(len(EXITS), np.int64)
-        self._distances, self._nearest = np.zeros(settings.robots), np.zeros(settings.robots, np.int64)
-        self._left = np.zeros(settings.robots, np.int64)  # steps until each was out
+        self.scans = self._world.ranges  # (robots, rays) float32, m; of one that is out the last
+        self.poses = np.zeros((settings.robots, 4))  # x, y, and z, w of the quaternion, likewise
 
     def reset(self, seed: int) -> Turn:
         """Put the robots around (0, -1)."""
         places = strew(Stream(seed), self.settings.robots, self.settings.radius, self._start)
         self._world.start(np.array(places), np.zeros((0, 3)))
-        self._steps = 0
-        self._left[:] = self.settings.steps
-        self._agents = np.arange(self.settings.robots)
-        return self._turn(self._observe())
+        as_messages(self._world.poses, self.poses)
+        return self.task.begin(self.scans, self.poses)
 
     def step(self, actions: np.ndarray) -> Turn | None:
-        """Drive; who is at an exit then is out."""
-        self._world.obey(actions, self._agents)
-        self._steps += 1
-        observations = self._observe()
-        out = [robot for robot in self._agents.tolist() if self._distances[robot] < self.settings.epsilon]
+        """Drive as decided; who is at an exit then is out."""
+        self.task.decide(actions)
+        return self.drive(self.task.linear, self.task.angular)
+
+    def drive(self, linear: np.ndarray, angular: np.ndarray) -> Turn | None:
+        """``step`` with velocities: (robots,) float64, m/s ahead and rad/s counter-clockwise."""
+        self._world.drive(linear, angular)
+        as_messages(self._world.poses, self.poses)
+        turn, out = self.task.go_on(self.scans, self.poses)
         for robot in out:
             self._world.take_out(robot)
-            self._left[robot] = self._steps
-        if out:
-            self._agents = np.flatnonzero(self._world.inside)
-        over = self._steps == self.settings.steps or not self._agents.size
-        return None if over else self._turn(observations)
+        return turn
 
     def outcome(self) -> Outcome:
         """Fitness and metrics of the trial that ended."""
-        distances, out = self._distances.tolist(), self._world.inside.tolist().count(0)
-        seconds = [steps * self.settings.step_s for steps in self._left.tolist()]
-        if self.settings.fitness == "last-distance":
-            fitness = -sum(distances)
-        else:
-            fitness = cpswarm_log(distances, [int(time_s / LOG_S) + 1 for time_s in seconds])
-        return Outcome([fitness], [out, sum(distances) / len(distances), max(seconds)])
+        return self.task.outcome()
 
     def frame(self) -> Frame:
         """The room; robots that are out are shown at the exit."""
@@ -130,29 +193,28 @@ class TurtlebotExit(Simulator):
         kinds = ["robot" if inside else "robot that is out" for inside in self._world.inside.tolist()]
         return self._world.frame(exits, kinds, [])
 
-    def _observe(self) -> np.ndarray:
-        """(robots, inputs + 1) float32, the last not to be seen; and how far each robot is from its nearest exit."""
-        observations = np.empty((self.settings.robots, self.inputs + 1), np.float32)
-        sectors(self._world.ranges, np.float32(self.settings.range), observations)
-        bearings(
-            self._world.poses, self._world.headings, self._exits, self._none_gone, np.inf, SECTORS, observations, self._distances,
-            self._nearest,
-        )  # fmt: skip
-        return observations
 
-    def _turn(self, observations: np.ndarray) -> Turn:
-        return Turn(self._agents.tolist(), observations[self._agents, : self.inputs])
+TABLE = array(float64, 2)
 
 
-def cpswarm_log(distances: Sequence[float], lines: Sequence[int]) -> float:
-    """The fitness that the paper's authors computed from their robots' logs.
+@kernel(void(TABLE, TABLE))
+def as_messages(poses, told):  # type: ignore[no-untyped-def]  # compiled
+    """Poses as odometry tells them.
 
-    Args: distances: m, in the last line of each log. lines: of each log.
+    Args:
+        poses: (robots, 3) float64: x, y, angle.
+        told: (robots, 4) float64, filled: x, y, z, w; these two of a quaternion, of which x and y are 0 on a floor.
     """
-    total = 0.0
-    for distance, count in zip(distances, lines, strict=True):
-        far, long = min(distance, FARTHEST), min(count, LONGEST)
-        total += (FARTHEST - far) / FARTHEST * 100
-        if far < ARRIVED:
-            total += (LONGEST - long) / LONGEST * 100
-    return total / len(distances)
+    for robot in range(poses.shape[0]):
+        half = 0.5 * poses[robot, 2]
+        told[robot, 0], told[robot, 1], told[robot, 2], told[robot, 3] = poses[robot, 0], poses[robot, 1], sin(half), cos(half)
+
+
+@kernel(void(array(float32, 2), TABLE, float32, int64, array(float64), array(float32, 2), array(float64)))
+def observe_each(scans, poses, reach, sectors, targets, observations, distances):  # type: ignore[no-untyped-def]  # compiled
+    """What each robot observes, see ``robot_interface.observe``; ``observations`` and ``distances`` are filled."""
+    for robot in range(scans.shape[0]):
+        distances[robot] = observe(
+            scans[robot], scans.shape[1], reach, sectors, poses[robot, 0], poses[robot, 1], poses[robot, 2], poses[robot, 3],
+            targets, targets.shape[0] // 2, observations[robot],
+        )  # fmt: skip

@@ -1,0 +1,125 @@
+"""From a robot's own messages to what a controller observes, and from what it decides to the robot's velocity.
+
+Messages are those of ROS: a laser scan (float32 ranges, the first at ``angle_min``, then one every ``angle_increment`` radians
+counter-clockwise), a pose (x, y in m, and z, w of the quaternion of a robot on a floor, float64), and a velocity (m/s ahead,
+rad/s counter-clockwise, float64). Simulators whose controllers drive such robots observe through these functions, and robots run
+the same ones, translated to C: so they get arrays and numbers only, take all sizes as arguments, and make nothing.
+``RobotInterface`` holds the numbers.
+"""
+
+import numpy as np
+
+from zswarm.jit import inline, sqrt
+from zswarm.portable import PI
+
+ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
+FINEST = 1e-6  # radians; a scan whose rays are nearer to each other than that says nothing
+MOST_PLACES = 1e7
+TOO_CLOSE = np.float32(-3e38)  # what is less is ROS's minus infinity (REP 117): something is nearer than the scanner can measure
+
+
+@inline
+def fit_scan(ranges, readings, angle_min, angle_increment, rays, view, reach, fitted):  # type: ignore[no-untyped-def]  # compiled
+    """What any scanner reads, as the controller's scanner would: in each of its rays the shortest of those that look there.
+
+    0 and below, NaN, and what is farther than ``reach`` are nothing there, which is ``reach``, as is where no ray looks; minus
+    infinity is 0. A scan of the controller's own scanner stays as it is.
+
+    Args:
+        ranges: (readings,) float32, m.
+        angle_min, angle_increment: float64, radians; the increment is below 0 for a scanner that is mounted upside down.
+        rays, view: of the controller's scanner: its rays, and radians from the first to the last, half of them to each side.
+        reach: float32, m.
+        fitted: (rays,) float32, filled.
+    """
+    spread = view / (rays - 1)
+    for ray in range(rays):
+        fitted[ray] = shortest_around(
+            ranges, readings, angle_min, angle_increment, ray * spread - 0.5 * view, 0.5 * spread, reach
+        )
+
+
+@inline
+def shortest_around(ranges, readings, angle_min, angle_increment, angle, half, reach):  # type: ignore[no-untyped-def]  # compiled
+    """The shortest range within ``half`` radians of an angle, or of the nearest ray if there is none; ``reach`` of nothing."""
+    shortest = reach
+    spacing = abs(angle_increment)
+    if not spacing > FINEST:
+        return shortest
+    place, near = (angle - angle_min) / angle_increment, half / spacing
+    if near < 0.5:
+        near = 0.5
+    if not abs(place) + near < MOST_PLACES:
+        return shortest
+    around = int(2.0 * PI / spacing + 0.5)  # readings in a full turn: some scanners begin ahead, others behind
+    for step in range(int(place - near) - 1, int(place + near) + 2):
+        if abs(step - place) <= near:
+            which = step
+            if which < 0:
+                which = step + around
+            elif which >= readings:
+                which = step - around
+            if 0 <= which < readings:
+                if ranges[which] < TOO_CLOSE:
+                    shortest = ZERO
+                elif ZERO < ranges[which] < shortest:
+                    shortest = ranges[which]
+    return shortest
+
+
+@inline
+def observe(scan, rays, reach, sectors, x, y, z, w, targets, count, observation):  # type: ignore[no-untyped-def]  # compiled
+    """A controller's observation; gives the distance to the nearest target, float64, m.
+
+    First, from the right to the left, how near something is in each part of the scan: 1 - shortest range / ``reach``. Then the
+    direction of the nearest target (the first of equals), a unit vector: ahead, to the left; zeros on the target itself.
+
+    Args:
+        scan: (rays,) float32 m, at most ``reach``; see ``fit_scan``.
+        reach: float32, m.
+        x, y, z, w: float64, the pose.
+        targets: (2 count,) float64: x, y of the first, of the second ...; there is one at least.
+        observation: (sectors + 2,) float32, filled.
+    """
+    for sector in range(sectors):
+        nearest = reach
+        for ray in range(sector * rays // sectors, (sector + 1) * rays // sectors):
+            if scan[ray] < nearest:
+                nearest = scan[ray]
+        observation[sector] = ONE - nearest / reach
+    to_x, to_y = targets[0] - x, targets[1] - y
+    square = to_x * to_x + to_y * to_y
+    for target in range(1, count):
+        dx, dy = targets[2 * target] - x, targets[2 * target + 1] - y
+        if dx * dx + dy * dy < square:
+            to_x, to_y, square = dx, dy, dx * dx + dy * dy
+    distance = sqrt(square)
+    # Of a robot that is tilted a little, z and w are not quite a unit vector.
+    ahead, left = w * w - z * z, 2.0 * w * z
+    size = sqrt(ahead * ahead + left * left)
+    if distance > 0.0 and size > 0.0:
+        observation[sectors] = np.float32((to_x * ahead + to_y * left) / (size * distance))
+        observation[sectors + 1] = np.float32((to_y * ahead - to_x * left) / (size * distance))
+    else:
+        observation[sectors], observation[sectors + 1] = ZERO, ZERO
+    return distance
+
+
+@inline
+def velocity(share, most):  # type: ignore[no-untyped-def]  # compiled
+    """What a decision means: 0 is full speed back or to the right, .5 none, 1 ahead or to the left; cut to 0..1, NaN is .5.
+
+    Args:
+        share: float32, an action's number.
+        most: float64, m/s or rad/s.
+
+    Returns:
+        float64, m/s or rad/s.
+    """
+    if share != share:
+        return 0.0
+    if share < ZERO:
+        share = ZERO
+    elif share > ONE:
+        share = ONE
+    return np.float64(TWO * share - ONE) * most
