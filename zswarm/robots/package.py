@@ -7,8 +7,9 @@ subscribes to a laser scan and odometry and publishes velocities. Files that are
 
 import math
 import re
+from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.sax.saxutils import escape
 
 import numpy as np
@@ -17,6 +18,7 @@ from zswarm import evaluate
 from zswarm.controller import Controller
 from zswarm.errors import ConfigError
 from zswarm.robots import c99, fitting, gather, original, python_file, translate
+from zswarm.robots.c_types import FLOAT32, FLOAT64, INT64, Array, Type
 from zswarm.ros import profiles
 from zswarm.ros.profiles import Profile
 from zswarm.sims import robot_interface
@@ -25,7 +27,20 @@ from zswarm.sims.simulator import RobotInterface
 TEMPLATES = Path(__file__).parent / "templates"
 WORD = re.compile(r"@\{(\w+)\}")
 SILENT_STEPS = 3  # of the controller without a message at least, before the watchdog stops the robot
-KERNELS = [robot_interface.fit_scan, robot_interface.observe, robot_interface.velocity, fitting.covers, fitting.limited]
+SCAN = {"ranges": Array(FLOAT32), "readings": INT64, "angle_min": FLOAT64, "angle_increment": FLOAT64}
+OWN = {"rays": INT64, "view": FLOAT64, "reach": FLOAT32}  # of the scanner that a controller was evolved with
+POSE = {"x": FLOAT64, "y": FLOAT64, "z": FLOAT64, "w": FLOAT64}
+TARGETS = {"targets": Array(FLOAT64), "count": INT64}
+KERNELS: list[tuple[Callable[..., Any], dict[str, Type]]] = [
+    (robot_interface.fit_scan, SCAN | OWN | {"fitted": Array(FLOAT32)}),
+    (
+        robot_interface.observe,
+        {"scan": Array(FLOAT32), "sectors": INT64, "observation": Array(FLOAT32)} | OWN | POSE | TARGETS,
+    ),
+    (robot_interface.velocity, {"share": FLOAT32, "most": FLOAT64}),
+    (fitting.covers, SCAN | OWN),
+    (fitting.limited, {"velocity": FLOAT64, "most": FLOAT64}),
+]
 
 Files = dict[str, str | bytes]  # path in the package's folder -> content
 
@@ -52,7 +67,7 @@ class Robot(NamedTuple):
     @property
     def watchdog_s(self) -> float:
         """Silence after which it stops."""
-        return max(self.profile.watchdog_s, SILENT_STEPS * self.interface.step_s)
+        return round(max(self.profile.watchdog_s, SILENT_STEPS * self.interface.step_s), 6)
 
     @property
     def places(self) -> list[float]:
@@ -114,7 +129,7 @@ def words(robot: Robot) -> dict[str, str]:
         "places": ", ".join(map(_number, robot.places)),
         "arrived": _number(interface.arrived),
         "watchdog_s": _number(robot.watchdog_s),
-        "state": str(network.state_size),
+        "state": str(max(1, network.state_size)),
         "scan": profile.scan.name,
         "odometry": profile.odometry.name,
         "velocity": profile.velocity.name,
@@ -122,10 +137,10 @@ def words(robot: Robot) -> dict[str, str]:
         "stamped": str(profile.velocity.stamped),
         "twist": "TwistStamped" if profile.velocity.stamped else "Twist",
         "distribution": profile.distribution,
-        "profile": robot.profile_name,
-        "simulator": controller.simulator,
-        "representation": controller.representation,
-        "run": controller.run,
+        "profile": _shown(robot.profile_name),
+        "simulator": _shown(controller.simulator),
+        "representation": _shown(controller.representation),
+        "run": _shown(controller.run),
         "fitness": f"{controller.fitness:.6g}",
         "description": escape(f"A robot's controller, evolved with zswarm: {controller.simulator}, {controller.representation}"),
     }
@@ -140,8 +155,9 @@ def fill(template: str, known: dict[str, str]) -> str:
 def c_files(robot: Robot, known: dict[str, str], folder: str) -> Files:
     """The robot in C99: controller, observation, command."""
     pair = c99.pair(robot.controller, robot.name.removeprefix("zs_"))
-    kernels = translate.functions(KERNELS, "")
-    files = pair | {f"robot.{kind}": fill(f"c/robot.{kind}", known | {"kernels": kernels}) for kind in "hc"}
+    interface = translate.functions(KERNELS, "interface")
+    known = known | interface._asdict()
+    files = pair | {path: fill(f"c/{path}", known) for path in ("interface.h", "interface.c", "robot.h", "robot.c")}
     return {f"{folder}/{path}": text for path, text in files.items()}
 
 
@@ -152,7 +168,7 @@ def python_files(robot: Robot, known: dict[str, str]) -> Files:
     files = {
         "__init__.py": "",
         "network.py": network,
-        "kernels.py": head + gather.functions(KERNELS),
+        "kernels.py": head + gather.functions([kernel for kernel, _ in KERNELS]),
         "settings.py": settings(robot, known),
         **{path: (TEMPLATES / "python" / path).read_text(encoding="utf-8") for path in ("driving.py", "robot.py")},
     }
@@ -175,6 +191,11 @@ def settings(robot: Robot, known: dict[str, str]) -> str:
     lines += [f"{constant} = {known[word]}" for constant, word in numbers.items()]
     lines += [f"TARGETS = ({known['places']})", ""]
     return "\n".join(lines)
+
+
+def _shown(text: str) -> str:
+    """What others wrote, as code in a table of Markdown."""
+    return re.sub(r"[`|\\<>]", " ", text).strip() or " "
 
 
 def _number(number: float) -> str:

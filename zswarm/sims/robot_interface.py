@@ -101,7 +101,8 @@ def observe(scan, rays, reach, sectors, x, y, z, w, targets, count, observation)
         observation[sectors] = np.float32((to_x * ahead + to_y * left) / (size * distance))
         observation[sectors + 1] = np.float32((to_y * ahead - to_x * left) / (size * distance))
     else:
-        observation[sectors], observation[sectors + 1] = ZERO, ZERO
+        observation[sectors] = ZERO
+        observation[sectors + 1] = ZERO
     return distance
 
 
@@ -118,8 +119,9 @@ def velocity(share, most):  # type: ignore[no-untyped-def]  # compiled
     """
     if share != share:
         return 0.0
+    cut = share
     if share < ZERO:
-        share = ZERO
+        cut = ZERO
     elif share > ONE:
-        share = ONE
-    return np.float64(TWO * share - ONE) * most
+        cut = ONE
+    return np.float64(TWO * cut - ONE) * most

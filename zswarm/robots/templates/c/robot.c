@@ -1,9 +1,7 @@
 #include "robot.h"
 
-/* The functions with which @{name} was evolved, translated from their source. */
-#pragma STDC FP_CONTRACT OFF
+#include "interface.h"
 
-@{kernels}
 static const double evolved_targets[2 * ROBOT_TARGETS] = {@{places}};
 
 void robot_init(robot *self)
@@ -33,13 +31,13 @@ int robot_step(robot *self, const float *ranges, int64_t readings, double angle_
     float scan[ROBOT_RAYS];
     float observation[@{prefix}_INPUTS];
     float action[@{prefix}_OUTPUTS];
-    if (!covers(readings, angle_min, angle_increment, ROBOT_VIEW)) {
+    if (!interface_covers(readings, angle_min, angle_increment, ROBOT_VIEW)) {
         return 1;
     }
-    fit_scan(ranges, readings, angle_min, angle_increment, ROBOT_RAYS, ROBOT_VIEW, @{reach}, scan);
-    decision->distance = observe(scan, ROBOT_RAYS, @{reach}, @{sectors}, x, y, z, w, self->targets, ROBOT_TARGETS, observation);
+    interface_fit_scan(ranges, readings, angle_min, angle_increment, ROBOT_RAYS, ROBOT_VIEW, @{reach}, scan);
+    decision->distance = interface_observe(scan, ROBOT_RAYS, @{reach}, @{sectors}, x, y, z, w, self->targets, ROBOT_TARGETS, observation);
     @{name}_step(&self->network, observation, action);
-    decision->linear = limited(velocity(action[0], @{evolved_speed}), self->speed);
-    decision->angular = limited(velocity(action[1], @{evolved_turn}), self->turn);
+    decision->linear = interface_limited(interface_velocity(action[0], @{evolved_speed}), self->speed);
+    decision->angular = interface_limited(interface_velocity(action[1], @{evolved_turn}), self->turn);
     return 0;
 }

@@ -19,7 +19,7 @@ class Compiled(build_py):
         library = os.path.join(self.build_lib, NAME, "librobot.so")
         command = [os.environ.get("CC", "cc"), "-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-o", library]
         try:
-            subprocess.run([*command, "src/robot.c", f"src/{NAME}.c"], check=True)
+            subprocess.run([*command, "src/robot.c", "src/interface.c", f"src/{NAME}.c", "-lm"], check=True)
         except (OSError, subprocess.CalledProcessError) as error:
             print(f"not compiled, the controller will be computed in Python: {error}", file=sys.stderr)
 
