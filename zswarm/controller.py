@@ -9,6 +9,7 @@ import numpy as np
 
 from zswarm import plugins
 from zswarm.errors import ConfigError
+from zswarm.nets.representation import Representation
 from zswarm.protocol import codec
 from zswarm.strict import convert
 
@@ -67,13 +68,15 @@ class Driver:
 
     Attributes:
         inputs, outputs: numbers of an observation, and of what is decided.
+        network: its representation.
+        parameters: (P,) float32, what the network's ``step`` takes of the genome.
     """
 
     def __init__(self, controller: Controller) -> None:
         self.inputs, self.outputs = controller.inputs, controller.outputs
-        network, self._parameters = controller.network()
-        self._step = network.step
-        self._state = np.zeros(network.state_size, np.float32)
+        self.network, self.parameters = controller.network()
+        self._step = self.network.step
+        self._state = np.zeros(self.network.state_size, np.float32)
 
     def reset(self) -> None:
         """Forget all of before, as at the start of a trial."""
@@ -95,7 +98,7 @@ class Driver:
         if seen.shape != (self.inputs,):
             raise ValueError(f"observation: expected shape ({self.inputs},), not {seen.shape}")
         decided = np.empty(self.outputs, np.float32)
-        self._step(self._parameters, self._state, seen, decided)
+        self._step(self.parameters, self._state, seen, decided)
         return decided
 
 
