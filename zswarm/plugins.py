@@ -35,6 +35,7 @@ BUNDLED: dict[Kind, dict[str, str]] = {
         "pettingzoo": "zswarm.sims.pettingzoo:PettingZoo",
         "simplified-emergency-exit": "zswarm.sims.simplified_emergency_exit:SimplifiedEmergencyExit",
         "turtlebot-exit": "zswarm.sims.turtlebot_exit:TurtlebotExit",
+        "turtlebot-exit-ros": "zswarm.ros.simulator:TurtlebotExitRos",
         "vmas": "zswarm.sims.vmas:Vmas",
         "xor": "zswarm.sims.xor:XOR",
     },

@@ -78,7 +78,7 @@ class Varied(Simulator):
         super().__init__(self.first.settings)
         for what in SAME:
             setattr(self, what, getattr(self.first, what))
-        self.robot = self.first.robot
+        self.robot, self.repeatable = self.first.robot, self.first.repeatable
         numbers = [len(self.first.owners), *(len(self._checked(chosen).owners) for chosen in others)]
         self.agents = min(numbers), max(numbers)
 

@@ -9,7 +9,7 @@ the same ones, translated to C: so they get arrays and numbers only, take all si
 
 import numpy as np
 
-from zswarm.jit import inline, sqrt
+from zswarm.jit import array, float32, float64, inline, kernel, sqrt, void
 from zswarm.portable import PI
 
 ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
@@ -65,6 +65,12 @@ def shortest_around(ranges, readings, angle_min, angle_increment, angle, half, r
                 elif ZERO < ranges[which] < shortest:
                     shortest = ranges[which]
     return shortest
+
+
+@kernel(void(array(float32), float64, float64, float64, float32, array(float32)))
+def fit(ranges, angle_min, angle_increment, view, reach, fitted):  # type: ignore[no-untyped-def]  # compiled
+    """``fit_scan`` for Python."""
+    fit_scan(ranges, ranges.shape[0], angle_min, angle_increment, fitted.shape[0], view, reach, fitted)
 
 
 @inline

@@ -154,6 +154,7 @@ class Simulator(ABC):
         sensors, actuators: their names, for robots; may be empty.
         owners: per agent the participant that drives it.
         robot: how its controllers drive a real robot; None where they fit none.
+        repeatable: the same genomes and seed have the same outcome; if not, servers are not compared by what they compute.
     """
 
     settings_type: ClassVar[type[msgspec.Struct]]
@@ -165,6 +166,7 @@ class Simulator(ABC):
     actuators: Sequence[str] = ()
     owners: Sequence[int]
     robot: RobotInterface | None = None
+    repeatable: bool = True
 
     def __init__(self, settings: msgspec.Struct) -> None:
         self.settings = settings

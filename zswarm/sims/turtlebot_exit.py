@@ -86,14 +86,15 @@ class ExitTask:
         """
         command(np.ascontiguousarray(actions), self.agents, self.settings.speed, self.settings.turn, self.linear, self.angular)
 
-    def go_on(self, scans: np.ndarray, poses: np.ndarray) -> tuple[Turn | None, list[int]]:
+    def go_on(self, scans: np.ndarray, poses: np.ndarray, passed: int = 1) -> tuple[Turn | None, list[int]]:
         """The turn after a step, None at the end; and the robots that are out since then.
 
         Args:
             scans: (robots, rays) float32, m.
             poses: (robots, 4) float64: x, y, and z, w of the quaternion.
+            passed: steps, where the world does not wait for its robots.
         """
-        self._steps += 1
+        self._steps = min(self._steps + passed, self.settings.steps)
         observations = self._observe(scans, poses)
         out = [robot for robot in self.agents.tolist() if self.distances[robot] < self.settings.epsilon]
         self._left[out] = self._steps
@@ -188,9 +189,19 @@ class TurtlebotExit(Simulator):
 
     def frame(self) -> Frame:
         """The room; robots that are out are shown at the exit."""
+        return self.picture(self._world.poses, self.task.agents)
+
+    def picture(self, poses: np.ndarray, agents: np.ndarray) -> Frame:
+        """The room with robots at such places.
+
+        Args:
+            poses: (robots, 3) float64: x, y, angle.
+            agents: those that are inside.
+        """
+        self._world.poses[:] = poses
         size = self.settings.epsilon
         exits = [Place("exit", x - size, y - size, 2 * size, 2 * size) for x, y in EXITS]
-        kinds = ["robot" if inside else "robot that is out" for inside in self._world.inside.tolist()]
+        kinds = ["robot" if robot in agents else "robot that is out" for robot in range(self.settings.robots)]
         return self._world.frame(exits, kinds, [])
 
 

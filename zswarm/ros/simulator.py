@@ -1,0 +1,92 @@
+"""``turtlebot-exit-ros``: the task of turtlebot-exit, its world a ROS simulation; the controllers drive its robots by messages.
+
+The slot's process takes scans and poses, asks the controllers, and publishes velocities: a candidate is a blob of parameters, and
+nothing is started or compiled for it. In lock-step the simulation waits for all velocities of a step, and a trial has the bits of
+``turtlebot-exit``. Nothing of ROS is needed until a trial is played.
+"""
+
+import contextlib
+from collections.abc import Iterator
+
+import numpy as np
+
+from zswarm.errors import ConfigError, EvaluationError
+from zswarm.portable import atan2
+from zswarm.ros import profiles
+from zswarm.ros.settings import Settings
+from zswarm.ros.simulation import Simulation
+from zswarm.sims.simulator import Frame, Outcome, Simulator, Turn
+from zswarm.sims.turtlebot_exit import ExitTask, TurtlebotExit
+
+NAME = "turtlebot-exit-ros"
+
+
+class TurtlebotExitRos(Simulator):
+    """turtlebot-exit, played by a ROS simulation; what controllers observe and decide travels as ROS messages.
+
+    Observation, action, start, end and fitness: as turtlebot-exit; in lock-step with the same bits.
+    Turns: all robots that are still inside, at once, every ``step_s`` of the simulation's clock.
+    Metrics: those of turtlebot-exit, and ``late_fraction``: the share of velocities that went out when the clock was past their
+        scan's stamp; 0 in lock-step.
+    """
+
+    settings_type = Settings
+    metrics = (*TurtlebotExit.metrics, "late_fraction")
+    sensors, actuators = TurtlebotExit.sensors, TurtlebotExit.actuators
+    inputs, outputs = TurtlebotExit.inputs, TurtlebotExit.outputs
+    settings: Settings
+
+    def __init__(self, settings: Settings) -> None:
+        super().__init__(settings)
+        self._inside = TurtlebotExit(settings)  # refuses impossible settings, and draws pictures; plays nothing
+        self.task = ExitTask(settings)
+        self.owners, self.robot = self._inside.owners, self.task.interface
+        self.repeatable = settings.mode == "lock-step"
+        self._profile = profiles.read(settings.profile_or_default)
+        if not self.repeatable and self._profile.clock is None:
+            raise ConfigError(f"{NAME}: mode: free-running needs a profile with a clock")
+        self._scans = np.zeros((settings.robots, settings.rays), np.float32)
+        self._poses = np.zeros((settings.robots, 4))
+        self._simulation: Simulation | None = None
+
+    def reset(self, seed: int) -> Turn:
+        """Have the simulation begin a trial."""
+        self._seed, self._late, self._sent = seed, 0, 0
+        with self._at_work() as simulation:
+            simulation.begin(seed, self._scans, self._poses)
+        return self.task.begin(self._scans, self._poses)
+
+    def step(self, actions: np.ndarray) -> Turn | None:
+        """Publish what the robots decided, and wait for what they see then."""
+        self.task.decide(actions)
+        agents = self.task.agents.tolist()
+        with self._at_work() as simulation:
+            late = simulation.drive(agents, self.task.linear, self.task.angular)
+            passed = simulation.look(agents, self._scans, self._poses)
+            self._sent, self._late = self._sent + len(agents), self._late + late * len(agents)
+            turn, out = self.task.go_on(self._scans, self._poses, passed)
+            simulation.halt(agents if turn is None else out)
+        return turn
+
+    def outcome(self) -> Outcome:
+        """Fitness and metrics of the trial that ended."""
+        decided = self.task.outcome()
+        return Outcome(decided.fitness, [*decided.metrics, self._late / self._sent])
+
+    def frame(self) -> Frame:
+        """As turtlebot-exit shows it."""
+        angles = [2 * atan2(z, w) for _, _, z, w in self._poses.tolist()]
+        return self._inside.picture(np.column_stack([self._poses[:, :2], angles]), self.task.agents)
+
+    @contextlib.contextmanager
+    def _at_work(self) -> Iterator[Simulation]:
+        """The simulation; what goes wrong with it is the machine's fault, named with the trial, and it is started anew then."""
+        try:
+            if self._simulation is None:
+                self._simulation = Simulation(self.settings, self._profile, self.task.interface)
+            yield self._simulation
+        except (ConfigError, EvaluationError) as error:
+            if self._simulation is not None:
+                self._simulation.close()
+            self._simulation = None
+            raise EvaluationError(f"simulator {NAME!r}, trial seed {self._seed}: {error}") from None
