@@ -128,10 +128,10 @@ def test_a_self_test_that_fails_refuses_to_drive(tmp_path: Path) -> None:
 
 
 def spoiled(source: str) -> str:
-    """C of a controller with another first weight."""
-    head, table, rest = source.partition("static const float ")
+    """C of a controller whose self-test expects another first number."""
+    head, table, rest = source.partition("zs_x_actions[")
     assert table
-    declaration, brace, numbers = rest.partition("{")
+    declaration, brace, numbers = rest.partition("{\n    {")
     first, comma, others = numbers.partition(",")
     return f"{head}{table}{declaration}{brace}{first} + 1.0f{comma}{others}"
 
