@@ -26,7 +26,7 @@ class Decided:
     def reset(self) -> None:
         self.forgot += 1
 
-    def step(self, scan: Any, pose: Any) -> Any:
+    def step(self, scan: Any, _pose: Any) -> Any:
         self.asked += 1
         return None if self.blind else Answer(self.asked, scan.stamp_ns, self.distance)
 

@@ -120,16 +120,16 @@ def test_a_self_test_that_fails_refuses_to_drive(tmp_path: Path) -> None:
         robot.build()
     write(files, tmp_path / "c")
     source = tmp_path / "c/src/zs_x.c"
-    source.write_text(spoiled(source.read_text()))
+    source.write_text(spoiled(source.read_text(), "zs_x"))
     compiled(tmp_path / "c", "zs_x")
     (robot,) = load(tmp_path / "c", "zs_x", "robot")
     with pytest.raises(ValueError, match="the self-test of zs_x fails"):
         robot.build()
 
 
-def spoiled(source: str) -> str:
+def spoiled(source: str, name: str) -> str:
     """C of a controller whose self-test expects another first number."""
-    head, table, rest = source.partition("zs_x_actions[")
+    head, table, rest = source.partition(f"{name}_actions[")
     assert table
     declaration, brace, numbers = rest.partition("{\n    {")
     first, comma, others = numbers.partition(",")
@@ -192,11 +192,11 @@ def test_what_others_wrote_stays_text(target: str, tmp_path: Path) -> None:
 def test_what_fits_no_robot_is_refused_in_one_line() -> None:
     from controllers import controller
 
-    with pytest.raises(ConfigError, match="minisim: its controllers fit no robot; expected .* turtlebot-exit"):
+    with pytest.raises(ConfigError, match=r"minisim: its controllers fit no robot; expected .* turtlebot-exit"):
         ros1(controller("fully-meshed"), "x")
-    with pytest.raises(ConfigError, match="profile stageros: is for ROS 1; expected one for ROS 2: .*stage_ros2"):
+    with pytest.raises(ConfigError, match=r"profile stageros: is for ROS 1; expected one for ROS 2: .*stage_ros2"):
         ros2(evolved(), "x", "stageros")
-    with pytest.raises(ConfigError, match="profile stage_ros2: is for ROS 2; expected one for ROS 1: .*stageros"):
+    with pytest.raises(ConfigError, match=r"profile stage_ros2: is for ROS 2; expected one for ROS 1: .*stageros"):
         ros1(evolved(), "x", "stage_ros2")
     with pytest.raises(ConfigError, match="no profile 'turtlebot'"):
         zenoh(evolved(), "x", "turtlebot")

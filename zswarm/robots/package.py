@@ -27,16 +27,14 @@ from zswarm.sims.simulator import RobotInterface
 TEMPLATES = Path(__file__).parent / "templates"
 WORD = re.compile(r"@\{(\w+)\}")
 SILENT_STEPS = 3  # of the controller without a message at least, before the watchdog stops the robot
-SCAN = {"ranges": Array(FLOAT32), "readings": INT64, "angle_min": FLOAT64, "angle_increment": FLOAT64}
-OWN = {"rays": INT64, "view": FLOAT64, "reach": FLOAT32}  # of the scanner that a controller was evolved with
-POSE = {"x": FLOAT64, "y": FLOAT64, "z": FLOAT64, "w": FLOAT64}
-TARGETS = {"targets": Array(FLOAT64), "count": INT64}
-KERNELS: list[tuple[Callable[..., Any], dict[str, Type]]] = [
+Types = dict[str, Type]
+SCAN: Types = {"ranges": Array(FLOAT32), "readings": INT64, "angle_min": FLOAT64, "angle_increment": FLOAT64}
+OWN: Types = {"rays": INT64, "view": FLOAT64, "reach": FLOAT32}  # of the scanner that a controller was evolved with
+POSE: Types = {"x": FLOAT64, "y": FLOAT64, "z": FLOAT64, "w": FLOAT64}
+TARGETS: Types = {"targets": Array(FLOAT64), "count": INT64}
+KERNELS: list[tuple[Callable[..., Any], Types]] = [
     (robot_interface.fit_scan, SCAN | OWN | {"fitted": Array(FLOAT32)}),
-    (
-        robot_interface.observe,
-        {"scan": Array(FLOAT32), "sectors": INT64, "observation": Array(FLOAT32)} | OWN | POSE | TARGETS,
-    ),
+    (robot_interface.observe, OWN | POSE | TARGETS | {"scan": Array(FLOAT32), "sectors": INT64, "observation": Array(FLOAT32)}),
     (robot_interface.velocity, {"share": FLOAT32, "most": FLOAT64}),
     (fitting.covers, SCAN | OWN),
     (fitting.limited, {"velocity": FLOAT64, "most": FLOAT64}),
@@ -169,13 +167,13 @@ def python_files(robot: Robot, known: dict[str, str]) -> Files:
         "__init__.py": "",
         "network.py": network,
         "kernels.py": head + gather.functions([kernel for kernel, _ in KERNELS]),
-        "settings.py": settings(robot, known),
+        "settings.py": settings(known),
         **{path: (TEMPLATES / "python" / path).read_text(encoding="utf-8") for path in ("driving.py", "robot.py")},
     }
     return {f"{robot.name}/{path}": text for path, text in files.items()}
 
 
-def settings(robot: Robot, known: dict[str, str]) -> str:
+def settings(known: dict[str, str]) -> str:
     """The numbers and names of one robot, as a Python module."""
     texts = {
         "NAME": "name", "SHA256": "sha256", "SCAN_TOPIC": "scan", "ODOMETRY_TOPIC": "odometry", "VELOCITY_TOPIC": "velocity",
@@ -187,7 +185,7 @@ def settings(robot: Robot, known: dict[str, str]) -> str:
         "WATCHDOG_S": "watchdog_s", "STATE": "state", "STAMPED": "stamped",
     }  # fmt: skip
     lines = ['"""What is particular to this robot; m, radians, s."""', ""]
-    lines += [f"{constant} = {ascii(known[word])}" for constant, word in texts.items()]
+    lines += [f"{constant} = {known[word]!a}" for constant, word in texts.items()]
     lines += [f"{constant} = {known[word]}" for constant, word in numbers.items()]
     lines += [f"TARGETS = ({known['places']})", ""]
     return "\n".join(lines)

@@ -4,7 +4,7 @@ from zswarm.controller import Controller
 from zswarm.robots.package import Files, c_files, fill, robot, words
 
 PROFILE = "turtlebot2"
-STAMPED = "    message.header.stamp = ros::Time::now();\n    message.header.frame_id = \"{frame}\";\n"
+STAMPED = '    message.header.stamp = ros::Time::now();\n    message.header.frame_id = "{frame}";\n'
 
 
 def ros1(controller: Controller, name: str, profile: str = PROFILE) -> Files:

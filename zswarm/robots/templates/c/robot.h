@@ -16,6 +16,7 @@ extern "C" {
 #define ROBOT_SPEED @{speed}         /* m/s at most, of what it was evolved with and of the robot */
 #define ROBOT_TURN @{turn}           /* rad/s at most, likewise */
 #define ROBOT_VIEW @{view}           /* radians that its scanner must cover, half of them to each side */
+#define ROBOT_DEGREES "@{degrees}"    /* the same, in words */
 #define ROBOT_RAYS @{rays}
 #define ROBOT_TARGETS @{targets}     /* places that it may go to */
 #define ROBOT_ARRIVED @{arrived}     /* m from one of them at which it is there */

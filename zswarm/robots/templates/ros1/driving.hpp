@@ -102,8 +102,7 @@ class Driving {
     robot_decision decision;
     if (robot_step(robot_, scan_.ranges.data(), static_cast<std::int64_t>(scan_.ranges.size()), scan_.angle_min,
                    scan_.angle_increment, pose_.x, pose_.y, pose_.z, pose_.w, &decision) != 0) {
-      throw std::runtime_error("the scanner does not cover the " + std::to_string(ROBOT_VIEW * 180.0 / 3.14159265358979) +
-                               " degrees that the controller needs");
+      throw std::runtime_error("the scanner does not cover the " ROBOT_DEGREES " degrees that the controller needs");
     }
     decided_ = true;
     decided_s_ = now_s;

@@ -46,7 +46,8 @@ class Node:
         self._publisher = self._wire.publisher(topic(given.velocity, given.namespace), f"geometry_msgs/msg/{kind}")
         for name, kind in ((given.scan, "sensor_msgs/msg/LaserScan"), (given.odometry, "nav_msgs/msg/Odometry")):
             self._wire.subscribe(topic(name, given.namespace), kind, self._messages.put)
-        say(f"{settings.NAME} drives: at most {given.speed:g} m/s and {given.turn:g} rad/s, parameters {settings.SHA256[:12]}, {how}")
+        limits = f"at most {given.speed:g} m/s and {given.turn:g} rad/s"
+        say(f"{settings.NAME} drives: {limits}, parameters {settings.SHA256[:12]}, {how}")
 
     def run(self):
         """Take messages and let time pass, for ever."""

@@ -19,9 +19,7 @@ ARGUMENTS = {
 
 def generate_launch_description():
     """The node, with its arguments."""
-    declared = [
-        DeclareLaunchArgument(name, default_value=value, description=words) for name, (value, words) in ARGUMENTS.items()
-    ]
+    declared = [DeclareLaunchArgument(name, default_value=value, description=words) for name, (value, words) in ARGUMENTS.items()]
     types = {"speed": float, "turn": float, "targets": List[float], "use_sim_time": bool}
     parameters = {name: ParameterValue(LaunchConfiguration(name), value_type=kind) for name, kind in types.items()}
     node = Node(
