@@ -55,7 +55,15 @@ MAY_IMPORT = {
     "testing": {"leaf", "nets", "simulator_checks", "ot.optimizers"},
 }
 ONLY_IN = {
-    "zenoh": {"session", "ot.cluster", "ot.discovery", "ss.presence", "security.refusals"},  # docs/architecture.md says why
+    "zenoh": {
+        "session",
+        "ot.cluster",
+        "ot.discovery",
+        "ss.presence",
+        "security.refusals",
+        "ros.over_zenoh",
+        "ros.bridges.by_zenoh",
+    },  # docs/architecture.md says why
     "numba": {"jit", "lanes"},
     "cryptography": {"security.authority", "security.certificates", "security.bundle", "security.install"},
     "pymunk": {"sims.robot_world"},

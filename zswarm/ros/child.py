@@ -78,7 +78,7 @@ class Child:
             raise
         self.said = first[1]
 
-    def write(self, body: bytes) -> None:
+    def write(self, body: bytes | bytearray) -> None:
         """Write frames; what it says meanwhile is kept.
 
         Raises:
@@ -161,7 +161,7 @@ class Child:
 
 
 def command(program: str, library: str) -> list[str]:
-    """How to run a program of ``bridges/`` with the Python that has a library; where none has, with the system's, which refuses."""
+    """How to run a program of ``bridges/``: with the Python that has a library; if none has, the program refuses."""
     python = sys.executable
     if variable := PYTHONS.get(library):
         python = os.environ.get(variable) or _python_with(library)

@@ -76,7 +76,8 @@ def decode(channel: Channel, robot: int, body: bytes) -> Message:
         case "odometry" | "ground_truth":
             stamp_ns, x, y, z, w, linear, angular = frames.ODOMETRY.unpack(body)
             return Odometry(
-                robot=robot, stamp_ns=stamp_ns, x=x, y=y, z=z, w=w, linear=linear, angular=angular, truth=channel == "ground_truth"
+                robot=robot, stamp_ns=stamp_ns, x=x, y=y, z=z, w=w, linear=linear, angular=angular,
+                truth=channel == "ground_truth",
             )  # fmt: skip
         case "velocity":
             stamp_ns, linear, angular = frames.VELOCITY.unpack(body)

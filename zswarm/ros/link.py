@@ -49,7 +49,9 @@ class Link:
         """
         ros = 1 if graph.link == "rospy" else 2
         if profile.ros != ros:
-            raise ConfigError(f"the link {graph.link} speaks ROS {ros}, and the profile ({profile.description}) is of ROS {profile.ros}")
+            raise ConfigError(
+                f"the link {graph.link} speaks ROS {ros}, and the profile ({profile.description}) is of ROS {profile.ros}"
+            )
         self._topics = [
             (channel, robot)
             for channel in profile.channels

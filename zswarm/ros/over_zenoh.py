@@ -7,6 +7,8 @@ tokens say which nodes, publishers and subscriptions there are: ``ros2 topic lis
 This file needs eclipse-zenoh, rosbags and numpy alone, and is shipped with nodes for robots.
 """
 
+from __future__ import annotations
+
 import itertools
 import json
 import os
@@ -109,7 +111,10 @@ class Node:
             if body.startswith(LITTLE_ENDIAN_CDR):
                 callback(self.store.deserialize_cdr(body, kind))
 
-        self._declared += [self._session.declare_subscriber(self.key(topic, kind), taken), self._token("MS", topic, kind, reliable)]
+        self._declared += [
+            self._session.declare_subscriber(self.key(topic, kind), taken),
+            self._token("MS", topic, kind, reliable),
+        ]
 
     def publishers(self, topic: str, kind: str) -> int:
         """How many publish a topic."""
@@ -171,7 +176,8 @@ class Publisher:
 
     def connected(self) -> int:
         """How many have the topic given to them, once Zenoh knows the way."""
-        return self._node.subscriptions(self._topic, self._kind) if self._publisher.matching_status.matching else 0
+        status: Any = self._publisher.matching_status  # zenoh's stub calls it a bool
+        return self._node.subscriptions(self._topic, self._kind) if status.matching else 0
 
     def undeclare(self) -> None:
         """Publish no more."""

@@ -5,13 +5,18 @@ from __future__ import annotations
 import contextlib
 import importlib
 import threading
-from typing import Any, Callable
+from collections.abc import Callable
+from typing import Any
 
 import frames
 from conversion import Conversion
 
-NO_RCLPY = "rclpy is not there: source ROS 2's setup.bash, or name the Python that has it in ZSWARM_ROS2_PYTHON (docs/profiles.md)"
+NO_RCLPY = (
+    "rclpy is not there: source ROS 2's setup.bash, or name the Python that has it in ZSWARM_ROS2_PYTHON (docs/profiles.md)"
+)
 NO_SERVICES = "std_srvs is not there: install ROS 2's package std_srvs"
+WAKING_S = 1.0
+LEAVING_S = 0.2
 DEPTH = 1000  # messages that wait
 
 
@@ -22,13 +27,14 @@ def main() -> None:
         import rclpy
     except ImportError:
         frames.refuse(NO_RCLPY)
+    from rclpy.duration import Duration
     from rclpy.signals import SignalHandlerOptions
 
     set_up = pipe.set_up()
     rclpy.init(args=["--ros-args", "--disable-external-lib-logs"], signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node(set_up["node"], start_parameter_services=False, enable_rosout=False)
     conversion = Conversion(lambda name: kind(name)())
-    sending, connected = {}, []
+    sending, connected, publishers = {}, [], []
     for number, topic in enumerate(set_up["topics"]):
         if topic["type"] == frames.EMPTY:
             send, count = service(pipe, node, number, topic)
@@ -36,6 +42,7 @@ def main() -> None:
         elif topic["publish"]:
             publisher = node.create_publisher(kind(topic["type"]), topic["name"], quality(topic))
             sending[number], count = publishing(publisher, conversion.message(topic)), publisher.get_subscription_count
+            publishers.append(publisher)
         else:
             taken = taking(pipe, number, conversion.body(topic["type"]))
             count = counting(node, node.create_subscription(kind(topic["type"]), topic["name"], taken, quality(topic)))
@@ -43,6 +50,8 @@ def main() -> None:
     spinning = threading.Thread(target=spin, args=(node,), daemon=True)
     spinning.start()
     pipe.publish(sending, connected)
+    for publisher in publishers:  # what was said last is on its way
+        publisher.wait_for_all_acked(Duration(seconds=LEAVING_S))
     rclpy.shutdown()
     spinning.join()
 
@@ -60,7 +69,7 @@ def spin(node: Any) -> None:
     executor.add_node(node)
     with contextlib.suppress(ExternalShutdownException):
         while rclpy.ok():
-            executor.spin_once()
+            executor.spin_once(timeout_sec=WAKING_S)  # without an end it keeps Python's lock while it waits
 
 
 def kind(name: str) -> Any:

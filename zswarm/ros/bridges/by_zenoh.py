@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import queue
 import threading
-from typing import Any, Callable
+from collections.abc import Callable
+from typing import Any
 
 import frames
 import numpy as np
@@ -13,8 +15,6 @@ from conversion import Conversion
 
 from zswarm import extras
 from zswarm.errors import ConfigError
-
-CLOSING_S = 1.0
 
 
 def main() -> None:
@@ -34,7 +34,10 @@ def main() -> None:
         node = Node(session, set_up["node"], domain=set_up["domain"], distribution=set_up["distribution"])
     except (zenoh.ZError, ValueError) as error:
         frames.refuse(f"zenoh: {str(error).split(' at /')[0][:200]}")
-    conversion = Conversion(lambda name: empty(node.store, spelled(name)), floats=lambda raw: np.frombuffer(raw, np.float32))
+    new = functools.cache(
+        lambda kind: empty(node.store, spelled(kind))
+    )  # one for all messages: each is sent before the next is made
+    conversion = Conversion(new, floats=lambda raw: np.frombuffer(raw, np.float32))
     saying: queue.SimpleQueue[bytes] = queue.SimpleQueue()  # Zenoh's threads only enqueue
     threading.Thread(target=say, args=(pipe, saying), daemon=True).start()
     sending, connected = {}, []

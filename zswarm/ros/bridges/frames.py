@@ -13,7 +13,8 @@ import select
 import struct
 import sys
 import threading
-from typing import Any, Callable, NoReturn
+from collections.abc import Callable
+from typing import Any, NoReturn
 
 HEAD = struct.Struct("<IH")
 LARGEST = 1 << 24  # bytes of a body: more is none of ours

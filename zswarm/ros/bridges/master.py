@@ -11,7 +11,9 @@ def main() -> None:
     try:
         from rosmaster.master import Master
     except ImportError:
-        frames.refuse("rosmaster is not there: install it (Debian: apt install ros-core), or name its Python in ZSWARM_ROS1_PYTHON")
+        frames.refuse(
+            "rosmaster is not there: install it (Debian: apt install ros-core), or name its Python in ZSWARM_ROS1_PYTHON"
+        )
     pipe.set_up()
     master = Master(port=0)
     master.start()
