@@ -91,7 +91,7 @@ class Evaluations:
             trial_memory_mb=options.trial_memory_mb,
             slots=min(slots, messages.MAX_SLOTS),
             quarantine=options.on_fault == "quarantine",
-            verify=options.verify,
+            verify=options.verify if problem.simulator.repeatable else 0.0,
             probe=probe,
         )
         who = Who(options.realm, _user(reach), run, epoch, secrets.token_bytes(16))

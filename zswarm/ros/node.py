@@ -71,8 +71,15 @@ class Node:
         while self._agents:
             self._go_on(self._next_message())
 
-    def serve(self) -> None:
-        """Trial after trial, as resets come; does not return."""
+    def serve(self, *, forgiving: bool) -> None:
+        """Trial after trial, as resets come; does not return.
+
+        Args:
+            forgiving: a robot that tells nothing ends its trial only.
+
+        Raises:
+            EvaluationError: the link broke, or somebody was not there or told nothing in time.
+        """
         while True:
             message = self._next_message()
             try:
@@ -80,7 +87,9 @@ class Node:
                     self._begin(message.seed)
                 else:
                     self._go_on(message)
-            except EvaluationError as error:  # a robot's fault; if the link is broken, the next message says so again
+            except EvaluationError as error:  # where it is the link's, the next message says so again
+                if not forgiving:
+                    raise
                 self._agents = []
                 click.echo(f"zswarm.ros.node: {error}", err=True)
 
@@ -232,8 +241,7 @@ def run(
         if child:
             _belong_to_parent()
         if seed is None:
-            node.serve()
-            return
+            node.serve(forgiving=not child)
         opened.ready(max(deadline_s, START_S), [*told, "velocity"])
         node.play(seed)
         if poses is not None:

@@ -28,6 +28,7 @@ from zswarm.sims.simulator import RobotInterface
 NS = 1_000_000_000
 READY_S = 30.0  # until both sides found each other
 LISTENED_S = 0.2  # to a simulation that may be under way, before the first trial
+LOOKED_S = 0.2  # between two looks whether the node is there
 SOON = 0.75  # of a step: a scan so much later than the last one is the next; free-running ones are not exact
 
 
@@ -145,10 +146,12 @@ class Simulation:
             pass
 
     def _take(self, timeout_s: float) -> bool:
-        """Take the next message if one comes in time."""
-        message = self._link.receive(timeout_s)
+        """Take the next message if one comes in time, or a little earlier, to see whether the node is there."""
+        message = self._link.receive(min(timeout_s, LOOKED_S))
         if message is not None:
             self._readings.take(message)
+        elif self._node is not None:
+            self._node.next(0.0)  # which says that it ended
         return message is not None
 
 

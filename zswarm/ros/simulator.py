@@ -46,15 +46,15 @@ class TurtlebotExitRos(Simulator):
         if not self.repeatable and self._profile.clock is None:
             raise ConfigError(f"{NAME}: mode: free-running needs a profile with a clock")
         self._scans = np.zeros((settings.robots, settings.rays), np.float32)
-        self._poses = np.zeros((settings.robots, 4))
+        self.poses = np.zeros((settings.robots, 4))  # x, y, and z, w of the quaternion; of one that is out the last
         self._simulation: Simulation | None = None
 
     def reset(self, seed: int) -> Turn:
         """Have the simulation begin a trial."""
         self._seed, self._late, self._sent = seed, 0, 0
         with self._at_work() as simulation:
-            simulation.begin(seed, self._scans, self._poses)
-        return self.task.begin(self._scans, self._poses)
+            simulation.begin(seed, self._scans, self.poses)
+        return self.task.begin(self._scans, self.poses)
 
     def step(self, actions: np.ndarray) -> Turn | None:
         """Publish what the robots decided, and wait for what they see then."""
@@ -62,9 +62,9 @@ class TurtlebotExitRos(Simulator):
         agents = self.task.agents.tolist()
         with self._at_work() as simulation:
             late = simulation.drive(agents, self.task.linear, self.task.angular)
-            passed = simulation.look(agents, self._scans, self._poses)
+            passed = simulation.look(agents, self._scans, self.poses)
             self._sent, self._late = self._sent + len(agents), self._late + late * len(agents)
-            turn, out = self.task.go_on(self._scans, self._poses, passed)
+            turn, out = self.task.go_on(self._scans, self.poses, passed)
             simulation.halt(agents if turn is None else out)
         return turn
 
@@ -75,8 +75,14 @@ class TurtlebotExitRos(Simulator):
 
     def frame(self) -> Frame:
         """As turtlebot-exit shows it."""
-        angles = [2 * atan2(z, w) for _, _, z, w in self._poses.tolist()]
-        return self._inside.picture(np.column_stack([self._poses[:, :2], angles]), self.task.agents)
+        angles = [2 * atan2(z, w) for _, _, z, w in self.poses.tolist()]
+        return self._inside.picture(np.column_stack([self.poses[:, :2], angles]), self.task.agents)
+
+    def close(self) -> None:
+        """End what was started; the next trial starts it anew."""
+        if self._simulation is not None:
+            self._simulation.close()
+        self._simulation = None
 
     @contextlib.contextmanager
     def _at_work(self) -> Iterator[Simulation]:
@@ -86,7 +92,5 @@ class TurtlebotExitRos(Simulator):
                 self._simulation = Simulation(self.settings, self._profile, self.task.interface)
             yield self._simulation
         except (ConfigError, EvaluationError) as error:
-            if self._simulation is not None:
-                self._simulation.close()
-            self._simulation = None
+            self.close()
             raise EvaluationError(f"simulator {NAME!r}, trial seed {self._seed}: {error}") from None
