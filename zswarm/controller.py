@@ -9,7 +9,6 @@ import numpy as np
 
 from zswarm import plugins
 from zswarm.errors import ConfigError
-from zswarm.nets.representation import Representation
 from zswarm.protocol import codec
 from zswarm.strict import convert
 
@@ -68,14 +67,12 @@ class Driver:
 
     Attributes:
         inputs, outputs: numbers of an observation, and of what is decided.
-        network: its representation.
-        parameters: (P,) float32, what the network's ``step`` takes of the genome.
+        network, parameters: as ``Controller.network`` gives them.
     """
 
     def __init__(self, controller: Controller) -> None:
         self.inputs, self.outputs = controller.inputs, controller.outputs
         self.network, self.parameters = controller.network()
-        self._step = self.network.step
         self._state = np.zeros(self.network.state_size, np.float32)
 
     def reset(self) -> None:
@@ -98,7 +95,7 @@ class Driver:
         if seen.shape != (self.inputs,):
             raise ValueError(f"observation: expected shape ({self.inputs},), not {seen.shape}")
         decided = np.empty(self.outputs, np.float32)
-        self._step(self.parameters, self._state, seen, decided)
+        self.network.step(self.parameters, self._state, seen, decided)
         return decided
 
 

@@ -5,7 +5,6 @@ literals, sizes are constants. The caller owns the state; nothing is allocated, 
 same text.
 """
 
-import hashlib
 import re
 import textwrap
 
@@ -15,15 +14,13 @@ import numpy as np
 import zswarm
 from zswarm import plugins
 from zswarm.controller import Controller, Driver
-from zswarm.draws import Stream
 from zswarm.errors import UnknownPlugin
+from zswarm.robots import original
 from zswarm.robots.c_types import FLOAT32, Array, comment, literal
 from zswarm.robots.expressions import Value
 from zswarm.robots.names import folded, quoted
 from zswarm.robots.translate import INDENT, Callee, Translation
 
-VECTORS = 16  # steps of the self-test
-SEED = 99
 WIDTH = 110  # of comments
 
 HEADER = """/*
@@ -177,10 +174,10 @@ def _header(controller: Controller, name: str, driver: Driver) -> str:
         inputs=controller.inputs,
         outputs=controller.outputs,
         state=max(1, driver.network.state_size),
-        sha256=hashlib.sha256(driver.parameters.astype("<f4").tobytes()).hexdigest(),
+        sha256=original.sha256(driver.parameters),
         version=zswarm.__version__,
         names=names,
-        vectors=VECTORS,
+        vectors=original.STEPS,
     )
 
 
@@ -216,25 +213,17 @@ def _source(controller: Controller, name: str, translation: Translation, callee:
     given = ("", "state->x", "observation", "action")
     call = [f"{INDENT}(void){each.split('->', maxsplit=1)[0]};" for at, each in enumerate(given) if at and at not in callee.takes]
     call.append(f"{INDENT}{callee.name}({', '.join(given[at] for at in callee.takes)});")
-    observations, actions = _vectors(controller)
+    steps = original.check_steps(controller)
     parts = [
         f'/* See zs_{name}.h. */\n#include "zs_{name}.h"\n\n#include <float.h>\n{translation.includes()}',
         GUARDS,
         translation.definitions(),
         PUBLIC.format(name=name, upper=upper, call="\n".join(call)),
-        SELFTEST.format(name=name, upper=upper, vectors=VECTORS, observations=_rows(observations), actions=_rows(actions)),
+        SELFTEST.format(
+            name=name, upper=upper, vectors=original.STEPS, observations=_rows(steps.observations), actions=_rows(steps.actions)
+        ),
     ]
     return "\n".join(parts)
-
-
-def _vectors(controller: Controller) -> tuple[np.ndarray, np.ndarray]:
-    """Observations, and what the controller decides from one to the next; (VECTORS, inputs) and (VECTORS, outputs) float32."""
-    driver = controller.driver()
-    observations = Stream(SEED).uniform(-2.0, 2.0, VECTORS * controller.inputs).astype(np.float32)
-    observations = observations.reshape(VECTORS, controller.inputs)
-    observations[0] = 0.0
-    observations[1::3] = np.abs(observations[1::3])  # what most sensors give
-    return observations, np.array([driver.act(row) for row in observations])
 
 
 def _rows(table: np.ndarray) -> str:

@@ -15,7 +15,7 @@ def folded(name: str) -> str:
     plain = re.sub(r"[^a-z0-9]+", "_", plain)[:LONGEST].strip("_")
     if not plain:
         return "controller"
-    return plain if plain[0].isalpha() else f"n{plain}"[:LONGEST]
+    return plain if plain[0].isalpha() else f"n{plain}"[:LONGEST].rstrip("_")
 
 
 def quoted(text: str) -> str:
