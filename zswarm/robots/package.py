@@ -18,7 +18,8 @@ from zswarm import evaluate
 from zswarm.controller import Controller
 from zswarm.errors import ConfigError
 from zswarm.robots import c99, fitting, gather, original, python_file, translate
-from zswarm.robots.c_types import FLOAT32, FLOAT64, INT64, Array, Type
+from zswarm.robots.c_types import FLOAT32, FLOAT64, INT64, Array, Type, literal
+from zswarm.robots.drive_checks import STEPS, drive_steps, first_and_between
 from zswarm.ros import profiles
 from zswarm.ros.profiles import Profile
 from zswarm.sims import robot_interface
@@ -107,7 +108,11 @@ def words(robot: Robot) -> dict[str, str]:
     """What the words of templates stand for."""
     interface, profile, controller = robot.interface, robot.profile, robot.controller
     network, parameters = controller.network()
+    first, between = first_and_between(interface)
     return {
+        "check_steps": str(STEPS),
+        "first": _number(first),
+        "between": _number(between),
         "name": robot.name,
         "prefix": robot.name.upper(),
         "sha256": original.sha256(parameters),
@@ -153,8 +158,9 @@ def fill(template: str, known: dict[str, str]) -> str:
 def c_files(robot: Robot, known: dict[str, str], folder: str) -> Files:
     """The robot in C99: controller, observation, command."""
     pair = c99.pair(robot.controller, robot.name.removeprefix("zs_"))
-    interface = translate.functions(KERNELS, "interface")
-    known = known | interface._asdict()
+    checks = drive_steps(robot.controller, robot.interface, robot.speed, robot.turn)
+    known = known | translate.functions(KERNELS, "interface")._asdict()
+    known |= {f"check_{what}": c_rows(rows) for what, rows in checks._asdict().items()}
     files = pair | {path: fill(f"c/{path}", known) for path in ("interface.h", "interface.c", "robot.h", "robot.c")}
     return {f"{folder}/{path}": text for path, text in files.items()}
 
@@ -167,7 +173,7 @@ def python_files(robot: Robot, known: dict[str, str]) -> Files:
         "__init__.py": "",
         "network.py": network,
         "kernels.py": head + gather.functions([kernel for kernel, _ in KERNELS]),
-        "settings.py": settings(known),
+        "settings.py": settings(known) + checks(robot),
         **{path: (TEMPLATES / "python" / path).read_text(encoding="utf-8") for path in ("driving.py", "robot.py")},
     }
     return {f"{robot.name}/{path}": text for path, text in files.items()}
@@ -181,7 +187,7 @@ def settings(known: dict[str, str]) -> str:
     }  # fmt: skip
     numbers = {
         "STEP_S": "step_s", "SPEED": "speed", "TURN": "turn", "EVOLVED_SPEED": "evolved_speed", "EVOLVED_TURN": "evolved_turn",
-        "VIEW": "view", "VIEW_DEGREES": "degrees", "RAYS": "rays", "RANGE": "range", "SECTORS": "sectors", "ARRIVED": "arrived",
+        "VIEW": "view", "FIRST": "first", "BETWEEN": "between", "VIEW_DEGREES": "degrees", "RAYS": "rays", "RANGE": "range", "SECTORS": "sectors", "ARRIVED": "arrived",
         "WATCHDOG_S": "watchdog_s", "STATE": "state", "STAMPED": "stamped",
     }  # fmt: skip
     lines = ['"""What is particular to this robot; m, radians, s."""', ""]
@@ -189,6 +195,18 @@ def settings(known: dict[str, str]) -> str:
     lines += [f"{constant} = {known[word]}" for constant, word in numbers.items()]
     lines += [f"TARGETS = ({known['places']})", ""]
     return "\n".join(lines)
+
+
+def checks(robot: Robot) -> str:
+    """The steps of the self-test, as Python."""
+    steps = drive_steps(robot.controller, robot.interface, robot.speed, robot.turn)
+    lines = [f"CHECK_{what.upper()} = {rows.tolist()}" for what, rows in steps._asdict().items()]
+    return "\n".join(["", "# Steps of the self-test: scans, poses, and what is decided on them.", *lines, ""])
+
+
+def c_rows(table: np.ndarray) -> str:
+    """The rows of a table as C has them."""
+    return ",\n".join(f"    {{{', '.join(map(literal, row))}}}" for row in table)
 
 
 def _shown(text: str) -> str:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from . import settings
+from . import driving, settings
 
 LIBRARY = os.path.join(os.path.dirname(os.path.abspath(__file__)), "librobot.so")
 
@@ -76,7 +76,7 @@ class Compiled:
         return settings.STATE
 
     def selftest(self):
-        """Steps of the self-test that differ; 0 when all is well."""
+        """Which step of the self-test differs; 0 when all is well."""
         return self._library.robot_selftest()
 
     def reset(self):
@@ -108,8 +108,14 @@ class Plain:
         self._observation = np.zeros(self._controller.inputs, np.float32)
 
     def selftest(self):
-        """Steps of the self-test that differ; 0 when all is well."""
-        return self._network.selftest()
+        """Whether a step of the self-test differs; 0 when all is well."""
+        evolved = Plain(np.array(settings.TARGETS, np.float64), settings.SPEED, settings.TURN)
+        decided = []
+        for ranges, pose in zip(settings.CHECK_RANGES, settings.CHECK_POSES):
+            scan = driving.Scan(0, ranges, settings.FIRST, settings.BETWEEN)
+            decided.append(evolved.step(scan, driving.Pose(0, *pose)))
+        expected = [Decision(*decision) for decision in settings.CHECK_DECISIONS]
+        return self._network.selftest() or int(repr(decided) != repr(expected))
 
     def reset(self):
         """The controller forgets all of before."""
