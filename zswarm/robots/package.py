@@ -78,7 +78,7 @@ def robot(controller: Controller, name: str, profile: str, ros: int) -> Robot:
     """A robot to be packed.
 
     Args:
-        name: as ``original.identifier`` gives it.
+        name: as ``names.folded`` gives it.
         profile: name, or path of a file.
         ros: the version that the package is for.
 
@@ -133,9 +133,9 @@ def words(robot: Robot) -> dict[str, str]:
         "arrived": _number(interface.arrived),
         "watchdog_s": _number(robot.watchdog_s),
         "state": str(max(1, network.state_size)),
-        "scan": profile.scan.name,
-        "odometry": profile.odometry.name,
-        "velocity": profile.velocity.name,
+        "scan": profile.scan.name.replace("{i}", "0"),  # of a topic from the root: others are told to the node
+        "odometry": profile.odometry.name.replace("{i}", "0"),
+        "velocity": profile.velocity.name.replace("{i}", "0"),
         "frame": profile.velocity.frame,
         "stamped": str(profile.velocity.stamped),
         "twist": "TwistStamped" if profile.velocity.stamped else "Twist",
@@ -187,8 +187,8 @@ def settings(known: dict[str, str]) -> str:
     }  # fmt: skip
     numbers = {
         "STEP_S": "step_s", "SPEED": "speed", "TURN": "turn", "EVOLVED_SPEED": "evolved_speed", "EVOLVED_TURN": "evolved_turn",
-        "VIEW": "view", "FIRST": "first", "BETWEEN": "between", "VIEW_DEGREES": "degrees", "RAYS": "rays", "RANGE": "range", "SECTORS": "sectors", "ARRIVED": "arrived",
-        "WATCHDOG_S": "watchdog_s", "STATE": "state", "STAMPED": "stamped",
+        "VIEW": "view", "VIEW_DEGREES": "degrees", "FIRST": "first", "BETWEEN": "between", "RAYS": "rays", "RANGE": "range",
+        "SECTORS": "sectors", "ARRIVED": "arrived", "WATCHDOG_S": "watchdog_s", "STATE": "state", "STAMPED": "stamped",
     }  # fmt: skip
     lines = ['"""What is particular to this robot; m, radians, s."""', ""]
     lines += [f"{constant} = {known[word]!a}" for constant, word in texts.items()]

@@ -10,7 +10,7 @@ def ros2(controller: Controller, name: str, profile: str = PROFILE) -> Files:
     """The package ``zs_<name>``.
 
     Args:
-        name: as ``original.identifier`` gives it.
+        name: as ``names.folded`` gives it.
         profile: name, or path of a file, of a robot with ROS 2.
 
     Raises:

@@ -14,7 +14,7 @@ def zenoh(controller: Controller, name: str, profile: str = PROFILE) -> Files:
     """The folder of ``zs_<name>``.
 
     Args:
-        name: as ``original.identifier`` gives it.
+        name: as ``names.folded`` gives it.
         profile: name, or path of a file, of a robot with ROS 2.
 
     Raises:
