@@ -1,6 +1,7 @@
 """Writes the parts of the documents that are made from the code: `make reference`.
 
-docs/help.md: what each command says with --help. docs/experiment.md: the tables of keys, from the structs. A test compares.
+docs/help.md: what each command says with --help. docs/experiment.md and docs/profiles.md: the tables of keys,
+from the structs, and that of profiles. A test compares.
 """
 
 import re
@@ -12,6 +13,7 @@ import click
 
 from zswarm import experiment, plugins, router, settings_sheet
 from zswarm.ot import cli as ot
+from zswarm.ros import profiles
 from zswarm.security import cli as security
 from zswarm.ss import cli as ss
 
@@ -23,6 +25,7 @@ HELP = """# Help
 What each program and command says with `--help`. This page is made from them by `make reference`; more about each stands in
 [commands.md](commands.md).
 """
+PROFILES = re.compile(r"^\| profile \| ROS \|.*\n(?:\|.*\n)+", re.M)
 TABLE = re.compile(r"^\| key \| type \| default \| meaning \|\n(?:\|.*\n)+", re.M)
 
 
@@ -70,9 +73,39 @@ def experiment_page() -> str:
     return text
 
 
+def profiles_page() -> str:
+    """docs/profiles.md, its tables made anew."""
+    sheets = {
+        "## Keys": [key for key in settings_sheet.keys(profiles.Profile) if key.type_text != "value"],  # but for tables
+        "### Topics": settings_sheet.keys(profiles.Topic),
+        "### `[velocity]`": settings_sheet.keys(profiles.VelocityTopic)[-1:],
+        "### `[reset]`": settings_sheet.keys(profiles.ResetTopic)[-1:],
+    }
+    text = (DOCS / "profiles.md").read_text(encoding="utf-8")
+    for heading, keys in sheets.items():
+        before, found, after = text.partition(f"\n{heading}\n")
+        text = before + found + TABLE.sub(lambda _, keys=keys: settings_sheet.markdown(keys), after, count=1)
+    return PROFILES.sub(lambda _: profile_table(), text, count=1)
+
+
+def profile_table() -> str:
+    """The bundled profiles: what a robot among several has."""
+    lines = ["| profile | ROS | velocity | scan | odometry | ground truth | clock | m/s, rad/s |", "| --- " * 8 + "|"]
+    for name in profiles.names():
+        profile = profiles.read(name)
+        kind = "TwistStamped" if profile.velocity.stamped else "Twist"
+        topics = {channel: f"`{profile.topic(channel, 0, 2)}`" for channel in profile.channels}
+        shown = [topics.get(channel, "") for channel in ("scan", "odometry", "ground_truth", "clock")]
+        limits = f"{profile.speed:g}, {profile.turn:g}"
+        cells = [f"`{name}`", f"{profile.ros} {profile.distribution}", f"{topics['velocity']} {kind}", *shown, limits]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
 def pages() -> dict[Path, str]:
     """What the pages should be."""
-    return {DOCS / "help.md": help_page(), DOCS / "experiment.md": experiment_page()}
+    made = {"help.md": help_page(), "experiment.md": experiment_page(), "profiles.md": profiles_page()}
+    return {DOCS / name: text for name, text in made.items()}
 
 
 if __name__ == "__main__":

@@ -86,7 +86,7 @@ class Node:
             session.liveliness().declare_token(f"{self._self}/0/NN/%/%/{name}"),
         ]
 
-    def publisher(self, topic: str, kind: str, *, reliable: bool = True) -> "Publisher":
+    def publisher(self, topic: str, kind: str, *, reliable: bool = True) -> Publisher:
         """Publish a topic.
 
         Args:

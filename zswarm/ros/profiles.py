@@ -54,7 +54,10 @@ class Profile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     frame_prefix: Annotated[str, Meta(description="before frames of a robot among several", max_length=200)] = ""
     speed: Annotated[Positive, Meta(description="m/s that its base takes at most")]
     turn: Annotated[Positive, Meta(description="rad/s that its base takes at most")]
-    watchdog_s: Annotated[Positive, Meta(description="s without a scan after which a robot is stopped")] = 1.0
+    watchdog_s: Annotated[
+        Positive,
+        Meta(description="s after which a robot that hears no scan is stopped, and one in a simulation that hears no velocity"),
+    ] = 1.0
     velocity: VelocityTopic
     scan: Topic
     odometry: Topic
