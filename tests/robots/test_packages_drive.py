@@ -224,6 +224,44 @@ def alone(built: Built) -> Iterator[tuple[Robot, subprocess.Popen[str]]]:
         yield Robot(link), node
 
 
+STAMPED = """
+description = "velocities with a stamp"
+ros = 1
+distribution = "noetic"
+speed = 0.3
+turn = 2.0
+
+[velocity]
+name = "cmd_vel"
+stamped = true
+frame = 'base "link"'
+
+[scan]
+name = "scan"
+
+[odometry]
+name = "odom"
+"""
+
+
+@pytest.mark.parametrize("name", ["cmake", "ros2", "zenoh"])
+def test_velocities_are_stamped_where_the_profile_says_so(tmp_path: Path, name: str) -> None:
+    """And never greater than the profile's, which are below those of evolution."""
+    profile = "turtlebot3-jazzy"
+    if name == "cmake":
+        profile = str(tmp_path / "own.toml")
+        Path(profile).write_text(STAMPED)
+    target = TARGETS[name]._replace(profile=profile)
+    built = build(target, target.make(CONTROLLER, "of_a_test", profile), tmp_path)
+    limits = profiles.read(profile)
+    with alone(built) as (robot, _):
+        came = robot.sense(1.0)
+        assert came
+        assert all(velocity.stamp_ns > 1e18 for velocity in came)  # the time of this machine
+        assert 0 < max(abs(velocity.linear) for velocity in came) <= limits.speed
+        assert max(abs(velocity.angular) for velocity in came) <= limits.turn
+
+
 @pytest.mark.parametrize("name", TARGETS)
 def test_a_robot_stops_when_its_sensors_fall_silent(packages: Callable[[str], Built], name: str) -> None:
     """It drives by what it senses, stops within the watchdog's time, drives again, and stands when its program ends."""

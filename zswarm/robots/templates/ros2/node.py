@@ -15,12 +15,15 @@ import rclpy
 from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import LaserScan
 
 from . import driving, robot, settings
+
+LOOK_S = 0.1  # between two looks whether it is to end
+LEAVE_S = 0.2  # for the last message to go out
 
 
 class Node:
@@ -95,31 +98,28 @@ def _stamp_ns(message):
     return message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
 
 
-def _end(_signal, _frame):
-    raise KeyboardInterrupt
-
-
 def main():
     """Drive until Ctrl-C or SIGTERM; the robot stands then."""
+    ended = []  # by which signals; rclpy's own handlers would close ROS before the robot is told to stop
     rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
-    signal.signal(signal.SIGTERM, _end)
-    signal.signal(signal.SIGINT, _end)
-    node = rclpy.create_node("drive")
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda number, _: ended.append(number))
+    node, executor = rclpy.create_node("drive"), SingleThreadedExecutor()
+    executor.add_node(node)
     here = None
     try:
         here = Node(node)
-        rclpy.spin(node)
+        while not ended:
+            executor.spin_once(timeout_sec=LOOK_S)
     except (ValueError, driving.Blind) as error:
         node.get_logger().fatal(str(error))
         return 1
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
     finally:
-        if here is not None and not here.lock_step and rclpy.ok():
+        if here is not None and not here.lock_step:
             here.send(driving.STOP)
-            time.sleep(0.2)
+            time.sleep(LEAVE_S)
         node.destroy_node()
-        rclpy.try_shutdown()
+        rclpy.shutdown()
     return 0
 
 
