@@ -22,6 +22,7 @@ pytestmark = pytest.mark.robots
 MESSAGES = 1000
 ROBOTS = 4
 TIMEOUT_S = 60
+STAGE = profiles.read("turtlebot2-stage")
 GOLDEN = Path(__file__).parents[1] / "golden" / "ros2_bytes.json"
 HOLDER = """
 import sys
@@ -146,6 +147,7 @@ def test_nothing_is_left_when_whoever_has_the_link_is_killed(here: graph.Graph) 
     assert holder.stdout.readline() == "there\n"
     started = below(holder.pid)
     assert started
+    assert not any("/dev/shm/" in Path(f"/proc/{child}/maps").read_text() for child in started)  # noqa: S108  nor there
     holder.kill()
     holder.wait()
     holder.stdout.close()
@@ -160,6 +162,22 @@ def test_a_master_that_does_not_answer_is_told() -> None:
     nowhere = graph.Graph(link="rospy", master="http://127.0.0.1:9")
     with pytest.raises(ConfigError, match=r"^no ROS master answers at http://127\.0\.0\.1:9: start one \(roscore\)"):
         Link(nowhere, profiles.read("stageros"), robots=1, side="controllers")
+
+
+def test_a_service_without_arguments_begins_a_trial() -> None:
+    """As Stage's reset_positions: of the seed nothing arrives."""
+    need("rospy")
+    with (
+        graph.private("rospy") as here,
+        Link(here, STAGE, robots=2, side="controllers", channels=("reset",)) as controllers,
+    ):
+        with pytest.raises(EvaluationError, match=r"^nobody subscribes to /reset_positions after 0.1 s$"):
+            controllers.ready(0.1)
+        with Link(here.dialled(), STAGE, robots=2, side="simulation", channels=("reset",)) as simulation:
+            controllers.ready(TIMEOUT_S)
+            simulation.ready(TIMEOUT_S)
+            controllers.send([Reset(seed=7), Reset(seed=8)])
+            assert received(simulation, 2) == [Reset(seed=0), Reset(seed=0)]
 
 
 def test_bytes_and_hashes_are_still_those_of_ros_2() -> None:

@@ -127,7 +127,8 @@ def test_a_python_that_is_not_there_is_told(monkeypatch: pytest.MonkeyPatch) -> 
 def test_two_private_domains_differ() -> None:
     with graph.private("rclpy") as one, graph.private("rclpy") as other:
         assert one.domain != other.domain
-        assert one.environment("kilted") == {"ROS_DOMAIN_ID": str(one.domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+        expected = {"ROS_DOMAIN_ID": str(one.domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+        assert one.environment("kilted").items() >= expected.items()
         assert one.environment("humble")["ROS_LOCALHOST_ONLY"] == "1"
 
 

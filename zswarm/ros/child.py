@@ -48,15 +48,13 @@ class Child:
         """
         self._name = name
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115  closed with the child
-        self._logs = tempfile.TemporaryDirectory(prefix="zswarm-ros-")
-        logs = {"ROS_LOG_DIR": self._logs.name, "ROS_HOME": self._logs.name}
         try:
             self._process = subprocess.Popen(
-                command, env={**os.environ, **logs, **environment}, process_group=0, bufsize=0,
+                command, env={**os.environ, **environment}, process_group=0, bufsize=0,
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._errors,
             )  # fmt: skip
         except OSError as error:
-            self._forget()
+            self._errors.close()
             raise ConfigError(f"{command[0]} cannot be started for {name}: {error.strerror}") from None
         assert self._process.stdin and self._process.stdout  # noqa: S101, PT018  pipes, as asked for
         self._input, self._output = self._process.stdin.fileno(), self._process.stdout.fileno()
@@ -125,11 +123,7 @@ class Child:
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
-        self._forget()
-
-    def _forget(self) -> None:
         self._errors.close()
-        self._logs.cleanup()
 
     def _read(self) -> None:
         try:

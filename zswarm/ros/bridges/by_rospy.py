@@ -28,6 +28,8 @@ def main() -> None:
     warnings.simplefilter("ignore", SyntaxWarning)  # of a publisher without a queue
     if any(topic["type"] == frames.CLOCKS and topic["publish"] for topic in set_up["topics"]):
         rospy.set_param("/use_sim_time", True)
+    rospy.impl.simtime.init_simtime = no_time
+    rospy.core.configure_logging = lambda *_: None  # no files: what goes wrong goes to standard error
     rospy.init_node(set_up["node"], anonymous=True, disable_signals=True, log_level=rospy.ERROR)
     conversion = Conversion(lambda name: kind(name)(), stamp=("secs", "nsecs"))
     sending, connected = {}, []
@@ -60,6 +62,14 @@ def check(set_up: dict[str, Any]) -> None:
             importlib.import_module("std_srvs.srv")
         except ImportError:
             frames.refuse(NO_SERVICES)
+
+
+def no_time() -> bool:
+    """A bridge asks nobody what time it is; rospy would hear /clock for that, and keep the last of several alone."""
+    import rospy
+
+    rospy.rostime.set_rostime_initialized(True)
+    return True
 
 
 def kind(name: str) -> Any:
