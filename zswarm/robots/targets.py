@@ -29,7 +29,7 @@ class Target(NamedTuple):
 
 
 TARGETS = {
-    "c99": Target("zswarm.robots.c99:pair", "cc -std=c99 -O2 -Wall -c {name}.c"),
+    "c99": Target("zswarm.robots.c99:pair", "cc -std=c99 -O2 -D{macro}_MAIN {name}.c -lm -o {name} && ./{name}"),
     "json": Target("zswarm.robots.json_file:as_json", "python3 -m json.tool {name}.json"),
     "onnx": Target("zswarm.robots.onnx_file:model", "python3 -m onnx.checker {name}.onnx"),
     "python": Target("zswarm.robots.python_file:python", "python3 {name}.py"),
