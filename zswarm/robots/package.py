@@ -159,7 +159,7 @@ def c_files(robot: Robot, known: dict[str, str], folder: str) -> Files:
     """The robot in C99: controller, observation, command."""
     pair = c99.pair(robot.controller, robot.name.removeprefix("zs_"))
     checks = drive_steps(robot.controller, robot.interface, robot.speed, robot.turn)
-    known = known | translate.functions(KERNELS, "interface")._asdict()
+    known = known | translate.functions(KERNELS, "interface")._asdict() | {"guards": c99.GUARDS}
     known |= {f"check_{what}": c_rows(rows) for what, rows in checks._asdict().items()}
     files = pair | {path: fill(f"c/{path}", known) for path in ("interface.h", "interface.c", "robot.h", "robot.c")}
     return {f"{folder}/{path}": text for path, text in files.items()}

@@ -1,3 +1,4 @@
 #include "interface.h"
 
+@{guards}
 @{definitions}
