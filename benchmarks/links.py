@@ -1,6 +1,7 @@
 """How long a lock-step takes through each link to ROS: scans and poses of all robots out, their velocities back.
 
-Both sides are programs of their own, each with its bridge. Prints the table of docs/profiles.md; links whose ROS is not there are left out.
+Both sides are programs of their own, each with its bridge. Prints the table of docs/profiles.md; a link whose ROS is not there is
+left out.
 """
 
 import argparse
@@ -37,7 +38,7 @@ def main() -> None:
         return
     machine.warn_if_busy()
     print("| link | " + " | ".join(f"{robots} robots" if robots > 1 else "1 robot" for robots in ROBOTS) + " |")
-    print("| --- | " + "--- | " * len(ROBOTS))
+    print("| --- " * (1 + len(ROBOTS)) + "|")
     for link in LINKS:
         try:
             print(

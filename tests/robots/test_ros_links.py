@@ -140,17 +140,15 @@ def test_a_bridge_that_is_killed_is_named_and_another_begins(here: graph.Graph) 
 
 
 def test_nothing_is_left_when_whoever_has_the_link_is_killed(here: graph.Graph) -> None:
-    holder = subprocess.Popen(
-        [sys.executable, "-c", HOLDER, here.link, profile(here.link)], stdout=subprocess.PIPE, text=True
-    )  # fmt: skip
-    assert holder.stdout
-    assert holder.stdout.readline() == "there\n"
-    started = below(holder.pid)
-    assert started
-    assert not any("/dev/shm/" in Path(f"/proc/{child}/maps").read_text() for child in started)  # noqa: S108  nor there
-    holder.kill()
-    holder.wait()
-    holder.stdout.close()
+    holding = [sys.executable, "-c", HOLDER, here.link, profile(here.link)]
+    with subprocess.Popen(holding, stdout=subprocess.PIPE, text=True) as holder:
+        try:
+            assert holder.stdout
+            assert holder.stdout.readline() == "there\n"
+            started = below(holder.pid)
+            assert started
+        finally:
+            holder.kill()
     deadline = time.monotonic() + TIMEOUT_S
     while any(alive(child) for child in started):
         assert time.monotonic() < deadline, [command(child) for child in started if alive(child)]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import zenoh
 
-from zswarm.ros import bridges
+from zswarm.ros import bridges, graph
 from zswarm.ros.over_zenoh import ATTACHMENT, Node, open_session
 
 sys.path.append(str(Path(bridges.__file__).parent))  # its programs import each other so, in other Pythons
@@ -23,6 +23,7 @@ from conversion import Conversion  # type: ignore[import-not-found]
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "ros2_bytes.json").read_text())  # robots/ros2_bytes.py made it
 TOPIC = {"frame": "robot_1/ray", "child_frame": "robot_1/hub"}
 TWIST = "geometry_msgs/msg/Twist"
+LITTLE_ENDIAN_CDR = b"\x00\x01\x00\x00"
 TIMEOUT_S = 20
 
 
@@ -41,6 +42,29 @@ def test_bytes_and_hashes_are_those_of_ros_2(kind: str, node: Node) -> None:
     assert node.store.hash_rihs01(spelled(kind)) == known["hash"]
     back = node.store.deserialize_cdr(bytes.fromhex(known["cdr"]), spelled(kind))
     assert conversion.body(kind)(back).hex() == known["body"]
+
+
+def test_numbers_stand_where_ros_looks_for_them(node: Node) -> None:
+    """Poses in metres, the quaternion's z and w, velocities ahead and to the left; stamps in seconds and nanoseconds."""
+
+    def message(kind: str) -> Any:
+        return node.store.deserialize_cdr(bytes.fromhex(GOLDEN[kind]["cdr"]), spelled(kind))
+
+    odometry = message("nav_msgs/Odometry")
+    place, speed = odometry.pose.pose, odometry.twist.twist
+    assert (place.position.x, place.position.y, place.orientation.z, place.orientation.w) == (0.1, -2.5, 0.6, 0.8)
+    assert (speed.linear.x, speed.angular.z) == (0.22, -1 / 3)
+    assert (odometry.header.frame_id, odometry.child_frame_id) == ("robot_1/ray", "robot_1/hub")
+    scan = message("sensor_msgs/LaserScan")
+    assert (scan.header.stamp.sec, scan.header.stamp.nanosec) == (1_234_567_890, 123_456_789)
+    assert (scan.angle_min, scan.angle_max, scan.range_min, scan.range_max) == (-1.5, 1.5, 0.0, 4.0)
+    assert scan.angle_increment == np.float32(0.1)
+    assert scan.ranges[3] == 3.25
+    stamped = message("geometry_msgs/TwistStamped")
+    assert (stamped.header.stamp.sec, stamped.header.stamp.nanosec) == (2, 999_999_999)
+    assert (stamped.twist.linear.x, stamped.twist.angular.z) == (0.1, -2.84)
+    assert message("rosgraph_msgs/Clock").clock.sec == 60
+    assert message("std_msgs/UInt64").data == 2**64 - 1
 
 
 def test_a_key_has_domain_topic_type_and_hash(node: Node) -> None:
@@ -66,7 +90,11 @@ def test_an_unknown_distribution_is_named() -> None:
 def test_others_see_who_is_there_and_what_was_sent_is_numbered() -> None:
     """A session that knows nothing of nodes reads tokens, keys and attachments as rmw_zenoh's design has them."""
     samples: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
-    with open_session([], ["tcp/127.0.0.1:27447"]) as watching, open_session(["tcp/127.0.0.1:27447"], []) as session:
+    with (
+        graph.private("zenoh") as here,
+        open_session([], here.connect) as watching,
+        open_session(here.connect, []) as session,
+    ):
         node = Node(session, "robot", domain=7)
         watching.declare_subscriber("7/**", samples.put)
         publisher = node.publisher("/robot_1/cmd_vel", TWIST, reliable=False)
@@ -92,15 +120,19 @@ def test_others_see_who_is_there_and_what_was_sent_is_numbered() -> None:
         assert wait_for_tokens(watching, 0) == []
 
 
-def test_what_is_no_message_is_dropped() -> None:
+@pytest.mark.parametrize("body", [b"", b"hello", LITTLE_ENDIAN_CDR, LITTLE_ENDIAN_CDR + bytes(47), LITTLE_ENDIAN_CDR + bytes(64)])
+def test_what_is_no_message_is_dropped(body: bytes, capfd: pytest.CaptureFixture[str]) -> None:
+    """Without a word: anybody may send anything."""
     came: queue.SimpleQueue[Any] = queue.SimpleQueue()
     with open_session([], []) as session:
         node = Node(session, "robot")
         node.subscribe("/cmd_vel", TWIST, came.put)
-        session.put(node.key("/cmd_vel", TWIST), b"hello")
-        node.publisher("/cmd_vel", TWIST).publish(empty(node.store, TWIST))
-        assert came.get(timeout=TIMEOUT_S).linear.x == 0.0
-        assert came.empty()
+        session.put(node.key("/cmd_vel", TWIST), body)
+        message = empty(node.store, TWIST)
+        message.linear.x = 1.0
+        node.publisher("/cmd_vel", TWIST).publish(message)
+        assert came.get(timeout=TIMEOUT_S).linear.x == 1.0  # the first that came
+    assert capfd.readouterr() == ("", "")
 
 
 def wait_for_tokens(session: zenoh.Session, count: int) -> list[str]:

@@ -6,6 +6,7 @@ process dies; and is killed if it takes long.
 
 import collections
 import contextlib
+import functools
 import json
 import os
 import select
@@ -162,12 +163,12 @@ def command(program: str, library: str) -> list[str]:
     return [python, str(FOLDER / f"{program}.py")]
 
 
+@functools.cache
 def _python_with(library: str) -> str:
-    """The first of this Python, the one on the path and the system's that has a library."""
-    look = f"import importlib.util, sys; sys.exit(importlib.util.find_spec({library!r}) is None)"
+    """The first of this Python, the one on the path and the system's that has a library, and can load it."""
     candidates = (sys.executable, "python3", "/usr/bin/python3")
     for python in candidates:
         with contextlib.suppress(OSError):
-            if subprocess.run([python, "-c", look], capture_output=True, check=False).returncode == 0:
+            if subprocess.run([python, "-c", f"import {library}"], capture_output=True, check=False).returncode == 0:
                 return python
     return candidates[-1]

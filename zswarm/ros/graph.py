@@ -1,7 +1,6 @@
 """Which ROS graph a program is in: a master, a domain, or Zenoh endpoints; and private ones for a simulation of one's own."""
 
 import contextlib
-import os
 import socket
 from collections.abc import Iterator
 from typing import Annotated, Literal
@@ -40,9 +39,6 @@ class Graph(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
             return {}
         found = {"ROS_DOMAIN_ID": str(self.domain)}
         if self.local:
-            found["FASTDDS_BUILTIN_TRANSPORTS"] = os.environ.get(
-                "FASTDDS_BUILTIN_TRANSPORTS", "UDPv4"
-            )  # memory shared outlives a kill
             older = distribution in BEFORE_RANGES
             found |= {"ROS_LOCALHOST_ONLY": "1"} if older else {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
         return found

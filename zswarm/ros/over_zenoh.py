@@ -19,11 +19,11 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import zenoh
+from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
 ROUTER = "tcp/127.0.0.1:7447"  # where rmw_zenohd listens
 ATTACHMENT = struct.Struct("<qqB16s")  # number, time in ns, length of the name, name of the publisher
-LITTLE_ENDIAN_CDR = b"\x00\x01\x00\x00"  # how each message begins
 HASHLESS = ("humble",)  # distributions without hashes of types
 NO_HASH = "TypeHashNotSupported"
 RELIABLE, BEST_EFFORT = "", "2"  # in a token; the first is the default
@@ -107,9 +107,11 @@ class Node:
         """
 
         def taken(sample: zenoh.Sample) -> None:
-            body = sample.payload.to_bytes()
-            if body.startswith(LITTLE_ENDIAN_CDR):
-                callback(self.store.deserialize_cdr(body, kind))
+            try:
+                message = self.store.deserialize_cdr(sample.payload.to_bytes(), kind)
+            except SerdeError:
+                return
+            callback(message)
 
         self._declared += [
             self._session.declare_subscriber(self.key(topic, kind), taken),
