@@ -1,16 +1,26 @@
 """C, compiled and loaded: what tests call of it."""
 
 import ctypes
+import shutil
 import subprocess
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic")
 
 
+def require(*programs: str) -> None:
+    """Skip the test where one of them is not there."""
+    for name in programs:
+        if shutil.which(name) is None:
+            pytest.skip(f"no {name} on this machine")
+
+
 def library(sources: dict[str, str], folder: Path, *flags: str, compiler: str = "gcc") -> ctypes.CDLL:
     """Sources and headers, by their names, as one shared library; warnings are errors."""
+    require(compiler)
     for name, text in sources.items():
         (folder / name).write_text(text, "ascii")
     made = folder / "compiled.so"

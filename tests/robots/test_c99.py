@@ -1,26 +1,33 @@
 """A controller's C99 pair decides as the controller does, bit for bit, and is C that strict compilers take."""
 
 import ctypes
+import os
 import re
 import subprocess
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
-from compiled import STRICT, decisions, library
+from compiled import STRICT, decisions, library, require
 from controllers import KINDS, controller, named, observed
+from documents import REPOSITORY
 
+from zswarm import plugins
 from zswarm.controller import Controller
+from zswarm.errors import ConfigError
 from zswarm.robots.c99 import pair
 from zswarm.robots.original import sha256
 
+PAGE = REPOSITORY / "docs" / "representations.md"
 STEPS = 60
 INPUTS, OUTPUTS = 4, 3
 
 
 def stem(number: int) -> str:
-    return f"zs_{number:02}"
+    return f"zs_k{number:02}"
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +40,7 @@ def loaded(controllers: list[Controller], tmp_path_factory: pytest.TempPathFacto
     """All of them, compiled together."""
     sources: dict[str, str] = {}
     for number, evolved in enumerate(controllers):
-        sources |= pair(evolved, f"{number:02}")
+        sources |= pair(evolved, f"k{number:02}")
     return library(sources, tmp_path_factory.mktemp("pairs"), "-O2")
 
 
@@ -64,6 +71,7 @@ def test_a_self_test_fails_where_a_number_differs_in_its_last_bit(kind: str, tmp
 
 
 def test_the_source_is_a_program_that_checks_itself(tmp_path: Path) -> None:
+    require("gcc")
     files = pair(controller("fully-meshed"), "night")
     wrong = files["zs_night.c"].replace("zs_night_states[16] = {\n    ", "zs_night_states[16] = {\n    1U + ")
     for text, code in ((files["zs_night.c"], 0), (wrong, 1)):
@@ -80,8 +88,8 @@ def test_the_self_test_can_be_left_out(tmp_path: Path) -> None:
 
 
 def test_the_same_controller_gives_the_same_text() -> None:
-    for kind in KINDS:
-        assert pair(controller(*kind), "night") == pair(controller(*kind), "night")
+    for kind in plugins.BUNDLED["representation"]:
+        assert pair(controller(kind), "night") == pair(controller(kind), "night")
 
 
 def test_the_header_says_what_it_is() -> None:
@@ -113,6 +121,52 @@ def test_only_what_is_used_is_written() -> None:
     assert not re.search(r"\b(malloc|printf|stdio|static (?!const)\w+ \w+( =|;))", clamp + sigmoid)
 
 
+@pytest.fixture
+def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str, str], Controller]]:
+    """A controller of the plug-in that docs/representations.md shows, of which one text is replaced by another."""
+    (code,) = re.findall(r"`zswarm_linear.py`:\n\n```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setitem(plugins.BUNDLED["representation"], "linear", "zswarm_linear:Linear")
+
+    def made(old: str, new: str) -> Controller:
+        assert old in code
+        (tmp_path / "zswarm_linear.py").write_text(code.replace(old, new), encoding="utf-8")
+        plugins._installed.cache_clear()
+        return controller("linear", inputs=INPUTS, outputs=OUTPUTS)
+
+    yield made
+    sys.modules.pop("zswarm_linear", None)
+    monkeypatch.undo()
+    plugins._installed.cache_clear()
+
+
+def test_a_plugin_is_translated_too(plugin: Callable[[str, str], Controller], tmp_path: Path) -> None:
+    """One without a state, here."""
+    evolved = plugin("ZERO", "ZERO")
+    made = library(pair(evolved, "night"), tmp_path, "-O2")
+    assert made.zs_night_selftest() == 0
+    seen, driver = observed(INPUTS, STEPS), evolved.driver()
+    seen[7, 1], seen[9, 2] = np.inf, -np.inf
+    assert decisions(made, "zs_night", seen, OUTPUTS, 1) == [driver.act(row).tobytes().hex() for row in seen]
+
+
+def test_a_plugin_that_c_cannot_say_is_refused_in_a_line(plugin: Callable[[str, str], Controller]) -> None:
+    evolved = plugin("min(max(total, ZERO), ONE)", "np.minimum(total, ONE)")
+    with pytest.raises(ConfigError, match=r"^zswarm_linear\.py, line \d+: cannot be said in C: `np\.minimum`$"):
+        pair(evolved, "night")
+
+
+def test_it_is_written_without_the_compiler_too() -> None:
+    """By programs that evaluate nothing."""
+    code = (
+        "from controllers import controller; from zswarm.robots.c99 import pair; import sys; "
+        "sys.stdout.write(pair(controller('ctrnn'), 'night')['zs_night.c']); assert 'numba' not in sys.modules"
+    )
+    environment = {**os.environ, "ZSWARM_PLAIN": "1", "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment)
+    assert (done.stdout, done.stderr) == (pair(controller("ctrnn"), "night")["zs_night.c"], "")
+
+
 HOSTILE = ["*/ int x; /*", "??/", "\\", 'a"b', "%s%n", "\N{SNOWMAN} \x07 \n#error no", "", "int", "a" * 200, "// \\\n", "\ud800"]
 
 
@@ -130,8 +184,10 @@ def test_hostile_names_stay_words(tmp_path: Path) -> None:
         files = pair(evolved, name)
         assert all(re.fullmatch(r"zs_[a-z0-9_]+\.[ch]", file) and text.isascii() for file, text in files.items())
         (tmp_path / str(number)).mkdir()
-        made = library(files, tmp_path / str(number), "-trigraphs")
-        assert getattr(made, f"{next(iter(files))[:-2]}_selftest")() == 0
+        for file, text in files.items():
+            (tmp_path / str(number) / file).write_text(text)
+    require("gcc")
+    subprocess.run(["gcc", *STRICT, "-trigraphs", "-fsyntax-only", *tmp_path.glob("*/*.c")], check=True)
 
 
 def test_a_string_of_c_is_the_name_that_was_given(tmp_path: Path) -> None:
@@ -147,6 +203,7 @@ def test_a_string_of_c_is_the_name_that_was_given(tmp_path: Path) -> None:
 
 
 def test_the_header_is_for_cplusplus_too(tmp_path: Path) -> None:
+    require("gcc", "g++")
     files = pair(controller("fully-meshed"), "night")
     (tmp_path / "main.cpp").write_text(
         '#include "zs_night.h"\nint main() { zs_night_state s; zs_night_reset(&s); return zs_night_selftest(); }\n'
@@ -159,8 +216,9 @@ def test_the_header_is_for_cplusplus_too(tmp_path: Path) -> None:
     assert subprocess.run([tmp_path / "main"], check=False).returncode == 0
 
 
-@pytest.mark.parametrize("flag", ["-ffast-math", "-Ofast", "-mfpmath=387"])
+@pytest.mark.parametrize("flag", ["-ffast-math", "-Ofast", "-ffinite-math-only", "-mfpmath=387"])
 def test_flags_that_change_decisions_are_refused(flag: str, tmp_path: Path) -> None:
+    require("gcc")
     for name, text in pair(controller("fully-meshed"), "night").items():
         (tmp_path / name).write_text(text)
     command = ["gcc", "-std=gnu11", flag, "-c", "-o", tmp_path / "c.o", tmp_path / "zs_night.c"]

@@ -1,13 +1,12 @@
 """The C99 pair has the same bits by every compiler, at every level, on other processors, with and without its flag."""
 
 import re
-import shutil
 import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
-from compiled import STRICT
+from compiled import STRICT, require
 from controllers import KINDS, controller, observed
 
 from zswarm import plugins
@@ -50,11 +49,11 @@ PLAY = """    {{
         failed += zs_{n}_selftest() != 0;
         zs_{n}_reset(&state);
         for (int step = 0; step < {steps}; step++) {{
-            if (fread(seen, 4, ZS_{n}_INPUTS, stdin) != ZS_{n}_INPUTS) {{
+            if (fread(seen, 4, ZS_{upper}_INPUTS, stdin) != ZS_{upper}_INPUTS) {{
                 return 99;
             }}
             zs_{n}_step(&state, seen, done);
-            (void)fwrite(done, 4, ZS_{n}_OUTPUTS, stdout);
+            (void)fwrite(done, 4, ZS_{upper}_OUTPUTS, stdout);
         }}
     }}
 """
@@ -64,14 +63,14 @@ def program(controllers: list[Controller], folder: Path) -> tuple[bytes, np.ndar
     """A program that plays them all, in a folder; what it reads, and what it must write."""
     read, expected, names = [], [], []
     for number, evolved in enumerate(controllers):
-        names.append(f"{number:03}")
+        names.append(f"k{number:03}")
         for file, text in pair(evolved, names[-1]).items():
             (folder / file).write_text(text)
         seen, driver = observed(evolved.inputs, STEPS, seed=number), evolved.driver()
         read.append(seen.tobytes())
         expected += [driver.act(row).copy() for row in seen]
     includes = "\n".join(f'#include "zs_{name}.h"' for name in names)
-    plays = "".join(PLAY.format(n=name, steps=STEPS) for name in names)
+    plays = "".join(PLAY.format(n=name, upper=name.upper(), steps=STEPS) for name in names)
     (folder / "main.c").write_text(MAIN.format(includes=includes, plays=plays))
     return b"".join(read), canonical(np.concatenate(expected))
 
@@ -90,12 +89,6 @@ def played(folder: Path, way: tuple[str, ...], read: bytes) -> tuple[int, np.nda
     start = QEMU.get(way[0].split("-")[0], ())
     out = subprocess.run([*start, made], input=read, capture_output=True, check=False)
     return out.returncode, canonical(np.frombuffer(out.stdout, np.float32))
-
-
-def require(*programs: str) -> None:
-    for name in programs:
-        if shutil.which(name) is None:
-            pytest.skip(f"no {name} on this machine")
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +121,7 @@ def test_without_its_guard_a_compiler_joins_products_and_sums_and_the_self_test_
     """So the other tests can fail: statements of their own are not enough for GCC in its own dialect."""
     require(ARM64[0], "qemu-aarch64")
     read, expected = program([controller("fully-meshed", {"activation": "tanh"}, seed=1)], tmp_path)
-    source = tmp_path / "zs_000.c"
+    source = tmp_path / "zs_k000.c"
     assert GUARDS in source.read_text()
     source.write_text(source.read_text().replace(GUARDS, ""))
     failed, bits = played(tmp_path, (*ARM64, *LOOSE), read)
@@ -147,7 +140,7 @@ def test_no_required_rule_of_misra_c_is_broken(tmp_path: Path) -> None:
     """As far as cppcheck's add-on looks."""
     require("cppcheck")
     for number, kind in enumerate(plugins.BUNDLED["representation"]):
-        for file, text in pair(controller(kind), f"{number:02}").items():
+        for file, text in pair(controller(kind), f"k{number:02}").items():
             (tmp_path / file).write_text(text)
     command = ["cppcheck", "--addon=misra", "--std=c99", "--suppress=missingIncludeSystem", "--enable=style", "--quiet"]
     done = subprocess.run([*command, *sorted(tmp_path.glob("*.c"))], cwd=tmp_path, capture_output=True, text=True, check=False)

@@ -275,6 +275,24 @@ def halves(numbers, found):
     found[1] = len(numbers)
 
 
+def drawn(state, bound):
+    """What is drawn and not used has been drawn."""
+    first = draws.draw_integer(state, bound)
+    for _ in range(2):
+        second = draws.draw_integer(state, bound)  # noqa: F841
+        first, third = both(state, bound)  # noqa: RUF059
+    return draws.draw_integer(state, bound)
+
+
+def both(state, bound):
+    first = draws.draw_integer(state, bound)
+    return first, draws_left(bound)
+
+
+def draws_left(bound):
+    return bound * 0.5
+
+
 @inline
 def eights(numbers, at):
     """Numbers that are written where others are still to be read."""
@@ -294,6 +312,7 @@ def test_arrays_are_read_and_written_as_in_python(tmp_path: Path, flags: str) ->
         (halves, {"numbers": Array(FLOAT32, 9), "found": Array(FLOAT64)}),
         (eights, {"numbers": Array(FLOAT32), "at": INT64}),
         (draws.draw_integer, {"state": Array(UINT64), "bound": INT64}),
+        (drawn, {"state": Array(UINT64), "bound": INT64}),
     ]
     made = compiled(wanted, tmp_path, flags)
     made.zs_eights.argtypes = [ctypes.c_void_p, ctypes.c_int64]
@@ -307,6 +326,8 @@ def test_arrays_are_read_and_written_as_in_python(tmp_path: Path, flags: str) ->
         made.zs_eights(floats(theirs), seed % 9)
         assert found.tolist() == expected.tolist()
         assert theirs.tobytes() == ours.tobytes()
+    made.zs_drawn.argtypes, made.zs_drawn.restype = [ctypes.c_void_p, ctypes.c_int64], ctypes.c_int64
+    assert made.zs_drawn(floats(np.array([7], np.uint64)), 1000) == Stream(7).integers(1000, 6)[-1]
     state, stream = np.array([7], np.uint64), Stream(7)
     assert [made.zs_draw_integer(floats(state), 1000) for _ in range(50)] == [stream.integer(1000) for _ in range(50)]
 
@@ -420,6 +441,15 @@ def with_a_far_place(x):
     return TABLE[4] + x
 
 
+def nothing(x):
+    return
+
+
+def with_nothing(x):
+    x2 = nothing(x)
+    return x + x2
+
+
 def with_a_class(x):
     return Stream(int(x)).integer(3)
 
@@ -445,6 +475,7 @@ REFUSED = [
     (with_what_is_not_there, "`nowhere` is not known"),
     (with_a_table_changed, "`TABLE`, a constant, is changed"),
     (with_a_far_place, "number 4 of 4"),
+    (with_nothing, "`nothing(x)`, which gives nothing"),
     (with_a_class, "`Stream(int(x))` is not known"),
 ]
 

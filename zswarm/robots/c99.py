@@ -64,8 +64,8 @@ int zs_{name}_selftest(void);
 """
 
 GUARDS = """/* Every operation rounds once, as written: no compiler may join a product and a sum, or compute in other types. */
-#if defined(__FAST_MATH__)
-#error "compile without -ffast-math and -Ofast: they change what the controller decides"
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && (__FINITE_MATH_ONLY__ != 0))
+#error "compile without -ffast-math, -Ofast and -ffinite-math-only: they change what the controller decides"
 #endif
 /* 16: float as float, and shorter types as themselves. */
 #if defined(FLT_EVAL_METHOD) && (FLT_EVAL_METHOD != 0) && (FLT_EVAL_METHOD != 16)

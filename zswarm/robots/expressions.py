@@ -142,6 +142,8 @@ class Expressions(Operations):
         if not self.unit.is_own(function):
             raise self.refusal(node, f"`{ast.unparse(node.func):.60}`")
         value, changes = self.call_own(node, function)
+        if value.type is None:
+            raise self.refusal(node, f"`{ast.unparse(node):.60}`, which gives nothing")
         if changes:
             raise self.refusal(node, f"`{ast.unparse(node):.60}` changes arrays within an expression: give it a line")
         return value

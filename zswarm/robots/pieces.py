@@ -1,7 +1,7 @@
 """What C is made of on its way: values, lines and blocks, and the few functions that C lacks."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from zswarm.robots.c_types import Array, Lanes, Scalar, Together, Type
@@ -81,14 +81,16 @@ class Piece:
     """A line of C, or the head of a block.
 
     Attributes:
-        sets: the local that it sets, and does nothing else.
+        sets: the local that it sets; without readers of that local it is left out.
         once: that local is read once, by what comes next.
+        changes: what it computes changes arrays, too, which is not left out.
     """
 
     text: str
     body: "list[Piece] | None" = None
     sets: str = ""
     once: bool = False
+    changes: bool = False
 
 
 @dataclass
@@ -165,11 +167,13 @@ def without_idle(pieces: list[Piece]) -> list[Piece]:
 
 
 def _dropped(pieces: list[Piece], idle: set[str]) -> list[Piece]:
-    return [
-        Piece(each.text, None if each.body is None else _dropped(each.body, idle), each.sets)
-        for each in pieces
-        if each.sets not in idle
-    ]
+    kept = []
+    for each in pieces:
+        if each.sets not in idle:
+            kept.append(replace(each, body=None if each.body is None else _dropped(each.body, idle)))
+        elif each.changes:
+            kept.append(Piece(f"(void){each.text.split(' = ', 1)[1]}"))
+    return kept
 
 
 def _all(pieces: list[Piece]) -> list[Piece]:

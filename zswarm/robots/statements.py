@@ -73,27 +73,29 @@ class Statements(Expressions):
 
     def _assign(self, node: ast.stmt, name: str, expression: ast.expr) -> None:
         with self.captured() as made:
-            value = self._right(expression)
+            value, changes = self._right(expression)
         if isinstance(value.type, Together):
             raise self.refusal(node, "a tuple as a variable; give each of its parts a name")
-        self._set(node, name, value, made)
+        self._set(node, name, value, made, changes=changes)
 
-    def _right(self, expression: ast.expr) -> Value:
-        """What is assigned or returned: here a call may change arrays, too."""
-        if isinstance(expression, ast.Call) and self._is_own(expression):
-            return self.call_own(expression, self.known(expression.func))[0]
-        return self.value(expression)
+    def _right(self, expression: ast.expr) -> tuple[Value, bool]:
+        """What is assigned or returned, and whether it changes arrays, too: here a call may."""
+        if not isinstance(expression, ast.Call) or not self._is_own(expression):
+            return self.value(expression), False
+        value, changes = self.call_own(expression, self.known(expression.func))
+        if value.type is None:
+            raise self.refusal(expression, f"`{ast.unparse(expression):.60}`, which gives nothing")
+        return value, changes
 
     def _is_own(self, call: ast.Call) -> bool:
-        """Whether a function of kernels is called."""
-        return (
-            isinstance(call.func, ast.Name)
-            and not call.keywords
-            and self.unit.is_own(self.known(call.func))
-            and not any(isinstance(each, ast.Starred) for each in call.args)
-        )
+        """Whether a function of kernels is called, by its name or that of its module and its."""
+        named = call.func.value if isinstance(call.func, ast.Attribute) else call.func
+        if not isinstance(named, ast.Name) or named.id in self.locals or named.id in self.constants:
+            return False
+        is_plain = not call.keywords and not any(isinstance(each, ast.Starred) for each in call.args)
+        return is_plain and self.unit.is_own(self.known(call.func))
 
-    def _set(self, node: ast.stmt, name: str, value: Value, made: list[Piece]) -> None:
+    def _set(self, node: ast.stmt, name: str, value: Value, made: list[Piece], *, changes: bool = False) -> None:
         """Give a variable its value, after what was made for it."""
         known = value.constant is not None and not isinstance(value.type, Lanes)
         if known and self.scope.is_set_once(name):
@@ -116,7 +118,7 @@ class Statements(Expressions):
         text = taken_back(self.cast(node, value, local.type), self.pieces)
         self.declared.add(name)
         type_ = "" if not declares else f"const {local.type.c} " if self.scope.is_set_once(name) else f"{local.type.c} "
-        self.pieces.append(Piece(f"{type_}{local.name} = {text};", sets=local.name))
+        self.pieces.append(Piece(f"{type_}{local.name} = {text};", sets=local.name, changes=changes))
 
     def _lane_loop(self, body: list[Piece], sets: str = "") -> Piece:
         return Piece(f"for (int {self.lane} = 0; {self.lane} < {LANES}; {self.lane}++)", body, sets)
@@ -164,11 +166,11 @@ class Statements(Expressions):
                 if {other.id for other in ast.walk(each) if isinstance(other, ast.Name)} & set(names[:index]):
                     values[index] = self._copied(values[index])
         elif isinstance(expression, ast.Call) and self._is_own(expression):
-            value = self._right(expression)
+            value, changes = self._right(expression)
             if not isinstance(value.type, Together) or len(value.type.of) != len(names):
                 raise self.refusal(node, f"`{ast.unparse(node):.60}`: a call that gives so many values")
             whole = self.new("t")
-            self.pieces.append(Piece(f"const {value.type.c} {whole} = {value.text};"))
+            self.pieces.append(Piece(f"const {value.type.c} {whole} = {value.text};", sets=whole, changes=changes))
             values = [Value(of, f"{whole}.{part}") for of, part in zip(value.type.of, value.type.names, strict=True)]
         else:
             raise self.refusal(node, f"`{ast.unparse(node):.60}`")
@@ -304,7 +306,7 @@ class Statements(Expressions):
         if isinstance(node.value, ast.Tuple):
             self._return_together(node, node.value)
             return
-        value = self._right(node.value)
+        value, _ = self._right(node.value)
         if not isinstance(value.type, Scalar):
             raise self.refusal(node, "a function that returns an array or lanes")
         of = value.type if self.result is None else joined(self.result, value.type) if isinstance(self.result, Scalar) else None

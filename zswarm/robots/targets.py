@@ -19,7 +19,8 @@ class Target(NamedTuple):
 
     Attributes:
         make: module and function that gives the files of a controller under a name.
-        on: the command that compiles, reads or checks them where they are, with the file's name for {name}.
+        on: the command that compiles, reads or checks them where they are, with the file's name for {name}, and the
+            same of C's macros for {macro}.
         driving: it drives a robot, of which it takes a profile.
     """
 
@@ -51,7 +52,7 @@ def known(target: str) -> None:
 
 def on(target: str, name: str, folder: Path) -> str:
     """What to type to compile, read or check the files of a controller that were written to a folder."""
-    return f"cd {shlex.quote(str(folder))} && {TARGETS[target].on.format(name=f'zs_{name}')}"
+    return f"cd {shlex.quote(str(folder))} && {TARGETS[target].on.format(name=f'zs_{name}', macro=f'ZS_{name.upper()}')}"
 
 
 def files(target: str, controller: Controller, name: str, profile: str | None = None) -> Files:

@@ -134,13 +134,9 @@ class Translation:
         text = "\n".join(rendered(without_idle(body.pieces), 1))
         read = [bool(re.search(rf"\b{identifier(each)}\b", text)) for each in arguments]
         takes = [at for at, value in enumerate(given) if value.constant is None and (public or read[at])]
-        if public:
-            text = (
-                "".join(
-                    f"{INDENT}(void){identifier(each)};\n" for each, is_read in zip(arguments, read, strict=True) if not is_read
-                )
-                + text
-            )
+        if public:  # or compilers complain
+            unread = [each for each, is_read in zip(arguments, read, strict=True) if not is_read]
+            text = "".join(f"{INDENT}(void){identifier(each)};\n" for each in unread) + text
         names = list(arguments)
         callee = Callee(
             name or self.name(spelled(plain.__name__)),
