@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import msgspec
 import numpy as np
 import pytest
 from packed import evolved, in_process, load, played, scanner, simulator, write
@@ -164,13 +165,8 @@ def test_what_others_wrote_stays_text(target: str, tmp_path: Path) -> None:
     make, profile = TARGETS[target]
     hostile = '*/ ]]> </description> """ `|` @{name} \\" ??/ ${x} ü'
     controller = evolved()
-    worse = type(controller)(
-        **{
-            **{field: getattr(controller, field) for field in controller.__struct_fields__},
-            "run": hostile,
-            "sensors": [hostile] * controller.inputs,
-            "actuators": [hostile] * controller.outputs,
-        }
+    worse = msgspec.structs.replace(
+        controller, run=hostile, sensors=[hostile] * controller.inputs, actuators=[hostile] * controller.outputs
     )
     files = make(worse, "x", profile)
     for path, content in files.items():
@@ -192,6 +188,8 @@ def test_what_fits_no_robot_is_refused_in_one_line() -> None:
 
     with pytest.raises(ConfigError, match=r"minisim: its controllers fit no robot; expected .* turtlebot-exit"):
         ros1(controller("fully-meshed"), "x")
+    with pytest.raises(ConfigError, match=r"10 numbers and takes 2 .*; this one has 11 inputs and 2 outputs"):
+        ros1(msgspec.structs.replace(evolved(), inputs=11), "x")
     with pytest.raises(ConfigError, match=r"profile stageros: is for ROS 1; expected one for ROS 2: .*stage_ros2"):
         ros2(evolved(), "x", "stageros")
     with pytest.raises(ConfigError, match=r"profile stage_ros2: is for ROS 2; expected one for ROS 1: .*stageros"):

@@ -27,6 +27,7 @@ from zswarm.sims.simulator import RobotInterface
 
 TEMPLATES = Path(__file__).parent / "templates"
 WORD = re.compile(r"@\{(\w+)\}")
+FITTING = "turtlebot-exit"
 SILENT_STEPS = 3  # of the controller without a message at least, before the watchdog stops the robot
 Types = dict[str, Type]
 SCAN: Types = {"ranges": Array(FLOAT32), "readings": INT64, "angle_min": FLOAT64, "angle_increment": FLOAT64}
@@ -90,18 +91,19 @@ def robot(controller: Controller, name: str, profile: str, ros: int) -> Robot:
     )
     if simulator.robot is None:
         raise ConfigError(
-            f"{controller.simulator}: its controllers fit no robot; expected a simulator with a robot's interface: {_fitting()}"
+            f"{controller.simulator}: its controllers fit no robot; expected a simulator with a robot's interface: {FITTING}"
+        )
+    numbers = (simulator.robot.sectors + 2, 2)
+    if (controller.inputs, controller.outputs) != numbers:
+        raise ConfigError(
+            f"{controller.simulator}: a robot gives its controller {numbers[0]} numbers and takes 2 (robot_interface.observe); "
+            f"this one has {controller.inputs} inputs and {controller.outputs} outputs"
         )
     read = profiles.read(profile)
     if read.ros != ros:
         fit = ", ".join(one for one in profiles.names() if profiles.read(one).ros == ros)
         raise ConfigError(f"profile {profile}: is for ROS {read.ros}; expected one for ROS {ros}: {fit}")
     return Robot(f"zs_{name}", controller, simulator.robot, read, profile)
-
-
-def _fitting() -> str:
-    """Bundled simulators whose controllers drive robots."""
-    return "turtlebot-exit"
 
 
 def words(robot: Robot) -> dict[str, str]:
@@ -117,7 +119,6 @@ def words(robot: Robot) -> dict[str, str]:
         "prefix": robot.name.upper(),
         "sha256": original.sha256(parameters),
         "step_s": _number(interface.step_s),
-        "rate": f"{1 / interface.step_s:.3g}",
         "speed": _number(robot.speed),
         "turn": _number(robot.turn),
         "evolved_speed": _number(interface.speed),
