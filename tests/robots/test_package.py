@@ -105,9 +105,9 @@ def test_a_robot_is_never_faster_than_evolved_nor_than_its_base(tmp_path: Path) 
     compiled(tmp_path, "zs_x")
     for one in (robot.build()[0], robot.Plain(np.array(settings.TARGETS), 0.1, 0.2)):
         most = (0.22, 2.84) if one.how == "compiled" else (0.1, 0.2)
-        stream = np.random.default_rng(1)
+        stream, angles = np.random.default_rng(1), scanner(simulator(evolved()).robot)
         for step in range(200):
-            scan = driving.Scan(step, stream.uniform(0, 5, 36).astype(np.float32), *scanner(simulator(evolved()).robot))
+            scan = driving.Scan(step, stream.uniform(0, 5, 36).astype(np.float32), *angles)
             decision = one.step(scan, driving.Pose(step, *stream.uniform(-3, 3, 4).tolist()))
             assert abs(decision.linear) <= most[0]
             assert abs(decision.angular) <= most[1]
