@@ -112,7 +112,7 @@ class Link:
         self._child.write(said)
 
     def receive(self, timeout_s: float) -> Message | None:
-        """The next message; None: none came in time. Those of one topic come in their order.
+        """The next message; None: none came in time. Those of one topic come in their order, those of several in any.
 
         Raises:
             EvaluationError: the child process ended.
