@@ -1,17 +1,14 @@
 """Robots drive in ROS as they do in this process: the same poses at every step and the same fitness, bit for bit."""
 
+import os
 import subprocess
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
 from ros_here import LINKS, need
-from trials import built, by_network, by_policy
+from trials import built, by_network, by_policy, robot_controllers
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "sims"))
-import robot_controllers
 
 pytestmark = pytest.mark.robots
 CROWD = {"robots": 5, "steps": 60, "map": "open", "epsilon": 0.5}  # by hand some are out early, one after the other
@@ -38,8 +35,6 @@ def below(process: int) -> set[str]:
 @pytest.fixture
 def nothing_is_left() -> Iterator[None]:
     """Afterwards the same processes run as before."""
-    import os
-
     before = below(os.getpid())
     yield
     assert below(os.getpid()) == before

@@ -1,0 +1,161 @@
+"""The simulation node as a program: one trial, silent robots, a clock that waits for nobody, several slots."""
+
+import itertools
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from ros_here import need
+from trials import built, by_network, by_policy, robot_controllers
+
+from zswarm.errors import EvaluationError
+from zswarm.ros import graph, profiles
+from zswarm.ros.graph import Graph
+from zswarm.ros.link import Link
+from zswarm.ros.messages import Clock, Odometry, Reset, Scan, Velocity
+from zswarm.sims.simulator import Turn
+
+pytestmark = pytest.mark.robots
+
+ROOM = {"robots": 2, "steps": 30, "map": "open"}
+
+
+@pytest.fixture
+def here() -> Iterator[Graph]:
+    need("zenoh")
+    with graph.private("zenoh") as private:
+        yield private
+
+
+def node(here: Graph, *options: str, **settings: Any) -> "subprocess.Popen[str]":
+    """A node, started."""
+    command = [sys.executable, "-m", "zswarm.ros.node", "--link", "zenoh", "--profile", "stage_ros2"]
+    for endpoint in here.dialled().listen:
+        command += ["--listen", endpoint]
+    return subprocess.Popen(
+        [*command, "--settings", json.dumps({**ROOM, **settings}), *options],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+
+
+def controllers(here: Graph) -> Link:
+    return Link(here, profiles.read("stage_ros2"), robots=2, side="controllers", channels=["velocity", "scan", "odometry"])
+
+
+def test_one_trial_leaves_its_poses_and_its_outcome(here: Graph, tmp_path: Path) -> None:
+    """The velocities are those that drive the world in this process."""
+    world = built("turtlebot-exit", **ROOM)
+    turn: Turn | None = world.reset(5)
+    poses = [world.poses.copy()]
+    with node(here, "--seed", "5", "--poses", str(tmp_path / "poses.npy"), "--channels", "scan,odometry") as started:
+        with controllers(here) as link:  # noqa: SIM117  it is closed first
+            link.ready(30.0)
+            while turn is not None:
+                seen: dict[str, set[int]] = {"Scan": set(), "Odometry": set()}
+                while not all(robots == {0, 1} for robots in seen.values()):
+                    message = link.receive(20.0)
+                    assert isinstance(message, Scan | Odometry)
+                    seen[type(message).__name__].add(message.robot)
+                link.send([Velocity(robot=robot, stamp_ns=0, linear=0.3, angular=robot - 0.5) for robot in (0, 1)])
+                turn = world.drive(np.array([0.3, 0.3]), np.array([-0.5, 0.5]))
+                poses.append(world.poses.copy())
+            said, errors = started.communicate(timeout=30)
+    assert (started.returncode, errors) == (0, "")
+    assert np.load(tmp_path / "poses.npy").tobytes() == np.stack(poses).tobytes()
+    outcome = json.loads(said)
+    assert (outcome["seed"], outcome["steps"], [outcome["fitness"]]) == (5, 30, world.outcome().fitness)
+
+
+def test_a_robot_that_never_answers_is_named(here: Graph) -> None:
+    with node(here, "--seed", "5", "--channels", "scan,odometry", "--deadline-s", "1") as started, controllers(here) as link:
+        link.ready(30.0)
+        assert link.receive(20.0) is not None
+        link.send([Velocity(robot=0, stamp_ns=0, linear=0.1, angular=0.0)])
+        _, errors = started.communicate(timeout=30)
+    assert started.returncode == 1
+    assert errors == "zswarm.ros.node: no velocity of robot 1 at 0.2 s within 1 s (deadline_s)\n"
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--settings", "{"], "--settings: expected JSON: "),
+        (["--settings", '{"robots": 0}'], "--settings: robots: expected int >= 1"),
+        (["--channels", "scan,map"], "--channels: expected some of scan, odometry, ground_truth, not 'map'"),
+        (["--profile", "stage"], "no profile 'stage'"),
+        (["--profile", "stageros"], "the link zenoh speaks ROS 2"),
+    ],
+)
+def test_what_cannot_be_is_told_in_one_line(options: list[str], said: str) -> None:
+    command = [sys.executable, "-m", "zswarm.ros.node", "--link", "zenoh", "--profile", "stage_ros2", *options]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert done.stderr.startswith(f"zswarm.ros.node: {said}")
+
+
+def test_a_free_running_simulation_stops_a_robot_that_nobody_tells_anything(here: Graph) -> None:
+    """After 0.2 s of its time, the profile's watchdog_s; its clock goes on."""
+    with node(here, "--mode", "free-running", "--rate", "5", "--channels", "scan,odometry", turn=1.0) as started:
+        used = ["velocity", "scan", "odometry", "clock", "reset"]
+        with Link(here, profiles.read("stage_ros2"), robots=2, side="controllers", channels=used) as link:
+            link.ready(30.0)
+            link.send([Reset(seed=3)])
+            moved, told, clock_ns = [], False, 0
+            while clock_ns < 3_000_000_000:
+                message = link.receive(20.0)
+                if isinstance(message, Clock):
+                    clock_ns = message.stamp_ns
+                if isinstance(message, Odometry) and message.robot == 1:
+                    if not told:
+                        link.send([Velocity(robot=1, stamp_ns=message.stamp_ns, linear=0.0, angular=1.0)])
+                        told = True
+                    moved.append(message.z)
+        started.terminate()
+        started.communicate(timeout=30)
+    turning = [later != sooner for sooner, later in itertools.pairwise(moved)]
+    assert any(turning), "it did what it was told"
+    assert not any(turning[-5:]), "and then stands"
+
+
+def test_a_free_running_simulation_tells_how_late_the_controllers_are() -> None:
+    """At 5 times the speed of the wall's clock nearly none are; at 1,000 times nearly all are, and steps are missed."""
+    need("zenoh")
+    late = []
+    for rate in (2.0, 1000.0):
+        simulator = built("turtlebot-exit-ros", mode="free-running", rate=rate, **ROOM)
+        played = by_policy(simulator, robot_controllers.turtlebot_exit, 3)
+        simulator.close()
+        late.append(played.outcome.metrics[-1])
+        assert not simulator.repeatable
+        assert played.outcome.metrics[2] == 6.0, "all seconds have passed"
+    assert late[0] < 0.3 < late[1] <= 1.0
+
+
+def test_a_simulation_that_runs_is_driven_by_one_slot(here: Graph) -> None:
+    reach = {"launch": "running", "connect": tuple(here.connect)}
+    with node(here) as started:
+        simulator, other = (built("turtlebot-exit-ros", **ROOM, **reach) for _ in range(2))
+        expected = by_network(built("turtlebot-exit", **ROOM), 6)
+        for _ in range(2):
+            assert by_network(simulator, 6).bits == expected.bits
+        with pytest.raises(
+            EvaluationError, match="another slot drives this simulation; one server with --capacity 1"
+        ):
+            other.reset(1)
+        simulator.close()
+        assert by_network(other, 6).bits == expected.bits
+        other.close()
+        started.terminate()
+        started.communicate(timeout=30)
+
+
+def test_a_simulation_that_is_not_there_is_named(here: Graph) -> None:
+    simulator = built("turtlebot-exit-ros", **ROOM, launch="running", connect=tuple(here.connect), deadline_s=1.0)
+    with pytest.raises(EvaluationError, match="simulator 'turtlebot-exit-ros', trial seed 1: "):
+        simulator.reset(1)
