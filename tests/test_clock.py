@@ -8,6 +8,7 @@ import zswarm
 PACKAGE = Path(zswarm.__file__).parent
 MAY_DATE = {
     *("ot/record.py", "ot/commands/list.py", "ot/report.py", "ot/doctor/machine.py"),  # list.py and report.py show dates
+    "robots/templates/zenoh/node.py",  # stamps of what a robot is told
     "ros/over_zenoh.py",  # when a message was sent, for those who read it
     "ot/dashboard/follower.py",  # how long ago something was recorded
     *("ss/server.py", "ss/status.py"),  # since when it serves

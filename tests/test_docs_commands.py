@@ -50,6 +50,7 @@ GIVEN = {
     "optimizers.md": "zswarm-ot run minisim-elites --servers local --set generations=20",
     "record.md": "zswarm-ot run minisim --servers local",
     "replay.md": "zswarm-ot run stadium --servers local --set generations=5",
+    "robots.md": "zswarm-ot run turtlebot-exit --servers local --set generations=2",
 }
 # Instead of what a page says, what is so here.
 HERE = {"ROUTER": "127.0.0.1", "--repeat 20": "--repeat 2"}

@@ -19,7 +19,7 @@ PACKAGE = Path(zswarm.__file__).parent
 MODULES = {
     ".".join(path.relative_to(PACKAGE).with_suffix("").parts): path
     for path in sorted(PACKAGE.rglob("*.py"))
-    if path.stem != "__init__" and "examples" not in path.parts
+    if path.stem != "__init__" and not {"examples", "templates"} & set(path.parts)  # programs of their own
 }
 LEAVES = {
     *("draws", "endpoint", "errors", "extras", "files", "jit", "lanes", "log", "notify", "manifests", "nearest", "plugins"),
@@ -37,8 +37,9 @@ MAY_IMPORT = {
     "varied": {"leaf", "sims"},
     "evaluate": {"leaf", "protocol", "nets", "sims", "varied"},
     "controller": {"leaf", "protocol", "nets"},
-    "robots": {"leaf", "nets", "sims", "controller", "evaluate", "robots"},
-    "ros": {"leaf", "protocol", "nets", "sims", "controller", "robots", "ros"},
+    "robots": {"leaf", "nets", "sims", "controller", "evaluate", "robots", "ros.profiles"},
+    "ros.profiles": {"leaf"},
+    "ros": {"leaf", "protocol", "nets", "sims", "controller", "robots", "ros", "ros.profiles"},
     "session": {"leaf", "protocol", "security"},
     "router": {"leaf", "session", "security"},
     "security": {"leaf", "protocol", "security"},

@@ -34,6 +34,9 @@ TARGETS = {
     "json": Target("zswarm.robots.json_file:as_json", "python3 -m json.tool {name}.json"),
     "onnx": Target("zswarm.robots.onnx_file:model", "python3 -m onnx.checker {name}.onnx"),
     "python": Target("zswarm.robots.python_file:python", "python3 {name}.py"),
+    "ros1": Target("zswarm.robots.ros1:ros1", "cat README.md", driving=True),
+    "ros2": Target("zswarm.robots.ros2:ros2", "cat README.md", driving=True),
+    "zenoh": Target("zswarm.robots.zenoh_node:zenoh", "cat README.md", driving=True),
 }
 
 

@@ -48,6 +48,9 @@ def export(
       python  one Python file that needs numpy alone
       json    a documented file for programs of others
       onnx    one step as a graph of ONNX (extra onnx)
+      ros1    a catkin package with a node in C++
+      ros2    an ament_python package with rclpy
+      zenoh   a program for a robot of ROS 2, without ROS
 
     \b
       zswarm-ot export runs/stadium --to python

@@ -1,0 +1,4 @@
+#include "interface.h"
+
+@{guards}
+@{definitions}

@@ -1,0 +1,77 @@
+#include "robot.h"
+
+#include <string.h>
+
+#include "interface.h"
+
+static const double evolved_targets[2 * ROBOT_TARGETS] = {@{places}};
+
+/* Steps of the self-test: scans, poses, and what is decided on them. */
+#define CHECKS @{check_steps}
+static const float check_ranges[CHECKS][ROBOT_RAYS] = {
+@{check_ranges}
+};
+static const double check_poses[CHECKS][4] = {
+@{check_poses}
+};
+static const double check_decisions[CHECKS][3] = {
+@{check_decisions}
+};
+
+/* Whether two numbers have the same bits. */
+static int same(double left, double right)
+{
+    return memcmp(&left, &right, sizeof left) == 0;
+}
+
+void robot_init(robot *self)
+{
+    int k;
+    for (k = 0; k < 2 * ROBOT_TARGETS; k++) {
+        self->targets[k] = evolved_targets[k];
+    }
+    self->speed = ROBOT_SPEED;
+    self->turn = ROBOT_TURN;
+    robot_forget(self);
+}
+
+void robot_forget(robot *self)
+{
+    @{name}_reset(&self->network);
+}
+
+int robot_selftest(void)
+{
+    robot self;
+    robot_decision decision;
+    int differs = @{name}_selftest();
+    robot_init(&self);
+    for (int step = 0; (step < CHECKS) && (differs == 0); step++) {
+        const double *pose = check_poses[step];
+        const double *expected = check_decisions[step];
+        if ((robot_step(&self, check_ranges[step], ROBOT_RAYS, @{first}, @{between}, pose[0], pose[1], pose[2], pose[3],
+                        &decision) != 0) ||
+            !same(decision.linear, expected[0]) || !same(decision.angular, expected[1]) ||
+            !same(decision.distance, expected[2])) {
+            differs = step + 1;
+        }
+    }
+    return differs;
+}
+
+int robot_step(robot *self, const float *ranges, int64_t readings, double angle_min, double angle_increment, double x, double y,
+               double z, double w, robot_decision *decision)
+{
+    float scan[ROBOT_RAYS];
+    float observation[@{prefix}_INPUTS];
+    float action[@{prefix}_OUTPUTS];
+    if (!interface_covers(readings, angle_min, angle_increment, ROBOT_VIEW)) {
+        return 1;
+    }
+    interface_fit_scan(ranges, readings, angle_min, angle_increment, ROBOT_RAYS, ROBOT_VIEW, @{reach}, scan);
+    decision->distance = interface_observe(scan, ROBOT_RAYS, @{reach}, @{sectors}, x, y, z, w, self->targets, ROBOT_TARGETS, observation);
+    @{name}_step(&self->network, observation, action);
+    decision->linear = interface_limited(interface_velocity(action[0], @{evolved_speed}), self->speed);
+    decision->angular = interface_limited(interface_velocity(action[1], @{evolved_turn}), self->turn);
+    return 0;
+}
