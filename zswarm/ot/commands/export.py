@@ -48,11 +48,15 @@ def export(
       python  one Python file that needs numpy alone
       json    a documented file for programs of others
       onnx    one step as a graph of ONNX (extra onnx)
+      ros1    a package for ROS 1 that drives a robot
+      ros2    one for ROS 2
+      zenoh   a program that drives a robot of ROS 2 where no ROS is installed
 
     \b
       zswarm-ot export runs/stadium --to python
       zswarm-ot export runs/stadium --to c99 --out firmware/
       zswarm-ot export runs/stadium --to json --generation 0 --candidate 3
+      zswarm-ot export runs/turtlebot-exit --to ros1 --profile turtlebot2
     """  # noqa: D301  click's mark for text that is not to be wrapped
     import os
 
