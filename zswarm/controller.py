@@ -45,7 +45,7 @@ class Controller(msgspec.Struct, frozen=True, kw_only=True, tag="zswarm-controll
         try:
             built: Representation = kind(settings, self.inputs, self.outputs)
             return built, built.parameters([self.genome])[0]
-        except ValueError as error:
+        except (ValueError, MemoryError) as error:  # the second: sizes that nobody evolved
             raise ConfigError(f"the champion does not fit its network: {error}") from None
 
     def driver(self) -> "Driver":

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import stat
 import subprocess
 import sys
@@ -75,6 +76,15 @@ def test_every_target_names_its_files_and_the_hash(target: str, run: Path) -> No
     assert sorted(told["files"]) == sorted(path.name for path in Path("deep/below").iterdir() if path.name != folder.LIST)
     contents = b"".join(Path("deep/below", file).read_bytes() for file in told["files"])
     assert told["sha256"].encode() in contents
+
+
+def test_help_and_documents_name_every_target() -> None:
+    said = CliRunner().invoke(cli.command, ["export", "--help"]).output
+    docs = Path(__file__).parents[2] / "docs"
+    for target in targets.TARGETS:
+        assert re.search(rf"^ +{target}  ", said, re.M), f"zswarm-ot export --help: {target} is missing"
+        for page in ("export.md", "commands.md"):
+            assert f"`{target}`" in (docs / page).read_text(encoding="utf-8"), f"docs/{page}: {target} is missing"
 
 
 def test_another_candidate_is_named_as_in_replay(run: Path) -> None:

@@ -72,5 +72,5 @@ def files(target: str, controller: Controller, name: str, profile: str | None = 
         return make(controller, names.folded(name))
     if not TARGETS[target].driving:
         driving = ", ".join(name for name, one in TARGETS.items() if one.driving)
-        raise ConfigError(f"--profile {profile}: {target} drives no robot; a profile is for {driving or 'none of the targets'}")
+        raise ConfigError(f"--profile {profile}: {target} drives no robot; a profile is for {driving}")
     return make(controller, names.folded(name), profile)

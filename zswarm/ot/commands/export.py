@@ -56,6 +56,7 @@ def export(
       zswarm-ot export runs/stadium --to python
       zswarm-ot export runs/stadium --to c99 --out firmware/
       zswarm-ot export runs/stadium --to json --generation 0 --candidate 3
+      zswarm-ot export runs/turtlebot-exit --to ros1 --profile turtlebot2
     """  # noqa: D301  click's mark for text that is not to be wrapped
     import os
 
