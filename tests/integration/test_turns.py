@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from programs import Optimizer, Program, Server, free_port, query, status, wait_until
 from promise import check_run
+from proxy import Proxy
 
 EXPERIMENT = """
 name = "asked"
@@ -132,6 +133,28 @@ def test_a_slot_whose_process_is_killed_and_an_optimizer_that_stands_still_cost_
     finally:
         optimizer.close()
         server.close()
+    check_run(tmp_path / "asked" / "asked")
+
+
+@pytest.mark.faults
+def test_answers_that_a_link_loses_are_asked_for_again(tmp_path: Path) -> None:
+    """The link is reset again and again in the middle of trials; states go on where they were."""
+    expected = reference(tmp_path, "emergency-exit", 4)
+    server = Server(tmp_path, "ss", capacity=2).ready()
+    with Proxy(server.endpoint) as link:
+        through = ("--servers=1", f"--connect={link.endpoint}")
+        optimizer = play(tmp_path, "asked", ASKED, *through, simulator="emergency-exit", trials=4)
+        try:
+            wait_until(lambda: counted(tmp_path, "asked") > 8, "some trials are counted")
+            for _ in range(4):
+                back, connections = link.back, link.connections
+                link.reset()
+                wait_until(lambda: link.connections > connections, "the link is there again")  # noqa: B023
+                wait_until(lambda: link.back > back + 20_000, "questions go on")  # noqa: B023
+            assert optimizer.done()["history_hash"] == expected
+        finally:
+            optimizer.close()
+            server.close()
     check_run(tmp_path / "asked" / "asked")
 
 

@@ -189,9 +189,9 @@ class Worker:
 
     def answer(self, body: bytes) -> None:
         """Tell it what the optimizer answered to its question."""
-        assert self.pipe is not None  # noqa: S101  it asked by it
-        with contextlib.suppress(OSError):  # as in _send
-            self.pipe.send_bytes(body)
+        if (pipe := self.pipe) is not None:  # not when the program ends
+            with contextlib.suppress(OSError):  # as in _send
+                pipe.send_bytes(body)
 
     @property
     def stopping(self) -> bool:
