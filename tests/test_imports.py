@@ -79,7 +79,7 @@ ONLY_IN = {
     "vmas": set(),
 }
 PURE = (
-    *("ot.assessment", "ot.dispatch", "ot.plan", "ot.requests", "ot.verification", "ot.waiting", "ot.workload"),
+    *("ot.assessment", "ot.cost_model", "ot.dispatch", "ot.plan", "ot.requests", "ot.verification", "ot.waiting", "ot.workload"),
     "ot.dashboard.fleet",
     *("ss.slots", "ss.kept", "ot.rankings.absolute", "ot.rankings.full_tournament", "ot.rankings.multi_swiss"),
     *("ot.rankings.ranking", "ot.rankings.swiss", "ot.rankings.tournament"),
