@@ -28,7 +28,7 @@ from zswarm.ss.view import SLOT_STATES, View
 
 DOCS = Path(__file__).parent.parent / "docs"
 CODE_BLOCK = re.compile(r"^```.*?^```\n", re.S | re.M)
-MESSAGES = [*typing.get_args(messages.Request), *typing.get_args(messages.Reply)]
+MESSAGES = [*typing.get_args(messages.Request), *typing.get_args(messages.Reply), messages.Sensors, messages.Actuators]
 PARTS = [(kind, name) for kind in plugins.BUNDLED for name in plugins.BUNDLED[kind]]
 
 

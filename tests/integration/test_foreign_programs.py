@@ -197,6 +197,16 @@ def test_whole_runs_have_the_same_history(language: str, field: str, tmp_path: P
     assert done["history_hash"] == history(tmp_path, size)
 
 
+@pytest.mark.faults
+def test_a_program_whose_controllers_stay_at_the_optimizer_has_the_same_history(in_c: Path, tmp_path: Path) -> None:
+    """Though it could decide for them itself."""
+    size = RANDOM | {"generations": 2, "trials": 1}
+    arguments = ["run", str(write(tmp_path, "emergency-exit-c", size)), "--json", "--servers", "local"]
+    asked = ["--set", "cluster.controller='optimizer'", "--set", "cluster.local_slots=2"]
+    done = Optimizer(tmp_path, "ot", [*arguments, *asked], ZSWARM_SIMULATORS=str(in_c)).done()
+    assert done["history_hash"] == history(tmp_path, size)
+
+
 def rough(folder: Path, each: tuple[str, ...]) -> Path:
     """A folder with the manifest of a program that does something else in each trial."""
     folder.mkdir()

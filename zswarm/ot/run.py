@@ -100,6 +100,8 @@ def evolve(
     logger.on_say(f"{complete.name}: {connection.who_computes()}")
     if not problem.simulator.repeatable:
         logger.on_say(f"{complete.problem.simulator} is not repeatable with these settings: the same run again has other results")
+    if (asked := connection.options).controller == "optimizer":
+        logger.on_say(f"the controllers stay in this program: servers ask it, a question for each {asked.messages}")
     if optimizer.strayed is not None:
         otherwise = f"would have proposed other candidates from generation {optimizer.strayed} on"
         logger.on_say(f"{complete.optimizer.kind} {otherwise}; it goes on from those that were recorded")

@@ -28,7 +28,7 @@ from zswarm.protocol import codec, keys
 from zswarm.protocol.messages import MAX_TEXT, Offer, Refused, Requirements, Reserve
 from zswarm.security import keyring, refusals
 from zswarm.session import Reach, keys_in_words
-from zswarm.ss import control, facts, limits, memory, orphans, slots, view
+from zswarm.ss import asking, control, facts, limits, memory, orphans, slots, view
 from zswarm.ss.options import AT_START, Options, offered
 from zswarm.ss.presence import Presence, Question
 from zswarm.ss.worker import SAID_WIDTH, Ready, Rest, Worker
@@ -72,9 +72,10 @@ class Server:
         self._limits = limits.read(options.limits, self.simulators, "limits")
         self.workers = [Worker(self.slot_memory_mb) for _ in range(capacity)]
         self.slots = slots.Slots(capacity, self._offer(), self._mismatch, lambda: secrets.token_bytes(16))
+        self._asking = asking.Asking(self._ask, lambda slot, body: self.workers[slot].answer(body))
         orphans.adopt()
         self._start_workers()
-        self._inbox: deque[Question | slots.Event] = deque()
+        self._inbox: deque[Question | asking.Unheard | slots.Event] = deque()
         self._wake, self._woken = os.pipe()
         os.set_blocking(self._wake, False)
         os.set_blocking(self._woken, False)
@@ -156,7 +157,7 @@ class Server:
 
     # ---- what other threads and the kernel tell
 
-    def _on_network(self, item: Question | slots.Event) -> bool:
+    def _on_network(self, item: Question | asking.Unheard | slots.Event) -> bool:
         if isinstance(item, Question) and len(self._inbox) >= INBOX:
             return False
         self._inbox.append(item)
@@ -188,7 +189,7 @@ class Server:
             if self._private:
                 poll.register(sys.stdin.fileno(), select.POLLIN)
             next_start = min(worker.start_at for worker in self.workers)
-            until = min(next_start, self._look_at, self._return_at, self.slots.next_time())
+            until = min(next_start, self._look_at, self._return_at, self.slots.next_time(), self._asking.next_time())
             if self.slots.busy() or self.slots.draining or self._signals:
                 until = min(until, next_tick)
             if self._control is not None:
@@ -221,6 +222,8 @@ class Server:
                 item = self._inbox.popleft()
                 if isinstance(item, Question):
                     self._from_run(item)
+                elif isinstance(item, asking.Unheard):
+                    self._asking.unheard(item.question, time.monotonic())
                 else:
                     self._handle(item)
                     if isinstance(item, slots.HolderGone):
@@ -228,6 +231,7 @@ class Server:
             if (now := time.monotonic()) >= min(next_tick, self.slots.next_time()):
                 next_tick = now + TICK_S
                 self._handle(slots.Tick(tuple(worker.trial() for worker in self.workers)))
+            self._asking.ask_again(now)
             self._look(time.monotonic(), new=bool(ready))
 
     def _on_stop_asked(self) -> None:
@@ -331,11 +335,15 @@ class Server:
         try:
             letter, body = worker.receive()
         except (EOFError, OSError):
+            self._asking.forget(index)
             trial, reason = worker.trial(), worker.exit_reason()
             self._log_pause(index, worker, reason)
             return slots.Died(index, trial, f"the slot's process {reason}")
         match letter:
             case b"H":
+                return None
+            case b"S":
+                self._asked(index, body)
                 return None
             case b"N":
                 self._log_pause(index, worker, body.decode())
@@ -359,6 +367,17 @@ class Server:
             case _:
                 return slots.Finished(index, body, worn=letter == b"W")
 
+    def _asked(self, slot: int, body: bytes) -> None:
+        """A slot asks what controllers at the optimizer decide; where its batch is to end there is nobody to ask."""
+        lease, worker = self.slots.slots[slot].lease, self.workers[slot]
+        if lease is None or worker.stopping:
+            worker.answer(asking.NOBODY)
+        else:
+            self._asking.ask(slot, (lease.user, lease.run), body)
+
+    def _ask(self, run: tuple[str, str], question: int, body: bytes, at_once: bool) -> None:
+        self._presence.ask(run, question, body, self._asking.answer, at_once=at_once)
+
     def _handle(self, event: slots.Event) -> None:
         self._left_behind |= isinstance(event, slots.Died)
         for command in self.slots.handle(event, time.monotonic()):
@@ -369,10 +388,12 @@ class Server:
                     self._left_behind |= not command.known  # a process that had another problem is ended
                     self.workers[command.slot].prepare(command.setup, probe=command.probe, known=command.known)
                 case slots.Run():
-                    self.workers[command.slot].evaluate(command.body, command.first, command.alone)
+                    self.workers[command.slot].evaluate(command.body, command.first, command.alone, command.begin)
                 case slots.Stop():
                     self.workers[command.slot].stop()
+                    self._asking.stop(command.slot)
                 case slots.Kill():
+                    self._asking.forget(command.slot)
                     self._left_behind = True
                     self.workers[command.slot].kill()
                 case slots.Log():
