@@ -1,6 +1,7 @@
 """The simulator ``paced``: a bundled one whose steps take a given time, as those of a simulator in real time do."""
 
 import time
+from collections.abc import Sequence
 from typing import Literal
 
 import msgspec
@@ -13,6 +14,7 @@ from zswarm.sims.minisim import Settings as MinisimSettings
 from zswarm.sims.simulator import Outcome, Simulator, Turn
 
 MINISIM_CELLS = 10  # of a side: games of 10 steps are the shortest
+PROBE = 1 << 32  # seeds from here on are the probe's
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -25,7 +27,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class Paced(Simulator):
-    """Emergency exit or minisim with that many agents; after each of its steps it sleeps ``step_s``.
+    """Emergency exit or minisim with that many agents; after each of its steps it sleeps ``step_s``, but in a server's probe.
 
     Turns: those of the world. In emergency exit one agent after another acts, in minisim all of them at once.
     """
@@ -45,12 +47,13 @@ class Paced(Simulator):
         self.inputs, self.outputs = self._world.inputs, self._world.outputs
         self.sensors, self.actuators = self._world.sensors, self._world.actuators
 
-    def fixed_seeds(self, trials: int) -> object:
-        """The world's."""
-        return self._world.fixed_seeds(trials)
+    def fixed_seeds(self, trials: int) -> Sequence[int]:
+        """Small ones: those of the probe, by which servers are compared before a run, are large."""
+        return range(trials)
 
     def reset(self, seed: int) -> Turn:
         """Begin the world's trial."""
+        self._step_s = self.settings.step_s if seed < PROBE else 0.0
         turn = self._world.reset(seed)
         self._acted = turn.agents[-1]
         return turn
@@ -58,8 +61,8 @@ class Paced(Simulator):
     def step(self, actions: np.ndarray) -> Turn | None:
         """Let the world's agents act; a step of the world is over when the next to act are no later ones."""
         turn = self._world.step(actions)
-        if self.settings.step_s and (turn is None or turn.agents[0] <= self._acted):
-            time.sleep(self.settings.step_s)
+        if self._step_s and (turn is None or turn.agents[0] <= self._acted):
+            time.sleep(self._step_s)
         if turn is not None:
             self._acted = turn.agents[-1]
         return turn

@@ -1,0 +1,80 @@
+"""zswarm's own two ways: real runs on real ``zswarm-ss`` daemons of one slot, from looking for servers to the last generation.
+
+A candidate travels as its parameters, and a generic controller at the server reads them: what the paper proposes in section VI. Or
+the controllers stay in the optimizer, as in the paper's network-based design, and servers ask it in each turn.
+"""
+
+import contextlib
+import json
+import socket
+import tempfile
+import time
+from pathlib import Path
+from typing import Self
+
+import leased
+from zswarm.ot import evolution
+from zswarm.ot.connection import Connection
+from zswarm.ot.logger import Logger
+
+from paper import world
+from paper.world import Optimized, Size, World
+
+WAYS: dict[str, tuple[str, ...]] = {  # what [cluster] says
+    "blob": (),
+    "turn": ("cluster.controller=optimizer", "cluster.messages=turn"),
+    "agent": ("cluster.controller=optimizer", "cluster.messages=agent"),
+}
+START_S = 120.0
+
+
+class Servers(contextlib.AbstractContextManager["Servers"]):
+    """Daemons of one slot on this machine; none at first."""
+
+    def __init__(self) -> None:
+        self._endpoints: list[str] = []
+        self._stack = contextlib.ExitStack()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    def grow(self, servers: int) -> None:
+        """Have so many, listening."""
+        before = len(self._endpoints)
+        for number in range(before, servers):
+            port = leased.free_port()
+            self._endpoints.append(f"tcp/127.0.0.1:{port}")
+            self._stack.enter_context(leased.daemon(1, self._endpoints[-1], "--name", f"s{number}"))
+        for endpoint in self._endpoints[before:]:
+            _wait_for(int(endpoint.rpartition(":")[2]))
+
+    def optimize(self, size: Size, on: World, servers: int, way: str = "blob") -> Optimized:
+        """One run on the first so many of them."""
+        where = [
+            f"cluster.servers={servers}",
+            f"cluster.connect={json.dumps(self._endpoints[:servers])}",
+            "cluster.multicast=false",
+        ]
+        loaded = world.load(on, size, *where, *WAYS[way])
+        with tempfile.TemporaryDirectory() as folder:
+            begin = time.perf_counter()
+            with (
+                Connection(loaded.cluster) as connection,
+                evolution.start(loaded, "paper", Path(folder), connection, Logger()) as begun,
+            ):
+                result = begun.finish()
+            seconds = time.perf_counter() - begin
+        return Optimized(seconds, result.evaluations * size.trials, result.history_hash)
+
+
+def _wait_for(port: int) -> None:
+    deadline = time.monotonic() + START_S
+    while True:
+        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
+            return
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"zswarm-ss does not listen at port {port}")
+        time.sleep(0.1)
