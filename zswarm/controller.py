@@ -9,7 +9,6 @@ import numpy as np
 
 from zswarm import plugins
 from zswarm.errors import ConfigError
-from zswarm.nets.representation import Representation
 from zswarm.protocol import codec
 from zswarm.strict import convert
 
@@ -51,21 +50,19 @@ class Driver:
 
     Attributes:
         inputs, outputs: numbers of an observation, and of what is decided.
-        network: its representation.
-        parameters: (P,) float32, what the network's ``step`` takes of the genome.
     """
 
     def __init__(self, controller: Controller) -> None:
         network = plugins.load("representation", controller.representation)
         settings = convert(controller.representation_settings, network.settings_type, "representation")
         self.inputs, self.outputs = controller.inputs, controller.outputs
-        self.network: Representation = network(settings, self.inputs, self.outputs)
+        built = network(settings, self.inputs, self.outputs)
         try:
-            self.parameters = self.network.parameters([controller.genome])[0]
+            self._parameters = built.parameters([controller.genome])[0]
         except ValueError as error:
             raise ConfigError(f"the champion does not fit its network: {error}") from None
-        self._step = self.network.step
-        self._state = np.zeros(self.network.state_size, np.float32)
+        self._step = built.step
+        self._state = np.zeros(built.state_size, np.float32)
 
     def reset(self) -> None:
         """Forget all of before, as at the start of a trial."""
@@ -87,7 +84,7 @@ class Driver:
         if seen.shape != (self.inputs,):
             raise ValueError(f"observation: expected shape ({self.inputs},), not {seen.shape}")
         decided = np.empty(self.outputs, np.float32)
-        self._step(self.parameters, self._state, seen, decided)
+        self._step(self._parameters, self._state, seen, decided)
         return decided
 
 
