@@ -1,11 +1,12 @@
 """The paper's file-based design: a candidate is exported as C, compiled into the simulator, run, and judged by its logs.
 
-Parameters, representation and logs are files, as in the paper. The representation is the C99 pair that ``zswarm-ot export`` writes;
-the simulator is the emergency exit of ``examples/foreign/c``. It is compiled by the C compiler alone, or by ``catkin_make`` as a
+Parameters, representation and logs are files, as in the paper. The representation is the C99 pair of ``zswarm-ot export``; the
+simulator is the emergency exit of ``examples/foreign/c``. It is compiled by the C compiler alone, or by ``catkin_make`` as a
 package of ROS 1, which is what the paper's 8.8 seconds are of.
 """
 
 import contextlib
+import itertools
 import shutil
 import subprocess
 import tempfile
@@ -90,7 +91,7 @@ class Files:
         times.append(time.perf_counter())
         fitness = judged(self._logs, settings["agents"], settings["steps"])
         times.append(time.perf_counter())
-        self.spent.append(Spent(*(after - before for before, after in zip(times, times[1:], strict=False))))
+        self.spent.append(Spent(*(after - before for before, after in itertools.pairwise(times))))
         return fitness
 
 

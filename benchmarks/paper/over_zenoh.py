@@ -1,7 +1,7 @@
 """zswarm's own two ways: real runs on real ``zswarm-ss`` daemons of one slot, from looking for servers to the last generation.
 
-A candidate travels as its parameters, and a generic controller at the server reads them: what the paper proposes in section VI. Or
-the controllers stay in the optimizer, as in the paper's network-based design, and servers ask it in each turn.
+A candidate travels as its parameters, and a generic controller at the server reads them: what the paper proposes in section VI.
+Or the controllers stay in the optimizer, as in the paper's network-based design, and servers ask it in each turn.
 """
 
 import contextlib
@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Self
 
 import leased
-from zswarm.ot import evolution
-from zswarm.ot.connection import Connection
-from zswarm.ot.logger import Logger
 
 from paper import world
 from paper.world import Optimized, Size, World
+from zswarm.ot import evolution
+from zswarm.ot.connection import Connection
+from zswarm.ot.logger import Logger
 
 WAYS: dict[str, tuple[str, ...]] = {  # what [cluster] says
     "blob": (),
