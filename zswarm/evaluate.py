@@ -8,8 +8,8 @@ that ends or hangs is a fault and shows outside, as does a lack of memory.
 import hashlib
 import signal
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple, Protocol
 
 import msgspec
 import numpy as np
@@ -17,6 +17,7 @@ import numpy as np
 from zswarm import plugins, ranges
 from zswarm.draws import Stream, derive_seed
 from zswarm.errors import ConfigError, EvaluationError
+from zswarm.nets.networks import Networks
 from zswarm.nets.representation import Representation
 from zswarm.protocol.messages import PROBE_GENOMES, PROBE_SEEDS
 from zswarm.sims.simulator import MAX_TURNS, Batch, CompiledSimulator, HostingSimulator, Outcome, Simulator, Turn
@@ -34,6 +35,13 @@ class Outcomes(NamedTuple):
     error: str  # what was wrong with the first trial whose fitness is NaN, or ""
 
 
+class Controllers(Protocol):
+    """Decides for the agents of one trial."""
+
+    def decide(self, agents: Sequence[int], participants: Sequence[int], observations: np.ndarray) -> np.ndarray:
+        """See ``Networks``."""
+
+
 class BrokenContractError(Exception):
     """A simulator did not do what ``Simulator`` asks for; the text says what was expected, and what came."""
 
@@ -46,12 +54,18 @@ class Probe(NamedTuple):
 
 
 def build(
-    simulator: str, settings: Mapping[str, Any], representation: str, representation_settings: Mapping[str, Any]
+    simulator: str,
+    settings: Mapping[str, Any],
+    representation: str,
+    representation_settings: Mapping[str, Any],
+    *,
+    hosting: bool = True,
 ) -> tuple[Simulator, Representation]:
     """A simulator and the representation of its controllers, from names and settings.
 
     Args:
         settings: of the simulator; a range in them is drawn from in each trial.
+        hosting: a simulator that can decide for the network itself does so.
 
     Raises:
         ConfigError: unknown name or impossible settings, or the simulator refused them.
@@ -65,7 +79,7 @@ def build(
     def simulator_with(plain: Mapping[str, Any]) -> Simulator:
         configured = convert(plain, simulator_class.settings_type, "problem.settings")
         made: Simulator = _construct(f"simulator {simulator!r}", simulator_class, configured)
-        return made if network is None else _hosting(made, network, representation)
+        return made if network is None or not hosting else _hosting(made, network, representation)
 
     if ranges.found(settings):
         built: Simulator = Varied(ranges.complete(settings, simulator_class.settings_type, "problem.settings"), simulator_with)
@@ -76,7 +90,7 @@ def build(
         f"representation {representation!r}", representation_class, network_settings, built.inputs, built.outputs
     )
     assert network is not None  # noqa: S101  it was constructed
-    return _hosting(built, network, representation), network
+    return _hosting(built, network, representation) if hosting else built, network
 
 
 def _hosting(simulator: Simulator, network: Representation, kind: str) -> Simulator:
@@ -102,6 +116,7 @@ def evaluate(
     participants: np.ndarray,
     seeds: np.ndarray,
     progress: np.ndarray | None = None,
+    elsewhere: Callable[[int], Controllers] | None = None,
 ) -> Outcomes:
     """Play trials in order.
 
@@ -110,6 +125,7 @@ def evaluate(
         seeds: (trials,) uint64.
         progress: (2,) int64, shared with a watcher: [0] is set to the index of the trial that runs, or of the first of some that
             run side by side, and not zero in [1] ends the batch before the next one (the outcomes are then worthless).
+        elsewhere: gives what decides in a trial, by its index, instead of the genomes' networks; it is played in turns.
 
     Raises:
         ValueError: a genome does not fit the network, or a shape or index does not fit.
@@ -122,11 +138,11 @@ def evaluate(
         raise ValueError(f"a participant is not among the {len(genomes)} genomes")
     if not len(seeds):
         return Outcomes(np.empty(participants.shape), np.empty((0, len(simulator.metrics))), "")
-    parameters = representation.parameters(genomes)
+    parameters = representation.parameters(genomes) if elsewhere is None else np.empty((len(genomes), 0), np.float32)
     progress = np.zeros(2, np.int64) if progress is None else progress
     if isinstance(simulator, Varied):
-        return _varied(simulator, representation, genomes, parameters, participants, seeds, progress)
-    return _outcomes(simulator, representation, genomes, parameters, participants, seeds, progress)
+        return _varied(simulator, representation, genomes, parameters, participants, seeds, progress, elsewhere)
+    return _outcomes(simulator, representation, genomes, parameters, participants, seeds, progress, elsewhere)
 
 
 def _outcomes(
@@ -137,13 +153,14 @@ def _outcomes(
     participants: np.ndarray,
     seeds: np.ndarray,
     progress: np.ndarray,
+    elsewhere: Callable[[int], Controllers] | None,
 ) -> Outcomes:
     fitness = np.full(participants.shape, np.nan)
     metrics = np.full((len(seeds), len(simulator.metrics)), np.nan)
     error = ""
     batch = Batch(representation.state_size, parameters, participants, seeds.astype(np.uint64), progress, fitness, metrics)
-    one_by_one = not isinstance(simulator, CompiledSimulator)
-    if isinstance(simulator, CompiledSimulator):
+    one_by_one = elsewhere is not None or not isinstance(simulator, CompiledSimulator)
+    if isinstance(simulator, CompiledSimulator) and elsewhere is None:
         try:
             _play(simulator, representation, batch)
         except BaseException as raised:
@@ -156,6 +173,9 @@ def _outcomes(
             if progress[1]:
                 break
             try:
+                if elsewhere is not None:
+                    _play_with(elsewhere(trial), simulator, int(seed), fitness[trial], metrics[trial])
+                    continue
                 if isinstance(simulator, CompiledSimulator):
                     _play(simulator, representation, _alone(batch, trial))
                     continue
@@ -193,6 +213,7 @@ def _varied(
     participants: np.ndarray,
     seeds: np.ndarray,
     progress: np.ndarray,
+    elsewhere: Callable[[int], Controllers] | None,
 ) -> Outcomes:
     """Trials with the same settings one after another; in a kernel as many at once as take some milliseconds.
 
@@ -212,14 +233,19 @@ def _varied(
             except ConfigError as refused:  # an outcome, as whatever a simulator raises
                 error = error or _in_words(varied.first, seeds[alike[0]], refused)
                 break
-            some = alike[played : played + (varied.together if isinstance(simulator, CompiledSimulator) else 1)]
+            together = varied.together if isinstance(simulator, CompiledSimulator) and elsewhere is None else 1
+            some = alike[played : played + together]
             begin = time.process_time()
-            alone = np.zeros(2, np.int64)
-            part = _outcomes(simulator, representation, genomes, parameters, participants[some], seeds[some], alone)
+            alone, there = np.zeros(2, np.int64), elsewhere and _of_trial(elsewhere, some[0])
+            part = _outcomes(simulator, representation, genomes, parameters, participants[some], seeds[some], alone, there)
             varied.took(time.process_time() - begin)
             fitness[some], metrics[some], error = part.fitness, part.metrics, error or part.error
             played += len(some)
     return Outcomes(fitness, metrics, error)
+
+
+def _of_trial(elsewhere: Callable[[int], Controllers], trial: int) -> Callable[[int], Controllers]:
+    return lambda _: elsewhere(trial)
 
 
 def _play(simulator: CompiledSimulator, representation: Representation, batch: Batch) -> None:
@@ -259,27 +285,24 @@ def _in_words(simulator: Simulator, seed: int, raised: BaseException) -> str:
     return f"{type(simulator).__name__}, trial seed {seed}: {what}"[:MAX_ERROR_TEXT]
 
 
-def warm_up(simulator: Simulator, representation: Representation) -> None:
-    """Compile or load all that a trial needs."""
-    genomes, participants, seeds = _probe_trials(simulator, representation)
-    evaluate(simulator, representation, genomes, participants[:1], seeds[:1])
+def warm_up(simulator: Simulator, representation: Representation, *, in_turns: bool = False) -> None:
+    """Compile or load all that a trial needs; in turns that is no kernel."""
+    _play_probe(simulator, representation, slice(1), in_turns=in_turns)
 
 
-def probe(simulator: Simulator, representation: Representation) -> Probe:
+def probe(simulator: Simulator, representation: Representation, *, in_turns: bool = False) -> Probe:
     """Play the trials that every machine plays, to compare: four random genomes, each on two seeds. Warms up, too."""
-    genomes, participants, seeds = _probe_trials(simulator, representation)
-    first = evaluate(simulator, representation, genomes, participants[:1], seeds[:1])
+    first = _play_probe(simulator, representation, slice(1), in_turns=in_turns)
     begin = time.perf_counter()
-    rest = evaluate(simulator, representation, genomes, participants[1:], seeds[1:])
+    rest = _play_probe(simulator, representation, slice(1, None), in_turns=in_turns)
     elapsed = time.perf_counter() - begin
     digest = hashlib.blake2b(digest_size=16)
     for outcomes in (first, rest):
         digest.update(outcomes.fitness.astype("<f8").tobytes() + outcomes.metrics.astype("<f8").tobytes())
-    return Probe(digest.digest(), elapsed / (len(seeds) - 1))
+    return Probe(digest.digest(), elapsed / len(rest.fitness))
 
 
-def _probe_trials(simulator: Simulator, representation: Representation) -> tuple[list[bytes], np.ndarray, np.ndarray]:
-    """Genomes, participants and seeds."""
+def _play_probe(simulator: Simulator, representation: Representation, some: slice, *, in_turns: bool) -> Outcomes:
     genomes = representation.random(PROBE_GENOMES, Stream(derive_seed(0, "probe")))
     participants = np.array(
         [
@@ -287,9 +310,11 @@ def _probe_trials(simulator: Simulator, representation: Representation) -> tuple
             for genome in range(PROBE_GENOMES)
             for _ in range(PROBE_SEEDS)
         ]
-    )
-    seeds = np.array([derive_seed(0, "probe", trial % PROBE_SEEDS) for trial in range(len(participants))], np.uint64)
-    return genomes, participants, seeds
+    )[some]
+    seeds = np.array([derive_seed(0, "probe", trial % PROBE_SEEDS) for trial in range(PROBE_GENOMES * PROBE_SEEDS)], np.uint64)
+    parameters = representation.parameters(genomes)
+    here = (lambda trial: Networks(representation, parameters[participants[trial]])) if in_turns else None
+    return evaluate(simulator, representation, genomes, participants, seeds[some], elsewhere=here)
 
 
 def play_in_turns(
@@ -307,7 +332,11 @@ def play_in_turns(
         fitness: (participants,) float64, filled.
         metrics: (metrics,) float64, filled.
     """
-    for _ in turns(simulator, representation, parameters, seed):
+    _play_with(Networks(representation, parameters), simulator, seed, fitness, metrics)
+
+
+def _play_with(controllers: Controllers, simulator: Simulator, seed: int, fitness: np.ndarray, metrics: np.ndarray) -> None:
+    for _ in _turns(simulator, controllers, seed):
         pass
     _take(simulator.outcome(), fitness, metrics)
 
@@ -343,20 +372,20 @@ def turns(simulator: Simulator, representation: Representation, parameters: np.n
     Args:
         parameters: (participants, P) float32.
     """
+    return _turns(simulator, Networks(representation, parameters), seed)
+
+
+def _turns(simulator: Simulator, controllers: Controllers, seed: int) -> Iterator[Turn]:
     turn: Turn | None = simulator.reset(seed)
     if turn is None:
         raise BrokenContractError("reset must return a Turn: somebody must act")
     owners = simulator.owners  # only now: they may differ by trial
-    states = np.zeros((len(owners), representation.state_size), np.float32)
     for _ in range(MAX_TURNS):
         yield turn
         observations = _observations(simulator, turn)
-        actions = np.empty((len(turn.agents), simulator.outputs), np.float32)
-        for row, agent in enumerate(turn.agents):
-            if not 0 <= agent < len(owners):
-                raise BrokenContractError(f"agents must be in {range(len(owners))}, not {list(turn.agents)}")
-            representation.step(parameters[owners[agent]], states[agent], observations[row], actions[row])
-        turn = simulator.step(actions)
+        if not all(0 <= agent < len(owners) for agent in turn.agents):
+            raise BrokenContractError(f"agents must be in {range(len(owners))}, not {list(turn.agents)}")
+        turn = simulator.step(controllers.decide(turn.agents, [owners[agent] for agent in turn.agents], observations))
         if turn is None:
             return
     raise BrokenContractError(f"the trial goes on after {MAX_TURNS:,} turns: step must return None when it is over")

@@ -149,7 +149,25 @@ class Cluster(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         ),
     ] = 0.0
 
+    controller: Annotated[
+        Literal["server", "optimizer"],
+        Meta(
+            description='where candidates decide: "server": they are sent, as genomes, and whole trials are played there; '
+            '"optimizer": this program decides, and servers ask it in every turn of a trial, which takes some hundred times as '
+            "long ([protocol.md](protocol.md#the-controller-at-the-optimizer))"
+        ),
+    ] = "server"
+    messages: Annotated[
+        Literal["turn", "agent"],
+        Meta(
+            description='what servers ask with `controller = "optimizer"`: "turn": one question for all agents that act; '
+            '"agent": one for each'
+        ),
+    ] = "turn"
+
     def __post_init__(self) -> None:
+        if self.messages != "turn" and self.controller != "optimizer":
+            raise ValueError(f'messages: expected "turn", not "{self.messages}", where controller is not "optimizer"')
         if 0 < self.trial_memory_mb < MIN_MEMORY_MB:
             raise ValueError(f"trial_memory_mb: expected 0 or at least {MIN_MEMORY_MB}, not {self.trial_memory_mb}")
 

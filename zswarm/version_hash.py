@@ -29,7 +29,7 @@ CPUINFO = Path("/proc/cpuinfo")
 KIND = "vendor_id|cpu family|model|flags|CPU implementer|CPU architecture|CPU variant|CPU part|Features"
 SHARED = (
     *("draws.py", "evaluate.py", "jit.py", "lanes.py", "portable.py", "ranges.py", "varied.py"),
-    *("nets/neurons.py", "nets/representation.py", "nets/vector.py", "sims/simulator.py"),
+    *("nets/networks.py", "nets/neurons.py", "nets/representation.py", "nets/vector.py", "sims/simulator.py"),
 )
 
 

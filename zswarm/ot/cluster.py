@@ -5,13 +5,15 @@ on is handled in the thread it arrives in, for waking another one takes longer t
 thread of its own, which looks at the clock, too. Zenoh's callbacks never wait, neither for the lock nor for a link.
 """
 
+import contextlib
 import queue
 import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
+from functools import partial
 from types import TracebackType
-from typing import NamedTuple, Self
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 import zenoh
 
@@ -35,10 +37,13 @@ from zswarm.ot.newcomers import Newcomers
 from zswarm.ot.requests import Wanted, Who, request
 from zswarm.ot.workload import Workload
 from zswarm.protocol import codec, keys, messages
-from zswarm.protocol.messages import Outcomes, Running
+from zswarm.protocol.messages import Fault, Outcomes, Running
 from zswarm.security import refusals
 from zswarm.security.keyring import Keyring
 from zswarm.session import Reach
+
+if TYPE_CHECKING:
+    from zswarm.ot.controllers import Controllers  # which loads the compiler
 
 FLUSH_S = 0.1  # a waiting caller gets a None this often
 TOLD_AT_ONCE = 100  # things for the caller that are kept back at most while more events wait
@@ -79,6 +84,7 @@ class Cluster:
     Args:
         reach: how other machines are reached.
         local: where this machine's slots are dialled; "": there are none.
+        controllers: those that servers ask; None: the controllers are sent.
     """
 
     def __init__(
@@ -88,6 +94,7 @@ class Cluster:
         *,
         reach: Reach,
         local: str = "",
+        controllers: "Controllers | None" = None,
     ) -> None:
         self.who, self.wanted = who, wanted
         self.standing = Standing([], [], 0, 0, 0, wanted.probe)  # the last one that its thread told
@@ -100,7 +107,7 @@ class Cluster:
             probe=wanted.probe,
             verify=wanted.verify,
         )
-        self._reach, self._local = reach, local
+        self._reach, self._local, self._controllers = reach, local, controllers
         self._sessions: list[zenoh.Session] = []
         self._tokens: list[zenoh.LivelinessToken] = []
         self._home: dict[str, zenoh.Session] = {}  # the session that saw a server; written before the server is Seen
@@ -164,6 +171,9 @@ class Cluster:
 
     def _watch(self, opened: zenoh.Session, ring: Keyring | None = None) -> None:
         self._sessions.append(opened)
+        if self._controllers is not None:
+            on_sensors = zenoh.handlers.Callback(partial(self._on_sensors, self._controllers), indirect=False)
+            opened.declare_queryable(keys.control(self.who.realm, self.who.user, self.who.run, "*"), on_sensors)
         liveliness = opened.liveliness()
         self._tokens.append(liveliness.declare_token(keys.run_alive(self.who.realm, self.who.user, self.who.run)))
 
@@ -276,6 +286,20 @@ class Cluster:
         self._home[key.server] = opened
         self._inbox.put(dispatch.Seen(key.server) if seen else dispatch.Gone(key.server))
 
+    def _on_sensors(self, controllers: "Controllers", query: zenoh.Query) -> None:
+        with query:
+            try:
+                server = keys.parse_control_key(str(query.key_expr))
+            except RemoteProtocolError:
+                return
+            try:
+                body = controllers.react(server, query.payload.to_bytes() if query.payload is not None else b"")
+            except BaseException as error:  # a bug
+                self._stop(error)
+                return
+            with contextlib.suppress(zenoh.ZError):  # the session is closing
+                query.reply(query.key_expr, body)
+
     # ---- the owner of the state
 
     def _happened(self, event: dispatch.Event, *, may_send: bool) -> None:
@@ -328,6 +352,8 @@ class Cluster:
     def _handle(self, event: dispatch.Event, *, may_send: bool) -> None:
         if isinstance(event, dispatch.Work):
             self._workload = event.workload
+            if self._controllers is not None:
+                self._controllers.begin(event.workload)
         elif isinstance(event, dispatch.Answered) and (server := self._unanswered.pop(event.question, "")):
             self._waited_for[server] -= 1
             if not self._waited_for[server]:
@@ -380,6 +406,8 @@ class Cluster:
         else:
             key = keys.request(self.who.realm, ask.server, self.who.user, self.who.run, verb)
         body = codec.encode(request(ask, self.who, self.wanted, self._workload))
+        if self._controllers is not None and ask.trials is not None:
+            self._controllers.give(ask.server, ask.lease, ask.batch, ask.trials)
         answered = False
 
         def on_reply(reply: zenoh.Reply) -> None:  # not the end: zenoh waits for that of every link on which it may be answered
@@ -387,6 +415,8 @@ class Cluster:
             if reply.ok is not None and not answered:
                 answered = True
                 event = dispatch.Answered(question, _decode(reply.ok.payload.to_bytes()))
+                if self._controllers is not None and isinstance(event.reply, Outcomes | Fault):
+                    self._controllers.take_back(ask.server, event.reply.batch)
                 if verb == "evaluate":
                     self._happened(event, may_send=False)
                 else:

@@ -15,6 +15,7 @@ from zswarm.errors import EvaluationError, Stopped
 from zswarm.ot import matching
 from zswarm.ot.cluster import Cluster, Item
 from zswarm.ot.connection import Connection
+from zswarm.ot.controllers import Controllers
 from zswarm.ot.dispatch import Counted, Disputed, Note, ProbeDisputed, ProbeSettled, Retracted, Settled
 from zswarm.ot.logger import Logger
 from zswarm.ot.problem import Problem
@@ -93,11 +94,18 @@ class Evaluations:
             quarantine=options.on_fault == "quarantine",
             verify=options.verify,
             probe=probe,
+            asks=options.messages if options.controller == "optimizer" else "",
         )
         who = Who(options.realm, _user(reach), run, epoch, secrets.token_bytes(16))
         self._met, self._begun = False, time.monotonic()  # whether a server of the network was seen
         local = connection.local
-        self._cluster = Cluster(who, wanted, reach=reach, local=local.endpoint if local is not None else "")
+        self._cluster = Cluster(
+            who,
+            wanted,
+            reach=reach,
+            local=local.endpoint if local is not None else "",
+            controllers=Controllers(problem.representation, problem.simulator.participants) if wanted.asks else None,
+        )
 
     def __enter__(self) -> Self:
         self._cluster.__enter__()

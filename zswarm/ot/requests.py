@@ -5,7 +5,7 @@ from typing import NamedTuple
 from zswarm.ot.dispatch import Ask
 from zswarm.ot.matching import Choice
 from zswarm.ot.workload import Workload
-from zswarm.protocol.messages import Cancel, Evaluate, Part, Release, Renew, Request, Requirements, Reserve
+from zswarm.protocol.messages import Asks, Cancel, Evaluate, Part, Release, Renew, Request, Requirements, Reserve
 
 
 class Wanted(NamedTuple):
@@ -23,6 +23,7 @@ class Wanted(NamedTuple):
     quarantine: bool
     verify: float
     probe: bytes
+    asks: Asks = ""  # of controllers that stay at the optimizer
 
 
 class Who(NamedTuple):
@@ -50,6 +51,7 @@ def request(ask: Ask, who: Who, wanted: Wanted, workload: Workload | None) -> Re
                 version_hash=wanted.requirements.version_hash,
                 trial_timeout_s=wanted.trial_timeout_s,
                 trial_memory_mb=wanted.trial_memory_mb,
+                asks=wanted.asks,
             )
         case "renew":
             return Renew(lease=ask.lease, known_ready=ask.known_ready)
@@ -62,7 +64,7 @@ def request(ask: Ask, who: Who, wanted: Wanted, workload: Workload | None) -> Re
     return Evaluate(
         lease=ask.lease,
         batch=ask.batch,
-        genomes=genomes,
+        genomes=[b""] * len(genomes) if wanted.asks else genomes,
         participants=participants.astype("<u4").tobytes(),
         seeds=seeds.astype("<u8").tobytes(),
     )

@@ -98,6 +98,8 @@ def evolve(
     record.note(Note("began", count=record.meta("epoch")))
     logger.on_start(Started(record.folder, complete, resumed.generation))
     logger.on_say(f"{complete.name}: {connection.who_computes()}")
+    if (asked := connection.options).controller == "optimizer":
+        logger.on_say(f"the controllers stay in this program: servers ask it, a question for each {asked.messages}")
     if optimizer.strayed is not None:
         otherwise = f"would have proposed other candidates from generation {optimizer.strayed} on"
         logger.on_say(f"{complete.optimizer.kind} {otherwise}; it goes on from those that were recorded")

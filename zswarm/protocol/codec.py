@@ -10,7 +10,19 @@ import numpy as np
 
 from zswarm.errors import RemoteProtocolError
 from zswarm.protocol import keys, messages
-from zswarm.protocol.messages import MAX_MESSAGE, MAX_TEXT, MAX_TRIALS, Message, Reply, Request
+from zswarm.protocol.messages import (
+    MAX_AGENTS,
+    MAX_MESSAGE,
+    MAX_TEXT,
+    MAX_TRIALS,
+    Actuators,
+    Message,
+    Reaction,
+    Refused,
+    Reply,
+    Request,
+    Sensors,
+)
 
 T = TypeVar("T")
 
@@ -19,6 +31,8 @@ UNSAFE = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}  # Unicode categories: contr
 _encoder = msgspec.msgpack.Encoder()
 _requests: msgspec.msgpack.Decoder[Request] = msgspec.msgpack.Decoder(Request)
 _replies: msgspec.msgpack.Decoder[Reply] = msgspec.msgpack.Decoder(Reply)
+_sensors: msgspec.msgpack.Decoder[Sensors] = msgspec.msgpack.Decoder(Sensors)
+_reactions: msgspec.msgpack.Decoder[Reaction] = msgspec.msgpack.Decoder(Reaction)
 
 
 class _Version(msgspec.Struct):
@@ -87,6 +101,60 @@ def decode_reply(body: bytes) -> Reply:
         case messages.Outcomes() | messages.Running() if message.error:
             return msgspec.structs.replace(message, error=clean(message.error))
     return message
+
+
+def decode_sensors(body: bytes) -> Sensors:
+    """What a server asks an optimizer.
+
+    Raises:
+        RemoteProtocolError: as ``decode_request``.
+    """
+    return _decode(body, _sensors)
+
+
+def decode_reaction(body: bytes) -> Reaction:
+    """What an optimizer answers to ``Sensors``; its texts are safe to show.
+
+    Raises:
+        RemoteProtocolError: as ``decode_request``.
+    """
+    message = _decode(body, _reactions)
+    if isinstance(message, Refused):
+        return msgspec.structs.replace(message, reason=clean(message.reason))
+    return message
+
+
+def sensed(message: Sensors, participants: int, inputs: int) -> tuple[list[int], list[int], np.ndarray]:
+    """Agents, the participant of each, and what they observe: (agents, inputs) float32, a copy.
+
+    Raises:
+        RemoteProtocolError: the arrays do not fit together, a number is not finite, or there is no such participant or agent.
+    """
+    agents, owners = array(message.agents, "<u4").tolist(), array(message.participants, "<u4").tolist()
+    observations = array(message.observations, "<f4")
+    if not agents or max(agents) >= MAX_AGENTS:
+        raise RemoteProtocolError(f"sensors are those of one agent at least, each below {MAX_AGENTS}")
+    if len(owners) != len(agents) or max(owners) >= participants:
+        raise RemoteProtocolError(f"{len(agents)} agents need as many participants, each below {participants}")
+    if len(observations) != len(agents) * inputs:
+        raise RemoteProtocolError(
+            f"{len(agents)} agents of {inputs} inputs need {len(agents) * inputs} numbers, not {len(observations)}"
+        )
+    if not np.isfinite(observations).all():
+        raise RemoteProtocolError("an observation is not finite")
+    return agents, owners, observations.astype(np.float32).reshape(len(agents), inputs)
+
+
+def decided(message: Actuators, agents: int, outputs: int) -> np.ndarray:
+    """(agents, outputs) float32.
+
+    Raises:
+        RemoteProtocolError: it is of another size.
+    """
+    actions = array(message.actions, "<f4")
+    if len(actions) != agents * outputs:
+        raise RemoteProtocolError(f"{agents} agents of {outputs} outputs need {agents * outputs} numbers, not {len(actions)}")
+    return actions.astype(np.float32).reshape(agents, outputs)
 
 
 def trials(message: messages.Evaluate, participants_per_trial: int) -> tuple[np.ndarray, np.ndarray]:

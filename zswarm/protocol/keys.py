@@ -79,6 +79,25 @@ def run_alive(realm: str, user: str, run: str) -> str:
     return f"{ROOT}/{_checked(realm)}/ot/{_checked(user, star=True)}/{_checked(run, star=True)}/alive"
 
 
+def control(realm: str, user: str, run: str, server: str) -> str:
+    """Where a server asks a run's optimizer for what controllers decide; ``*`` as server for all."""
+    return f"{ROOT}/{_checked(realm)}/ot/{_checked(user)}/{_checked(run)}/control/{_checked(server, star=True)}"
+
+
+def parse_control_key(key: str) -> str:
+    """The server that asks.
+
+    Raises:
+        RemoteProtocolError: not such a key.
+    """
+    parts = key.split("/")
+    if len(parts) != 8 or "/".join(parts[:2]) != ROOT or (parts[3], parts[6]) != ("ot", "control"):
+        raise RemoteProtocolError("not a key of a controller")
+    if not all(is_id(part) for part in (parts[2], *parts[4:6], parts[7])):
+        raise RemoteProtocolError(f"a part of the key is no id ({ID_RULE})")
+    return parts[7]
+
+
 def parse_server_key(key: str) -> ServerKey:
     """The parts of a key below a server.
 

@@ -19,6 +19,7 @@ MAX_LABELS = 64  # of a server
 LABEL_NAME = "[a-z][a-z0-9_.-]{0,62}"
 LABEL_VALUE = "[A-Za-z0-9][A-Za-z0-9_.:+-]{0,62}"
 MAX_PARTS = 100  # of a version; limits of a server
+MAX_AGENTS = 65_536  # of a trial whose controllers are at the optimizer
 PROBE_GENOMES, PROBE_SEEDS = 4, 2  # the trials that every server plays for its digest: each genome on each seed
 
 Text = Annotated[str, Meta(max_length=MAX_TEXT)]
@@ -31,6 +32,7 @@ LabelValue = Annotated[str, Meta(pattern=rf"\A{LABEL_VALUE}\Z")]
 BatchId = Count
 State = Literal["waiting", "preparing", "ready", "failed"]
 FaultKind = Literal["crashed", "timeout", "memory"]
+Asks = Literal["", "turn", "agent"]
 Refusal = Literal["malformed", "lease-lost", "busy", "draining", "mismatch", "cancelled"]
 
 
@@ -75,6 +77,7 @@ class Reserve(Message, frozen=True, tag="reserve"):
     version_hash: Text
     trial_timeout_s: Annotated[float, Meta(gt=0, le=1e9)]
     trial_memory_mb: Megabytes = 0  # that a slot's process may take; 0: what the server gives
+    asks: Asks = ""  # the controllers are at the optimizer, which is asked for each turn, or for each agent; "": they travel
 
 
 class Renew(Message, frozen=True, tag="renew"):
@@ -89,7 +92,7 @@ class Evaluate(Message, frozen=True, tag="evaluate"):
 
     lease: Token
     batch: BatchId
-    genomes: Annotated[list[Annotated[bytes, Meta(max_length=MAX_GENOME)]], Meta(max_length=MAX_GENOMES)]
+    genomes: Annotated[list[Annotated[bytes, Meta(max_length=MAX_GENOME)]], Meta(max_length=MAX_GENOMES)]  # see Reserve.asks
     participants: bytes  # (trials, k) uint32, indices into genomes
     seeds: bytes  # (trials,) uint64
 
@@ -177,6 +180,19 @@ class Fault(Message, frozen=True, tag="fault"):
     error: Text = ""
 
 
+class Sensors(Message, frozen=True, tag="sensors"):
+    """What agents observe; the optimizer answers with ``Actuators``. Asked again it gets the same answer."""
+
+    lease: Token
+    batch: BatchId
+    trial: Count  # index in the batch
+    play: Token  # drawn when the trial is begun
+    number: Count  # of the question in its trial
+    agents: bytes  # (agents,) uint32, below MAX_AGENTS
+    participants: bytes  # (agents,) uint32, which of the trial's participants drives each
+    observations: bytes  # (agents, inputs) float32
+
+
 class Refused(Message, frozen=True, tag="refused"):
     """The request is not carried out."""
 
@@ -188,5 +204,15 @@ class Done(Message, frozen=True, tag="done"):
     """Carried out."""
 
 
+# ---- from the optimizer, as an answer -----------------------------------------------------------------------------
+
+
+class Actuators(Message, frozen=True, tag="actuators"):
+    """What the controllers of the agents of ``Sensors`` decided."""
+
+    actions: bytes  # (agents, outputs) float32
+
+
 Request = Requirements | Reserve | Renew | Evaluate | Cancel | Release
 Reply = Offer | Lease | Outcomes | Running | Fault | Refused | Done
+Reaction = Actuators | Refused

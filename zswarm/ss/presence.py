@@ -16,7 +16,9 @@ from zswarm.protocol.messages import MAX_TEXT
 from zswarm.security import refusals
 from zswarm.session import Reach
 from zswarm.ss import slots
+from zswarm.ss.asking import Answered
 
+CONTROL_S = 2.0  # an answer is waited for; zenoh keeps a kilobyte per query as long
 SENDERS = 256  # runs that are answered at once
 
 log = structlog.get_logger()
@@ -52,7 +54,9 @@ class Presence:
         put: takes what comes, on zenoh's threads; False when there is too much of it.
     """
 
-    def __init__(self, realm: str, server: str, put: Callable[[Question | slots.Event], bool], *, private: bool) -> None:
+    def __init__(
+        self, realm: str, server: str, put: Callable[[Question | Answered | slots.Event], bool], *, private: bool
+    ) -> None:
         self._realm, self._server, self._put, self._private = realm, server, put, private
         self._session: zenoh.Session | None = None
         self._token: zenoh.LivelinessToken | None = None
@@ -113,19 +117,65 @@ class Presence:
 
     def answer(self, question: Question, run: str, body: bytes) -> None:
         """Answer on the run's own thread: a send into a dying link blocks."""
+        if not self._sender(run).send(lambda: question.answer(body)):
+            log.warning("answer_dropped", run=run)
+            question.drop()
+
+    def _sender(self, run: str) -> session.Sender:
         if run not in self._senders:
             if len(self._senders) >= SENDERS:
                 oldest = next(iter(self._senders))
                 self._senders.pop(oldest).close()
             self._senders[run] = session.Sender(run)
-        if not self._senders[run].send(lambda: question.answer(body)):
-            log.warning("answer_dropped", run=run)
-            question.drop()
+        return self._senders[run]
 
     def forget(self, run: str) -> None:
         """End a run's thread, or a server would gather one for every run."""
         if (sender := self._senders.pop(run, None)) is not None:
             sender.close()
+
+    # ---- questions
+
+    def ask(self, run: tuple[str, str], number: int, body: bytes, at_once: bool) -> None:
+        """Ask a run's optimizer; what comes back is put as ``Answered`` with this number.
+
+        Args:
+            run: its user and its id.
+            at_once: it does not block.
+        """
+        answered = False
+
+        def on_reply(reply: zenoh.Reply) -> None:
+            nonlocal answered
+            if reply.ok is not None and not answered:
+                answered = True
+                self._put(Answered(number, reply.ok.payload.to_bytes()))
+
+        def on_end() -> None:
+            if not answered:
+                self._put(Answered(number, None))
+
+        def send() -> None:
+            opened = self._session
+            try:
+                if opened is None:  # off the network for a moment
+                    raise zenoh.ZError
+                opened.get(
+                    keys.control(self._realm, *run, self._server),
+                    zenoh.handlers.Callback(on_reply, on_end, indirect=False),
+                    target=zenoh.QueryTarget.ALL,
+                    consolidation=zenoh.ConsolidationMode.NONE,
+                    timeout=CONTROL_S,
+                    congestion_control=zenoh.CongestionControl.BLOCK,
+                    priority=zenoh.Priority.INTERACTIVE_LOW,
+                    express=True,
+                    payload=body,
+                )
+            except zenoh.ZError:
+                self._put(Answered(number, None))
+
+        if not self._sender("/".join(run)).send(send, at_once=at_once):
+            self._put(Answered(number, None))
 
     def finish(self, timeout_s: float) -> None:
         """Give the answers that are on their way so long."""

@@ -28,7 +28,7 @@ from zswarm.protocol import codec, keys
 from zswarm.protocol.messages import MAX_TEXT, Offer, Refused, Requirements, Reserve
 from zswarm.security import keyring, refusals
 from zswarm.session import Reach, keys_in_words
-from zswarm.ss import control, facts, limits, memory, orphans, slots, view
+from zswarm.ss import asking, control, facts, limits, memory, orphans, slots, view
 from zswarm.ss.options import AT_START, Options, offered
 from zswarm.ss.presence import Presence, Question
 from zswarm.ss.worker import SAID_WIDTH, Ready, Rest, Worker
@@ -41,6 +41,7 @@ TICK_S = 0.25
 INBOX = 10_000  # queries that wait; more are dropped unanswered
 RETURN_S = 5.0
 MISSED_S = 30.0  # a slot's process that should be there for longer is named; sooner where systemd's watchdog is shorter
+NOBODY = codec.encode(Refused(code="cancelled", reason="nobody waits for the batch any more"))  # the answer to a question
 LOOK_EVERY_S, SHOW_EVERY_S = 0.1, 1.0  # at most; showing: to systemd and Prometheus
 
 log = structlog.get_logger()
@@ -72,9 +73,10 @@ class Server:
         self._limits = limits.read(options.limits, self.simulators, "limits")
         self.workers = [Worker(self.slot_memory_mb) for _ in range(capacity)]
         self.slots = slots.Slots(capacity, self._offer(), self._mismatch, lambda: secrets.token_bytes(16))
+        self._asking = asking.Asking(self._presence.ask)
         orphans.adopt()
         self._start_workers()
-        self._inbox: deque[Question | slots.Event] = deque()
+        self._inbox: deque[Question | asking.Answered | slots.Event] = deque()
         self._wake, self._woken = os.pipe()
         os.set_blocking(self._wake, False)
         os.set_blocking(self._woken, False)
@@ -156,7 +158,7 @@ class Server:
 
     # ---- what other threads and the kernel tell
 
-    def _on_network(self, item: Question | slots.Event) -> bool:
+    def _on_network(self, item: Question | asking.Answered | slots.Event) -> bool:
         if isinstance(item, Question) and len(self._inbox) >= INBOX:
             return False
         self._inbox.append(item)
@@ -188,7 +190,7 @@ class Server:
             if self._private:
                 poll.register(sys.stdin.fileno(), select.POLLIN)
             next_start = min(worker.start_at for worker in self.workers)
-            until = min(next_start, self._look_at, self._return_at, self.slots.next_time())
+            until = min(next_start, self._look_at, self._return_at, self.slots.next_time(), self._asking.next_time())
             if self.slots.busy() or self.slots.draining or self._signals:
                 until = min(until, next_tick)
             if self._control is not None:
@@ -221,6 +223,9 @@ class Server:
                 item = self._inbox.popleft()
                 if isinstance(item, Question):
                     self._from_run(item)
+                elif isinstance(item, asking.Answered):
+                    if (answer := self._asking.answered(item, time.monotonic())) is not None:
+                        self.workers[answer[0]].answer(answer[1])
                 else:
                     self._handle(item)
                     if isinstance(item, slots.HolderGone):
@@ -228,6 +233,7 @@ class Server:
             if (now := time.monotonic()) >= min(next_tick, self.slots.next_time()):
                 next_tick = now + TICK_S
                 self._handle(slots.Tick(tuple(worker.trial() for worker in self.workers)))
+            self._asking.ask_again(now)
             self._look(time.monotonic(), new=bool(ready))
 
     def _on_stop_asked(self) -> None:
@@ -337,6 +343,9 @@ class Server:
         match letter:
             case b"H":
                 return None
+            case b"S":
+                self._ask(index, body)
+                return None
             case b"N":
                 self._log_pause(index, worker, body.decode())
                 return None
@@ -359,7 +368,17 @@ class Server:
             case _:
                 return slots.Finished(index, body, worn=letter == b"W")
 
+    def _ask(self, slot: int, body: bytes) -> None:
+        """A slot asks what controllers at the optimizer decide; where its batch is to end there is nobody to ask."""
+        lease, worker = self.slots.slots[slot].lease, self.workers[slot]
+        if lease is None or worker.stopping:
+            worker.answer(NOBODY)
+        else:
+            self._asking.ask(slot, (lease.user, lease.run), body)
+
     def _handle(self, event: slots.Event) -> None:
+        if isinstance(event, slots.Died):
+            self._asking.end(event.slot)
         self._left_behind |= isinstance(event, slots.Died)
         for command in self.slots.handle(event, time.monotonic()):
             match command:
@@ -369,10 +388,13 @@ class Server:
                     self._left_behind |= not command.known  # a process that had another problem is ended
                     self.workers[command.slot].prepare(command.setup, probe=command.probe, known=command.known)
                 case slots.Run():
-                    self.workers[command.slot].evaluate(command.body, command.first, command.alone)
+                    self.workers[command.slot].evaluate(command.body, command.first, command.alone, command.begin)
                 case slots.Stop():
                     self.workers[command.slot].stop()
+                    if self._asking.end(command.slot):
+                        self.workers[command.slot].answer(NOBODY)
                 case slots.Kill():
+                    self._asking.end(command.slot)
                     self._left_behind = True
                     self.workers[command.slot].kill()
                 case slots.Log():

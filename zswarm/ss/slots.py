@@ -167,6 +167,7 @@ class Run(msgspec.Struct, frozen=True):
     body: bytes  # an encoded Evaluate
     first: int = 0  # trial to begin with
     alone: int = -1  # trial to play by itself
+    begin: int = 0  # which trial of the run's batch is the first of the piece
 
 
 class Stop(msgspec.Struct, frozen=True):
@@ -620,7 +621,8 @@ class Slots:
             slot.state, slot.trial, slot.since, piece.begun = SlotState.BUSY, -1, now, now
             piece.batch.running += 1
             message = piece.batch.message if piece.batch.whole else codec.cut(piece.batch.message, piece.first, piece.end)
-            self._do(Run(slot.index, codec.encode(message), piece.done, piece.alone))
+            begin = 0 if piece.batch.whole else piece.first
+            self._do(Run(slot.index, codec.encode(message), piece.done, piece.alone, begin))
         hungry = not lease.waiting and any(slot.state == SlotState.READY for slot in idle)
         untold = hungry and any(batch.told < len(batch.parts) and batch.query is not None for batch in lease.batches.values())
         lease.hungry_since = (lease.hungry_since or now) if untold else None
@@ -872,9 +874,8 @@ class Slots:
 
 
 def _same_problem(left: Reserve | None, right: Reserve) -> bool:
-    return left is not None and (left.simulator, left.representation, left.version_hash, left.trial_memory_mb) == (
-        right.simulator,
-        right.representation,
-        right.version_hash,
-        right.trial_memory_mb,
-    )
+    return left is not None and _problem(left) == _problem(right)
+
+
+def _problem(setup: Reserve) -> tuple[Any, ...]:
+    return setup.simulator, setup.representation, setup.version_hash, setup.trial_memory_mb, setup.asks

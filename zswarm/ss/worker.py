@@ -4,7 +4,9 @@ Children are forked from a fork server that has numba loaded and never touched z
 a body: ``P`` prepare with the probe, ``Q`` prepare without, ``E`` evaluate; back come ``H`` here (once, when the process is
 warm), ``R`` ready, ``F`` failed, ``O`` done, ``W`` done and worn (little memory is left), ``X`` exhausted (no memory is left
 for the rest of the batch), ``M`` (one trial, or preparing, took all memory), and ``D`` (the program of a foreign simulator
-ended in a trial, or in preparing; with the reason). A child ends when its pipe closes, and is killed when the fork server ends.
+ended in a trial, or in preparing; with the reason). ``S`` asks what
+controllers elsewhere decide (``asking.py``), and an answer without a letter comes back. A child ends when its pipe closes, and is
+killed when the fork server ends.
 
 What a simulator writes to stdout and stderr goes into a second pipe, of which the server logs the first lines and keeps the last.
 A child leads a session of its own, and no process that it starts has its pipe: so it is over when the child ends.
@@ -29,6 +31,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING
 
@@ -39,6 +42,7 @@ from zswarm.errors import ConfigError, EvaluationError, RemoteProtocolError
 from zswarm.protocol import codec
 from zswarm.protocol.messages import Evaluate, Outcomes, Refused, Reserve
 from zswarm.ss import memory
+from zswarm.ss.asking import Trial, Unanswered
 from zswarm.version_hash import version_hash
 
 if TYPE_CHECKING:
@@ -47,7 +51,7 @@ if TYPE_CHECKING:
 PRELOADED = ["zswarm.ss.worker", "zswarm.evaluate"]
 PR_SET_PDEATHSIG = 1
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")  # a slot is one; a BLAS takes 40 MB for each
-TRIAL, STOP, FIRST, ALONE = range(4)  # of the shared numbers
+TRIAL, STOP, FIRST, ALONE, BEGIN = range(5)  # of the shared numbers
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.2, 10.0  # before a process that died early again is started anew
 GOING_S = 0.2  # a killed process is waited for, before others go on
 ENDING_S = 1.0  # the word on how a process ended is waited for
@@ -96,7 +100,8 @@ class Worker:
 
     def __init__(self, memory_mb: int) -> None:
         self._memory_mb = memory_mb
-        self._shared = _context.RawArray("q", 4)  # trial and stop (see evaluate.py), where these begin, a trial to play alone
+        # Trial and stop (see evaluate.py), where these begin, a trial to play alone, where in the run's batch this one begins.
+        self._shared = _context.RawArray("q", 5)
         self._progress = np.frombuffer(self._shared, np.int64)
         self._process: multiprocessing.context.ForkServerProcess | None = None
         self._unborn: list[str] = []  # why it could not be started, from the thread that tried
@@ -173,10 +178,25 @@ class Worker:
         self._prepared = True
         self._send(b"P" if probe else b"Q", codec.encode(setup))
 
-    def evaluate(self, body: bytes, first: int, alone: int) -> None:
-        """Have it evaluate an encoded batch from a trial on, one trial (or -1: none) by itself."""
-        self._progress[:] = 0, 0, first, alone
+    def evaluate(self, body: bytes, first: int, alone: int, begin: int = 0) -> None:
+        """Have it evaluate an encoded batch from a trial on, one trial (or -1: none) by itself.
+
+        Args:
+            begin: which trial of the run's batch is the first of this one.
+        """
+        self._progress[:] = 0, 0, first, alone, begin
         self._send(b"E", body)
+
+    def answer(self, body: bytes) -> None:
+        """Tell it what the optimizer answered to its question."""
+        assert self.pipe is not None  # noqa: S101  it asked by it
+        with contextlib.suppress(OSError):  # as in _send
+            self.pipe.send_bytes(body)
+
+    @property
+    def stopping(self) -> bool:
+        """Whether its batch is to end."""
+        return bool(self._progress[STOP])
 
     def stop(self) -> None:
         """Have its batch end before the next trial."""
@@ -359,7 +379,7 @@ def main(pipe: Connection, shared: object, memory_mb: int, saying: Connection) -
                 assert isinstance(setup, Reserve)  # noqa: S101  that is what prepare sends
                 _check_version(setup)
                 too_much = _too_much(setup.trial_memory_mb, memory_mb).encode()
-                evaluator = Evaluator(setup, setup.trial_memory_mb or memory_mb)
+                evaluator = Evaluator(setup, setup.trial_memory_mb or memory_mb, pipe)
                 pipe.send_bytes(b"R" + msgspec.msgpack.encode(evaluator.warm_up(probe=letter == b"P")))
             except (MemoryError, OutOfMemoryError):
                 memory.lift()
@@ -404,24 +424,26 @@ def _check_version(setup: Reserve) -> None:
 class Evaluator:
     """A problem built in this process, which takes so much memory and no more."""
 
-    def __init__(self, setup: Reserve, limit_mb: int) -> None:
+    def __init__(self, setup: Reserve, limit_mb: int, pipe: Connection) -> None:
         from zswarm import evaluate  # numba comes with it: only here, never in the server's own process
 
         memory.restrict(limit_mb)
         self._limit = limit_mb << 20
         self._ready = 0  # bytes taken when it was warmed up
-        self._evaluate = evaluate
+        self._evaluate, self._pipe, self._asks = evaluate, pipe, setup.asks
+        simulator, representation = setup.simulator, setup.representation
         self.simulator, self.representation = evaluate.build(
-            setup.simulator.kind, setup.simulator.settings, setup.representation.kind, setup.representation.settings
+            simulator.kind, simulator.settings, representation.kind, representation.settings, hosting=not setup.asks
         )
 
     def warm_up(self, *, probe: bool) -> Ready:
         """Compile or load all that a trial needs, and play the probe if told."""
         if not probe:
-            self._evaluate.warm_up(self.simulator, self.representation)
+            self._evaluate.warm_up(self.simulator, self.representation, in_turns=bool(self._asks))
             ready = Ready(b"", 0.0)
         else:
-            ready = Ready(*self._evaluate.probe(self.simulator, self.representation))
+            digest, trial_s = self._evaluate.probe(self.simulator, self.representation, in_turns=bool(self._asks))
+            ready = Ready(digest, 0.0 if self._asks else trial_s)  # one that asks takes longer
         self._ready = memory.used()
         return ready
 
@@ -437,6 +459,8 @@ class Evaluator:
             if not isinstance(batch, Evaluate):
                 raise RemoteProtocolError("not a batch")
             done, alone, pieces = self._play(batch, progress)
+        except Unanswered as error:
+            return b"O", codec.encode(error.refused)
         except (ValueError, RemoteProtocolError) as error:
             return b"O", codec.encode(Refused(code="malformed", reason=codec.clean(str(error))))
         outcomes = Outcomes(
@@ -466,12 +490,14 @@ class Evaluator:
                 return done, alone, pieces
             progress[TRIAL], progress[FIRST] = 0, done
             part = slice(done, end)
+            asking = partial(self._asking, batch, int(progress[BEGIN]) + done) if self._asks else None
             try:
                 pieces.append(
                     self._evaluate.evaluate(
-                        self.simulator, self.representation, batch.genomes, participants[part], seeds[part], progress[:FIRST]
+                        self.simulator, self.representation, batch.genomes, participants[part], seeds[part], progress[:FIRST],
+                        asking,
                     )
-                )
+                )  # fmt: skip
             except MemoryError:
                 memory.lift()  # there must be enough to say so
                 if end - done == 1:
@@ -479,6 +505,9 @@ class Evaluator:
                 return done, done + int(progress[TRIAL]), pieces
             done = end
         return done, -1, pieces
+
+    def _asking(self, batch: Evaluate, begin: int, trial: int) -> Trial:
+        return Trial(self._pipe, batch, begin + trial, self.simulator.outputs, self._asks)
 
     def _worn(self) -> bool:
         """Whether more than half of what was left when it was ready is taken now."""

@@ -75,7 +75,7 @@ def run(
     more = [f"{key}={value}" for key, value in (("seed", seed), ("study.repeat", repeat)) if value is not None]
     with named(overrides, path):
         loaded = with_cluster(experiment.load(path, [*overrides, *more]), cluster)
-    _evaluate_nothing()
+    _evaluate_nothing(loaded)
     if loaded.study.runs() > 1 or loaded.study.settings() != [{}]:
         from zswarm.ot.study import Study
 
@@ -109,7 +109,8 @@ def resume(folder: Path, with_dashboard: bool, as_json: bool, **cluster: Any) ->
     \b
       zswarm-ot resume runs/stadium
     """  # noqa: D301  click's mark for text that is not to be wrapped
-    _evaluate_nothing()
+    file = folder / "experiment.toml"
+    _evaluate_nothing(with_cluster(experiment.load(file), cluster) if file.is_file() else None)
     from zswarm.ot.display import display, summary
     from zswarm.ot.reading import told_again
     from zswarm.ot.record import DATABASE, load_experiment
@@ -221,6 +222,7 @@ def _terminate(_number: int, _frame: FrameType | None) -> None:
     raise SystemExit(EXIT_TERMINATED)
 
 
-def _evaluate_nothing() -> None:
+def _evaluate_nothing(loaded: experiment.Experiment | None) -> None:
     """This program handles genomes; servers evaluate them. Without numba it starts a third of a second earlier."""
-    os.environ["ZSWARM_PLAIN"] = "1"
+    if loaded is None or loaded.cluster.controller == "server":
+        os.environ["ZSWARM_PLAIN"] = "1"
