@@ -24,6 +24,7 @@ HERE = Path(__file__).resolve().parent
 EXAMPLE = HERE.parents[1] / "examples" / "foreign" / "c"
 FLAGS = ("-O2", "-std=c11", "-D_POSIX_C_SOURCE=200809L", "-ffp-contract=off")
 BUILDS = {"cc": "gcc", "catkin": "catkin_make"}  # and the program that each needs
+SYSTEM = {"PATH": "/usr/local/bin:/usr/bin:/bin"}  # catkin's modules are those of the system's Python
 PACKAGE = """<package format="2"><name>exit_world</name><version>1.0.0</version><description>Emergency exit</description>
 <maintainer email="nobody@example.org">nobody</maintainer><license>Apache-2.0</license>
 <buildtool_depend>catkin</buildtool_depend></package>
@@ -109,14 +110,14 @@ def judged(folder: Path, agents: int, steps: int) -> float:
 
 
 def _done(command: list[str], folder: Path) -> None:
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, cwd=folder, env=SYSTEM, capture_output=True, text=True, check=False)
     if done.returncode:
         raise RuntimeError(f"{command[0]} failed: {(done.stderr or done.stdout)[-2000:]}")
 
 
 def missing(build: str) -> str:
     """Which program is not there, or ""."""
-    return "" if shutil.which(BUILDS[build]) else f"{BUILDS[build]} is not installed"
+    return "" if shutil.which(BUILDS[build], path=SYSTEM["PATH"]) else f"{BUILDS[build]} is not installed"
 
 
 @contextlib.contextmanager

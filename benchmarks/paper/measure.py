@@ -14,6 +14,7 @@ import numpy as np
 from paper import files, world
 from paper.broker import Broker
 from paper.local import Local
+from paper.names import FILES, LOCAL, NODELAY, PAPER_STEP_S, STOCK, ZENOH
 from paper.over_zenoh import WAYS, Servers
 from paper.world import Optimized, Size, World
 from zswarm.ot import run
@@ -23,12 +24,7 @@ from zswarm.ot.workload import Workload
 Row = dict[str, Any]
 Optimize = Callable[[World, Size, int], tuple[Optimized, Row]]  # on so many servers; what else there is to say
 
-STOCK, NODELAY = "broker", "broker, TCP_NODELAY"
-FILES = {"cc": "files, gcc", "catkin": "files, catkin_make"}
-ZENOH = {"blob": "parameters over Zenoh", "turn": "optimizer over Zenoh, by turn", "agent": "optimizer over Zenoh, by agent"}
-LOCAL = "no transport"
-ONE = Size(1, 2)  # a generation of two simulations
-PAPER_STEP_S = 0.1  # t_step of Table I
+ONE = Size(1, 3)  # a generation, the smallest that NNGA takes
 
 
 class Plan(NamedTuple):
@@ -38,12 +34,12 @@ class Plan(NamedTuple):
     designs_steps: int = 50
     crowd_steps: int = 20  # of minisim beside them
     grid_agents: tuple[int, ...] = (1, 4, 8)
-    grid_steps: tuple[int, ...] = (10, 20, 40)
+    grid_steps: tuple[int, ...] = (10, 20, 30)
     grid_step_s: float = PAPER_STEP_S
     message_agents: tuple[int, ...] = (1, 2, 4, 8, 16)
-    message_steps: tuple[int, int] = (10, 60)  # the difference is of messages alone
+    message_steps: tuple[int, ...] = (10, 60, 410)  # the difference is of messages alone; the slow broker has the first two
     servers: tuple[int, ...] = (1, 2, 4, 8, 16)
-    scaling_steps: tuple[int, ...] = (10, 30)
+    scaling_steps: tuple[int, ...] = (10, 20)
     scaling_step_s: float = PAPER_STEP_S
     crowded: Size = Size(trials=8)  # enough simulations in a generation for 16 servers
     crowded_step_s: float = 0.02
@@ -52,7 +48,7 @@ class Plan(NamedTuple):
 
 QUICK = Plan(
     rounds=1, designs_steps=10, crowd_steps=10, grid_agents=(1, 2), grid_steps=(10, 12), grid_step_s=0.002,
-    message_agents=(1, 8), message_steps=(10, 14), servers=(1, 2), scaling_steps=(10,), scaling_step_s=0.002,
+    message_agents=(1, 8), message_steps=(10, 14, 30), servers=(1, 2), scaling_steps=(10,), scaling_step_s=0.002,
     crowded=Size(2, 4, 2), crowded_step_s=0.002, evolve=Size(5, 50),
 )  # fmt: skip
 
@@ -124,10 +120,9 @@ def _designs(name: str, optimize: Optimize, plan: Plan, *, rounds: int) -> list[
 def _messages(name: str, optimize: Optimize, plan: Plan) -> list[Row]:
     """Short and longer simulations as fast as they can be."""
     return [
-        _row("messages", name, optimize, World(kind, agents, steps), ONE, 1)
-        for kind in ("emergency-exit", "minisim")
+        _row("messages", name, optimize, World("minisim", agents, steps), ONE, 1)
         for agents in plan.message_agents
-        for steps in plan.message_steps
+        for steps in (plan.message_steps[:2] if name == STOCK else plan.message_steps)
     ]
 
 
