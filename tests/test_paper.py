@@ -8,12 +8,16 @@ import re
 import shutil
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from documents import REPOSITORY
+
+from zswarm.ot import run
 
 BENCHMARKS = REPOSITORY / "benchmarks"
 RESULTS = BENCHMARKS / "paper" / "results.json"
@@ -139,12 +143,51 @@ def test_the_table_of_the_papers_parts_names_files_that_are_there() -> None:
     assert missing == []
 
 
+def have(*programs: str) -> None:
+    """Skip where one is not there."""
+    if lacking := [name for name in programs if not shutil.which(name, path=os.environ["PATH"] + ":/usr/sbin")]:
+        pytest.skip(f"not installed: {', '.join(lacking)}")
+
+
+@pytest.mark.robots
+def test_the_messages_behind_the_broker_are_the_papers_seven_in_its_order() -> None:
+    """Two servers; each message names its simulation, and all but the discovery their server."""
+    have("mosquitto")
+    world, broker = load("world"), load("broker")
+    seen: list[Any] = []
+    with world.installed(), broker.Broker(nodelay=True) as opened:
+        loaded = world.load(world.World(agents=2, steps=3), world.Size(generations=1))
+        problem = run.build(loaded).problem
+        opened.grow(2, problem)
+        subscribed, listener = threading.Event(), broker.by_mqtt.connected(opened._port, True)
+        listener.on_subscribe = lambda *_: subscribed.set()
+        listener.on_message = lambda _client, _data, message: seen.append(broker.decode(message.payload))
+        listener.subscribe("#")
+        listener.loop_start()
+        assert subscribed.wait(30.0)
+        world.optimize(loaded, opened.play)
+        deadline = time.monotonic() + 30.0
+        while sum(isinstance(message, broker.Fitness) for message in seen) < 4 and time.monotonic() < deadline:
+            time.sleep(0.01)
+        listener.disconnect()
+        listener.loop_stop()
+    simulations = {message.simulation for message in seen}
+    assert len(simulations) == 4
+    for simulation in simulations:
+        own = [message for message in seen if message.simulation == simulation]
+        (server,) = {message.server for message in own if isinstance(message, broker.Parameters)}
+        assert own[0].server == ""
+        order = [type(message) for message in own if message.server in ("", server)]
+        begin = [broker.Discovery, broker.Server, broker.Parameters, broker.Control]
+        assert order == [*begin, *[broker.Sensor, broker.Actuator] * ((len(order) - 5) // 2), broker.Fitness]
+        assert len(order) <= 5 + 2 * 3 * 2
+        assert {type(message) for message in own if message.server not in ("", server)} <= {broker.Server}
+
+
 @pytest.mark.robots
 def test_everything_is_measured_and_made_into_a_page(tmp_path: Path) -> None:
     """Real brokers, compilers, daemons; sizes that say nothing of times, but the history and the messages."""
-    lacking = [name for name in ("mosquitto", "gcc") if not shutil.which(name, path=os.environ["PATH"] + ":/usr/sbin")]
-    if lacking:
-        pytest.skip(f"{', '.join(lacking)} not installed")
+    have("mosquitto", "gcc")
     done = subprocess.run(
         [sys.executable, "-m", "paper", "--quick", "--to", str(tmp_path)],
         cwd=BENCHMARKS, env={**os.environ, "PYTHONPATH": str(REPOSITORY)}, capture_output=True, text=True, timeout=900,

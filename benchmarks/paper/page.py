@@ -128,9 +128,10 @@ def _table(results: Results) -> str:
 
 def _messages(results: Results) -> str:
     agents = sorted({row["agents"] for row in findings.rows(results, part="messages")})
-    lines = []
-    for design in (STOCK, NODELAY, ZENOH["turn"], ZENOH["agent"]):
-        lines.append((design, *(_us(findings.message_s(results, design, each)) for each in agents)))
+    lines = [
+        (design, *(_us(findings.message_s(results, design, each)) for each in agents))
+        for design in (STOCK, NODELAY, ZENOH["turn"], ZENOH["agent"])
+    ]
     return tables.markdown(["us", *(charts._agents(each) for each in agents)], lines)
 
 

@@ -84,6 +84,7 @@ def installed() -> Iterator[None]:
         finally:
             for path in paths:
                 sys.path.remove(path)
+            plugins._installed.cache_clear()
             for key, value in before.items():
                 os.environ.pop(key) if value is None else os.environ.update({key: value})
 
