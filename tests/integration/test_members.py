@@ -18,7 +18,7 @@ from programs import Optimizer, Program, Server, free_port, query, wait_until
 
 from zswarm import session
 from zswarm.protocol import codec, keys
-from zswarm.protocol.messages import Cancel, Lease, Message, Part, Release, Renew, Reply, Requirements, Reserve
+from zswarm.protocol.messages import Cancel, Lease, Message, Part, Refused, Release, Renew, Reply, Requirements, Reserve
 from zswarm.security import bundle, install
 from zswarm.security.authority import Authority
 from zswarm.security.keyring import Keyring
@@ -164,6 +164,36 @@ def test_members_meet_through_a_router_that_holds_their_rules(lab: Lab, tmp_path
     finally:
         server.close()
         router.close()
+
+
+@pytest.mark.faults
+def test_servers_ask_the_controllers_of_users_each_server_as_itself(lab: Lab, server: Server, tmp_path: Path) -> None:
+    """A run with its controllers at the optimizer goes through the rules; a question in another server's name does not."""
+    plain = evolve(tmp_path, "alone", "none", "--servers", "local", "--out", "alone", *SMALL).done()
+    asked = ("--set=cluster.controller='optimizer'", "--servers", "1", f"--connect={server.endpoint}")
+    assert evolve(tmp_path, "alice", lab.keys("alice"), *asked, *SMALL).done()["history_hash"] == plain["history_hash"]
+    place = f"tls/127.0.0.1:{free_port()}"
+    listening = Reach((), multicast=False, keyring=ring(lab.keys("lab-02"), "ss", "lab-02"))
+    asker, _ = session.open_server([place], listening)
+    with contextlib.closing(asker), opened(place, as_=ring(lab.keys("alice"), "ot", "alice")) as alice:
+        heard: list[str] = []
+
+        def answer(query: zenoh.Query) -> None:
+            with query:
+                heard.append(str(query.key_expr))
+                query.reply(query.key_expr, codec.encode(Refused(code="cancelled", reason="")))
+
+        alice.declare_queryable(keys.control("default", "alice", "run", "*"), answer)
+        alice.declare_queryable(keys.control("default", "bob", "run", "*"), answer)
+        own = keys.control("default", "alice", "run", "lab-02-00000000")
+
+        def replies(key: str) -> int:
+            return sum(reply.ok is not None for reply in asker.get(key, target=zenoh.QueryTarget.ALL, timeout=2.0))
+
+        wait_until(lambda: replies(own), "the server is answered")
+        assert not replies(keys.control("default", "alice", "run", "lab-01-00000000")), "in another server's name"
+        assert not replies(keys.control("default", "bob", "run", "lab-02-00000000")), "by a user in another one's name"
+    assert set(heard) == {own}
 
 
 def tokens(one: zenoh.Session, key: str) -> list[str]:

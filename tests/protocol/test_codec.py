@@ -62,6 +62,7 @@ REQUESTS = {
         "version_hash": SHOWN,
         "trial_timeout_s": st.floats(0, 1e9, exclude_min=True),
         "trial_memory_mb": st.integers(0, 2**40),
+        "asks": st.sampled_from(["", "turn", "agent"]),
     },
     messages.Renew: {"lease": TOKENS, "known_ready": st.integers(-1, messages.MAX_SLOTS)},
     Evaluate: {
@@ -109,8 +110,17 @@ REPLIES = {
     },
     messages.Done: {},
 }
+SENSORS = {
+    **dict.fromkeys(("lease", "play"), TOKENS),
+    **dict.fromkeys(("batch", "trial", "number"), COUNTS),
+    **dict.fromkeys(("agents", "participants", "observations"), st.binary(max_size=30)),
+}
+ACTUATORS = {"actions": st.binary(max_size=30)}
+ANY_SENSORS = st.builds(messages.Sensors, **SENSORS)
+ANY_REACTION = st.one_of(st.builds(messages.Actuators, **ACTUATORS), st.builds(messages.Refused, **REPLIES[messages.Refused]))
 ANY_REQUEST = st.one_of([st.builds(kind, **fields) for kind, fields in REQUESTS.items()])
 ANY_REPLY = st.one_of([st.builds(kind, **fields) for kind, fields in REPLIES.items()])
+ANY = st.one_of(ANY_REQUEST, ANY_REPLY, ANY_SENSORS, ANY_REACTION)
 
 
 OFFER = messages.Offer(
@@ -160,7 +170,8 @@ def changed(message: Any, **changes: Any) -> bytes:
 def test_every_message_is_tested() -> None:
     assert set(REQUESTS) == set(messages.Request.__args__)
     assert set(REPLIES) == set(messages.Reply.__args__)
-    for kind, fields in (REQUESTS | REPLIES).items():
+    assert {messages.Actuators, messages.Refused} == set(messages.Reaction.__args__)
+    for kind, fields in {**REQUESTS, **REPLIES, messages.Sensors: SENSORS, messages.Actuators: ACTUATORS}.items():
         assert set(fields) | {"v"} == set(kind.__struct_fields__)
 
 
@@ -172,6 +183,14 @@ def test_a_request_comes_through_whole(message: messages.Request) -> None:
 @given(ANY_REPLY)
 def test_a_reply_comes_through_whole(message: messages.Reply) -> None:
     assert codec.decode_reply(codec.encode(message)) == message
+
+
+@given(ANY_SENSORS, ANY_REACTION)
+def test_sensors_and_what_they_are_answered_come_through_whole(sensors: messages.Sensors, reaction: messages.Reaction) -> None:
+    assert codec.decode_sensors(codec.encode(sensors)) == sensors
+    assert codec.decode_reaction(codec.encode(reaction)) == reaction
+    for body, decode in ((codec.encode(sensors), codec.decode_reaction), (codec.encode(reaction), codec.decode_sensors)):
+        assert safe_to_show(refusal(body, decode))
 
 
 @given(ANY_REQUEST, ANY_REPLY)
@@ -225,15 +244,16 @@ def ends_well(body: bytes, decode: Callable[[bytes], messages.Message]) -> bool:
     return safe_to_show(found) if isinstance(found, str) else decode(codec.encode(found)) == found
 
 
-def ends_well_both_ways(body: bytes) -> bool:
-    """As a request and as a reply."""
-    return ends_well(body, codec.decode_request) and ends_well(body, codec.decode_reply)
+def ends_well_all_ways(body: bytes) -> bool:
+    """As a request and as a reply, as a question to an optimizer and as its answer."""
+    ways = (codec.decode_request, codec.decode_reply, codec.decode_sensors, codec.decode_reaction)
+    return all(ends_well(body, decode) for decode in ways)
 
 
 @FUZZ
 @given(st.binary(max_size=200))
 def test_any_bytes_end_in_a_message_or_the_peers_fault(body: bytes) -> None:
-    assert ends_well_both_ways(body)
+    assert ends_well_all_ways(body)
 
 
 HOSTILE = [
@@ -285,9 +305,9 @@ def damaged(draw: st.DrawFn, message: st.SearchStrategy[messages.Message]) -> by
 
 
 @FUZZ
-@given(damaged(st.one_of(ANY_REQUEST, ANY_REPLY)))
+@given(damaged(ANY))
 def test_a_damaged_message_ends_so_too(body: bytes) -> None:
-    assert ends_well_both_ways(body)
+    assert ends_well_all_ways(body)
 
 
 VALUES = st.recursive(
@@ -298,10 +318,46 @@ VALUES = st.recursive(
 
 
 @FUZZ
-@given(st.one_of(ANY_REQUEST, ANY_REPLY), st.data())
+@given(ANY, st.data())
 def test_a_message_with_any_value_in_a_field_ends_so_too(message: messages.Message, data: st.DataObject) -> None:
     key = data.draw(st.one_of(st.sampled_from(["type", *message.__struct_fields__]), st.text(max_size=6)))
-    assert ends_well_both_ways(changed(message, **{key: data.draw(VALUES)}))
+    assert ends_well_all_ways(changed(message, **{key: data.draw(VALUES)}))
+
+
+SENSED = messages.Sensors(
+    lease=bytes(16), batch=1, trial=0, play=bytes(16), number=0,
+    agents=struct.pack("<2I", 4, 0), participants=struct.pack("<2I", 1, 0), observations=struct.pack("<4f", 1, 2, 3, 4),
+)  # fmt: skip
+
+
+def test_sensors_are_read_as_they_were_written() -> None:
+    agents, participants, observations = codec.sensed(SENSED, 2, 2)
+    assert (agents, participants, observations.tolist()) == ([4, 0], [1, 0], [[1, 2], [3, 4]])
+    assert observations.flags.writeable, "compiled controllers take no others"
+
+
+@pytest.mark.parametrize(
+    ("changes", "participants", "inputs", "words"),
+    [
+        ({"agents": b"", "participants": b"", "observations": b""}, 2, 2, "one agent at least"),
+        ({"agents": struct.pack("<2I", 0, 65_536)}, 2, 2, "each below 65536"),
+        ({"agents": b"abc"}, 2, 2, "no whole number"),
+        ({}, 1, 2, "2 agents need as many participants, each below 1"),
+        ({"participants": struct.pack("<I", 0)}, 2, 2, "2 agents need as many participants"),
+        ({}, 2, 3, "2 agents of 3 inputs need 6 numbers, not 4"),
+        ({"observations": struct.pack("<4f", 1, 2, float("nan"), 4)}, 2, 2, "not finite"),
+    ],
+)
+def test_sensors_that_do_not_fit_are_refused(changes: dict[str, bytes], participants: int, inputs: int, words: str) -> None:
+    with pytest.raises(RemoteProtocolError, match=words):
+        codec.sensed(msgspec.structs.replace(SENSED, **changes), participants, inputs)
+
+
+def test_actions_are_those_of_all_agents() -> None:
+    told = messages.Actuators(actions=struct.pack("<4f", 1, 2, 3, 4))
+    assert codec.decided(told, 2, 2).tolist() == [[1, 2], [3, 4]]
+    with pytest.raises(RemoteProtocolError, match="3 agents of 2 outputs need 6 numbers, not 4"):
+        codec.decided(told, 3, 2)
 
 
 def test_bytes_after_the_message_are_refused() -> None:

@@ -189,3 +189,27 @@ def test_any_text_is_a_key_or_the_peers_fault(text: str) -> None:
         assert len(parsed) == count
         realm_and_below = parsed[1:] if count == 6 else parsed
         assert all(part == "" or keys.is_id(part) for part in realm_and_below)
+
+
+def test_a_control_key_names_the_server_that_asks() -> None:
+    key = keys.control("default", "ann", "run-1", "lab-1-00000000")
+    assert key == "zswarm/v1/default/ot/ann/run-1/control/lab-1-00000000"
+    assert keys.parse_control_key(key) == "lab-1-00000000"
+    assert keys.control("default", "ann", "run-1", "*").endswith("/control/*")
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "zswarm/v1/default/ot/ann/run-1/alive",
+        "zswarm/v1/default/ot/ann/run-1/control",
+        "zswarm/v1/default/ot/ann/run-1/control/*",
+        "zswarm/v1/default/ot/ann/run-1/control/Lab",
+        "zswarm/v2/default/ot/ann/run-1/control/lab",
+        "zswarm/v1/default/ss/ann/run-1/control/lab",
+        "zswarm/v1/default/ot/ann/run-1/control/lab/more",
+    ],
+)
+def test_other_keys_are_no_control_keys(key: str) -> None:
+    with pytest.raises(RemoteProtocolError):
+        keys.parse_control_key(key)

@@ -22,6 +22,11 @@ RUN_TOKENS = [f"{VERSIONED}/ot/*/*/alive"]
 REQUESTS = [f"{VERSIONED}/ss/*/offer", f"{VERSIONED}/ss/*/ot/**"]
 
 
+def _control(user: str = "*", server: str = "*") -> list[str]:
+    """Where servers ask a user's optimizers for what controllers decide."""
+    return [f"{VERSIONED}/ot/{user}/*/control/{server}"]
+
+
 def rules(role: str, members: Members) -> dict[str, Any]:
     """Zenoh's ``access_control`` for a program of a role: ``ss``, ``ot`` or ``router``."""
     built = _Rules()
@@ -46,6 +51,8 @@ def _user(user: str) -> tuple[tuple[str, list[str], list[str]], ...]:
         ("ingress", ["query"], [f"{VERSIONED}/ss/*/ot/{user}/**"]),
         ("ingress", TOKEN, [f"{VERSIONED}/ot/{user}/*/alive"]),
         ("egress", ["reply"], [f"{VERSIONED}/ss/*/offer", f"{VERSIONED}/ss/*/ot/{user}/**"]),
+        ("ingress", ["reply", "declare_queryable"], _control(user)),
+        ("egress", ["query"], _control(user)),
         ("egress", ["declare_queryable"], [f"{VERSIONED}/ss/**"]),
         ("egress", TOKEN, ANY_TOKEN),
         ("egress", WATCHING, RUN_TOKENS),
@@ -60,6 +67,9 @@ def _server(server: str) -> tuple[tuple[str, list[str], list[str]], ...]:
         ("egress", ["query"], [f"{VERSIONED}/ss/*/ot/**"]),
         ("egress", TOKEN, RUN_TOKENS),
         ("ingress", ["reply"], [f"{VERSIONED}/ss/{ids}/offer", f"{VERSIONED}/ss/{ids}/ot/**"]),
+        ("ingress", ["query"], _control(server=ids)),
+        ("egress", ["reply"], _control(server=ids)),
+        ("egress", ["declare_queryable"], _control()),
         ("ingress", ["declare_queryable"], [f"{VERSIONED}/ss/{ids}/**"]),
         ("ingress", TOKEN, [f"zswarm/*/*/ss/{ids}/alive"]),
         ("ingress", WATCHING, RUN_TOKENS),

@@ -1,11 +1,13 @@
 """How slots ask the optimizer for what its controllers decide, where it keeps them (``Reserve.asks``).
 
 A slot's process sends ``Sensors`` by its pipe and waits for the answer. The server's loop sends them on, one question at a time
-for each slot, and asks again until the answer comes, the slot is told to stop, or its process ends.
+for each slot, and asks again until the answer comes, the slot is told to stop, or its process ends. An answer goes into the pipe
+in zenoh's thread, in which it comes: waking the loop for it would take as long as the controllers' decision.
 """
 
 import math
 import os
+import threading
 from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection
 
@@ -18,6 +20,7 @@ from zswarm.protocol.messages import Asks, Evaluate, Refused, Sensors
 
 AGAIN_S = (0.05, 0.2, 1.0)  # before a question is asked again that nobody answered; the last one from then on
 AT_ONCE = 12_000  # bytes of unanswered questions of a run that zenoh takes without waiting
+NOBODY = codec.encode(Refused(code="cancelled", reason="nobody waits for the batch any more"))
 
 
 # ---- in a slot's process ------------------------------------------------------------------------------------------
@@ -76,11 +79,10 @@ class Trial:
 # ---- in the server ------------------------------------------------------------------------------------------------
 
 
-class Answered(msgspec.Struct, frozen=True):
-    """A question ended: with an answer, or without one."""
+class Unheard(msgspec.Struct, frozen=True):
+    """A question ended without an answer."""
 
     question: int
-    body: bytes | None
 
 
 class Waiting(msgspec.Struct, eq=False):
@@ -89,59 +91,71 @@ class Waiting(msgspec.Struct, eq=False):
     number: int
     run: tuple[str, str]
     body: bytes
-    asked: int = 0  # times
+    asked: int = 0  # times, without being heard
     again_at: float = math.inf
 
 
 class Asking:
-    """The questions of all slots.
+    """The questions of all slots; the loop's, but for ``answer``.
 
     Args:
-        send: sends a question's body to a run, by user and run, and tells ``Answered`` with its number; at once if told, for that
-            does not block.
+        send: sends a question's number and body to a run, by user and run, in this thread if told: that does not block then. What
+            comes back is told by ``answer``, or put as ``Unheard``.
+        reply: puts an answer into a slot's pipe.
     """
 
-    def __init__(self, send: Callable[[tuple[str, str], int, bytes, bool], None]) -> None:
-        self._send = send
+    def __init__(self, send: Callable[[tuple[str, str], int, bytes, bool], None], reply: Callable[[int, bytes], None]) -> None:
+        self._send, self._reply = send, reply
         self._waiting: dict[int, Waiting] = {}  # by slot
-        self._slots: dict[int, int] = {}  # by question
+        self._lock = threading.Lock()  # a slot that does not wait any more may have a new process, at another pipe
         self._count = 0
 
     def ask(self, slot: int, run: tuple[str, str], body: bytes) -> None:
         """Ask for a slot."""
-        self._count += 1
-        out = sum(len(other.body) for other in self._waiting.values() if other.run == run)
-        waiting = self._waiting[slot] = Waiting(self._count, run, body)
-        self._slots[self._count] = slot
-        self._send(run, waiting.number, body, out + len(body) < AT_ONCE)
+        with self._lock:
+            self._count += 1
+            waiting = self._waiting[slot] = Waiting(self._count, run, body)
+            out = sum(len(other.body) for other in self._waiting.values() if other.run == run)
+        self._send(run, waiting.number, body, out < AT_ONCE)
 
-    def answered(self, event: Answered, now: float) -> tuple[int, bytes] | None:
-        """The slot and the answer, if it is one, and one that is waited for."""
-        slot = self._slots.get(event.question)
-        if slot is None:
-            return None
-        waiting = self._waiting[slot]
-        if event.body is None:
-            waiting.again_at = now + AGAIN_S[min(waiting.asked, len(AGAIN_S) - 1)]
-            waiting.asked += 1
-            return None
-        self.end(slot)
-        return slot, event.body
+    def answer(self, question: int, body: bytes) -> None:
+        """Give the slot its answer if it waits for it; by any thread."""
+        with self._lock:
+            for slot, waiting in self._waiting.items():
+                if waiting.number == question:
+                    del self._waiting[slot]
+                    self._reply(slot, body)
+                    return
 
-    def end(self, slot: int) -> bool:
-        """Wait for a slot's answer no more; whether it was waited for."""
-        if (waiting := self._waiting.pop(slot, None)) is None:
-            return False
-        del self._slots[waiting.number]
-        return True
+    def unheard(self, question: int, now: float) -> None:
+        """Nobody answered: the question is asked again in a while."""
+        with self._lock:
+            for waiting in self._waiting.values():
+                if waiting.number == question:
+                    waiting.again_at = now + AGAIN_S[min(waiting.asked, len(AGAIN_S) - 1)]
+                    waiting.asked += 1
+
+    def stop(self, slot: int) -> None:
+        """Tell a slot that waits that nobody answers."""
+        with self._lock:
+            if self._waiting.pop(slot, None) is not None:
+                self._reply(slot, NOBODY)
+
+    def forget(self, slot: int) -> None:
+        """Its process ended, or is about to."""
+        with self._lock:
+            self._waiting.pop(slot, None)
 
     def next_time(self) -> float:
         """When to ask again."""
-        return min((waiting.again_at for waiting in self._waiting.values()), default=math.inf)
+        with self._lock:
+            return min((waiting.again_at for waiting in self._waiting.values()), default=math.inf)
 
     def ask_again(self, now: float) -> None:
         """Ask what it is time for."""
-        for waiting in self._waiting.values():
-            if waiting.again_at <= now:
+        with self._lock:
+            due = [waiting for waiting in self._waiting.values() if waiting.again_at <= now]
+            for waiting in due:
                 waiting.again_at = math.inf
-                self._send(waiting.run, waiting.number, waiting.body, False)
+        for waiting in due:
+            self._send(waiting.run, waiting.number, waiting.body, False)

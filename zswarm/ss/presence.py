@@ -16,7 +16,7 @@ from zswarm.protocol.messages import MAX_TEXT
 from zswarm.security import refusals
 from zswarm.session import Reach
 from zswarm.ss import slots
-from zswarm.ss.asking import Answered
+from zswarm.ss.asking import Unheard
 
 CONTROL_S = 2.0  # an answer is waited for; zenoh keeps a kilobyte per query as long
 SENDERS = 256  # runs that are answered at once
@@ -55,7 +55,7 @@ class Presence:
     """
 
     def __init__(
-        self, realm: str, server: str, put: Callable[[Question | Answered | slots.Event], bool], *, private: bool
+        self, realm: str, server: str, put: Callable[[Question | Unheard | slots.Event], bool], *, private: bool
     ) -> None:
         self._realm, self._server, self._put, self._private = realm, server, put, private
         self._session: zenoh.Session | None = None
@@ -136,11 +136,12 @@ class Presence:
 
     # ---- questions
 
-    def ask(self, run: tuple[str, str], number: int, body: bytes, at_once: bool) -> None:
-        """Ask a run's optimizer; what comes back is put as ``Answered`` with this number.
+    def ask(self, run: tuple[str, str], number: int, body: bytes, take: Callable[[int, bytes], None], *, at_once: bool) -> None:
+        """Ask a run's optimizer.
 
         Args:
             run: its user and its id.
+            take: takes the number and an answer, on zenoh's threads; without one ``Unheard`` is put.
             at_once: it does not block.
         """
         answered = False
@@ -149,11 +150,11 @@ class Presence:
             nonlocal answered
             if reply.ok is not None and not answered:
                 answered = True
-                self._put(Answered(number, reply.ok.payload.to_bytes()))
+                take(number, reply.ok.payload.to_bytes())
 
         def on_end() -> None:
             if not answered:
-                self._put(Answered(number, None))
+                self._put(Unheard(number))
 
         def send() -> None:
             opened = self._session
@@ -172,10 +173,10 @@ class Presence:
                     payload=body,
                 )
             except zenoh.ZError:
-                self._put(Answered(number, None))
+                self._put(Unheard(number))
 
         if not self._sender("/".join(run)).send(send, at_once=at_once):
-            self._put(Answered(number, None))
+            self._put(Unheard(number))
 
     def finish(self, timeout_s: float) -> None:
         """Give the answers that are on their way so long."""

@@ -41,7 +41,6 @@ TICK_S = 0.25
 INBOX = 10_000  # queries that wait; more are dropped unanswered
 RETURN_S = 5.0
 MISSED_S = 30.0  # a slot's process that should be there for longer is named; sooner where systemd's watchdog is shorter
-NOBODY = codec.encode(Refused(code="cancelled", reason="nobody waits for the batch any more"))  # the answer to a question
 LOOK_EVERY_S, SHOW_EVERY_S = 0.1, 1.0  # at most; showing: to systemd and Prometheus
 
 log = structlog.get_logger()
@@ -73,10 +72,10 @@ class Server:
         self._limits = limits.read(options.limits, self.simulators, "limits")
         self.workers = [Worker(self.slot_memory_mb) for _ in range(capacity)]
         self.slots = slots.Slots(capacity, self._offer(), self._mismatch, lambda: secrets.token_bytes(16))
-        self._asking = asking.Asking(self._presence.ask)
+        self._asking = asking.Asking(self._ask, lambda slot, body: self.workers[slot].answer(body))
         orphans.adopt()
         self._start_workers()
-        self._inbox: deque[Question | asking.Answered | slots.Event] = deque()
+        self._inbox: deque[Question | asking.Unheard | slots.Event] = deque()
         self._wake, self._woken = os.pipe()
         os.set_blocking(self._wake, False)
         os.set_blocking(self._woken, False)
@@ -158,7 +157,7 @@ class Server:
 
     # ---- what other threads and the kernel tell
 
-    def _on_network(self, item: Question | asking.Answered | slots.Event) -> bool:
+    def _on_network(self, item: Question | asking.Unheard | slots.Event) -> bool:
         if isinstance(item, Question) and len(self._inbox) >= INBOX:
             return False
         self._inbox.append(item)
@@ -223,9 +222,8 @@ class Server:
                 item = self._inbox.popleft()
                 if isinstance(item, Question):
                     self._from_run(item)
-                elif isinstance(item, asking.Answered):
-                    if (answer := self._asking.answered(item, time.monotonic())) is not None:
-                        self.workers[answer[0]].answer(answer[1])
+                elif isinstance(item, asking.Unheard):
+                    self._asking.unheard(item.question, time.monotonic())
                 else:
                     self._handle(item)
                     if isinstance(item, slots.HolderGone):
@@ -337,6 +335,7 @@ class Server:
         try:
             letter, body = worker.receive()
         except (EOFError, OSError):
+            self._asking.forget(index)
             trial, reason = worker.trial(), worker.exit_reason()
             self._log_pause(index, worker, reason)
             return slots.Died(index, trial, f"the slot's process {reason}")
@@ -344,7 +343,7 @@ class Server:
             case b"H":
                 return None
             case b"S":
-                self._ask(index, body)
+                self._asked(index, body)
                 return None
             case b"N":
                 self._log_pause(index, worker, body.decode())
@@ -368,17 +367,18 @@ class Server:
             case _:
                 return slots.Finished(index, body, worn=letter == b"W")
 
-    def _ask(self, slot: int, body: bytes) -> None:
+    def _asked(self, slot: int, body: bytes) -> None:
         """A slot asks what controllers at the optimizer decide; where its batch is to end there is nobody to ask."""
         lease, worker = self.slots.slots[slot].lease, self.workers[slot]
         if lease is None or worker.stopping:
-            worker.answer(NOBODY)
+            worker.answer(asking.NOBODY)
         else:
             self._asking.ask(slot, (lease.user, lease.run), body)
 
+    def _ask(self, run: tuple[str, str], question: int, body: bytes, at_once: bool) -> None:
+        self._presence.ask(run, question, body, self._asking.answer, at_once=at_once)
+
     def _handle(self, event: slots.Event) -> None:
-        if isinstance(event, slots.Died):
-            self._asking.end(event.slot)
         self._left_behind |= isinstance(event, slots.Died)
         for command in self.slots.handle(event, time.monotonic()):
             match command:
@@ -391,10 +391,9 @@ class Server:
                     self.workers[command.slot].evaluate(command.body, command.first, command.alone, command.begin)
                 case slots.Stop():
                     self.workers[command.slot].stop()
-                    if self._asking.end(command.slot):
-                        self.workers[command.slot].answer(NOBODY)
+                    self._asking.stop(command.slot)
                 case slots.Kill():
-                    self._asking.end(command.slot)
+                    self._asking.forget(command.slot)
                     self._left_behind = True
                     self.workers[command.slot].kill()
                 case slots.Log():
