@@ -1,1 +1,1 @@
-"""Evolved controllers for robots: as C99, and as what robots' programs are made of."""
+"""Evolved controllers as files for robots, and what robots sense and do."""
