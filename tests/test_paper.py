@@ -38,12 +38,12 @@ def results() -> dict[str, Any]:
     return copy.deepcopy(found)
 
 
-def agrees(results: dict[str, Any], says: str) -> bool | None:
+def agrees(results: dict[str, Any], says: str) -> bool:
     """Of the claim whose words begin so."""
     (found,) = [claim for claim in load("findings").claims(results) if claim.says.startswith(says)]
-    verdict: bool | None = found.agrees
+    verdict: bool = found.agrees
     line = next(line for line in load("page").document(results).splitlines() if line.startswith(f"| {says}"))
-    assert ("does not agree" in line) == (verdict is False)
+    assert ("does not agree" in line) == (not verdict)
     return verdict
 
 

@@ -48,7 +48,7 @@ def figure_3(results: Results, figure: Any) -> None:
         for number, agents in enumerate(AGENTS):
             plan = table_i(agents)
             r = [ratio(msgspec.structs.replace(plan, steps=steps), constants, against=against) for steps in STEPS]
-            axes.plot(STEPS, r, color=COLOURS[number], marker=MARKERS[number], markevery=(9, 20), label=_agents(agents))
+            axes.plot(STEPS, r, color=COLOURS[number], marker=MARKERS[number], markevery=(9, 20), label=counted(agents))
         axes.axhline(1, color="#000000", linestyle="--", linewidth=1)
         axes.set(title=title, xlabel="steps of a simulation", yscale="log")
     figure.axes[0].set_ylabel("r = time with the controller in the\noptimizer / without it")
@@ -58,14 +58,15 @@ def figure_3(results: Results, figure: Any) -> None:
 def figure_4(results: Results, figure: Any) -> None:
     """Time over steps as in the paper, a picture for each design, and a line for each number of servers."""
     named = (STOCK, NODELAY, ZENOH["blob"])
+    longest = max(row["s"] for row in findings.rows(results, part="scaling"))
     for axes, design in zip(figure.subplots(1, 3, sharey=True), named, strict=True):
         found = findings.rows(results, part="scaling", design=design)
         for number, servers in enumerate(sorted({row["servers"] for row in found})):
             points = sorted((row["steps"], row["s"]) for row in found if row["servers"] == servers)
             label = f"{servers} server{'s' if servers > 1 else ''}"
             axes.plot(*zip(*points, strict=True), color=COLOURS[number], marker=MARKERS[number], label=label)
-        axes.set(title=design, xlabel="steps of a simulation", xlim=(0, None), ylim=(0, None))
-    figure.axes[0].set_ylabel("s for the optimization")
+        axes.set(title=design, xlabel="steps of a simulation", xlim=(0, None))
+    figure.axes[0].set(ylabel="s for the optimization", ylim=(0, 1.05 * longest))
     figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize=9)
 
 
@@ -90,5 +91,6 @@ def crowded(results: Results, figure: Any) -> None:
     figure.legend(loc="outside lower center", ncols=2, fontsize=9)
 
 
-def _agents(agents: int) -> str:
+def counted(agents: int) -> str:
+    """In words."""
     return f"{agents} agent{'s' if agents > 1 else ''}"

@@ -40,7 +40,7 @@ class Claim(NamedTuple):
     says: str
     paper: str
     here: str
-    agrees: bool | None  # None: not measured
+    agrees: bool
     why: str  # where it does not agree
 
 

@@ -33,11 +33,11 @@ class Plan(NamedTuple):
     rounds: int = 3  # of the four designs
     designs_steps: int = 50
     crowd_steps: int = 20  # of minisim beside them
-    grid_agents: tuple[int, ...] = (1, 4, 8)
+    grid_agents: tuple[int, ...] = (1, 8)
     grid_steps: tuple[int, ...] = (10, 20, 30)
     grid_step_s: float = PAPER_STEP_S
     message_agents: tuple[int, ...] = (1, 2, 4, 8, 16)
-    message_steps: tuple[int, ...] = (10, 60, 410)  # the difference is of messages alone; the slow broker has the first two
+    message_steps: tuple[int, ...] = (10, 60, 210)  # the difference is of messages alone; the slow broker has the first two
     servers: tuple[int, ...] = (1, 2, 4, 8, 16)
     scaling_steps: tuple[int, ...] = (10, 20)
     scaling_step_s: float = PAPER_STEP_S

@@ -14,7 +14,7 @@ from zswarm.ot.cost_model import TABLE_I, Constants, Plan, blob, coefficients, c
 from zswarm.ot.cost_model import internal as broker
 
 HERE = Path(__file__).resolve().parent
-VERDICTS = {True: "agrees", False: "**does not agree**", None: "not measured"}
+VERDICTS = {True: "agrees", False: "**does not agree**"}
 AGENTS = (1, 2, 4, 8, 16, 32)
 FIGURE_4 = Plan(generations=4, population=4, steps=50, agents=8)
 
@@ -26,7 +26,7 @@ def document(results: Results) -> str:
     parts = {
         "where": _where(results),
         "claims": tables.markdown(["of the paper", "paper", "here", ""], table),
-        "why": "".join(f"- **{claim.says}**: {claim.why}\n" for claim in claims if claim.agrees is False),
+        "why": "".join(f"- **{claim.says}**: {claim.why}\n" for claim in claims if not claim.agrees),
         "designs": _designs(results),
         "table": _table(results),
         "messages": _messages(results),
@@ -132,7 +132,7 @@ def _messages(results: Results) -> str:
         (design, *(_us(findings.message_s(results, design, each)) for each in agents))
         for design in (STOCK, NODELAY, ZENOH["turn"], ZENOH["agent"])
     ]
-    return tables.markdown(["us", *(charts._agents(each) for each in agents)], lines)
+    return tables.markdown(["us", *(charts.counted(each) for each in agents)], lines)
 
 
 def _fits(results: Results) -> str:
@@ -167,7 +167,7 @@ def _crossings(results: Results) -> str:
         lines.append((name, *("never" if each is None else f"{each:,}" for each in found)))
     beside = [crossing(table_i(agents), TABLE_I, against=blob) for agents in AGENTS]
     lines.append(("Table I, beside parameters in a message", *(str(each) for each in beside)))
-    return tables.markdown(["", *(charts._agents(each) for each in AGENTS)], lines)
+    return tables.markdown(["", *(charts.counted(each) for each in AGENTS)], lines)
 
 
 def _servers(results: Results, part: str) -> str:
