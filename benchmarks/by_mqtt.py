@@ -161,7 +161,7 @@ def broker(stack: ExitStack, nodelay: bool) -> int:
         f"max_queued_messages 0\nset_tcp_nodelay {'true' if nodelay else 'false'}\n"
     )
     started(stack, [program, "-c", str(settings)])
-    _wait_for_port(port)
+    wait_for_port(port, WAIT_S)
     return port
 
 
@@ -184,8 +184,9 @@ def started(stack: ExitStack, command: list[str], stdin: bytes = b"") -> None:
     stack.callback(end)
 
 
-def _wait_for_port(port: int) -> None:
-    deadline = time.monotonic() + WAIT_S
+def wait_for_port(port: int, seconds: float) -> None:
+    """Until somebody listens at a port of this machine."""
+    deadline = time.monotonic() + seconds
     while True:
         try:
             socket.create_connection(("127.0.0.1", port), 1.0).close()

@@ -12,7 +12,6 @@ import contextlib
 import hashlib
 import sys
 import threading
-from collections.abc import Iterator
 from typing import Any, Self
 
 import by_mqtt
@@ -213,14 +212,6 @@ class Broker(contextlib.AbstractContextManager["Broker"]):
             Parameters(server, simulation, problem.simulator, problem.settings, int(self._workload.seeds[number])),
         )
         self._publish(f"{server}/control", Control(server, simulation))
-
-
-@contextlib.contextmanager
-def serving(servers: int, problem: Problem, *, nodelay: bool) -> Iterator[Broker]:
-    """A broker with so many servers."""
-    with Broker(nodelay=nodelay) as opened:
-        opened.grow(servers, problem)
-        yield opened
 
 
 # ---- a simulation server ------------------------------------------------------------------------------------------

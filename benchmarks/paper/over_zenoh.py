@@ -6,12 +6,12 @@ Or the controllers stay in the optimizer, as in the paper's network-based design
 
 import contextlib
 import json
-import socket
 import tempfile
 import time
 from pathlib import Path
 from typing import Self
 
+import by_mqtt
 import leased
 
 from paper import world
@@ -49,7 +49,7 @@ class Servers(contextlib.AbstractContextManager["Servers"]):
             self._endpoints.append(f"tcp/127.0.0.1:{port}")
             self._stack.enter_context(leased.daemon(1, self._endpoints[-1], "--name", f"s{number}"))
         for endpoint in self._endpoints[before:]:
-            _wait_for(int(endpoint.rpartition(":")[2]))
+            by_mqtt.wait_for_port(int(endpoint.rpartition(":")[2]), START_S)
 
     def optimize(self, size: Size, on: World, servers: int, way: str = "blob") -> Optimized:
         """One run on the first so many of them."""
@@ -68,13 +68,3 @@ class Servers(contextlib.AbstractContextManager["Servers"]):
                 result = begun.finish()
             seconds = time.perf_counter() - begin
         return Optimized(seconds, result.evaluations * size.trials, result.history_hash)
-
-
-def _wait_for(port: int) -> None:
-    deadline = time.monotonic() + START_S
-    while True:
-        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
-            return
-        if time.monotonic() > deadline:
-            raise TimeoutError(f"zswarm-ss does not listen at port {port}")
-        time.sleep(0.1)

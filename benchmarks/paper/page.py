@@ -25,7 +25,7 @@ def document(results: Results) -> str:
     table = [(claim.says, claim.paper, claim.here, VERDICTS[claim.agrees]) for claim in claims]
     parts = {
         "where": _where(results),
-        "claims": tables.markdown(["of the paper", "paper", "here", ""], table),
+        "claims": tables.markdown(["claim", "paper", "here", ""], table),
         "why": "".join(f"- **{claim.says}**: {claim.why}\n" for claim in claims if not claim.agrees),
         "designs": _designs(results),
         "table": _table(results),
