@@ -22,6 +22,7 @@ from zswarm.ot.commands.list import list_
 from zswarm.ot.commands.menu import Menu
 from zswarm.ot.commands.new import new
 from zswarm.ot.commands.plot import plot
+from zswarm.ot.commands.predict import predict
 from zswarm.ot.commands.replay import replay
 from zswarm.ot.commands.report import report
 from zswarm.ot.commands.run import resume, run
@@ -48,6 +49,7 @@ def command() -> None:
 for _command in (
     init,
     check,
+    predict,
     describe,
     new,
     run,

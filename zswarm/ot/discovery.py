@@ -28,6 +28,7 @@ from zswarm.session import Reach
 OFFER_S = 3.0  # for an offer, at most
 DIAL_S = 2.0  # for one endpoint to answer
 SCOUT_S = 1.0  # for answers to multicast
+TRIPS_WAIT_S = 1.0  # until all servers are there whose answers are timed
 NAMED = 5  # servers or endpoints that a line names
 
 
@@ -147,6 +148,52 @@ def _ask(
         timeout=OFFER_S,
         payload=codec.encode(requirements),
     )
+
+
+class Trips(NamedTuple):
+    """Questions to servers and their answers, one after another."""
+
+    servers: int
+    seconds: list[float]  # from question to answer, of each
+    busy_s: float  # that this program computed for one of them
+
+
+def trips(realm: str, reach: Reach, local: str, *, requirements: Requirements, times: int) -> Trips:
+    """How long servers that match take to answer, each asked so many times.
+
+    Args:
+        local: where this machine's slots are dialled, too; "": there are none.
+
+    Raises:
+        NoRouter: none answered.
+    """
+    opened = []
+    if reach.through_router:
+        opened.append(session.open_through_router(reach, timeout_s=DIAL_S))
+        reach = Reach((), multicast=False)
+    if local or not opened:
+        opened.append(session.open_optimizer(reach._replace(connect=[*reach.connect, *([local] if local else [])])))
+    seconds, servers, busy = [], 0, 0.0
+    try:
+        for one in opened:
+            found = _ask_all(one, realm, requirements, TRIPS_WAIT_S)[1]
+            there = [server for server, what in found.items() if what.offer is not None]
+            servers += len(there)
+            begun = time.process_time()
+            seconds += [_trip(one, realm, server, requirements) for server in there for _ in range(times)]
+            busy += time.process_time() - begun
+    finally:
+        for one in opened:
+            session.close(one)
+    return Trips(servers, seconds, busy / max(1, len(seconds)))
+
+
+def _trip(opened: zenoh.Session, realm: str, server: str, requirements: Requirements) -> float:
+    answers: queue.SimpleQueue[ServerKey | Found] = queue.SimpleQueue()
+    begun = time.perf_counter()
+    _ask(opened, realm, server, requirements, answers)
+    answers.get()
+    return time.perf_counter() - begun
 
 
 # ---- why nobody is found

@@ -20,7 +20,8 @@ from zswarm.errors import ConfigError, EvaluationError, UnknownPlugin
 from zswarm.extras import need
 from zswarm.files import write_for_user
 from zswarm.nets.fully_meshed import FullyMeshed
-from zswarm.ot import comparison, curves, figures, film, grouping, reading, trace, unseen
+from zswarm.ot import comparison, curves, figures, film, grouping, hindsight, reading, trace, unseen
+from zswarm.ot.explanation import in_time
 from zswarm.ot.reading import Run
 from zswarm.ot.record import EXPERIMENT
 from zswarm.ot.terminal import plural
@@ -85,6 +86,7 @@ def of_run(run: Run, trials: int) -> str:
         played=_played(champion, trials) if champion and trials else None,
         **(_film(champion) if champion else {}),
         weights=_weights(champion) if champion else None,
+        hindsight=_hindsight(champion, run) if champion else [],
         settings=_settings(complete),
         servers=_servers(servers),
         events=_events(events),
@@ -143,8 +145,8 @@ def _page(**content: Any) -> str:
     )
     environment.filters["number"] = _number
     nothing = dict.fromkeys(
-        ("state", "curve", "champion", "played", "film", "no_film", "weights", "servers", "events", "listed", "left_out",
-         "record", "history", "caveats", "compared", "words", "runs", "settings_of", "one_again", "reconciling")
+        ("state", "curve", "champion", "played", "film", "no_film", "weights", "hindsight", "servers", "events", "listed",
+         "left_out", "record", "history", "caveats", "compared", "words", "runs", "settings_of", "one_again", "reconciling")
     )  # fmt: skip
     page: str = environment.get_template(TEMPLATE).render({**nothing, **content})
     return page
@@ -275,6 +277,27 @@ def _part_defaults(kind: plugins.Kind, name: str) -> dict[str, Any]:
         return _defaults(plugins.load(kind, name).settings_type)
     except UnknownPlugin:
         return {}
+
+
+def _hindsight(champion: Controller, run: Run) -> list[tuple[str, str]]:
+    """What the cost model says of the run, beside what it took; nothing where that cannot be said."""
+    seen = hindsight.look_back(run, champion.genome)
+    if seen is None:
+        return []
+    known = f"generations 2 to {seen.known + 1}" if seen.known > 1 else "generation 2"
+    return [
+        ("measured", _duration(seen.measured_s)),
+        (
+            "predicted",
+            f"{_duration(seen.predicted_s)}, from {known}: a trial takes a slot {in_time(seen.trial_s)}, and in each generation "
+            f"slots wait for {in_time(seen.gap_s)}",
+        ),
+        (
+            "by broker",
+            f"{in_time(seen.broker_s)}, as the paper's first design with its Table I: two messages for each agent and step",
+        ),
+        ("by files", f"{in_time(seen.files_s)}, as its second: exported and compiled for each candidate"),
+    ]
 
 
 def _servers(servers: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:

@@ -20,7 +20,7 @@ NARROW = 60  # columns: tables need more
 STATES = {"ok": "green", "warning": "yellow", "broken": "bold red"}
 NUMBERS = {
     *("slots", "free", "runs", "generations", "best", "worst", "q25", "median", "q75", "quartiles", "evaluations", "time"),
-    *("evaluated", "evaluations/run", "U", "p", "p (Holm)", "A12"),
+    *("evaluated", "messages", "slots of use", "evaluations/run", "U", "p", "p (Holm)", "A12"),
 }  # columns that stand at the right
 
 

@@ -3,7 +3,7 @@
 import click
 
 SECTIONS = {
-    "Begin": ("init", "check", "describe", "new", "doctor"),
+    "Begin": ("init", "check", "predict", "describe", "new", "doctor"),
     "Evolve": ("run", "resume", "servers"),
     "Results": ("list", "dashboard", "evaluate", "replay", "export", "report", "plot", "compare", "import"),
     "Shell": ("completion",),
