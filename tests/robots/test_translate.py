@@ -373,9 +373,9 @@ def with_two_types(x):
     return x, x
 
 
-def with_nothing_sometimes(x):
+def with_nothing_sometimes(x):  # noqa: RET503  that is the point
     if x > 1.0:
-        return x  # noqa: RET503  that is the point
+        return x
 
 
 def with_its_argument_changed(x):

@@ -16,8 +16,9 @@ from zswarm import plugins
 from zswarm.controller import Controller
 from zswarm.errors import UnknownPlugin
 from zswarm.nets.representation import Representation
-from zswarm.robots.c_types import FLOAT32, Array, comment, literal, quoted
-from zswarm.robots.original import STEPS, check_steps, identifier, sha256
+from zswarm.robots.c_types import FLOAT32, Array, comment, literal
+from zswarm.robots.names import folded, quoted
+from zswarm.robots.original import STEPS, check_steps, sha256
 from zswarm.robots.pieces import INDENT, Value
 from zswarm.robots.translate import Callee, Translation
 
@@ -164,7 +165,7 @@ def pair(controller: Controller, name: str) -> dict[str, str]:
 
     Args:
         controller: what evolved.
-        name: what its functions and files are called by; ``original.identifier`` says how it is written there.
+        name: what its functions and files are called by; ``names.folded`` says how it is written there.
 
     Returns:
         file name -> ASCII text.
@@ -172,7 +173,7 @@ def pair(controller: Controller, name: str) -> dict[str, str]:
     Raises:
         ConfigError: its kind of network is not installed, its genome does not fit, or its step cannot be said in C.
     """
-    name = identifier(name)
+    name = folded(name)
     network, parameters = controller.network()
     translation = Translation(f"zs_{name}")
     callee = _translate(translation, network, parameters)

@@ -128,7 +128,7 @@ def _decimal(number: float, suffix: str) -> str:
     return f"{mantissa.rstrip('0').rstrip('.')}p{exponent}{suffix}"
 
 
-def folded(name: str) -> str:
+def spelled(name: str) -> str:
     """A name of Python as a part of a name of C."""
     plain = re.sub(r"_+", "_", "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in name)).strip("_")
     return plain if plain and not plain[0].isdigit() else f"n{plain}"
@@ -136,7 +136,7 @@ def folded(name: str) -> str:
 
 def identifier(name: str) -> str:
     """A name of Python as a local name of C."""
-    return f"{folded(name)}_" if folded(name) in WORDS else folded(name)
+    return f"{spelled(name)}_" if spelled(name) in WORDS else spelled(name)
 
 
 def comment(text: str) -> str:
@@ -144,12 +144,3 @@ def comment(text: str) -> str:
     shown = text.encode("ascii", "backslashreplace").decode()
     shown = "".join(letter if letter.isprintable() else " " for letter in shown)
     return shown.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?").replace("//", "/ /").rstrip("\\ ")
-
-
-def quoted(text: str) -> str:
-    """Any text as a string of C, in ASCII; bytes that are no plain letters by their number."""
-    shown = [
-        chr(byte) if chr(byte).isascii() and (chr(byte).isalnum() or chr(byte) in " _-.,:;/()[]+*=%<>!") else f"\\{byte:03o}"
-        for byte in text.encode("utf-8", "replace")
-    ]
-    return f'"{"".join(shown)}"'

@@ -56,6 +56,7 @@ SIGNS: dict[type[ast.AST], Sign] = {
     ast.Eq: ("==", operator.eq),
     ast.NotEq: ("!=", operator.ne),
 }
+NEUTRAL = {"+": 0, "-": 0, "*": 1}  # which changes no whole number
 BITWISE = ("&", "|", "^", "<<", ">>")
 
 
@@ -135,6 +136,8 @@ class Operations:
         if value.constant is not None:
             return self.constant(node, convert(value.constant, to))
         target = Lanes(to) if isinstance(value.type, Lanes) else to
+        if value.loose and to != BOOL:  # MISRA C, rule 10.8: what is computed has a name before it is of another type
+            value = self.kept(value)
         if to == BOOL:
             return value._replace(type=target, text=f"{tight(value)} != 0", loose=True)
         return value._replace(type=target, text=f"({to.c}){tight(value)}", loose=False)
@@ -160,11 +163,10 @@ class Operations:
                 if symbol == "/":  # Python refuses to divide by 0
                     return self.constant(node, convert(np.divide(left.constant, right.constant), of))
                 return self.constant(node, convert(function(left.constant, right.constant), of))
-        if of in WHOLE and symbol in ("+", "-"):
-            if right.constant == 0:
-                return left
-            if left.constant == 0 and symbol == "+":
-                return right
+        if of in WHOLE and right.constant == NEUTRAL.get(symbol, right.text):
+            return left
+        if of in WHOLE and symbol != "-" and left.constant == NEUTRAL.get(symbol, left.text):
+            return right
         text = f"{tight(left)} {symbol} {tight(right)}"
         value = Value(alike(of, left, right), text, loose=True, loads=left.loads or right.loads)
         return self.apart(value) if of in FLOATS else value

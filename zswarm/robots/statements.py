@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from zswarm import lanes
 from zswarm.lanes import LANES
-from zswarm.robots.c_types import BOOL, INT64, WHOLE, Array, Lanes, Scalar, Together, Type, identifier, joined
+from zswarm.robots.c_types import BOOL, INT64, WHOLE, Array, Lanes, Scalar, Together, Type, convert, identifier, joined, literal
 from zswarm.robots.expressions import Expressions
 from zswarm.robots.operations import SIGNS
 from zswarm.robots.pieces import Local, Piece, Value, taken_back
@@ -144,7 +144,12 @@ class Statements(Expressions):
         self.declared.add(name)
         of = local.type.element if isinstance(local.type, Lanes) else local.type
         assert isinstance(of, Scalar)  # noqa: S101  what a variable can be
-        text = f"{local.name}[{LANES}] = {{0}}" if isinstance(local.type, Lanes) else f"{local.name} = 0"
+        zero = literal(convert(0, of))
+        text = (
+            f"{local.name}[{LANES}] = {{{', '.join([zero] * LANES)}}}"
+            if isinstance(local.type, Lanes)
+            else f"{local.name} = {zero}"
+        )
         self.pieces.append(Piece(f"{of.c} {text};", sets=local.name))  # a value, or compilers fear that it has none
 
     def _assign_together(self, node: ast.Assign, targets: list[ast.expr], expression: ast.expr) -> None:

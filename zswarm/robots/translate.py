@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from zswarm import lanes
 from zswarm.errors import ConfigError
-from zswarm.robots.c_types import SCALARS, Array, Scalar, Together, Type, comment, folded, identifier, literal
+from zswarm.robots.c_types import SCALARS, Array, Scalar, Together, Type, comment, identifier, literal, spelled
 from zswarm.robots.expressions import SPECIAL, Expressions, key
 from zswarm.robots.pieces import INDENT, LIBRARY, Local, Value, rendered, without_idle
 from zswarm.robots.scopes import assigned, scope
@@ -67,7 +67,7 @@ def functions(wanted: Sequence[tuple[Callable[..., Any], Mapping[str, Type]]], p
         ConfigError: something cannot be said in C; the text says what and where.
     """
     unit = Translation(prefix)
-    names = [unit.name(folded(_plain(function).__name__)) for function, _ in wanted]
+    names = [unit.name(spelled(_plain(function).__name__)) for function, _ in wanted]
     for name, (function, types) in zip(names, wanted, strict=True):
         unit.public(name, function, types)
     return Source(unit.includes(), unit.declarations(), unit.definitions())
@@ -143,7 +143,7 @@ class Translation:
             )
         names = list(arguments)
         callee = Callee(
-            name or self.name(folded(plain.__name__)),
+            name or self.name(spelled(plain.__name__)),
             tuple(takes),
             tuple(at for at in takes if names[at] in body.written),
             body.result,
@@ -216,7 +216,7 @@ class Translation:
         """The name of a table of constants."""
         key = (numbers.dtype.name, numbers.tobytes(), hint)
         if key not in self._tables:
-            self._tables[key] = self.name(folded(hint))
+            self._tables[key] = self.name(spelled(hint))
             texts = [literal(number) for number in numbers]
             lines = [", ".join(texts[begin : begin + PER_LINE]) for begin in range(0, len(texts), PER_LINE)]
             of = SCALARS[numbers.dtype.name].c
@@ -227,7 +227,7 @@ class Translation:
 
     def together(self, function: str, types: tuple[Scalar, ...], names: tuple[str, ...]) -> Together:
         """A struct for what a function returns."""
-        name = self.name(f"{folded(function)}_result")
+        name = self.name(f"{spelled(function)}_result")
         self._structs[name] = "".join(f"{INDENT}{each.c} {member};\n" for each, member in zip(types, names, strict=True))
         return Together(name, types, names)
 
