@@ -128,13 +128,15 @@ def connect(
     trial_memory_mb: int = 0,
     on_fault: Literal["pause", "quarantine"] = "pause",
     verify: float = 0.0,
+    controller: Literal["server", "optimizer"] = "server",
+    messages: Literal["turn", "agent"] = "turn",
 ) -> Connection:
     """Servers for any number of runs and evaluations; this machine's slots start at once and end with ``close`` or the block.
 
     Args:
         servers: "auto": this machine's slots and every server found; "local": this machine only; a number: wait for so many.
         realm, connect, multicast, through_router, local_slots: as in ``[cluster]`` of the experiment file, like all that follow.
-        require, rank, max_slots, trial_timeout_s, trial_memory_mb, on_fault, verify: likewise.
+        require, rank, max_slots, trial_timeout_s, trial_memory_mb, on_fault, verify, controller, messages: likewise.
 
     Raises:
         ConfigError: an impossible value.
@@ -150,7 +152,8 @@ def connect(
             "servers": servers, "realm": realm, "connect": list(connect), "multicast": multicast,
             "through_router": through_router, "local_slots": local_slots, "require": list(require), "rank": list(rank),
             "max_slots": max_slots, "trial_timeout_s": trial_timeout_s,
-            "trial_memory_mb": trial_memory_mb, "on_fault": on_fault, "verify": verify,
+            "trial_memory_mb": trial_memory_mb, "on_fault": on_fault, "verify": verify, "controller": controller,
+            "messages": messages,
         }
     )  # fmt: skip
     opened = Connection(options)

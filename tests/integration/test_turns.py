@@ -151,6 +151,14 @@ def test_several_runs_at_once_are_answered_each_by_its_own_controllers(tmp_path:
 
 
 @pytest.mark.faults
+def test_questions_and_answers_of_large_swarms_go_by_threads_that_may_wait(tmp_path: Path) -> None:
+    """Zenoh takes small ones without waiting; these have 38 kB, and 6 kB for each of two slots."""
+    swarm = ("--set=problem.settings={robots = 800, steps = 10, side = 100.0}", *local(2))
+    travelled = play(tmp_path, "travelled", *swarm, simulator="arena").done()
+    assert play(tmp_path, "asked", ASKED, *swarm, simulator="arena").done()["history_hash"] == travelled["history_hash"]
+
+
+@pytest.mark.faults
 def test_a_router_carries_the_questions(tmp_path: Path) -> None:
     expected = reference(tmp_path, "minisim", 1)
     place = f"tcp/127.0.0.1:{free_port()}"

@@ -287,18 +287,26 @@ class Cluster:
         self._inbox.put(dispatch.Seen(key.server) if seen else dispatch.Gone(key.server))
 
     def _on_sensors(self, controllers: "Controllers", query: zenoh.Query) -> None:
-        with query:
-            try:
-                server = keys.parse_control_key(str(query.key_expr))
-            except RemoteProtocolError:
-                return
-            try:
-                body = controllers.react(server, query.payload.to_bytes() if query.payload is not None else b"")
-            except BaseException as error:  # a bug
-                self._stop(error)
-                return
-            with contextlib.suppress(zenoh.ZError):  # the session is closing
+        try:
+            server = keys.parse_control_key(str(query.key_expr))
+            body = controllers.react(server, query.payload.to_bytes() if query.payload is not None else b"")
+        except RemoteProtocolError:  # no such key
+            query.drop()
+            return
+        except BaseException as error:  # a bug
+            query.drop()
+            self._stop(error)
+            return
+
+        def answer() -> None:
+            with query, contextlib.suppress(zenoh.ZError):  # the session is closing
                 query.reply(query.key_expr, body)
+
+        slots = known.slots if (known := self._dispatch.servers.get(server)) is not None else 1  # each waits for one answer
+        if slots * len(body) < AT_ONCE:
+            answer()
+        elif (sender := self._senders.get(server)) is None or not sender.send(answer):
+            query.drop()
 
     # ---- the owner of the state
 
