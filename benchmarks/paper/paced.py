@@ -14,7 +14,6 @@ from zswarm.sims.minisim import Settings as MinisimSettings
 from zswarm.sims.simulator import Outcome, Simulator, Turn
 
 MINISIM_CELLS = 10  # of a side: games of 10 steps are the shortest
-PROBE = 1 << 32  # seeds from here on are the probe's
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -27,7 +26,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class Paced(Simulator):
-    """Emergency exit or minisim with that many agents; after each of its steps it sleeps ``step_s``, but in a server's probe.
+    """Emergency exit or minisim with that many agents; after each of its steps it sleeps ``step_s``.
 
     Turns: those of the world. In emergency exit one agent after another acts, in minisim all of them at once.
     """
@@ -48,12 +47,11 @@ class Paced(Simulator):
         self.sensors, self.actuators = self._world.sensors, self._world.actuators
 
     def fixed_seeds(self, trials: int) -> Sequence[int]:
-        """Small ones: those of the probe, by which servers are compared before a run, are large."""
+        """The same in each world."""
         return range(trials)
 
     def reset(self, seed: int) -> Turn:
         """Begin the world's trial."""
-        self._step_s = self.settings.step_s if seed < PROBE else 0.0
         turn = self._world.reset(seed)
         self._acted = turn.agents[-1]
         return turn
@@ -61,8 +59,8 @@ class Paced(Simulator):
     def step(self, actions: np.ndarray) -> Turn | None:
         """Let the world's agents act; a step of the world is over when the next to act are no later ones."""
         turn = self._world.step(actions)
-        if self._step_s and (turn is None or turn.agents[0] <= self._acted):
-            time.sleep(self._step_s)
+        if self.settings.step_s and (turn is None or turn.agents[0] <= self._acted):
+            time.sleep(self.settings.step_s)
         if turn is not None:
             self._acted = turn.agents[-1]
         return turn
