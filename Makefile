@@ -6,7 +6,7 @@ TESTS ?= -n $$((2 * $$(nproc))) --dist worksteal  # many wait for programs; neig
 
 KILLS ?= 200
 
-.PHONY: run test long product vmas browser robots test-all chaos faults machines units kills lint format docs docs-commands reference bench bench-quick bench-methods scale soak clean
+.PHONY: run test long product vmas browser robots test-all chaos faults machines units kills lint format docs docs-commands reference bench bench-quick bench-methods paper scale soak clean
 
 run: $(READY)
 	$(BIN)/zswarm-ot run $(or $(ARGS),stadium)
@@ -88,6 +88,10 @@ bench-quick: $(READY)
 # Learning curves of the optimizers, and docs/benchmarks.md with them.
 bench-methods: $(READY)
 	$(BIN)/python benchmarks/bench.py --only methods $(ARGS)
+
+# The paper's designs beside zswarm's ways, and docs/paper.md with them: a quarter of an hour; mosquitto (Debian: apt install mosquitto).
+paper: $(READY)
+	cd benchmarks && ../$(BIN)/python -m paper $(ARGS)
 
 scale: $(READY)
 	cd benchmarks && ../$(BIN)/python -m scale $(ARGS)

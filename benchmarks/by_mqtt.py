@@ -8,6 +8,7 @@ and fitness, and a sensor and an actuator message per agent and step. Nothing is
 As a program it is a server: ``by_mqtt.py PORT NUMBER NODELAY``.
 """
 
+import contextlib
 import socket
 import struct
 import subprocess
@@ -60,17 +61,8 @@ class Broker(AbstractContextManager["Broker"]):
         self.nodelay = nodelay
 
     def __enter__(self) -> Self:
-        program = mosquitto()
         with ExitStack() as stack:
-            port = free_port()
-            folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-            settings = folder / "mosquitto.conf"
-            settings.write_text(
-                f"listener {port} 127.0.0.1\nallow_anonymous true\npersistence false\nlog_type none\n"
-                f"max_queued_messages 0\nset_tcp_nodelay {'true' if self.nodelay else 'false'}\n"
-            )
-            _started(stack, [program, "-c", str(settings)])
-            _wait_for_port(port)
+            port = broker(stack, self.nodelay)
             self.client = connected(port, self.nodelay)
             stack.callback(self.client.disconnect)
             ready, subscribed = threading.Semaphore(0), threading.Event()
@@ -81,7 +73,7 @@ class Broker(AbstractContextManager["Broker"]):
             stack.callback(self.client.loop_stop)
             assert subscribed.wait(WAIT_S)
             for number in range(self.slots):
-                _started(stack, [sys.executable, __file__, str(port), str(number), str(int(self.nodelay))])
+                started(stack, [sys.executable, __file__, str(port), str(number), str(int(self.nodelay))])
             for _ in range(self.slots):
                 assert ready.acquire(timeout=WAIT_S), "a server did not start"
             subscribed.clear()
@@ -160,8 +152,26 @@ class Broker(AbstractContextManager["Broker"]):
         return results
 
 
-def _started(stack: ExitStack, command: list[str]) -> None:
-    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+def broker(stack: ExitStack, nodelay: bool) -> int:
+    """A mosquitto of its own on loopback, until the stack is left: its port."""
+    program, port = mosquitto(), free_port()
+    settings = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "mosquitto.conf"
+    settings.write_text(
+        f"listener {port} 127.0.0.1\nallow_anonymous true\npersistence false\nlog_type none\n"
+        f"max_queued_messages 0\nset_tcp_nodelay {'true' if nodelay else 'false'}\n"
+    )
+    started(stack, [program, "-c", str(settings)])
+    wait_for_port(port, WAIT_S)
+    return port
+
+
+def started(stack: ExitStack, command: list[str], stdin: bytes = b"") -> None:
+    """A program that reads this from its standard input, until the stack is left."""
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)
+    assert process.stdin is not None
+    with contextlib.suppress(BrokenPipeError):
+        process.stdin.write(stdin)
+        process.stdin.close()
 
     def end() -> None:
         process.terminate()
@@ -174,8 +184,9 @@ def _started(stack: ExitStack, command: list[str]) -> None:
     stack.callback(end)
 
 
-def _wait_for_port(port: int) -> None:
-    deadline = time.monotonic() + WAIT_S
+def wait_for_port(port: int, seconds: float) -> None:
+    """Until somebody listens at a port of this machine."""
+    deadline = time.monotonic() + seconds
     while True:
         try:
             socket.create_connection(("127.0.0.1", port), 1.0).close()

@@ -1,0 +1,1 @@
+"""The paper's designs and ours, measured side by side: ``make paper``."""

@@ -1,0 +1,203 @@
+"""docs/paper.md from ``results.json``; the words stand in ``page.md``, with a name in braces where something measured belongs."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import tables
+
+from paper import charts, findings
+from paper.findings import Results, ms, table_i
+from paper.names import FILES, LOCAL, NODELAY, STOCK, ZENOH
+from zswarm.ot.cost_model import TABLE_I, Constants, Plan, blob, coefficients, crossing, expected_s, useful_slots
+from zswarm.ot.cost_model import internal as broker
+
+HERE = Path(__file__).resolve().parent
+VERDICTS = {True: "agrees", False: "**does not agree**"}
+AGENTS = (1, 2, 4, 8, 16, 32)
+FIGURE_4 = Plan(generations=4, population=4, steps=50, agents=8)
+
+
+def document(results: Results) -> str:
+    """The page."""
+    claims = findings.claims(results)
+    table = [(claim.says, claim.paper, claim.here, VERDICTS[claim.agrees]) for claim in claims]
+    parts = {
+        "where": _where(results),
+        "claims": tables.markdown(["claim", "paper", "here", ""], table),
+        "why": "".join(f"- **{claim.says}**: {claim.why}\n" for claim in claims if not claim.agrees),
+        "designs": _designs(results),
+        "table": _table(results),
+        "messages": _messages(results),
+        "fits": _fits(results),
+        "equations": _equations(results),
+        "crossings": _crossings(results),
+        "scaling": _servers(results, "scaling"),
+        "crowded": _servers(results, "crowded"),
+        "model": _model(),
+        **{f"{name}_chart": f"![{words}](pictures/paper-{name}.png)\n" for name, words in charts.CHARTS.items()},
+    }
+    text = (HERE / "page.md").read_text(encoding="utf-8")
+    text = re.sub(r"^\{(\w+)\}\n", lambda found: parts[found[1]], text, flags=re.M)
+    text = re.sub(r"\{(\w+)\}", lambda found: _words(results)[found[1]], text)
+    return re.sub(r"\n{3,}", "\n\n", text)
+
+
+def _words(results: Results) -> dict[str, str]:
+    """Numbers within sentences: the plan as it was."""
+
+    def values(part: str, key: str) -> list[Any]:
+        return sorted({row[key] for row in findings.rows(results, part=part)})
+
+    def listed(part: str, key: str) -> str:
+        return ", ".join(str(each) for each in values(part, key))
+
+    steps = {world: findings.median(results, "steps", part="designs", world=world) for world in ("emergency-exit", "minisim")}
+    histories = {(row["world"], row["history"]) for row in findings.rows(results, part="designs")}
+    two = useful_slots(broker, FIGURE_4, TABLE_I)
+    never = all(crossing(table_i(agents), TABLE_I, against=blob) == 1 for agents in AGENTS)
+    return {
+        "same": "All ways give" if len(histories) == len(steps) else "Not all ways give",
+        "model_servers": f"{two} server{'s' if two > 1 else ''}",
+        "never": "never wins" if never else "wins at times",
+        "designs_steps": f"{steps['emergency-exit']:g}",
+        "crowd_steps": f"{steps['minisim']:g}",
+        "grid_agents": listed("grid", "agents"),
+        "grid_steps": listed("grid", "steps"),
+        "scaling_ms": f"{1e3 * values('scaling', 'step_s')[0]:g}",
+        "crowded_ms": f"{1e3 * values('crowded', 'step_s')[0]:g}",
+        "crowded_trials": listed("crowded", "trials"),
+        "cores": str(results["machine"]["cores"]),
+    }
+
+
+def _where(results: Results) -> str:
+    machine = results["machine"]
+    versions = ", ".join(f"{name} {version}" for name, version in results["versions"].items())
+    missing = "".join(f" {name} was not measured: {why}." for name, why in results["missing"].items())
+    return (
+        f"*{results['when']}, {results['seconds'] / 60:.0f} minutes. {machine['cores']} cores of {machine['cpu']}, "
+        f"{machine['gib']} GiB, {machine['system']}, Python {machine['python']}; load {machine['load']} at the end. "
+        f"{versions}.{missing} The paper's machine: two Xeon X5675 at 3.07 GHz, 12 cores, 16 GB, Debian 9.*\n"
+    )
+
+
+def _designs(results: Results) -> str:
+    decisions = {
+        world: findings.rows(results, part="designs", design=LOCAL, world=world)[0] for world in ("emergency-exit", "minisim")
+    }
+    lines = []
+    for name in findings.designs(results):
+        cells = []
+        for world, alone in decisions.items():
+            seconds = findings.design_s(results, name, world)
+            counted = _counted(results, name, world, alone)
+            cells += ["" if seconds != seconds else _seconds(seconds), counted]
+        lines.append((name, *cells))
+    return tables.markdown(["", "emergency exit, s", "messages", "minisim, s", "messages"], lines)
+
+
+def _counted(results: Results, name: str, world: str, alone: dict[str, Any]) -> str:
+    """Messages of the optimization between optimizer and simulators, those of its start apart."""
+    if name == ZENOH["turn"]:
+        return f"{2 * alone['turns']:,}"
+    if name == ZENOH["agent"]:
+        return f"{2 * alone['decisions']:,}"
+    found = findings.median(results, "messages", part="designs", design=name, world=world) if name in (STOCK, NODELAY) else None
+    return "" if found is None else f"{found:,.0f}"
+
+
+def _table(results: Results) -> str:
+    here, nodelay = findings.constants(results, STOCK), findings.constants(results, NODELAY)
+    gcc = findings.median(results, "compile_s", part="designs", design=FILES["cc"])
+    gcc_words = "" if gcc is None or findings.build(results) == FILES["cc"] else f"; gcc alone {ms(gcc)}"
+    lines = [
+        ("n_gen", "200", "4; 200 where t_evo is measured"),
+        ("n_pop", "50", "4; 50 where t_evo is measured"),
+        ("n_eval", "1", "1"),
+        ("t_evo", ms(TABLE_I.evolve_s), ms(here.evolve_s)),
+        ("t_msg", ms(TABLE_I.message_s), f"{ms(here.message_s)}; with TCP_NODELAY {ms(nodelay.message_s)}"),
+        ("t_export", ms(TABLE_I.export_s), ms(here.export_s)),
+        ("t_compile", ms(TABLE_I.compile_s), f"{ms(here.compile_s)} ({findings.build(results)}){gcc_words}"),
+        ("t_fitness", ms(TABLE_I.fitness_s), ms(here.fitness_s)),
+        ("t_step", ms(TABLE_I.step_s), f"{ms(here.step_s)}, as set"),
+    ]
+    return tables.markdown(["", "paper", "here"], lines)
+
+
+def _messages(results: Results) -> str:
+    agents = sorted({row["agents"] for row in findings.rows(results, part="messages")})
+    lines = [
+        (design, *(_us(findings.message_s(results, design, each)) for each in agents))
+        for design in (STOCK, NODELAY, ZENOH["turn"], ZENOH["agent"])
+    ]
+    return tables.markdown(["us", *(charts.counted(each) for each in agents)], lines)
+
+
+def _fits(results: Results) -> str:
+    lines = []
+    for design in (STOCK, NODELAY, FILES["cc"]):
+        found = findings.fit(results, design)
+        lines.append((design, ms(found.a), ms(found.b), f"{1e3 * found.c:.3f} ms", f"{found.r2:.4f}"))
+    return tables.markdown(["", "each simulation", "each step", "each step and agent", "R^2"], lines)
+
+
+def _equations(results: Results) -> str:
+    named = {
+        "paper": TABLE_I,
+        "here": findings.constants(results, STOCK),
+        "here, TCP_NODELAY": findings.constants(results, NODELAY),
+    }
+    lines = []
+    for name, constants in named.items():
+        found = coefficients(table_i(), constants)
+        inside = f"{found.base_s:.3g} s (1 + {found.internal:.4g} / n ({found.messages:g} + steps ({found.step:.3g} + agents)))"
+        outside = f"{found.base_s:.3g} s (1 + {found.external:.5g} / n ({found.files:.4g} + steps))"
+        lines.append((name, inside, outside))
+    return tables.markdown(["", "t_opt,int (9)", "t_opt,ext (10)"], lines)
+
+
+def _crossings(results: Results) -> str:
+    named: dict[str, Constants] = {"Table I": TABLE_I}
+    named |= {f"measured, {design}": findings.constants(results, design) for design in (STOCK, NODELAY)}
+    lines = []
+    for name, constants in named.items():
+        found = [crossing(table_i(agents), constants) for agents in AGENTS]
+        lines.append((name, *("never" if each is None else f"{each:,}" for each in found)))
+    beside = [crossing(table_i(agents), TABLE_I, against=blob) for agents in AGENTS]
+    lines.append(("Table I, beside parameters in a message", *(str(each) for each in beside)))
+    return tables.markdown(["", *(charts.counted(each) for each in AGENTS)], lines)
+
+
+def _servers(results: Results, part: str) -> str:
+    found = findings.rows(results, part=part)
+    servers = sorted({row["servers"] for row in found})
+    lines = []
+    for steps in sorted({row["steps"] for row in found}):
+        for design in dict.fromkeys(row["design"] for row in found):
+            by_servers = findings.times(results, part, design, steps)
+            lines.append((f"{steps}", design, *(f"{by_servers[count]['s']:.2f}" for count in servers)))
+        one = next(row for row in found if row["steps"] == steps)
+        lines.append((f"{steps}", "nothing but steps", *(f"{findings.ideal_s(one, count):.2f}" for count in servers)))
+    return tables.markdown(["steps", "s with so many servers", *(str(count) for count in servers)], lines)
+
+
+def _model() -> str:
+    plan = FIGURE_4
+    servers = (1, 2, 4, 8, 16)
+    lines = []
+    for name, way in (("broker", broker), ("parameters in a message", blob)):
+        found = [f"{expected_s(way, plan, TABLE_I, count):.1f}" for count in servers]
+        lines.append((name, *found, str(useful_slots(way, plan, TABLE_I))))
+    scaled = msgspec.structs.replace(plan, population=50, generations=200)
+    lines += [("parameters, Table I's 50 candidates", *("" for _ in servers), str(useful_slots(blob, scaled, TABLE_I)))]
+    return tables.markdown(["Table I, 8 agents, 50 steps: s", *(str(count) for count in servers), "servers of use"], lines)
+
+
+def _seconds(seconds: float) -> str:
+    return f"{seconds:.3f}" if seconds < 1 else f"{seconds:.2f}"
+
+
+def _us(seconds: float) -> str:
+    return f"{1e6 * seconds:,.0f}"
