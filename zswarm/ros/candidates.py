@@ -1,0 +1,29 @@
+"""A candidate's controller as a file of a ROS package, in the three forms of docs/ros-files.md."""
+
+from collections.abc import Callable
+
+from zswarm.controller import Controller
+from zswarm.errors import ConfigError
+from zswarm.nets.vector import VectorRepresentation
+from zswarm.ros import parameters
+
+NAME = "candidate"  # in all of them
+
+
+def yaml(controller: Controller) -> str:
+    """ROS parameters: the genome as a list of numbers, and what kind of network they are of.
+
+    Raises:
+        ConfigError: its genome is no list of numbers.
+    """
+    network, _ = controller.network()
+    if not isinstance(network, VectorRepresentation):
+        raise ConfigError(
+            f"genomes of {controller.representation} are no lists of numbers, which a controller as yaml is; expected another "
+            "network, or another form of the manifest's controller"
+        )
+    settings = {"kind": controller.representation, **controller.representation_settings}
+    return parameters.text({NAME + "_network": settings, NAME: network.vectors([controller.genome])[0].tolist()})
+
+
+FORMS: dict[str, Callable[[Controller], str]] = {"yaml": yaml}
