@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 import numpy as np
@@ -11,6 +11,9 @@ from zswarm import plugins
 from zswarm.errors import ConfigError
 from zswarm.protocol import codec
 from zswarm.strict import convert
+
+if TYPE_CHECKING:  # it brings the compiler
+    from zswarm.nets.representation import Representation
 
 CHAMPION = "champion.zsc"
 
@@ -30,6 +33,20 @@ class Controller(msgspec.Struct, frozen=True, kw_only=True, tag="zswarm-controll
     genome: bytes
     fitness: float
     run: str
+
+    def network(self) -> tuple["Representation", np.ndarray]:
+        """Its network, and the numbers that the network's ``step`` reads: (P,) float32.
+
+        Raises:
+            ConfigError: its kind of network is not installed, or its genome does not fit it.
+        """
+        kind = plugins.load("representation", self.representation)
+        settings = convert(self.representation_settings, kind.settings_type, "representation")
+        try:
+            built: Representation = kind(settings, self.inputs, self.outputs)
+            return built, built.parameters([self.genome])[0]
+        except ValueError as error:
+            raise ConfigError(f"the champion does not fit its network: {error}") from None
 
     def driver(self) -> "Driver":
         """The controller of one agent, to be asked step by step.
@@ -53,16 +70,10 @@ class Driver:
     """
 
     def __init__(self, controller: Controller) -> None:
-        network = plugins.load("representation", controller.representation)
-        settings = convert(controller.representation_settings, network.settings_type, "representation")
         self.inputs, self.outputs = controller.inputs, controller.outputs
-        built = network(settings, self.inputs, self.outputs)
-        try:
-            self._parameters = built.parameters([controller.genome])[0]
-        except ValueError as error:
-            raise ConfigError(f"the champion does not fit its network: {error}") from None
-        self._step = built.step
-        self._state = np.zeros(built.state_size, np.float32)
+        network, self._parameters = controller.network()
+        self._step = network.step
+        self._state = np.zeros(network.state_size, np.float32)
 
     def reset(self) -> None:
         """Forget all of before, as at the start of a trial."""

@@ -1,0 +1,1 @@
+"""Evolved controllers as files for robots, and what robots sense and do."""
