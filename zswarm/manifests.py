@@ -1,7 +1,7 @@
 """Manifests: small TOML files that say which programs of this machine are simulators (docs/foreign.md, docs/ros-files.md).
 
-``NAME.toml`` makes a simulator of that name: of a program, or of a launch file of a ROS package. What runs is decided here alone, by files that the machine's user or administrator
-put there: nothing that comes over the wire names a command.
+``NAME.toml`` makes a simulator of that name: of a program, or of a launch file of a ROS package. What runs is decided here alone,
+by files that the machine's user or administrator put there: nothing that comes over the wire names a command.
 """
 
 import contextlib

@@ -68,7 +68,9 @@ BUNDLED: dict[Kind, dict[str, str]] = {
         "swiss": "zswarm.ot.rankings.swiss:Swiss",
     },
 }
-OF_ONE = re.compile(r"^\s*(?:from|import)\s+zswarm\.(nets|sims|ros|robots)\.(\w+)", re.M)  # imports; looked for, for parsing takes long
+OF_ONE = re.compile(
+    r"^\s*(?:from|import)\s+zswarm\.(nets|sims|ros|robots)\.(\w+)", re.M
+)  # imports; looked for, for parsing takes long
 OF_SEVERAL = re.compile(r"^\s*from\s+zswarm\.(nets|sims|ros|robots)\s+import\s+(\([^)]*\)|.*)", re.M)
 DECLARED = re.compile(r"^LIBRARIES = \(([^)]*)\)", re.M)
 FOREIGN = "zswarm.sims.foreign"  # makes classes of programs

@@ -2,9 +2,10 @@
 
 from collections.abc import Callable
 
+import numpy as np
+
 from zswarm.controller import Controller
 from zswarm.errors import ConfigError
-from zswarm.nets.vector import VectorRepresentation
 from zswarm.ros import parameters
 
 NAME = "candidate"  # in all of them
@@ -17,13 +18,13 @@ def yaml(controller: Controller) -> str:
         ConfigError: its genome is no list of numbers.
     """
     network, _ = controller.network()
-    if not isinstance(network, VectorRepresentation):
+    if network.genes is None:
         raise ConfigError(
             f"genomes of {controller.representation} are no lists of numbers, which a controller as yaml is; expected another "
             "network, or another form of the manifest's controller"
         )
-    settings = {"kind": controller.representation, **controller.representation_settings}
-    return parameters.text({NAME + "_network": settings, NAME: network.vectors([controller.genome])[0].tolist()})
+    kind = {"kind": controller.representation, **controller.representation_settings}
+    return parameters.text({f"{NAME}_network": kind, NAME: np.frombuffer(controller.genome, "<f4").tolist()})
 
 
 FORMS: dict[str, Callable[[Controller], str]] = {"yaml": yaml}

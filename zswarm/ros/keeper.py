@@ -23,7 +23,12 @@ from pathlib import Path
 from typing import Any
 
 PR_SET_CHILD_SUBREAPER = 36
-PREFIX, FRESH, LOCK = "zswarm-ros-", "zswarm-new-", "lock"  # of folders; the last is held locked as long as this process lives
+PREFIX, FRESH, LOCK = (
+    "zswarm-launches-",
+    "zswarm-new-",
+    "lock",
+)  # of folders; the last is held locked as long as this process lives
+INPUT = 0  # the standard input, unbuffered: it is polled
 ENDING_S = 5.0  # killed processes are waited for
 
 
@@ -36,9 +41,8 @@ def main() -> None:
     folder, lock = make_folder()
     try:
         say({"folder": str(folder)})
-        lines = sys.stdin.buffer.raw  # type: ignore[attr-defined]  # unbuffered: it is polled
-        while line := read_line(lines.fileno()):
-            say(run(json.loads(line), lines.fileno()))
+        while line := read_line(INPUT):
+            say(run(json.loads(line)))
     finally:
         end_all()
         shutil.rmtree(folder, ignore_errors=True)
@@ -68,12 +72,11 @@ def make_folder() -> tuple[Path, int]:
     return folder, lock
 
 
-def run(asked: dict[str, Any], watched: int) -> dict[str, Any]:
+def run(asked: dict[str, Any]) -> dict[str, Any]:
     """Run a command to its end; how it ended, and the number of seconds that it took.
 
     Args:
         asked: ``command``, ``cwd``, ``environment``, ``output`` (a file for all that it says), ``limit_s`` (0: none).
-        watched: ends this program when it closes.
     """
     begin = time.monotonic()
     try:
@@ -88,7 +91,7 @@ def run(asked: dict[str, Any], watched: int) -> dict[str, Any]:
     try:
         waiting = select.poll()
         waiting.register(ending, select.POLLIN)
-        waiting.register(watched, 0)  # whether it was closed
+        waiting.register(INPUT, 0)  # whether it was closed
         happened = waiting.poll(asked["limit_s"] * 1000 or None)
     finally:
         os.close(ending)

@@ -7,7 +7,7 @@ import os
 import re
 import shutil
 from pathlib import Path
-from xml.etree import ElementTree  # noqa: S405  of packages that the machine's user installed
+from xml.etree import ElementTree
 
 from zswarm.errors import ConfigError, EvaluationError
 

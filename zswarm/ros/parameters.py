@@ -9,8 +9,6 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 INTEGERS = range(-(2**31), 2**31)
 
 
@@ -56,8 +54,3 @@ def number(each: float) -> str:
         return ".nan" if math.isnan(each) else ".inf" if each > 0 else "-.inf"
     mantissa, mark, exponent = repr(float(each)).partition("e")
     return mantissa + ("" if "." in mantissa else ".0") + mark + exponent
-
-
-def numbers(vector: np.ndarray) -> str:
-    """A list of float32 numbers, each the shortest text of the float64 next to it."""
-    return f"[{', '.join(number(float(each)) for each in vector)}]"
