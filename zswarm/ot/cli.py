@@ -15,6 +15,7 @@ from zswarm.ot.commands.dashboard import dashboard
 from zswarm.ot.commands.describe import describe
 from zswarm.ot.commands.doctor import doctor
 from zswarm.ot.commands.evaluate import evaluate
+from zswarm.ot.commands.export import export
 from zswarm.ot.commands.import_ import import_
 from zswarm.ot.commands.init import init
 from zswarm.ot.commands.list import list_
@@ -55,6 +56,7 @@ for _command in (
     plot,
     compare,
     replay,
+    export,
     report,
     dashboard,
     list_,

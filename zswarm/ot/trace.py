@@ -21,6 +21,7 @@ from zswarm import varied
 from zswarm.errors import ConfigError, EvaluationError
 from zswarm.evaluate import turns
 from zswarm.nets.representation import Representation
+from zswarm.ot.chosen import candidate_of, generation_of, numbered, shown
 from zswarm.ot.problem import Problem
 from zswarm.ot.reading import Run
 from zswarm.protocol.codec import clean
@@ -101,15 +102,15 @@ def trace(run: Run, generation: int | None = None, candidate: int | None = None,
         ConfigError: the run has no such trial, or this program computes it differently.
         EvaluationError: the simulator's program ended.
     """
-    generation = _generation(run, generation)
+    generation = generation_of(run, generation)
     candidates = {one["candidate"]: one for one in run.candidates(generation)}
-    candidate = _candidate(run, generation, candidates, candidate)
+    candidate = candidate_of(run, generation, candidates, candidate)
     problem = Problem(run.experiment)
     trials = [one for one in run.trials(generation) if candidate in one.get("candidates", (one.get("candidate"),))]
     count = len(trials) if problem.simulator.participants > 1 else problem.experiment.problem.trials
     what = f"trial {trial} of candidate {candidate} in generation {generation}"
     if not 0 <= trial < count:
-        raise ConfigError(f"{_shown(run)}: no {what}; {_numbers('trial', count)}")
+        raise ConfigError(f"{shown(run)}: no {what}; {numbered('trial', count)}")
     if problem.simulator.participants > 1:
         recorded: dict[str, Any] | None = trials[trial]
         players, number = trials[trial]["candidates"], trials[trial]["trial"]
@@ -118,18 +119,18 @@ def trace(run: Run, generation: int | None = None, candidate: int | None = None,
         players, number = [candidate], trial
     seed = int(problem.trial_seeds(generation)[number])
     if missing := [player for player in players if player not in candidates]:
-        raise ConfigError(f"{_shown(run)}: damaged: candidate {missing[0]} played in generation {generation}, and has no genome")
+        raise ConfigError(f"{shown(run)}: damaged: candidate {missing[0]} played in generation {generation}, and has no genome")
     genomes = [candidates[player]["genome"] for player in players]
     try:
         found = record(problem.simulator, problem.representation, genomes, seed)
     except ValueError as error:
-        raise ConfigError(f"{_shown(run)}: damaged: a genome does not fit its network: {error}") from None
+        raise ConfigError(f"{shown(run)}: damaged: a genome does not fit its network: {error}") from None
     network = run.experiment.representation.kind
     note = _difference(found, recorded)
     said = run.meta.get("version_hash")
     ours = version_hash(run.experiment.problem.simulator, network)
     if note and said != ours:
-        raise ConfigError(f"{_shown(run)}: computed by other code (version hash {said}, here {ours}), and {what} differs: {note}")
+        raise ConfigError(f"{shown(run)}: computed by other code (version hash {said}, here {ours}), and {what} differs: {note}")
     about = {
         "run": run.name,
         "generation": generation,
@@ -269,36 +270,6 @@ class _Watched:
 
 
 # ---- what a run has -----------------------------------------------------------------------------------------------
-
-
-def _generation(run: Run, generation: int | None) -> int:
-    count = run.generations()
-    if not count:
-        raise ConfigError(f"{_shown(run)}: nothing to replay: no generation is finished")
-    if generation is None:
-        best = run.best()
-        found = [int(row["generation"]) for row in run.history() if row["best"] == best]
-        return count - 1 if run.relative or not found else found[0]
-    if not 0 <= generation < count:
-        raise ConfigError(f"{_shown(run)}: no generation {generation}; {_numbers('generation', count)}")
-    return generation
-
-
-def _candidate(run: Run, generation: int, candidates: dict[int, dict[str, Any]], candidate: int | None) -> int:
-    if candidate is None and candidates:
-        return max(candidates, key=lambda one: (-math.inf if (f := candidates[one]["fitness"]) is None else f, -one))
-    if candidate not in candidates:
-        what = f"no candidate {candidate} in generation {generation}"
-        raise ConfigError(f"{_shown(run)}: {what}; {_numbers('candidate', len(candidates))}")
-    return candidate
-
-
-def _numbers(what: str, count: int) -> str:
-    return f"it has {what} 0 only" if count == 1 else f"it has {what}s 0 to {count - 1}" if count else f"it has no {what}s"
-
-
-def _shown(run: Run) -> str:
-    return clean(str(run.folder))
 
 
 def _difference(found: Trace, recorded: dict[str, Any] | None) -> str:

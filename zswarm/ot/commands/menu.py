@@ -5,7 +5,7 @@ import click
 SECTIONS = {
     "Begin": ("init", "check", "describe", "new", "doctor"),
     "Evolve": ("run", "resume", "servers"),
-    "Results": ("list", "dashboard", "evaluate", "replay", "report", "plot", "compare", "import"),
+    "Results": ("list", "dashboard", "evaluate", "replay", "export", "report", "plot", "compare", "import"),
     "Shell": ("completion",),
 }
 LONGEST = 200  # characters of a command's first sentence; the list folds it

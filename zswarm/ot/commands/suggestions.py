@@ -42,5 +42,12 @@ def parts(_context: click.Context, _parameter: click.Parameter, typed: str) -> l
     return _fitting(sorted({name for kind in plugins.BUNDLED for name in plugins.names(kind)}), typed)
 
 
+def targets(_context: click.Context, _parameter: click.Parameter, typed: str) -> list[CompletionItem]:
+    """What a controller can be exported to."""
+    from zswarm.robots.targets import TARGETS
+
+    return _fitting(TARGETS, typed)
+
+
 def _fitting(names: Iterable[str], typed: str) -> list[CompletionItem]:
     return [CompletionItem(name) for name in names if name.startswith(typed) and name.isprintable()]
