@@ -6,6 +6,7 @@ import numpy as np
 
 from zswarm.controller import Controller
 from zswarm.errors import ConfigError
+from zswarm.robots.json_file import as_json
 from zswarm.ros import parameters
 
 NAME = "candidate"  # in all of them
@@ -27,4 +28,9 @@ def yaml(controller: Controller) -> str:
     return parameters.text({f"{NAME}_network": kind, NAME: np.frombuffer(controller.genome, "<f4").tolist()})
 
 
-FORMS: dict[str, Callable[[Controller], str]] = {"yaml": yaml}
+def json(controller: Controller) -> str:
+    """JSON as ``zswarm-ot export --to json`` writes it."""
+    return "".join(as_json(controller, NAME).values())
+
+
+FORMS: dict[str, Callable[[Controller], str]] = {"yaml": yaml, "json": json}

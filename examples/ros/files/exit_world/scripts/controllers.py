@@ -4,6 +4,7 @@ import ctypes
 import json
 import struct
 
+INPUTS, OUTPUTS = 10, 2  # of a robot of room.py
 FLOAT32 = struct.Struct("f")
 
 
@@ -59,12 +60,15 @@ class Compiled:
 def load(parameters):
     """The controller that the node's parameters name."""
     if "library" in parameters:
-        return Compiled(parameters["library"], 10, 2)
+        return Compiled(parameters["library"], INPUTS, OUTPUTS)
     if "candidate_file" in parameters:
         with open(parameters["candidate_file"]) as file:
             said = json.load(file)
-        raise NotImplementedError(said)
-    network = parameters["candidate_network"]
-    if network["kind"] != "fully-meshed":
-        raise ValueError(f"this node knows fully-meshed networks only, not {network['kind']}")
-    return FullyMeshed(parameters["candidate"], 10, 2, network)
+        kind, settings = said["representation"], said["representation_settings"]
+        numbers = [number for neuron in said["networks"][0]["neurons"] for number in neuron]
+    else:
+        settings, numbers = parameters["candidate_network"], parameters["candidate"]
+        kind = settings["kind"]
+    if kind != "fully-meshed":
+        raise ValueError(f"this node knows fully-meshed networks only, not {kind}")
+    return FullyMeshed(numbers, INPUTS, OUTPUTS, settings)
