@@ -133,8 +133,9 @@ def source_files(kind: Kind, name: str) -> list[Path]:
         UnknownPlugin: no such name.
     """
     if manifest := foreign(kind).get(name):
-        own = sorted(_bundled_files(_maker(manifest)))
-        return [*manifests.files(manifest), *own, *_following(own)]
+        maker = _maker(manifest)
+        own = sorted(_bundled_files(maker))
+        return [*manifests.files(manifest), *own, *(_following(own) if maker == ROS_FILES else [])]
     if name not in _installed(kind):
         raise _unknown(kind, name)
     if name not in BUNDLED[kind]:

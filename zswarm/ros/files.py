@@ -53,8 +53,10 @@ class RosFiles(HostingSimulator):
         self.sensors, self.actuators = tuple(manifest.sensors), tuple(manifest.actuators)
         self.repeatable = manifest.repeatable and manifest.seed is not None
         robots = manifest.robots if isinstance(manifest.robots, int) else getattr(settings, manifest.robots)
-        if robots < 1:
-            raise ConfigError(f"simulator {self.name!r}: {manifest.robots}: expected 1 or more robots, not {robots}")
+        if not 1 <= robots <= messages.MAX_AGENTS:
+            raise ConfigError(
+                f"simulator {self.name!r}: {manifest.robots}: expected 1 to {messages.MAX_AGENTS} robots, not {robots}"
+            )
         self.owners = (0,) * robots
         self._rule: str = settings.fitness  # type: ignore[attr-defined]  # a field that simulator_class adds
         self.metrics = () if self._rule == "command" else ("distance", "steps")
