@@ -21,8 +21,10 @@ P3 = 6.61375632143793436117e-05
 P4 = -1.65339022054652515390e-06
 P5 = 4.13813679705723846039e-08
 LARGEST, SMALLEST = 709.782712893383973096, -745.13321910194110842
-LOWEST_POWER = -1075
-POWERS_OF_TWO = np.array([2.0**k for k in range(LOWEST_POWER, 1024)])
+
+# A float64's bits: 52 of the fraction, then 11 of the exponent plus 1023, which is 0 in what is smaller than 2^-1022.
+BIAS, LOWEST_EXPONENT, FRACTION_BITS = 1023, -1022, np.uint64(52)
+LIFT, LOWERED = 54, 2.0**-54
 
 # log: x = 2^k (1 + f), 1 + f within a factor of sqrt 2 of 1, and a polynomial in s = f / (2 + f) (constants as in the public
 # fdlibm, e_log). Error below 1 unit in the last place.
@@ -91,8 +93,16 @@ def exp(x):  # type: ignore[no-untyped-def]  # compiled
     c = r - t * (P1 + t * (P2 + t * (P3 + t * (P4 + t * P5))))
     y = 1.0 - ((low - (r * c) / (2.0 - c)) - high)
     if k == 1024:  # 2 ** 1024 is no number, twice 2 ** 1023 times y < 1 is
-        return y * 2.0 * POWERS_OF_TWO[1023 - LOWEST_POWER]
-    return y * POWERS_OF_TWO[k - LOWEST_POWER]
+        return y * 2.0 * power_of_two(k - 1)
+    return y * power_of_two(k)
+
+
+@inline
+def power_of_two(k):  # type: ignore[no-untyped-def]  # compiled
+    """2 to the power of a whole number from -1075 to 1023, float64; 0 for -1075."""
+    if k < LOWEST_EXPONENT:
+        return np.uint64(np.uint64(k + LIFT + BIAS) << FRACTION_BITS).view(np.float64) * LOWERED
+    return np.uint64(np.uint64(k + BIAS) << FRACTION_BITS).view(np.float64)
 
 
 def log(x: np.ndarray) -> np.ndarray:
