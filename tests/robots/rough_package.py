@@ -10,8 +10,8 @@ PACKAGE = """<package format="2">
 </package>
 """
 LAUNCH = """<launch>
-  <arg name="how"/> <arg name="robots"/> <arg name="seed"/> <arg name="required" default="true"/>
-  <node pkg="rough" type="node.sh" name="node" required="$(arg required)" output="screen"
+  <arg name="how"/> <arg name="robots"/> <arg name="seed"/>
+  <node pkg="rough" type="node.sh" name="node" required="true" output="screen"
         args="$(arg how) $(find rough)/log $(arg robots) $(arg seed)"/>
 </launch>
 """
@@ -45,12 +45,10 @@ file = "config/frevo.yaml"
 key = "count"
 [parameters."config/frevo.yaml"]
 log_path = "{{package}}/log"
-[arguments]
-required = "{required}"
 """
 
 
-def write(folder: Path, *, more: str = "", controller: str = "", required: str = "true") -> Path:
+def write(folder: Path, *, more: str = "", controller: str = "") -> Path:
     """The manifest ``rough.toml``, which makes the simulator ``rough``, and its package beside it."""
     package = folder / "rough"
     package.mkdir()
@@ -58,5 +56,5 @@ def write(folder: Path, *, more: str = "", controller: str = "", required: str =
     (package / "rough.launch").write_text(LAUNCH)
     shutil.copy(NODE, package / "node.sh")
     manifest = folder / "rough.toml"
-    manifest.write_text(MANIFEST.format(more=more, controller=controller, required=required))
+    manifest.write_text(MANIFEST.format(more=more, controller=controller))
     return manifest

@@ -89,6 +89,15 @@ def test_a_manifest_that_is_wrong_is_told_in_one_line(change: tuple[str, str], t
     assert "\n" not in str(raised.value)
 
 
+def test_a_launch_file_that_would_not_end_is_refused(rough: Path) -> None:
+    """roslaunch goes on as long as its master does, though all nodes of the file ended."""
+    rough_package.write(rough)
+    launch = rough / "rough" / "rough.launch"
+    launch.write_text(launch.read_text().replace('required="true"', ""))
+    with pytest.raises(UnknownPlugin, match=r"launch: rough\.launch has no node with required=\"true\"; expected one that ends"):
+        plugins.load("simulator", "rough")
+
+
 @pytest.mark.parametrize(
     ("settings", "told"),
     [
@@ -170,10 +179,9 @@ def test_the_examples_numbers_are_those_of_the_network(monkeypatch: pytest.Monke
 
 @pytest.mark.robots
 @ROSLAUNCH
-@pytest.mark.parametrize("required", ["true", "false"])
-def test_a_trial_is_played_by_roslaunch_with_its_seed(rough: Path, required: str) -> None:
+def test_a_trial_is_played_by_roslaunch_with_its_seed(rough: Path) -> None:
     """Two robots end at 3.5 m with seed 3; seeds are folded to what ROS parameters have. The user's package stays as it is."""
-    rough_package.write(rough, required=required)
+    rough_package.write(rough)
     before = {path.relative_to(rough) for path in rough.rglob("*")}
     outcomes = play("rough", {}, 3, 2**31 + 4)
     assert outcomes.error == ""
@@ -198,10 +206,9 @@ DECIDED = {
 @pytest.mark.robots
 @ROSLAUNCH
 @pytest.mark.parametrize("how", FAULTS)
-@pytest.mark.parametrize("required", ["true", "false"])
-def test_a_node_or_roslaunch_that_fails_is_a_fault(rough: Path, how: str, required: str) -> None:
+def test_a_node_or_roslaunch_that_fails_is_a_fault(rough: Path, how: str) -> None:
     """Though logs were written: what they say is not the whole trial. The line names simulator and seed."""
-    rough_package.write(rough, required=required)
+    rough_package.write(rough)
     with pytest.raises(EvaluationError, match=f"^simulator 'rough', trial seed 1: {FAULTS[how]}"):
         play("rough", {"how": how}, 1)
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from zswarm.controller import Controller
 from zswarm.errors import ConfigError
+from zswarm.robots.c99 import pair
 from zswarm.robots.json_file import as_json
 from zswarm.ros import parameters
 
@@ -33,4 +34,11 @@ def json(controller: Controller) -> str:
     return "".join(as_json(controller, NAME).values())
 
 
-FORMS: dict[str, Callable[[Controller], str]] = {"yaml": yaml, "json": json}
+def c99(controller: Controller) -> str:
+    """One C99 source to be included by another: header and source of ``zswarm-ot export --to c99``, one behind the other."""
+    files = pair(controller, NAME)
+    header, source = files[f"zs_{NAME}.h"], files[f"zs_{NAME}.c"]
+    return header + source.replace(f'#include "zs_{NAME}.h"\n', "", 1)
+
+
+FORMS: dict[str, Callable[[Controller], str]] = {"yaml": yaml, "json": json, "c99": c99}

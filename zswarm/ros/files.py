@@ -207,6 +207,12 @@ def _fitness(manifest: LaunchManifest) -> messages.Setting:
 def _check_manifest(manifest: LaunchManifest, package: Path) -> None:
     if not (package / manifest.launch).is_file():
         raise ConfigError(f"launch: package {manifest.package!r} has no file {manifest.launch}")
+    text = (package / manifest.launch).read_text(encoding="utf-8", errors="replace")
+    if "required=" not in text and "<include" not in text:
+        raise ConfigError(
+            f'launch: {manifest.launch} has no node with required="true"; expected one that ends when the trial is over: roslaunch '
+            "then ends the others, and itself"
+        )
     for what, names, count in (
         ("sensors", manifest.sensors, manifest.inputs),
         ("actuators", manifest.actuators, manifest.outputs),
