@@ -210,8 +210,8 @@ def _check_manifest(manifest: LaunchManifest, package: Path) -> None:
     text = (package / manifest.launch).read_text(encoding="utf-8", errors="replace")
     if "required=" not in text and "<include" not in text:
         raise ConfigError(
-            f'launch: {manifest.launch} has no node with required="true"; expected one that ends when the trial is over: roslaunch '
-            "then ends the others, and itself"
+            f'launch: {manifest.launch} has no node with required="true"; expected one that ends when the trial is over: then '
+            "roslaunch ends the others, and itself"
         )
     for what, names, count in (
         ("sensors", manifest.sensors, manifest.inputs),

@@ -25,8 +25,11 @@ KEEPER = Path(__file__).with_name("keeper.py")
 ENDING_S = 10.0  # a keeper is waited for when it is closed
 LAST_WORDS = 300  # characters of what a program said, in an error
 READ = 4 << 20  # bytes of it, from the end
-DIED = re.compile(r"\[(?P<node>[^\]\n]*)\] (?:has died!\n)?process has died \[pid \d+, exit code (?P<code>-?\d+)")
-# What roslaunch says when it has done: a required node ended, and how others end then says nothing; or all ended.
+DIED = re.compile(
+    r"(?:=+REQUIRED process )?\[(?P<node>[^\]\n]*)\] (?:has died!\n)?process has died \[pid \d+, exit code (?P<code>-?\d+)"
+)
+STARTED = "]: started with pid ["  # what roslaunch says of a process
+# What it says when it has done: a required node ended, and how others end then says nothing; or all ended.
 OVER = re.compile(r"Initiating shutdown!|all processes on machine have died, roslaunch will exit")
 COLOURS = re.compile(r"\x1b\[[0-9;]*m|\x1b\]2;[^\x07]*\x07")  # and titles of a terminal
 INSTALL = (
@@ -132,8 +135,8 @@ def launch(keeper: Keeper, file: Path, arguments: Mapping[str, str], environment
         raise EvaluationError(f"roslaunch {how_it_ended(ended.code)}{last_words(ended.said)}")
     over = OVER.search(ended.said)
     if died := DIED.search(ended.said[: over.start() if over else None]):
-        words = last_words(ended.said[: died.start()])
-        raise EvaluationError(f"node {clean(died['node'])} {how_it_ended(int(died['code']))}{words}")
+        its_own = ended.said[: died.start()].rpartition(STARTED)[2].partition("\n")[2]
+        raise EvaluationError(f"node {clean(died['node'])} {how_it_ended(int(died['code']))}{last_words(its_own)}")
     if over is None:
         raise EvaluationError(f"roslaunch was told to end before its nodes had ended{last_words(ended.said)}")
     return ended
