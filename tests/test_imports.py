@@ -63,6 +63,7 @@ ONLY_IN = {
     "PIL": set(),
     "scipy": set(),
     "jinja2": set(),
+    "onnx": set(),
     "starlette": {"ot.dashboard.app", "ot.dashboard.guard"},
     "uvicorn": {"ot.dashboard.serve"},
     "cmaes": set(),  # the packages of optimizers, likewise

@@ -67,13 +67,13 @@ class Driver:
 
     Attributes:
         inputs, outputs: numbers of an observation, and of what is decided.
+        network, parameters: as ``Controller.network`` gives them.
     """
 
     def __init__(self, controller: Controller) -> None:
         self.inputs, self.outputs = controller.inputs, controller.outputs
-        network, self._parameters = controller.network()
-        self._step = network.step
-        self._state = np.zeros(network.state_size, np.float32)
+        self.network, self.parameters = controller.network()
+        self._state = np.zeros(self.network.state_size, np.float32)
 
     def reset(self) -> None:
         """Forget all of before, as at the start of a trial."""
@@ -95,7 +95,7 @@ class Driver:
         if seen.shape != (self.inputs,):
             raise ValueError(f"observation: expected shape ({self.inputs},), not {seen.shape}")
         decided = np.empty(self.outputs, np.float32)
-        self._step(self._parameters, self._state, seen, decided)
+        self.network.step(self.parameters, self._state, seen, decided)
         return decided
 
 

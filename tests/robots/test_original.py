@@ -11,24 +11,6 @@ from zswarm.errors import ConfigError
 from zswarm.robots import original
 
 
-@pytest.mark.parametrize(
-    ("name", "folded"),
-    [
-        ("stadium", "stadium"),
-        ("Emergency Exit--2", "emergency_exit_2"),
-        ("größe/../../etc", "groe_etc"),
-        ("*/ int main(void)", "int_main_void"),
-        ("__x__", "x"),
-        ("日本", "controller"),
-        ("", "controller"),
-        ("a" * 39 + "-b" * 9, "a" * 39),
-    ],
-)
-def test_any_name_becomes_one_for_files_packages_and_functions(name: str, folded: str) -> None:
-    assert original.identifier(name) == folded
-    assert original.identifier(folded) == folded
-
-
 @pytest.mark.parametrize("kind", KINDS, ids=named)
 def test_check_steps_are_what_the_controller_decides(kind: tuple[str, dict[str, object]]) -> None:
     """The same every time, and not all alike."""

@@ -5,7 +5,6 @@ literals, sizes are constants. The caller owns the state; nothing is allocated, 
 same text.
 """
 
-import hashlib
 import re
 import textwrap
 
@@ -14,16 +13,15 @@ import numpy as np
 
 import zswarm
 from zswarm import plugins
-from zswarm.controller import Controller, Driver
-from zswarm.draws import Stream
+from zswarm.controller import Controller
 from zswarm.errors import UnknownPlugin
+from zswarm.nets.representation import Representation
 from zswarm.robots.c_types import FLOAT32, Array, comment, literal
-from zswarm.robots.expressions import Value
 from zswarm.robots.names import folded, quoted
-from zswarm.robots.translate import INDENT, Callee, Translation
+from zswarm.robots.original import STEPS, check_steps, sha256
+from zswarm.robots.pieces import INDENT, Value
+from zswarm.robots.translate import Callee, Translation
 
-VECTORS = 16  # steps of the self-test
-SEED = 99
 WIDTH = 110  # of comments
 
 HEADER = """/*
@@ -53,8 +51,9 @@ void zs_{name}_reset(zs_{name}_state *state);
 /* Decide: observation is what the sensors say, in the order above; action is written, in the order above. */
 void zs_{name}_step(zs_{name}_state *state, const float observation[ZS_{upper}_INPUTS], float action[ZS_{upper}_OUTPUTS]);
 
-/* {vectors} steps with known decisions: 0 when each has the same bits here, otherwise the number of the first step that differs, from 1.
- * Left out where ZS_{upper}_NO_SELFTEST is defined. */
+/* {steps} steps of which decision and state are known: 0 when all have the same bits here, otherwise the number of the first
+ * step that differs, from 1. Left out where ZS_{upper}_NO_SELFTEST is defined; where ZS_{upper}_MAIN is, the source is a
+ * program that returns it. */
 int zs_{name}_selftest(void);
 
 #ifdef __cplusplus
@@ -68,7 +67,8 @@ GUARDS = """/* Every operation rounds once, as written: no compiler may join a p
 #if defined(__FAST_MATH__)
 #error "compile without -ffast-math and -Ofast: they change what the controller decides"
 #endif
-#if defined(FLT_EVAL_METHOD) && (FLT_EVAL_METHOD != 0)
+/* 16: float as float, and shorter types as themselves. */
+#if defined(FLT_EVAL_METHOD) && (FLT_EVAL_METHOD != 0) && (FLT_EVAL_METHOD != 16)
 #error "float must be computed as float; on 32-bit x86: -msse2 -mfpmath=sse"
 #endif
 #if defined(__clang__)
@@ -94,12 +94,17 @@ void zs_{name}_step(zs_{name}_state *state, const float observation[ZS_{upper}_I
 """
 
 SELFTEST = """#if !defined(ZS_{upper}_NO_SELFTEST)
-static const float zs_{name}_observations[{vectors}][ZS_{upper}_INPUTS] = {{
+static const float zs_{name}_observations[{steps}][ZS_{upper}_INPUTS] = {{
 {observations}
 }};
 
-static const float zs_{name}_actions[{vectors}][ZS_{upper}_OUTPUTS] = {{
+static const float zs_{name}_actions[{steps}][ZS_{upper}_OUTPUTS] = {{
 {actions}
+}};
+
+/* A digest of the state behind each step: it shows differences that the decision does not, yet. */
+static const uint32_t zs_{name}_states[{steps}] = {{
+{states}
 }};
 
 /* A number's bits; those of one NaN for all of them. */
@@ -110,7 +115,17 @@ static uint32_t zs_{name}_bits(float number)
         uint32_t bits;
     }} both;
     both.number = number;
-    return (number != number) ? 0x7FC00000U : both.bits;
+    return (number != number) ? {nan}U : both.bits;
+}}
+
+/* FNV-1a, of words instead of bytes. */
+static uint32_t zs_{name}_digest(const zs_{name}_state *state)
+{{
+    uint32_t digest = {basis}U;
+    for (int32_t at = 0; at < ZS_{upper}_STATE; at++) {{
+        digest = (digest ^ zs_{name}_bits(state->x[at])) * {prime}U;
+    }}
+    return digest;
 }}
 
 int zs_{name}_selftest(void)
@@ -119,18 +134,30 @@ int zs_{name}_selftest(void)
     float action[ZS_{upper}_OUTPUTS];
     int differs = 0;
     zs_{name}_reset(&state);
-    for (int32_t step = 0; (step < {vectors}) && (differs == 0); step++) {{
+    for (int step = 0; (step < {steps}) && (differs == 0); step++) {{
         zs_{name}_step(&state, zs_{name}_observations[step], action);
-        for (int32_t at = 0; at < ZS_{upper}_OUTPUTS; at++) {{
+        for (int at = 0; at < ZS_{upper}_OUTPUTS; at++) {{
             if (zs_{name}_bits(action[at]) != zs_{name}_bits(zs_{name}_actions[step][at])) {{
-                differs = (int)step + 1;
+                differs = step + 1;
             }}
+        }}
+        if (zs_{name}_digest(&state) != zs_{name}_states[step]) {{
+            differs = step + 1;
         }}
     }}
     return differs;
 }}
+
+#if defined(ZS_{upper}_MAIN)
+int main(void)
+{{
+    return zs_{name}_selftest();
+}}
+#endif
 #endif
 """
+
+NAN_BITS, BASIS, PRIME = 0x7FC00000, 2166136261, 16777619  # of FNV-1a with 32 bits
 
 
 def pair(controller: Controller, name: str) -> dict[str, str]:
@@ -147,26 +174,26 @@ def pair(controller: Controller, name: str) -> dict[str, str]:
         ConfigError: its kind of network is not installed, its genome does not fit, or its step cannot be said in C.
     """
     name = folded(name)
-    driver = controller.driver()  # which refuses what does not fit
+    network, parameters = controller.network()
     translation = Translation(f"zs_{name}")
-    callee = _translate(translation, driver)
-    return {f"zs_{name}.h": _header(controller, name, driver), f"zs_{name}.c": _source(controller, name, translation, callee)}
+    callee = _translate(translation, network, parameters)
+    header = _header(controller, name, network, parameters)
+    return {f"zs_{name}.h": header, f"zs_{name}.c": _source(controller, name, translation, callee)}
 
 
-def _translate(translation: Translation, driver: Driver) -> Callee:
-    for taken in ("state", "reset", "step", "selftest", "observations", "actions", "bits"):
+def _translate(translation: Translation, network: Representation, parameters: np.ndarray) -> Callee:
+    for taken in ("state", "reset", "step", "selftest", "observations", "actions", "states", "bits", "digest"):
         translation.name(taken)
-    numbers = driver.parameters
     given = [
-        Value(Array(FLOAT32, len(numbers)), translation.table("parameters", numbers), numbers),
-        Value(Array(FLOAT32, driver.network.state_size), "state"),
-        Value(Array(FLOAT32, driver.inputs), "observation"),
-        Value(Array(FLOAT32, driver.outputs), "output"),
+        Value(Array(FLOAT32, len(parameters)), translation.table("parameters", parameters), parameters),
+        Value(Array(FLOAT32, network.state_size), "state"),
+        Value(Array(FLOAT32, network.inputs), "observation"),
+        Value(Array(FLOAT32, network.outputs), "output"),
     ]
-    return translation.function(None, None, driver.network.step, given)
+    return translation.entry("decide", network.step, given)
 
 
-def _header(controller: Controller, name: str, driver: Driver) -> str:
+def _header(controller: Controller, name: str, network: Representation, parameters: np.ndarray) -> str:
     upper = name.upper()
     lists = (("SENSOR", controller.sensors), ("ACTUATOR", controller.actuators))
     names = "".join(f"#define ZS_{upper}_{what}_{at} {quoted(text)}\n" for what, texts in lists for at, text in enumerate(texts))
@@ -176,18 +203,18 @@ def _header(controller: Controller, name: str, driver: Driver) -> str:
         upper=upper,
         inputs=controller.inputs,
         outputs=controller.outputs,
-        state=max(1, driver.network.state_size),
-        sha256=hashlib.sha256(driver.parameters.astype("<f4").tobytes()).hexdigest(),
+        state=max(1, network.state_size),
+        sha256=sha256(parameters),
         version=zswarm.__version__,
         names=names,
-        vectors=VECTORS,
+        steps=STEPS,
     )
 
 
 def _about(controller: Controller) -> list[str]:
     """Lines of a comment: what evolved, and what its numbers mean."""
     paragraphs = [
-        f"A controller that evolved in zswarm: run {controller.run}, simulator {controller.simulator}, fitness {controller.fitness!r}.",
+        f"A controller that evolved in zswarm: run {controller.run}, fitness {controller.fitness!r} in {controller.simulator}.",
         f"Network: {controller.representation}, {_shown(controller.representation_settings)}.",
         f"Settings of the simulator: {_shown(controller.simulator_settings)}.",
         *(f"observation[{at}]: {text}" for at, text in enumerate(controller.sensors)),
@@ -216,26 +243,51 @@ def _source(controller: Controller, name: str, translation: Translation, callee:
     given = ("", "state->x", "observation", "action")
     call = [f"{INDENT}(void){each.split('->', maxsplit=1)[0]};" for at, each in enumerate(given) if at and at not in callee.takes]
     call.append(f"{INDENT}{callee.name}({', '.join(given[at] for at in callee.takes)});")
-    observations, actions = _vectors(controller)
     parts = [
-        f'/* See zs_{name}.h. */\n#include "zs_{name}.h"\n\n#include <float.h>\n{translation.includes()}',
+        f'/* See zs_{name}.h. */\n#include "zs_{name}.h"\n\n{translation.includes()}',
         GUARDS,
         translation.definitions(),
         PUBLIC.format(name=name, upper=upper, call="\n".join(call)),
-        SELFTEST.format(name=name, upper=upper, vectors=VECTORS, observations=_rows(observations), actions=_rows(actions)),
+        _selftest(controller, name),
     ]
     return "\n".join(parts)
 
 
-def _vectors(controller: Controller) -> tuple[np.ndarray, np.ndarray]:
-    """Observations, and what the controller decides from one to the next; (VECTORS, inputs) and (VECTORS, outputs) float32."""
-    driver = controller.driver()
-    observations = Stream(SEED).uniform(-2.0, 2.0, VECTORS * controller.inputs).astype(np.float32)
-    observations = observations.reshape(VECTORS, controller.inputs)
-    observations[0] = 0.0
-    observations[1::3] = np.abs(observations[1::3])  # what most sensors give
-    return observations, np.array([driver.act(row) for row in observations])
+def _selftest(controller: Controller, name: str) -> str:
+    checked = check_steps(controller)
+    digests = ", ".join(literal(digest) for digest in _digests(controller, checked.observations))
+    return SELFTEST.format(
+        name=name,
+        upper=name.upper(),
+        steps=STEPS,
+        observations=_rows(checked.observations),
+        actions=_rows(checked.actions),
+        states=textwrap.fill(digests, WIDTH, initial_indent=INDENT, subsequent_indent=INDENT),
+        nan=NAN_BITS,
+        basis=BASIS,
+        prime=PRIME,
+    )
+
+
+def _digests(controller: Controller, observations: np.ndarray) -> list[np.uint32]:
+    """Of the states behind each step, as the self-test computes them."""
+    network, parameters = controller.network()
+    state, action = np.zeros(network.state_size, np.float32), np.zeros(network.outputs, np.float32)
+    digests = []
+    for observation in observations:
+        network.step(parameters, state, observation, action)
+        numbers = state if len(state) else np.zeros(1, np.float32)
+        digest = BASIS
+        for bits in np.where(np.isnan(numbers), np.uint32(NAN_BITS), numbers.view(np.uint32)).tolist():
+            digest = (digest ^ bits) * PRIME % (1 << 32)
+        digests.append(np.uint32(digest))
+    return digests
 
 
 def _rows(table: np.ndarray) -> str:
-    return ",\n".join(f"{INDENT}{{{', '.join(map(literal, row))}}}" for row in table)
+    return ",\n".join(
+        "\n".join(
+            textwrap.wrap(f"{{{', '.join(map(literal, row))}}}", WIDTH, initial_indent=INDENT, subsequent_indent=INDENT + " ")
+        )
+        for row in table
+    )

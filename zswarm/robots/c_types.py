@@ -128,12 +128,15 @@ def _decimal(number: float, suffix: str) -> str:
     return f"{mantissa.rstrip('0').rstrip('.')}p{exponent}{suffix}"
 
 
+def spelled(name: str) -> str:
+    """A name of Python as a part of a name of C."""
+    plain = re.sub(r"_+", "_", "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in name)).strip("_")
+    return plain if plain and not plain[0].isdigit() else f"n{plain}"
+
+
 def identifier(name: str) -> str:
     """A name of Python as a local name of C."""
-    plain = re.sub(r"_+", "_", "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in name)).strip("_")
-    if not plain or plain[0].isdigit():
-        plain = f"n{plain}"
-    return f"{plain}_" if plain in WORDS else plain
+    return f"{spelled(name)}_" if spelled(name) in WORDS else spelled(name)
 
 
 def comment(text: str) -> str:

@@ -20,7 +20,7 @@ def as_json(controller: Controller, name: str) -> dict[str, str]:
     """The file ``zs_<name>.json``: ASCII, a field a line.
 
     Args:
-        name: as ``original.identifier`` gives it.
+        name: as ``names.folded`` gives it.
 
     Raises:
         ConfigError: as ``Controller.network``.

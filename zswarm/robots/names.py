@@ -7,7 +7,7 @@ LONGEST = 40  # letters of a controller's name
 
 
 def folded(name: str) -> str:
-    """A name of letters a to z, digits and single ``_``, which begins with a letter: what a run is called as a part of names in C.
+    """A name of letters a to z, digits and single ``_``, a letter first: what a run is called as a part of names in C.
 
     Letters with marks lose these; all else becomes ``_``; a name of nothing becomes ``controller``.
     """
@@ -15,7 +15,7 @@ def folded(name: str) -> str:
     plain = re.sub(r"[^a-z0-9]+", "_", plain)[:LONGEST].strip("_")
     if not plain:
         return "controller"
-    return plain if plain[0].isalpha() else f"n{plain}"[:LONGEST]
+    return plain if plain[0].isalpha() else f"n{plain}"[:LONGEST].rstrip("_")
 
 
 def quoted(text: str) -> str:

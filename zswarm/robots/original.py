@@ -1,8 +1,6 @@
-"""What every export says of the controller it is made of: a name for files, a hash, and steps by which a copy checks itself."""
+"""What every export says of the controller it is made of: a hash, and steps by which a copy checks itself."""
 
 import hashlib
-import re
-import unicodedata
 from typing import NamedTuple
 
 import numpy as np
@@ -11,8 +9,7 @@ from zswarm.controller import Controller
 from zswarm.draws import Stream, derive_seed
 
 STEPS = 16  # of a check
-LOW, HIGH = -1.0, 2.0  # what is observed in it: sensors give 0 to 1 or -1 to 1, and some more must do no harm
-LONGEST = 40  # characters of a name
+REACH = 2.0  # of what is observed in it: sensors give 0 to 1 or -1 to 1, and some more must do no harm
 
 
 class Steps(NamedTuple):
@@ -25,15 +22,6 @@ class Steps(NamedTuple):
 
     observations: np.ndarray
     actions: np.ndarray
-
-
-def identifier(name: str) -> str:
-    """The nearest to any name that may stand in those of files, ROS packages and C functions, behind ``zs_``.
-
-    That is a-z, 0-9 and single _ between them; ``controller`` where nothing is left.
-    """
-    plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode().lower()
-    return re.sub(r"[^a-z0-9]+", "_", plain).strip("_")[:LONGEST].strip("_") or "controller"
 
 
 def sha256(parameters: np.ndarray) -> str:
@@ -53,5 +41,7 @@ def check_steps(controller: Controller, steps: int = STEPS) -> Steps:
     """
     driver = controller.driver()
     stream = Stream(derive_seed(0, "check steps", controller.inputs, controller.outputs))
-    observations = stream.uniform(LOW, HIGH, steps * controller.inputs).reshape(steps, -1).astype(np.float32)
+    observations = stream.uniform(-REACH, REACH, steps * controller.inputs).reshape(steps, -1).astype(np.float32)
+    observations[0] = 0.0
+    observations[1::3] = np.abs(observations[1::3])  # what most sensors give
     return Steps(observations, np.stack([driver.act(observation) for observation in observations]))

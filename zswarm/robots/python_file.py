@@ -88,7 +88,7 @@ def python(controller: Controller, name: str) -> dict[str, str]:
     """The file ``zs_<name>.py``.
 
     Args:
-        name: as ``original.identifier`` gives it.
+        name: as ``names.folded`` gives it.
 
     Raises:
         ConfigError: as ``Controller.network``; a plug-in's network is not made of functions and numbers.

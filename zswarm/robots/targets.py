@@ -9,7 +9,7 @@ from typing import NamedTuple
 from zswarm.controller import Controller
 from zswarm.errors import ConfigError
 from zswarm.nearest import nearest
-from zswarm.robots import original
+from zswarm.robots import names
 
 Files = dict[str, str | bytes]  # texts and bytes by their paths in a folder; what begins with #! can be run
 
@@ -29,7 +29,9 @@ class Target(NamedTuple):
 
 
 TARGETS = {
+    "c99": Target("zswarm.robots.c99:pair", "cc -std=c99 -O2 -D{macro}_MAIN {name}.c -lm -o {name} && ./{name}"),
     "json": Target("zswarm.robots.json_file:as_json", "python3 -m json.tool {name}.json"),
+    "onnx": Target("zswarm.robots.onnx_file:model", "python3 -m onnx.checker {name}.onnx"),
     "python": Target("zswarm.robots.python_file:python", "python3 {name}.py"),
 }
 
@@ -53,7 +55,7 @@ def files(target: str, controller: Controller, name: str, profile: str | None = 
     """The files of a controller.
 
     Args:
-        name: any; files are named by ``original.identifier`` of it.
+        name: any; files are named by ``names.folded`` of it.
         profile: of the robot that is to be driven, its name or file; None: the target's own.
 
     Raises:
@@ -63,8 +65,8 @@ def files(target: str, controller: Controller, name: str, profile: str | None = 
     module, function = TARGETS[target].make.split(":")
     make: Callable[..., Files] = getattr(importlib.import_module(module), function)
     if profile is None:
-        return make(controller, original.identifier(name))
+        return make(controller, names.folded(name))
     if not TARGETS[target].driving:
         driving = ", ".join(name for name, one in TARGETS.items() if one.driving)
         raise ConfigError(f"--profile {profile}: {target} drives no robot; a profile is for {driving or 'none of the targets'}")
-    return make(controller, original.identifier(name), profile)
+    return make(controller, names.folded(name), profile)

@@ -7,6 +7,7 @@ in, and branches that they rule out are left out. The subset of Python is what n
 """
 
 import ast
+import functools
 import inspect
 import re
 import textwrap
@@ -16,11 +17,12 @@ from typing import Any, NamedTuple
 
 from zswarm import lanes
 from zswarm.errors import ConfigError
-from zswarm.robots.c_types import SCALARS, Array, Scalar, Together, Type, comment, identifier, literal
-from zswarm.robots.expressions import LIBRARY, SPECIAL, Expressions, Local, Piece, Value, _key
+from zswarm.robots.c_types import SCALARS, Array, Scalar, Together, Type, comment, identifier, literal, spelled
+from zswarm.robots.expressions import SPECIAL, Expressions, key
+from zswarm.robots.pieces import INDENT, LIBRARY, Local, Value, rendered, without_idle
+from zswarm.robots.scopes import assigned, scope
 from zswarm.robots.statements import Statements
 
-INDENT = "    "
 PER_LINE = 6  # numbers of a table
 PASSES = 8  # until the types of a function's variables are settled
 
@@ -65,8 +67,9 @@ def functions(wanted: Sequence[tuple[Callable[..., Any], Mapping[str, Type]]], p
         ConfigError: something cannot be said in C; the text says what and where.
     """
     unit = Translation(prefix)
-    for function, types in wanted:
-        unit.public(function, types)
+    names = [unit.name(spelled(_plain(function).__name__)) for function, _ in wanted]
+    for name, (function, types) in zip(names, wanted, strict=True):
+        unit.public(name, function, types)
     return Source(unit.includes(), unit.declarations(), unit.definitions())
 
 
@@ -87,82 +90,91 @@ class Translation:
         self._under_way: list[Any] = []
         self._names: set[str] = set()
 
-    def public(self, function: Callable[..., Any], types: Mapping[str, Type]) -> Callee:
-        """A function that other files call."""
-        plain = getattr(function, "py_func", function)
-        tree = _parsed(plain)
-        missing = [each.arg for each in tree.args.args if each.arg not in types]
-        if missing:
-            raise ValueError(f"types: expected one for each argument of {plain.__name__}, also for {missing[0]}")
+    def public(self, name: str, function: Callable[..., Any], types: Mapping[str, Type]) -> None:
+        """A function that other files call, by a name of this file."""
+        tree = _parsed(_plain(function))
         given = [Value(types[each.arg], identifier(each.arg)) for each in tree.args.args]
-        return self._translated(plain, tree, given, public=True)
+        self._translated(_plain(function), tree, given, name, public=True)
 
-    def function(self, caller: Expressions | None, node: ast.AST, function: Any, given: Sequence[Value]) -> Callee:
+    def entry(self, name: str, function: Any, given: Sequence[Value]) -> Callee:
+        """A function where all begins, for such arguments; tables among them are known number by number."""
+        plain = _plain(function)
+        return self._translated(plain, _parsed(plain), given, self.name(name))
+
+    def function(self, caller: Expressions, node: ast.AST, function: Any, given: Sequence[Value]) -> Callee:
         """A function that one of these calls, for such arguments."""
-        plain = getattr(function, "py_func", function)
+        plain = _plain(function)
         tree = _parsed(plain)
         names = [each.arg for each in tree.args.args]
-        if caller is not None and len(names) != len(given):
-            caller.refuse(node, f"`{plain.__name__}` with {len(given)} arguments of {len(names)}")
-        asked, measured = _asked(tree), _measured(tree)
+        if len(names) != len(given):
+            raise caller.refusal(node, f"`{plain.__name__}` with {len(given)} arguments of {len(names)}")
+        asked, measured = _asked(tree) - set(assigned(tree)), _measured(tree)
         bound = []
         for name, value in zip(names, given, strict=True):
             if isinstance(value.type, Array):
                 length = value.type.length if name in measured else None
-                constant = value.constant if caller is None else None
-                bound.append(value._replace(type=Array(value.type.element, length), constant=constant))
+                bound.append(value._replace(type=Array(value.type.element, length), constant=None))
             else:
                 bound.append(value._replace(constant=value.constant if name in asked else None))
-        key = (plain, tuple((value.type, None if isinstance(value.type, Array) else value.constant) for value in bound))
-        if key in self._under_way and caller is not None:
-            caller.refuse(node, f"`{plain.__name__}` calls itself")
-        if key not in self._done:
-            self._under_way.append(key)
-            self._done[key] = self._translated(plain, tree, bound)
+        wanted = (plain, tuple((value.type, None if value.constant is None else repr(value.constant)) for value in bound))
+        if wanted in self._under_way:
+            raise caller.refusal(node, f"`{plain.__name__}` calls itself")
+        if wanted not in self._done:
+            self._under_way.append(wanted)
+            self._done[wanted] = self._translated(plain, tree, bound)
             self._under_way.pop()
-        return self._done[key]
+        return self._done[wanted]
 
-    def _translated(self, plain: Any, tree: ast.FunctionDef, given: Sequence[Value], *, public: bool = False) -> Callee:
+    def _translated(
+        self, plain: Any, tree: ast.FunctionDef, given: Sequence[Value], name: str = "", *, public: bool = False
+    ) -> Callee:
         """Translate a function until the types of its variables are settled, and keep its text."""
-        arguments = [each.arg for each in tree.args.args]
+        arguments = {each.arg: value for each, value in zip(tree.args.args, given, strict=True)}
+        body = self._body(plain, tree, arguments)
+        text = "\n".join(rendered(without_idle(body.pieces), 1))
+        read = [bool(re.search(rf"\b{identifier(each)}\b", text)) for each in arguments]
+        takes = [at for at, value in enumerate(given) if value.constant is None and (public or read[at])]
+        if public:
+            text = (
+                "".join(
+                    f"{INDENT}(void){identifier(each)};\n" for each, is_read in zip(arguments, read, strict=True) if not is_read
+                )
+                + text
+            )
+        names = list(arguments)
+        callee = Callee(
+            name or self.name(spelled(plain.__name__)),
+            tuple(takes),
+            tuple(at for at in takes if names[at] in body.written),
+            body.result,
+        )
+        self._keep(callee, tree, [(names[at], given[at].type) for at in takes], body.written, text, public=public)
+        return callee
+
+    def _body(self, plain: Any, tree: ast.FunctionDef, arguments: Mapping[str, Value]) -> Statements:
+        """The statements of a function, in C."""
         file, first_line = _where(plain)
         known = {**plain.__globals__, **inspect.getclosurevars(plain).nonlocals}
-        body = Statements(self, file, first_line, known)
-        body.prepare(tree, arguments)
+        body = Statements(self, plain.__name__, file, first_line, known)
+        body.scope, body.arguments = scope(tree), frozenset(arguments)
+        body.names = {each.id for each in ast.walk(tree) if isinstance(each, ast.Name)} | set(arguments)
+        body.lane = next(f"lane{'8' * times}" for times in range(len(body.names) + 1) if f"lane{'8' * times}" not in body.names)
+        for name in arguments:
+            body.scope.give(name)
+        ends = False
         for _ in range(PASSES):
             before = repr((body.locals, body.result))
-            body.constants, body.pieces, body.fresh = {}, [], 0
-            body.declared, body.written, body.pure = set(), set(), True
-            for name, value in zip(arguments, given, strict=True):
-                if value.constant is not None:
-                    body.constants[name] = value
-                else:
+            body.constants = {name: value for name, value in arguments.items() if value.constant is not None}
+            body.pieces, body.made, body.declared, body.written = [], 0, set(arguments), set()
+            for name, value in arguments.items():
+                if value.constant is None:
                     body.locals[name] = Local(value.type, identifier(name))
             ends = body.block(tree.body)
             if repr((body.locals, body.result)) == before:
                 break
         if body.result is not None and not ends:
-            body.refuse(tree, f"`{plain.__name__}` ends without a value on some way")
-        pieces = _without_idle(body.pieces)
-        text = "\n".join(_rendered(pieces, 1))
-        takes = [
-            index
-            for index, (name, value) in enumerate(zip(arguments, given, strict=True))
-            if value.constant is None and (public or re.search(rf"\b{identifier(name)}\b", text))
-        ]
-        if public:
-            text = (
-                "".join(
-                    f"{INDENT}(void){identifier(name)};\n"
-                    for name in arguments
-                    if not re.search(rf"\b{identifier(name)}\b", text)
-                )
-                + text
-            )
-        name = self.name(identifier(plain.__name__))
-        callee = Callee(name, tuple(takes), tuple(i for i in takes if arguments[i] in body.written), body.result)
-        self._keep(callee, tree, [(arguments[i], given[i].type) for i in takes], body.written, text, public=public)
-        return callee
+            raise body.refusal(tree, f"`{plain.__name__}` ends without a value on some way")
+        return body
 
     def _keep(
         self, callee: Callee, tree: ast.FunctionDef, taken: list[tuple[str, Type]], written: set[str], text: str, *, public: bool
@@ -181,9 +193,8 @@ class Translation:
 
     def is_own(self, function: Any) -> bool:
         """Whether it is a function of kernels, which is translated as it stands, and not one that has a form in C of its own."""
-        if _key(function) in SPECIAL or function is lanes.store or isinstance(function, type):
-            return False
-        return callable(getattr(function, "py_func", None)) or inspect.isfunction(function)
+        plain = _plain(function)
+        return inspect.isfunction(plain) and key(plain) not in SPECIAL and plain.__module__ != lanes.__name__
 
     # ---- what functions share -----------------------------------------------------------------------------------
 
@@ -205,7 +216,7 @@ class Translation:
         """The name of a table of constants."""
         key = (numbers.dtype.name, numbers.tobytes(), hint)
         if key not in self._tables:
-            self._tables[key] = self.name(identifier(hint))
+            self._tables[key] = self.name(spelled(hint))
             texts = [literal(number) for number in numbers]
             lines = [", ".join(texts[begin : begin + PER_LINE]) for begin in range(0, len(texts), PER_LINE)]
             of = SCALARS[numbers.dtype.name].c
@@ -214,14 +225,10 @@ class Translation:
             self._table_texts.append(text)
         return self._tables[key]
 
-    def together(self, of: Expressions, types: tuple[Scalar, ...], names: tuple[str, ...]) -> Together:
+    def together(self, function: str, types: tuple[Scalar, ...], names: tuple[str, ...]) -> Together:
         """A struct for what a function returns."""
-        members = "".join(f"{INDENT}{each.c} {name};\n" for each, name in zip(types, names, strict=True))
-        for name, text in self._structs.items():
-            if text == members:
-                return Together(name, types, names)
-        name = self.name(f"{'_'.join(names)}")
-        self._structs[name] = members
+        name = self.name(f"{spelled(function)}_result")
+        self._structs[name] = "".join(f"{INDENT}{each.c} {member};\n" for each, member in zip(types, names, strict=True))
         return Together(name, types, names)
 
     def declarations(self) -> str:
@@ -237,7 +244,8 @@ class Translation:
 
     def includes(self) -> str:
         """The headers of C's library that are needed."""
-        return f"{'#include <math.h>' + chr(10) if self.uses_math else ''}#include <stdbool.h>\n#include <stdint.h>\n"
+        headers = ("float", "math", "stdbool", "stdint") if self.uses_math else ("float", "stdbool", "stdint")
+        return "".join(f"#include <{header}.h>\n" for header in headers)
 
     def definitions(self) -> str:
         """All the rest; tables that no function names are left out."""
@@ -249,6 +257,11 @@ class Translation:
         return "\n".join([*self._struct_texts(of_interface=False), *tables, *bodies])
 
 
+def _plain(function: Any) -> Any:
+    """What was compiled, as it was written."""
+    return getattr(function, "py_func", function)
+
+
 def _argument(name: str, type_: Type, *, changes: bool) -> str:
     if isinstance(type_, Array):
         return f"{'' if changes else 'const '}{type_.element.c} *{identifier(name)}"
@@ -256,6 +269,7 @@ def _argument(name: str, type_: Type, *, changes: bool) -> str:
     return f"{type_.c} {identifier(name)}"
 
 
+@functools.cache
 def _parsed(plain: Any) -> ast.FunctionDef:
     """A function's tree.
 
@@ -300,57 +314,3 @@ def _measured(tree: ast.FunctionDef) -> set[str]:
             ):
                 found |= {argument.id for argument in arguments if isinstance(argument, ast.Name)}
     return found
-
-
-def _without_idle(pieces: list[Piece]) -> list[Piece]:
-    """Without variables that nothing reads."""
-    while True:
-        uses = {each.sets: 0 for each in _all(pieces) if each.sets}
-        for each in _all(pieces):
-            for word in set(re.findall(r"\w+", each.text)):
-                if word in uses and each.sets != word:
-                    uses[word] += 1
-        for each in _all(pieces):  # a loop over lanes that sets a variable has it in its body, too
-            if each.sets and each.body is not None:
-                inside = " ".join(part.text for part in _all(each.body))
-                uses[each.sets] -= (
-                    sum(bool(re.search(rf"\b{each.sets}\b", part.text)) for part in _all(each.body)) if inside else 0
-                )
-        idle = {name for name, count in uses.items() if count <= 0}
-        if not idle:
-            return pieces
-        pieces = _dropped(pieces, idle)
-
-
-def _dropped(pieces: list[Piece], idle: set[str]) -> list[Piece]:
-    return [
-        Piece(each.text, None if each.body is None else _dropped(each.body, idle), each.sets)
-        for each in pieces
-        if each.sets not in idle
-    ]
-
-
-def _all(pieces: list[Piece]) -> list[Piece]:
-    return [part for each in pieces for part in (each, *_all(each.body or []))]
-
-
-def _rendered(pieces: list[Piece], depth: int) -> list[str]:
-    """Lines of C."""
-    lines = []
-    for each in pieces:
-        if each.body is None:
-            lines.append(INDENT * depth + each.text)
-            continue
-        head, body = each.text, each.body
-        is_chain = head == "else" and body and body[0].text.startswith("if (") and all(part.text == "else" for part in body[1:])
-        if is_chain:
-            inner = _rendered(body, depth)
-            lines[-1] = f"{lines[-1]} else {inner[0].lstrip()}"
-            lines += inner[1:]
-            continue
-        if head == "else":
-            lines[-1] += " else {"
-        else:
-            lines.append(f"{INDENT * depth}{head} {{")
-        lines += [*_rendered(body, depth + 1), f"{INDENT * depth}}}"]
-    return lines

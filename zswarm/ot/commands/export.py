@@ -59,12 +59,12 @@ def export(
     os.environ["ZSWARM_PLAIN"] = "1"  # the few steps that are played need no compiler
     from zswarm.ot import exported, terminal
     from zswarm.protocol.codec import clean
-    from zswarm.robots import folder, original, targets
+    from zswarm.robots import folder, names, original, targets
 
     targets.known(target)
     controller = exported.controller(path, generation, candidate)
     own = path.resolve().name if path.is_dir() else controller.run
-    name = original.identifier(name if name is not None else own)
+    name = names.folded(name if name is not None else own)
     files = targets.files(target, controller, name, profile)
     out = out or Path(f"{name}-{target}")
     written = folder.write(out, files)
