@@ -294,3 +294,21 @@ def running(words: str) -> set[int]:
 def test_the_class_of_a_manifest_is_of_this_route(rough: Path) -> None:
     rough_package.write(rough)
     assert issubclass(plugins.load("simulator", "rough"), RosFiles)
+
+
+@pytest.mark.robots
+@ROSLAUNCH
+def test_the_three_forms_of_a_controller_have_the_same_fitness(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As ROS parameters, as JSON, and as C99 that is compiled for each candidate: bit by bit, two candidates one after the other."""
+    if shutil.which("make") is None or shutil.which("cc") is None:
+        pytest.skip("no C compiler, or no make")
+    monkeypatch.setenv("ZSWARM_SIMULATORS", str(EXAMPLE))
+    found = []
+    for form in ("yaml", "json", "c99"):
+        simulator, network = evaluate.build(f"exit-{form}", {"robots": 3, "steps": 15}, "fully-meshed", {})
+        genomes = network.random(2, Stream(8))
+        outcomes = evaluate.evaluate(simulator, network, genomes, np.array([[0], [1]]), np.array([5, 6], np.uint64))
+        assert outcomes.error == ""
+        found.append(outcomes.fitness.tolist())
+    assert found[0][0] != found[0][1]
+    assert found == [found[0]] * 3
