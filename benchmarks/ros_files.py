@@ -1,4 +1,4 @@
-"""What a candidate costs on the file route, step by step, with each of the three forms of a controller: python benchmarks/ros_files.py.
+"""What a candidate costs on the file route, with each of the three forms of a controller: python benchmarks/ros_files.py.
 
 Wall-clock seconds, the median of some trials of the example in examples/ros/files; roslaunch must be installed, and a C compiler.
 """

@@ -1,4 +1,4 @@
-"""The file route's example evolves on a real server through real roslaunch, with the fitness that its room has in this process."""
+"""The example of the file route evolves on a real server through real roslaunch, with the fitness that its room has here."""
 
 import importlib
 import os

@@ -299,7 +299,7 @@ def test_the_class_of_a_manifest_is_of_this_route(rough: Path) -> None:
 @pytest.mark.robots
 @ROSLAUNCH
 def test_the_three_forms_of_a_controller_have_the_same_fitness(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As ROS parameters, as JSON, and as C99 that is compiled for each candidate: bit by bit, two candidates one after the other."""
+    """As ROS parameters, as JSON, and as C99 that is compiled for each: bit by bit, two candidates one after the other."""
     if shutil.which("make") is None or shutil.which("cc") is None:
         pytest.skip("no C compiler, or no make")
     monkeypatch.setenv("ZSWARM_SIMULATORS", str(EXAMPLE))
