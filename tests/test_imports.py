@@ -38,7 +38,7 @@ MAY_IMPORT = {
     "evaluate": {"leaf", "protocol", "nets", "sims", "varied"},
     "controller": {"leaf", "protocol", "nets"},
     "robots": {"leaf", "nets", "sims", "controller", "evaluate", "robots"},
-    "ros": {"leaf", "protocol", "nets", "sims", "controller", "robots", "ros"},
+    "ros": {"leaf", "protocol", "nets", "sims", "sims.foreign", "controller", "robots", "ros"},
     "session": {"leaf", "protocol", "security"},
     "router": {"leaf", "session", "security"},
     "security": {"leaf", "protocol", "security"},
