@@ -131,7 +131,7 @@ def test_a_network_that_is_no_list_of_numbers_is_refused_as_yaml(rough: Path) ->
 def test_trials_cannot_be_followed_in_turns(rough: Path) -> None:
     rough_package.write(rough)
     simulator, _ = evaluate.build("rough", {}, "fully-meshed", {})
-    with pytest.raises(ConfigError, match=r"^simulator 'rough' plays whole trials, by roslaunch: they cannot be followed"):
+    with pytest.raises(EvaluationError, match=r"^simulator 'rough' plays whole trials, by roslaunch: they cannot be followed"):
         simulator.reset(1)
 
 

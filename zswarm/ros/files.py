@@ -90,15 +90,15 @@ class RosFiles(HostingSimulator):
 
     def reset(self, seed: int) -> Turn:  # noqa: ARG002  of the contract
         """Turns there are none."""
-        raise ConfigError(f"simulator {self.name!r} plays whole trials, by roslaunch: they cannot be followed in turns")
+        raise EvaluationError(f"simulator {self.name!r} plays whole trials, by roslaunch: they cannot be followed in turns")
 
     def step(self, actions: np.ndarray) -> Turn | None:  # noqa: ARG002  of the contract
         """See ``reset``."""
-        raise ConfigError(f"simulator {self.name!r} plays whole trials")
+        raise EvaluationError(f"simulator {self.name!r} plays whole trials")
 
     def outcome(self) -> Outcome:
         """See ``reset``."""
-        raise ConfigError(f"simulator {self.name!r} plays whole trials")
+        raise EvaluationError(f"simulator {self.name!r} plays whole trials")
 
     def _play(self, genome: bytes, seed: int) -> Outcome:
         keeper, package = self._copied()
