@@ -118,8 +118,11 @@ def test_a_keeper_that_was_killed_is_a_fault_and_its_folder_is_swept_by_the_next
         killed.run(["true"], tmp_path, ENVIRONMENT)
     killed._process.wait()
     assert killed.folder.exists()
+    half = killed.folder.with_name(f"{killed.folder.name}-half")  # its keeper was killed when it had deleted the lock
+    half.mkdir()
     third = Keeper()
     assert not killed.folder.exists()
+    assert not half.exists()
     assert living.folder.exists()
     for keeper in (killed, living, third):
         keeper.close()

@@ -50,16 +50,26 @@ def main() -> None:
 
 
 def sweep() -> None:
-    """Delete folders of keepers that were killed: nobody holds their lock."""
+    """Delete this user's folders whose keepers were killed."""
     for folder in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
         with contextlib.suppress(OSError):
-            lock = os.open(folder / LOCK, os.O_RDWR | os.O_NOFOLLOW)
-            try:
-                if os.fstat(lock).st_uid == os.getuid():
-                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                    shutil.rmtree(folder, ignore_errors=True)
-            finally:
-                os.close(lock)
+            if folder.lstat().st_uid == os.getuid() and not held(folder):
+                shutil.rmtree(folder, ignore_errors=True)
+
+
+def held(folder: Path) -> bool:
+    """Whether a keeper lives that has this folder; one without a lock is being deleted, or its keeper was killed in that."""
+    try:
+        lock = os.open(folder / LOCK, os.O_RDWR | os.O_NOFOLLOW)
+    except FileNotFoundError:
+        return False
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(lock)
+    return False
 
 
 def make_folder() -> tuple[Path, int]:
