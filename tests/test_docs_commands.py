@@ -41,6 +41,7 @@ NOT_RUN: dict[tuple[str, str], tuple[str, str]] = {
     ),
     ("python.md", "*"): ("is one program", "tests/test_python_document.py"),
     ("keys.md", "*"): ("is about several machines", KEYS),
+    ("ros-files.md", "*"): ("needs ROS 1, which it installs", "tests/integration/test_ros_files_runs.py"),
 }
 # What a page takes for granted at its beginning.
 GIVEN = {

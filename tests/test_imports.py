@@ -39,7 +39,7 @@ MAY_IMPORT = {
     "controller": {"leaf", "protocol", "nets"},
     "robots": {"leaf", "nets", "sims", "controller", "evaluate", "robots", "ros.profiles"},
     "ros.profiles": {"leaf"},
-    "ros": {"leaf", "protocol", "nets", "sims", "controller", "robots", "ros", "ros.profiles"},
+    "ros": {"leaf", "protocol", "nets", "sims", "sims.foreign", "controller", "robots", "ros", "ros.profiles"},
     "session": {"leaf", "protocol", "security"},
     "router": {"leaf", "session", "security"},
     "security": {"leaf", "protocol", "security"},

@@ -8,7 +8,7 @@ program started, when it is asked for, never by listing it, so a broken plug-in 
 import importlib
 import importlib.util
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -69,10 +69,13 @@ BUNDLED: dict[Kind, dict[str, str]] = {
         "swiss": "zswarm.ot.rankings.swiss:Swiss",
     },
 }
-OF_ONE = re.compile(r"^\s*(?:from|import)\s+zswarm\.(nets|sims|ros)\.(\w+)", re.M)  # imports; looked for, for parsing takes long
-OF_SEVERAL = re.compile(r"^\s*from\s+zswarm\.(nets|sims|ros)\s+import\s+(\([^)]*\)|.*)", re.M)
+OF_ONE = re.compile(
+    r"^\s*(?:from|import)\s+zswarm\.(nets|sims|ros|robots)\.(\w+)", re.M
+)  # imports; looked for, for parsing takes long
+OF_SEVERAL = re.compile(r"^\s*from\s+zswarm\.(nets|sims|ros|robots)\s+import\s+(\([^)]*\)|.*)", re.M)
 DECLARED = re.compile(r"^LIBRARIES = \(([^)]*)\)", re.M)
 FOREIGN = "zswarm.sims.foreign"  # makes classes of programs
+ROS_FILES = "zswarm.ros.files"  # and of launch files
 COMPOSED = {("representation", "bulk")}  # made of other bundled parts of their kind, which settings name
 
 
@@ -103,7 +106,7 @@ def load(kind: Kind, name: str) -> Any:
     table = _installed(kind)
     programs = foreign(kind)
     if name in programs:
-        return importlib.import_module(FOREIGN).simulator_class(name, programs[name])
+        return importlib.import_module(_maker(programs[name])).simulator_class(name, programs[name])
     if name not in table:
         raise _unknown(kind, name)
     try:
@@ -124,14 +127,16 @@ def source_files(kind: Kind, name: str) -> list[Path]:
 
     For a bundled part its own module and those beside it whose names begin with its name (``arena_world.py``), and for a composed
     one those of all that it may be made of; for a plug-in every file of its top-level package; and the bundled modules of
-    simulators and representations that these import. For a program its manifest, the files that this names, and the modules that
-    speak with programs.
+    simulators and representations that these import. For a program or a launch file its manifest, the files that this names, and
+    the modules that speak with programs, or launch.
 
     Raises:
         UnknownPlugin: no such name.
     """
     if manifest := foreign(kind).get(name):
-        return [*manifests.files(manifest), *sorted(_bundled_files(FOREIGN))]
+        maker = _maker(manifest)
+        own = sorted(_bundled_files(maker))
+        return [*manifests.files(manifest), *own, *(_following(own) if maker == ROS_FILES else [])]
     if name not in _installed(kind):
         raise _unknown(kind, name)
     if name not in BUNDLED[kind]:
@@ -139,12 +144,7 @@ def source_files(kind: Kind, name: str) -> list[Path]:
     else:
         names = BUNDLED[kind] if (kind, name) in COMPOSED else [name]
         own = sorted({file for part in names for file in _bundled_files(BUNDLED[kind][part].partition(":")[0])})
-    waiting, imported = list(own), set[Path]()
-    while waiting:
-        more = _imported(waiting.pop()) - imported
-        imported |= more
-        waiting += more
-    return [*own, *sorted(imported - set(own))]
+    return [*own, *_following(own)]
 
 
 def libraries(files: Iterable[Path]) -> list[str]:
@@ -162,6 +162,20 @@ def plugin_files() -> list[Path]:
         if name not in BUNDLED[kind]
     }
     return [file for package in sorted(packages) for file in _package_files(package)]
+
+
+def _maker(manifest: Path) -> str:
+    return ROS_FILES if manifests.launches(manifest) else FOREIGN
+
+
+def _following(own: Sequence[Path]) -> list[Path]:
+    """The bundled modules of simulators and representations that modules import, or these, but for themselves."""
+    waiting, imported = list(own), set[Path]()
+    while waiting:
+        more = _imported(waiting.pop()) - imported
+        imported |= more
+        waiting += more
+    return sorted(imported - set(own))
 
 
 def _bundled_files(module: str) -> Iterator[Path]:

@@ -178,9 +178,10 @@ def simulator_class(name: str, manifest: Path) -> type[Foreign]:
     """
     try:
         read = manifests.read(manifest)
+        assert isinstance(read, Manifest)  # noqa: S101  what plugins saw
         program = Program(read, manifest.parent)
         try:
-            settings_type = _settings_type(program.hello.settings)
+            settings_type = settings_struct(program.hello.settings, "hello: setting")
         except ConfigError:
             program.close()
             raise
@@ -193,27 +194,30 @@ def simulator_class(name: str, manifest: Path) -> type[Foreign]:
     return type(name, (Foreign,), said)
 
 
-def _settings_type(settings: Sequence[messages.Setting]) -> type[msgspec.Struct]:
+def settings_struct(settings: Sequence[messages.Setting], where: str) -> type[msgspec.Struct]:
     """A struct of the settings that a program has.
+
+    Args:
+        where: they are listed, for an error.
 
     Raises:
         ConfigError: one of them is impossible.
     """
     fields: list[tuple[str, Any, Any]] = []
     for setting in settings:
-        where = f"hello: setting {setting.name!r}"
+        named = f"{where} {setting.name!r}"
         if keyword.iskeyword(setting.name) or setting.name in {field[0] for field in fields}:
-            raise ConfigError(f"{where}: a keyword, or there twice")
+            raise ConfigError(f"{named}: a keyword, or there twice")
         if setting.choices and setting.type != "text":
-            raise ConfigError(f"{where}: choices are of a text")
+            raise ConfigError(f"{named}: choices are of a text")
         if (setting.minimum, setting.maximum) != (None, None) and setting.type not in ("int", "float"):
-            raise ConfigError(f"{where}: minimum and maximum are of a number")
+            raise ConfigError(f"{named}: minimum and maximum are of a number")
         kind: Any = Literal[tuple(setting.choices)] if setting.choices else TYPES[setting.type]
         meaning = Meta(ge=setting.minimum, le=setting.maximum, description=clean(setting.description))
         try:
             default = msgspec.convert(setting.default, Annotated[kind, meaning])
         except (msgspec.ValidationError, TypeError, ValueError) as error:
-            raise ConfigError(f"{where}: default: {error}") from None
+            raise ConfigError(f"{named}: default: {error}") from None
         fields.append((setting.name, Annotated[kind, meaning], default))
     return msgspec.defstruct("Settings", fields, frozen=True, kw_only=True, forbid_unknown_fields=True, module=__name__)
 

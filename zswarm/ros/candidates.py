@@ -1,0 +1,44 @@
+"""A candidate's controller as a file of a ROS package, in the three forms of docs/ros-files.md."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from zswarm.controller import Controller
+from zswarm.errors import ConfigError
+from zswarm.robots.c99 import pair
+from zswarm.robots.json_file import as_json
+from zswarm.ros import parameters
+
+NAME = "candidate"  # in all of them
+
+
+def yaml(controller: Controller) -> str:
+    """ROS parameters: the genome as a list of numbers, and what kind of network they are of.
+
+    Raises:
+        ConfigError: its genome is no list of numbers.
+    """
+    network, _ = controller.network()
+    if network.genes is None:
+        raise ConfigError(
+            f"genomes of {controller.representation} are no lists of numbers, which a controller as yaml is; expected another "
+            "network, or another form of the manifest's controller"
+        )
+    kind = {"kind": controller.representation, **controller.representation_settings}
+    return parameters.text({f"{NAME}_network": kind, NAME: np.frombuffer(controller.genome, "<f4").tolist()})
+
+
+def json(controller: Controller) -> str:
+    """JSON as ``zswarm-ot export --to json`` writes it."""
+    return "".join(as_json(controller, NAME).values())
+
+
+def c99(controller: Controller) -> str:
+    """One C99 source to be included by another: header and source of ``zswarm-ot export --to c99``, one behind the other."""
+    files = pair(controller, NAME)
+    header, source = files[f"zs_{NAME}.h"], files[f"zs_{NAME}.c"]
+    return header + source.replace(f'#include "zs_{NAME}.h"\n', "", 1)
+
+
+FORMS: dict[str, Callable[[Controller], str]] = {"yaml": yaml, "json": json, "c99": c99}
