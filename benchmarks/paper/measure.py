@@ -39,8 +39,8 @@ class Plan(NamedTuple):
     message_agents: tuple[int, ...] = (1, 2, 4, 8, 16)
     message_steps: tuple[int, ...] = (10, 60, 210)  # the difference is of messages alone; the slow broker has the first two
     servers: tuple[int, ...] = (1, 2, 4, 8, 16)
-    scaling_steps: tuple[int, ...] = (10, 15)
-    scaling_step_s: float = PAPER_STEP_S
+    scaling_steps: tuple[int, ...] = (10, 20)
+    scaling_step_s: float = 0.05
     crowded: Size = Size(trials=8)  # enough simulations in a generation for 16 servers
     crowded_step_s: float = 0.02
     evolve: Size = Size(200, 50)  # Table I's

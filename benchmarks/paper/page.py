@@ -65,6 +65,7 @@ def _words(results: Results) -> dict[str, str]:
         "crowd_steps": f"{steps['minisim']:g}",
         "grid_agents": listed("grid", "agents"),
         "grid_steps": listed("grid", "steps"),
+        "grid_ms": f"{1e3 * values('grid', 'step_s')[0]:g}",
         "scaling_ms": f"{1e3 * values('scaling', 'step_s')[0]:g}",
         "crowded_ms": f"{1e3 * values('crowded', 'step_s')[0]:g}",
         "crowded_trials": listed("crowded", "trials"),
