@@ -3,6 +3,7 @@
 from collections.abc import Generator, Iterator
 from typing import Any
 
+from zswarm.experiment import Cluster
 from zswarm.ot.dispatch import Counted, Retracted
 from zswarm.ot.logger import Generation, Result
 from zswarm.ot.workload import Workload
@@ -12,6 +13,7 @@ class Servers:
     """Takes the place of ``run.Evaluations``; a child says what the outcomes are."""
 
     servers, slots, probe = 1, 2, b"digest"
+    options = Cluster()
 
     def __init__(self) -> None:
         self.asked: dict[str, Any] = {}

@@ -1,11 +1,10 @@
 """The file route: what a manifest and its package may be, and, with roslaunch, whatever happens in a trial."""
 
 import gc
-import importlib
 import math
 import os
+import runpy
 import shutil
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -157,23 +156,19 @@ def test_a_package_is_found_by_its_name_below_the_path_of_ros(tmp_path: Path, mo
     assert packages.find("rough", tmp_path / "manifests") == tmp_path / "somewhere"
 
 
-def test_the_examples_numbers_are_those_of_the_network(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_examples_numbers_are_those_of_the_network() -> None:
     """The example's own network, in plain Python, decides with the bits of the kernel over many steps."""
-    monkeypatch.syspath_prepend(str(EXAMPLE / "exit_world" / "scripts"))
-    controllers = importlib.import_module("controllers")
-    try:
-        for settings in ({}, {"hidden": 5, "iterations": 3}, {"hidden": 0, "iterations": 1}):
-            network = plugins.load("representation", "fully-meshed")
-            built = network(network.settings_type(**settings), 10, 2)
-            (genome,) = built.random(1, Stream(5))
-            complete = {"hidden": built.settings.hidden, "iterations": built.settings.iterations}
-            copy = controllers.FullyMeshed(np.frombuffer(genome, "<f4").tolist(), 10, 2, complete)
-            parameters, state, action = built.parameters([genome])[0], np.zeros(built.state_size, np.float32), np.zeros(2, "f4")
-            for observation in Stream(6).uniform(-3, 3, 500).reshape(50, 10).astype(np.float32):
-                built.step(parameters, state, observation, action)
-                assert np.array(copy.act(observation.tolist()), np.float32).tobytes() == action.tobytes()
-    finally:
-        sys.modules.pop("controllers")
+    example = runpy.run_path(str(EXAMPLE / "exit_world" / "scripts" / "controllers.py"))
+    for settings in ({}, {"hidden": 5, "iterations": 3}, {"hidden": 0, "iterations": 1}):
+        network = plugins.load("representation", "fully-meshed")
+        built = network(network.settings_type(**settings), 10, 2)
+        (genome,) = built.random(1, Stream(5))
+        complete = {"hidden": built.settings.hidden, "iterations": built.settings.iterations}
+        copy = example["FullyMeshed"](np.frombuffer(genome, "<f4").tolist(), 10, 2, complete)
+        parameters, state, action = built.parameters([genome])[0], np.zeros(built.state_size, np.float32), np.zeros(2, "f4")
+        for observation in Stream(6).uniform(-3, 3, 500).reshape(50, 10).astype(np.float32):
+            built.step(parameters, state, observation, action)
+            assert np.array(copy.act(observation.tolist()), np.float32).tobytes() == action.tobytes()
 
 
 # ---- with roslaunch
