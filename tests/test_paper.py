@@ -117,6 +117,31 @@ def test_whether_parameters_are_faster_is_measured(results: dict[str, Any]) -> N
     assert agrees(results, "Parameters in a message") is False
 
 
+def test_whether_more_servers_are_of_use_with_one_discovery_is_measured(results: dict[str, Any]) -> None:
+    for verdict, seconds in ((True, lambda row: 16.0 / row["servers"]), (False, lambda row: 8.0 if row["servers"] > 1 else 16.0)):
+        change(results, "s", seconds, part="crowded", design="parameters over Zenoh")
+        assert agrees(results, "With one discovery more than two servers") is verdict
+
+
+def test_tcp_is_blamed_only_where_messages_of_a_crowd_are_slow_without_nodelay(results: dict[str, Any]) -> None:
+    for one, crowd, nodelay, blamed in ((1.0, 20.0, 2.0, True), (20.0, 20.0, 2.0, False), (1.0, 20.0, 20.0, False)):
+        slow = {"broker": crowd, "broker, TCP_NODELAY": nodelay, "no transport": 0.0}
+        for row in results["rows"]:
+            if row["part"] == "messages" and row["design"] in slow:
+                alone = row["design"] == "broker" and row["agents"] == 1
+                row["s"] = row["steps"] * row["agents"] * (one if alone else slow[row["design"]])
+        (claim,) = [claim for claim in load("findings").claims(results) if claim.says.startswith("Time of a message")]
+        assert ("until the one before it" in claim.why) is blamed
+
+
+def test_a_round_too_many_is_told_where_there_is_one(results: dict[str, Any]) -> None:
+    for rounds, told in ((4.1, False), (5.1, True)):
+        for row in results["rows"]:
+            if row["part"] == "scaling" and row["design"] == "parameters over Zenoh":
+                row["s"] = rounds * row["steps"] * row["step_s"]
+        assert ("rounds of simulations, where 4 are enough" in load("page").document(results)) is told
+
+
 def test_constants_that_explain_everything_are_found_again(results: dict[str, Any]) -> None:
     """Simulations that take what equation 7 says of a message of 2 ms have just that."""
     findings = load("findings")

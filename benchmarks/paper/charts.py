@@ -41,7 +41,7 @@ def figure_3(results: Results, figure: Any) -> None:
     here = findings.constants(results, STOCK)
     panels: Sequence[tuple[str, Constants, Any]] = (
         ("the paper's Table I", TABLE_I, external),
-        ("constants measured here", here, external),
+        ("measured here, broker", here, external),
         ("Table I, beside parameters\nin a message", TABLE_I, blob),
     )
     for axes, (title, constants, against) in zip(figure.subplots(1, 3, sharey=True), panels, strict=True):

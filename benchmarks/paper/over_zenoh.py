@@ -1,4 +1,4 @@
-"""zswarm's own two ways: real runs on real ``zswarm-ss`` daemons, from the first server that is ready to the last record.
+"""zswarm's own two ways: real runs on real ``zswarm-ss`` daemons, from the first server that is ready until all is closed.
 
 A candidate travels as its parameters, and a generic controller at the server reads them: what the paper proposes in section VI.
 Or the controllers stay in the optimizer, as in the paper's network-based design, and servers ask it in each turn.

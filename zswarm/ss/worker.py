@@ -4,9 +4,8 @@ Children are forked from a fork server that has numba loaded and never touched z
 a body: ``P`` prepare with the probe, ``Q`` prepare without, ``E`` evaluate; back come ``H`` here (once, when the process is
 warm), ``R`` ready, ``F`` failed, ``O`` done, ``W`` done and worn (little memory is left), ``X`` exhausted (no memory is left
 for the rest of the batch), ``M`` (one trial, or preparing, took all memory), and ``D`` (the program of a foreign simulator
-ended in a trial, or in preparing; with the reason). ``S`` asks what
-controllers elsewhere decide (``asking.py``), and an answer without a letter comes back. A child ends when its pipe closes, and is
-killed when the fork server ends.
+ended in a trial, or in preparing; with the reason). ``S`` asks what controllers elsewhere decide (``asking.py``), and an answer
+without a letter comes back. A child ends when its pipe closes, and is killed when the fork server ends.
 
 What a simulator writes to stdout and stderr goes into a second pipe, of which the server logs the first lines and keeps the last.
 A child leads a session of its own, and no process that it starts has its pipe: so it is over when the child ends.
