@@ -41,6 +41,10 @@ NOT_RUN: dict[tuple[str, str], tuple[str, str]] = {
     ),
     ("python.md", "*"): ("is one program", "tests/test_python_document.py"),
     ("keys.md", "*"): ("is about several machines", KEYS),
+    (
+        "ros.md",
+        "python -m zswarm.ros.node --link rospy --profile stageros --settings '{\"robots\": 2}' --seed 1 --poses poses.npy",
+    ): ("needs ROS 1, and robots that answer", "tests/robots/test_packages_drive.py"),
     ("ros-files.md", "*"): ("needs ROS 1, which it installs", "tests/integration/test_ros_files_runs.py"),
 }
 # What a page takes for granted at its beginning.

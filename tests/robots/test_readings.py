@@ -59,9 +59,11 @@ def test_nothing_is_known_of_before_a_trial(readings: Readings) -> None:
     assert readings.clock_ns == 0
 
 
-def test_the_time_is_the_clocks_or_a_later_scans(readings: Readings) -> None:
+def test_the_time_is_the_latest_that_a_clock_or_a_scan_told(readings: Readings) -> None:
     readings.take(Clock(stamp_ns=600))
     readings.take(scan(0, 400))
     assert readings.clock_ns == 600
     readings.take(scan(0, 800))
     assert readings.clock_ns == 800
+    readings.take(Clock(stamp_ns=700))
+    assert readings.clock_ns == 800, "that clock was late"

@@ -75,20 +75,25 @@ class Link:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
 
-    def ready(self, timeout_s: float, channels: Collection[Channel] | None = None) -> None:
+    def ready(self, timeout_s: float, channels: Collection[Channel] | None = None, either: Collection[Channel] = ()) -> None:
         """Wait until every topic is connected to the other side. Once both sides waited, nothing is lost.
 
         Args:
             channels: those that must be; None: all of the link.
+            either: one of these must be, too.
 
         Raises:
             EvaluationError: not in time, with the topics that nobody publishes or subscribes; the child process ended.
         """
         deadline = time.monotonic() + timeout_s
-        wanted = [number for number, (channel, _) in enumerate(self._topics) if channels is None or channel in channels]
         while True:
-            counts = self._connected(deadline)
-            missing = [number for number in wanted if not counts[number]]
+            lacking: dict[Channel, list[int]] = {channel: [] for channel, _ in self._topics}
+            for number, count in enumerate(self._connected(deadline)):
+                if not count:
+                    lacking[self._topics[number][0]].append(number)
+            missing = [number for channel in lacking if channels is None or channel in channels for number in lacking[channel]]
+            if either and all(lacking[channel] for channel in either):
+                missing += [number for channel in either for number in lacking[channel]]
             if not missing:
                 return
             if time.monotonic() > deadline:

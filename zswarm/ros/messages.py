@@ -15,7 +15,7 @@ class Scan(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
     robot: int
     stamp_ns: int
-    ranges: np.ndarray  # (rays,) float32; where nothing was hit drivers put different things: robots/scan.py
+    ranges: np.ndarray  # (rays,) float32; where nothing was hit drivers put different things: sims/robot_interface.py
     angle_min: float
     angle_max: float
     angle_increment: float

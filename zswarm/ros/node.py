@@ -30,7 +30,8 @@ from zswarm.ros.profiles import Channel, Profile
 from zswarm.sims.turtlebot_exit import Settings, TurtlebotExit
 from zswarm.strict import convert
 
-TOLD: tuple[Channel, ...] = ("scan", "odometry", "ground_truth")  # of each robot
+POSES: tuple[Channel, ...] = ("odometry", "ground_truth")
+TOLD: tuple[Channel, ...] = ("scan", *POSES)  # of each robot
 IDLE_S = 60.0  # between two looks at nothing
 NS = 1_000_000_000
 NEAREST_M = 0.0  # that the scanner measures
@@ -100,7 +101,7 @@ class Node:
         return self._link.receive(max(0.0, self._next_step - now) if self._stamp_ns else IDLE_S)
 
     def _begin(self, seed: int) -> None:
-        self._link.ready(self._options.deadline_s, self._options.told)
+        wait_for_listeners(self._link, self._options.deadline_s, self._options.told)
         turn = self._simulator.reset(seed)
         self._linear[:] = self._angular[:] = 0
         self._heard_ns[:] = 0
@@ -173,6 +174,16 @@ class Node:
         self._link.send(messages)
 
 
+def wait_for_listeners(link: Link, timeout_s: float, channels: tuple[Channel, ...]) -> None:
+    """Wait until channels are connected; of poses one source is enough, for controllers hear one.
+
+    Raises:
+        EvaluationError: not in time.
+    """
+    poses = [channel for channel in channels if channel in POSES]
+    link.ready(timeout_s, [channel for channel in channels if channel not in POSES], either=poses)
+
+
 def _belong_to_parent() -> None:
     """Say that the node is there, and end with whoever holds the other end of standard input; see ``child.Child``."""
 
@@ -243,7 +254,7 @@ def run(
         if seed is None:
             node.serve(forgiving=not child)
             return
-        opened.ready(max(deadline_s, START_S), [*told, "velocity"])
+        wait_for_listeners(opened, max(deadline_s, START_S), (*told, "velocity"))
         node.play(seed)
         if poses is not None:
             np.save(poses, np.stack(node.poses))

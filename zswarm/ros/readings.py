@@ -13,7 +13,7 @@ class Readings:
     """The newest of each robot.
 
     Attributes:
-        clock_ns: the simulation's time as its clock told it last, or a scan if that is later; 0 before.
+        clock_ns: the latest time of the simulation that its clock or a scan told; 0 before.
     """
 
     def __init__(self, interface: RobotInterface, *, truth: bool) -> None:
@@ -34,8 +34,8 @@ class Readings:
     def take(self, message: Message) -> None:
         """Note what a message says."""
         match message:
-            case Clock():
-                self.clock_ns = message.stamp_ns
+            case Clock():  # of different topics messages come in any order
+                self.clock_ns = max(self.clock_ns, message.stamp_ns)
             case Scan():
                 self._scans[message.robot] = message
                 self.clock_ns = max(self.clock_ns, message.stamp_ns)
