@@ -134,6 +134,21 @@ def test_tcp_is_blamed_only_where_messages_of_a_crowd_are_slow_without_nodelay(r
         assert ("until the one before it" in claim.why) is blamed
 
 
+def test_that_a_message_over_zenoh_takes_longer_is_told_where_it_does(results: dict[str, Any]) -> None:
+    for factor, told in ((1.0, False), (3.0, True)):
+        for row in results["rows"]:
+            slow = {"broker, TCP_NODELAY": 1.0, "optimizer over Zenoh, by agent": factor, "no transport": 0.0}.get(row["design"])
+            if row["part"] == "messages" and slow is not None:
+                row["s"] = row["steps"] * row["agents"] * slow
+        assert ("A slot is a process of its own" in load("page").document(results)) is told
+
+
+def test_who_is_faster_than_zswarm_is_told(results: dict[str, Any]) -> None:
+    for seconds, told in ((99.0, True), (0.1, False)):
+        change(results, "s", lambda _row, seconds=seconds: seconds, part="crowded", design="parameters over Zenoh", servers=16)
+        assert ("the fastest here is: " in load("page").document(results)) is told
+
+
 def test_a_round_too_many_is_told_where_there_is_one(results: dict[str, Any]) -> None:
     for rounds, told in ((4.1, False), (5.1, True)):
         for row in results["rows"]:

@@ -264,8 +264,8 @@ def _ceiling(results: Results) -> Iterator[Claim]:
             best < ENOUGH,
             "what its servers wait for here, they wait for side by side; the paper's ceiling is there where a message keeps "
             "broker or tool from others for as long as it takes (the model, below). One generation has 4 candidates to "
-            "simulate and the others 2, so more than what is possible is for no design. With enough simulations for all "
-            f"servers {many}.",
+            "simulate and the others 2, so its rounds of simulations allow no design much more. With enough simulations for "
+            f"all servers {many}.",
         )
 
 

@@ -45,7 +45,9 @@ def document(results: Results) -> str:
         "equations": _equations(results),
         "crossings": _crossings(results),
         "scaling": _servers(results, "scaling"),
+        "slower": _slower(results),
         "late": _late(results),
+        "behind": _behind(results),
         "crowded": _servers(results, "crowded"),
         "model": _model(),
         **{f"{name}_chart": f"![{words}](pictures/paper-{name}.png)\n" for name, words in charts.CHARTS.items()},
@@ -201,17 +203,46 @@ def _servers(results: Results, part: str) -> str:
     return tables.markdown(["steps", "s with so many servers", *(str(count) for count in servers)], lines)
 
 
+def _slower(results: Results) -> str:
+    """Why a message over Zenoh takes longer than one by the broker, where it does."""
+    agents = max(row["agents"] for row in findings.rows(results, part="messages"))
+    broker_s, zenoh_s = (findings.message_s(results, design, agents) for design in (NODELAY, ZENOH["agent"]))
+    if zenoh_s <= findings.TWO * broker_s:
+        return ""
+    return (
+        f"By agent a message over Zenoh takes {findings.us(zenoh_s)} with {agents} agents, one by the broker with TCP_NODELAY\n"
+        f"{findings.us(broker_s)}. A slot is a process of its own behind its server's, so each question and each answer is\n"
+        "passed on once more; and a slot has one question out, where the broker's simulator sends those of all agents of a\n"
+        "turn at once.\n"
+    )
+
+
 def _late(results: Results) -> str:
     """Why zswarm's line has a round more than there must be, where it has."""
-    steps = findings.longest(results, "scaling")
-    servers, row = max(findings.times(results, "scaling", ZENOH["blob"], steps).items())
-    took, needed = row["s"] / (row["steps"] * row["step_s"]), findings.rounds(row, servers)
-    if took < needed + 0.5:
+    by_servers = findings.times(results, "scaling", ZENOH["blob"], findings.longest(results, "scaling"))
+    taken = {servers: row["s"] / (row["steps"] * row["step_s"]) for servers, row in by_servers.items()}
+    needs = {servers: findings.rounds(row, servers) for servers, row in by_servers.items()}
+    servers = next((servers for servers, took in taken.items() if took > needs[servers] + 0.5), 0)
+    if not servers:
         return ""
+    took, needed = taken[servers], needs[servers]
     return (
         f"With {servers} servers zswarm's time is that of {took:.0f} rounds of simulations, where {needed} are enough. Its run\n"
         "begins with the first server that is ready; each has a second candidate at hand beside the one that it simulates,\n"
         "so the first generation is given away before the others are ready. That is once in a run.\n"
+    )
+
+
+def _behind(results: Results) -> str:
+    """Who is the fastest with the most servers, where zswarm is not."""
+    steps, most = findings.longest(results, "crowded"), max(row["servers"] for row in findings.rows(results, part="crowded"))
+    times = {row["design"]: row["s"] for row in findings.rows(results, part="crowded", steps=steps, servers=most)}
+    ours, fastest = ZENOH["blob"], min(times, key=times.__getitem__)
+    if fastest == ours:
+        return ""
+    return (
+        f"With {most} servers the fastest here is: {fastest}, {times[fastest]:.2f} s; {ours} take {times[ours]:.2f} s,\n"
+        "in which are servers that get ready after the first, and the run's end.\n"
     )
 
 
