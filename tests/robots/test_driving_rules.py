@@ -100,6 +100,22 @@ def test_the_watchdog_stops_it_where_no_step_comes_any_more(free: Any) -> None:
     assert free.on_watch(WATCHDOG_S + 0.01) == STOP
 
 
+def test_it_stops_when_stamps_go_back_and_one_of_both_does_not_come_again(free: Any) -> None:
+    """Such as of a driver that was started anew, of which odometry died."""
+    free.on_scan(0.0, scan(5))
+    free.on_pose(0.0, pose(5))
+    assert free.on_step(0.0) == (1, 5)
+    free.on_scan(0.5, scan(1))
+    assert free.on_step(0.6) is None
+    assert free.on_watch(WATCHDOG_S) is None
+    free.on_scan(1.0, scan(2))
+    assert free.on_watch(WATCHDOG_S + 0.01) == STOP
+    assert free.silent
+    free.on_pose(1.1, pose(2))
+    assert free.on_step(1.2) != STOP
+    assert not free.silent
+
+
 def test_a_driver_that_repeats_its_last_scan_is_silent(free: Any) -> None:
     free.on_scan(0.0, scan(1))
     for tenth in range(20):

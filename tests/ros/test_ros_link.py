@@ -57,6 +57,16 @@ def test_who_is_not_there_is_named(here: graph.Graph) -> None:
         link.ready(0.2)
 
 
+def test_of_several_channels_one_may_be_enough(here: graph.Graph) -> None:
+    with (
+        Link(here.dialled(), PROFILE, robots=1, side="simulation") as simulation,
+        Link(here, PROFILE, robots=1, side="controllers", channels=("scan", "ground_truth")),
+    ):
+        simulation.ready(TIMEOUT_S, ["scan"], either=["odometry", "ground_truth"])
+        with pytest.raises(EvaluationError, match=r"^nobody subscribes to /odom after 0\.2 s$"):
+            simulation.ready(0.2, ["scan"], either=["odometry"])
+
+
 def test_a_bridge_that_is_killed_is_named(here: graph.Graph) -> None:
     with Link(here, PROFILE, robots=1, side="controllers") as link:
         os.kill(bridges()[0], signal.SIGKILL)

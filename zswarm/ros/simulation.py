@@ -28,6 +28,7 @@ from zswarm.sims.simulator import RobotInterface
 NS = 1_000_000_000
 READY_S = 30.0  # until both sides found each other
 LISTENED_S = 0.2  # to a simulation that may be under way, before the first trial
+FLOODED_S = 0.5  # spent at most on messages of a simulation that says more than can be taken
 LOOKED_S = 0.2  # between two looks whether the node is there
 SOON = 0.75  # of a step: a scan so much later than the last one is the next; free-running ones are not exact
 
@@ -142,7 +143,7 @@ class Simulation:
     def _listen(self, for_s: float) -> None:
         """Take what came, and what comes for a while."""
         until = time.monotonic() + for_s
-        while self._take(max(0.0, until - time.monotonic())):
+        while self._take(max(0.0, until - time.monotonic())) and time.monotonic() < until + FLOODED_S:
             pass
 
     def _take(self, timeout_s: float) -> bool:

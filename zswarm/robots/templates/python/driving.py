@@ -59,6 +59,7 @@ class Driving:
 
     def __init__(self, robot, watchdog_s, arrived_m, lock_step=False):
         self._robot, self._watchdog_s, self._arrived_m, self._lock_step = robot, watchdog_s, arrived_m, lock_step
+        self._decided_s = None
         self._forget()
 
     def on_scan(self, now_s, scan):
@@ -91,7 +92,8 @@ class Driving:
         """The watchdog looks: gives a velocity when the robot must stop now, else None."""
         if self._lock_step or self._decided_s is None:
             return None
-        self.silent = now_s - min(self._scan_s, self._pose_s) > self._watchdog_s
+        both = self._scan is not None and self._pose is not None  # or they began anew, and one of them does not come
+        self.silent = now_s - (min(self._scan_s, self._pose_s) if both else self._decided_s) > self._watchdog_s
         return STOP if self.silent or now_s - self._decided_s > self._watchdog_s else None
 
     def _together(self, now_s):
@@ -113,5 +115,5 @@ class Driving:
 
     def _forget(self):
         self._robot.reset()
-        self._scan = self._pose = self._scan_s = self._pose_s = self._decided_s = self._last_ns = None
+        self._scan = self._pose = self._scan_s = self._pose_s = self._last_ns = None
         self.arrived = self.silent = False

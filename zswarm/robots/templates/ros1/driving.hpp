@@ -74,7 +74,8 @@ class Driving {
   // The watchdog looks: true when the robot must stop now.
   bool on_watch(double now_s) {
     if (lock_step_ || !decided_) return false;
-    silent = now_s - std::min(scan_s_, pose_s_) > watchdog_s_;
+    const bool both = has_scan_ && has_pose_;  // or they began anew, and one of them does not come
+    silent = now_s - (both ? std::min(scan_s_, pose_s_) : decided_s_) > watchdog_s_;
     if (!silent && now_s - decided_s_ <= watchdog_s_) return false;
     velocity = Velocity();
     return true;
@@ -118,7 +119,7 @@ class Driving {
 
   void forget() {
     robot_forget(robot_);
-    has_scan_ = has_pose_ = decided_ = decided_together_ = arrived = silent = false;
+    has_scan_ = has_pose_ = decided_together_ = arrived = silent = false;
   }
 };
 

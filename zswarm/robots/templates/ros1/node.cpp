@@ -109,6 +109,19 @@ void configure(const ros::NodeHandle &mine, robot *self) {
   }
 }
 
+// Until it is told to end, or sees that it must not drive; the program's exit code.
+int drive() {
+  try {
+    while (!ending && ros::ok()) {
+      ros::getGlobalCallbackQueue()->callAvailable(ros::WallDuration(0.1));
+    }
+  } catch (const std::exception &error) {
+    ROS_FATAL("%s", error.what());
+    return 1;
+  }
+  return 0;
+}
+
 }  // namespace
 
 int main(int argc, char **argv) {
@@ -122,16 +135,14 @@ int main(int argc, char **argv) {
     const bool lock_step = mine.param("lock_step", false);
     Node node(here, &self, lock_step);
     ROS_INFO("%s drives: at most %g m/s and %g rad/s, parameters %.12s", ROBOT_NAME, self.speed, self.turn, ROBOT_SHA256);
-    while (!ending && ros::ok()) {
-      ros::getGlobalCallbackQueue()->callAvailable(ros::WallDuration(0.1));
-    }
+    const int code = drive();
     if (!lock_step) {
       node.send(Velocity());  // it stands when its program ends
       ros::WallDuration(0.2).sleep();
     }
+    return code;
   } catch (const std::exception &error) {
     ROS_FATAL("%s", error.what());
     return 1;
   }
-  return 0;
 }
