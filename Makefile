@@ -6,7 +6,7 @@ TESTS ?= -n $$((2 * $$(nproc))) --dist worksteal  # many wait for programs; neig
 
 KILLS ?= 200
 
-.PHONY: run test long product vmas browser robots test-all chaos faults machines units kills lint format docs docs-commands reference bench bench-quick bench-methods paper scale soak clean
+.PHONY: run test long programs product vmas browser robots rest chaos faults machines units kills lint format docs docs-commands reference bench bench-quick bench-methods benchmarks paper scale soak clean
 
 run: $(READY)
 	$(BIN)/zswarm-ot run $(or $(ARGS),stadium)
@@ -16,6 +16,10 @@ test: $(READY)
 
 long: $(READY)
 	$(BIN)/python -m pytest $(TESTS) -m long $(ARGS)
+
+# Servers and optimizers as real programs.
+programs: $(READY)
+	$(BIN)/python -m pytest $(TESTS) -m programs $(ARGS)
 
 # Every combination of simulators, networks, optimizers and rankings, with real programs: five minutes on two cores.
 product: $(READY)
@@ -33,10 +37,16 @@ browser: $(READY)
 robots: $(READY)
 	$(BIN)/python -m pytest $(TESTS) -m robots $(ARGS)
 
-test-all: test long product
+# The benchmarks in their quick form: whether they work.
+benchmarks: $(READY)
+	$(BIN)/python -m pytest $(TESTS) -m benchmarks $(ARGS)
+
+# All of these but vmas and machines, in one go: tests that wait run next to tests that compute.
+rest: $(READY)
+	$(BIN)/python -m pytest $(TESTS) -m "long or programs or product or browser or robots or faults or docs or benchmarks" $(ARGS)
 
 chaos: $(READY)
-	cd tests && ../$(BIN)/python -m chaos $(if $(SEED),--seed $(SEED)) $(if $(SECONDS),--seconds $(SECONDS))
+	$(BIN)/python -m tests.chaos $(if $(SEED),--seed $(SEED)) $(if $(SECONDS),--seconds $(SECONDS))
 
 # Real faults with real programs; they wait for timeouts most of the time.
 faults: $(READY)

@@ -1,4 +1,4 @@
-"""The numbers to hold, and whether they are held: each is found in what the scripts left."""
+"""The targets, and whether the results of the scripts meet them."""
 
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
@@ -7,16 +7,22 @@ import tables
 from tables import FLAGSHIP, FREVO, Found, figure, share
 
 Results = dict[str, Found]  # by script
-BESIDE_C = ((FLAGSHIP, 8), (FLAGSHIP, 32), (FLAGSHIP, 128), ("emergency-exit stadium", 72), ("emergency-exit random", 10))
+BESIDE_C = (
+    (FLAGSHIP, 8),
+    (FLAGSHIP, 32),
+    (FLAGSHIP, 128),
+    ("emergency-exit stadium", 72),
+    ("emergency-exit random", 10),
+)
 
 
 class Aim(NamedTuple):
-    """A number to hold.
+    """A target.
 
     Attributes:
-        key: by which ``missed.toml`` says why it is missed.
-        value: what was measured; None where it was not.
-        at_least: else at most.
+        key: of the reason in ``missed.toml`` if the target is missed.
+        value: measured value; None if not measured.
+        at_least: True for a minimum, False for a maximum.
     """
 
     key: str
@@ -28,21 +34,28 @@ class Aim(NamedTuple):
 
     @property
     def held(self) -> bool:
-        """Whether it was measured and is as wanted."""
-        return self.value is not None and (self.value >= self.wanted if self.at_least else self.value <= self.wanted)
+        """Return whether the measured value meets the target."""
+        return self.value is not None and (
+            self.value >= self.wanted if self.at_least else self.value <= self.wanted
+        )
 
     @property
     def row(self) -> list[str]:
-        """Of the table: what, wanted, measured, held or by how much it is missed."""
+        """Return a row of the table: quantity, target, measured value, verdict."""
         wanted = f"{'at least' if self.at_least else 'at most'} {self.written(self.wanted)}"
         if self.value is None:
             return [self.what, wanted, "", "not measured"]
         by = self.wanted / self.value if self.at_least else self.value / self.wanted
-        return [self.what, wanted, self.written(self.value), "held" if self.held else f"missed by a factor of {by:.2f}"]
+        return [
+            self.what,
+            wanted,
+            self.written(self.value),
+            "met" if self.held else f"missed by a factor of {by:.2f}",
+        ]
 
 
 def aims(results: Results) -> Iterator[Aim]:
-    """All of them, in their order."""
+    """Yield all targets in order."""
     yield from of_dispatch(results.get("dispatch"))
     yield from of_scale(results.get("scale"))
     yield from of_startup(results.get("startup"))
@@ -51,7 +64,7 @@ def aims(results: Results) -> Iterator[Aim]:
 
 
 def of_dispatch(found: Found | None) -> Iterator[Aim]:
-    """No-ops beside others, and efficiency."""
+    """Yield the overhead compared with other tools, and the efficiency."""
 
     def value(peer: str, work: str, slots: int) -> float | None:
         row = tables.main_way(found, peer, work, slots, 400) if found else None
@@ -59,9 +72,20 @@ def of_dispatch(found: Found | None) -> Iterator[Aim]:
 
     ours = value("zswarm", "noop", 4)
     yield Aim("noop", "no-op, 400 candidates, 4 slots: us per candidate", 20, False, ours)
-    for peer, wanted in (("Ray", 25), ("Dask distributed", 40), ("MQTT (stock)", 12), ("ProcessPoolExecutor", 4)):
+    for peer, wanted in (
+        ("Ray", 25),
+        ("Dask distributed", 40),
+        ("MQTT (stock)", 12),
+        ("ProcessPoolExecutor", 4),
+    ):
         theirs = value(peer, "noop", 4)
-        yield Aim(f"noop-{peer}", f"the same, times faster than {peer}", wanted, True, theirs / ours if theirs and ours else None)
+        yield Aim(
+            f"noop-{peer}",
+            f"the same, times faster than {peer}",
+            wanted,
+            True,
+            theirs / ours if theirs and ours else None,
+        )
     for slots, wanted in ((2, 0.95), (4, 0.95), (8, 0.95), (16, 0.92)):
         what = f"efficiency, sleep 5 ms, 400 candidates, {slots} slots"
         yield Aim(f"sleep-{slots}", what, wanted, True, value("zswarm", "sleep", slots), share)
@@ -71,45 +95,77 @@ def of_dispatch(found: Found | None) -> Iterator[Aim]:
 
 
 def of_scale(found: Found | None) -> Iterator[Aim]:
-    """Many simulated servers."""
+    """Yield the targets with many simulated servers."""
     rows = found["rows"] if found else []
-    used = [row["efficiency"] for row in rows if (row.get("slots"), row.get("trial_s")) == (4096, 1.0)]
+    used = [
+        row["efficiency"] for row in rows if (row.get("slots"), row.get("trial_s")) == (4096, 1.0)
+    ]
     ready = [row["ready_s"] for row in rows if row.get("servers") == 256 and "ready_s" in row]
-    yield Aim("scale", "efficiency, 4,096 simulated slots, trials of 1 s", 0.9, True, next(iter(used), None), share)
+    yield Aim(
+        "scale",
+        "efficiency, 4,096 simulated slots, trials of 1 s",
+        0.9,
+        True,
+        next(iter(used), None),
+        share,
+    )
     what = "discovery and handshake, 256 servers: s"
     yield Aim("discovery", what, 1.0, False, next(iter(ready), None), "{:.2f}".format)
     sent = [max(row["messages"].values()) for row in rows if row.get("servers") == 256]
-    yield Aim("messages", "the same: messages each way per server, renewals apart", 2, False, next(iter(sent), None))
+    yield Aim(
+        "messages",
+        "the same: messages in each direction per server, without renewals",
+        2,
+        False,
+        next(iter(sent), None),
+    )
 
 
 def of_startup(found: Found | None) -> Iterator[Aim]:
-    """First result and memory."""
+    """Yield the time to the first result, and the memory of a slot."""
     rows = found["rows"] if found else []
     warm = [row["s"] for row in rows if (row["of"], row.get("how")) == ("zswarm-ot run", "warm")]
-    slot = [tables.mib(row["own_mb"]) for row in rows if (row["what"], row["of"]) == ("memory", "slot")]
-    what = "first result, this machine's slots, warm cache: s from pressing return"
+    slot = [
+        tables.mib(row["own_mb"]) for row in rows if (row["what"], row["of"]) == ("memory", "slot")
+    ]
+    what = "first result, this machine's slots, warm cache: s from the start of the program"
     yield Aim("first", what, 1.0, False, next(iter(warm), None), "{:.2f}".format)
     yield Aim("memory", "private memory of a slot: MiB", 40, False, next(iter(slot), None))
 
 
 def of_kernels(found: Found | None) -> Iterator[Aim]:
-    """Beside C, pymunk and VMAS; per core."""
+    """Yield the speed of kernels compared with C, pymunk and VMAS, per core."""
     rows = [row for row in found["rows"] if "agent_steps_per_s" in row] if found else []
-    rate = {(row["kernel"], row["variant"], row["agents"]): row["agent_steps_per_s"] for row in rows}
+    rate = {
+        (row["kernel"], row["variant"], row["agents"]): row["agent_steps_per_s"] for row in rows
+    }
     for kernel, agents in BESIDE_C:
         theirs, ours = rate.get((kernel, "C", agents)), rate.get((kernel, "numba", agents))
         value = theirs / ours if theirs and ours else None
-        what = f"{kernel}, {agents} agents: times the time of tuned C"
+        what = f"{kernel}, {agents} agents: time relative to tuned C"
         yield Aim(f"C-{kernel}-{agents}", what, 1.25, False, value, "{:.2f}".format)
     for variant, wanted in (("pymunk", 50), ("vmas flocking", 30)):
         theirs, ours = rate.get((FLAGSHIP, variant, 8)), rate.get((FLAGSHIP, "numba", 8))
         name = "VMAS flocking" if variant.startswith("vmas") else variant
-        yield Aim(variant, f"{FLAGSHIP}, 8 agents: times {name}", wanted, True, ours / theirs if theirs and ours else None)
+        yield Aim(
+            variant,
+            f"{FLAGSHIP}, 8 agents: speed relative to {name}",
+            wanted,
+            True,
+            ours / theirs if theirs and ours else None,
+        )
 
 
 def of_runs(found: Found | None) -> Iterator[Aim]:
-    """Whole runs beside FREVO's figures."""
+    """Yield the speed of whole runs compared with FREVO."""
     per_s = {row["field"]: row["per_s"] for row in found["rows"]} if found else {}
     for field, times in (("stadium", 20), ("random", 10)):
-        what = f"EmergencyExit, NNGA 50 x 200, {field}: times FREVO's {FREVO[field]:,.0f} simulations/s"
-        yield Aim(f"run-{field}", what, times, True, per_s[field] / FREVO[field] if field in per_s else None)
+        theirs = f"{FREVO[field]:,.0f} simulations/s"
+        what = f"EmergencyExit, NNGA 50 x 200, {field}: speed relative to FREVO's {theirs}"
+        yield Aim(
+            f"run-{field}",
+            what,
+            times,
+            True,
+            per_s[field] / FREVO[field] if field in per_s else None,
+        )

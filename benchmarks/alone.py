@@ -1,4 +1,4 @@
-"""The evolution of ``runs.py`` in a loop of one process, without servers or a record: ``alone.py FIELD GENERATIONS``.
+"""Evolve as ``runs.py`` in one process, without servers or record: ``alone.py FIELD GENERATIONS``.
 
 Prints simulations per second.
 """
@@ -9,13 +9,13 @@ import time
 from runs import FIELDS
 
 from zswarm import evaluate, experiment
-from zswarm.ot import run
+from zswarm.ot.build import build
 
 
 def simulations_per_s(field: str, generations: int) -> float:
     """Of the same candidates in the same order."""
     example = experiment.find(FIELDS[field])
-    problem, optimizer = run.build(experiment.complete(experiment.load(example), str(example)))
+    problem, optimizer = build(experiment.complete(experiment.load(example), str(example)))
     simulator, representation = problem.simulator, problem.representation
     simulations = 0
     begin = time.perf_counter()
@@ -23,7 +23,9 @@ def simulations_per_s(field: str, generations: int) -> float:
         if generation == 1:
             simulations, begin = 0, time.perf_counter()  # kernels are there
         workload = problem.workload(optimizer.ask(), generation)
-        played = evaluate.evaluate(simulator, representation, workload.genomes, workload.participants, workload.seeds)
+        played = evaluate.evaluate(
+            simulator, representation, workload.genomes, workload.participants, workload.seeds
+        )
         workload.fitness[:] = played.fitness
         optimizer.tell(problem.total(workload))
         simulations += len(workload.seeds)

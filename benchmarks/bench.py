@@ -1,7 +1,8 @@
-"""Measures everything and makes docs/benchmarks.md: `make bench`, about 25 minutes in which nothing else should run.
+"""Measure everything and write docs/benchmarks.md: `make bench`, 25 minutes on an idle machine.
 
-Each script is a program of its own, in the environment that has the peers. What it leaves in ``build/bench`` takes the place of
-what ``results.json`` has of it. With ``--quick`` nothing of the repository is changed: the page goes to ``build/bench-quick``.
+Each script is a program of its own, in the environment that has the peers. What it leaves in
+``build/bench`` takes the place of what ``results.json`` has of it. With ``--quick`` nothing of the
+repository is changed: the page goes to ``build/bench-quick``.
 """
 
 import argparse
@@ -14,11 +15,14 @@ from pathlib import Path
 
 import machine
 import page
+import results_file
 
 HERE = Path(__file__).resolve().parent
 BUILD = HERE.parent / "build"
-PYTHON = BUILD / "peers" / "bin" / "python"
-COMMANDS = {script: [f"{script}.py"] for script in ("runs", "startup", "scaling", "kernels", "dispatch")}
+PYTHON = BUILD / "peers" / "bin" / "python"  # without it, peers are reported as missing
+COMMANDS = {
+    script: [f"{script}.py"] for script in ("runs", "startup", "scaling", "kernels", "dispatch")
+}
 COMMANDS["scale"] = ["-m", "scale"]
 COMMANDS["methods"] = ["methods.py"]
 ALONE = ("scale", "methods")  # without peers: in the environment of this
@@ -27,8 +31,12 @@ ALONE = ("scale", "methods")  # without peers: in the environment of this
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     usual = [name for name in COMMANDS if name != "methods"]  # which takes no time of anything
-    parser.add_argument("--only", help=f"parts, with commas between: methods, or [default] {', '.join(usual)}")
-    parser.add_argument("--quick", action="store_true", help="small rounds, some minutes: whether it works")
+    parser.add_argument(
+        "--only", help=f"parts, with commas between: methods, or [default] {', '.join(usual)}"
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="small rounds, some minutes: whether it works"
+    )
     options = parser.parse_args()
     names = options.only.split(",") if options.only else usual
     if unknown := set(names) - set(COMMANDS):
@@ -38,7 +46,12 @@ def main() -> None:
     begin, failed = time.monotonic(), []
     for name in names:
         print(f"\n# {name}\n", flush=True)
-        command = [sys.executable if name in ALONE else PYTHON, *COMMANDS[name], "--folder", folder]
+        command = [
+            sys.executable if name in ALONE or not PYTHON.exists() else PYTHON,
+            *COMMANDS[name],
+            "--folder",
+            folder,
+        ]
         if options.quick:
             command += ["--quick", *(["--chart", to / "scale.png"] if name == "scale" else [])]
         if subprocess.run(command, cwd=HERE, check=False).returncode:
@@ -48,7 +61,15 @@ def main() -> None:
         (to / "docs").mkdir(exist_ok=True)
         shutil.copy(HERE.parent / "README.md", to)
     print(f"\n# the page, after {(time.monotonic() - begin) / 60:.0f} minutes\n", flush=True)
-    command = [sys.executable, HERE / "page.py", "--results", file, "--to", to, *(["--draft"] if options.quick else [])]
+    command = [
+        sys.executable,
+        HERE / "page.py",
+        "--results",
+        file,
+        "--to",
+        to,
+        *(["--draft"] if options.quick else []),
+    ]
     made = subprocess.run(command, check=False).returncode
     if failed:
         sys.exit(f"failed: {', '.join(failed)}; what they left before is still in the page")
@@ -61,7 +82,7 @@ def merged(names: list[str], folder: Path, file: Path) -> Path:
     for name in names:
         if (left := folder / f"{name}.json").exists():
             results[name] = json.loads(left.read_text())
-    file.write_text(json.dumps(results, indent=1, sort_keys=True) + "\n")
+    results_file.write(file, results)
     return file
 
 

@@ -1,9 +1,11 @@
 """Evaluation over an MQTT broker: what ``peers.py`` measures as MQTT.
 
-A mosquitto of its own on loopback, and a process per slot, each with a connection to it. QoS 0, the fastest: no message is
-acknowledged. ``in_parts`` sends whole evaluations and keeps two messages out per slot, as zswarm does. ``in_steps`` has the
-messages of the paper's network-based approach: for each simulation discovery, server (from every idle one), parameters, control
-and fitness, and a sensor and an actuator message per agent and step. Nothing is computed for these: their cost is the messages'.
+A mosquitto of its own on loopback, and a process per slot, each with a connection to it. QoS 0, the
+fastest: no message is acknowledged. ``in_parts`` sends whole evaluations and keeps two messages out
+per slot, as zswarm does. ``in_steps`` has the messages of the paper's network-based approach: for
+each simulation discovery, server (from every idle one), parameters, control and fitness, and a
+sensor and an actuator message per agent and step. Nothing is computed for these: their cost is the
+messages'.
 
 As a program it is a server: ``by_mqtt.py PORT NUMBER NODELAY``.
 """
@@ -48,7 +50,9 @@ def connected(port: int, nodelay: bool) -> Any:
 
     client = Client(CallbackAPIVersion.VERSION2)
     if nodelay:
-        client.on_socket_open = lambda _client, _data, opened: opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        client.on_socket_open = lambda _client, _data, opened: opened.setsockopt(
+            socket.IPPROTO_TCP, socket.TCP_NODELAY, 1
+        )
     client.connect("127.0.0.1", port)
     return client
 
@@ -73,22 +77,35 @@ class Broker(AbstractContextManager["Broker"]):
             stack.callback(self.client.loop_stop)
             assert subscribed.wait(WAIT_S)
             for number in range(self.slots):
-                started(stack, [sys.executable, __file__, str(port), str(number), str(int(self.nodelay))])
+                started(
+                    stack,
+                    [sys.executable, __file__, str(port), str(number), str(int(self.nodelay))],
+                )
             for _ in range(self.slots):
                 assert ready.acquire(timeout=WAIT_S), "a server did not start"
             subscribed.clear()
-            self.client.subscribe([(topic, 0) for topic in ("result", "server", "sensor", "fitness")])
+            self.client.subscribe(
+                [(topic, 0) for topic in ("result", "server", "sensor", "fitness")]
+            )
             assert subscribed.wait(WAIT_S)
             self._stack = stack.pop_all()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self._stack.close()
 
     def in_parts(self, genomes: list[bytes], work: str, chunk: int) -> list[float]:
-        """Whole evaluations, so many in a message, two messages out per slot; sent on in the thread of the connection."""
+        """Send whole evaluations, ``chunk`` in a message, two messages in flight per slot."""
         parts = [genomes[begin : begin + chunk] for begin in range(0, len(genomes), chunk)]
-        bodies = [HEAD.pack(number, len(part), WORK[work]) + b"".join(part) for number, part in enumerate(parts)]
+        bodies = [
+            HEAD.pack(number, len(part), WORK[work]) + b"".join(part)
+            for number, part in enumerate(parts)
+        ]
         results: list[Sequence[float]] = [()] * len(parts)
         waiting = iter(bodies)
         left = len(parts)
@@ -113,7 +130,7 @@ class Broker(AbstractContextManager["Broker"]):
         return [fitness for part in results for fitness in part]
 
     def in_steps(self, genomes: list[bytes], work: str, _chunk: int, *, steps: int) -> list[float]:
-        """The messages of the paper, one simulation at a time per server; sent on in the thread of the connection."""
+        """Send the paper's messages, one simulation at a time per server."""
         results = [0.0] * len(genomes)
         looking: set[int] = set()  # candidates that look for a server
         used: dict[int, int] = {}  # server -> candidate
@@ -135,7 +152,10 @@ class Broker(AbstractContextManager["Broker"]):
                 if candidate in looking and server not in used:
                     looking.discard(candidate)
                     used[server] = candidate
-                    client.publish(f"ss/{server}/parameters", HEAD.pack(candidate, steps, WORK[work]) + genomes[candidate])
+                    client.publish(
+                        f"ss/{server}/parameters",
+                        HEAD.pack(candidate, steps, WORK[work]) + genomes[candidate],
+                    )
                     client.publish(f"ss/{server}/control", HEAD.pack(candidate, steps, WORK[work]))
             elif message.topic == "fitness":
                 (results[candidate],) = struct.unpack_from("<d", message.payload, 8)

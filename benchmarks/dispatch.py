@@ -1,10 +1,12 @@
 """What it costs to have a candidate evaluated by zswarm and by others, measured side by side.
 
-Generations of distinct candidates of 1152 bytes that do nothing (*noop*), sleep 5 ms (*sleep*) or take 5 ms of a core (*cpu*);
-for the first microseconds per candidate are found, for the others efficiency: ideal time / time. Each round starts every peer in
-a process of its own, has it warm up, measures, and stops it before the next one starts, so that none idles beside another; the
-order shifts from round to round. Written are medians over the rounds, with the least and the most. Every answer is compared with
-what it must be. Nothing else should run meanwhile.
+Generations of distinct candidates of 1152 bytes that do nothing (*noop*), sleep 5 ms (*sleep*) or
+take 5 ms of a core (*cpu*);
+for the first microseconds per candidate are found, for the others efficiency: ideal time / time.
+Each round starts every peer in a process of its own, has it warm up, measures, and stops it before
+the next one starts, so that none idles beside another; the order shifts from round to round.
+Written are medians over the rounds, with the least and the most. Every answer is compared with what
+it must be. Nothing else should run meanwhile.
 """
 
 import argparse
@@ -38,15 +40,30 @@ PEER_S = 180.0  # in one round, before it is ended
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--rounds", type=int, default=ROUNDS, help=f"[default: {ROUNDS}]")
-    parser.add_argument("--populations", type=numbers, default=POPULATIONS, help=f"[default: {shown(POPULATIONS)}]")
-    parser.add_argument("--slots", type=numbers, default=SLOTS, help=f"worker processes [default: {shown(SLOTS)}]")
-    parser.add_argument("--warm-s", type=float, default=WARM_S, help=f"of each peer, in each round [default: {WARM_S:g}]")
-    parser.add_argument("--only", help=f"peers, with commas between [default: all of {', '.join(PEERS)}]")
-    parser.add_argument("--quick", action="store_true", help="one round, 2 and 4 slots: whether it works")
+    parser.add_argument(
+        "--populations", type=numbers, default=POPULATIONS, help=f"[default: {shown(POPULATIONS)}]"
+    )
+    parser.add_argument(
+        "--slots", type=numbers, default=SLOTS, help=f"worker processes [default: {shown(SLOTS)}]"
+    )
+    parser.add_argument(
+        "--warm-s",
+        type=float,
+        default=WARM_S,
+        help=f"of each peer, in each round [default: {WARM_S:g}]",
+    )
+    parser.add_argument(
+        "--only", help=f"peers, with commas between [default: all of {', '.join(PEERS)}]"
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="one round, 2 and 4 slots: whether it works"
+    )
     parser.add_argument("--folder", type=Path, help="where the results go [default: build/bench]")
     parser.add_argument("--one", help=argparse.SUPPRESS)  # measures one peer once, and prints JSON
     parser.add_argument("--works", default=",".join(WORKS), help=argparse.SUPPRESS)
-    parser.add_argument("--begun", type=float, help=argparse.SUPPRESS)  # time.monotonic() of the start of this process
+    parser.add_argument(
+        "--begun", type=float, help=argparse.SUPPRESS
+    )  # time.monotonic() of the start of this process
     options = parser.parse_args()
     if options.one:
         print(json.dumps(measured(options)))
@@ -62,9 +79,17 @@ def main() -> None:
     rows = summary([row for one in rounds for row in one])
     packages = [package for name in names for package in PEERS[name].distributions]
     file = machine.write(
-        "dispatch", rows, packages, folder=options.folder, rounds=options.rounds, seconds=round(time.monotonic() - begin)
+        "dispatch",
+        rows,
+        packages,
+        folder=options.folder,
+        rounds=options.rounds,
+        seconds=round(time.monotonic() - begin),
     )
-    print(f"\n{tables.dispatch(json.loads(file.read_text()))}\n{file}, {time.monotonic() - begin:.0f} s")
+    print(
+        f"\n{tables.dispatch(json.loads(file.read_text()))}\n{file}, "
+        f"{time.monotonic() - begin:.0f} s"
+    )
 
 
 def numbers(text: str) -> tuple[int, ...]:
@@ -92,19 +117,49 @@ def one_round(number: int, names: list[str], options: argparse.Namespace) -> lis
             rows = in_own_process(name, slots, options.populations, options.warm_s)
             found += rows
             words = f"  not measured: {rows[0]['missing']}" if "missing" in rows[0] else ""
-            print(f"  {slots:>2} slots  {name:<22} {time.monotonic() - begin:5.1f} s{words}", flush=True)
+            print(
+                f"  {slots:>2} slots  {name:<22} {time.monotonic() - begin:5.1f} s{words}",
+                flush=True,
+            )
     return found
 
 
 def in_own_process(
-    name: str, slots: int, populations: tuple[int, ...], warm_s: float, works: Sequence[str] = tuple(WORKS)
+    name: str,
+    slots: int,
+    populations: tuple[int, ...],
+    warm_s: float,
+    works: Sequence[str] = tuple(WORKS),
 ) -> list[dict[str, Any]]:
     """The rows that a process of its own measures; one with ``missing``: why it did not."""
-    command = [sys.executable, str(HERE / "dispatch.py"), "--one", name, "--begun", repr(time.monotonic())]
-    command += ["--populations", shown(populations), "--slots", str(slots), "--warm-s", str(warm_s), "--works", ",".join(works)]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(HERE), os.environ.get("PYTHONPATH", "")])}
+    command = [
+        sys.executable,
+        str(HERE / "dispatch.py"),
+        "--one",
+        name,
+        "--begun",
+        repr(time.monotonic()),
+    ]
+    command += [
+        "--populations",
+        shown(populations),
+        "--slots",
+        str(slots),
+        "--warm-s",
+        str(warm_s),
+        "--works",
+        ",".join(works),
+    ]
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join([str(HERE), os.environ.get("PYTHONPATH", "")])
+    }
     process = subprocess.Popen(
-        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        command,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
     )
     try:
         said, errors = process.communicate(timeout=PEER_S)
@@ -116,7 +171,13 @@ def in_own_process(
         raise
     if process.returncode:
         last = (errors.strip().splitlines() or [f"exit code {process.returncode}"])[-1]
-        return [{"peer": name, "slots": slots, "missing": why_not_installed(name) or last.partition("Error: ")[2] or last}]
+        return [
+            {
+                "peer": name,
+                "slots": slots,
+                "missing": why_not_installed(name) or last.partition("Error: ")[2] or last,
+            }
+        ]
     return json.loads(said.splitlines()[-1])
 
 
@@ -134,10 +195,14 @@ def measured(options: argparse.Namespace) -> list[dict[str, Any]]:
         started = {"peer": name, "slots": slots, "first_s": time.monotonic() - options.begun}
         warm: list[float] = []
         while len(warm) < WARM or sum(warm) < options.warm_s:
-            warm.append(checked(ways[0], leased.random_genomes(max(populations, default=50)), "noop", slots))
+            warm.append(
+                checked(ways[0], leased.random_genomes(max(populations, default=50)), "noop", slots)
+            )
         started["tree_mb"] = tree_mb(os.getpid())
         rows = [started]
-        for way in ways:  # one after another: what a way has started may hold what the one before it needs
+        for way in (
+            ways
+        ):  # one after another: what a way has started may hold what the one before it needs
             rows += [
                 {"peer": name, "slots": slots, **cost(way, work, population, slots)}
                 for work in options.works.split(",")
@@ -148,7 +213,7 @@ def measured(options: argparse.Namespace) -> list[dict[str, Any]]:
 
 
 def worth(way: Way, work: str, population: int, slots: int) -> bool:
-    """Whether it is measured: a core's time with slots for all cores and twice as many, by hand and aside with ``WHOLE`` only."""
+    """Return whether to measure: a core's time needs slots for all cores, or twice as many."""
     cores = len(os.sched_getaffinity(0))
     if work not in way.works or (work == "cpu" and slots not in (cores, 2 * cores)):
         return False
@@ -166,7 +231,11 @@ def cost(way: Way, work: str, population: int, slots: int) -> dict[str, Any]:
     while len(times) < GENERATIONS and sum(times) < GENERATIONS_S:
         times.append(checked(way, leased.random_genomes(size), work, slots))
     seconds = statistics.median(times)
-    value = {"us": seconds / size * 1e6} if work == "noop" else {"efficiency": ideal_s(work, size, slots) / seconds}
+    value = (
+        {"us": seconds / size * 1e6}
+        if work == "noop"
+        else {"efficiency": ideal_s(work, size, slots) / seconds}
+    )
     return {"form": way.form, "cut": way.cut, "work": work, "population": population} | value
 
 
@@ -182,18 +251,24 @@ def checked(way: Way, genomes: list[bytes], work: str, slots: int) -> float:
 
 
 def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The rows of all rounds as one each: medians, with ``least`` and ``most`` of the rounds that succeeded."""
+    """Merge the rows of all rounds: medians, with ``least`` and ``most`` of successful rounds."""
     values = ("us", "efficiency", "first_s", "tree_mb")
     together: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
     for row in rows:
-        together.setdefault(tuple((key, value) for key, value in row.items() if key not in values), []).append(row)
+        together.setdefault(
+            tuple((key, value) for key, value in row.items() if key not in values), []
+        ).append(row)
     found = []
     for key, same in together.items():
         row: dict[str, Any] = dict(key)
         for what in values:
             if all(what in each for each in same):
                 numbers = sorted(each[what] for each in same)
-                row |= {what: statistics.median(numbers), f"{what}_least": numbers[0], f"{what}_most": numbers[-1]}
+                row |= {
+                    what: statistics.median(numbers),
+                    f"{what}_least": numbers[0],
+                    f"{what}_most": numbers[-1],
+                }
         found.append(row)
     return found
 

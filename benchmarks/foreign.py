@@ -1,9 +1,10 @@
-"""What a program as simulator costs beside the compiled kernel: the examples in C and Java, EmergencyExit, CPU time per trial.
+"""Compare a third-party program as simulator with the compiled kernel, in CPU time per trial.
 
-    make -C examples/foreign/c && javac -d examples/foreign/java/classes examples/foreign/java/*.java
-    python benchmarks/foreign.py
+    make -C examples/foreign/c && javac -d examples/foreign/java/classes
+    examples/foreign/java/*.java python benchmarks/foreign.py
 
-Time of this process and of the program's own is added; rounds take turns, medians count. The rows are those of docs/foreign.md.
+Time of this process and of the program's own is added; rounds take turns, medians count. The rows
+are those of docs/foreign.md.
 """
 
 import os
@@ -13,13 +14,15 @@ from pathlib import Path
 from typing import Any
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "foreign"
-os.environ["ZSWARM_SIMULATORS"] = os.pathsep.join(str(EXAMPLES / language) for language in ("c", "java"))
+os.environ["ZSWARM_SIMULATORS"] = os.pathsep.join(
+    str(EXAMPLES / language) for language in ("c", "java")
+)
 
 import numpy as np  # noqa: E402
 from tables import figure, markdown  # noqa: E402
 
-from zswarm.draws import Stream  # noqa: E402
 from zswarm.evaluate import build, evaluate  # noqa: E402
+from zswarm.kernels.random import Stream  # noqa: E402
 
 WAYS = {
     "`emergency-exit`, compiled by numba": ("emergency-exit", False),
@@ -70,7 +73,9 @@ class Way:
 def main() -> None:
     columns = {}
     for field in FIELDS:
-        ways = {name: Way(simulator, in_turns, field) for name, (simulator, in_turns) in WAYS.items()}
+        ways = {
+            name: Way(simulator, in_turns, field) for name, (simulator, in_turns) in WAYS.items()
+        }
         assert len({way.play(16) for way in ways.values()}) == 1, "not the same bits"
         found: dict[str, list[float]] = {name: [] for name in ways}
         for _ in range(ROUNDS):
@@ -78,7 +83,15 @@ def main() -> None:
                 found[name].append(way.microseconds())
         columns[field] = {name: statistics.median(times) for name, times in found.items()}
     rows = [[name, *(figure(columns[field][name]) for field in FIELDS)] for name in WAYS]
-    print(markdown(["us of CPU time per trial", *(f"{field}, {robots}" for field, robots in FIELDS.items())], rows))
+    print(
+        markdown(
+            [
+                "us of CPU time per trial",
+                *(f"{field}, {robots}" for field, robots in FIELDS.items()),
+            ],
+            rows,
+        )
+    )
 
 
 if __name__ == "__main__":

@@ -26,46 +26,97 @@ def library(name: str, options: tuple[str, ...]) -> ctypes.CDLL:
     """``kernels/<name>.c``, compiled and loaded."""
     with tempfile.TemporaryDirectory() as folder:
         built = Path(folder) / f"{name}.so"
-        command = [str(compiler()), *options, "-std=gnu11", "-shared", "-fPIC", SOURCES / f"{name}.c", "-o", built, "-lm"]
+        command = [
+            str(compiler()),
+            *options,
+            "-std=gnu11",
+            "-shared",
+            "-fPIC",
+            SOURCES / f"{name}.c",
+            "-o",
+            built,
+            "-lm",
+        ]
         subprocess.run(command, check=True)
         return ctypes.CDLL(str(built))
 
 
 class Arena:
-    """Plays what ``evaluate.evaluate`` plays, for aggregation with a tanh network of 8 neurons and one iteration."""
+    """Play arena aggregation in C, with a tanh network of 8 neurons and one iteration."""
 
     def __init__(self, options: tuple[str, ...]) -> None:
         self._play = library("arena", options).play
 
-    def evaluate(self, simulator: Any, network: Any, genomes: list[bytes], participants: np.ndarray, seeds: np.ndarray) -> Any:
+    def evaluate(
+        self,
+        simulator: Any,
+        network: Any,
+        genomes: list[bytes],
+        participants: np.ndarray,
+        seeds: np.ndarray,
+    ) -> Any:
         """Fitness (trials,) and metrics (trials, 3)."""
         rows = np.ascontiguousarray(network.parameters(genomes)[participants[:, 0]])
         seeds = seeds.astype(np.uint64)
         fitness, metrics = np.empty(len(seeds)), np.empty((len(seeds), 3))
-        numbers = (len(seeds), simulator.settings.steps, simulator.settings.robots, simulator._per_side)
+        world = simulator.world
+        names = "side sight radius half_stride half_turn cells_per_metre".split()
+        lengths = np.array([getattr(world, name) for name in names])
+        numbers = (
+            len(seeds),
+            simulator.settings.steps,
+            simulator.settings.robots,
+            world.per_side,
+        )
         self._play(
-            *map(ctypes.c_int64, numbers), simulator._lengths.ctypes, rows.ctypes, ctypes.c_int64(rows.shape[1]), seeds.ctypes,
-            fitness.ctypes, metrics.ctypes,
-        )  # fmt: skip
+            *map(ctypes.c_int64, numbers),
+            lengths.ctypes,
+            rows.ctypes,
+            ctypes.c_int64(rows.shape[1]),
+            seeds.ctypes,
+            fitness.ctypes,
+            metrics.ctypes,
+        )
         return fitness, metrics
 
 
 class EmergencyExit:
-    """The same for emergency-exit, in fields that zswarm laid out, with a clamp network of two hidden neurons, two iterations."""
+    """Play emergency-exit in C, on zswarm's fields, with a clamp network of two hidden neurons."""
 
     def __init__(self, options: tuple[str, ...], *, side_by_side: bool) -> None:
         built = library("emergency_exit", options)
         self._play = built.play_eight if side_by_side else built.play
 
-    def evaluate(self, simulator: Any, network: Any, genomes: list[bytes], participants: np.ndarray, seeds: np.ndarray) -> Any:
+    def evaluate(
+        self,
+        simulator: Any,
+        network: Any,
+        genomes: list[bytes],
+        participants: np.ndarray,
+        seeds: np.ndarray,
+    ) -> Any:
         """Fitness (trials,) and metrics (trials, 2)."""
         rows = np.ascontiguousarray(network.parameters(genomes)[participants[:, 0]])
-        field_of_trial = simulator._rows(seeds)
-        fields = simulator._kept
+        laid_out = simulator.fields
+        field_of_trial = laid_out.rows(seeds)
+        fields = laid_out.cached
         fitness, metrics = np.empty(len(seeds)), np.empty((len(seeds), 2))
-        numbers = (len(seeds), simulator.settings.steps, simulator.agents, simulator.stride, simulator.cells)
+        numbers = (
+            len(seeds),
+            simulator.settings.steps,
+            laid_out.agents,
+            laid_out.stride,
+            laid_out.cells,
+        )
         self._play(
-            *map(ctypes.c_int64, numbers), fields.free.ctypes, fields.to_exit.ctypes, fields.starts.ctypes, field_of_trial.ctypes,
-            rows.ctypes, ctypes.c_int64(rows.shape[1]), fitness.ctypes, metrics.ctypes,
-        )  # fmt: skip
+            *map(ctypes.c_int64, numbers),
+            fields.free.ctypes,
+            fields.to_exit.ctypes,
+            fields.starts.ctypes,
+            field_of_trial.ctypes,
+            rows.ctypes,
+            ctypes.c_int64(rows.shape[1]),
+            fitness.ctypes,
+            metrics.ctypes,
+        )
         return fitness, metrics

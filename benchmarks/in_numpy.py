@@ -1,16 +1,17 @@
-"""Arena's aggregation once more in numpy, float32: a batch of candidates at once, with the network of ``in_c.Arena``.
+"""Play arena aggregation in numpy float32: a batch of candidates at once.
 
-Every number of a robot is a row of an array, with a column for each robot of each candidate. Pairs of neighbours are listed in
-each step, and rays computed for these alone. Sums run in other orders than zswarm's, so the last bits differ.
+Every number of a robot is a row of an array, with a column for each robot of each candidate. Pairs
+of neighbours are listed in each step, and rays computed for these alone. Sums run in other orders
+than zswarm's, so the last bits differ.
 """
 
 from typing import Any
 
 import numpy as np
 
-from zswarm.draws import Stream
-from zswarm.portable import T1, T2, T3, T4
-from zswarm.sims.arena_world import HALF_STRIDE, HALF_TURN, LANES, RADIUS, RAYS, SIDE, SIGHT, TINY
+from zswarm.kernels.portable import T1, T2, T3, T4
+from zswarm.kernels.random import Stream
+from zswarm.sims.arena_world import LANES, RAYS, TINY, ArenaWorld
 
 INPUTS, NEURONS, HEADER = 10, 8, 4
 # The first four rays, x and then y in a robot's frame; the others look the opposite way.
@@ -22,23 +23,33 @@ BLOCK = 1 << 17  # pairs that are measured at once: they stay in the processor's
 class Arena:
     """Trials of one simulator that are played together, each by a candidate of its own."""
 
-    def __init__(self, simulator: Any, network: Any, genomes: list[bytes], participants: np.ndarray, seeds: np.ndarray) -> None:
-        self.steps, self.lengths = simulator.settings.steps, simulator._lengths
+    def __init__(
+        self,
+        simulator: Any,
+        network: Any,
+        genomes: list[bytes],
+        participants: np.ndarray,
+        seeds: np.ndarray,
+    ) -> None:
+        self.steps, self.world = simulator.settings.steps, simulator.world
         self.shape = candidates, robots = len(seeds), simulator.settings.robots
         rows = network.parameters(genomes)[participants[:, 0]]
         weights = rows[:, HEADER:].reshape(candidates, INPUTS + NEURONS + 1, NEURONS)
         self.weights = np.ascontiguousarray(weights.transpose(0, 2, 1))
-        starts = [start(Stream(seed), robots, self.lengths) for seed in seeds.tolist()]
+        starts = [start(Stream(seed), robots, self.world) for seed in seeds.tolist()]
         self.starts = np.array(starts, np.float32).transpose(2, 0, 1)  # x, y, heading x, heading y
         together = max(1, BLOCK // robots**2)
         self._blocks = [slice(first, first + together) for first in range(0, candidates, together)]
-        self._dx, self._dy, self._square, self._part = (np.empty((together, robots, robots), np.float32) for _ in range(4))
+        self._dx, self._dy, self._square, self._part = (
+            np.empty((together, robots, robots), np.float32) for _ in range(4)
+        )
 
     def play(self) -> tuple[np.ndarray, np.ndarray]:
         """Fitness (trials,) and metrics (trials, 3)."""
         candidates, robots = self.shape
         self.x, self.y, self.heading_x, self.heading_y = self.starts.reshape(4, -1).copy()
-        # What the network hears: what a robot observes, what its neurons said before, and 1 for the bias.
+        # What the network hears: what a robot observes, what its neurons said before, and 1 for the
+        # bias.
         self.heard = np.zeros((INPUTS + NEURONS + 1, candidates * robots), np.float32)
         self.heard[-1] = 1
         heard = self.heard.reshape(-1, candidates, robots).transpose(1, 0, 2)
@@ -55,16 +66,20 @@ class Arena:
                 near_by += neighbours.reshape(self.shape).mean(axis=1)
             self._drive(self.heard[-3], self.heard[-2], push_x, push_y)
         measured = self.steps - self.steps // 2
-        metrics = np.stack([spread / measured, near_by / measured, contacts / 2 / self.steps], axis=1)
-        return 1 - metrics[:, 0] / (0.3826 * float(self.lengths[SIDE])), metrics
+        metrics = np.stack(
+            [spread / measured, near_by / measured, contacts / 2 / self.steps], axis=1
+        )
+        return 1 - metrics[:, 0] / (0.3826 * float(self.world.side)), metrics
 
     def _look(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Write what robots observe; gives their numbers of neighbours, overlaps of each candidate, and how they are pushed."""
+        """Write the observations; return neighbours, overlaps per candidate, and pushes."""
         candidates, robots = self.shape
-        sight, radius = self.lengths[SIGHT], self.lengths[RADIUS]
+        sight, radius = self.world.sight, self.world.radius
         touch, columns = radius + radius, candidates * robots
         found = zip(*(self._neighbours(block) for block in self._blocks), strict=True)
-        robot, dx, dy, square = (np.concatenate(parts) if len(parts) > 1 else parts[0] for parts in found)
+        robot, dx, dy, square = (
+            np.concatenate(parts) if len(parts) > 1 else parts[0] for parts in found
+        )
         heading_x, heading_y = self.heading_x.take(robot), self.heading_y.take(robot)
         ahead, aside = dx * heading_x + dy * heading_y, dy * heading_x - dx * heading_y
 
@@ -75,7 +90,11 @@ class Arena:
         line, pair = np.divmod(met, len(robot))
         along = ahead.take(pair) * RAY_X.take(line) + aside.take(pair) * RAY_Y.take(line)
         ray = line + (along < 0) * (LANES // 2)
-        np.minimum.at(reach.reshape(-1), ray * columns + robot.take(pair), np.abs(along) - np.sqrt(chord.take(met)))
+        np.minimum.at(
+            reach.reshape(-1),
+            ray * columns + robot.take(pair),
+            np.abs(along) - np.sqrt(chord.take(met)),
+        )
         neighbours = np.bincount(robot, minlength=columns)
         scale = sight * np.maximum(neighbours, 1)
         self.heard[:LANES] = 1 - reach / sight
@@ -85,26 +104,39 @@ class Arena:
         touching = np.flatnonzero(square < touch * touch)
         robot, distance = robot[touching], np.sqrt(square[touching])
         share = np.float32(0.5) * (touch - distance) / np.maximum(distance, TINY)
-        push_x, push_y = (np.bincount(robot, -share * way[touching], columns).astype(np.float32) for way in (dx, dy))
+        push_x, push_y = (
+            np.bincount(robot, -share * way[touching], columns).astype(np.float32)
+            for way in (dx, dy)
+        )
         return neighbours, np.bincount(robot // robots, minlength=candidates), push_x, push_y
 
     def _neighbours(self, block: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Pairs that see each other in some candidates: the one's column, to the other in x and y, and the distance's square."""
+        """Return pairs that see each other: column, x and y to the other, squared distance."""
         x, y = self.x.reshape(self.shape)[block], self.y.reshape(self.shape)[block]
         count, robots = x.shape
-        dx, dy, square, part = self._dx[:count], self._dy[:count], self._square[:count], self._part[:count]
+        dx, dy, square, part = (
+            self._dx[:count],
+            self._dy[:count],
+            self._square[:count],
+            self._part[:count],
+        )
         np.subtract(x[:, None, :], x[:, :, None], out=dx)
         np.subtract(y[:, None, :], y[:, :, None], out=dy)
         np.multiply(dx, dx, out=square)
         np.multiply(dy, dy, out=part)
         np.add(square, part, out=square)
         square.reshape(count, -1)[:, :: robots + 1] = FAR  # nobody is a neighbour of itself
-        pairs = np.flatnonzero(square < self.lengths[SIGHT] * self.lengths[SIGHT])
-        return block.start * robots + pairs // robots, dx.take(pairs), dy.take(pairs), square.take(pairs)
+        pairs = np.flatnonzero(square < self.world.sight * self.world.sight)
+        return (
+            block.start * robots + pairs // robots,
+            dx.take(pairs),
+            dy.take(pairs),
+            square.take(pairs),
+        )
 
     def _to_walls(self) -> np.ndarray:
         """How far it is along the eight rays to a wall."""
-        half = self.lengths[SIDE] * np.float32(0.5)
+        half = self.world.side * np.float32(0.5)
         reaches = []
         for place, way in (
             (self.x, self.heading_x * RAY_X - self.heading_y * RAY_Y),
@@ -114,27 +146,37 @@ class Arena:
             reaches.append(np.concatenate([(half - beyond) * per_size, (half + beyond) * per_size]))
         return np.minimum(*reaches)
 
-    def _drive(self, left: np.ndarray, right: np.ndarray, push_x: np.ndarray, push_y: np.ndarray) -> None:
+    def _drive(
+        self, left: np.ndarray, right: np.ndarray, push_x: np.ndarray, push_y: np.ndarray
+    ) -> None:
         """Turn and move all robots."""
-        low, high = self.lengths[RADIUS], self.lengths[SIDE] - self.lengths[RADIUS]
+        low, high = self.world.radius, self.world.side - self.world.radius
         left, right = 2 * cut(left, 0, 1) - 1, 2 * cut(right, 0, 1) - 1
-        t, forward = (right - left) * self.lengths[HALF_TURN], (left + right) * self.lengths[HALF_STRIDE]
+        t, forward = (
+            (right - left) * self.world.half_turn,
+            (left + right) * self.world.half_stride,
+        )
         per_square = 1 / (1 + t * t)
         cosine, sine = (1 - t * t) * per_square, (t + t) * per_square
-        x, y = cosine * self.heading_x - sine * self.heading_y, cosine * self.heading_y + sine * self.heading_x
+        x, y = (
+            cosine * self.heading_x - sine * self.heading_y,
+            cosine * self.heading_y + sine * self.heading_x,
+        )
         per_length = np.float32(1.5) - np.float32(0.5) * (x * x + y * y)
         self.heading_x, self.heading_y = x * per_length, y * per_length
         self.x = cut(self.x + forward * self.heading_x + push_x, low, high)
         self.y = cut(self.y + forward * self.heading_y + push_y, low, high)
 
 
-def start(stream: Stream, robots: int, lengths: np.ndarray) -> list[tuple[float, float, float, float]]:
+def start(
+    stream: Stream, robots: int, world: ArenaWorld
+) -> list[tuple[float, float, float, float]]:
     """Where robots are, and their headings."""
 
     def draw(low: float, high: float) -> float:
         return low + stream.integer(1 << 24) * 2.0**-24 * (high - low)
 
-    low, high = float(lengths[RADIUS]), float(lengths[SIDE] - lengths[RADIUS])
+    low, high = float(world.radius), float(world.side - world.radius)
     places = []
     for _ in range(robots):
         x, y, square = draw(low, high), draw(low, high), 0.0

@@ -1,4 +1,4 @@
-"""Slots of zswarm's that do nothing, sleep or burn time, and generations on them, as a run uses them."""
+"""Run generations on zswarm slots that do nothing, sleep or burn time, as a run uses them."""
 
 import contextlib
 import os
@@ -31,7 +31,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class Bench(CompiledSimulator):
-    """Sleeps or burns time and says the genome's first number: a trial that costs nothing but its dispatch."""
+    """Sleep or burn time and return the genome's first number: a trial that is all dispatch."""
 
     settings_type = Settings
     inputs, outputs, owners = 1, 1, (0,)
@@ -60,28 +60,39 @@ SETTINGS = {"noop": {}, "sleep": {"sleep_s": TASK_S}, "cpu": {"cpu_s": TASK_S}}
 
 @contextlib.contextmanager
 def bench_simulator() -> Iterator[None]:
-    """The simulator ``bench``, known to this process, which evaluates nothing itself, and to its children."""
+    """Register the simulator ``bench`` for this process and its children."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "zswarm_bench.py").write_text(PLUGIN)
         metadata = folder / "zswarm_bench-1.0.dist-info"
         metadata.mkdir()
-        (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: zswarm-bench\nVersion: 1.0\n")
-        (metadata / "entry_points.txt").write_text("[zswarm.simulators]\nbench = zswarm_bench:Bench\n")
+        (metadata / "METADATA").write_text(
+            "Metadata-Version: 2.1\nName: zswarm-bench\nVersion: 1.0\n"
+        )
+        (metadata / "entry_points.txt").write_text(
+            "[zswarm.simulators]\nbench = zswarm_bench:Bench\n"
+        )
         sys.path.insert(0, name)
         os.environ["PYTHONPATH"] = os.pathsep.join([name, os.environ.get("PYTHONPATH", "")])
-        os.environ["ZSWARM_PLAIN"] = "1"  # as zswarm-ot run has it
         os.environ["ZSWARM_KEYS"] = "none"  # in the clear, as others are
         yield
 
 
 @contextlib.contextmanager
 def daemon(slots: int, endpoint: str, *more: str) -> Iterator["subprocess.Popen[bytes]"]:
-    """A zswarm-ss of this machine; it ends on leaving."""
-    options = ["--capacity", str(slots), "--listen", endpoint, "--no-multicast", "--log-level", "warning", *more]
+    """Run a local zswarm-ss until the context ends."""
+    options = [
+        "--capacity",
+        str(slots),
+        "--listen",
+        endpoint,
+        "--no-multicast",
+        "--log-level",
+        "warning",
+        *more,
+    ]
     with subprocess.Popen(
         [sys.executable, "-m", "zswarm.ss", *options, "--until-stdin-closes"],
-        env={key: value for key, value in os.environ.items() if key != "ZSWARM_PLAIN"},  # it does evaluate
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
     ) as process:  # leaving closes its stdin and waits
@@ -90,24 +101,35 @@ def daemon(slots: int, endpoint: str, *more: str) -> Iterator["subprocess.Popen[
 
 @contextlib.contextmanager
 def leased(endpoints: Sequence[str], slots: int, settings: dict[str, Any]) -> Iterator[object]:
-    """An optimizer that has all slots of some servers ready, with the options that a run has by itself."""
-    from zswarm import experiment
-    from zswarm.ot.cluster import Cluster
-    from zswarm.ot.matching import Choice
-    from zswarm.ot.requests import Wanted, Who
-    from zswarm.protocol.messages import Part, Requirements
+    """Connect with all slots of some servers ready, with a run's default options."""
+    from zswarm.config import sections
+    from zswarm.ot.cluster.matching import Terms
+    from zswarm.ot.cluster.shell import Cluster
+    from zswarm.plugins.version_hash import version_hash
+    from zswarm.protocol.keys import RunKey
+    from zswarm.protocol.messages import Part, Requirements, Reserve
     from zswarm.session import Reach
-    from zswarm.version_hash import version_hash
 
-    options = experiment.Cluster()
-    wanted = Wanted(
-        Requirements(simulator="bench", representation="fully-meshed", version_hash=version_hash("bench", "fully-meshed")),
-        Choice(), Part("bench", settings), Part("fully-meshed", {"hidden": HIDDEN}),
-        participants=1, metrics=0, trial_timeout_s=options.trial_timeout_s, trial_memory_mb=options.trial_memory_mb,
-        slots=slots, quarantine=False, verify=options.verify, probe=b"",
-    )  # fmt: skip
-    who = Who("default", "bench", f"bench-{secrets.token_hex(4)}", 0, secrets.token_bytes(16))
-    with Cluster(who, wanted, reach=Reach(list(endpoints), multicast=False)) as opened:
+    options = sections.ClusterConfig()
+    code = version_hash("bench", "fully-meshed")
+    terms = Terms(
+        requirements=Requirements(
+            simulator="bench", representation="fully-meshed", version_hash=code
+        ),
+        reserve=Reserve(
+            nonce=secrets.token_bytes(16),
+            epoch=0,
+            slots=slots,
+            simulator=Part("bench", settings),
+            representation=Part("fully-meshed", {"hidden": HIDDEN}),
+            version_hash=code,
+            trial_timeout_s=options.trial_timeout_s,
+            trial_memory_mb=options.trial_memory_mb,
+        ),
+        verify=options.verify,
+    )
+    key = RunKey("default", "bench", f"bench-{secrets.token_hex(4)}")
+    with Cluster(key, terms, reach=Reach(list(endpoints), multicast=False)) as opened:
         for _ in opened.wait(1, 60.0):
             pass
         while opened.standing.slots < slots:
@@ -128,40 +150,47 @@ class Lease(contextlib.AbstractContextManager["Lease"]):
         self._lease.close()
 
     def evaluate(self, genomes: list[bytes], work: str, _chunk: int = 0) -> list[float]:
-        """A generation; the dispatch itself says how many go into a message."""
+        """Evaluate a generation; dispatch chooses the batch size."""
         if work != self._work:
             self._lease.close()
-            self._opened = self._lease.enter_context(leased([self._endpoint], self._slots, SETTINGS[work]))
+            self._opened = self._lease.enter_context(
+                leased([self._endpoint], self._slots, SETTINGS[work])
+            )
             self._work = work
         return evaluated(self._opened, genomes)
 
 
 def free_port() -> int:
-    """A port of this machine that nobody listens at."""
+    """Return a free local port."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         return free.getsockname()[1]
 
 
 def random_genomes(size: int) -> list[bytes]:
-    """Distinct candidates of 1152 bytes."""
+    """Return distinct candidates of 1152 bytes."""
     import numpy as np
 
     numbers = (HIDDEN + 1) * (HIDDEN + 3)
-    return [genome.tobytes() for genome in np.random.default_rng().uniform(-2, 2, (size, numbers)).astype("<f4")]
+    return [
+        genome.tobytes()
+        for genome in np.random.default_rng().uniform(-2, 2, (size, numbers)).astype("<f4")
+    ]
 
 
 def evaluated(opened: Any, genomes: list[bytes]) -> list[float]:
-    """The fitness of each."""
+    """Return the fitness of each candidate."""
     import numpy as np
 
     from zswarm.ot.workload import Workload
 
-    workload = Workload(genomes, np.arange(len(genomes)).reshape(-1, 1), np.zeros(len(genomes), np.uint64), 0)
+    workload = Workload(
+        genomes, np.arange(len(genomes)).reshape(-1, 1), np.zeros(len(genomes), np.uint64), 0
+    )
     for _ in opened.evaluate(workload):
         pass
     return workload.fitness[:, 0].tolist()
 
 
 def right(genomes: list[bytes]) -> list[float]:
-    """What the fitness of each must be."""
+    """Return the expected fitness of each candidate."""
     return [struct.unpack_from("<f", genome)[0] for genome in genomes]

@@ -1,8 +1,7 @@
-"""Where something was measured, with what, and the file that a script of this folder leaves: ``build/bench/<script>.json``."""
+"""Describe the machine and write ``build/bench/<script>.json``."""
 
 import datetime
 import importlib.metadata
-import json
 import os
 import platform
 import re
@@ -12,6 +11,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+import results_file
+
 HERE = Path(__file__).resolve().parent
 RESULTS = HERE.parent / "build" / "bench"
 OURS = ("zswarm", "eclipse-zenoh", "numba", "numpy")
@@ -19,7 +20,7 @@ QUIET = 0.5  # the load of a machine that does nothing else
 
 
 def machine() -> dict[str, Any]:
-    """What it is, and how busy: ``cores`` that this process may use, ``cpu``, ``gib``, ``system``, ``python``, ``load``."""
+    """Return ``cores`` of this process, ``cpu``, ``gib``, ``system``, ``python`` and ``load``."""
     cpu = platform.machine()
     text = Path("/proc/cpuinfo").read_text() if Path("/proc/cpuinfo").exists() else ""
     if named := re.search(r"^model name\s*: (.+)$", text, re.MULTILINE):
@@ -35,12 +36,14 @@ def machine() -> dict[str, Any]:
 
 
 def versions(names: Iterable[str]) -> dict[str, str]:
-    """Of distributions that are installed, and of the programs ``mosquitto`` and ``gcc``; what is not there is left out."""
+    """Return versions of installed distributions, ``mosquitto`` and ``gcc``."""
     found = {}
     for name in dict.fromkeys(names):
         if name in PROGRAMS:
             if program := program_of(name):
-                said = subprocess.run([program, PROGRAMS[name]], capture_output=True, text=True, check=False).stdout
+                said = subprocess.run(
+                    [program, PROGRAMS[name]], capture_output=True, text=True, check=False
+                ).stdout
                 if number := re.search(r"\d+(\.\d+)+", said):
                     found[name] = number[0]
             continue
@@ -55,20 +58,29 @@ PROGRAMS = {"mosquitto": "-h", "gcc": "--version"}  # and how each says its vers
 
 
 def program_of(name: str) -> str | None:
-    """Its path, which may be where only root looks."""
+    """Return a program's path, also from folders of root."""
     return shutil.which(name) or shutil.which(name, path="/usr/local/sbin:/usr/sbin:/sbin")
 
 
 def warn_if_busy() -> None:
-    """Say that something else runs here."""
+    """Warn when the machine is busy."""
     if (load := os.getloadavg()[0]) > QUIET:
-        print(f"the load is {load:.1f}: something else runs here, and the figures will be worse than they are", flush=True)
+        print(
+            f"the load is {load:.1f}: something else runs here, and the figures will be worse than "
+            "they are",
+            flush=True,
+        )
 
 
 def write(
-    script: str, rows: Sequence[dict[str, Any]], packages: Sequence[str] = (), *, folder: Path | None = None, **about: Any
+    script: str,
+    rows: Sequence[dict[str, Any]],
+    packages: Sequence[str] = (),
+    *,
+    folder: Path | None = None,
+    **about: Any,
 ) -> Path:
-    """Leave what a script measured, whole or not at all.
+    """Write what a script measured, whole or not at all.
 
     Args:
         script: its name, without ``.py``.
@@ -87,7 +99,5 @@ def write(
     }
     file = (folder or RESULTS) / f"{script}.json"
     file.parent.mkdir(parents=True, exist_ok=True)
-    part = file.with_suffix(".part")
-    part.write_text(json.dumps(found, indent=1) + "\n")
-    part.replace(file)
+    results_file.write(file, found)
     return file

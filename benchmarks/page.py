@@ -1,7 +1,7 @@
-"""Makes docs/benchmarks.md, the table in README.md and the charts from ``results.json``; ``make bench`` ends with it.
+"""Write docs/benchmarks.md, the README's table and the charts from ``results.json``.
 
-The words of the page stand in ``page.md``, with a name in braces where something measured belongs. A number that is missed must
-have its reason in ``missed.toml``: without it there is no page.
+``page.md`` has the text of the page, with names in braces for measured parts. Every missed target
+needs a reason in ``missed.toml``; without it no page is written.
 """
 
 import argparse
@@ -26,7 +26,7 @@ SCRIPTS = {
     "scale": tables.scale,
     "methods": tables.methods,
 }
-BESIDE = {  # the first cell of a row of README's table: the peer that it is about
+BESIDE = {  # first cell of a row in the README's table: its peer
     "zswarm": "zswarm",
     "`ProcessPoolExecutor`": "ProcessPoolExecutor",
     "joblib (loky)": "joblib (loky)",
@@ -40,9 +40,18 @@ BY_STEP = "MQTT, a message per agent and step, as in the paper"
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--results", type=Path, default=RESULTS, help="[default: benchmarks/results.json]")
-    parser.add_argument("--to", type=Path, default=REPOSITORY, help="a folder with docs/ and README.md [default: this one]")
-    parser.add_argument("--draft", action="store_true", help="a page also where reasons lack")
+    parser.add_argument(
+        "--results", type=Path, default=RESULTS, help="[default: benchmarks/results.json]"
+    )
+    parser.add_argument(
+        "--to",
+        type=Path,
+        default=REPOSITORY,
+        help="a folder with docs/ and README.md [default: this one]",
+    )
+    parser.add_argument(
+        "--draft", action="store_true", help="write the page even if reasons are missing"
+    )
     options = parser.parse_args()
     results = json.loads(options.results.read_text(encoding="utf-8"))
     print(verdicts(results))
@@ -57,26 +66,46 @@ def main() -> None:
 
 
 def verdicts(results: Results) -> str:
-    """The numbers to hold, as a table."""
-    return tables.markdown(["what", "wanted", "measured", ""], [aim.row for aim in aims(results)])
+    """Return the targets as a table."""
+    return tables.markdown(
+        ["quantity", "target", "measured", ""], [aim.row for aim in aims(results)]
+    )
 
 
 def document(results: Results, *, draft: bool = False) -> str:
-    """docs/benchmarks.md.
+    """Return docs/benchmarks.md.
 
     Raises:
-        SystemExit: a number is missed, and nothing says why.
+        SystemExit: a target is missed, and missed.toml has no reason.
     """
     reasons = tomllib.loads((HERE / "missed.toml").read_text(encoding="utf-8"))
     missed = [aim for aim in aims(results) if not aim.held and aim.value is not None]
-    reasons = dict.fromkeys((aim.key for aim in missed), "nobody said why yet.") | reasons if draft else reasons
-    if unsaid := [f"{aim.key!r} ({', '.join(aim.row[:3])})" for aim in missed if aim.key not in reasons]:
-        raise SystemExit(f"benchmarks/missed.toml must say why these are missed and what would mend them: {'; '.join(unsaid)}")
-    parts = {"aims": verdicts(results), "missed": "".join(f"- **{aim.what}**: {reasons[aim.key].strip()}\n" for aim in missed)}
+    reasons = (
+        dict.fromkeys((aim.key for aim in missed), "no reason given yet.") | reasons
+        if draft
+        else reasons
+    )
+    if unsaid := [
+        f"{aim.key!r} ({', '.join(aim.row[:3])})" for aim in missed if aim.key not in reasons
+    ]:
+        raise SystemExit(
+            "benchmarks/missed.toml must give a reason for these missed targets: "
+            f"{'; '.join(unsaid)}"
+        )
+    parts = {
+        "aims": verdicts(results),
+        "missed": "".join(f"- **{aim.what}**: {reasons[aim.key].strip()}\n" for aim in missed),
+    }
     for script, table in SCRIPTS.items():
-        parts[script] = f"{table(results[script])}\n{measured(results, script)}" if script in results else "Not measured yet.\n"
+        parts[script] = (
+            f"{table(results[script])}\n{measured(results, script)}"
+            if script in results
+            else "Not measured yet.\n"
+        )
         parts[f"{script}_chart"] = "".join(
-            f"![{words}](pictures/bench-{name}.png)\n" for name, (of, words) in charts.CHARTS.items() if of == script in results
+            f"![{words}](pictures/bench-{name}.png)\n"
+            for name, (of, words) in charts.CHARTS.items()
+            if of == script in results
         )
     text = (HERE / "page.md").read_text(encoding="utf-8")
     text = re.sub(r"^\{(\w+)\}\n", lambda found: parts[found[1]], text, flags=re.M)
@@ -84,19 +113,25 @@ def document(results: Results, *, draft: bool = False) -> str:
 
 
 def measured(results: Results, script: str) -> str:
-    """When, where and with what."""
+    """Return when, where and with which versions something was measured."""
     found = results[script]
     machine = found["machine"]
     versions = ", ".join(f"{name} {version}" for name, version in found["versions"].items())
-    times = [f"{found[what]} {unit}" for what, unit in (("rounds", "rounds"), ("seconds", "s in all")) if what in found]
+    times = [
+        f"{found[what]} {unit}"
+        for what, unit in (("rounds", "rounds"), ("seconds", "s in all"))
+        if what in found
+    ]
     return (
-        f"*{', '.join([found['when'], *times])}. {machine['cores']} cores of {machine['cpu']}, {machine['gib']} GiB, "
-        f"{machine['system']}, Python {machine['python']}; load {machine['load']} at the end. {versions}.*\n"
+        f"*{', '.join([found['when'], *times])}. {machine['cores']} cores of {machine['cpu']}, "
+        f"{machine['gib']} GiB, "
+        f"{machine['system']}, Python {machine['python']}; load {machine['load']} at the end. "
+        f"{versions}.*\n"
     )
 
 
 def beside(results: Results, readme: str) -> str:
-    """README.md with the table of others measured anew."""
+    """Return README.md with its table of peers renewed."""
     if (found := results.get("dispatch")) is None:
         return readme
 
@@ -105,13 +140,19 @@ def beside(results: Results, readme: str) -> str:
         noop, sleep = (tables.main_way(found, peer, work, 4, 400) for work in ("noop", "sleep"))
         if noop is None or sleep is None:
             return match[0]
-        return f"| {match['name']} | {tables.figure(noop['us'])} | {tables.share(sleep['efficiency'])} |"
+        cost, efficiency = tables.figure(noop["us"]), tables.share(sleep["efficiency"])
+        return f"| {match['name']} | {cost} | {efficiency} |"
 
     names = "|".join(map(re.escape, BESIDE))
     readme = re.sub(rf"^\| (?P<name>{names}) \| [\d.,]+ \| \.\d+ \|", row, readme, flags=re.M)
     for one in found["rows"]:
         if one["peer"] == "MQTT (stock)" and "steps" in one.get("form", ""):
-            readme = re.sub(rf"^\| {BY_STEP} \| [\d.,]+ \|", f"| {BY_STEP} | {tables.figure(one['us'])} |", readme, flags=re.M)
+            readme = re.sub(
+                rf"^\| {BY_STEP} \| [\d.,]+ \|",
+                f"| {BY_STEP} | {tables.figure(one['us'])} |",
+                readme,
+                flags=re.M,
+            )
     return readme
 
 

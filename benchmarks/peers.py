@@ -1,4 +1,4 @@
-"""Zswarm and others, each as its documentation says to use it, with so many worker processes on this machine."""
+"""Run zswarm and its peers as their documentation says, with the same number of workers."""
 
 import functools
 import os
@@ -12,7 +12,12 @@ import leased
 from by_mqtt import STEPS, Broker
 from work import WORKS, each
 
-BY_ITSELF, ONE, QUARTERS, WHOLES = "by itself", "1", "4 per worker", "1 per worker"  # how a generation is cut into messages
+BY_ITSELF, ONE, QUARTERS, WHOLES = (
+    "automatic",
+    "1",
+    "4 per worker",
+    "1 per worker",
+)  # how a generation is cut into messages
 CUTS = (ONE, QUARTERS, WHOLES)
 
 
@@ -40,37 +45,51 @@ Peer = Callable[[int], AbstractContextManager[list[Way]]]
 
 
 def chunk(cut: str, candidates: int, workers: int) -> int:
-    """Candidates in a message; 0 where the peer chooses."""
+    """Return candidates per message; 0 where the peer chooses."""
     per_worker = {QUARTERS: 4, WHOLES: 1}
-    return {BY_ITSELF: 0, ONE: 1}[cut] if cut not in per_worker else max(1, candidates // (per_worker[cut] * workers))
+    return (
+        {BY_ITSELF: 0, ONE: 1}[cut]
+        if cut not in per_worker
+        else max(1, candidates // (per_worker[cut] * workers))
+    )
 
 
 def parts(genomes: list[bytes], size: int) -> list[list[bytes]]:
-    """Of so many, the last one may be smaller."""
+    """Split candidates into parts; the last may be smaller."""
     return [genomes[begin : begin + size] for begin in range(0, len(genomes), size)]
 
 
 @contextmanager
 def zswarm_here(slots: int) -> Iterator[list[Way]]:
-    """The slots of this machine, which ``zswarm-ot run`` has by itself."""
-    from zswarm.ot.local import LocalServer
+    """Use local slots, the default of ``zswarm-ot run``."""
+    from zswarm.ot.cluster.local import LocalServer
 
-    with leased.bench_simulator(), LocalServer(slots, "default") as local, leased.Lease(local.endpoint, slots) as lease:
+    with (
+        leased.bench_simulator(),
+        LocalServer(slots, "default") as local,
+        leased.Lease(local.endpoint, slots) as lease,
+    ):
         yield [Way("this machine's slots", BY_ITSELF, lease.evaluate)]
 
 
 @contextmanager
 def zswarm_by_tcp(slots: int) -> Iterator[list[Way]]:
-    """A daemon, reached as one of another machine is."""
+    """Use a daemon, reached as one of another machine is."""
     endpoint = f"tcp/127.0.0.1:{leased.free_port()}"
-    with leased.bench_simulator(), leased.daemon(slots, endpoint), leased.Lease(endpoint, slots) as lease:
+    with (
+        leased.bench_simulator(),
+        leased.daemon(slots, endpoint),
+        leased.Lease(endpoint, slots) as lease,
+    ):
         yield [Way("a daemon, by TCP", BY_ITSELF, lease.evaluate)]
 
 
 @contextmanager
 def loop(_slots: int) -> Iterator[list[Way]]:
-    """No dispatch at all: what one process does by itself."""
-    yield [Way("a loop in one process", ONE, lambda genomes, work, _chunk: each(WORKS[work], genomes))]
+    """Evaluate in one process without dispatch."""
+    yield [
+        Way("a loop in one process", ONE, lambda genomes, work, _chunk: each(WORKS[work], genomes))
+    ]
 
 
 @contextmanager
@@ -106,7 +125,9 @@ def joblib_loky(slots: int) -> Iterator[list[Way]]:
 
         def evaluate(genomes: list[bytes], work: str, chunk: int) -> list[float]:
             if chunk not in opened:
-                how: Any = {"batch_size": chunk, "pre_dispatch": "all"} if chunk else {}  # by itself it learns as it sends
+                how: Any = (
+                    {"batch_size": chunk, "pre_dispatch": "all"} if chunk else {}
+                )  # by itself it learns as it sends
                 opened[chunk] = stack.enter_context(Parallel(slots, backend="loky", **how))
             return opened[chunk](delayed(WORKS[work])(genome) for genome in genomes)
 
@@ -126,7 +147,9 @@ def dask_distributed(slots: int) -> Iterator[list[Way]]:
         def evaluate(genomes: list[bytes], work: str, chunk: int) -> list[float]:
             if chunk == 1:
                 return client.gather(client.map(WORKS[work], genomes, pure=False))
-            futures = client.map(functools.partial(each, WORKS[work]), parts(genomes, chunk), pure=False)
+            futures = client.map(
+                functools.partial(each, WORKS[work]), parts(genomes, chunk), pure=False
+            )
             return [fitness for part in client.gather(futures) for fitness in part]
 
         yield [Way("Client.map", cut, evaluate) for cut in CUTS]
@@ -158,17 +181,23 @@ def ray_local(slots: int) -> Iterator[list[Way]]:
         def by_actors(genomes: list[bytes], work: str, chunk: int) -> list[float]:
             if not workers:  # after the tasks: they hold the cores
                 workers.extend(ray.remote(num_cpus=1)(Worker).remote() for _ in range(slots))
-            calls = [workers[n % slots].each.remote(WORKS[work], part) for n, part in enumerate(parts(genomes, chunk))]
+            calls = [
+                workers[n % slots].each.remote(WORKS[work], part)
+                for n, part in enumerate(parts(genomes, chunk))
+            ]
             return [fitness for part in ray.get(calls) for fitness in part]
 
-        yield [*(Way("tasks", cut, by_tasks) for cut in CUTS), Way("actors in turn", ONE, by_actors, aside=True)]
+        yield [
+            *(Way("tasks", cut, by_tasks) for cut in CUTS),
+            Way("actors in turn", ONE, by_actors, aside=True),
+        ]
     finally:
         ray.shutdown()
 
 
 @contextmanager
 def mpi_futures(slots: int) -> Iterator[list[Way]]:
-    """With the processes that it spawns itself, as without ``mpiexec``."""
+    """Use the processes that it spawns itself, as without ``mpiexec``."""
     programs = str(Path(sys.executable).parent)  # where MPI is that pip installed
     os.environ["PATH"] = os.pathsep.join([programs, os.environ.get("PATH", "")])
     from mpi4py.futures import MPIPoolExecutor
@@ -183,11 +212,11 @@ def mpi_futures(slots: int) -> Iterator[list[Way]]:
 
 @contextmanager
 def mqtt(slots: int, nodelay: bool) -> Iterator[list[Way]]:
-    """Request and reply for whole evaluations; and the messages of the paper that zswarm began from."""
+    """Send whole evaluations by request and reply; and send the paper's messages."""
     paper = functools.partial(Way, cut=ONE, aside=True)
     with Broker(slots, nodelay) as broker:
         yield [
-            *(Way("two messages out per slot", cut, broker.in_parts) for cut in CUTS),
+            *(Way("two messages in flight per slot", cut, broker.in_parts) for cut in CUTS),
             paper(
                 "the paper's messages, no step",
                 evaluate=functools.partial(broker.in_steps, steps=0),

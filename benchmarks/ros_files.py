@@ -1,6 +1,7 @@
-"""What a candidate costs on the file route, with each of the three forms of a controller: python benchmarks/ros_files.py.
+"""Time a candidate on the launch-file route, with each form of a controller.
 
-Wall-clock seconds, the median of some trials of the example in examples/ros/files; roslaunch must be installed, and a C compiler.
+Wall-clock seconds, the median of some trials of the example in examples/ros/files; roslaunch must
+be installed, and a C compiler.
 """
 
 import os
@@ -11,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from zswarm import evaluate
-from zswarm.draws import Stream
-from zswarm.ros import launches, logs
+from zswarm.kernels.random import Stream
+from zswarm.ros.launch import logs, roslaunch
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "ros" / "files"
 TRIALS = 7
@@ -27,20 +28,28 @@ def main() -> None:
 
 
 def measure(name: str) -> list[float]:
-    """Seconds of each of the steps."""
+    """Return the seconds of each step."""
     simulator, network = evaluate.build(name, {"robots": 10, "steps": 50}, "fully-meshed", {})
-    keeper, package = simulator._copied()
-    told = launches.environment(keeper.folder, package.parent)
+    supervisor, package = simulator._copied()
+    told = roslaunch.environment(supervisor.folder, package.parent)
     controller, results = simulator.manifest.controller, package / simulator.manifest.logs
     rows = []
     for seed, genome in enumerate(network.random(TRIALS + 1, Stream(1))):
         results.mkdir(exist_ok=True)
         arguments, export_s = timed(simulator._write, package, genome, seed)
-        compile_s = timed(keeper.run, controller.rebuild, package, told)[1] if controller.rebuild else 0.0
-        _, launch_s = timed(launches.launch, keeper, package / simulator.manifest.launch, arguments, told)
+        compile_s = (
+            timed(supervisor.run, controller.rebuild, package, told)[1]
+            if controller.rebuild
+            else 0.0
+        )
+        _, launch_s = timed(
+            roslaunch.launch, supervisor, package / simulator.manifest.launch, arguments, told
+        )
         _, read_s = timed(lambda: logs.fitness("cpswarm-log", logs.read(results, 10)))
         rows.append((export_s, compile_s, launch_s, read_s))
-    return [statistics.median(column) for column in zip(*rows[1:], strict=True)]  # the first fills caches
+    return [
+        statistics.median(column) for column in zip(*rows[1:], strict=True)
+    ]  # the first fills caches
 
 
 def timed(function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:

@@ -1,11 +1,11 @@
 """Simulations per second of whole runs: NNGA with 50 individuals and 200 generations.
 
-From the end of the first generation to that of the last, as FREVO's figures are without its start; and from the slots' start on.
+From the end of the first generation to that of the last, as FREVO's figures are without its start;
+and from the slots' start on.
 """
 
 import argparse
 import json
-import os
 import statistics
 import tempfile
 import time
@@ -22,10 +22,11 @@ FIELDS = {"stadium": "stadium", "random": "emergency-exit"}  # and the example t
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=ROUNDS, help=f"[default: {ROUNDS}]")
-    parser.add_argument("--quick", action="store_true", help="one round of 20 generations: whether it works")
+    parser.add_argument(
+        "--quick", action="store_true", help="one round of 20 generations: whether it works"
+    )
     parser.add_argument("--folder", type=Path, help="where the results go [default: build/bench]")
     options = parser.parse_args()
-    os.environ["ZSWARM_PLAIN"] = "1"  # this process evaluates nothing
     machine.warn_if_busy()
     begin = time.monotonic()
     rounds, generations = (1, 20) if options.quick else (options.rounds, 200)
@@ -38,7 +39,9 @@ def main() -> None:
         for field, all_ in rates.items()
         for under_way, whole in [zip(*all_, strict=True)]
     ]
-    file = machine.write("runs", rows, folder=options.folder, rounds=rounds, seconds=round(time.monotonic() - begin))
+    file = machine.write(
+        "runs", rows, folder=options.folder, rounds=rounds, seconds=round(time.monotonic() - begin)
+    )
     print(f"{tables.runs(json.loads(file.read_text()))}\n{file}, {time.monotonic() - begin:.0f} s")
 
 
@@ -47,13 +50,15 @@ def spread(key: str, rates: tuple[float, ...]) -> dict[str, Any]:
 
 
 def simulations_per_s(field: str, generations: int) -> tuple[float, float]:
-    """Under way, and from the start on, of a run on this machine's slots, one per core; a candidate has as many as trials."""
+    """Return simulations per second between generations and from the start of a local run."""
     from zswarm import experiment
     from zswarm.ot import evolution
-    from zswarm.ot.connection import Connection
+    from zswarm.ot.cluster.connection import Connection
     from zswarm.ot.logger import Logger
 
-    loaded = experiment.load(experiment.find(FIELDS[field]), ["cluster.servers=local", f"generations={generations}"])
+    loaded = experiment.load(
+        experiment.find(FIELDS[field]), ["cluster.servers=local", f"generations={generations}"]
+    )
     with (
         tempfile.TemporaryDirectory() as out,
         Connection(loaded.cluster) as connection,

@@ -1,7 +1,8 @@
-"""How long an optimization takes with one server and with more: real ``zswarm-ss`` daemons of one slot on this machine.
+"""Time an optimization with one and more servers: real ``zswarm-ss`` daemons of one slot.
 
-Whole runs, from looking for the servers to the last generation, record included: once with evaluations that sleep 20 ms, which
-scale past the cores of this machine, and once with real ones (the Stadium field), which cannot.
+Whole runs, from looking for the servers to the last generation, record included: once with
+evaluations that sleep 20 ms, which scale past the cores of this machine, and once with real ones
+(the Stadium field), which cannot.
 """
 
 import argparse
@@ -39,7 +40,9 @@ population = 160
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--rounds", type=int, default=ROUNDS, help=f"[default: {ROUNDS}]")
-    parser.add_argument("--quick", action="store_true", help="one round, up to two servers: whether it works")
+    parser.add_argument(
+        "--quick", action="store_true", help="one round, up to two servers: whether it works"
+    )
     parser.add_argument("--folder", type=Path, help="where the results go [default: build/bench]")
     options = parser.parse_args()
     rounds, sizes = (1, SERVERS[:2]) if options.quick else (options.rounds, SERVERS)
@@ -67,22 +70,34 @@ def main() -> None:
         if work == "sleep":
             row["efficiency"] = row["evaluations"] * SLEEP_S / size / row["s"]
         rows.append(row)
-    file = machine.write("scaling", rows, folder=options.folder, rounds=rounds, seconds=round(time.monotonic() - begin))
-    print(f"{tables.scaling(json.loads(file.read_text()))}\n{file}, {time.monotonic() - begin:.0f} s")
+    file = machine.write(
+        "scaling",
+        rows,
+        folder=options.folder,
+        rounds=rounds,
+        seconds=round(time.monotonic() - begin),
+    )
+    print(
+        f"{tables.scaling(json.loads(file.read_text()))}\n{file}, {time.monotonic() - begin:.0f} s"
+    )
 
 
 def optimize(work: str, endpoints: list[str]) -> dict[str, float]:
-    """One run on these servers: seconds, and how many evaluations there were."""
+    """Run once on these servers; return seconds and evaluations."""
     from zswarm import experiment
     from zswarm.ot import evolution
-    from zswarm.ot.connection import Connection
+    from zswarm.ot.cluster.connection import Connection
     from zswarm.ot.logger import Logger
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "sleep.toml").write_text(SLEEPING)
         file = folder / "sleep.toml" if work == "sleep" else experiment.find("stadium")
-        where = [f"cluster.servers={len(endpoints)}", f"cluster.connect={json.dumps(endpoints)}", "cluster.multicast=false"]
+        where = [
+            f"cluster.servers={len(endpoints)}",
+            f"cluster.connect={json.dumps(endpoints)}",
+            "cluster.multicast=false",
+        ]
         loaded = experiment.load(file, where)
         begin = time.perf_counter()
         with (

@@ -1,9 +1,12 @@
 """How soon the first result is there, and what programs take of memory.
 
-- From pressing return to the first generation of ``zswarm-ot run stadium`` on two slots of this machine, each time a new program:
-  with a warm cache of compiled kernels, and with an empty one (*cold*).
-- The same of others, on two worker processes: to the first answer of a function that does nothing (``dispatch.py``'s).
-- Memory while a run goes on: what each program has for itself alone, and with its share of what it shares (PSS).
+- From pressing return to the first generation of ``zswarm-ot run stadium`` on two slots of this
+  machine, each time a new program: with a warm cache of compiled kernels, and with an empty one
+  (*cold*).
+- The same of others, on two worker processes: to the first answer of a function that does nothing
+(``dispatch.py``'s).
+- Memory while a run goes on: what each program has for itself alone, and with its share of what it
+shares (PSS).
 """
 
 import argparse
@@ -36,7 +39,9 @@ RUN = ["-m", "zswarm.ot", "run", "stadium", "--json"]
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--rounds", type=int, default=ROUNDS, help=f"[default: {ROUNDS}]")
-    parser.add_argument("--quick", action="store_true", help="one round, without others: whether it works")
+    parser.add_argument(
+        "--quick", action="store_true", help="one round, without others: whether it works"
+    )
     parser.add_argument("--folder", type=Path, help="where the results go [default: build/bench]")
     options = parser.parse_args()
     rounds = 1 if options.quick else options.rounds
@@ -56,38 +61,62 @@ def main() -> None:
                 times.setdefault((name, "no-op"), []).append(row["first_s"])
     for _ in range(1 if options.quick else COLD_ROUNDS):
         with tempfile.TemporaryDirectory() as cache:
-            times.setdefault(("zswarm-ot run", "cold"), []).append(first_generation({"ZSWARM_CACHE": cache}))
+            times.setdefault(("zswarm-ot run", "cold"), []).append(
+                first_generation({"ZSWARM_CACHE": cache})
+            )
     rows: list[dict[str, Any]] = [
-        {"what": "first result", "of": of, "how": how, "s": statistics.median(all_), "s_least": min(all_), "s_most": max(all_)}
+        {
+            "what": "first result",
+            "of": of,
+            "how": how,
+            "s": statistics.median(all_),
+            "s_least": min(all_),
+            "s_most": max(all_),
+        }
         for (of, how), all_ in times.items()
     ]
-    rows += [{"what": "first result", "of": name, "missing": reason} for name, reason in missing.items()]
+    rows += [
+        {"what": "first result", "of": name, "missing": reason} for name, reason in missing.items()
+    ]
     rows += memory()
     packages = [package for known in PEERS.values() for package in known.distributions]
-    file = machine.write("startup", rows, packages, folder=options.folder, rounds=rounds, seconds=round(time.monotonic() - begin))
-    print(f"{tables.startup(json.loads(file.read_text()))}\n{file}, {time.monotonic() - begin:.0f} s")
+    file = machine.write(
+        "startup",
+        rows,
+        packages,
+        folder=options.folder,
+        rounds=rounds,
+        seconds=round(time.monotonic() - begin),
+    )
+    print(
+        f"{tables.startup(json.loads(file.read_text()))}\n{file}, {time.monotonic() - begin:.0f} s"
+    )
 
 
 @contextlib.contextmanager
 def run(*more: str, environment: dict[str, str] | None = None) -> Iterator["subprocess.Popen[str]"]:
-    """A run whose lines are read; it ends on leaving."""
+    """Start a run and read its lines; end it with the context."""
     with (
         tempfile.TemporaryDirectory() as folder,
         subprocess.Popen(
             [sys.executable, *RUN, "--no-multicast", "--out", folder, *more],
-            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
             env=os.environ | {"ZSWARM_KEYS": "none"} | (environment or {}),
         ) as process,
-    ):  # fmt: skip
+    ):
         try:
             yield process
         finally:
-            process.terminate()  # not as Ctrl-C does: whoever was begun in the background of a shell does not hear it
+            # Not as Ctrl-C does: whoever was begun in the background of a shell does not hear it
+            process.terminate()
             process.communicate()
 
 
 def generation(process: "subprocess.Popen[str]") -> dict[str, Any]:
-    """The next line of a run."""
+    """Return the next line of a run."""
     assert process.stdout is not None
     if line := process.stdout.readline():
         return json.loads(line)
@@ -95,7 +124,7 @@ def generation(process: "subprocess.Popen[str]") -> dict[str, Any]:
 
 
 def first_generation(environment: dict[str, str]) -> float:
-    """Seconds from starting the program until its first generation is told."""
+    """Return seconds from start to the first generation's line."""
     begin = time.perf_counter()
     options = ["--set", "cluster.servers=local", "--set", f"cluster.local_slots={SLOTS}"]
     with run(*options, environment=environment) as process:
@@ -104,7 +133,7 @@ def first_generation(environment: dict[str, str]) -> float:
 
 
 def memory() -> list[dict[str, Any]]:
-    """Of each program, while a run on a server goes on."""
+    """Return the memory of each program during a run."""
     endpoint = f"tcp/127.0.0.1:{leased.free_port()}"
     options = ["--connect", endpoint, "--servers", "1", "--set", "generations=1000000"]
     with leased.daemon(CAPACITY, endpoint) as server, run(*options) as process:
@@ -118,7 +147,15 @@ def memory() -> list[dict[str, Any]]:
         rows = []
         for name, pids in found.items():
             own, shared = zip(*map(memory_mb, pids), strict=True)
-            rows.append({"what": "memory", "of": name, "own_mb": max(own), "pss_mb": max(shared), "processes": len(pids)})
+            rows.append(
+                {
+                    "what": "memory",
+                    "of": name,
+                    "own_mb": max(own),
+                    "pss_mb": max(shared),
+                    "processes": len(pids),
+                }
+            )
     return rows
 
 

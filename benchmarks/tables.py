@@ -1,4 +1,4 @@
-"""What the scripts measured, as Markdown: a function for each script, of what it left in ``build/bench``."""
+"""Format the scripts' results as Markdown tables, a function for each script."""
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
@@ -7,83 +7,112 @@ Found = dict[str, Any]  # what a script left: see machine.py
 Row = dict[str, Any]
 
 FLAGSHIP = "arena-aggregation"  # the kernel that is measured beside all others
-FREVO = {"stadium": 838.0, "random": 12_740.0}  # simulations per second, quoted: measured elsewhere, on two cores of an EPYC
+FREVO = {
+    "stadium": 838.0,
+    "random": 12_740.0,
+}  # simulations per second, quoted: measured elsewhere, on two cores of an EPYC
 TASKS = ("stadium", "xor", "aggregation")  # on which methods are compared
 ARGOS = 107_000.0  # agent-steps per second and core, quoted: ARGoS 3, diffusion of 8 foot-bots
 
 
 def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table."""
+    """Format a table."""
     lines = [head, ["---"] * len(head), *rows]
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 def figure(value: float) -> str:
-    """Three digits or more, below a hundred one after the point."""
+    """Format three digits or more; one decimal below a hundred."""
     return f"{value:,.1f}" if abs(value) < 100 else f"{value:,.0f}"
 
 
 def share(value: float) -> str:
-    """As .957."""
+    """Format a share as .957."""
     return f"{value:.3f}".removeprefix("0")
 
 
 def spread(row: Row, what: str, written: Callable[[float], str]) -> str:
-    """The median, and from where to where."""
-    return f"{written(row[what])} ({written(row[what + '_least'])} to {written(row[what + '_most'])})"
+    """Format a median with its range."""
+    return (
+        f"{written(row[what])} ({written(row[what + '_least'])} to {written(row[what + '_most'])})"
+    )
 
 
 def missing(rows: Iterable[Row], name: str) -> str:
-    """The reasons of what could not be measured, one line each."""
-    reasons = dict.fromkeys(f"- {row[name]}: not measured: {row['missing']}\n" for row in rows if "missing" in row)
+    """Return a line for each thing not measured, with the reason."""
+    reasons = dict.fromkeys(
+        f"- {row[name]}: not measured: {row['missing']}\n" for row in rows if "missing" in row
+    )
     return "".join(["\n", *reasons]) if reasons else ""
 
 
-# ---- dispatch -----------------------------------------------------------------------------------------------------
+# ---- dispatch ----------------------------------------------------------------------------------
 
-ONE_BY_ONE = ("by itself", "1")  # where a peer chooses how many candidates go into a message, that; else one
-WORKS = {"noop": "No-op, us per candidate", "sleep": "Sleep 5 ms, efficiency", "cpu": "5 ms of a core, efficiency"}
+ONE_BY_ONE = (
+    "automatic",
+    "1",
+)  # where a peer chooses how many candidates go into a message, that; else one
+WORKS = {
+    "noop": "No-op, us per candidate",
+    "sleep": "Sleep 5 ms, efficiency",
+    "cpu": "5 ms of a core, efficiency",
+}
 
 
 def peers(found: Found) -> list[str]:
-    """In their order."""
+    """Return the peers in order."""
     return list(dict.fromkeys(row["peer"] for row in found["rows"]))
 
 
 def main_way(found: Found, peer: str, work: str, slots: int, population: int) -> Row | None:
-    """How somebody would use it who does not cut the generation by hand; None if that was not measured."""
+    """Return the row of a user who does not chunk by hand; None if not measured."""
     asked = {"peer": peer, "work": work, "slots": slots, "population": population}
-    rows = [row for row in found["rows"] if asked.items() <= row.items() and row["cut"] in ONE_BY_ONE]
+    rows = [
+        row for row in found["rows"] if asked.items() <= row.items() and row["cut"] in ONE_BY_ONE
+    ]
     return min(rows, key=lambda row: ONE_BY_ONE.index(row["cut"]), default=None)
 
 
 def cell(row: Row | None) -> str:
-    """The value of a row of dispatch."""
+    """Return the value of a dispatch row."""
     if row is None:
         return ""
     return figure(row["us"]) if "us" in row else share(row["efficiency"])
 
 
 def by_slots(found: Found, work: str) -> str:
-    """A line for each peer, a column for each population and number of slots."""
+    """Return a row per peer, a column per population and number of slots."""
     measured = [row for row in found["rows"] if row.get("work") == work]
     columns = sorted({(row["population"], row["slots"]) for row in measured})
     lines = []
     for peer in peers(found):
-        cells = [cell(main_way(found, peer, work, slots, population)) for population, slots in columns]
+        cells = [
+            cell(main_way(found, peer, work, slots, population)) for population, slots in columns
+        ]
         if any(cells):
             lines.append([peer, *cells])
-    head = [f"{population}: {slots}" if slots == columns[0][1] else str(slots) for population, slots in columns]
+    head = [
+        f"{population}: {slots}" if slots == columns[0][1] else str(slots)
+        for population, slots in columns
+    ]
     return markdown(["candidates: slots", *head], lines)
 
 
 def ways(found: Found, slots: int = 4, population: int = 400) -> str:
-    """All ways of all peers, with one number of slots and of candidates."""
-    here = [row for row in found["rows"] if (row.get("slots"), row.get("population")) == (slots, population)]
+    """Return all ways of all peers for one number of slots and candidates."""
+    here = [
+        row
+        for row in found["rows"]
+        if (row.get("slots"), row.get("population")) == (slots, population)
+    ]
     ours = main_way(found, "zswarm", "noop", slots, population)
     lines, before = [], ""
     for peer, form, cut in dict.fromkeys((row["peer"], row["form"], row["cut"]) for row in here):
-        values = {row["work"]: row for row in here if (row["peer"], row["form"], row["cut"]) == (peer, form, cut)}
+        values = {
+            row["work"]: row
+            for row in here
+            if (row["peer"], row["form"], row["cut"]) == (peer, form, cut)
+        }
         noop = values.get("noop")
         lines.append(
             [
@@ -92,26 +121,29 @@ def ways(found: Found, slots: int = 4, population: int = 400) -> str:
                 cut,
                 spread(noop, "us", figure) if noop else "",
                 figure(noop["us"] / ours["us"]) if noop and ours else "",
-                *(spread(values[work], "efficiency", share) if work in values else "" for work in ("sleep", "cpu")),
+                *(
+                    spread(values[work], "efficiency", share) if work in values else ""
+                    for work in ("sleep", "cpu")
+                ),
             ]
         )
         before = peer
-    head = ["", "form", "candidates in a message", "no-op, us per candidate", "times zswarm"]
+    head = ["", "form", "candidates per message", "no-op, us per candidate", "relative to zswarm"]
     return markdown([*head, "sleep 5 ms, efficiency", "5 ms of a core, efficiency"], lines)
 
 
 def dispatch(found: Found) -> str:
-    """All of it."""
+    """Format all tables of dispatch."""
     parts = [f"{words}:\n\n{by_slots(found, work)}" for work, words in WORKS.items()]
     parts.append(f"Every way, 400 candidates, 4 slots:\n\n{ways(found)}")
     return "\n".join(parts) + missing(found["rows"], "peer")
 
 
-# ---- the others ---------------------------------------------------------------------------------------------------
+# ---- the others --------------------------------------------------------------------------------
 
 
 def kernels(found: Found) -> str:
-    """A line for each kernel and variant, per core; simulations per second where there is one number of agents only."""
+    """Return a row per kernel and variant, per core."""
     rows = [row for row in found["rows"] if "missing" not in row]
     lines = []
     for kernel in dict.fromkeys(row["kernel"] for row in rows):
@@ -121,60 +153,92 @@ def kernels(found: Found) -> str:
             for row in rows
             if row["kernel"] == kernel and "agent_steps_per_s" in row
         }
-        seconds = {row["variant"]: row.get("seconds_per_simulation") for row in rows if row["kernel"] == kernel}
+        seconds = {
+            row["variant"]: row.get("seconds_per_simulation")
+            for row in rows
+            if row["kernel"] == kernel
+        }
         for variant in dict.fromkeys(variant for variant, _ in rate):
             cells = []
             for agents in sizes:
                 mine, ours = rate.get((variant, agents)), rate.get(("numba", agents))
-                times = f", zswarm {ours / mine:,.2f}x" if mine and ours and variant != "numba" else ""
+                times = (
+                    f", zswarm {ours / mine:,.2f}x" if mine and ours and variant != "numba" else ""
+                )
                 cells.append(f"{agents}: {mine / 1e3:,.0f} k{times}" if mine else "")
             each = figure(1 / seconds[variant]) if len(sizes) == 1 and seconds[variant] else ""
             lines.append([kernel, named(variant, rows), "; ".join(filter(None, cells)), each])
-    head = ["model", "variant", "agents: agent-steps per second and core; how many times as many zswarm does", "simulations/s"]
-    return markdown(head, lines) + missing(({**row, "of": f"{row['kernel']}, {row['variant']}"} for row in found["rows"]), "of")
+    head = [
+        "model",
+        "variant",
+        "agents: agent-steps per second and core; speed of zswarm relative to it",
+        "simulations/s",
+    ]
+    return markdown(head, lines) + missing(
+        ({**row, "of": f"{row['kernel']}, {row['variant']}"} for row in found["rows"]), "of"
+    )
 
 
 def named(variant: str, rows: Iterable[Row]) -> str:
-    """A variant, and whether it is quoted."""
-    return f"{variant} (quoted)" if any(row.get("quoted") for row in rows if row["variant"] == variant) else variant
+    """Return a variant's name, marked when its figure is quoted."""
+    return (
+        f"{variant} (quoted)"
+        if any(row.get("quoted") for row in rows if row["variant"] == variant)
+        else variant
+    )
 
 
 def startup(found: Found) -> str:
-    """First results, then memory."""
+    """Format first results, then memory."""
     first = [row for row in found["rows"] if row["what"] == "first result" and "s" in row]
     used = [row for row in found["rows"] if row["what"] == "memory"]
     return (
-        markdown(["first result", "", "s"], [[row["of"], row["how"], spread(row, "s", "{:.2f}".format)] for row in first])
+        markdown(
+            ["first result", "", "s"],
+            [[row["of"], row["how"], spread(row, "s", "{:.2f}".format)] for row in first],
+        )
         + missing((row for row in found["rows"] if row["what"] == "first result"), "of")
         + "\n"
         + markdown(
-            ["memory of a", "for itself alone, MiB", "with its share of what is shared, MiB"],
+            ["memory of a", "private, MiB", "including its share of shared memory (PSS), MiB"],
             [[row["of"], f"{mib(row['own_mb']):.1f}", f"{mib(row['pss_mb']):.1f}"] for row in used],
         )
     )
 
 
 def mib(megabytes: float) -> float:
-    """Of 2^20 bytes."""
+    """Convert MB to MiB."""
     return megabytes * 1e6 / 2**20
 
 
 def scaling(found: Found) -> str:
-    """A line for each number of servers."""
+    """Return a row per number of servers."""
     by = {(row["work"], row["servers"]): row for row in found["rows"]}
     lines = []
     for servers in sorted({row["servers"] for row in found["rows"]}):
         sleeps, real = by["sleep", servers], by["real", servers]
         lines.append(
-            [str(servers), spread(sleeps, "s", "{:.2f}".format), share(sleeps["efficiency"]), spread(real, "s", "{:.2f}".format)]
+            [
+                str(servers),
+                spread(sleeps, "s", "{:.2f}".format),
+                share(sleeps["efficiency"]),
+                spread(real, "s", "{:.2f}".format),
+            ]
         )
-    return markdown(["servers", "evaluations that sleep 20 ms, s", "efficiency", "real ones, s"], lines)
+    return markdown(
+        ["servers", "evaluations that sleep 20 ms, s", "efficiency", "real evaluations, s"], lines
+    )
 
 
 def runs(found: Found) -> str:
-    """Simulations per second of whole runs."""
+    """Format simulations per second of whole runs."""
     return markdown(
-        ["field", "simulations/s", "times FREVO", "with the slots' getting ready"],
+        [
+            "field",
+            "simulations/s",
+            "relative to FREVO",
+            "simulations/s including the start of the slots",
+        ],
         [
             [
                 row["field"],
@@ -188,12 +252,18 @@ def runs(found: Found) -> str:
 
 
 def scale(found: Found) -> str:
-    """Finding servers, and the use of many slots."""
+    """Format discovery, and the use of many slots."""
     servers = [row for row in found["rows"] if "ready_s" in row]
     slots = [row for row in found["rows"] if "efficiency" in row]
     return (
         markdown(
-            ["servers", "all slots ready, s", "optimizer's CPU, s", "memory, MB", "messages to a server and from it"],
+            [
+                "servers",
+                "all slots ready, s",
+                "optimizer's CPU, s",
+                "memory, MB",
+                "messages to and from a server",
+            ],
             [
                 [
                     f"{row['servers']:,}",
@@ -207,7 +277,12 @@ def scale(found: Found) -> str:
         )
         + "\n"
         + markdown(
-            ["slots", "a trial, s", "efficiency", "us of CPU per evaluation: optimizer, servers"],
+            [
+                "slots",
+                "trial, s",
+                "efficiency",
+                "us of CPU time per evaluation: optimizer, servers",
+            ],
             [
                 [
                     f"{row['slots']:,}",
@@ -221,11 +296,11 @@ def scale(found: Found) -> str:
     )
 
 
-# ---- methods ------------------------------------------------------------------------------------------------------
+# ---- methods -----------------------------------------------------------------------------------
 
 
 def methods(found: Found) -> str:
-    """A line for each method: on each task the fitness at the end, and how soon it is as good as random search at its end."""
+    """Return a row per method: final fitness by task, and speed against random search."""
     rows = {(row["task"], row["method"]): row for row in found["rows"]}
     tasks, names = (list(dict.fromkeys(key[part] for key in rows)) for part in (0, 1))
     lines = []
@@ -233,13 +308,31 @@ def methods(found: Found) -> str:
         cells = []
         for task in tasks:
             row, random = rows[task, name], rows.get((task, "random"))
-            at = {"median": row["median"][-1], "median_least": row["q25"][-1], "median_most": row["q75"][-1]}
-            cells += [spread(at, "median", "{:.3g}".format), soonest(row, random["median"][-1]) if random else ""]
+            at = {
+                "median": row["median"][-1],
+                "median_least": row["q25"][-1],
+                "median_most": row["q75"][-1],
+            }
+            cells += [
+                spread(at, "median", "{:.3g}".format),
+                soonest(row, random["median"][-1]) if random else "",
+            ]
         lines.append([name, *cells])
-    head = [cell for task in tasks for cell in (f"{task}, {rows[task, names[0]]['evaluations'][-1]:,}", "random's after")]
+    head = [
+        cell
+        for task in tasks
+        for cell in (f"{task}, {rows[task, names[0]]['evaluations'][-1]:,}", "random's after")
+    ]
     return markdown(["method", *head], lines)
 
 
 def soonest(row: Row, fitness: float) -> str:
-    """Evaluations after which the median is that good."""
-    return next((f"{at:,}" for at, median in zip(row["evaluations"], row["median"], strict=True) if median >= fitness), "")
+    """Return the evaluations after which the median is that good."""
+    return next(
+        (
+            f"{at:,}"
+            for at, median in zip(row["evaluations"], row["median"], strict=True)
+            if median >= fitness
+        ),
+        "",
+    )

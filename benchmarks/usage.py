@@ -19,22 +19,28 @@ class Usage(NamedTuple):
 
 
 def usage(pid: int) -> Usage | None:
-    """Of a process; None when it has ended."""
+    """Return a process's usage; None when it has ended."""
     proc = Path("/proc") / str(pid)
     try:
         pages = int((proc / "statm").read_text().split()[1])
         if not pages:
             return None  # a zombie
         descriptors = _targets(proc / "fd")
-        mapped = {line.split(maxsplit=5)[5] for line in (proc / "maps").read_text().splitlines() if SHM in line}
+        mapped = {
+            line.split(maxsplit=5)[5]
+            for line in (proc / "maps").read_text().splitlines()
+            if SHM in line
+        }
         shm = mapped | {target for target in descriptors if target.startswith(SHM)}
-        return Usage(pages * PAGE / 1e6, len(descriptors), len(list((proc / "task").iterdir())), len(shm))
+        return Usage(
+            pages * PAGE / 1e6, len(descriptors), len(list((proc / "task").iterdir())), len(shm)
+        )
     except (FileNotFoundError, ProcessLookupError):
         return None
 
 
 def children(pid: int) -> list[int]:
-    """Processes that it started and that run."""
+    """Return a process's running children."""
     found = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
@@ -47,28 +53,30 @@ def children(pid: int) -> list[int]:
 
 
 def tree(pid: int) -> list[int]:
-    """A process and all that it started, directly or not."""
+    """Return a process and all its descendants."""
     return [pid, *(below for child in children(pid) for below in tree(child))]
 
 
 def memory_mb(pid: int) -> tuple[float, float]:
-    """What is a process's own alone, and with its share of what it shares with others (PSS)."""
+    """Return a process's private memory, and its proportional share (PSS)."""
     lines = (Path("/proc") / str(pid) / "smaps_rollup").read_text().splitlines()[1:]
     kb = {name.rstrip(":"): int(value) for name, value, *_ in map(str.split, lines)}
     return (kb["Private_Clean"] + kb["Private_Dirty"]) / 1e3, kb["Pss"] / 1e3
 
 
 def tree_mb(pid: int) -> float:
-    """Of a process and all that it started, what they share counted once."""
+    """Return the memory of a process and its descendants, shared pages counted once."""
     total = 0.0
     for each in tree(pid):
-        with contextlib.suppress(FileNotFoundError, ProcessLookupError, PermissionError, ValueError):
+        with contextlib.suppress(
+            FileNotFoundError, ProcessLookupError, PermissionError, ValueError
+        ):
             total += memory_mb(each)[1]
     return total
 
 
 def _targets(folder: Path) -> list[str]:
-    """What the links in a folder point to; one that has just gone is left out."""
+    """Return the targets of links in a folder."""
     found = []
     for link in list(folder.iterdir()):
         with contextlib.suppress(FileNotFoundError):

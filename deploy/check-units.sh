@@ -1,5 +1,5 @@
 #!/bin/sh
-# Checks the units: systemd finds nothing wrong with them, and the walls around the services are high.
+# Checks that systemd accepts the units, and that the services are sandboxed.
 # check-units.sh BIN: a folder with the programs zswarm-ss and zswarm-router
 set -eu
 bin=$(cd "$1" && pwd)
@@ -12,14 +12,14 @@ for unit in *.service user/*.service; do
     sed "s,/opt/zswarm/bin,$bin,; s,%h/.local/lib/zswarm/bin,$bin," "$unit" > "$folder/$unit"
 done
 
-check() {  # systemd says what is wrong and succeeds
-    told=$(systemd-analyze verify "$@" 2>&1) && [ -z "$told" ] || { echo "$told"; exit 1; }
+check() {  # systemd prints errors but succeeds
+    errors=$(systemd-analyze verify "$@" 2>&1) && [ -z "$errors" ] || { echo "$errors"; exit 1; }
 }
 check --man=no "$folder"/*.service
 check --man=no --user "$folder"/user/*.service
 
-# Exposure of 1.2 at most, as redis has; a unit with nothing but User= has 9.2.
+# Exposure of at most 1.2, like redis; a unit with only User= has 9.2.
 for unit in *.service; do
-    systemd-analyze security --offline=true --threshold=12 "$folder/$unit" > "$folder/told" || { cat "$folder/told"; exit 1; }
-    tail -n 1 "$folder/told"
+    systemd-analyze security --offline=true --threshold=12 "$folder/$unit" > "$folder/report" || { cat "$folder/report"; exit 1; }
+    tail -n 1 "$folder/report"
 done

@@ -1,9 +1,9 @@
 #!/bin/sh
-# zswarm-ss on many machines, one after another: the steps of docs/deploy.md by ssh. See there.
+# Install zswarm-ss on many machines, one after another: run the steps of docs/deploy.md by ssh.
 #   fleet.sh install|upgrade|join|uninstall|status HOST...
-# HOST is what ssh takes; the user there is root, or sudo asks it nothing. Ends at the first machine where something fails.
-# install takes the keys of lab-01 from lab-01.zkeys in this folder; join brings newer ones, and members.zkeys.
-# PACKAGE: what pip installs there, by default zswarm[keys]     KEYS=none: install without keys
+# HOST is an ssh destination with root, or with sudo without a password. Stops at the first failure.
+# install joins the keys of lab-01 from lab-01.zkeys in this folder; join updates them, and members.zkeys.
+# PACKAGE: for pip, by default zswarm[keys]     KEYS=none: install without keys
 set -eu
 
 install='
@@ -19,7 +19,7 @@ systemd-sysusers
 systemctl daemon-reload
 systemctl enable --now zswarm-ss
 '
-# Where pip fails, the old version serves again.
+# If pip fails, the old version serves again.
 upgrade='
 systemctl stop zswarm-ss
 /opt/zswarm/bin/pip install --quiet --upgrade "$PACKAGE" || { systemctl start zswarm-ss; exit 1; }
@@ -59,7 +59,7 @@ esac
 what=$1
 shift
 
-bring() {  # a file, as commands that make it there and put its name into a variable
+bring() {  # print commands that write file $2 on the host, and set variable $1 to its path
     if [ -r "$2" ]; then
         printf "%s=\$(mktemp)\nbase64 --decode > \"\$%s\" <<END\n%s\nEND\n" "$1" "$1" "$(base64 < "$2")"
     else
@@ -78,13 +78,13 @@ for host; do
         if [ "${KEYS:-}" = none ]; then
             files="keys="
         elif [ ! -r "$wanted" ]; then
-            echo "$host: $wanted is not in this folder: see docs/keys.md, or say KEYS=none" >&2
+            echo "$host: $wanted is not in this folder: see docs/keys.md, or set KEYS=none" >&2
             exit 1
         fi
     esac
     echo "$host: $what"
-    # All goes in as text: no key is in an argument, nothing is read by a shell on this side, and ssh needs no terminal.
+    # Keys travel on stdin, never as an argument, and ssh needs no terminal.
     printf "PACKAGE='%s'\n%s\n%s" "${PACKAGE:-zswarm[keys]}" "$files" "$script" |
         ssh "$host" 'if [ "$(id -u)" = 0 ]; then exec sh -eu; else exec sudo -n sh -eu; fi' ||
-        { echo "$host: $what failed; the machines after it were left alone" >&2; exit 1; }
+        { echo "$host: $what failed; the machines after it are unchanged" >&2; exit 1; }
 done

@@ -1,6 +1,7 @@
 """How Sphinx makes the site, `make docs`: offline, and every warning is an error.
 
-The pages are plain Markdown and can be read as such: links to files that the site does not have lead there all the same.
+The pages are plain Markdown and can be read as such: links to files that the site does not have
+lead there all the same.
 """
 
 import re
@@ -21,12 +22,18 @@ exclude_patterns = ["pictures"]
 nitpicky = True
 smartquotes = False  # "fixed" is what is typed
 nitpick_ignore_regex = [
-    ("py:.*", r"(?!zswarm\.).*"),  # types of libraries, which are not looked up in the network, and shapes in words
+    (
+        "py:.*",
+        r"(?!zswarm\.).*",
+    ),  # types of libraries, which are not looked up in the network, and shapes in words
     ("py:class", r"zswarm\..*\.T"),  # type variables
-    ("py:.*", r"zswarm\.(experiment|ot\.(run|record|workload|discovery))\..*"),  # told elsewhere, or nobody's to use
+    (
+        "py:.*",
+        r"zswarm\.(config|experiment|ot\.(run|record|workload|discovery|embedding))\..*",
+    ),  # told elsewhere, or nobody's to use
 ]
 
-myst_enable_extensions = ["colon_fence"]
+myst_enable_extensions = ["amsmath", "colon_fence", "dollarmath"]
 myst_heading_anchors = 3  # as on a forge: commands.md#run
 
 autodoc_member_order = "bysource"
@@ -46,9 +53,14 @@ copybutton_only_copy_prompt_lines = True
 copybutton_remove_prompts = True
 
 # Files of the repository that are pages of the site, too.
-FROM_THE_REPOSITORY = {"CHANGELOG": "changelog", "CONTRIBUTING": "contributing", "SECURITY": "reporting"}
+FROM_THE_REPOSITORY = {
+    "CHANGELOG": "changelog",
+    "CONTRIBUTING": "contributing",
+    "SECURITY": "reporting",
+}
 REPOSITORY = Path(__file__).parent.parent
-# A link that has the name of its file for a text: on the site it has the title of the page or heading.
+# A link that has the name of its file for a text: on the site it has the title of the page or
+# heading.
 BY_FILE = re.compile(r"\[(?:docs/)?(?P<page>[\w-]+)\.md\]\((?P<target>(?P=page)\.md(?:#[\w-]+)?)\)")
 
 
@@ -57,7 +69,17 @@ def within_the_site(app: Sphinx, page: str, source: list[str]) -> None:  # noqa:
     name = next((name for name, made in FROM_THE_REPOSITORY.items() if made == page), None)
     if name:
         source[0] = (REPOSITORY / f"{name}.md").read_text(encoding="utf-8").replace("](docs/", "](")
-        for file in (".ci/", "examples/", "benchmarks/", "tests/", "deploy/", "zswarm/", "README.md", "LICENSE", "CITATION.cff"):
+        for file in (
+            ".ci/",
+            "examples/",
+            "benchmarks/",
+            "tests/",
+            "deploy/",
+            "zswarm/",
+            "README.md",
+            "LICENSE",
+            "CITATION.cff",
+        ):
             source[0] = source[0].replace(f"]({file}", f"](../{file}")
     for file, made in FROM_THE_REPOSITORY.items():
         source[0] = source[0].replace(f"](../{file}.md", f"]({made}.md")

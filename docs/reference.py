@@ -1,9 +1,10 @@
 """Writes the parts of the documents that are made from the code: `make reference`.
 
-docs/help.md: what each command says with --help. docs/experiment.md and docs/profiles.md: the tables of keys,
-from the structs, and that of profiles. A test compares.
+docs/help.md: what each command says with --help. docs/experiment.md and docs/profiles.md: the
+tables of keys, from the structs, and that of profiles. A test compares.
 """
 
+import ast
 import re
 import sys
 from collections.abc import Iterator
@@ -11,28 +12,44 @@ from pathlib import Path
 
 import click
 
-from zswarm import experiment, plugins, router, settings_sheet
+import zswarm
+from zswarm import experiment, router
+from zswarm.config import settings_docs
 from zswarm.ot import cli as ot
-from zswarm.ros import profiles
+from zswarm.plugins import registry as plugins
+from zswarm.robots.profiles import profile as profiles
 from zswarm.security import cli as security
 from zswarm.ss import cli as ss
 
 DOCS = Path(__file__).parent
-PROGRAMS = {"zswarm-ot": ot.command, "zswarm-ss": ss.command, "zswarm-router": router.command, "zswarm-keys": security.command}
+PROGRAMS = {
+    "zswarm-ot": ot.command,
+    "zswarm-ss": ss.command,
+    "zswarm-router": router.command,
+    "zswarm-keys": security.command,
+}
 COLUMNS = 80
 HELP = """# Help
 
-What each program and command says with `--help`. This page is made from them by `make reference`; more about each stands in
-[commands.md](commands.md).
+The `--help` of each program and command, as `make reference` writes it. [commands.md](commands.md)
+explains them.
 """
 PROFILES = re.compile(r"^\| profile \| ROS \|.*\n(?:\|.*\n)+", re.M)
+TREE = re.compile(r"^```text\nzswarm/ .*?^```\n", re.M | re.S)
 TABLE = re.compile(r"^\| key \| type \| default \| meaning \|\n(?:\|.*\n)+", re.M)
 
 
-def helps(command: click.Command, name: str, parent: click.Context | None = None) -> Iterator[tuple[str, str]]:
+def helps(
+    command: click.Command, name: str, parent: click.Context | None = None
+) -> Iterator[tuple[str, str]]:
     """The full name and the help of a command, then those of its own commands."""
     context = click.Context(
-        command, parent, info_name=name, terminal_width=COLUMNS, max_content_width=COLUMNS, **command.context_settings
+        command,
+        parent,
+        info_name=name,
+        terminal_width=COLUMNS,
+        max_content_width=COLUMNS,
+        **command.context_settings,
     )
     yield context.command_path, command.get_help(context)
     if isinstance(command, click.Group):
@@ -57,10 +74,12 @@ def experiment_page() -> str:
     sheets = {("## Top level",): experiment.top_level()}
     for name in ("problem", "cluster", "study"):
         if name in experiment.Experiment.__struct_fields__:
-            sheets[f"## `[{name}]`",] = settings_sheet.keys(getattr(experiment, name.title()))
+            sheets[f"## `[{name}]`",] = settings_docs.keys(experiment.TABLES[name])
     for kind, bundled in plugins.BUNDLED.items():
         for name in bundled:
-            sheets[f"## Settings of the {kind}s", f"### {name}"] = settings_sheet.keys(plugins.load(kind, name).settings_type)
+            sheets[f"## Settings of the {kind}s", f"### {name}"] = settings_docs.keys(
+                plugins.load(kind, name).settings_type
+            )
     text = (DOCS / "experiment.md").read_text(encoding="utf-8")
     for headings, keys in ((headings, keys) for headings, keys in sheets.items() if keys):
         before, after = "", text
@@ -69,42 +88,82 @@ def experiment_page() -> str:
             if not found:
                 sys.exit(f"docs/experiment.md has no section {' / '.join(headings)!r}")
             before += passed + found
-        text = before + TABLE.sub(lambda _, keys=keys: settings_sheet.markdown(keys), after, count=1)
+        text = before + TABLE.sub(lambda _, keys=keys: settings_docs.markdown(keys), after, count=1)
     return text
 
 
 def profiles_page() -> str:
     """docs/profiles.md, its tables made anew."""
     sheets = {
-        "## Keys": [key for key in settings_sheet.keys(profiles.Profile) if key.type_text != "value"],  # but for tables
-        "### Topics": settings_sheet.keys(profiles.Topic),
-        "### `[velocity]`": settings_sheet.keys(profiles.VelocityTopic)[-1:],
-        "### `[reset]`": settings_sheet.keys(profiles.ResetTopic)[-1:],
+        "## Keys": [
+            key for key in settings_docs.keys(profiles.Profile) if key.type_text != "value"
+        ],  # but for tables
+        "### Topics": settings_docs.keys(profiles.Topic),
+        "### `[velocity]`": settings_docs.keys(profiles.VelocityTopic)[-1:],
+        "### `[reset]`": settings_docs.keys(profiles.ResetTopic)[-1:],
     }
     text = (DOCS / "profiles.md").read_text(encoding="utf-8")
     for heading, keys in sheets.items():
         before, found, after = text.partition(f"\n{heading}\n")
-        text = before + found + TABLE.sub(lambda _, keys=keys: settings_sheet.markdown(keys), after, count=1)
+        text = (
+            before
+            + found
+            + TABLE.sub(lambda _, keys=keys: settings_docs.markdown(keys), after, count=1)
+        )
     return PROFILES.sub(lambda _: profile_table(), text, count=1)
 
 
 def profile_table() -> str:
     """The bundled profiles: what a robot among several has."""
-    lines = ["| profile | ROS | velocity | scan | odometry | ground truth | clock | m/s, rad/s |", "| --- " * 8 + "|"]
+    lines = [
+        "| profile | ROS | velocity | scan | odometry | ground truth | clock | m/s, rad/s |",
+        "| --- " * 8 + "|",
+    ]
     for name in profiles.names():
         profile = profiles.read(name)
         kind = "TwistStamped" if profile.velocity.stamped else "Twist"
         topics = {channel: f"`{profile.topic(channel, 0, 2)}`" for channel in profile.channels}
-        shown = [topics.get(channel, "") for channel in ("scan", "odometry", "ground_truth", "clock")]
+        shown = [
+            topics.get(channel, "") for channel in ("scan", "odometry", "ground_truth", "clock")
+        ]
         limits = f"{profile.speed:g}, {profile.turn:g}"
-        cells = [f"`{name}`", f"{profile.ros} {profile.distribution}", f"{topics['velocity']} {kind}", *shown, limits]
+        cells = [
+            f"`{name}`",
+            f"{profile.ros} {profile.distribution}",
+            f"{topics['velocity']} {kind}",
+            *shown,
+            limits,
+        ]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 
 
+def architecture_page() -> str:
+    """Return docs/architecture.md with the tree of the package."""
+    text = (DOCS / "architecture.md").read_text(encoding="utf-8")
+    return TREE.sub(lambda _: f"```text\n{tree()}```\n", text, count=1)
+
+
+def tree() -> str:
+    """Return the rooms of the package with the first sentences of their docstrings."""
+    package = Path(zswarm.__file__).parent
+    lines = []
+    for file in sorted(package.rglob("__init__.py"), key=lambda path: path.parent.parts):
+        parts = file.parent.relative_to(package.parent).parts
+        title = (ast.get_docstring(ast.parse(file.read_text())) or "").splitlines()[0]
+        name = "  " * (len(parts) - 1) + parts[-1] + "/"
+        lines.append(f"{name:<18}{title.partition('. ')[0].removesuffix('.')}\n")
+    return "".join(lines)
+
+
 def pages() -> dict[Path, str]:
-    """What the pages should be."""
-    made = {"help.md": help_page(), "experiment.md": experiment_page(), "profiles.md": profiles_page()}
+    """Return the pages with their generated parts."""
+    made = {
+        "architecture.md": architecture_page(),
+        "help.md": help_page(),
+        "experiment.md": experiment_page(),
+        "profiles.md": profiles_page(),
+    }
     return {DOCS / name: text for name, text in made.items()}
 
 

@@ -1,10 +1,11 @@
-"""One profile for the tests that draw their own examples: no deadline, and on CI the same examples every time."""
+"""Use one profile for generated examples: no deadline, and fixed examples on CI."""
 
+import gc
+import itertools
 import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 
 import pytest
 from hypothesis import settings
@@ -17,17 +18,21 @@ settings.load_profile("ci" if os.environ.get("CI") else "local")
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # begun in the background of a shell: programs that tests start hear Ctrl-C
+if (
+    signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+):  # begun in the background of a shell: programs that tests start hear Ctrl-C
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 EVERY_KERNEL = """
 import contextlib, multiprocessing
-import zswarm.jit
-from zswarm import plugins
+import zswarm.kernels.compiler
+from zswarm.kernels.jit import compile_all
+from zswarm.plugins import registry as plugins
 
 def load(part):
     with contextlib.suppress(Exception):
         plugins.load(*part)
+        compile_all()
 
 parts = [(kind, name) for kind in ("simulator", "representation") for name in plugins.BUNDLED[kind]]
 with multiprocessing.get_context("fork").Pool() as pool:
@@ -35,17 +40,58 @@ with multiprocessing.get_context("fork").Pool() as pool:
 """
 
 
+# Begun first, so that none of them is left alone at the end: the longest, with their shares of it.
+LONGEST = [
+    "tests/integration/test_kills.py",
+    "tests/sims/test_arena.py::test_evolving_beats",
+    "tests/sims/test_robot_tasks.py::test_evolving_beats",
+    "tests/bits/test_bits.py::test_the_bits_are_the_same",
+    "tests/ot/optimizers/test_examples.py::test_novelty_finds",
+    "tests/docs/test_notebook.py",
+    "tests/docs/test_docs_commands.py",
+    "tests/integration/test_long_faults.py",
+    "tests/integration/test_foreign_programs.py::test_whole_runs",
+    "tests/integration/test_turns.py::test_lost_answers_are_requested_again",
+    "tests/benchmarks/test_quick_forms.py",
+    "tests/ot/optimizers/test_elites.py::test_they_find_more",
+    "tests/ot/optimizers/test_examples.py::test_each_beats_random_search_at_equal_evaluations[neat]",
+    "tests/sims/adapters/test_pettingzoo.py::test_evolution",
+    "tests/integration/test_wrong_servers.py",
+    "tests/integration/test_every_part.py::test_every_part_survives",
+    "tests/integration/test_mixed.py",
+]
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Give each worker its part of the longest tests first, and then neighbours.
+
+    xdist gives each worker an equal share of the list, and one that has nothing left to do takes
+    what is at the end of another's.
+    """
+    workers = getattr(config, "workerinput", {}).get("workercount", 1)
+    longest = [item for part in LONGEST for item in items if item.nodeid.startswith(part)]
+    chosen = {id(item) for item in longest}
+    others = iter([item for item in items if id(item) not in chosen])
+    left, shares = len(items), list[pytest.Item]()
+    for worker in range(workers):
+        size = left // (workers - worker)
+        first = longest[worker::workers]
+        shares += [*first, *itertools.islice(others, max(0, size - len(first)))]
+        left -= size
+    items[:] = [*shares, *others]
+
+
 def pytest_configure(config: pytest.Config) -> None:
-    """Compile what is not in the cache, on all cores, before there are several workers: each would compile all of it."""
-    if not hasattr(config, "workerinput") and config.getoption("numprocesses", None):
-        subprocess.run([sys.executable, "-c", EVERY_KERNEL], capture_output=True, check=False)  # what fails fails in its test
+    """Compile kernels once on all cores, before several workers each compile all of them."""
+    whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS  # not some files of it
+    if whole and not hasattr(config, "workerinput") and config.getoption("numprocesses", None):
+        subprocess.run(
+            [sys.executable, "-c", EVERY_KERNEL], capture_output=True, check=False
+        )  # what fails fails in its test
 
 
-@pytest.fixture(autouse=True)
-def compiled() -> Iterator[None]:
-    """Commands that evaluate nothing say so to what they import; programs that later tests start are to compile."""
-    before = os.environ.get("ZSWARM_PLAIN")
-    yield
-    os.environ.pop("ZSWARM_PLAIN", None)
-    if before is not None:
-        os.environ["ZSWARM_PLAIN"] = before
+@pytest.fixture(scope="module", autouse=True)
+def _young_heap() -> None:
+    """Exempt what is loaded from garbage collection: it would be traversed in every test."""
+    gc.collect()
+    gc.freeze()

@@ -1,4 +1,4 @@
-"""A lab's authority in a folder, and its keys installed, made by the command's own parts or by the command itself."""
+"""Make a lab's authority and install its keys, by the command's parts or the command."""
 
 import json
 from datetime import UTC, datetime, timedelta
@@ -8,9 +8,9 @@ from typing import Any
 import msgspec
 from click.testing import CliRunner, Result
 
-from zswarm.security import bundle, cli, install
-from zswarm.security.authority import Authority, new_holder
-from zswarm.security.members import Holder, Role
+from zswarm.security import bundle, certificates, cli, install
+from zswarm.security.authority import Authority
+from zswarm.security.members import Holder, Role, new_holder
 
 NOW = datetime.now(UTC)
 LONG_AGO, TOMORROW = NOW - timedelta(days=2 * 365), NOW + timedelta(days=1)
@@ -27,14 +27,18 @@ def again(folder: Path, now: datetime) -> Authority:
     return Authority(folder, now=now)
 
 
-def issued(folder: Path, *holders: Holder, days: int = 365, now: datetime | None = None) -> list[bundle.Bundle]:
+def issued(
+    folder: Path, *holders: Holder, days: int = 365, now: datetime | None = None
+) -> list[certificates.Bundle]:
     """Keys of the authority in a folder, which is made where there is none."""
-    opened = Authority(folder, now=now) if (folder / "key.pem").exists() else authority(folder, now=now)
+    opened = (
+        Authority(folder, now=now) if (folder / "key.pem").exists() else authority(folder, now=now)
+    )
     with opened:
         return opened.issue({holder: [] for holder in holders}, days)
 
 
-def installed(folder: Path, content: bundle.Bundle) -> Path:
+def installed(folder: Path, content: certificates.Bundle) -> Path:
     """The folder of keys that a bundle makes."""
     file = folder.with_suffix(".zkeys")
     folder.parent.mkdir(parents=True, exist_ok=True)
@@ -43,7 +47,7 @@ def installed(folder: Path, content: bundle.Bundle) -> Path:
     return folder
 
 
-def unpacked(folder: Path, content: bundle.Bundle) -> Path:
+def unpacked(folder: Path, content: certificates.Bundle) -> Path:
     """The same, without a check of what the bundle holds."""
     folder.mkdir(parents=True, mode=0o700)
     (folder / "key.pem").touch(0o600)
@@ -63,9 +67,12 @@ class Machine:
         self.home.mkdir(parents=True)
         self.said = ""
         self.environment = {
-            "HOME": str(self.home), "XDG_DATA_HOME": "", "XDG_CONFIG_HOME": "", "ZSWARM_KEYS": str(folder / "keys"),
+            "HOME": str(self.home),
+            "XDG_DATA_HOME": "",
+            "XDG_CONFIG_HOME": "",
+            "ZSWARM_KEYS": str(folder / "keys"),
             "SUDO_USER": "",
-        }  # fmt: skip
+        }
 
     @property
     def keys(self) -> Path:
@@ -77,7 +84,9 @@ class Machine:
 
     def run(self, *arguments: str | Path, answer: str = "") -> Result:
         """``zswarm-keys`` with these; no traceback is ever its answer."""
-        done = CliRunner().invoke(cli.command, [str(part) for part in arguments], input=answer, env=self.environment)
+        done = CliRunner().invoke(
+            cli.command, [str(part) for part in arguments], input=answer, env=self.environment
+        )
         assert done.exception is None or isinstance(done.exception, SystemExit), done.exc_info
         self.said += done.output
         return done

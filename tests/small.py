@@ -34,9 +34,16 @@ def study(folder: Path, more: str) -> Experiment:
 
 def vmas_is_here() -> bool:
     """Whether the packages of the extra ``vmas`` are: they are large, and in ``make vmas`` only."""
-    return importlib.util.find_spec("vmas") is not None and importlib.util.find_spec("torch") is not None
+    return (
+        importlib.util.find_spec("vmas") is not None
+        and importlib.util.find_spec("torch") is not None
+    )
 
 
 def playable(names: Iterable[str]) -> list[str]:
-    """Those simulators, and examples, whose packages are here; those that start ROS are in tests/robots."""
-    return [name for name in names if name != "turtlebot-exit-ros" and (name != "vmas" or vmas_is_here())]
+    """Return simulators and examples whose packages are installed (ROS: tests/ros)."""
+    return [
+        name
+        for name in names
+        if name != "turtlebot-exit-ros" and (name != "vmas" or vmas_is_here())
+    ]

@@ -1,4 +1,4 @@
-"""Genomes and trials in, outcomes out: who plays, what a simulator may do wrong, and how a batch is stopped."""
+"""Test the evaluation of batches: who plays, simulators that misbehave, and stopping a batch."""
 
 import signal
 from collections.abc import Callable
@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 from msgspec import Meta
 
-from zswarm import plugins
-from zswarm.draws import Stream
 from zswarm.errors import ConfigError, EvaluationError, UnknownPlugin
-from zswarm.evaluate import MAX_ERROR_TEXT, Outcomes, build, evaluate
-from zswarm.nets.fully_meshed import FullyMeshed
-from zswarm.nets.fully_meshed import Settings as NetworkSettings
+from zswarm.evaluate import MAX_ERROR_TEXT, TrialOutcomes, build, evaluate
+from zswarm.kernels.random import Stream
+from zswarm.nets.fully_meshed import FullyMeshed, FullyMeshedSettings
+from zswarm.plugins import registry as plugins
 from zswarm.sims.minisim import Minisim
-from zswarm.sims.simulator import Batch, Outcome, Simulator, Turn
+from zswarm.sims.simulator import KernelBatch, Outcome, Simulator, Turn
 from zswarm.testing import check_simulator
 
 CANONICAL = np.array([np.nan]).tobytes()
@@ -29,9 +28,10 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class Duel(Simulator):
-    """Two robots, each of another participant, observe what the other set last; fitness is own sum less the other's.
+    """Two robots of different participants, each of which observes the other's last action.
 
-    The first robot acts alone, then the second. The seed gives the first observation; some seeds misbehave.
+    Fitness is a robot's own sum minus the other's. The first robot acts first. The seed determines
+    the first observation; some seeds misbehave.
     """
 
     settings_type = Settings
@@ -49,7 +49,12 @@ class Duel(Simulator):
 
     def reset(self, seed: int) -> Turn:
         self.played.append(seed)
-        self._seed, self._turns, self._sums, self._seen = seed, 0, [0.0, 0.0], np.float32(seed % 7 / 7)
+        self._seed, self._turns, self._sums, self._seen = (
+            seed,
+            0,
+            [0.0, 0.0],
+            np.float32(seed % 7 / 7),
+        )
         if seed == RAISES:
             raise RuntimeError("the wall fell down" + "!" * 1000)
         return self._turn()
@@ -86,17 +91,28 @@ def duel() -> Duel:
 
 @pytest.fixture
 def network() -> FullyMeshed:
-    return FullyMeshed(NetworkSettings(hidden=1), 1, 1)
+    return FullyMeshed(FullyMeshedSettings(hidden=1), 1, 1)
 
 
-def play(duel: Duel, network: FullyMeshed, pairs: list[list[int]], seeds: list[int], **more: Any) -> Outcomes:
-    return evaluate(duel, network, network.random(3, Stream(1)), np.array(pairs), np.array(seeds, np.uint64), **more)
+def play(
+    duel: Duel, network: FullyMeshed, pairs: list[list[int]], seeds: list[int], **more: Any
+) -> TrialOutcomes:
+    return evaluate(
+        duel,
+        network,
+        network.random(3, Stream(1)),
+        np.array(pairs),
+        np.array(seeds, np.uint64),
+        **more,
+    )
 
 
-# ---- outcomes -----------------------------------------------------------------------------------------------------
+# ---- outcomes
 
 
-def test_each_participant_gets_the_fitness_of_its_own_robot(duel: Duel, network: FullyMeshed) -> None:
+def test_each_participant_gets_the_fitness_of_its_own_robot(
+    duel: Duel, network: FullyMeshed
+) -> None:
     outcomes = play(duel, network, [[0, 1], [1, 0], [2, 2]], [5, 5, 5])
     assert outcomes.fitness.shape == (3, 2)
     assert outcomes.fitness.dtype == np.float64
@@ -108,7 +124,10 @@ def test_each_participant_gets_the_fitness_of_its_own_robot(duel: Duel, network:
 
 
 def test_the_state_of_a_robot_lasts_a_trial_and_no_longer(network: FullyMeshed) -> None:
-    """What a robot does in a long trial begins as in a short one, and a trial is the same after another."""
+    """Reset state between trials.
+
+    A long trial begins like a short one, and a trial's outcome does not depend on earlier trials.
+    """
     long = Duel(Settings(rounds=4))
     alone = play(long, network, [[0, 1]], [3])
     after_others = play(long, network, [[2, 0], [1, 2], [0, 1]], [1, 2, 3])
@@ -137,20 +156,25 @@ def test_no_trials_have_no_outcomes(duel: Duel, network: FullyMeshed) -> None:
 
 
 @pytest.mark.parametrize("settings", [{"field": "random"}, {"field": "stadium"}])
-def test_no_trials_leave_nothing_behind_in_a_kernel(settings: dict[str, Any]) -> None:
+def test_an_empty_batch_leaves_no_state_in_a_kernel(settings: dict[str, Any]) -> None:
     """Trials that come later find the fields that they need."""
     simulator, network = build("emergency-exit", settings | {"steps": 3}, "fully-meshed", {})
     none = evaluate(simulator, network, [], np.zeros((0, 1), np.int64), np.zeros(0, np.uint64))
     assert (none.fitness.shape, none.metrics.shape) == ((0, 1), (0, 2))
     genomes, one = network.random(1, Stream(1)), (np.zeros((1, 1), np.int64), np.ones(1, np.uint64))
     fresh, _ = build("emergency-exit", settings | {"steps": 3}, "fully-meshed", {})
-    assert evaluate(simulator, network, genomes, *one).fitness == evaluate(fresh, network, genomes, *one).fitness
+    assert (
+        evaluate(simulator, network, genomes, *one).fitness
+        == evaluate(fresh, network, genomes, *one).fitness
+    )
 
 
-# ---- what a simulator does wrong ----------------------------------------------------------------------------------
+# ---- what a simulator does wrong
 
 
-def test_a_trial_that_raises_is_nan_and_the_others_go_on(duel: Duel, network: FullyMeshed) -> None:
+def test_a_trial_that_raises_is_nan_and_the_others_continue(
+    duel: Duel, network: FullyMeshed
+) -> None:
     outcomes = play(duel, network, [[0, 1]] * 3, [1, RAISES, 2])
     assert outcomes.fitness[1].tobytes() == CANONICAL * 2
     assert outcomes.metrics[1].tobytes() == CANONICAL * 2
@@ -159,12 +183,17 @@ def test_a_trial_that_raises_is_nan_and_the_others_go_on(duel: Duel, network: Fu
     assert len(outcomes.error) == MAX_ERROR_TEXT
 
 
-def test_the_first_error_of_a_batch_is_told(duel: Duel, network: FullyMeshed) -> None:
-    assert play(duel, network, [[0, 1]] * 2, [RAISES_EMPTY, RAISES]).error == "Duel, trial seed 904: KeyError: "
+def test_the_first_error_of_a_batch_is_reported(duel: Duel, network: FullyMeshed) -> None:
+    assert (
+        play(duel, network, [[0, 1]] * 2, [RAISES_EMPTY, RAISES]).error
+        == "Duel, trial seed 904: KeyError: "
+    )
 
 
 @pytest.mark.parametrize("seed", [INFINITE, ODD_NAN])
-def test_a_number_that_is_not_finite_becomes_the_one_nan(duel: Duel, network: FullyMeshed, seed: int) -> None:
+def test_a_number_that_is_not_finite_becomes_the_one_nan(
+    duel: Duel, network: FullyMeshed, seed: int
+) -> None:
     outcomes = play(duel, network, [[0, 1]], [seed])
     assert outcomes.fitness.tobytes() == CANONICAL + np.float64(1).tobytes()
     assert outcomes.metrics.tobytes() == CANONICAL + np.float64(2).tobytes()
@@ -172,7 +201,9 @@ def test_a_number_that_is_not_finite_becomes_the_one_nan(duel: Duel, network: Fu
     assert outcomes.error == f"Duel, trial seed {seed}: fitness must be finite, not [{number}, 1.0]"
 
 
-def test_observations_of_a_wrong_shape_are_the_trials_error(duel: Duel, network: FullyMeshed) -> None:
+def test_observations_of_a_wrong_shape_are_the_trials_error(
+    duel: Duel, network: FullyMeshed
+) -> None:
     outcomes = play(duel, network, [[0, 1]], [BAD_SHAPE])
     assert np.isnan(outcomes.fitness).all()
     assert outcomes.error == "Duel, trial seed 903: observations must be (1, 1), not (1, 2)"
@@ -205,39 +236,70 @@ def raising(error: BaseException) -> Callable[[], Any]:
 @pytest.mark.parametrize(
     ("method", "answer", "text"),
     [
-        ("reset", lambda: None, "reset must return a Turn: somebody must act"),
+        ("reset", lambda: None, "reset must return a Turn: an agent must act"),
         (
             "reset",
             lambda: ((0,), np.zeros((1, 1))),
             "reset and step must return a Turn, and step None at the end; not ((0,), arr",
         ),
         ("step", lambda: 1, "reset and step must return a Turn, and step None at the end; not 1"),
-        ("step", lambda: Turn((), np.zeros((0, 1))), "a turn must name an agent; a trial that is over returns None"),
+        (
+            "step",
+            lambda: Turn((), np.zeros((0, 1))),
+            "a turn must name an agent; a trial that is over returns None",
+        ),
         ("step", lambda: Turn((2,), np.zeros((1, 1))), "agents must be in range(0, 2), not [2]"),
         ("step", lambda: Turn((-1,), np.zeros((1, 1))), "agents must be in range(0, 2), not [-1]"),
-        ("step", lambda: Turn((1,), np.full((1, 1), np.nan)), "observations must be finite; number 0 of agent 1 is nan"),
-        ("step", lambda: Turn((1,), np.full((1, 1), -np.inf)), "observations must be finite; number 0 of agent 1 is -inf"),
+        (
+            "step",
+            lambda: Turn((1,), np.full((1, 1), np.nan)),
+            "observations must be finite; number 0 of agent 1 is nan",
+        ),
+        (
+            "step",
+            lambda: Turn((1,), np.full((1, 1), -np.inf)),
+            "observations must be finite; number 0 of agent 1 is -inf",
+        ),
         (
             "step",
             lambda: Turn((1,), np.zeros((1, 1))),
             "the trial goes on after 1,000 turns: step must return None when it is over",
         ),
-        ("step", raising(SystemExit(7)), "SystemExit: 7 (a simulator ends a trial by returning None, and never its process)"),
+        (
+            "step",
+            raising(SystemExit(7)),
+            "SystemExit: 7 (a simulator ends a trial by returning None, and never its process)",
+        ),
         (
             "step",
             raising(GeneratorExit("x")),
             "GeneratorExit: x (a simulator ends a trial by returning None, and never its process)",
         ),
         ("outcome", lambda: None, "outcome must return an Outcome, not None"),
-        ("outcome", lambda: Outcome([1.0], [0.0, 0.0]), "an outcome must have 2 fitness numbers and 2 metrics, not 1 and 2"),
-        ("outcome", lambda: Outcome(["a", 1.0], [0.0, 0.0]), "ValueError: could not convert string to float: "),
+        (
+            "outcome",
+            lambda: Outcome([1.0], [0.0, 0.0]),
+            "an outcome must have 2 fitness numbers and 2 metrics, not 1 and 2",
+        ),
+        (
+            "outcome",
+            lambda: Outcome(["a", 1.0], [0.0, 0.0]),
+            "ValueError: could not convert string to float: ",
+        ),
     ],
 )
 def test_a_broken_contract_is_the_trials_outcome_and_named(
-    method: str, answer: Callable[[], Any], text: str, network: FullyMeshed, monkeypatch: pytest.MonkeyPatch
+    method: str,
+    answer: Callable[[], Any],
+    text: str,
+    network: FullyMeshed,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """What was expected, what came, and the seed to play it again with; the trials after it are as ever."""
-    monkeypatch.setattr("zswarm.evaluate.MAX_TURNS", 1000)
+    """Report what was expected, what was returned and the seed to replay it with.
+
+    Later trials are unaffected.
+    """
+    monkeypatch.setattr("zswarm.sims.turns.MAX_TURNS", 1000)
     wrong = Wrong(Settings())
     wrong.wrong = {method: answer}
     outcomes = play(wrong, network, [[0, 1]], [5])
@@ -245,23 +307,26 @@ def test_a_broken_contract_is_the_trials_outcome_and_named(
     assert outcomes.error.startswith(f"Wrong, trial seed 5: {text}")
     wrong.wrong = {}
     assert (
-        play(wrong, network, [[0, 1]], [5]).fitness.tobytes() == play(Duel(Settings()), network, [[0, 1]], [5]).fitness.tobytes()
+        play(wrong, network, [[0, 1]], [5]).fitness.tobytes()
+        == play(Duel(Settings()), network, [[0, 1]], [5]).fitness.tobytes()
     )
 
 
-def test_ctrl_c_is_no_outcome_but_where_nobody_can_press_it(network: FullyMeshed) -> None:
+def test_a_keyboard_interrupt_is_an_outcome_only_if_sigint_is_ignored(network: FullyMeshed) -> None:
     wrong = Wrong(Settings())
     wrong.wrong = {"step": raising(KeyboardInterrupt())}
     with pytest.raises(KeyboardInterrupt):
         play(wrong, network, [[0, 1]], [5])
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        assert play(wrong, network, [[0, 1]], [5]).error.startswith("Wrong, trial seed 5: KeyboardInterrupt: ")
+        assert play(wrong, network, [[0, 1]], [5]).error.startswith(
+            "Wrong, trial seed 5: KeyboardInterrupt: "
+        )
     finally:
         signal.signal(signal.SIGINT, before)
 
 
-def test_no_memory_and_faults_are_no_outcomes(network: FullyMeshed) -> None:
+def test_memory_errors_and_faults_are_not_outcomes(network: FullyMeshed) -> None:
     for error in (MemoryError(), EvaluationError("its program ended")):
         wrong = Wrong(Settings())
         wrong.wrong = {"step": raising(error)}
@@ -278,7 +343,7 @@ def test_a_compiled_simulator_that_raises_fails_in_the_guilty_trials_alone() -> 
     played = Minisim.play_lanes
 
     class Raises(Minisim):
-        def play_lanes(self, step_lanes: Any, step: Any, batch: Batch) -> None:
+        def play_lanes(self, step_lanes: Any, step: Any, batch: KernelBatch) -> None:
             if 3 in batch.seeds:
                 raise RuntimeError("no seed 3")
             played(self, step_lanes, step, batch)
@@ -291,11 +356,13 @@ def test_a_compiled_simulator_that_raises_fails_in_the_guilty_trials_alone() -> 
     assert outcomes.metrics[others].tobytes() == sound.metrics[others].tobytes()
 
 
-# ---- what is asked wrongly ----------------------------------------------------------------------------------------
+# ---- what is asked wrongly
 
 
 @pytest.mark.parametrize("pairs", [[[0, 3]], [[-1, 0]], [[0, 2**40]]])
-def test_a_participant_that_is_not_among_the_genomes_is_refused(pairs: list[list[int]], duel: Duel, network: FullyMeshed) -> None:
+def test_a_participant_that_is_not_among_the_genomes_is_refused(
+    pairs: list[list[int]], duel: Duel, network: FullyMeshed
+) -> None:
     with pytest.raises(ValueError, match="a participant is not among the 3 genomes"):
         play(duel, network, pairs, [1])
     assert duel.played == []
@@ -312,10 +379,12 @@ def test_a_genome_that_does_not_fit_is_refused(duel: Duel, network: FullyMeshed)
         evaluate(duel, network, [b"abc"], np.zeros((1, 2), np.int64), np.zeros(1, np.uint64))
 
 
-# ---- progress -----------------------------------------------------------------------------------------------------
+# ---- progress
 
 
-def test_progress_shows_the_trial_that_runs_and_a_stop_ends_before_the_next(duel: Duel, network: FullyMeshed) -> None:
+def test_progress_shows_the_trial_that_runs_and_a_stop_ends_before_the_next(
+    duel: Duel, network: FullyMeshed
+) -> None:
     duel.progress = np.array([77, 0])
     outcomes = play(duel, network, [[0, 1]] * 4, [1, LAST_TRIAL, 2, 3], progress=duel.progress)
     assert duel.played == [1, LAST_TRIAL]
@@ -333,14 +402,28 @@ def test_a_compiled_batch_is_stopped_too() -> None:
     simulator, network = build("minisim", {}, "fully-meshed", {})
     genomes = network.random(1, Stream(1))
     progress = np.array([5, 0])
-    evaluate(simulator, network, genomes, np.zeros((3, 1), np.int64), np.arange(3, dtype=np.uint64), progress)
+    evaluate(
+        simulator,
+        network,
+        genomes,
+        np.zeros((3, 1), np.int64),
+        np.arange(3, dtype=np.uint64),
+        progress,
+    )
     assert progress.tolist() == [2, 0]
     progress = np.array([0, 1])
-    stopped = evaluate(simulator, network, genomes, np.zeros((3, 1), np.int64), np.arange(3, dtype=np.uint64), progress)
+    stopped = evaluate(
+        simulator,
+        network,
+        genomes,
+        np.zeros((3, 1), np.int64),
+        np.arange(3, dtype=np.uint64),
+        progress,
+    )
     assert np.isnan(stopped.fitness).all()
 
 
-# ---- building -----------------------------------------------------------------------------------------------------
+# ---- building
 
 
 def test_parts_are_built_to_fit_each_other() -> None:
@@ -357,10 +440,15 @@ def test_parts_are_built_to_fit_each_other() -> None:
         (("minisin", {}, "fully-meshed", {}), "unknown simulator 'minisin'"),
         (("minisim", {}, "fully-mesh", {}), "unknown representation 'fully-mesh'"),
         (("minisim", {"robot": 1}, "fully-meshed", {}), "problem.settings: unknown key 'robot'"),
-        (("minisim", {}, "fully-meshed", {"hidden": "2"}), "representation: hidden: expected int, got str"),
+        (
+            ("minisim", {}, "fully-meshed", {"hidden": "2"}),
+            "representation: hidden: expected int, got str",
+        ),
     ],
 )
-def test_what_cannot_be_built_is_the_users_to_mend(arguments: tuple[Any, ...], text: str) -> None:
+def test_parts_that_cannot_be_built_are_a_config_error(
+    arguments: tuple[Any, ...], text: str
+) -> None:
     with pytest.raises(ConfigError, match=text) as refusal:
         build(*arguments)
     assert isinstance(refusal.value, UnknownPlugin) == text.startswith("unknown ")
@@ -372,12 +460,16 @@ def test_a_simulator_that_cannot_be_set_up_is_named(monkeypatch: pytest.MonkeyPa
             raise OSError(f"no map for {settings.rounds} rounds")
 
     installed = plugins.load
-    monkeypatch.setattr(plugins, "load", lambda kind, name: Broken if kind == "simulator" else installed(kind, name))
-    with pytest.raises(ConfigError, match="simulator 'broken' cannot be set up: OSError: no map for 3 rounds"):
+    monkeypatch.setattr(
+        plugins, "load", lambda kind, name: Broken if kind == "simulator" else installed(kind, name)
+    )
+    with pytest.raises(
+        ConfigError, match="simulator 'broken' cannot be set up: OSError: no map for 3 rounds"
+    ):
         build("broken", {}, "fully-meshed", {})
 
 
-# ---- the check of the contract ------------------------------------------------------------------------------------
+# ---- the check of the contract
 
 
 class OwnersMissOne(Duel):
@@ -447,22 +539,22 @@ class BadSeeds(Duel):
         return [-1] * trials
 
 
-def drawing_elsewhere(self: Minisim, step: Any, batch: Batch) -> None:
+def drawing_elsewhere(self: Minisim, step: Any, batch: KernelBatch) -> None:
     Minisim.play(self, step, batch)
     batch.fitness[:] += 1e-12
 
 
-def deaf(self: Minisim, step: Any, batch: Batch) -> None:
+def deaf(self: Minisim, step: Any, batch: KernelBatch) -> None:
     batch.progress[1] = 0
     Minisim.play(self, step, batch)
 
 
-def drifting_aside(self: Minisim, step_lanes: Any, step: Any, batch: Batch) -> None:
+def drifting_aside(self: Minisim, step_lanes: Any, step: Any, batch: KernelBatch) -> None:
     Minisim.play_lanes(self, step_lanes, step, batch)
     batch.fitness[:] += 1e-12
 
 
-def deaf_aside(self: Minisim, step_lanes: Any, step: Any, batch: Batch) -> None:
+def deaf_aside(self: Minisim, step_lanes: Any, step: Any, batch: KernelBatch) -> None:
     batch.progress[1] = 0
     Minisim.play_lanes(self, step_lanes, step, batch)
 
@@ -475,7 +567,7 @@ def test_a_sound_simulator_passes_the_check() -> None:
 @pytest.mark.parametrize(
     ("broken", "text"),
     [
-        (OwnersMissOne, "owners must name a participant"),
+        (OwnersMissOne, "owners must name each participant"),
         (NamesTooMany, "sensors must be empty or 1 names, not 2"),
         (NoInputs, "inputs must be an int of at least 1, not 0"),
         (Carried, "played again, after other trials, has another outcome"),
@@ -487,10 +579,19 @@ def test_a_sound_simulator_passes_the_check() -> None:
         (NotFinite, "fitness must be finite"),
         (ChangesActions, "must not change the actions"),
         (BadSeeds, "fixed_seeds"),
-        (type("Drifting", (Minisim,), {"play": drawing_elsewhere}), "the turns and the compiled form differ"),
-        (type("Deaf", (Minisim,), {"play": deaf}), "Deaf.play: must end before the next trial"),
-        (type("Drifting", (Minisim,), {"play_lanes": drifting_aside}), "play_lanes: seed 0 has another outcome than in play"),
-        (type("Deaf", (Minisim,), {"play_lanes": deaf_aside}), "Deaf.play_lanes: must end before the next trial"),
+        (
+            type("Drifting", (Minisim,), {"play": drawing_elsewhere}),
+            "the turns and the compiled form differ",
+        ),
+        (type("Deaf", (Minisim,), {"play": deaf}), "Deaf.play must end before the next trial"),
+        (
+            type("Drifting", (Minisim,), {"play_lanes": drifting_aside}),
+            "play_lanes: seed 0 has another outcome than in play",
+        ),
+        (
+            type("Deaf", (Minisim,), {"play_lanes": deaf_aside}),
+            "Deaf.play_lanes must end before the next trial",
+        ),
     ],
 )
 def test_the_check_names_what_is_broken(broken: type[Simulator], text: str) -> None:

@@ -1,11 +1,11 @@
-"""Experiment files: what fits is read and written back the same, what does not is refused in one clear line."""
+"""Experiment files: valid ones round-trip, others are refused in one clear line."""
 
 from pathlib import Path
 from typing import Any
 
 import pytest
-from small import SMALL, small
 
+from tests.small import SMALL, small
 from zswarm import experiment
 from zswarm.errors import ConfigError, UnknownPlugin
 from zswarm.experiment import Experiment, complete, load, to_toml, with_cluster
@@ -29,10 +29,10 @@ def refusal(call: Any, *arguments: Any) -> str:
     return str(refused.value)
 
 
-# ---- what is read -------------------------------------------------------------------------------------------------
+# ---- what is read
 
 
-def test_the_defaults_are_written_out(file: Path) -> None:
+def test_a_complete_experiment_has_every_default(file: Path) -> None:
     whole = completed(file)
     assert (whole.name, whole.seed, whole.generations) == ("small", 7, 3)
     assert (whole.problem.trials, whole.problem.seeds) == (1, "fixed")
@@ -54,8 +54,10 @@ def test_there_are_examples() -> None:
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_what_is_written_reads_back_the_same(path: Path, tmp_path: Path) -> None:
-    for number, whole in enumerate((load(path), completed(path), completed(path, 'cluster.connect=["tcp/a:1"]'))):
+def test_a_written_experiment_round_trips(path: Path, tmp_path: Path) -> None:
+    for number, whole in enumerate(
+        (load(path), completed(path), completed(path, 'cluster.connect=["tcp/a:1"]'))
+    ):
         written = tmp_path / f"{number}.toml"
         written.write_text(to_toml(whole))
         assert load(written) == whole
@@ -63,31 +65,43 @@ def test_what_is_written_reads_back_the_same(path: Path, tmp_path: Path) -> None
     assert completed(written) == whole, "what is complete stays as it is"
 
 
-def test_an_argument_is_a_file_before_it_is_an_example(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_wins_over_an_example_of_the_same_name(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert experiment.find(str(file)) == file
     monkeypatch.chdir(file.parent)
     Path("minisim").write_text(SMALL)
     assert experiment.find("minisim") == Path("minisim")
 
 
-def test_neither_a_file_nor_an_example_is_refused_with_the_nearest(tmp_path: Path) -> None:
+def test_an_unknown_name_is_refused_with_the_nearest_example(tmp_path: Path) -> None:
     text = refusal(experiment.find, "minisin")
-    assert text.startswith("minisin: no such file, and no example of that name (did you mean 'minisim'?); examples are ")
+    assert text.startswith(
+        "minisin: no such file or example (did you mean 'minisim'?); examples are "
+    )
     assert "stadium" in text
-    assert refusal(experiment.find, str(tmp_path)).startswith(f"{tmp_path}: a folder; expected a file, or an example: ")
+    assert refusal(experiment.find, str(tmp_path)).startswith(
+        f"{tmp_path}: a folder; expected a file, or an example: "
+    )
     (tmp_path / "experiment.toml").write_text(SMALL)
     assert refusal(experiment.find, str(tmp_path)).endswith(
-        f": zswarm-ot resume goes on with it; its experiment is in {tmp_path}/experiment.toml"
+        f"resume it with zswarm-ot resume, or name its experiment, {tmp_path}/experiment.toml"
     )
 
 
-# ---- --set --------------------------------------------------------------------------------------------------------
+# ---- --set
 
 
-def test_an_override_wins_over_the_file_and_makes_tables(file: Path) -> None:
+def test_an_override_wins_over_the_file_and_creates_tables(file: Path) -> None:
     whole = load(
         file,
-        ["seed=7", "problem.settings.agents = 3", "cluster.servers=local", "optimizer.population=20", "seed=8"],
+        [
+            "seed=7",
+            "problem.settings.agents = 3",
+            "cluster.servers=local",
+            "optimizer.population=20",
+            "seed=8",
+        ],
     )
     assert whole.seed == 8, "the last one wins"
     assert whole.problem.settings == {"agents": 3}
@@ -95,7 +109,7 @@ def test_an_override_wins_over_the_file_and_makes_tables(file: Path) -> None:
     assert whole.optimizer.settings == {"population": 20}
 
 
-def test_an_override_that_is_no_toml_value_is_a_text(file: Path) -> None:
+def test_an_override_that_is_not_toml_is_a_string(file: Path) -> None:
     assert load(file, ["name=other-name"]).name == "other-name"
     assert load(file, ['name="other"']).name == "other"
     assert load(file, ['cluster.connect=["tcp/host:7467"]']).cluster.connect == ["tcp/host:7467"]
@@ -103,7 +117,7 @@ def test_an_override_that_is_no_toml_value_is_a_text(file: Path) -> None:
 
 @pytest.mark.parametrize("order", [1, -1])
 def test_another_kind_starts_from_its_own_defaults(tmp_path: Path, order: int) -> None:
-    """The file's settings of the former kind go, those of other overrides stay, whichever comes first."""
+    """The file's settings of the previous kind are dropped, those of overrides stay."""
     file = small(tmp_path, "mutation = 0.5\n[problem.settings]\nagents = 3\n")
     changed = load(file, ["optimizer.kind=pso", "optimizer.population=7"][::order])
     assert (changed.optimizer.kind, changed.optimizer.settings) == ("pso", {"population": 7})
@@ -118,17 +132,23 @@ def test_another_kind_starts_from_its_own_defaults(tmp_path: Path, order: int) -
     [
         ("seed", "--set seed: expected key=value, such as optimizer.population=100"),
         ("=3", "--set =3: expected key=value, such as optimizer.population=100"),
-        ("name.x=3", "--set name.x=3: name is no table"),
-        ("name=a=b", "{file}: name: expected 1 to 63 of a-z, 0-9 and -, not starting with -, not 'a=b'"),
-        ("problem.trialz=3", "{file}: problem: unknown key 'trialz' (did you mean 'trials'?); known are: "),
-        ("sed=3", "{file}: unknown key 'sed' (did you mean 'seed'?); known are: name, seed, generations, problem, "),
+        ("name.x=3", "--set name.x=3: name is not a table"),
+        (
+            "name=a=b",
+            "{file}: name: expected 1 to 63 of a-z, 0-9 and -, not starting with -, not 'a=b'",
+        ),
+        (
+            "problem.trialz=3",
+            "{file}: problem: unknown key 'trialz' (did you mean 'trials'?); known are: ",
+        ),
+        ("sed=3", "{file}: unknown key 'sed' (did you mean 'seed'?); known are: name, seed, "),
     ],
 )
 def test_an_impossible_override_is_refused(file: Path, override: str, text: str) -> None:
     assert refusal(load, file, [override]).startswith(text.format(file=file))
 
 
-# ---- what is refused ----------------------------------------------------------------------------------------------
+# ---- what is refused
 
 
 @pytest.mark.parametrize(
@@ -140,9 +160,15 @@ def test_an_impossible_override_is_refused(file: Path, override: str, text: str)
         ("seed=1.0", "seed: expected int, got float"),
         ("seed=true", "seed: expected int, got bool"),
         ("generations=0", "generations: expected int >= 1"),
-        ("name=../escape", "name: expected 1 to 63 of a-z, 0-9 and -, not starting with -, not '../escape'"),
+        (
+            "name=../escape",
+            "name: expected 1 to 63 of a-z, 0-9 and -, not starting with -, not '../escape'",
+        ),
         ("name=", "name: expected 1 to 63 of a-z, 0-9 and -, not starting with -, not ''"),
-        ("cluster.realm=a/**", "cluster.realm: expected 1 to 63 of a-z, 0-9 and -, not starting with -, not 'a/**'"),
+        (
+            "cluster.realm=a/**",
+            "cluster.realm: expected 1 to 63 of a-z, 0-9 and -, not starting with -, not 'a/**'",
+        ),
         ("problem.trials=0", "problem.trials: expected int >= 1"),
         ("problem.seeds=random", "problem.seeds: expected fixed or fresh, not 'random'"),
         ("problem.settings=5", "problem.settings: expected object, got int"),
@@ -157,24 +183,38 @@ def test_an_impossible_override_is_refused(file: Path, override: str, text: str)
             "HOST:PORT must follow the protocol, an IPv6 address in brackets",
         ),
         ("cluster.on_fault=ignore", "cluster.on_fault: expected pause or quarantine, not 'ignore'"),
-        ("representation.kind=3", 'representation: kind: expected the name of one, such as kind = "..."'),
+        (
+            "representation.kind=3",
+            'representation: kind: expected the name of one, such as kind = "..."',
+        ),
         ("optimizer=3", "optimizer: expected object, got int"),
     ],
 )
-def test_an_impossible_value_is_refused_with_file_and_key(file: Path, override: str, text: str) -> None:
+def test_an_impossible_value_is_refused_with_file_and_key(
+    file: Path, override: str, text: str
+) -> None:
     assert refusal(load, file, [override]) == f"{file}: {text}"
 
 
 @pytest.mark.parametrize(
     ("override", "text"),
     [
-        ("optimizer.poplation=3", "optimizer: unknown key 'poplation' (did you mean 'population'?); known are: "),
+        (
+            "optimizer.poplation=3",
+            "optimizer: unknown key 'poplation' (did you mean 'population'?); known are: ",
+        ),
         ("optimizer.population=1", "optimizer: population: expected int >= 2"),
         ("optimizer.random=nan", "optimizer: random: expected float >= 0.0"),
         ("representation.hidden=two", "representation: hidden: expected int, got str"),
-        ("representation.weight_range=inf", "representation: weight_range: expected float <= 1000000.0"),
+        (
+            "representation.weight_range=inf",
+            "representation: weight_range: expected float <= 1000000.0",
+        ),
         ("problem.settings.steps=1979-05-27", "problem.settings: steps: expected int, got date"),
-        ("problem.settings.agent.x=3", "problem.settings: unknown key 'agent' (did you mean 'agents'?); known are: "),
+        (
+            "problem.settings.agent.x=3",
+            "problem.settings: unknown key 'agent' (did you mean 'agents'?); known are: ",
+        ),
     ],
 )
 def test_an_impossible_setting_of_a_part_is_refused(file: Path, override: str, text: str) -> None:
@@ -184,13 +224,23 @@ def test_an_impossible_setting_of_a_part_is_refused(file: Path, override: str, t
 @pytest.mark.parametrize(
     ("override", "text"),
     [
-        ("problem.simulator=minisin", "unknown simulator 'minisin' (did you mean 'minisim'?); known are: "),
-        ("representation.kind=meshed", "unknown representation 'meshed' (did you mean 'fully-meshed'?); known are: "),
+        (
+            "problem.simulator=minisin",
+            "unknown simulator 'minisin' (did you mean 'minisim'?); known are: ",
+        ),
+        (
+            "representation.kind=meshed",
+            "unknown representation 'meshed' (did you mean 'fully-meshed'?); known are: ",
+        ),
         ("optimizer.kind=xyz", "unknown optimizer 'xyz'; known are: "),
     ],
 )
-def test_an_unknown_part_is_refused_with_what_is_known(file: Path, override: str, text: str) -> None:
-    assert refusal(completed, file, override).startswith(f"small.toml: {override.split('=')[0]}: {text}")
+def test_an_unknown_part_is_refused_with_what_is_known(
+    file: Path, override: str, text: str
+) -> None:
+    assert refusal(completed, file, override).startswith(
+        f"small.toml: {override.split('=')[0]}: {text}"
+    )
     with pytest.raises(UnknownPlugin):
         completed(file, override)
 
@@ -203,14 +253,34 @@ def test_an_unknown_part_is_refused_with_what_is_known(file: Path, override: str
         (b"\xff\xfe\x00", ": not TOML: 'utf-8' codec"),
         (b"", ": key name is missing"),
         (SMALL.replace("seed = 7", "").encode(), ": key seed is missing"),
-        (SMALL.replace('kind = "nnga"', "").encode(), ":9: optimizer: kind: expected the name of one"),
-        (SMALL.replace("[problem]", "[[problem]]").encode(), ":5: problem: expected object, got array"),
-        ((SMALL + "[clustr]").encode(), ":11: unknown key 'clustr' (did you mean 'cluster'?); known are: name, seed, "),
-        ((SMALL + "[cluster]\nrelm = 3").encode(), ":12: cluster: unknown key 'relm' (did you mean 'realm'?); known are: "),
-        ((SMALL + '[cluster]\nrealm = "a/b"').encode(), ":12: cluster.realm: expected 1 to 63 of a-z"),
-        ((SMALL + '[cluster]\nconnect = ["lab"]').encode(), ":12: cluster.connect: expected endpoints such as"),
         (
-            SMALL.replace('"nnga"', '"nnga"\ngenerations = 3\nname = "a b"').encode().replace(b"small", b"s m"),
+            SMALL.replace('kind = "nnga"', "").encode(),
+            ":9: optimizer: kind: expected the name of one",
+        ),
+        (
+            SMALL.replace("[problem]", "[[problem]]").encode(),
+            ":5: problem: expected object, got array",
+        ),
+        (
+            (SMALL + "[clustr]").encode(),
+            ":11: unknown key 'clustr' (did you mean 'cluster'?); known are: name, seed, ",
+        ),
+        (
+            (SMALL + "[cluster]\nrelm = 3").encode(),
+            ":12: cluster: unknown key 'relm' (did you mean 'realm'?); known are: ",
+        ),
+        (
+            (SMALL + '[cluster]\nrealm = "a/b"').encode(),
+            ":12: cluster.realm: expected 1 to 63 of a-z",
+        ),
+        (
+            (SMALL + '[cluster]\nconnect = ["lab"]').encode(),
+            ":12: cluster.connect: expected endpoints such as",
+        ),
+        (
+            SMALL.replace('"nnga"', '"nnga"\ngenerations = 3\nname = "a b"')
+            .encode()
+            .replace(b"small", b"s m"),
             ":2: name: expected",
         ),
     ],
@@ -224,24 +294,31 @@ def test_a_bad_file_is_refused_in_one_clear_line(tmp_path: Path, content: bytes,
 @pytest.mark.parametrize(
     ("wrong", "text"),
     [
-        ("[problem.settings]\nagents = 5\nstep = 3", ":13: problem.settings: unknown key 'step' (did you mean 'steps'?)"),
+        (
+            "[problem.settings]\nagents = 5\nstep = 3",
+            ":13: problem.settings: unknown key 'step' (did you mean 'steps'?)",
+        ),
         ("[problem.settings]\nsteps = 0", ":12: problem.settings: steps: expected int >= 1"),
         ("populaton = 3", ":11: optimizer: unknown key 'populaton' (did you mean 'population'?)"),
     ],
 )
-def test_a_mistake_in_the_settings_of_a_part_is_told_with_its_line(file: Path, wrong: str, text: str) -> None:
+def test_a_mistake_in_the_settings_of_a_part_is_reported_with_its_line(
+    file: Path, wrong: str, text: str
+) -> None:
     file.write_text(SMALL + wrong)
     assert refusal(complete, load(file), str(file)).startswith(f"{file}{text}")
 
 
-def test_an_unknown_part_is_told_with_its_line(file: Path) -> None:
+def test_an_unknown_part_is_reported_with_its_line(file: Path) -> None:
     file.write_text(SMALL.replace('"nnga"', '"nngo"'))
-    assert refusal(complete, load(file), str(file)).startswith(f"{file}:10: optimizer.kind: unknown optimizer 'nngo'")
+    assert refusal(complete, load(file), str(file)).startswith(
+        f"{file}:10: optimizer.kind: unknown optimizer 'nngo'"
+    )
     with pytest.raises(UnknownPlugin):
         complete(load(file), str(file))
 
 
-def test_what_an_override_set_has_no_line(file: Path) -> None:
+def test_a_mistake_in_an_override_has_no_line(file: Path) -> None:
     """Not even where the file sets the same key, rightly."""
     file.write_text(SMALL + "population = 50")
     text = refusal(complete, load(file, ["optimizer.population=1"]), str(file))
@@ -250,31 +327,42 @@ def test_what_an_override_set_has_no_line(file: Path) -> None:
 
 
 def test_a_file_that_cannot_be_read_says_why(tmp_path: Path) -> None:
-    assert refusal(load, tmp_path / "none.toml") == f"{tmp_path}/none.toml: cannot be read: No such file or directory"
+    assert (
+        refusal(load, tmp_path / "none.toml")
+        == f"{tmp_path}/none.toml: cannot be read: No such file or directory"
+    )
     assert refusal(load, tmp_path) == f"{tmp_path}: cannot be read: Is a directory"
 
 
-# ---- the cluster --------------------------------------------------------------------------------------------------
+# ---- the cluster
 
 
-def test_another_cluster_leaves_the_rest_as_it_is(file: Path) -> None:
+def test_with_cluster_changes_nothing_else(file: Path) -> None:
     whole = completed(file)
     changed = with_cluster(whole, {"servers": 3, "realm": "lab"})
     assert (changed.cluster.servers, changed.cluster.realm) == (3, "lab")
     assert changed.problem == whole.problem
-    assert refusal(with_cluster, whole, {"realm": "a/b"}).startswith("cluster.realm: expected 1 to 63 of a-z")
+    assert refusal(with_cluster, whole, {"realm": "a/b"}).startswith(
+        "cluster.realm: expected 1 to 63 of a-z"
+    )
     assert refusal(with_cluster, whole, {"servers": 0}) == "cluster: servers: expected int >= 1"
-    assert refusal(with_cluster, whole, {"connect": ["lab"]}).startswith("cluster.connect: expected endpoints such as")
+    assert refusal(with_cluster, whole, {"connect": ["lab"]}).startswith(
+        "cluster.connect: expected endpoints such as"
+    )
 
 
-def test_a_router_to_go_through_must_be_named_where_multicast_finds_none(file: Path) -> None:
+def test_a_router_must_be_named_if_multicast_is_off(file: Path) -> None:
     whole = load(file, ["cluster.through_router=true"])
     assert with_cluster(whole, {}).cluster.through_router
-    assert with_cluster(whole, {"multicast": False, "connect": ["tcp/lab:7466"]}).cluster.through_router
+    assert with_cluster(
+        whole, {"multicast": False, "connect": ["tcp/lab:7466"]}
+    ).cluster.through_router
     assert "--connect tcp/ROUTER:7466" in refusal(with_cluster, whole, {"multicast": False})
 
 
-def test_no_number_of_slots_means_one_per_core(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_default_number_of_slots_is_one_per_core(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(experiment.os, "cpu_count", lambda: 6)
     assert experiment.slots_of_this_machine(load(file).cluster) == 6
     assert experiment.slots_of_this_machine(load(file, ["cluster.local_slots=2"]).cluster) == 2

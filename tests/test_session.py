@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from zswarm import endpoint, session
+from zswarm import session
 from zswarm.errors import ConfigError, NoRouter
+from zswarm.protocol import endpoint
 from zswarm.session import Reach
 
 ALIVE = "zswarm/v1/default/ss/somebody-01234567/alive"
@@ -50,7 +51,9 @@ def sees(one: zenoh.Session) -> bool:
 
 
 @pytest.mark.parametrize("protocol", ["tcp", "udp", "ws"])
-def test_a_server_listens_where_it_is_told(opened: Callable[..., zenoh.Session], protocol: str) -> None:
+def test_a_server_listens_at_the_given_endpoint(
+    opened: Callable[..., zenoh.Session], protocol: str
+) -> None:
     place = free(protocol)
     listening, endpoints = session.open_server([place], OFF)
     opened(listening)
@@ -59,7 +62,9 @@ def test_a_server_listens_where_it_is_told(opened: Callable[..., zenoh.Session],
     assert sees(opened(session.open_optimizer(Reach([place], multicast=False))))
 
 
-def test_a_socket_file_is_a_place_to_listen(opened: Callable[..., zenoh.Session], tmp_path: Path) -> None:
+def test_a_server_listens_on_a_socket_file(
+    opened: Callable[..., zenoh.Session], tmp_path: Path
+) -> None:
     place = f"{endpoint.SOCKET_FILE}/{tmp_path / 'socket'}"
     server = opened(session.open_server([place], OFF)[0])
     _token = server.liveliness().declare_token(ALIVE)
@@ -70,22 +75,36 @@ def test_a_socket_file_is_a_place_to_listen(opened: Callable[..., zenoh.Session]
     ("open_", "words"),
     [
         (lambda: session.open_server(["nonsense"], OFF), "listen: expected endpoints"),
-        (lambda: session.open_server(["tcp/127.0.0.1:0"], Reach(["nonsense"], multicast=False)), "connect: expected endpoints"),
-        (lambda: session.open_optimizer(Reach(["nonsense"], multicast=False)), "connect: expected endpoints"),
-        (lambda: session.open_through_router(Reach(["nonsense"], multicast=False)), "connect: expected endpoints"),
+        (
+            lambda: session.open_server(["tcp/127.0.0.1:0"], Reach(["nonsense"], multicast=False)),
+            "connect: expected endpoints",
+        ),
+        (
+            lambda: session.open_optimizer(Reach(["nonsense"], multicast=False)),
+            "connect: expected endpoints",
+        ),
+        (
+            lambda: session.open_through_router(Reach(["nonsense"], multicast=False)),
+            "connect: expected endpoints",
+        ),
         (lambda: session.open_router(["nonsense"], OFF)[0], "listen: expected endpoints"),
         (lambda: session.open_router(["tls/127.0.0.1:17620"], OFF)[0], "tls needs keys"),
-        (lambda: session.open_router(["tcp/192.0.2.1:17621"], OFF)[0], "Cannot assign requested address"),
+        (
+            lambda: session.open_router(["tcp/192.0.2.1:17621"], OFF)[0],
+            "Cannot assign requested address",
+        ),
     ],
 )
-def test_an_endpoint_that_cannot_be_used_is_refused_in_one_line(open_: Callable[[], object], words: str) -> None:
+def test_an_endpoint_that_cannot_be_used_is_refused_in_one_line(
+    open_: Callable[[], object], words: str
+) -> None:
     with pytest.raises(ConfigError) as refused:
         open_()
     assert words in str(refused.value)
     assert "\n" not in str(refused.value)
 
 
-def test_a_taken_port_is_refused_or_passed_over(opened: Callable[..., zenoh.Session]) -> None:
+def test_a_taken_port_is_refused_or_skipped(opened: Callable[..., zenoh.Session]) -> None:
     first = session.open_server([], OFF)
     opened(first[0])
     second = session.open_server([], OFF)
@@ -95,13 +114,15 @@ def test_a_taken_port_is_refused_or_passed_over(opened: Callable[..., zenoh.Sess
         session.open_server(first[1], OFF)
 
 
-def test_a_session_through_a_router_that_is_not_there_fails_in_time() -> None:
+def test_a_missing_router_is_reported_in_time() -> None:
     place = free()
     with pytest.raises(NoRouter, match=f"no router answers at {place}"):
         session.open_through_router(Reach([place], multicast=False), timeout_s=0.3)
 
 
-def test_a_router_carries_what_is_between_two_sessions(opened: Callable[..., zenoh.Session]) -> None:
+def test_a_router_carries_messages_between_two_sessions(
+    opened: Callable[..., zenoh.Session],
+) -> None:
     place = free()
     opened(session.open_router([place], OFF)[0])
     server = opened(session.open_server([free()], Reach([place], multicast=False))[0])

@@ -1,6 +1,6 @@
 """zswarm: evolve swarm-robot controllers on the machines you already have.
 
-What is for users is here, and is loaded when it is used: importing zswarm costs nothing (docs/python.md).
+The names for users are imported when they are used, so ``import zswarm`` is fast (docs/python.md).
 
 Example::
 
@@ -12,77 +12,72 @@ Example::
 
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+from zswarm.system.version import VERSION
+
+__version__ = VERSION
 
 if TYPE_CHECKING:
     from zswarm.api import connect, load, plot, problem, read, resume, run, start, study
     from zswarm.controller import Controller, Driver
-    from zswarm.errors import ConfigError, EvaluationError, KeysError, NoServers, Stopped, UnknownPlugin, ZswarmError
+    from zswarm.errors import (
+        ConfigError,
+        EvaluationError,
+        KeysError,
+        NoServers,
+        Stopped,
+        UnknownPlugin,
+        ZswarmError,
+    )
     from zswarm.experiment import Experiment
-    from zswarm.ot.connection import Connection, Outcomes
-    from zswarm.ot.dispatch import Note
+    from zswarm.ot.cluster.connection import Connection
+    from zswarm.ot.evaluator import CandidateOutcomes
     from zswarm.ot.evolution import Evolution
     from zswarm.ot.logger import Generation, Logger, Result, Started
+    from zswarm.ot.notes import Note
     from zswarm.ot.problem import Problem
-    from zswarm.ot.reading import Run
-    from zswarm.varied import drawn
+    from zswarm.ot.record.reader import Run
+    from zswarm.sims.randomized import drawn
 
-__all__ = [
-    "ConfigError",
+__all__ = ["connect", "load", "plot", "problem", "read", "resume", "run", "start", "study"]
+__all__ += ["ConfigError", "EvaluationError", "KeysError", "NoServers", "Stopped"]
+__all__ += ["UnknownPlugin", "ZswarmError"]
+__all__ += [
+    "CandidateOutcomes",
     "Connection",
     "Controller",
     "Driver",
-    "EvaluationError",
     "Evolution",
     "Experiment",
     "Generation",
-    "KeysError",
     "Logger",
-    "NoServers",
-    "Note",
-    "Outcomes",
-    "Problem",
-    "Result",
-    "Run",
-    "Started",
-    "Stopped",
-    "UnknownPlugin",
-    "ZswarmError",
-    "connect",
-    "drawn",
-    "load",
-    "plot",
-    "problem",
-    "read",
-    "resume",
-    "run",
-    "start",
-    "study",
 ]
+__all__ += ["Note", "Problem", "Result", "Run", "Started", "drawn"]
 
 _HOME = {
-    **dict.fromkeys(("connect", "load", "plot", "problem", "read", "resume", "run", "start", "study"), "zswarm.api"),
-    **dict.fromkeys(
-        ("ConfigError", "EvaluationError", "KeysError", "NoServers", "Stopped", "UnknownPlugin", "ZswarmError"), "zswarm.errors"
-    ),
-    "Experiment": "zswarm.experiment",
-    **dict.fromkeys(("Connection", "Outcomes"), "zswarm.ot.connection"),
-    **dict.fromkeys(("Controller", "Driver"), "zswarm.controller"),
-    "Note": "zswarm.ot.dispatch",
-    "Evolution": "zswarm.ot.evolution",
-    **dict.fromkeys(("Generation", "Logger", "Result", "Started"), "zswarm.ot.logger"),
-    "Problem": "zswarm.ot.problem",
-    "Run": "zswarm.ot.reading",
-    "drawn": "zswarm.varied",
+    "CandidateOutcomes": "ot.evaluator",
+    "Connection": "ot.cluster.connection",
+    "Controller": "controller",
+    "Driver": "controller",
+    "Evolution": "ot.evolution",
+    "Experiment": "experiment",
+    "Generation": "ot.logger",
+    "Logger": "ot.logger",
+    "Note": "ot.notes",
+    "Problem": "ot.problem",
+    "Result": "ot.logger",
+    "Run": "ot.record.reader",
+    "Started": "ot.logger",
+    "drawn": "sims.randomized",
 }
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME:
+    if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     import importlib
 
-    value = globals()[name] = getattr(importlib.import_module(_HOME[name]), name)
+    home = _HOME.get(name, "errors" if name[0].isupper() else "api")
+    value = globals()[name] = getattr(importlib.import_module(f"zswarm.{home}"), name)
     return value
 
 

@@ -1,61 +1,60 @@
-"""What Python programs and notebooks use: ``import zswarm`` has these names (docs/python.md).
+"""The functions that ``import zswarm`` offers to programs and notebooks (docs/python.md).
 
-Nothing here prints, ends the program or touches signal handlers; everything works in any thread, in a notebook and in a test.
+They do not print, exit or touch signal handlers, and work in any thread.
 """
 
 import contextlib
-import logging
 import os
-import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Literal, NoReturn
+from typing import TYPE_CHECKING, Any, Literal
 
-import msgspec
+from msgspec.structs import replace
 
 from zswarm import experiment as experiments
 from zswarm.errors import ConfigError, EvaluationError
 from zswarm.experiment import Experiment
-from zswarm.ot import evolution, grouping, reading
-from zswarm.ot.connection import Connection
+from zswarm.ot import embedding, evolution
+from zswarm.ot.analysis import grouping
+from zswarm.ot.cluster.connection import Connection
+from zswarm.ot.embedding import Source
 from zswarm.ot.evolution import Evolution
-from zswarm.ot.logger import InBackground, Logger, Loggers
+from zswarm.ot.logger import Logger
 from zswarm.ot.problem import Problem
-from zswarm.ot.reading import Run
-from zswarm.ot.record import EXPERIMENT, load_experiment
-from zswarm.strict import read as read_toml
+from zswarm.ot.record.folder import load_experiment
+from zswarm.ot.record.reader import Run
+from zswarm.ot.record.run_index import runs_below
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from zswarm.ot.curves import Axis
-    from zswarm.ot.figures import Size
+    from zswarm.ot.analysis.curves import Axis
+    from zswarm.ot.analysis.drawing import Size
 
-Source = str | os.PathLike[str] | Mapping[str, Any] | Experiment
-LOG = logging.getLogger("zswarm")
+Folder = str | os.PathLike[str]
 
 
 # ---- experiments
 
 
 def load(source: Source, settings: Mapping[str, Any] | None = None) -> Experiment:
-    """An experiment.
+    """Load an experiment.
 
     Args:
-        source: a file, the name of an example, the folder of a run, what a file would say as a dict, or an experiment.
-        settings: what differs from it, by the keys of the file.
+        source: a file, the name of an example, the folder of a run, the content of a file as a
+            dict, or an experiment.
+        settings: changes, by the keys of the file.
 
     Raises:
-        ConfigError: nothing of that name, or something in it is unknown or impossible. Of parts that are not installed here
-            the settings are checked when it is used.
+        ConfigError: the source is not found, or a key or value cannot be used. The settings of
+            parts that are not installed here are checked when the experiment is used.
 
     Example::
 
         small = zswarm.load("stadium", {"generations": 20, "optimizer.population": 30})
     """
-    loaded, where = _complete(source, {} if settings is None else settings)
+    loaded, where = embedding.load(source, {} if settings is None else settings)
     experiments.check_settings(loaded, where)
     return loaded
 
@@ -71,17 +70,17 @@ def problem(
     seeds: Literal["fixed", "fresh"] | None = None,
     seed: int | None = None,
 ) -> Problem:
-    """What candidates are judged by, for ``Connection.evaluate``: that of an experiment, or of parts, or both.
+    """Return the problem of an experiment, or of parts, for ``Connection.evaluate``.
 
     Args:
-        source: as for ``load``; what else is given differs from it.
-        simulator: its name.
+        source: as for ``load``; the other arguments change it.
+        simulator: name.
         settings: of the simulator.
-        representation: kind of network, or its table of the experiment file: ``{"kind": "fully-meshed", "hidden": 3}``.
+        representation: kind of network, or its table: ``{"kind": "fully-meshed", "hidden": 3}``.
         ranking: kind of ranking, or its table, for games of several participants: ``"swiss"``.
         trials: per candidate.
         seeds: of the trials: "fixed", or "fresh" in each generation.
-        seed: from which these are derived, where the simulator does not fix them.
+        seed: the trials' seeds are derived from it, unless the simulator fixes them.
 
     Raises:
         ConfigError: as ``load``, or the parts do not fit together.
@@ -93,20 +92,24 @@ def problem(
     """
     if source is None:
         if simulator is None:
-            raise ConfigError("problem: expected an experiment or a simulator, such as zswarm.problem('stadium')")
-        source = {
-            "name": "problem", "seed": 0, "generations": 1, "problem": {"simulator": simulator},
-            "representation": {"kind": "fully-meshed"}, "optimizer": {"kind": "nnga"},
-        }  # fmt: skip
+            raise ConfigError(
+                "problem: expected an experiment or a simulator, such as zswarm.problem('stadium')"
+            )
+        parts = {"representation": {"kind": "fully-meshed"}, "optimizer": {"kind": "nnga"}}
+        named = {"name": "problem", "seed": 0, "generations": 1}
+        source = {**named, "problem": {"simulator": simulator}, **parts}
     settings = {} if settings is None else settings
-    _check_dict(settings, "{'agents': 5}")
-    changes: dict[str, Any] = {f"problem.settings.{key}": value for key, value in settings.items()}
-    given = {"problem.simulator": simulator, "problem.trials": trials, "problem.seeds": seeds, "seed": seed}
-    changes |= {key: value for key, value in given.items() if value is not None}
-    for part, kind in (("representation", representation), ("ranking", ranking)):
-        if kind is not None:
-            changes[part] = {"kind": kind} if isinstance(kind, str) else dict(kind)
-    loaded, where = _complete(source, changes)
+    embedding.check_dict(settings, "{'agents': 5}")
+    given = {
+        "problem.simulator": simulator,
+        **{f"problem.settings.{key}": value for key, value in settings.items()},
+        "problem.trials": trials,
+        "problem.seeds": seeds,
+        "seed": seed,
+        "representation": _table(representation),
+        "ranking": _table(ranking),
+    }
+    loaded, where = embedding.load(source, _without_none(given))
     return Problem(experiments.complete(loaded, where))
 
 
@@ -131,12 +134,14 @@ def connect(
     controller: Literal["server", "optimizer"] = "server",
     messages: Literal["turn", "agent"] = "turn",
 ) -> Connection:
-    """Servers for any number of runs and evaluations; this machine's slots start at once and end with ``close`` or the block.
+    """Connect to servers, for any number of runs and evaluations.
+
+    The arguments are those of ``[cluster]`` in the experiment file. This machine's slots start at
+    once and end with ``close`` or the block.
 
     Args:
-        servers: "auto": this machine's slots and every server found; "local": this machine only; a number: wait for so many.
-        realm, connect, multicast, through_router, local_slots: as in ``[cluster]`` of the experiment file, like all that follow.
-        require, rank, max_slots, trial_timeout_s, trial_memory_mb, on_fault, verify, controller, messages: likewise.
+        servers: "auto": this machine's slots and every server found; "local": this machine only;
+            a number: wait for so many.
 
     Raises:
         ConfigError: an impossible value.
@@ -147,16 +152,10 @@ def connect(
             first = zswarm.run("stadium", connection=cluster)
             second = zswarm.run("minisim", connection=cluster)
     """
-    options = experiments.cluster(
-        {
-            "servers": servers, "realm": realm, "connect": list(connect), "multicast": multicast,
-            "through_router": through_router, "local_slots": local_slots, "require": list(require), "rank": list(rank),
-            "max_slots": max_slots, "trial_timeout_s": trial_timeout_s,
-            "trial_memory_mb": trial_memory_mb, "on_fault": on_fault, "verify": verify, "controller": controller,
-            "messages": messages,
-        }
-    )  # fmt: skip
-    opened = Connection(options)
+    values = dict(locals())  # the parameters are the keys of [cluster]
+    for key in ("connect", "require", "rank"):
+        values[key] = list(values[key])
+    opened = Connection(experiments.cluster(values))
     opened.open()
     return opened
 
@@ -168,34 +167,36 @@ def run(
     experiment: Source,
     *,
     connection: Connection | None = None,
-    out: str | os.PathLike[str] = "runs",
+    out: Folder = "runs",
     loggers: Sequence[Logger] | Logger = (),
     progress: bool = False,
 ) -> Run:
-    """Evolve to the last generation; what was recorded.
+    """Evolve to the last generation, and return the record.
 
-    Ctrl-C, or a notebook's stop button, stops it: a ``KeyboardInterrupt``, whose note says how to resume. Nothing is lost.
+    Ctrl-C, or a notebook's stop button, raises ``KeyboardInterrupt`` with a note that says how to
+    resume the run.
 
     Args:
         experiment: as for ``load``.
         connection: servers to use instead of those of the experiment's ``[cluster]``.
-        out: where the run's folder is made.
-        loggers: one or several that follow it, each in a thread of its own.
-        progress: show how it goes, as ``zswarm-ot run`` does.
+        out: where the run's folder is created.
+        loggers: one or several that follow the run, each in its own thread.
+        progress: show progress as ``zswarm-ot run`` does.
 
     Raises:
         ConfigError: the experiment or the folder cannot be used.
         EvaluationError: trials cannot be evaluated; the run can be resumed.
-        NoServers: the number of servers asked for was not there in time.
+        NoServers: the requested number of servers was not found in time.
 
     Example::
 
         run = zswarm.run(zswarm.load("stadium", {"seed": 2}), progress=True)
         print(run.best(), run.folder)
     """
-    with start(experiment, connection=connection, out=out, loggers=loggers, progress=progress) as begun:
-        begun.finish()
-    return begun.run
+    started = start(experiment, connection=connection, out=out, loggers=loggers, progress=progress)
+    with started as running:
+        running.finish()
+    return running.run
 
 
 def study(
@@ -204,56 +205,43 @@ def study(
     repeat: int | None = None,
     grid: Mapping[str, Sequence[Any]] | None = None,
     connection: Connection | None = None,
-    out: str | os.PathLike[str] = "runs",
+    out: Folder = "runs",
     progress: bool = False,
 ) -> list[Run]:
-    """Evolve several runs, over seeds and settings; they share the servers. What was recorded, in the order of the study.
+    """Evolve several runs that share the servers, and return their records in the study's order.
 
-    Ctrl-C stops it; the folder of a study, as ``experiment``, goes on with what is not finished.
+    Ctrl-C stops the study; to resume it, pass its folder as ``experiment``.
 
     Args:
-        experiment: as for ``load``, with or without a ``[study]`` (docs/studies.md); or the folder of a study.
+        experiment: as for ``load``, with or without a ``[study]`` (docs/studies.md); or the folder
+            of a study.
         repeat: runs of each setting, with the seeds ``seed``, ``seed`` + 1, ...
         grid: values by keys; every combination is a setting.
-        connection: servers to use instead of those of the experiment's ``[cluster]``.
-        out: where the study's folder is made.
-        progress: show how it goes, as ``zswarm-ot run`` does.
+        connection, out, progress: as for ``run``.
 
     Raises:
         ConfigError: a setting or the folder cannot be used.
-        EvaluationError: runs failed; it names them, and the others are finished.
-        NoServers: the number of servers asked for was not there in time.
+        EvaluationError: runs failed; the message names them, and the others are finished.
+        NoServers: the requested number of servers was not found in time.
 
     Example::
 
         runs = zswarm.study("stadium", repeat=5, grid={"representation.hidden": [0, 2]})
         zswarm.plot(*runs).savefig("hidden.pdf")
     """
-    from zswarm.ot import study as studies
-    from zswarm.ot.playing import Follower
+    from zswarm.ot.study.display import display
+    from zswarm.ot.study.outcome import StudyLogger
 
-    follower = Follower()
-    if progress:
-        from zswarm.ot.study_display import follower as shown
-
-        follower = shown(as_json=False)
-    given = {"study.repeat": repeat, "study.grid": None if grid is None else _grid(grid)}
-    changes = {key: value for key, value in given.items() if value is not None}
-    if isinstance(experiment, str | os.PathLike) and studies.is_study(Path(experiment)):
-        if changes:
-            raise ConfigError(f"{experiment}: a study goes on as it is; change its experiment.toml instead")
-        held = studies.Study.open(Path(experiment))
-    else:
-        loaded, where = _complete(experiment, changes)
-        if connection is not None:
-            loaded = msgspec.structs.replace(loaded, cluster=connection.options)
-        held = studies.Study.create(loaded, where, Path(out))
-    with held as begun, _connected(connection, begun.experiment) if begun.left else contextlib.nullcontext() as used:
-        try:
-            outcome = begun.play(used, follower)
-        except (Exception, KeyboardInterrupt) as error:
-            error.add_note(f"nothing of the study is lost; to go on: zswarm.study({str(begun.folder)!r})")
-            raise
+    changes = _without_none({"study.repeat": repeat, "study.grid": _grid(grid)})
+    with embedding.open_study(experiment, changes, connection, Path(out)) as begun:
+        servers = embedding.connected(connection, begun.experiment) if begun.left else None
+        with servers or contextlib.nullcontext() as used:
+            try:
+                logger = display(begun, as_json=False) if progress else StudyLogger()
+                outcome = begun.play(used, logger)
+            except (Exception, KeyboardInterrupt) as error:
+                error.add_note(f"nothing is lost; to resume: zswarm.study({str(begun.folder)!r})")
+                raise
     if outcome.failed:
         failed = "; ".join(f"{ended.planned.name}: {ended.error}" for ended in outcome.failed)
         raise EvaluationError(f"{len(outcome.failed)} of {outcome.runs} runs failed: {failed}")
@@ -264,11 +252,11 @@ def start(
     experiment: Source,
     *,
     connection: Connection | None = None,
-    out: str | os.PathLike[str] = "runs",
+    out: Folder = "runs",
     loggers: Sequence[Logger] | Logger = (),
     progress: bool = False,
 ) -> AbstractContextManager[Evolution]:
-    """A run to iterate over; leave the block before its end, and it is stopped and can be resumed.
+    """Start a run to iterate over. Leaving the block early stops it; ``resume`` continues it.
 
     Arguments and errors are those of ``run``.
 
@@ -279,25 +267,31 @@ def start(
                 if generation.best > 0:
                     break
     """
-    loaded, where = _complete(experiment, {})
+    loaded, where = embedding.load(experiment, {})
     experiments.check_settings(loaded, where)
-    return _Block(_started(loaded, where, Path(out), connection, _followers(loggers, progress=progress)))
+    logger = embedding.followers(loggers, progress=progress)
+
+    def begin(used: Connection) -> AbstractContextManager[Evolution]:
+        whole = replace(loaded, cluster=used.options)
+        return evolution.start(whole, where, Path(out), used, logger)
+
+    return embedding.Block(embedding.evolving(connection, loaded, begin))
 
 
 def resume(
-    run: str | os.PathLike[str] | Run,
+    run: Folder | Run,
     *,
     connection: Connection | None = None,
     loggers: Sequence[Logger] | Logger = (),
     progress: bool = False,
 ) -> AbstractContextManager[Evolution]:
-    """A run that was stopped, from the last thing it recorded; otherwise as ``start``.
+    """Resume a stopped run from its last record; otherwise as ``start``.
 
     Args:
-        run: it, or its folder.
+        run: the run, or its folder.
 
     Raises:
-        ConfigError: there is none, it is damaged or in use, or its experiment was changed.
+        ConfigError: there is no run, it is damaged or in use, or its experiment was changed.
 
     Example::
 
@@ -305,14 +299,18 @@ def resume(
             evolution.finish()
     """
     folder = run.folder if isinstance(run, Run) else Path(run)
-    return _Block(_resumed(folder, load_experiment(folder), connection, _followers(loggers, progress=progress)))
+    loaded = load_experiment(folder)
+    logger = embedding.followers(loggers, progress=progress)
+    return embedding.Block(
+        embedding.evolving(connection, loaded, lambda used: evolution.resume(folder, used, logger))
+    )
 
 
-def read(folder: str | os.PathLike[str]) -> Run:
-    """A recorded run: finished, stopped or going on; nothing is written.
+def read(folder: Folder) -> Run:
+    """Return a recorded run, finished or not. Nothing is written.
 
     Raises:
-        ConfigError: there is none, or it is damaged.
+        ConfigError: there is no run, or it is damaged.
 
     Example::
 
@@ -322,23 +320,24 @@ def read(folder: str | os.PathLike[str]) -> Run:
 
 
 def plot(
-    *runs: str | os.PathLike[str] | Run,
+    *runs: Folder | Run,
     x: "Axis" = "generation",
     size: "Size" = "column",
     title: str = "",
     lowest: float | None = None,
 ) -> "Figure":
-    """The learning curves of runs, as a figure of matplotlib that a notebook shows: repeats as a median with a band.
+    """Return a matplotlib figure of learning curves; repeats are a median with a band.
 
     Args:
-        runs: they, or folders of runs or that hold runs.
-        x: along the horizontal axis: "generation", "evaluations" or "time".
+        runs: runs, their folders, or folders that contain runs.
+        x: the horizontal axis: "generation", "evaluations" or "time".
         size: "column" or "page" of a paper, or "slides".
-        title: above it.
-        lowest: fitness on the vertical axis; None: all that there is.
+        title: above the figure.
+        lowest: lower limit of the fitness axis.
 
     Raises:
-        ConfigError: no runs there, none finished a generation or reaches ``lowest``, or matplotlib is missing.
+        ConfigError: there are no runs, none finished a generation or reached ``lowest``, or
+            matplotlib is missing.
         ValueError: another x or size.
 
     Example::
@@ -346,133 +345,39 @@ def plot(
         seeds = [zswarm.run(zswarm.load("stadium", {"seed": seed})) for seed in range(5)]
         zswarm.plot(*seeds).savefig("stadium.pdf")
     """
-    from zswarm.ot import figures
+    from zswarm.ot.analysis import curves, figures
 
-    found = [one for run in runs for one in ([run] if isinstance(run, Run) else reading.runs_below([Path(run)]))]
+    found: list[Run] = []
+    for run in runs:
+        found += [run] if isinstance(run, Run) else runs_below([Path(run)])
     if not found:
-        raise ConfigError("plot: expected a run at least")
-    return figures.for_notebooks(figures.of_runs(grouping.groups(found), x, size, title, lowest))
+        raise ConfigError("plot: expected at least one run")
+    loaded, _ = curves.load(grouping.groups(found))
+    return figures.for_notebooks(figures.of_series(loaded, x, size, title, lowest))
 
 
-# ---- helpers
+# ---- arguments
 
 
-class _Block(AbstractContextManager[Evolution]):
-    """What ``with`` makes a run of; whoever forgets it is told."""
-
-    def __init__(self, block: AbstractContextManager[Evolution]) -> None:
-        self._block = block
-
-    def __enter__(self) -> Evolution:
-        return self._block.__enter__()
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> bool | None:
-        return self._block.__exit__(kind, error, trace)
-
-    def __iter__(self) -> NoReturn:
-        raise TypeError(_NEEDS_WITH)
-
-    def __getattr__(self, name: str) -> NoReturn:
-        raise AttributeError(f"no attribute {name!r}" if name.startswith("_") else _NEEDS_WITH)
+def _table(part: str | Mapping[str, Any] | None) -> dict[str, Any] | None:
+    if part is None:
+        return None
+    return {"kind": part} if isinstance(part, str) else dict(part)
 
 
-_NEEDS_WITH = "a run needs a block: `with zswarm.start(...) as evolution:`, and in it `for generation in evolution:`"
+def _without_none(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in values.items() if value is not None}
 
 
-@contextlib.contextmanager
-def _started(loaded: Experiment, where: str, out: Path, connection: Connection | None, logger: Logger) -> Iterator[Evolution]:
-    with _connected(connection, loaded) as used:
-        loaded = msgspec.structs.replace(loaded, cluster=used.options)
-        with evolution.start(loaded, where, out, used, logger) as begun, _noting(begun):
-            yield begun
-
-
-@contextlib.contextmanager
-def _resumed(folder: Path, loaded: Experiment, connection: Connection | None, logger: Logger) -> Iterator[Evolution]:
-    with _connected(connection, loaded) as used, evolution.resume(folder, used, logger) as begun, _noting(begun):
-        yield begun
-
-
-def _complete(source: Source, changes: Mapping[str, Any]) -> tuple[Experiment, str]:
-    """An experiment with changes, and what errors call it."""
-    _check_dict(changes, "{'optimizer.population': 100}")
-    if isinstance(source, Experiment):
-        if not changes:
-            return source, source.name
-        mapping, where = experiments.to_mapping(source), source.name
-    elif isinstance(source, Mapping):
-        mapping, where = dict(source), "experiment"
-    elif not isinstance(source, str | os.PathLike):
-        raise TypeError(
-            f"experiment: expected a file, the name of an example, the folder of a run, a dict or an experiment, not {source!r}"
-        )
-    else:
-        path = Path(source)
-        path = path / EXPERIMENT if (path / EXPERIMENT).is_file() else experiments.find(os.fspath(source))
-        mapping, where = read_toml(path), str(path)
-    return experiments.check(experiments.changed(mapping, changes, where), where), where
-
-
-def _check_dict(settings: Any, example: str) -> None:
-    if not isinstance(settings, Mapping):
-        raise TypeError(f"settings: expected a dict, such as {example}, not {settings!r}")
-
-
-def _grid(grid: Mapping[str, Sequence[Any]]) -> dict[str, list[Any]]:
+def _grid(grid: Mapping[str, Sequence[Any]] | None) -> dict[str, list[Any]] | None:
+    if grid is None:
+        return None
     if not isinstance(grid, Mapping):
-        raise TypeError(f"grid: expected a dict of lists, such as {{'optimizer.population': [50, 100]}}, not {grid!r}")
+        example = "{'optimizer.population': [50, 100]}"
+        raise TypeError(f"grid: expected a dict of lists, such as {example}, not {grid!r}")
     for key, values in grid.items():
-        if isinstance(values, str | bytes | Mapping) or not hasattr(values, "__iter__"):
-            raise TypeError(f"grid: {key}: expected a list of values, such as [{values!r}], not {values!r}")
+        if isinstance(values, str | bytes | Mapping) or not isinstance(values, Iterable):
+            raise TypeError(
+                f"grid: {key}: expected a list of values, such as [{values!r}], not {values!r}"
+            )
     return {key: list(values) for key, values in grid.items()}
-
-
-@contextlib.contextmanager
-def _connected(connection: Connection | None, loaded: Experiment) -> Iterator[Connection]:
-    """The connection that is given, which stays open, or one of the experiment's own."""
-    if connection is not None:
-        connection.open()
-        yield connection
-    else:
-        with Connection(loaded.cluster) as own:
-            yield own
-
-
-def _followers(given: Sequence[Logger] | Logger, *, progress: bool) -> Logger:
-    shown = _display() if progress else _Quiet()
-    loggers = [given] if isinstance(given, Logger) or not isinstance(given, Iterable) else list(given)
-    for logger in loggers:
-        if not isinstance(logger, Logger):
-            raise TypeError(f"loggers: expected objects of subclasses of zswarm.Logger, not {logger!r}")
-    return Loggers([shown, *(InBackground(logger, LOG.warning if not progress else shown.on_say) for logger in loggers)])
-
-
-class _Quiet(Logger):
-    """Lines for people go to Python's ``logging``, which shows them to whoever asks for."""
-
-    def on_say(self, line: str) -> None:
-        """See ``Logger``."""
-        LOG.info("%s", line)
-
-
-def _display() -> Logger:
-    """The one that fits where the program runs."""
-    shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
-    if type(shell).__name__ == "ZMQInteractiveShell":
-        from zswarm.ot.notebook import NotebookDisplay
-
-        return NotebookDisplay()
-    from zswarm.ot.display import display
-
-    return display(as_json=False)
-
-
-@contextlib.contextmanager
-def _noting(begun: Evolution) -> Iterator[None]:
-    """Who is stopped is told how to go on."""
-    try:
-        yield
-    except (Exception, KeyboardInterrupt) as error:
-        if begun.result is None:
-            error.add_note(f"nothing of the run is lost; to go on: zswarm.resume({str(begun.folder)!r})")
-        raise

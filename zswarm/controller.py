@@ -1,4 +1,4 @@
-"""A run's champion as a file that other programs read: ``champion.zsc``, in docs/record.md."""
+"""The champion of a run as a file for other programs: ``champion.zsc`` (docs/record.md)."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,19 +7,21 @@ from typing import TYPE_CHECKING, Any, Literal
 import msgspec
 import numpy as np
 
-from zswarm import plugins
+from zswarm.config.decode import convert
 from zswarm.errors import ConfigError
-from zswarm.protocol import codec
-from zswarm.strict import convert
+from zswarm.plugins import registry as plugins
+from zswarm.system.text import clean
 
-if TYPE_CHECKING:  # it brings the compiler
+if TYPE_CHECKING:  # imports the compiler
     from zswarm.nets.representation import Representation
 
 CHAMPION = "champion.zsc"
 
 
-class Controller(msgspec.Struct, frozen=True, kw_only=True, tag="zswarm-controller", tag_field="format"):
-    """The file ``champion.zsc``: all that another program needs to run the controller."""
+class Controller(
+    msgspec.Struct, frozen=True, kw_only=True, tag="zswarm-controller", tag_field="format"
+):
+    """The content of ``champion.zsc``: what another program needs to run the controller."""
 
     version: Literal[1] = 1
     simulator: str
@@ -35,24 +37,21 @@ class Controller(msgspec.Struct, frozen=True, kw_only=True, tag="zswarm-controll
     run: str
 
     def network(self) -> tuple["Representation", np.ndarray]:
-        """Its network, and the numbers that the network's ``step`` reads: (P,) float32.
+        """Return the network, and the (P,) float32 parameters for its ``step``.
 
         Raises:
-            ConfigError: its kind of network is not installed, or its genome does not fit it.
+            ConfigError: its kind of network is not installed, or the genome does not fit it.
         """
         kind = plugins.load("representation", self.representation)
         settings = convert(self.representation_settings, kind.settings_type, "representation")
         try:
             built: Representation = kind(settings, self.inputs, self.outputs)
             return built, built.parameters([self.genome])[0]
-        except (ValueError, MemoryError) as error:  # the second: sizes that nobody evolved
+        except (ValueError, MemoryError) as error:  # MemoryError: the file has absurd sizes
             raise ConfigError(f"the champion does not fit its network: {error}") from None
 
     def driver(self) -> "Driver":
-        """The controller of one agent, to be asked step by step.
-
-        Raises:
-            ConfigError: its kind of network is not installed, or its genome does not fit it.
+        """Return the controller of one agent, to be called step by step; errors as ``network``.
 
         Example::
 
@@ -63,11 +62,11 @@ class Controller(msgspec.Struct, frozen=True, kw_only=True, tag="zswarm-controll
 
 
 class Driver:
-    """A controller at work: one agent's network with its state. Each agent needs its own.
+    """The controller of one agent: a network and its state. Each agent needs its own.
 
     Attributes:
-        inputs, outputs: numbers of an observation, and of what is decided.
-        network, parameters: as ``Controller.network`` gives them.
+        inputs, outputs: lengths of an observation and of an action.
+        network, parameters: as ``Controller.network`` returns them.
     """
 
     def __init__(self, controller: Controller) -> None:
@@ -76,11 +75,11 @@ class Driver:
         self._state = np.zeros(self.network.state_size, np.float32)
 
     def reset(self) -> None:
-        """Forget all of before, as at the start of a trial."""
+        """Reset the state, as at the start of a trial."""
         self._state[:] = 0
 
     def act(self, observation: "Sequence[float] | np.ndarray") -> np.ndarray:
-        """What the controller decides, the same bits as in evolution.
+        """Return the action for an observation, the same bits as in evolution.
 
         Args:
             observation: (inputs,) numbers, in the order of the controller's ``sensors``.
@@ -94,29 +93,37 @@ class Driver:
         seen = np.ascontiguousarray(observation, np.float32)
         if seen.shape != (self.inputs,):
             raise ValueError(f"observation: expected shape ({self.inputs},), not {seen.shape}")
-        decided = np.empty(self.outputs, np.float32)
-        self.network.step(self.parameters, self._state, seen, decided)
-        return decided
+        action = np.empty(self.outputs, np.float32)
+        self.network.step(self.parameters, self._state, seen, action)
+        return action
 
 
 def load_controller(path: Path) -> Controller:
-    """A champion's file, or that of a run's folder.
+    """Load a champion from its file, or from the folder of a run.
 
     Raises:
         ConfigError: missing or damaged.
     """
     file = path / CHAMPION if path.is_dir() else path
-    shown = codec.clean(str(path))
+    shown = clean(str(path))
     if file != path and not file.exists():
         if below := sorted(path.glob(f"*/{CHAMPION}")):
-            one = codec.clean(str(below[0].parent))
-            raise ConfigError(f"{shown}: a folder of runs; expected one of them, such as {one}")
-        raise ConfigError(f"{shown}: cannot be read: no {CHAMPION} in it; expected a run that finished a generation")
+            run = clean(str(below[0].parent))
+            raise ConfigError(f"{shown}: a folder of runs; expected one of them, such as {run}")
+        raise ConfigError(
+            f"{shown}: cannot be read: no {CHAMPION} in it; expected a run that finished a "
+            "generation"
+        )
     if path.suffix == ".toml":
-        raise ConfigError(f"{shown}: an experiment has no champion; expected the folder of its run, or a {CHAMPION}")
+        raise ConfigError(
+            f"{shown}: an experiment has no champion; expected the folder of its run, or a "
+            f"{CHAMPION}"
+        )
     try:
         return msgspec.msgpack.decode(file.read_bytes(), type=Controller)
     except OSError as error:
-        raise ConfigError(f"{file}: cannot be read: {error.strerror}; expected a run's folder or its {CHAMPION}") from None
+        raise ConfigError(
+            f"{file}: cannot be read: {error.strerror}; expected a run's folder or its {CHAMPION}"
+        ) from None
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ConfigError(f"{file}: damaged, or no controller: {codec.clean(str(error))}") from None
+        raise ConfigError(f"{file}: damaged, or no controller: {clean(str(error))}") from None

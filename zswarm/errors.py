@@ -1,19 +1,19 @@
-"""What can go wrong, as types.
+"""The exceptions that zswarm raises.
 
-``ConfigError`` and ``UnknownPlugin`` are the user's to mend: the command line prints them as one line and exits with 2.
-``RemoteProtocolError`` is a peer's fault: it is logged, its message is dropped, and life goes on.
+The command line prints a ``ConfigError`` as one line and exits with code 2. A
+``RemoteProtocolError`` is the fault of a peer: it is logged, and its message is dropped.
 """
 
 
 class ZswarmError(Exception):
-    """Everything that zswarm raises on purpose."""
+    """Base class of all exceptions below."""
 
 
 class ConfigError(ZswarmError):
-    """A file, option or name that the user gave cannot be used; the text says what was expected.
+    """A file, option or name from the user cannot be used; the message says what was expected.
 
     Attributes:
-        path: of the key that it is about, where it is about one.
+        path: of the key at fault, if it is one.
     """
 
     def __init__(self, text: str, path: tuple[str, ...] = ()) -> None:
@@ -22,15 +22,15 @@ class ConfigError(ZswarmError):
 
 
 class KeysError(ConfigError):
-    """Keys, or a file that holds some, cannot be used; the text says why, and what to do."""
+    """Keys, or a file of keys, cannot be used; the message gives the reason and the remedy."""
 
 
 class UnknownPlugin(ConfigError):
-    """No simulator, representation or optimizer of that name is installed."""
+    """No simulator, representation, optimizer or ranking of that name is installed."""
 
 
 class Stopped(ZswarmError):
-    """What went on was stopped from outside; a run can be resumed."""
+    """A run was stopped from outside; it can be resumed."""
 
 
 class NoServers(ZswarmError):
@@ -38,7 +38,7 @@ class NoServers(ZswarmError):
 
 
 class NoRouter(NoServers):
-    """No router through which servers could be reached answered in time."""
+    """No router to the servers answered in time."""
 
 
 class ProtocolError(ZswarmError):
@@ -46,7 +46,7 @@ class ProtocolError(ZswarmError):
 
 
 class LocalProtocolError(ProtocolError):
-    """We broke it: a bug."""
+    """This program broke it: a bug."""
 
 
 class RemoteProtocolError(ProtocolError):
@@ -54,4 +54,4 @@ class RemoteProtocolError(ProtocolError):
 
 
 class EvaluationError(ZswarmError):
-    """Trials could not be evaluated: a fault of machines or programs, never of a candidate's behaviour."""
+    """Trials could not be evaluated: a fault of machines or programs, not of a candidate."""

@@ -1,4 +1,4 @@
-"""The command ``zswarm-router``: a zenoh session in router mode, which works by itself; this program only waits."""
+"""The command ``zswarm-router``: a zenoh session in router mode, which works by itself."""
 
 import signal
 import sys
@@ -10,24 +10,25 @@ import click
 import msgspec
 import structlog
 
-import zswarm
-from zswarm import log, notify, screen, session
+from zswarm import session
+from zswarm.config.decode import overridden
 from zswarm.errors import ConfigError
-from zswarm.security import keyring, refusals
+from zswarm.security import refusals
 from zswarm.session import Reach
-from zswarm.strict import overridden
+from zswarm.system import log, systemd, terminal
+from zswarm.system.version import VERSION
 
 EXIT_MISTAKE, EXIT_DAMAGED_CONFIG = 2, 78
-RETURN_S = 5.0
-LOOK_S = 0.5
+RETRY_S = 5.0
+POLL_S = 0.5
 
 
-class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What a router is told at its start: command line or ``--config`` file."""
+class RouterOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Options of the command line or of the ``--config`` file."""
 
     listen: list[str] = []  # empty: port 7466 of all addresses
     multicast: bool = True
-    require_keys: bool = False  # do not start in the clear
+    require_keys: bool = False  # refuse to start without keys
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
@@ -35,10 +36,17 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     "--listen",
     multiple=True,
     metavar="EP",
-    help=f"Endpoint such as tcp/192.168.1.5:7466; may be repeated.  [default: tcp/{session.ROUTER}]",
+    help="Endpoint such as tcp/192.168.1.5:7466; may be repeated.  "
+    f"[default: tcp/{session.ROUTER}]",
 )
-@click.option("--multicast/--no-multicast", default=None, help="Be found by multicast.  [default: multicast]")
-@click.option("--require-keys/--no-require-keys", default=None, help="Do not start in the clear.  [default: no-require-keys]")
+@click.option(
+    "--multicast/--no-multicast", default=None, help="Be found by multicast.  [default: multicast]"
+)
+@click.option(
+    "--require-keys/--no-require-keys",
+    default=None,
+    help="Refuse to start without keys.  [default: no-require-keys]",
+)
 @click.option(
     "--config",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
@@ -46,116 +54,110 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 )
 @click.option("--log-level", type=click.Choice(log.LEVELS), default="info", show_default=True)
 @click.version_option(package_name="zswarm", prog_name="zswarm-router")
-def command(config: Path | None, log_level: str, **given: Any) -> None:
+def command(config: Path | None, log_level: str, **options: Any) -> None:
     """Bring servers and optimizers together where multicast does not reach.
 
-    Start it on a machine that all can dial, then
+    Start it on a machine that all others can dial, then
 
     \b
     on the servers
       zswarm-ss --connect tcp/ROUTER:7466
     on the workstation
       zswarm-ot run --connect tcp/ROUTER:7466
-    where that cannot dial the servers
+    if the workstation cannot dial the servers
       zswarm-ot run --connect tcp/ROUTER:7466 --through-router
 
-    Without --through-router the optimizer learns the servers' addresses here and dials them; no evaluation passes the
-    router, and runs go on when it ends. SIGTERM or Ctrl-C ends it.
-    """  # noqa: D301  click's mark for text that is not to be wrapped
+    Without --through-router the optimizer only learns the servers' addresses from the router and
+    dials them: evaluations do not pass through it, and runs continue when it ends. SIGTERM or
+    Ctrl-C ends it.
+    """
     log.set_up(log_level)
-    told = {key: list(value) if isinstance(value, tuple) else value for key, value in given.items() if value not in (None, ())}
     try:
-        code = serve(lambda: overridden(config, told, Options, "zswarm-router"))
+        code = serve(lambda: overridden(config, options, RouterOptions, "zswarm-router"))
     except ConfigError as error:
         click.echo(f"zswarm-router: {error}", err=True)
         sys.exit(EXIT_DAMAGED_CONFIG if config else EXIT_MISTAKE)
     sys.exit(code)
 
 
-def serve(read_options: Callable[[], Options]) -> int:
-    """Route until SIGTERM or SIGINT; SIGHUP reads keys and settings again. The program's exit code.
-
-    Raises:
-        ConfigError: an endpoint cannot be listened on, or is none; the keys cannot be used, or are required and missing.
-    """
+def serve(read_options: Callable[[], RouterOptions]) -> int:
+    """Route until SIGTERM or SIGINT, and return the exit code; SIGHUP reloads keys and options."""
     logger = structlog.get_logger()
-    told = notify.Notify()
+    notify = systemd.Notify()
     signals = {signal.SIGTERM, signal.SIGINT, signal.SIGHUP}
     signal.pthread_sigmask(signal.SIG_BLOCK, signals)  # before zenoh's threads, which inherit it
-    elsewhere: list[int] = []  # signals that another thread got: after a failed opening zenoh has some that do not block them
+    # After a failed opening zenoh has threads that do not block signals, and may get them.
+    received: list[int] = []
     for each in signals:
-        signal.signal(each, lambda number, _frame: elsewhere.append(number))
+        signal.signal(each, lambda number, _frame: received.append(number))
     refusals.watch_links()
     options = read_options()
     reach = _reach(options)
     opened, listen = _open(options, reach)
     logger.info(
-        "router_ready", listen=listen, keys=session.keys_in_words(reach), multicast=options.multicast, program=zswarm.__version__
+        "router_ready",
+        listen=listen,
+        keys=session.keys_in_words(reach),
+        multicast=options.multicast,
+        program=VERSION,
     )
-    told.ready()
-    while (number := _next(signals, elsewhere)) == signal.SIGHUP:
-        told.reloading()
+    notify.ready()
+    while (number := _next_signal(signals, received)) == signal.SIGHUP:
+        notify.reloading()
         try:
-            changed = read_options()
-            wanted = _reach(changed)
+            new_options = read_options()
+            new_reach = _reach(new_options)
         except ConfigError as error:
             logger.error("reload_refused", reason=str(error))
         else:
             session.close(opened, or_exit=False)
             try:
-                opened, listen = _open(changed, wanted)
-                options, reach = changed, wanted
+                opened, listen = _open(new_options, new_reach)
+                options, reach = new_options, new_reach
                 logger.info("reloaded", listen=listen, keys=session.keys_in_words(reach))
             except ConfigError as error:
                 logger.error("reload_refused", reason=str(error))
-                opened, listen = _return(options, reach)
-        told.ready()
-    told.stopping()
+                opened = _reopen(options, reach)
+        notify.ready()
+    notify.stopping()
     session.close(opened)
     logger.info("router_stopped")
     return 128 + number
 
 
-def _next(signals: set[signal.Signals], elsewhere: list[int]) -> int:
-    while not elsewhere:
-        if info := signal.sigtimedwait(signals, LOOK_S):
+def _next_signal(signals: set[signal.Signals], received: list[int]) -> int:
+    while not received:
+        if info := signal.sigtimedwait(signals, POLL_S):
             return info.si_signo
-    return elsewhere.pop(0)
+    return received.pop(0)
 
 
-def _reach(options: Options) -> Reach:
-    ring = keyring.installed("router")
-    if ring is None and options.require_keys:
-        raise ConfigError("require_keys is set, and no keys are installed: zswarm-keys join BUNDLE")
-    return Reach(multicast=options.multicast, keyring=ring)
+def _reach(options: RouterOptions) -> Reach:
+    return session.daemon_reach(
+        "router", multicast=options.multicast, require_keys=options.require_keys
+    )
 
 
-def _open(options: Options, reach: Reach) -> tuple[session.Session, list[str]]:
-    logger = structlog.get_logger()
-    if reach.multicast and (fault := session.multicast_fault()):
-        logger.warning("multicast_unavailable", reason=fault)
+def _open(options: RouterOptions, reach: Reach) -> tuple[session.Session, list[str]]:
     opened, listen = session.open_router(options.listen, reach)
-    if reach.keyring is None:
-        logger.warning("in_the_clear", reason="whoever reaches the port can use this router; zswarm-keys lets in members only")
-    else:
-        refusals.watch_members(opened, reach.keyring)
+    session.watch(opened, listen, reach, "router")
     return opened, listen
 
 
-def _return(options: Options, reach: Reach) -> tuple[session.Session, list[str]]:
-    """Be on the network as before a reload that was refused, as soon as that can be; a signal to end does so at once."""
+def _reopen(options: RouterOptions, reach: Reach) -> session.Session:
+    """Reopen the previous session after a refused reload, as soon as possible; SIGTERM exits."""
     while True:
         try:
-            return _open(options, reach)
+            return _open(options, reach)[0]
         except ConfigError as error:
-            structlog.get_logger().error("off_the_network", reason=str(error), again_s=RETURN_S)
-            if number := signal.sigtimedwait({signal.SIGTERM, signal.SIGINT}, RETURN_S):
+            structlog.get_logger().error("off_the_network", reason=str(error), again_s=RETRY_S)
+            if number := signal.sigtimedwait({signal.SIGTERM, signal.SIGINT}, RETRY_S):
                 sys.exit(128 + number.si_signo)
 
 
 def main() -> None:
-    """Entry point."""
-    screen.prepare()
+    """Run the program."""
+    terminal.prepare()
     command()
 
 

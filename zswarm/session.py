@@ -1,41 +1,42 @@
-"""The one place that builds a zenoh configuration and opens a session, and the thread that sends.
+"""Build zenoh's configuration and open sessions, which nothing else does; send from a thread.
 
-Star topology: a server listens and dials nobody, an optimizer dials the servers it finds; or both dial a router. Why each
-value is as it is: docs/architecture.md, "The link".
+The topology is a star: a server listens and dials no one, an optimizer dials the servers that it
+finds; or both dial a router. docs/architecture.md, "The link", explains the values. Opening raises
+``ConfigError`` for an endpoint that is not valid, contradicts the keys, or cannot be listened on.
 """
 
 import contextlib
-import fcntl
 import json
 import os
 import queue
 import resource
 import socket
 import struct
-import sys
 import threading
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
 
 import zenoh
 
-from zswarm import endpoint
 from zswarm.errors import ConfigError, NoRouter
-from zswarm.security import access
+from zswarm.protocol import endpoint
+from zswarm.security import access, keyring, refusals
 from zswarm.security.keyring import Keyring
+from zswarm.security.members import Role
 
-SCOUTING_GROUP = "224.0.0.225:7467"  # our own: on zenoh's default group every ROS 2 robot of the lab would join in
+# Not zenoh's default group, on which every ROS 2 robot of the lab would join.
+SCOUTING_GROUP = "224.0.0.225:7467"
 PORT = 7467
-PORTS = 100  # tried from PORT on when none is given
+PORTS = 100  # tried from PORT on if none is given
 ROUTER = "0.0.0.0:7466"  # where a router listens by default
 LINK_TIMEOUT_S = 8
-WAIT_BEFORE_CLOSE_S = 60  # zenoh closes a link on which one message takes longer; its default of 5 s ends slow links
-SENDING_THREADS = 64  # of zenoh: a link that ends while a message hangs in it takes one until that is given up
+# Zenoh closes a link on which one message takes longer; its default of 5 s ends slow links.
+WAIT_BEFORE_CLOSE_S = 60
+# Of zenoh. A dead link on which a message hangs occupies one until it is given up.
+SENDING_THREADS = 64
 OPEN_FILES = 8192
 CLOSING_S = 15.0
-QUEUE = 10_000  # calls waiting in one sender
-SIOCGIFFLAGS, SIOCGIFADDR = 0x8913, 0x8915  # Linux: of an interface by its name
-IFF_UP, IFF_LOOPBACK, IFF_RUNNING, IFF_MULTICAST = 0x1, 0x8, 0x40, 0x1000
+QUEUE = 10_000  # waiting calls of a sender
 
 Mode = Literal["peer", "client", "router"]
 Session = zenoh.Session
@@ -46,61 +47,78 @@ class Reach(NamedTuple):
 
     connect: Sequence[str] = ()  # endpoints to dial
     multicast: bool = True
-    through_router: bool = False  # a router carries everything, one of ``connect`` or one that multicast finds
+    through_router: bool = False  # one of ``connect``, or one that multicast finds, carries all
     keyring: Keyring | None = None  # None: in the clear
 
 
-def keys_in_words(reach: Reach) -> str:
-    """Which keys are used, for a log."""
-    return f"{reach.keyring.authority} until {reach.keyring.not_after:%Y-%m-%d}" if reach.keyring else "none"
+# ---- what the daemons share: a server and a router
 
 
-def open_server(listen: Sequence[str], reach: Reach) -> tuple[zenoh.Session, list[str]]:
-    """A session that listens, and the endpoints it listens on; without ``listen`` the first free port from 7467 on.
+def daemon_reach(
+    role: Role, connect: Sequence[str] = (), *, multicast: bool, require_keys: bool
+) -> Reach:
+    """Return how a daemon is reached, with the keys that are installed now.
 
     Raises:
-        ConfigError: an endpoint cannot be listened on, is none, or does not go with the keys.
+        ConfigError: the keys cannot be used, or are required and not installed.
     """
-    if listen:
-        return _open("peer", listen, reach), list(listen)
-    for port in range(PORT, PORT + PORTS):
-        listen = [f"{_protocol(reach)}/0.0.0.0:{port}"]
+    ring = keyring.installed(role)
+    if ring is None and require_keys:
+        raise ConfigError("require_keys is set, and no keys are installed: zswarm-keys join BUNDLE")
+    return Reach(connect, multicast, keyring=ring)
+
+
+def keys_in_words(reach: Reach) -> str:
+    """Return which keys are used, for a log."""
+    ring = reach.keyring
+    return f"{ring.authority} until {ring.not_after:%Y-%m-%d}" if ring else "none"
+
+
+def watch(opened: Session, listen: Sequence[str], reach: Reach, who: str) -> None:
+    """Log what limits or endangers an open daemon, and who is refused for not being a member."""
+    import structlog  # imports rich, which an optimizer does not need
+
+    log = structlog.get_logger()
+    if reach.multicast and (fault := multicast_fault()):
+        log.warning("multicast_unavailable", reason=fault, listen=listen)
+    if reach.keyring is not None:
+        refusals.watch_members(opened, reach.keyring)
+    else:
+        reason = f"anyone who reaches the port can use this {who}; zswarm-keys admits members only"
+        log.warning("in_the_clear", reason=reason)
+
+
+# ---- sessions
+
+
+def open_server(listen: Sequence[str], reach: Reach) -> tuple[Session, list[str]]:
+    """Return a session that listens and its endpoints, by default the first free port from 7467."""
+    free = [[f"{_protocol(reach)}/0.0.0.0:{port}"] for port in range(PORT, PORT + PORTS)]
+    for endpoints in [list(listen)] if listen else free:
         try:
-            return _open("peer", listen, reach), listen
+            return _open("peer", endpoints, reach), endpoints
         except ConfigError as error:
             last = error
     raise last
 
 
-def open_optimizer(reach: Reach) -> zenoh.Session:
-    """A session that dials the servers it finds, and the given endpoints for as long as it lives.
-
-    Raises:
-        ConfigError: an endpoint is none, or does not go with the keys.
-    """
+def open_optimizer(reach: Reach) -> Session:
+    """Open a session that dials the servers it finds, and keeps dialing the given endpoints."""
     return _open("peer", [], reach, dial=True)
 
 
-def open_through_router(reach: Reach, timeout_s: float = 2.0) -> zenoh.Session:
-    """A session with one link, to a router that carries everything; it looks for one again whenever it lost it.
+def open_through_router(reach: Reach, timeout_s: float = 2.0) -> Session:
+    """Open a session to a router that carries everything, or raise ``NoRouter``; it reconnects.
 
     Args:
-        reach: of its endpoints the first that answers is taken; without any, multicast finds one.
-        timeout_s: opening waits as long for a router.
-
-    Raises:
-        ConfigError: an endpoint is none, or does not go with the keys.
-        NoRouter: none answered in time.
+        reach: the first endpoint that answers is used; without any, multicast finds one.
+        timeout_s: how long to wait for a router.
     """
     return _open("client", [], reach, timeout_ms=int(timeout_s * 1000))
 
 
-def open_router(listen: Sequence[str], reach: Reach) -> tuple[zenoh.Session, list[str]]:
-    """A session that introduces those who dial it to each other and carries what clients send, and where it listens.
-
-    Raises:
-        ConfigError: an endpoint cannot be listened on, is none, or does not go with the keys.
-    """
+def open_router(listen: Sequence[str], reach: Reach) -> tuple[Session, list[str]]:
+    """Open a session that introduces programs to each other, and carries what clients send."""
     listen = list(listen) or [f"{_protocol(reach)}/{ROUTER}"]
     return _open("router", listen, reach), listen
 
@@ -110,9 +128,10 @@ def _protocol(reach: Reach) -> str:
 
 
 def multicast_fault() -> str:
-    """Why nobody finds this machine by multicast, nor is found from here; "" where that is possible.
+    """Return why this machine cannot find or be found by multicast; "" if it can.
 
-    Zenoh scouts on every interface that is up, has an address and can multicast, but for loopback. It needs no route.
+    Zenoh scouts on every interface except loopback that is up, has an IPv4 address and supports
+    multicast. It needs no route.
     """
     try:
         interfaces = scouting_interfaces()
@@ -122,8 +141,9 @@ def multicast_fault() -> str:
     fault = "no network interface is up that has an IPv4 address and multicast"
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         for index, name in interfaces:
+            member = struct.pack("=4s4si", group, bytes(4), index)
             try:
-                probe.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, struct.pack("=4s4si", group, bytes(4), index))
+                probe.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
             except OSError as error:
                 fault = f"{name} cannot join the group {SCOUTING_GROUP} ({error.strerror})"
             else:
@@ -132,43 +152,42 @@ def multicast_fault() -> str:
 
 
 def scouting_interfaces() -> list[tuple[int, str]]:
-    """Number and name of those that Zenoh scouts on.
+    """Return number and name of the interfaces that Zenoh scouts on."""
+    import psutil  # slows the start
 
-    Raises:
-        OSError: they cannot be listed.
-    """
-    interfaces = socket.if_nameindex()
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        return [(index, name) for index, name in interfaces if sys.platform != "linux" or _scouts(probe, name)]
-
-
-def _scouts(probe: socket.socket, interface: str) -> bool:
-    request = struct.pack("=16s24x", interface.encode()[:15])
-    try:
-        flags = struct.unpack_from("=16xH", fcntl.ioctl(probe, SIOCGIFFLAGS, request))[0]
-        fcntl.ioctl(probe, SIOCGIFADDR, request)
-    except OSError:
-        return False  # it has no address
-    return bool(flags & IFF_UP and flags & IFF_RUNNING and flags & IFF_MULTICAST and not flags & IFF_LOOPBACK)
+    stats, addresses = psutil.net_if_stats(), psutil.net_if_addrs()
+    return [
+        (index, name)
+        for index, name in socket.if_nameindex()
+        if name in stats
+        and {"up", "running", "multicast"} <= (flags := set(stats[name].flags.split(",")))
+        and "loopback" not in flags
+        and any(address.family == socket.AF_INET for address in addresses.get(name, ()))
+    ]
 
 
-def _open(mode: Mode, listen: Sequence[str], reach: Reach, *, dial: bool = False, timeout_ms: int = -1) -> zenoh.Session:
+def _open(
+    mode: Mode, listen: Sequence[str], reach: Reach, *, dial: bool = False, timeout_ms: int = -1
+) -> Session:
     for where, endpoints in (("listen", listen), ("connect", reach.connect)):
         endpoint.check(endpoints, where)
         _check_keys(endpoints, where, reach.keyring)
     _raise_file_limit()
-    os.environ.setdefault("ZENOH_RUNTIME", f"(tx: (worker_threads: {SENDING_THREADS}))")  # read when the first session opens
+    # Zenoh reads it when the first session opens.
+    os.environ.setdefault("ZENOH_RUNTIME", f"(tx: (worker_threads: {SENDING_THREADS}))")
     config = _config(mode, listen, reach, dial=dial, timeout_ms=timeout_ms)
     try:
         return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
     except zenoh.ZError as error:
         if mode == "client":
-            raise NoRouter(f"no router answers at {', '.join(reach.connect) or 'any address that multicast finds'}") from None
-        text = str(error).split(" at /")[0]  # what follows are places in zenoh's own source
+            at = ", ".join(reach.connect) or "any address that multicast finds"
+            raise NoRouter(f"no router answers at {at}") from None
+        text = str(error).split(" at /")[0]  # without places in zenoh's source
         if "in use" in text:
-            raise ConfigError(f"{', '.join(listen)}: the port is in use; give another with --listen") from None
-        where = ", ".join([*listen, *reach.connect])
-        raise ConfigError(f"cannot open a session on {where or 'this machine'}: {text[:200]}") from None
+            ports = ", ".join(listen)
+            raise ConfigError(f"{ports}: the port is in use; give another with --listen") from None
+        where = ", ".join([*listen, *reach.connect]) or "this machine"
+        raise ConfigError(f"cannot open a session on {where}: {text[:200]}") from None
 
 
 def _check_keys(endpoints: Sequence[str], where: str, keyring: Keyring | None) -> None:
@@ -176,59 +195,84 @@ def _check_keys(endpoints: Sequence[str], where: str, keyring: Keyring | None) -
         protocol = endpoint.parse(text).protocol
         if keyring is not None and protocol != "tls":
             raise ConfigError(
-                f"{where}: {text}: the keys in {keyring.folder} are used, so an endpoint must begin with tls/"
-                " (ZSWARM_KEYS=none goes without keys)"
+                f"{where}: {text}: the keys in {keyring.folder} are used, so an endpoint must begin"
+                " with tls/ (ZSWARM_KEYS=none uses no keys)"
             )
         if keyring is None and protocol in ("tls", "quic"):
-            unused = "ZSWARM_KEYS=none goes without" if os.environ.get("ZSWARM_KEYS") == "none" else "none are installed"
-            raise ConfigError(f"{where}: {text}: {protocol} needs keys, and {unused}: zswarm-keys join BUNDLE installs some")
+            off = os.environ.get("ZSWARM_KEYS") == "none"
+            unused = "ZSWARM_KEYS=none uses none" if off else "none are installed"
+            raise ConfigError(
+                f"{where}: {text}: {protocol} needs keys, and {unused}: zswarm-keys join BUNDLE "
+                "installs some"
+            )
 
 
-def _config(mode: Mode, listen: Sequence[str], reach: Reach, *, dial: bool, timeout_ms: int) -> dict[str, Any]:
-    """The whole configuration; ``dial``: dial servers and routers that are found."""
-    found = ["router"] if mode == "client" else ["peer", "router"] if dial else []
-    return {
+def _config(
+    mode: Mode, listen: Sequence[str], reach: Reach, *, dial: bool, timeout_ms: int
+) -> dict[str, Any]:
+    """Return zenoh's whole configuration.
+
+    Args:
+        dial: as a peer, the programs that are found; a client dials a router.
+        timeout_ms: for dialing; -1: keep trying in the background (a client would wait forever).
+    """
+    found = {mode: ["router"] if mode == "client" else ["peer", "router"] if dial else []}
+    blocked = {"wait_before_close": WAIT_BEFORE_CLOSE_S * 1_000_000}
+    link: dict[str, Any] = {
+        "tx": {
+            "lease": LINK_TIMEOUT_S * 1000,
+            "keep_alive": 4,
+            "batch_size": 16384,
+            "queue": {"congestion_control": {"block": blocked}},
+        },
+        "rx": {"max_message_size": 64 << 20},
+    }
+    config: dict[str, Any] = {
         "mode": mode,
         "listen": {"endpoints": {mode: list(listen)}},
         "connect": {
             "endpoints": {mode: list(reach.connect)},
-            "timeout_ms": {mode: timeout_ms},  # -1: keep trying in the background; a client would wait in open for ever
+            "timeout_ms": {mode: timeout_ms},
             "exit_on_failure": {mode: False},
             "retry": {"period_init_ms": 20, "period_max_ms": 2000, "period_increase_factor": 1.5},
         },
         "scouting": {
             "delay": 500,
-            **({"timeout": timeout_ms} if timeout_ms > 0 else {}),
-            "multicast": {"enabled": reach.multicast, "address": SCOUTING_GROUP, "autoconnect": {mode: found}},
-            "gossip": {"enabled": True, "multihop": False, "target": {"peer": ["router"]}, "autoconnect": {mode: found}},
+            "multicast": {
+                "enabled": reach.multicast,
+                "address": SCOUTING_GROUP,
+                "autoconnect": found,
+            },
+            "gossip": {
+                "enabled": True,
+                "multihop": False,
+                "target": {"peer": ["router"]},
+                "autoconnect": found,
+            },
         },
         "open": {"return_conditions": {"connect_scouted": False}},
         "transport": {
             "unicast": {"open_timeout": 4000, "accept_timeout": 4000, "max_sessions": 4096},
             "shared_memory": {"enabled": False},
-            "link": {
-                "tx": {
-                    "lease": LINK_TIMEOUT_S * 1000,
-                    "keep_alive": 4,
-                    "batch_size": 16384,
-                    "queue": {"congestion_control": {"block": {"wait_before_close": WAIT_BEFORE_CLOSE_S * 1_000_000}}},
-                },
-                "rx": {"max_message_size": 64 << 20},
-                **({} if reach.keyring is None else {"protocols": ["tls"], "tls": _tls(reach.keyring)}),
-            },
+            "link": link,
         },
-        **({} if reach.keyring is None else {"access_control": access.rules(reach.keyring.role, reach.keyring.members)}),
         "adminspace": {"enabled": False},
     }
+    if timeout_ms > 0:
+        config["scouting"]["timeout"] = timeout_ms
+    if reach.keyring is not None:
+        link.update({"protocols": ["tls"], "tls": _tls(reach.keyring)})
+        config["access_control"] = access.rules(reach.keyring.role, reach.keyring.members)
+    return config
 
 
 def _tls(keyring: Keyring) -> dict[str, Any]:
-    """Both sides show a certificate of the lab's authority; who it names decides what it may do (``security/access.py``).
+    """Return the settings by which both sides show a certificate of the lab's authority.
 
-    Names and addresses are not compared: multicast finds servers by addresses that change, and all the lab's servers may
-    do the same.
+    The name in it decides what a program may do (``security/access.py``). Names are not compared
+    with addresses: multicast finds servers by changing addresses, and all may do the same.
     """
-    from zswarm.security.certificates import AUTHORITY, CERTIFICATE, KEY  # whoever has keys has the package for them
+    from zswarm.security.certificates import AUTHORITY, CERTIFICATE, KEY  # needs an extra
 
     certificate, key = str(keyring.folder / CERTIFICATE), str(keyring.folder / KEY)
     return {
@@ -250,15 +294,15 @@ def _raise_file_limit() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
 
 
-def close(session: zenoh.Session, *, or_exit: bool = True) -> None:
-    """Close a session; a link that does not let go must not keep the program.
+def close(session: Session, *, or_exit: bool = True) -> None:
+    """Close a session, although a dead link may block it.
 
     Args:
-        or_exit: end the program when that takes long; else leave it to a thread.
+        or_exit: end the program if that takes long; otherwise leave it to a thread.
     """
 
     def closing() -> None:
-        with contextlib.suppress(zenoh.ZError):  # it gave up waiting for a dead link
+        with contextlib.suppress(zenoh.ZError):  # zenoh gave up waiting for a dead link
             session.close()
 
     if or_exit:
@@ -275,8 +319,53 @@ def close(session: zenoh.Session, *, or_exit: bool = True) -> None:
         thread.join(CLOSING_S)
 
 
+def ask(
+    opened: Session,
+    key: str,
+    body: bytes,
+    answered: Callable[[bytes | None, str], None],
+    *,
+    timeout_s: float,
+    **options: Any,
+) -> None:
+    """Send a query; answers after the first one are dropped.
+
+    Args:
+        answered: called once, in one of zenoh's threads, with the answer and the replier's id; with
+            None if no answer comes.
+        options: of ``zenoh.Session.get``.
+    """
+    done = False
+
+    # Zenoh calls on_end only when every link has answered on which an answer may come.
+    def on_reply(reply: zenoh.Reply) -> None:
+        nonlocal done
+        if reply.ok is not None and not done:
+            done = True
+            replier = str(reply.replier_id.zid) if reply.replier_id is not None else ""
+            answered(reply.ok.payload.to_bytes(), replier)
+
+    def on_end() -> None:
+        if not done:
+            answered(None, "")
+
+    try:
+        opened.get(
+            key,
+            zenoh.handlers.Callback(on_reply, on_end, indirect=False),
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            timeout=timeout_s,
+            payload=body,
+            **options,
+        )
+    except zenoh.ZError:  # the session is closing
+        on_end()
+
+
 class Sender:
-    """A thread that sends to one peer. A send into a dying link blocks; here it holds up nobody else."""
+    """A thread that sends to one peer. A send to a dead link blocks, and here delays no others."""
 
     def __init__(self, name: str) -> None:
         self._calls: queue.Queue[Callable[[], None] | None] = queue.Queue(QUEUE)
@@ -284,10 +373,10 @@ class Sender:
         self._thread.start()
 
     def send(self, call: Callable[[], None], *, at_once: bool = False) -> bool:
-        """Have a call made, in order; False when too many wait already.
+        """Queue a call; return False if the queue is full.
 
         Args:
-            at_once: it does not block: make it in this thread if no other is waited for.
+            at_once: the call does not block: make it in this thread if the queue is empty.
         """
         if at_once and not self._calls.unfinished_tasks:
             call()
@@ -299,7 +388,7 @@ class Sender:
         return True
 
     def close(self, timeout_s: float = 0.0) -> None:
-        """End after the calls that wait; wait for that as long as told."""
+        """End after the queued calls, and wait for it up to a timeout."""
         if self.send(None):  # type: ignore[arg-type]  # the end mark
             self._thread.join(timeout_s)
 

@@ -1,6 +1,7 @@
-"""Measures the paper's designs and zswarm's on this machine, and makes docs/paper.md of it: `make paper`, a quarter of an hour.
+"""Measure the paper's designs and zswarm's, and write docs/paper.md: `make paper`.
 
-Nothing else should run meanwhile. Needs mosquitto and gcc; with ROS 1's catkin the compilation is timed as the paper's was.
+Nothing else should run meanwhile. Needs mosquitto and gcc; with ROS 1's catkin the compilation is
+timed as the paper's was.
 """
 
 import argparse
@@ -20,15 +21,26 @@ NEEDS = ("mosquitto", "gcc")  # programs, which are in Debian's packages of thei
 def main() -> None:
     """Measure, write, draw."""
     parser = argparse.ArgumentParser(description=str(__doc__).partition("\n")[0])
-    parser.add_argument("--quick", action="store_true", help="small sizes: whether it works; changes nothing else")
-    parser.add_argument("--to", type=Path, help="a folder for all of it [default: the repository; with --quick build/paper]")
-    parser.add_argument("--page", action="store_true", help="measure nothing: make the page of results.json")
+    parser.add_argument(
+        "--quick", action="store_true", help="small sizes: whether it works; changes nothing else"
+    )
+    parser.add_argument(
+        "--to",
+        type=Path,
+        help="a folder for all of it [default: the repository; with --quick build/paper]",
+    )
+    parser.add_argument(
+        "--page", action="store_true", help="measure nothing: make the page of results.json"
+    )
     options = parser.parse_args()
     to = options.to or (REPOSITORY / "build" / "paper" if options.quick else None)
     folder, to = (to, to) if to else (HERE, REPOSITORY)
     if not options.page:
         if missing := [name for name in NEEDS if not machine.program_of(name)]:
-            print(f"not installed: {', '.join(missing)} (Debian: apt install {' '.join(missing)})", file=sys.stderr)
+            print(
+                f"not installed: {', '.join(missing)} (Debian: apt install {' '.join(missing)})",
+                file=sys.stderr,
+            )
             sys.exit(2)
         from paper import measure
 

@@ -1,9 +1,10 @@
-"""The paper's network-based design: an optimization tool and simulation servers that talk through an MQTT broker.
+"""The paper's network-based design: optimization tool and servers talk through MQTT.
 
-The messages are the paper's seven, in its order, each with a server's id and a simulation's hash: for every candidate discovery,
-server (from each idle one), parameters and control, then a sensor message of each agent of a turn and an actuator message back,
-and fitness. The controllers are in the one optimization tool. QoS 0: no message is acknowledged. Their encoding is msgpack, which
-costs less than the text that the paper may have used.
+The messages are the paper's seven, in its order, each with a server's id and a simulation's hash:
+for every candidate discovery, server (from each idle one), parameters and control, then a sensor
+message of each agent of a turn and an actuator message back, and fitness. The controllers are in
+the one optimization tool. QoS 0: no message is acknowledged. Their encoding is msgpack, which costs
+less than the text that the paper may have used.
 
 As a program it is a server: ``python -m paper.broker PORT ID NODELAY``.
 """
@@ -81,31 +82,40 @@ class Fitness(Message):
 
 
 TO_OPTIMIZER = ("server", "sensor", "fitness", "ready")
-decode = msgspec.msgpack.Decoder(Discovery | Server | Parameters | Control | Sensor | Actuator | Fitness).decode
+decode = msgspec.msgpack.Decoder(
+    Discovery | Server | Parameters | Control | Sensor | Actuator | Fitness
+).decode
 encode = msgspec.msgpack.Encoder().encode
 
 
-# ---- the optimization tool ----------------------------------------------------------------------------------------
+# ---- the optimization tool ---------------------------------------------------------------------
 
 
 class Controllers:
     """Those of all agents of one simulation."""
 
-    def __init__(self, number: int, parameters: np.ndarray, agents: int, representation: Representation) -> None:
+    def __init__(
+        self, number: int, parameters: np.ndarray, agents: int, representation: Representation
+    ) -> None:
         self.number = number  # of its trial
         self.server = ""  # until one is chosen
         self._parameters, self._step = parameters, representation.step
         self._states = np.zeros((agents, representation.state_size), np.float32)
 
     def act(self, agent: int, readings: bytes, outputs: int) -> bytes:
-        """An agent's commands."""
+        """Take an agent's commands."""
         decided = np.empty(outputs, np.float32)
-        self._step(self._parameters, self._states[agent], np.frombuffer(bytearray(readings), np.float32), decided)
+        self._step(
+            self._parameters,
+            self._states[agent],
+            np.frombuffer(bytearray(readings), np.float32),
+            decided,
+        )
         return decided.tobytes()
 
 
 class Broker(contextlib.AbstractContextManager["Broker"]):
-    """A mosquitto of its own, the optimization tool's connection to it, and servers, each a process.
+    """Run a private mosquitto, the optimization tool's connection, and a process per server.
 
     Attributes:
         messages: that passed the optimization tool, both ways.
@@ -134,10 +144,17 @@ class Broker(contextlib.AbstractContextManager["Broker"]):
         self._stack.close()
 
     def grow(self, servers: int, problem: Problem) -> None:
-        """Have so many servers, warmed up for a problem."""
+        """Start servers until there are enough, warmed up for a problem."""
         more = servers - self.servers
         for number in range(self.servers, servers):
-            command = [sys.executable, "-m", "paper.broker", str(self._port), f"ss-{number}", str(int(self.nodelay))]
+            command = [
+                sys.executable,
+                "-m",
+                "paper.broker",
+                str(self._port),
+                f"ss-{number}",
+                str(int(self.nodelay)),
+            ]
             by_mqtt.started(self._stack, command, stdin=_warming(problem))
         for _ in range(more):
             if not self._ready.acquire(timeout=START_S):
@@ -145,12 +162,15 @@ class Broker(contextlib.AbstractContextManager["Broker"]):
         self.servers = servers
 
     def play(self, problem: Problem, workload: Workload) -> None:
-        """Simulate, as many at a time as there are servers; a candidate looks for a server when another one's is free."""
+        """Simulate, one candidate per server at a time."""
         self._problem, self._workload = problem, workload
         parameters = problem.representation.parameters(workload.genomes)
         self._simulations = {
             self._hash(number): Controllers(
-                number, parameters[workload.participants[number, 0]], len(problem.simulator.owners), problem.representation
+                number,
+                parameters[workload.participants[number, 0]],
+                len(problem.simulator.owners),
+                problem.representation,
             )
             for number in range(len(workload.seeds))
         }
@@ -165,17 +185,21 @@ class Broker(contextlib.AbstractContextManager["Broker"]):
             seen = self.messages
 
     def _hash(self, number: int) -> str:
-        """A simulation's: of all that decides it, and its number, as two candidates may be equal."""
+        """Return a simulation's identifier: all that decides it, and its number."""
         problem, workload = self._problem.experiment.problem, self._workload
         genome = workload.genomes[workload.participants[number, 0]]
-        said = msgspec.msgpack.encode([problem.simulator, problem.settings, int(workload.seeds[number]), number])
+        said = msgspec.msgpack.encode(
+            [problem.simulator, problem.settings, int(workload.seeds[number]), number]
+        )
         return hashlib.blake2b(said + genome, digest_size=16).hexdigest()
 
     def _look(self) -> None:
-        """Have the next candidate look for a server."""
+        """Let the next candidate look for a server."""
         if simulation := next(self._waiting, ""):
             problem = self._problem
-            wanted = Discovery("", simulation, problem.experiment.problem.simulator, len(problem.simulator.owners))
+            wanted = Discovery(
+                "", simulation, problem.experiment.problem.simulator, len(problem.simulator.owners)
+            )
             self._publish("discovery", wanted)
 
     def _publish(self, topic: str, message: Message) -> None:
@@ -191,8 +215,13 @@ class Broker(contextlib.AbstractContextManager["Broker"]):
         controllers = self._simulations[message.simulation]
         match message:
             case Sensor():
-                commands = controllers.act(message.agent, message.readings, self._problem.simulator.outputs)
-                self._publish(f"{message.server}/actuator", Actuator(message.server, message.simulation, message.agent, commands))
+                commands = controllers.act(
+                    message.agent, message.readings, self._problem.simulator.outputs
+                )
+                self._publish(
+                    f"{message.server}/actuator",
+                    Actuator(message.server, message.simulation, message.agent, commands),
+                )
             case Server() if not controllers.server and message.server not in self._used:
                 controllers.server = message.server
                 self._used.add(message.server)
@@ -209,12 +238,18 @@ class Broker(contextlib.AbstractContextManager["Broker"]):
         problem = self._problem.experiment.problem
         self._publish(
             f"{server}/parameters",
-            Parameters(server, simulation, problem.simulator, problem.settings, int(self._workload.seeds[number])),
+            Parameters(
+                server,
+                simulation,
+                problem.simulator,
+                problem.settings,
+                int(self._workload.seeds[number]),
+            ),
         )
         self._publish(f"{server}/control", Control(server, simulation))
 
 
-# ---- a simulation server ------------------------------------------------------------------------------------------
+# ---- a simulation server -----------------------------------------------------------------------
 
 
 class SimulationServer:
@@ -226,11 +261,13 @@ class SimulationServer:
         self._simulation, self._busy = "", False
 
     def on_message(self, _client: object, _data: object, received: Any) -> None:
-        """Answer what the optimization tool sent."""
+        """Answer the optimization tool."""
         match decode(received.payload):
             case Discovery(simulation=simulation, simulator="paced") if not self._busy:
                 self._publish("server", Server(self._name, simulation, ["paced"]))
-            case Parameters(simulation=simulation, simulator=simulator, settings=settings, seed=seed):
+            case Parameters(
+                simulation=simulation, simulator=simulator, settings=settings, seed=seed
+            ):
                 self._simulation, self._seed = simulation, seed
                 self._simulator = self.built(simulator, settings)
             case Control(simulation=self._simulation):
@@ -243,7 +280,7 @@ class SimulationServer:
                     self._sense(self._simulator.step(self._actions))
 
     def built(self, simulator: str, settings: dict[str, Any]) -> Simulator:
-        """A simulator with settings; built once."""
+        """Build a simulator with settings once."""
         from zswarm import evaluate
 
         key = msgspec.msgpack.encode([simulator, settings])
@@ -252,29 +289,37 @@ class SimulationServer:
         return self._simulators[key]
 
     def _sense(self, turn: Turn | None) -> None:
-        """Send what all agents of a turn sense; at the end the fitness."""
+        """Send the sensors of all agents of a turn; at the end the fitness."""
         if turn is None:
             self._busy = False
-            self._publish("fitness", Fitness(self._name, self._simulation, float(self._simulator.outcome().fitness[0])))
+            self._publish(
+                "fitness",
+                Fitness(self._name, self._simulation, float(self._simulator.outcome().fitness[0])),
+            )
             return
         self._rows = {agent: row for row, agent in enumerate(turn.agents)}
         self._actions = np.empty((len(turn.agents), self._simulator.outputs), np.float32)
         self._awaited = len(turn.agents)
         for agent, readings in zip(turn.agents, turn.observations, strict=True):
-            self._publish("sensor", Sensor(self._name, self._simulation, int(agent), readings.astype(np.float32).tobytes()))
+            self._publish(
+                "sensor",
+                Sensor(
+                    self._name, self._simulation, int(agent), readings.astype(np.float32).tobytes()
+                ),
+            )
 
     def _publish(self, topic: str, message: Message) -> None:
         self._client.publish(topic, encode(message))
 
 
 def _warming(problem: Problem) -> bytes:
-    """What a server is told on its standard input: the problem that it shall be quick at."""
+    """Return a server's standard input: the problem to warm up for."""
     asked = problem.experiment.problem
     return msgspec.json.encode(Part(asked.simulator, {**asked.settings, "step_s": 0.0}))
 
 
 def serve(port: int, name: str, nodelay: bool) -> None:
-    """Be a simulation server, until it is ended."""
+    """Serve simulations until ended."""
     client = by_mqtt.connected(port, nodelay)
     server = SimulationServer(client, name)
     part = msgspec.json.decode(sys.stdin.buffer.read(), type=Part)

@@ -1,8 +1,9 @@
-"""The paper's file-based design: a candidate is exported as C, compiled into the simulator, run, and judged by its logs.
+"""The paper's file-based design: export C, compile it, run it, read its logs.
 
-Parameters, representation and logs are files, as in the paper. The representation is the C99 pair of ``zswarm-ot export``; the
-simulator is the emergency exit of ``examples/foreign/c``. It is compiled by the C compiler alone, or by ``catkin_make`` as a
-package of ROS 1, which is what the paper's 8.8 seconds are of.
+Parameters, representation and logs are files, as in the paper. The representation is the C99 pair
+of ``zswarm-ot export``; the simulator is the emergency exit of ``examples/foreign/c``. It is
+compiled by the C compiler alone, or by ``catkin_make`` as a package of ROS 1, which is what the
+paper's 8.8 seconds are of.
 """
 
 import contextlib
@@ -18,14 +19,17 @@ from typing import NamedTuple
 from zswarm.controller import Controller
 from zswarm.ot.problem import Problem
 from zswarm.ot.workload import Workload
-from zswarm.robots import c99
+from zswarm.robots.c import c99
 
 HERE = Path(__file__).resolve().parent
 EXAMPLE = HERE.parents[1] / "examples" / "foreign" / "c"
 FLAGS = ("-O2", "-std=c11", "-D_POSIX_C_SOURCE=200809L", "-ffp-contract=off")
 BUILDS = {"cc": "gcc", "catkin": "catkin_make"}  # and the program that each needs
-SYSTEM = {"PATH": "/usr/local/bin:/usr/bin:/bin"}  # catkin's modules are those of the system's Python
-PACKAGE = """<package format="2"><name>exit_world</name><version>1.0.0</version><description>Emergency exit</description>
+SYSTEM = {
+    "PATH": "/usr/local/bin:/usr/bin:/bin"
+}  # catkin's modules are those of the system's Python
+PACKAGE = """<package format="2"><name>exit_world</name><version>1.0.0</version>
+<description>Emergency exit</description>
 <maintainer email="nobody@example.org">nobody</maintainer><license>Apache-2.0</license>
 <buildtool_depend>catkin</buildtool_depend></package>
 """
@@ -76,13 +80,19 @@ class Files:
         """Simulate, one candidate after another."""
         for trial, seed in enumerate(workload.seeds):
             genome = workload.genomes[workload.participants[trial, 0]]
-            workload.fitness[trial, 0] = self._simulate(problem, problem.controller(genome, 0.0, "paper"), int(seed))
+            workload.fitness[trial, 0] = self._simulate(
+                problem, problem.controller(genome, 0.0, "paper"), int(seed)
+            )
 
     def _simulate(self, problem: Problem, controller: Controller, seed: int) -> float:
         settings = problem.experiment.problem.settings
         times = [time.perf_counter()]
-        parameters = {name: settings[name] for name in ("agents", "steps", "step_s")} | {"trial_seed": seed}
-        (self._logs / "parameters.yaml").write_text("".join(f"{name}: {value}\n" for name, value in parameters.items()))
+        parameters = {name: settings[name] for name in ("agents", "steps", "step_s")} | {
+            "trial_seed": seed
+        }
+        (self._logs / "parameters.yaml").write_text(
+            "".join(f"{name}: {value}\n" for name, value in parameters.items())
+        )
         for name, text in c99.pair(controller, "candidate").items():
             (self._package / name).write_text(text)
         times.append(time.perf_counter())
@@ -97,12 +107,18 @@ class Files:
 
 
 def judged(folder: Path, agents: int, steps: int) -> float:
-    """The fitness of emergency exit from the logs of its agents: distances at the end, and the first step with everybody out."""
+    """Return the fitness from agents' logs: final distances and the first step with all out."""
     logs = [
-        [float(line.split("\t")[1]) for line in (folder / f"agent_{agent}.log").read_text().splitlines()[1:]]
+        [
+            float(line.split("\t")[1])
+            for line in (folder / f"agent_{agent}.log").read_text().splitlines()[1:]
+        ]
         for agent in range(agents)
     ]
-    out = next((step for step, distances in enumerate(zip(*logs, strict=True)) if not any(distances)), steps)
+    out = next(
+        (step for step, distances in enumerate(zip(*logs, strict=True)) if not any(distances)),
+        steps,
+    )
     distance = 0.0
     for log in logs:  # one after another, as the simulator adds them
         distance += log[-1]
@@ -110,18 +126,24 @@ def judged(folder: Path, agents: int, steps: int) -> float:
 
 
 def _done(command: list[str], folder: Path) -> None:
-    done = subprocess.run(command, cwd=folder, env=SYSTEM, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, cwd=folder, env=SYSTEM, capture_output=True, text=True, check=False
+    )
     if done.returncode:
         raise RuntimeError(f"{command[0]} failed: {(done.stderr or done.stdout)[-2000:]}")
 
 
 def missing(build: str) -> str:
-    """Which program is not there, or ""."""
-    return "" if shutil.which(BUILDS[build], path=SYSTEM["PATH"]) else f"{BUILDS[build]} is not installed"
+    """Return the missing program, or ""."""
+    return (
+        ""
+        if shutil.which(BUILDS[build], path=SYSTEM["PATH"])
+        else f"{BUILDS[build]} is not installed"
+    )
 
 
 @contextlib.contextmanager
 def workspace(build: str) -> Iterator[Files]:
-    """A new one, deleted in the end."""
+    """Make a workspace, deleted at the end."""
     with tempfile.TemporaryDirectory() as name:
         yield Files(Path(name), build)

@@ -1,4 +1,4 @@
-"""No design: the same simulations within this process, to know what they cost without any transport."""
+"""Simulate within this process: the cost without any transport."""
 
 from zswarm.evaluate import turns
 from zswarm.ot.problem import Problem

@@ -1,6 +1,7 @@
 """Measures all designs on the same optimizations; what the numbers say is ``findings.py``'s.
 
-Each row is one optimization: which part of the measurements it belongs to, design, world, servers, and what it took.
+Each row is one optimization: which part of the measurements it belongs to, design, world, servers,
+and what it took.
 """
 
 import time
@@ -17,12 +18,14 @@ from paper.local import Local
 from paper.names import FILES, LOCAL, NODELAY, PAPER_STEP_S, STOCK, ZENOH
 from paper.over_zenoh import WAYS, Servers
 from paper.world import Optimized, Size, World
-from zswarm.ot import run
+from zswarm.ot.build import build as build_parts
 from zswarm.ot.problem import Problem
 from zswarm.ot.workload import Workload
 
 Row = dict[str, Any]
-Optimize = Callable[[World, Size, int], tuple[Optimized, Row]]  # on so many servers; what else there is to say
+Optimize = Callable[
+    [World, Size, int], tuple[Optimized, Row]
+]  # on so many servers; what else there is to say
 
 ONE = Size(1, 3)  # a generation, the smallest that NNGA takes
 
@@ -37,7 +40,11 @@ class Plan(NamedTuple):
     grid_steps: tuple[int, ...] = (10, 20, 30)
     grid_step_s: float = PAPER_STEP_S
     message_agents: tuple[int, ...] = (1, 2, 4, 8, 16)
-    message_steps: tuple[int, ...] = (10, 60, 210)  # the difference is of messages alone; the slow broker has the first two
+    message_steps: tuple[int, ...] = (
+        10,
+        60,
+        210,
+    )  # the difference is of messages alone; the slow broker has the first two
     servers: tuple[int, ...] = (1, 2, 4, 8, 16)
     scaling_steps: tuple[int, ...] = (10, 20)
     scaling_step_s: float = 0.05
@@ -47,14 +54,25 @@ class Plan(NamedTuple):
 
 
 QUICK = Plan(
-    rounds=1, designs_steps=10, crowd_steps=10, grid_agents=(1, 2), grid_steps=(10, 12), grid_step_s=0.002,
-    message_agents=(1, 8), message_steps=(10, 14, 30), servers=(1, 2), scaling_steps=(10,), scaling_step_s=0.002,
-    crowded=Size(2, 4, 2), crowded_step_s=0.002, evolve=Size(5, 50),
-)  # fmt: skip
+    rounds=1,
+    designs_steps=10,
+    crowd_steps=10,
+    grid_agents=(1, 2),
+    grid_steps=(10, 12),
+    grid_step_s=0.002,
+    message_agents=(1, 8),
+    message_steps=(10, 14, 30),
+    servers=(1, 2),
+    scaling_steps=(10,),
+    scaling_step_s=0.002,
+    crowded=Size(2, 4, 2),
+    crowded_step_s=0.002,
+    evolve=Size(5, 50),
+)
 
 
 def measure(plan: Plan, say: Callable[[str], None]) -> Row:
-    """All of it: ``rows``, and ``missing``, what could not be measured and why."""
+    """Return ``rows``, and ``missing``: what could not be measured and why."""
     rows: list[Row] = []
     missing: dict[str, str] = {}
     say("no transport")
@@ -66,7 +84,9 @@ def measure(plan: Plan, say: Callable[[str], None]) -> Row:
             continue
         say(name)
         with files.workspace(build) as opened:
-            rows += _designs(name, _by_files(opened), plan, rounds=plan.rounds if build == "cc" else 1)
+            rows += _designs(
+                name, _by_files(opened), plan, rounds=plan.rounds if build == "cc" else 1
+            )
             if build == "cc":
                 rows += _grid(name, _by_files(opened), plan, "emergency-exit")
     for name in (STOCK, NODELAY):
@@ -83,12 +103,14 @@ def measure(plan: Plan, say: Callable[[str], None]) -> Row:
             rows += _messages(name, optimize, plan)
         for way in WAYS:
             say(f"{ZENOH[way]}, more servers")
-            rows += _scaling(ZENOH[way], _over_zenoh(servers, way), plan, plan.servers, paced=way == "blob")
+            rows += _scaling(
+                ZENOH[way], _over_zenoh(servers, way), plan, plan.servers, paced=way == "blob"
+            )
     return {"rows": rows, "missing": missing}
 
 
 def evolve_s(size: Size) -> float:
-    """t_evo: what NNGA takes between two generations of nets with 60 numbers."""
+    """Return t_evo: NNGA's time between generations of nets with 60 numbers."""
     chance = np.random.default_rng(1)
 
     def judge(_problem: Problem, workload: Workload) -> None:
@@ -97,28 +119,36 @@ def evolve_s(size: Size) -> float:
     return world.optimize(world.load(World(), size), judge).seconds / size.generations
 
 
-# ---- parts --------------------------------------------------------------------------------------------------------
+# ---- parts -------------------------------------------------------------------------------------
 
 
 def _parts(name: str, optimize: Optimize, plan: Plan, *, servers: tuple[int, ...]) -> list[Row]:
-    """All that a design which simulates minisim is measured by."""
+    """Return the parts by which designs that simulate minisim are measured."""
     optimize(World(), ONE, 1)
     rows = _designs(name, optimize, plan, rounds=plan.rounds) + _messages(name, optimize, plan)
     if name != LOCAL:
-        rows += _grid(name, optimize, plan, "minisim") + _scaling(name, optimize, plan, servers, paced=True)
+        rows += _grid(name, optimize, plan, "minisim") + _scaling(
+            name, optimize, plan, servers, paced=True
+        )
     return rows
 
 
 def _designs(name: str, optimize: Optimize, plan: Plan, *, rounds: int) -> list[Row]:
-    """The same optimization by each design: emergency exit, and minisim, where all agents act at once."""
-    rows = [_row("designs", name, optimize, World(steps=plan.designs_steps), Size(), 1) for _ in range(rounds)]
+    """Run the same optimization by each design, on emergency exit and minisim."""
+    rows = [
+        _row("designs", name, optimize, World(steps=plan.designs_steps), Size(), 1)
+        for _ in range(rounds)
+    ]
     if not name.startswith("files"):
-        rows += [_row("designs", name, optimize, World("minisim", steps=plan.crowd_steps), Size(), 1) for _ in range(rounds)]
+        rows += [
+            _row("designs", name, optimize, World("minisim", steps=plan.crowd_steps), Size(), 1)
+            for _ in range(rounds)
+        ]
     return rows
 
 
 def _messages(name: str, optimize: Optimize, plan: Plan) -> list[Row]:
-    """Short and longer simulations as fast as they can be."""
+    """Run short and longer simulations as fast as possible."""
     return [
         _row("messages", name, optimize, World("minisim", agents, steps), ONE, 1)
         for agents in plan.message_agents
@@ -127,7 +157,7 @@ def _messages(name: str, optimize: Optimize, plan: Plan) -> list[Row]:
 
 
 def _grid(name: str, optimize: Optimize, plan: Plan, kind: str) -> list[Row]:
-    """Simulations in real time, for the coefficients of equations 9 and 10."""
+    """Simulate in real time, for the coefficients of equations 9 and 10."""
     return [
         _row("grid", name, optimize, World(kind, agents, steps, plan.grid_step_s), ONE, 1)
         for agents in plan.grid_agents
@@ -135,26 +165,48 @@ def _grid(name: str, optimize: Optimize, plan: Plan, kind: str) -> list[Row]:
     ]
 
 
-def _scaling(name: str, optimize: Optimize, plan: Plan, servers: tuple[int, ...], *, paced: bool) -> list[Row]:
-    """Figure 4, where it is to be in real time, and the same with enough simulations for all servers."""
+def _scaling(
+    name: str, optimize: Optimize, plan: Plan, servers: tuple[int, ...], *, paced: bool
+) -> list[Row]:
+    """Run Figure 4 in real time, and again with enough simulations for all servers."""
     rows = []
     for count in servers:
         if paced:
             rows += [
-                _row("scaling", name, optimize, World("minisim", 8, steps, plan.scaling_step_s), Size(), count)
+                _row(
+                    "scaling",
+                    name,
+                    optimize,
+                    World("minisim", 8, steps, plan.scaling_step_s),
+                    Size(),
+                    count,
+                )
                 for steps in plan.scaling_steps
             ]
-        rows.append(_row("crowded", name, optimize, World("minisim", 8, 10, plan.crowded_step_s), plan.crowded, count))
+        rows.append(
+            _row(
+                "crowded",
+                name,
+                optimize,
+                World("minisim", 8, 10, plan.crowded_step_s),
+                plan.crowded,
+                count,
+            )
+        )
     return rows
 
 
 def _row(part: str, name: str, optimize: Optimize, on: World, size: Size, servers: int) -> Row:
     found, more = optimize(on, size, servers)
     about = {"part": part, "design": name, **on._asdict(), **size._asdict(), "servers": servers}
-    return about | {"s": found.seconds, "simulations": found.simulations, "history": found.history} | more
+    return (
+        about
+        | {"s": found.seconds, "simulations": found.simulations, "history": found.history}
+        | more
+    )
 
 
-# ---- designs ------------------------------------------------------------------------------------------------------
+# ---- designs -----------------------------------------------------------------------------------
 
 
 def _locally(on: World, size: Size, _servers: int) -> tuple[Optimized, Row]:
@@ -168,7 +220,10 @@ def _by_files(opened: files.Files) -> Optimize:
         opened.spent.clear()
         found = world.optimize(world.load(on, size), opened.play)
         means = [sum(each) / len(each) for each in zip(*opened.spent, strict=True)]
-        return found, {"first_compile_s": opened.spent[0].compile_s, **dict(zip(files.Spent._fields, means, strict=True))}
+        return found, {
+            "first_compile_s": opened.spent[0].compile_s,
+            **dict(zip(files.Spent._fields, means, strict=True)),
+        }
 
     return optimize
 
@@ -176,7 +231,7 @@ def _by_files(opened: files.Files) -> Optimize:
 def _by_broker(broker: Broker) -> Optimize:
     def optimize(on: World, size: Size, servers: int) -> tuple[Optimized, Row]:
         loaded = world.load(on, size)
-        broker.grow(servers, run.build(loaded).problem)
+        broker.grow(servers, build_parts(loaded).problem)
         broker.messages = 0
         found = world.optimize(loaded, broker.play)
         return found, {"messages": broker.messages}
@@ -193,7 +248,7 @@ def _over_zenoh(opened: Servers, way: str) -> Optimize:
 
 
 def results(plan: Plan, folder: Path) -> Path:
-    """Measure, and leave it in ``folder/results.json``."""
+    """Measure and write ``folder/results.json``."""
     machine.warn_if_busy()
     begin = time.monotonic()
 
@@ -204,5 +259,10 @@ def results(plan: Plan, folder: Path) -> Path:
         found = measure(plan, say)
     seconds = round(time.monotonic() - begin)
     return machine.write(
-        "results", found["rows"], ("paho-mqtt", "mosquitto", "gcc"), folder=folder, missing=found["missing"], seconds=seconds
+        "results",
+        found["rows"],
+        ("paho-mqtt", "mosquitto", "gcc"),
+        folder=folder,
+        missing=found["missing"],
+        seconds=seconds,
     )

@@ -1,7 +1,8 @@
-"""zswarm's own two ways: real runs on real ``zswarm-ss`` daemons, from the first server that is ready until all is closed.
+"""zswarm's two designs: real runs on real ``zswarm-ss`` daemons.
 
-A candidate travels as its parameters, and a generic controller at the server reads them: what the paper proposes in section VI.
-Or the controllers stay in the optimizer, as in the paper's network-based design, and servers ask it in each turn.
+A candidate travels as its parameters, and a generic controller at the server reads them: what the
+paper proposes in section VI. Or the controllers stay in the optimizer, as in the paper's
+network-based design, and servers ask it in each turn.
 """
 
 import contextlib
@@ -17,9 +18,9 @@ import leased
 from paper import world
 from paper.world import Optimized, Size, World
 from zswarm.ot import evolution
-from zswarm.ot.connection import Connection
-from zswarm.ot.dispatch import Note
+from zswarm.ot.cluster.connection import Connection
 from zswarm.ot.logger import Logger
+from zswarm.ot.notes import Note
 
 WAYS: dict[str, tuple[str, ...]] = {  # what [cluster] says
     "blob": (),
@@ -30,12 +31,12 @@ START_S = 120.0
 
 
 class Joined(Logger):
-    """Notes when the first server was ready: found, and through with its probe; those behind the broker are connected before."""
+    """Record when the first server was ready; servers behind the broker connect before."""
 
     at = 0.0
 
     def on_event(self, event: Note) -> None:
-        """Something happened."""
+        """Note the first server that is ready."""
         if event.event == "server_joined" and not self.at:
             self.at = time.perf_counter()
 
@@ -54,7 +55,7 @@ class Servers(contextlib.AbstractContextManager["Servers"]):
         self._stack.close()
 
     def grow(self, servers: int) -> None:
-        """Have so many, listening."""
+        """Start daemons until there are enough."""
         before = len(self._endpoints)
         for number in range(before, servers):
             port = leased.free_port()
@@ -64,7 +65,7 @@ class Servers(contextlib.AbstractContextManager["Servers"]):
             by_mqtt.wait_for_port(int(endpoint.rpartition(":")[2]), START_S)
 
     def optimize(self, size: Size, on: World, servers: int, way: str = "blob") -> Optimized:
-        """One run on the first so many of them."""
+        """Run on the first of them."""
         where = [
             f"cluster.servers={servers}",
             f"cluster.connect={json.dumps(self._endpoints[:servers])}",

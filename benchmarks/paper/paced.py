@@ -1,4 +1,4 @@
-"""The simulator ``paced``: a bundled one whose steps take a given time, as those of a simulator in real time do."""
+"""The simulator ``paced``: a bundled one whose steps take a given time."""
 
 import time
 from collections.abc import Sequence
@@ -8,9 +8,8 @@ import msgspec
 import numpy as np
 
 from zswarm.sims.emergency_exit import EmergencyExit
-from zswarm.sims.emergency_exit import Settings as ExitSettings
-from zswarm.sims.minisim import Minisim
-from zswarm.sims.minisim import Settings as MinisimSettings
+from zswarm.sims.emergency_exit import EmergencyExitSettings as ExitSettings
+from zswarm.sims.minisim import Minisim, MinisimSettings
 from zswarm.sims.simulator import Outcome, Simulator, Turn
 
 MINISIM_CELLS = 10  # of a side: games of 10 steps are the shortest
@@ -26,9 +25,10 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class Paced(Simulator):
-    """Emergency exit or minisim with that many agents; after each of its steps it sleeps ``step_s``.
+    """Play emergency exit or minisim, sleeping ``step_s`` after each step.
 
-    Turns: those of the world. In emergency exit one agent after another acts, in minisim all of them at once.
+    Turns: those of the world. In emergency exit one agent after another acts, in minisim all of
+    them at once.
     """
 
     settings_type = Settings
@@ -40,14 +40,18 @@ class Paced(Simulator):
         self._world: Simulator = (
             EmergencyExit(ExitSettings(agents=agents, steps=steps, width=20, height=20))
             if settings.world == "emergency-exit"
-            else Minisim(MinisimSettings(robots=agents, steps=steps, width=MINISIM_CELLS, height=MINISIM_CELLS))
+            else Minisim(
+                MinisimSettings(
+                    robots=agents, steps=steps, width=MINISIM_CELLS, height=MINISIM_CELLS
+                )
+            )
         )
         self.metrics, self.owners = self._world.metrics, self._world.owners
         self.inputs, self.outputs = self._world.inputs, self._world.outputs
         self.sensors, self.actuators = self._world.sensors, self._world.actuators
 
     def fixed_seeds(self, trials: int) -> Sequence[int]:
-        """The same in each world."""
+        """Return the world's seeds."""
         return range(trials)
 
     def reset(self, seed: int) -> Turn:
@@ -57,7 +61,7 @@ class Paced(Simulator):
         return turn
 
     def step(self, actions: np.ndarray) -> Turn | None:
-        """Let the world's agents act; a step of the world is over when the next to act are no later ones."""
+        """Act; a world's step ends when the next agents are not later ones."""
         turn = self._world.step(actions)
         if self.settings.step_s and (turn is None or turn.agents[0] <= self._acted):
             time.sleep(self.settings.step_s)
@@ -66,5 +70,5 @@ class Paced(Simulator):
         return turn
 
     def outcome(self) -> Outcome:
-        """The world's."""
+        """Return the world's outcome."""
         return self._world.outcome()

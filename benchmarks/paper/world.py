@@ -1,4 +1,4 @@
-"""What all designs are measured on: an experiment, and the loop of an optimization that leaves evaluating to the design."""
+"""The experiment and optimization loop that all designs share."""
 
 import contextlib
 import os
@@ -9,13 +9,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from zswarm import experiment, plugins
+from zswarm import experiment
 from zswarm.experiment import Experiment
-from zswarm.ot import run
-from zswarm.ot.assessment import Assessment
-from zswarm.ot.history import History
+from zswarm.ot.build import build
+from zswarm.ot.generation import Assessment
 from zswarm.ot.problem import Problem
+from zswarm.ot.record.history_hash import History
 from zswarm.ot.workload import Workload
+from zswarm.plugins import registry as plugins
 
 BENCHMARKS = Path(__file__).resolve().parents[1]
 EXPERIMENT = """
@@ -48,7 +49,7 @@ class World(NamedTuple):
 
 
 class Size(NamedTuple):
-    """Of an optimization; by default that of the paper's Figure 4, in which NNGA simulates 4, 2, 2 and 2 candidates."""
+    """Sizes of an optimization; by default those of the paper's Figure 4."""
 
     generations: int = 4
     population: int = 4
@@ -68,12 +69,16 @@ Play = Callable[[Problem, Workload], None]  # fills the fitness of each trial
 
 @contextlib.contextmanager
 def installed() -> Iterator[None]:
-    """The simulator ``paced``, known to this process and its children; all in the clear, as the broker is."""
+    """Register the simulator ``paced`` for this process and its children, without keys."""
     with tempfile.TemporaryDirectory() as name:
         metadata = Path(name) / "zswarm_paper-1.0.dist-info"
         metadata.mkdir()
-        (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: zswarm-paper\nVersion: 1.0\n")
-        (metadata / "entry_points.txt").write_text("[zswarm.simulators]\npaced = paper.paced:Paced\n")
+        (metadata / "METADATA").write_text(
+            "Metadata-Version: 2.1\nName: zswarm-paper\nVersion: 1.0\n"
+        )
+        (metadata / "entry_points.txt").write_text(
+            "[zswarm.simulators]\npaced = paper.paced:Paced\n"
+        )
         before = {key: os.environ.get(key) for key in ("PYTHONPATH", "ZSWARM_KEYS")}
         sys.path[:0] = paths = [name, str(BENCHMARKS)]
         os.environ["PYTHONPATH"] = os.pathsep.join([*paths, os.environ.get("PYTHONPATH", "")])
@@ -90,7 +95,7 @@ def installed() -> Iterator[None]:
 
 
 def load(world: World, size: Size, *cluster: str) -> Experiment:
-    """The complete experiment, with overrides such as ``cluster.servers=2``."""
+    """Return the complete experiment with overrides such as ``cluster.servers=2``."""
     with tempfile.TemporaryDirectory() as name:
         file = Path(name) / "paper.toml"
         file.write_text(EXPERIMENT.format(**world._asdict(), **size._asdict()))
@@ -98,8 +103,8 @@ def load(world: World, size: Size, *cluster: str) -> Experiment:
 
 
 def optimize(loaded: Experiment, play: Play) -> Optimized:
-    """Evolve to the last generation, all evaluations by ``play``; what is built before the first is not in its time."""
-    problem, optimizer = run.build(loaded)
+    """Evolve to the last generation, evaluating by ``play``; building is not timed."""
+    problem, optimizer = build(loaded)
     history, simulations = History(), 0
     begin = time.perf_counter()
     for generation in range(loaded.generations):

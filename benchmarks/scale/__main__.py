@@ -1,13 +1,15 @@
 """Many servers, one optimizer, on one machine: `make scale`, or `make scale ARGS=--quick`.
 
-The servers are true to the protocol: each has its own zenoh session on its own loopback port, the slot table, keys, codec
-and liveliness token of `zswarm-ss`. Only evaluating is pretended: a batch is finished when its trials' time has passed, and
-fitness is a number drawn from genome and seed. Many servers share a process and its loop. The optimizer is the `Cluster`
-that `zswarm-ot run` uses, in a process of its own.
+The servers are true to the protocol: each has its own zenoh session on its own loopback port, the
+slot table, keys, codec and liveliness token of `zswarm-ss`. Only evaluating is pretended: a batch
+is finished when its trials' time has passed, and fitness is a number drawn from genome and seed.
+Many servers share a process and its loop. The optimizer is the `Cluster` that `zswarm-ot run` uses,
+in a process of its own.
 
-Printed, as tables for docs/benchmarks.md: how long discovery and handshake take, how many messages, what both sides use;
-how much of the slots' time generations use; what is lost in tails, when slots wait for the last trials of a generation, and
-what starting those twice would win. The charts go to benchmarks/scale.png.
+Printed, as tables for docs/benchmarks.md: how long discovery and handshake take, how many messages,
+what both sides use; how much of the slots' time generations use; what is lost in tails, when slots
+wait for the last trials of a generation, and what starting those twice would win. The charts go to
+benchmarks/scale.png.
 """
 
 import argparse
@@ -32,11 +34,15 @@ TAILS = {
 }
 
 
-LOADS = [(1.0, 10, 16, 1024), (0.1, 50, 16, 64), (4.0, 5, 256, 1024)]  # s of a trial, trials per slot, from and up to servers
+LOADS = [
+    (1.0, 10, 16, 1024),
+    (0.1, 50, 16, 64),
+    (4.0, 5, 256, 1024),
+]  # s of a trial, trials per slot, from and up to servers
 
 
 def measure(*, quick: bool) -> Results:
-    """All sizes."""
+    """Measure all sizes."""
     results = Results({}, {}, {}, {})
     for size in (16, 64) if quick else (16, 64, 256, 1024):
         with running(size) as servers:
@@ -51,21 +57,36 @@ def measure(*, quick: bool) -> Results:
             if size == (16 if quick else 64):
                 for name, times in TAILS.items():
                     run = live(servers, times, 1 if quick else 3)
-                    schedules = [schedule(times, work(g, run.uses[g].evaluations), size) for g in range(len(run.uses))]
-                    results.tails[name] = run, Schedule(*(statistics.mean(each) for each in zip(*schedules, strict=True)))
+                    schedules = [
+                        schedule(times, work(g, run.uses[g].evaluations), size)
+                        for g in range(len(run.uses))
+                    ]
+                    results.tails[name] = (
+                        run,
+                        Schedule(*(statistics.mean(each) for each in zip(*schedules, strict=True))),
+                    )
     return results
 
 
 def main() -> None:
     """Measure, print, draw."""
     parser = argparse.ArgumentParser(description="How zswarm scales, on this machine.")
-    parser.add_argument("--quick", action="store_true", help="a small version, for looking whether it works")
-    parser.add_argument("--chart", type=Path, default=Path(__file__).parent.with_suffix(".png"), help="where the charts go")
+    parser.add_argument(
+        "--quick", action="store_true", help="a small version, for looking whether it works"
+    )
+    parser.add_argument(
+        "--chart",
+        type=Path,
+        default=Path(__file__).parent.with_suffix(".png"),
+        help="where the charts go",
+    )
     parser.add_argument("--folder", type=Path, help="where the results go [default: build/bench]")
     options = parser.parse_args()
     begin = time.monotonic()
     results = measure(quick=options.quick)
-    machine.write("scale", rows(results), folder=options.folder, seconds=round(time.monotonic() - begin))
+    machine.write(
+        "scale", rows(results), folder=options.folder, seconds=round(time.monotonic() - begin)
+    )
     print_tables(results)
     draw(results, options.chart)
 

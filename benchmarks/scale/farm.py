@@ -1,4 +1,4 @@
-"""Servers that are true to the protocol, many in a process and its loop; only evaluating is pretended."""
+"""Many protocol-true servers in one process; only evaluating is simulated."""
 
 import contextlib
 import heapq
@@ -20,7 +20,8 @@ from usage import usage
 from scale.pretended import CAPACITY, Times, draws, durations, salt, speed
 from zswarm import session
 from zswarm.protocol import codec, keys, messages
-from zswarm.ss import slots
+from zswarm.ss.slots import events
+from zswarm.ss.slots.table import Slots
 
 REALM = "scale"
 TICK_S = 1.0
@@ -50,10 +51,16 @@ class Server:
         self.tick_at = float("inf")  # before the next one of the clock
         self.clear()
         offer = messages.Offer(
-            server=self.id, program="scale", machine="none", capacity=CAPACITY, free=CAPACITY, leases=0,
-            simulators=["pretended"], representations=["none"],
-        )  # fmt: skip
-        self.slots = slots.Slots(CAPACITY, offer, lambda _: "", lambda: secrets.token_bytes(16))
+            server=self.id,
+            program="scale",
+            machine="none",
+            capacity=CAPACITY,
+            free=CAPACITY,
+            leases=0,
+            simulators=["pretended"],
+            representations=["none"],
+        )
+        self.slots = Slots(CAPACITY, offer, lambda _: "", lambda: secrets.token_bytes(16))
         self.session, _ = session.open_server([endpoint], session.Reach([], multicast=False))
         on_query = zenoh.handlers.Callback(lambda query: farm.put(self, query), indirect=False)
         self.session.declare_queryable(keys.offer(REALM, self.id), on_query)
@@ -66,7 +73,7 @@ class Server:
         self.token = self.session.liveliness().declare_token(keys.alive(REALM, self.id))
 
     def clear(self) -> None:
-        """Forget what was measured."""
+        """Drop the measurements."""
         self.received: Counter[str] = Counter()
         self.sent: Counter[str] = Counter()
         self.bytes = [0, 0]  # received, sent; of payload
@@ -74,9 +81,9 @@ class Server:
         self.ran: list[tuple[int, float, float, float]] = []  # slot, from, to, seconds of work
 
 
-def _holder(sample: zenoh.Sample) -> slots.Event:
+def _holder(sample: zenoh.Sample) -> events.Event:
     user, run = keys.parse_run_key(str(sample.key_expr))
-    return slots.HolderSeen(user, run) if sample.kind == zenoh.SampleKind.PUT else slots.HolderGone(user, run)
+    return events.HolderAlive(user, run, sample.kind == zenoh.SampleKind.PUT)
 
 
 class Farm:
@@ -85,25 +92,27 @@ class Farm:
     def __init__(self, pipe: Connection) -> None:
         self.pipe = pipe
         self.servers: list[Server] = []
-        self._inbox: deque[tuple[Server, zenoh.Query | slots.Event]] = deque()
+        self._inbox: deque[tuple[Server, zenoh.Query | events.Event]] = deque()
         self._wake, self._woken = os.pipe()
         os.set_blocking(self._wake, False)
         os.set_blocking(self._woken, False)
         self._cpu: list[tuple[float, float]] = []  # when, seconds used
-        self._timers: list[tuple[float, int, Server, int, int, slots.Event]] = []
+        self._timers: list[tuple[float, int, Server, int, int, events.Event]] = []
         self._count = itertools.count()
 
-    def put(self, server: Server, item: zenoh.Query | slots.Event) -> None:
-        """From zenoh's threads."""
+    def put(self, server: Server, item: zenoh.Query | events.Event) -> None:
+        """Take a message from Zenoh's threads."""
         self._inbox.append((server, item))
         with contextlib.suppress(BlockingIOError):
             os.write(self._woken, b"!")
 
     def run(self, first: int, endpoints: list[str]) -> None:
-        """Open the servers and serve until told to stop."""
+        """Open the servers and serve until stopped."""
         before = usage(os.getpid()).rss_mb
         begin = time.monotonic()
-        self.servers = [Server(first + index, endpoint, self) for index, endpoint in enumerate(endpoints)]
+        self.servers = [
+            Server(first + index, endpoint, self) for index, endpoint in enumerate(endpoints)
+        ]
         self.pipe.send((time.monotonic() - begin, usage(os.getpid()).rss_mb - before))
         poll = select.poll()
         poll.register(self._wake, select.POLLIN)
@@ -111,7 +120,9 @@ class Farm:
         next_tick = time.monotonic()
         while True:
             until = min(next_tick, self._timers[0][0] if self._timers else next_tick)
-            ready = {descriptor for descriptor, _ in poll.poll(max(0.0, until - time.monotonic()) * 1000)}
+            ready = {
+                descriptor for descriptor, _ in poll.poll(max(0.0, until - time.monotonic()) * 1000)
+            }
             if self.pipe.fileno() in ready and not self._told(self.pipe.recv()):
                 break
             if self._wake in ready:
@@ -125,7 +136,7 @@ class Farm:
             now = time.monotonic()
             while self._timers and self._timers[0][0] <= now:
                 _, _, server, slot, turn, event = heapq.heappop(self._timers)
-                if isinstance(event, slots.Tick):
+                if isinstance(event, events.Tick):
                     server.tick_at = float("inf")
                     self._handle(server, event)
                 elif turn == server.turns[slot]:
@@ -135,7 +146,7 @@ class Farm:
                 self._cpu.append((now, time.process_time()))
                 for server in self.servers:
                     if server.slots.busy():
-                        self._handle(server, slots.Tick((0,) * CAPACITY))
+                        self._handle(server, events.Tick((0,) * CAPACITY))
         for server in self.servers:
             session.close(server.session)
 
@@ -157,7 +168,11 @@ class Farm:
             "sent": [server.sent for server in self.servers],
             "bytes": [server.bytes for server in self.servers],
             "when": [server.when for server in self.servers],
-            "ran": [(server.index * CAPACITY + slot, *rest) for server in self.servers for slot, *rest in server.ran],
+            "ran": [
+                (server.index * CAPACITY + slot, *rest)
+                for server in self.servers
+                for slot, *rest in server.ran
+            ],
         }
 
     def _asked(self, server: Server, query: zenoh.Query) -> None:
@@ -166,32 +181,41 @@ class Farm:
         server.received[key.verb] += 1
         server.bytes[0] += len(body)
         server.queries[id(query)] = query
-        self._handle(server, slots.Asked(id(query), key.user, key.run, codec.decode_request(body)))
+        self._handle(server, events.Asked(id(query), key.user, key.run, codec.decode_request(body)))
 
-    def _handle(self, server: Server, event: slots.Event) -> None:
+    def _handle(self, server: Server, event: events.Event) -> None:
         now = time.monotonic()
         for command in server.slots.handle(event, now):
             match command:
-                case slots.Answer():
+                case events.Answer():
                     self._answer(server, command, now)
-                case slots.Prepare():
-                    self._later(server, command.slot, now, slots.Prepared(command.slot, b"scale" if command.probe else b"", 0.0))
-                case slots.Run():
+                case events.PrepareSlot():
+                    self._later(
+                        server,
+                        command.slot,
+                        now,
+                        events.Prepared(command.slot, b"scale" if command.probe else b"", 0.0),
+                    )
+                case events.RunChunk():
                     self._run(server, command, now)
-                case slots.Stop() | slots.Kill():
+                case events.StopSlot() | events.KillSlot():
                     server.turns[command.slot] += 1
-                    if isinstance(command, slots.Stop):
-                        refused = codec.encode(messages.Refused(code="cancelled", reason="cancelled"))
-                        self._later(server, command.slot, now, slots.Finished(command.slot, refused))
+                    if isinstance(command, events.StopSlot):
+                        refused = messages.Refused(code="cancelled", reason="cancelled")
+                        self._later(
+                            server, command.slot, now, events.Finished(command.slot, refused)
+                        )
         if (tick_at := server.slots.next_time()) < server.tick_at:
             server.tick_at = tick_at
-            self._later(server, 0, tick_at, slots.Tick((0,) * CAPACITY))
+            self._later(server, 0, tick_at, events.Tick((0,) * CAPACITY))
 
-    def _run(self, server: Server, command: slots.Run, now: float) -> None:
-        batch = codec.decode_request(command.body)
+    def _run(self, server: Server, command: events.RunChunk, now: float) -> None:
+        batch = command.work
         participants, seeds = codec.trials(batch, 1)
         times = msgspec.convert(server.slots.slots[command.slot].setup.simulator.settings, Times)
-        taken = durations(times, draws(batch.genomes, participants, seeds, salt(times, server.index)))
+        taken = durations(
+            times, draws(batch.genomes, participants, seeds, salt(times, server.index))
+        )
         seconds = float(taken.sum()) / speed(times, server.index)
         outcomes = messages.Outcomes(
             batch=batch.batch,
@@ -200,18 +224,25 @@ class Farm:
             seconds=seconds,
         )
         server.running[command.slot] = (now, seconds)
-        self._later(server, command.slot, now + seconds, slots.Finished(command.slot, codec.encode(outcomes)))
+        self._later(
+            server,
+            command.slot,
+            now + seconds,
+            events.Finished(command.slot, outcomes),
+        )
 
-    def _later(self, server: Server, slot: int, when: float, event: slots.Event) -> None:
-        heapq.heappush(self._timers, (when, next(self._count), server, slot, server.turns[slot], event))
+    def _later(self, server: Server, slot: int, when: float, event: events.Event) -> None:
+        heapq.heappush(
+            self._timers, (when, next(self._count), server, slot, server.turns[slot], event)
+        )
 
-    def _slot_done(self, server: Server, slot: int, event: slots.Event) -> None:
-        if isinstance(event, slots.Finished):
+    def _slot_done(self, server: Server, slot: int, event: events.Event) -> None:
+        if isinstance(event, events.Finished):
             begin, seconds = server.running[slot]
             server.ran.append((slot, begin, time.monotonic(), seconds))
         self._handle(server, event)
 
-    def _answer(self, server: Server, answer: slots.Answer, now: float) -> None:
+    def _answer(self, server: Server, answer: events.Answer, now: float) -> None:
         query = server.queries.pop(answer.query)
         kind = _kind.decode(answer.body).type
         server.sent[kind] += 1
@@ -226,8 +257,10 @@ class Farm:
 
 
 def farm(pipe: Connection, first: int, endpoints: list[str]) -> None:
-    """A process of servers."""
-    os.environ["ZENOH_RUNTIME"] = "(tx: (worker_threads: 1))"  # a server of its own has a process of its own
+    """Run a process of servers."""
+    os.environ["ZENOH_RUNTIME"] = (
+        "(tx: (worker_threads: 1))"  # a server of its own has a process of its own
+    )
     Farm(pipe).run(first, endpoints)
 
 
@@ -241,7 +274,9 @@ class Servers:
         self.processes = []
         for first in range(0, count, SERVERS_PER_PROCESS):
             pipe, end = spawn.Pipe()
-            process = spawn.Process(target=farm, args=(end, first, self.endpoints[first : first + SERVERS_PER_PROCESS]))
+            process = spawn.Process(
+                target=farm, args=(end, first, self.endpoints[first : first + SERVERS_PER_PROCESS])
+            )
             process.start()
             end.close()
             self.pipes.append(pipe)
@@ -250,13 +285,13 @@ class Servers:
         self.open_s, self.mb = max(s for s, _ in opened), sum(mb for _, mb in opened) / count
 
     def ask(self, word: str) -> list[Any]:
-        """Every process's answer."""
+        """Return every process's answer."""
         for pipe in self.pipes:
             pipe.send(word)
         return [pipe.recv() for pipe in self.pipes]
 
     def close(self) -> None:
-        """End them."""
+        """End the processes."""
         for pipe in self.pipes:
             pipe.send("stop")
         for process in self.processes:
@@ -267,7 +302,7 @@ class Servers:
 
 @contextlib.contextmanager
 def running(count: int) -> Iterator[Servers]:
-    """So many servers."""
+    """Start that many servers."""
     servers = Servers(count)
     try:
         yield servers

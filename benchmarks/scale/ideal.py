@@ -1,4 +1,4 @@
-"""How short a generation could be: the same trials on the same servers, without any network or computing."""
+"""Compute the shortest possible generation: same trials and servers, no network."""
 
 import heapq
 import itertools
@@ -6,7 +6,7 @@ from collections import deque
 from typing import Any, NamedTuple
 
 from scale.pretended import CAPACITY, Times, draws, durations, salt, speed
-from zswarm.ot.dispatch import DEPTH
+from zswarm.ot.cluster.batches import DEPTH
 from zswarm.ot.workload import Workload
 
 
@@ -15,13 +15,18 @@ class Schedule(NamedTuple):
 
     bound: float  # as dispatch does: what waits at a server stays there
     free: float  # every slot takes the next trial that nobody started
-    twice: float  # and then, when none is left, one that another slot would finish later: by an oracle
+    twice: (
+        float  # and then, when none is left, one that another slot would finish later: by an oracle
+    )
 
 
 def schedule(times: Times, workload: Workload, servers: int) -> Schedule:
     """Play a generation by list scheduling."""
     by_server = [
-        durations(times, draws(workload.genomes, workload.participants, workload.seeds, salt(times, server)))
+        durations(
+            times,
+            draws(workload.genomes, workload.participants, workload.seeds, salt(times, server)),
+        )
         / speed(times, server)
         for server in (range(servers) if times.of == "execution" else (0, 1))
     ]
@@ -63,12 +68,18 @@ def _free(count: int, servers: int, takes: Any) -> tuple[float, float]:
     plain = max(ends.values())
     while free:
         now, slot = heapq.heappop(free)
-        sooner = [trial for trial, end in ends.items() if end > now and now + takes(trial, slot // CAPACITY) < end]
+        sooner = [
+            trial
+            for trial, end in ends.items()
+            if end > now and now + takes(trial, slot // CAPACITY) < end
+        ]
         ends = {trial: end for trial, end in ends.items() if end >= now}
         if sooner:  # if not, nor later
             late = max(sooner, key=ends.__getitem__)
             ends[late] = now + takes(late, slot // CAPACITY)
-            free = [(time, slot) for time, slot in free if slot not in slots_of[late]]  # they give it up then
+            free = [
+                (time, slot) for time, slot in free if slot not in slots_of[late]
+            ]  # they give it up then
             slots_of[late].append(slot)
             free += [(ends[late], slot) for slot in slots_of[late]]
             heapq.heapify(free)

@@ -14,12 +14,13 @@ from usage import usage
 
 from scale.farm import REALM, Servers, spawn
 from scale.pretended import CAPACITY, TRIALS, Times, draws, durations, speed, work
-from zswarm.ot.cluster import Cluster
-from zswarm.ot.dispatch import Counted, Note
-from zswarm.ot.matching import Choice
-from zswarm.ot.requests import Wanted, Who
+from zswarm.ot.cluster.events import Counted
+from zswarm.ot.cluster.matching import Terms
+from zswarm.ot.cluster.shell import Cluster
+from zswarm.ot.notes import Note
 from zswarm.ot.workload import Workload
 from zswarm.protocol import messages
+from zswarm.protocol.keys import RunKey
 from zswarm.session import Reach
 
 DEADLINE_S = 120.0
@@ -65,22 +66,33 @@ class Run(NamedTuple):
     notes: dict[str, int]
 
 
-def optimizer(pipe: Connection, endpoints: list[str], times: Times, generations: int, trials_per_slot: int) -> None:
-    """The process of the optimizer; sends what it measured."""
+def optimizer(
+    pipe: Connection, endpoints: list[str], times: Times, generations: int, trials_per_slot: int
+) -> None:
+    """Run the optimizer in this process and send its measurements."""
     count = len(endpoints) * CAPACITY
-    wanted = Wanted(
-        messages.Requirements(simulator="pretended", representation="none"), Choice(),
-        messages.Part("pretended", msgspec.to_builtins(times)), messages.Part("none", {}), participants=1, metrics=0,
-        trial_timeout_s=3600.0, trial_memory_mb=0, slots=messages.MAX_SLOTS, quarantine=False, verify=0.0, probe=b"",
-    )  # fmt: skip
-    who = Who(REALM, "scale", f"scale-{secrets.token_hex(4)}", 0, secrets.token_bytes(16))
+    terms = Terms(
+        requirements=messages.Requirements(simulator="pretended", representation="none"),
+        reserve=messages.Reserve(
+            nonce=secrets.token_bytes(16),
+            epoch=0,
+            slots=messages.MAX_SLOTS,
+            simulator=messages.Part("pretended", msgspec.to_builtins(times)),
+            representation=messages.Part("none", {}),
+            version_hash="",
+            trial_timeout_s=3600.0,
+        ),
+    )
+    key = RunKey(REALM, "scale", f"scale-{secrets.token_hex(4)}")
     notes: Counter[str] = Counter()
     ran = []
     base_mb, base_s, begin = usage(os.getpid()).rss_mb, time.process_time(), time.monotonic()
-    with Cluster(who, wanted, reach=Reach(endpoints, multicast=False)) as cluster:
+    with Cluster(key, terms, reach=Reach(endpoints, multicast=False)) as cluster:
         leased = ready = time.monotonic()
         state = (0, 0)
-        while state != (len(endpoints), count) and time.monotonic() < min(ready + SETTLE_S, begin + DEADLINE_S):
+        while state != (len(endpoints), count) and time.monotonic() < min(
+            ready + SETTLE_S, begin + DEADLINE_S
+        ):
             if (now := (cluster.standing.leased, cluster.standing.slots)) != state:
                 ready = time.monotonic()
                 leased = ready if now[0] != state[0] else leased
@@ -105,21 +117,35 @@ def optimizer(pipe: Connection, endpoints: list[str], times: Times, generations:
             expected = draws(workload.genomes, workload.participants, workload.seeds)
             assert (workload.fitness[:, 0] == expected).all()
         used, left = usage(os.getpid()), time.monotonic()
-    pipe.send({
-        "servers": servers, "slots": count, "begin": begin, "leased": leased, "ready": ready, "ready_cpu_s": ready_cpu_s,
-        "threads": found.threads, "descriptors": found.descriptors, "ready_mb": found.rss_mb - base_mb, "rss_mb": used.rss_mb,
-        "generations": ran, "leave_s": time.monotonic() - left, "notes": dict(notes),
-    })  # fmt: skip
+    pipe.send(
+        {
+            "servers": servers,
+            "slots": count,
+            "begin": begin,
+            "leased": leased,
+            "ready": ready,
+            "ready_cpu_s": ready_cpu_s,
+            "threads": found.threads,
+            "descriptors": found.descriptors,
+            "ready_mb": found.rss_mb - base_mb,
+            "rss_mb": used.rss_mb,
+            "generations": ran,
+            "leave_s": time.monotonic() - left,
+            "notes": dict(notes),
+        }
+    )
 
 
 def live(servers: Servers, times: Times, generations: int, trials_per_slot: int = TRIALS) -> Run:
-    """One optimizer with these servers: find them, evaluate some generations, leave."""
+    """Find the servers, evaluate some generations, leave."""
     deadline = time.monotonic() + DEADLINE_S
     while sum(servers.ask("clear")):  # leases of the one before
         assert time.monotonic() < deadline, "leases do not end"
         time.sleep(0.2)
     pipe, end = spawn.Pipe()
-    process = spawn.Process(target=optimizer, args=(end, servers.endpoints, times, generations, trials_per_slot))
+    process = spawn.Process(
+        target=optimizer, args=(end, servers.endpoints, times, generations, trials_per_slot)
+    )
     process.start()
     end.close()
     told = pipe.recv()
@@ -129,9 +155,15 @@ def live(servers: Servers, times: Times, generations: int, trials_per_slot: int 
     when = [when for report in reports for when in report["when"]]
     begin = told["begin"]
     found = Found(
-        told["servers"], max(w["offer"] for w in when if w) - begin, told["leased"] - begin,
-        told["ready"] - begin, told["ready_cpu_s"], told["ready_mb"], told["threads"], told["descriptors"],
-    )  # fmt: skip
+        told["servers"],
+        max(w["offer"] for w in when if w) - begin,
+        told["leased"] - begin,
+        told["ready"] - begin,
+        told["ready_cpu_s"],
+        told["ready_mb"],
+        told["threads"],
+        told["descriptors"],
+    )
     totals: Counter[str] = Counter()
     for report in reports:
         for side in ("received", "sent"):
@@ -144,22 +176,44 @@ def live(servers: Servers, times: Times, generations: int, trials_per_slot: int 
         return sum(float(np.diff(np.interp([begin, end], when, used))[0]) for when, used in samples)
 
     uses = [
-        _use(times, ran, work(generation, told["slots"] * trials_per_slot), begin, end, (mine, farm_cpu_s(begin, end)))
+        _use(
+            times,
+            ran,
+            work(generation, told["slots"] * trials_per_slot),
+            begin,
+            end,
+            (mine, farm_cpu_s(begin, end)),
+        )
         for generation, (begin, end, mine) in enumerate(told["generations"])
     ]
     exchanged = [bytes_ for report in reports for bytes_ in report["bytes"]]
     run = Run(
-        found, uses, {kind: number / count for kind, number in sorted(totals.items())},
+        found,
+        uses,
+        {kind: number / count for kind, number in sorted(totals.items())},
         (sum(b[0] for b in exchanged) / count / 1e3, sum(b[1] for b in exchanged) / count / 1e3),
-        told["rss_mb"], told["leave_s"], told["notes"],
-    )  # fmt: skip
+        told["rss_mb"],
+        told["leave_s"],
+        told["notes"],
+    )
     shares = ", ".join(f"{use.efficiency:.3f}" for use in uses)
-    print(f"{count} servers, {times}: found {found}; efficiency {shares}; {told['notes']}", file=sys.stderr, flush=True)
+    print(
+        f"{count} servers, {times}: found {found}; efficiency {shares}; {told['notes']}",
+        file=sys.stderr,
+        flush=True,
+    )
     return run
 
 
-def _use(times: Times, ran: np.ndarray, workload: Workload, begin: float, end: float, cpu: tuple[float, float]) -> Use:
-    """What the slots did between two moments."""
+def _use(
+    times: Times,
+    ran: np.ndarray,
+    workload: Workload,
+    begin: float,
+    end: float,
+    cpu: tuple[float, float],
+) -> Use:
+    """Return the slots' use between two moments."""
     mine = ran[(ran[:, 1] >= begin) & (ran[:, 2] <= end + 1e-3)]
     used, slot = np.unique(mine[:, 0].astype(int), return_inverse=True)
     count, wall = len(used), end - begin

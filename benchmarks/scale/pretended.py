@@ -1,4 +1,4 @@
-"""Work that is only pretended: how long each trial takes and its fitness are numbers drawn from genome and seed."""
+"""Simulated work: duration and fitness of a trial are drawn from genome and seed."""
 
 import zlib
 
@@ -16,13 +16,17 @@ class Times(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How long trials take: the settings of the pretended simulator."""
 
     mean_s: float = 1.0
-    spread: str = "none"  # or uniform: 0.5 to 1.5 times the mean; heavy: a Pareto tail, up to 20 times the mean
-    of: str = "trial"  # a trial takes this long everywhere; or execution: drawn anew where it is started again
+    # Or uniform: 0.5 to 1.5 times the mean; heavy: a Pareto tail, up to 20 times the mean
+    spread: str = "none"
+    # A trial takes this long everywhere; or execution: drawn anew where it is started again
+    of: str = "trial"
     slow: float = 1.0  # times as long on the first server
 
 
-def draws(genomes: list[bytes], participants: np.ndarray, seeds: np.ndarray, salt: int = 0) -> np.ndarray:
-    """(trials,) float64 in [0, 1): the same for the same genome, seed and salt."""
+def draws(
+    genomes: list[bytes], participants: np.ndarray, seeds: np.ndarray, salt: int = 0
+) -> np.ndarray:
+    """Return (trials,) float64 in [0, 1), fixed by genome, seed and salt."""
     x = np.array([zlib.crc32(genome) for genome in genomes], np.uint64)[participants[:, 0]]
     for more in (seeds, np.uint64(salt)):
         x = (x ^ more) * np.uint64(0x9E3779B97F4A7C15)
@@ -32,7 +36,7 @@ def draws(genomes: list[bytes], participants: np.ndarray, seeds: np.ndarray, sal
 
 
 def durations(times: Times, numbers: np.ndarray) -> np.ndarray:
-    """(trials,) seconds, from numbers in [0, 1)."""
+    """Return (trials,) seconds from numbers in [0, 1)."""
     match times.spread:
         case "uniform":
             return times.mean_s * (0.5 + numbers)
@@ -43,18 +47,23 @@ def durations(times: Times, numbers: np.ndarray) -> np.ndarray:
 
 
 def salt(times: Times, server: int) -> int:
-    """What a server's draws differ by."""
+    """Return what makes a server's draws its own."""
     return server + 1 if times.of == "execution" else 0
 
 
 def speed(times: Times, server: int) -> float:
-    """How fast a server is."""
+    """Return a server's speed."""
     return 1 / times.slow if server == 0 else 1.0
 
 
 def work(generation: int, trials: int) -> Workload:
-    """Distinct genomes, each on 10 seeds."""
+    """Return distinct genomes, each on 10 seeds."""
     population = trials // TRIALS
     bits = np.random.default_rng(generation).integers(0, 256, (population, GENOME), np.uint8)
     participants = np.repeat(np.arange(population), TRIALS).reshape(-1, 1)
-    return Workload([row.tobytes() for row in bits], participants, np.tile(np.arange(TRIALS, dtype=np.uint64), population), 0)
+    return Workload(
+        [row.tobytes() for row in bits],
+        participants,
+        np.tile(np.arange(TRIALS, dtype=np.uint64), population),
+        0,
+    )

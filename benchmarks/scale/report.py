@@ -25,119 +25,212 @@ class Results(NamedTuple):
 
 
 def table(head: list[str], rows: list[list[str]]) -> None:
-    """As Markdown."""
+    """Format a Markdown table."""
     for row in (head, ["---"] * len(head), *rows):
         print("| " + " | ".join(row) + " |")
     print(flush=True)
 
 
 def median(runs: list[Run], what: str) -> float:
-    """Of a field of how servers were found."""
+    """Return the median of a field of discoveries."""
     return statistics.median(getattr(run.found, what) for run in runs)
 
 
 def mean(run: Run, what: str) -> float:
-    """Of a field of how a run's generations used the slots."""
+    """Return the mean of a field of generations."""
     return statistics.mean(getattr(use, what) for use in run.uses)
 
 
 def cpu(run: Run) -> tuple[float, float]:
-    """Microseconds per evaluation, of the optimizer and of all servers."""
+    """Return microseconds per evaluation of the optimizer and of all servers."""
     mine, theirs = (sum(use.cpu[side] for use in run.uses) for side in (0, 1))
     evaluations = sum(use.evaluations for use in run.uses)
     return mine / evaluations * 1e6, theirs / evaluations * 1e6
 
 
 def print_tables(results: Results) -> None:
-    """For docs/benchmarks.md."""
+    """Print the tables of docs/benchmarks.md."""
     print("Finding servers, seconds from before the session is opened; medians\n")
     table(
-        ["servers", "never found", "all offered, s", "all leased, s", "all slots ready, s", "optimizer's CPU, s", "memory, MB",
-         "threads", "open files", "leaving, s", "MB per server"],
         [
-            [f"{size:,}", ", ".join(str(size - run.found.servers) for run in runs),
-             *(f"{median(runs, what):.2f}" for what in ("offered_s", "leased_s", "ready_s", "cpu_s")),
-             *(f"{median(runs, what):.0f}" for what in ("mb", "threads", "descriptors")),
-             f"{statistics.median(run.leave_s for run in runs):.2f}", f"{results.opened[size]:.2f}"]
-            for size, runs in results.found.items()
+            "servers",
+            "never found",
+            "all offered, s",
+            "all leased, s",
+            "all slots ready, s",
+            "optimizer's CPU, s",
+            "memory, MB",
+            "threads",
+            "open files",
+            "leaving, s",
+            "MB per server",
         ],
-    )  # fmt: skip
-    print("Messages per server of a run that evaluates nothing; received and sent by the server\n")
-    kinds = sorted({kind for runs in results.found.values() for run in runs for kind in run.messages})
-    table(
-        ["servers", *kinds],
         [
-            [f"{size:,}", *(f"{statistics.mean(run.messages.get(kind, 0) for run in runs):.2f}" for kind in kinds)]
+            [
+                f"{size:,}",
+                ", ".join(str(size - run.found.servers) for run in runs),
+                *(
+                    f"{median(runs, what):.2f}"
+                    for what in ("offered_s", "leased_s", "ready_s", "cpu_s")
+                ),
+                *(f"{median(runs, what):.0f}" for what in ("mb", "threads", "descriptors")),
+                f"{statistics.median(run.leave_s for run in runs):.2f}",
+                f"{results.opened[size]:.2f}",
+            ]
             for size, runs in results.found.items()
         ],
     )
-    print("Generations; shares of slot time lost, CPU in cores and in us per evaluation: optimizer, all servers\n")
+    print("Messages per server of a run that evaluates nothing; received and sent by the server\n")
+    kinds = sorted(
+        {kind for runs in results.found.values() for run in runs for kind in run.messages}
+    )
     table(
-        ["slots", "a trial, s", "evaluations", "efficiency", "lost at the start", "between", "in the tail", "cores", "us each",
-         "sent to a server, kB", "optimizer, MB"],
+        ["servers", *kinds],
         [
-            [f"{size * CAPACITY:,}", f"{mean_s:g}", f"{run.uses[0].evaluations:,}", f"{mean(run, 'efficiency'):.3f}",
-             *(f"{mean(run, what):.3f}" for what in ("start", "gaps", "tail")),
-             ", ".join(f"{each * mean(run, 'evaluations') / 1e6 / mean(run, 'wall_s'):.2f}" for each in cpu(run)),
-             ", ".join(f"{each:.0f}" for each in cpu(run)), f"{run.kilobytes[0]:.0f}", f"{run.rss_mb:.0f}"]
+            [
+                f"{size:,}",
+                *(
+                    f"{statistics.mean(run.messages.get(kind, 0) for run in runs):.2f}"
+                    for kind in kinds
+                ),
+            ]
+            for size, runs in results.found.items()
+        ],
+    )
+    print(
+        "Generations; shares of slot time lost, CPU in cores and in us per evaluation: optimizer, "
+        "all servers\n"
+    )
+    table(
+        [
+            "slots",
+            "a trial, s",
+            "evaluations",
+            "efficiency",
+            "lost at the start",
+            "between",
+            "in the tail",
+            "cores",
+            "us each",
+            "sent to a server, kB",
+            "optimizer, MB",
+        ],
+        [
+            [
+                f"{size * CAPACITY:,}",
+                f"{mean_s:g}",
+                f"{run.uses[0].evaluations:,}",
+                f"{mean(run, 'efficiency'):.3f}",
+                *(f"{mean(run, what):.3f}" for what in ("start", "gaps", "tail")),
+                ", ".join(
+                    f"{each * mean(run, 'evaluations') / 1e6 / mean(run, 'wall_s'):.2f}"
+                    for each in cpu(run)
+                ),
+                ", ".join(f"{each:.0f}" for each in cpu(run)),
+                f"{run.kilobytes[0]:.0f}",
+                f"{run.rss_mb:.0f}",
+            ]
             for (size, mean_s), run in results.used.items()
         ],
-    )  # fmt: skip
+    )
     print("Tails: from the first slot that gets no more work to the end of the generation\n")
     table(
-        ["trial times", "efficiency", "tail, s: mean, longest", "slots idle in it: mean, most", "slot time lost in it",
-         "generation, s", "by the schedule", "no trial bound to a server", "and stragglers started twice"],
         [
-            [name, f"{mean(run, 'efficiency'):.3f}", f"{mean(run, 'tail_s'):.2f}, {max(u.tail_s for u in run.uses):.2f}",
-             f"{mean(run, 'idle'):.2f}, {max(u.idle for u in run.uses):.2f}", f"{mean(run, 'tail'):.3f}",
-             f"{mean(run, 'wall_s'):.2f}", *(f"{seconds:.2f}" for seconds in schedule)]
+            "trial times",
+            "efficiency",
+            "tail, s: mean, longest",
+            "slots idle in it: mean, most",
+            "slot time lost in it",
+            "generation, s",
+            "by the schedule",
+            "no trial bound to a server",
+            "and stragglers started twice",
+        ],
+        [
+            [
+                name,
+                f"{mean(run, 'efficiency'):.3f}",
+                f"{mean(run, 'tail_s'):.2f}, {max(u.tail_s for u in run.uses):.2f}",
+                f"{mean(run, 'idle'):.2f}, {max(u.idle for u in run.uses):.2f}",
+                f"{mean(run, 'tail'):.3f}",
+                f"{mean(run, 'wall_s'):.2f}",
+                *(f"{seconds:.2f}" for seconds in schedule),
+            ]
             for name, (run, schedule) in results.tails.items()
         ],
-    )  # fmt: skip
+    )
 
 
 def handshake(run: Run) -> dict[str, float]:
-    """Messages to a server and from it until it is used; each answer to a renewal is a lease, too."""
+    """Return messages to and from a server until it is used; renewals' answers are leases, too."""
     told = run.messages
     received = told.get("received offer", 0.0) + told.get("received reserve", 0.0)
-    sent = told.get("sent offer", 0.0) + told.get("sent lease", 0.0) - told.get("received renew", 0.0)
+    sent = (
+        told.get("sent offer", 0.0) + told.get("sent lease", 0.0) - told.get("received renew", 0.0)
+    )
     return {"received": received, "sent": sent}
 
 
 def rows(results: Results) -> list[dict[str, object]]:
-    """For docs/benchmarks.md: how servers were found, then how slots were used."""
+    """Return the rows of docs/benchmarks.md: discovery, then use of slots."""
     found: list[dict[str, object]] = [
-        {"servers": size, "ready_s": median(runs, "ready_s"), "cpu_s": median(runs, "cpu_s"), "mb": median(runs, "mb"),
-         "never_found": max(size - run.found.servers for run in runs),
-         "messages": {side: statistics.mean(handshake(run)[side] for run in runs) for side in ("received", "sent")}}
+        {
+            "servers": size,
+            "ready_s": median(runs, "ready_s"),
+            "cpu_s": median(runs, "cpu_s"),
+            "mb": median(runs, "mb"),
+            "never_found": max(size - run.found.servers for run in runs),
+            "messages": {
+                side: statistics.mean(handshake(run)[side] for run in runs)
+                for side in ("received", "sent")
+            },
+        }
         for size, runs in results.found.items()
-    ]  # fmt: skip
+    ]
     for (size, mean_s), run in results.used.items():
         optimizer_us, servers_us = cpu(run)
         found.append(
-            {"slots": size * CAPACITY, "trial_s": mean_s, "evaluations": run.uses[0].evaluations,
-             "efficiency": mean(run, "efficiency"), "optimizer_us": optimizer_us, "servers_us": servers_us}
-        )  # fmt: skip
+            {
+                "slots": size * CAPACITY,
+                "trial_s": mean_s,
+                "evaluations": run.uses[0].evaluations,
+                "efficiency": mean(run, "efficiency"),
+                "optimizer_us": optimizer_us,
+                "servers_us": servers_us,
+            }
+        )
     return found
 
 
 def draw(results: Results, file: Path) -> None:
-    """The charts."""
+    """Draw the charts."""
     import matplotlib as mpl
 
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
-    plt.rcParams.update({"font.size": 10, "axes.grid": True, "grid.alpha": 0.3, "axes.axisbelow": True})
-    figure, ((found, use), (load, tails)) = plt.subplots(2, 2, figsize=(12, 9), layout="constrained")
+    plt.rcParams.update(
+        {"font.size": 10, "axes.grid": True, "grid.alpha": 0.3, "axes.axisbelow": True}
+    )
+    figure, ((found, use), (load, tails)) = plt.subplots(
+        2, 2, figsize=(12, 9), layout="constrained"
+    )
     sizes = list(results.found)
     for what, label in (
         ("offered_s", "all have offered"),
         ("leased_s", "all have given a lease"),
         ("ready_s", "all slots ready"),
     ):
-        found.loglog(sizes, [median(results.found[size], what) for size in sizes], "o-", label=label)
-    found.plot([GOAL_FOUND_SERVERS], [GOAL_FOUND_S], "kx", markersize=10, label="goal: below 1 s for 256 servers")
+        found.loglog(
+            sizes, [median(results.found[size], what) for size in sizes], "o-", label=label
+        )
+    found.plot(
+        [GOAL_FOUND_SERVERS],
+        [GOAL_FOUND_S],
+        "kx",
+        markersize=10,
+        label="goal: below 1 s for 256 servers",
+    )
     found.set(title="Finding servers", xlabel="servers", ylabel="s from opening the session")
     found.set_xticks(sizes, [f"{size:,}" for size in sizes])
     found.minorticks_off()
@@ -145,19 +238,51 @@ def draw(results: Results, file: Path) -> None:
     for mean_s in dict.fromkeys(mean_s for _, mean_s in results.used):
         points = [(size * CAPACITY, run) for (size, s), run in results.used.items() if s == mean_s]
         slots_ = [size for size, _ in points]
-        use.semilogx(slots_, [mean(run, "efficiency") for _, run in points], "o-", label=f"trials of {mean_s:g} s")
-        load.loglog([run.uses[0].evaluations / mean(run, "wall_s") for _, run in points],
-                    [cpu(run)[0] * mean(run, "evaluations") / 1e6 / mean(run, "wall_s") for _, run in points],
-                    "o-", label=f"optimizer, trials of {mean_s:g} s")  # fmt: skip
-        load.loglog([run.uses[0].evaluations / mean(run, "wall_s") for _, run in points],
-                    [cpu(run)[1] * mean(run, "evaluations") / 1e6 / mean(run, "wall_s") for _, run in points],
-                    "s--", label=f"all servers, trials of {mean_s:g} s")  # fmt: skip
-    use.axhline(GOAL_EFFICIENCY, color="k", linestyle=":", label=f"goal at 4,096 slots: {GOAL_EFFICIENCY:.2f}")
+        use.semilogx(
+            slots_,
+            [mean(run, "efficiency") for _, run in points],
+            "o-",
+            label=f"trials of {mean_s:g} s",
+        )
+        load.loglog(
+            [run.uses[0].evaluations / mean(run, "wall_s") for _, run in points],
+            [
+                cpu(run)[0] * mean(run, "evaluations") / 1e6 / mean(run, "wall_s")
+                for _, run in points
+            ],
+            "o-",
+            label=f"optimizer, trials of {mean_s:g} s",
+        )
+        load.loglog(
+            [run.uses[0].evaluations / mean(run, "wall_s") for _, run in points],
+            [
+                cpu(run)[1] * mean(run, "evaluations") / 1e6 / mean(run, "wall_s")
+                for _, run in points
+            ],
+            "s--",
+            label=f"all servers, trials of {mean_s:g} s",
+        )
+    use.axhline(
+        GOAL_EFFICIENCY,
+        color="k",
+        linestyle=":",
+        label=f"goal at 4,096 slots: {GOAL_EFFICIENCY:.2f}",
+    )
     ticks = sorted({size * CAPACITY for size, _ in results.used})
     use.set_xticks(ticks, [f"{tick:,}" for tick in ticks])
     use.minorticks_off()
-    use.set(title="Use of the slots", xlabel="slots", ylabel="ideal time / time of a generation", ylim=(0, 1.02))
-    load.axhline(os.cpu_count() or 1, color="k", linestyle=":", label=f"this machine, both sides: {os.cpu_count()} cores")
+    use.set(
+        title="Use of the slots",
+        xlabel="slots",
+        ylabel="ideal time / time of a generation",
+        ylim=(0, 1.02),
+    )
+    load.axhline(
+        os.cpu_count() or 1,
+        color="k",
+        linestyle=":",
+        label=f"this machine, both sides: {os.cpu_count()} cores",
+    )
     load.set(title="What it costs", xlabel="evaluations per second", ylabel="cores busy")
 
     names = list(results.tails)

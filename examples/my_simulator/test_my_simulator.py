@@ -1,4 +1,4 @@
-"""The simulator keeps zswarm's contract. The check says what is wrong, and how fast it is: python -m pytest -s."""
+"""Check the simulator's contract. ``python -m pytest -s`` also prints its speed."""
 
 from my_simulator import MySimulator
 
@@ -6,6 +6,6 @@ from zswarm.testing import check_simulator
 
 
 def test_it_keeps_the_contract() -> None:
-    """With its defaults, and with as little as there can be."""
+    """Check it with its defaults, and with the smallest settings."""
     print(check_simulator(MySimulator))
     check_simulator(MySimulator, {"robots": 2, "steps": 1})

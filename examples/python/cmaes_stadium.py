@@ -1,6 +1,6 @@
-"""CMA-ES evolves controllers for the stadium: an optimizer of another library asks and is told, zswarm evaluates.
+"""Evolve controllers for the stadium with CMA-ES, an optimizer of another library.
 
-Needs the package cmaes: ``pip install cmaes``. Any optimizer that asks and tells takes its place.
+Install the package cmaes: ``pip install cmaes``. Any optimizer with ask and tell can replace it.
 """
 
 import argparse
@@ -13,7 +13,7 @@ import zswarm
 
 
 def evolve(generations: int, servers: Any = "auto") -> list[float]:
-    """The best fitness so far, after each generation."""
+    """Return the best fitness so far after each generation."""
     problem = zswarm.problem("stadium")
     optimizer = CMA(mean=np.zeros(problem.genes), sigma=1.0, population_size=50, seed=1)
     history: list[float] = []

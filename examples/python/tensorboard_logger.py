@@ -1,4 +1,7 @@
-"""A logger that shows a run in TensorBoard: ``pip install tensorboardX tensorboard``, then ``tensorboard --logdir runs``."""
+"""Show a run in TensorBoard.
+
+Install ``tensorboardX`` and ``tensorboard``, then run ``tensorboard --logdir runs``.
+"""
 
 import argparse
 import math
@@ -10,33 +13,37 @@ import zswarm
 
 
 class TensorBoard(zswarm.Logger):
-    """Writes an event file into the run's folder: fitness and the optimizer's other numbers, by generation."""
+    """Write an event file into the run's folder: fitness and other numbers by generation."""
 
     writer: SummaryWriter
 
     def on_start(self, run: zswarm.Started) -> None:
-        """The run begins, or goes on."""
+        """Open the event file when the run starts or resumes."""
         self.writer = SummaryWriter(str(run.folder / "tensorboard"), purge_step=run.generation)
         self.writer.add_text("experiment", f"{run.experiment.name}, seed {run.experiment.seed}")
 
     def on_generation(self, generation: zswarm.Generation) -> None:
-        """A generation ended."""
-        numbers = {**generation.statistics, "evaluations": generation.evaluations, "slots": generation.slots}
+        """Write the numbers of a generation."""
+        numbers = {
+            **generation.statistics,
+            "evaluations": generation.evaluations,
+            "slots": generation.slots,
+        }
         for name, value in numbers.items():
             if math.isfinite(value):
                 self.writer.add_scalar(name, value, generation.generation)
 
     def on_event(self, event: zswarm.Note) -> None:
-        """A server came or went, a trial was sent again."""
+        """Write an event, such as a lost server or a repeated trial."""
         self.writer.add_text("events", f"{event.event} {event.server} {event.text}")
 
     def on_end(self, result: zswarm.Result | None) -> None:
-        """The last call."""
+        """Close the event file."""
         self.writer.close()
 
 
 def evolve(generations: int, out: str = "runs", servers: Any = "auto") -> zswarm.Run:
-    """The run that was logged."""
+    """Run the experiment with the logger."""
     experiment = zswarm.load("stadium", {"generations": generations, "cluster.servers": servers})
     return zswarm.run(experiment, out=out, loggers=[TensorBoard()], progress=True)
 

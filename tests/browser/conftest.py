@@ -1,4 +1,4 @@
-"""A real browser, and the dashboard as a real program. A page must end without an error and must have asked nobody else."""
+"""Fixtures with a real browser and a real dashboard; pages must not fail or request other sites."""
 
 import re
 import shutil
@@ -21,7 +21,9 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or "chro
 def browser() -> Iterator[Browser]:
     """The distribution's, without a window."""
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
+        browser = playwright.chromium.launch(
+            executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"]
+        )
         yield browser
         browser.close()
 
@@ -34,7 +36,12 @@ class Watched(NamedTuple):
 
     def watch(self, page: Page) -> Page:
         """Have it noted."""
-        page.on("console", lambda said: self.errors.append(said.text) if said.type in ("error", "warning") else None)
+        page.on(
+            "console",
+            lambda said: (
+                self.errors.append(said.text) if said.type in ("error", "warning") else None
+            ),
+        )
         page.on("pageerror", lambda error: self.errors.append(str(error)))
         page.on("request", lambda request: self.requests.append(request.url))
         return page
@@ -53,12 +60,16 @@ def watched() -> Watched:
 
 @pytest.fixture
 def page(browser: Browser, watched: Watched, dashboard: object) -> Iterator[Page]:
-    """A tab of its own, closed before dashboards end; it must have had no error, and asked nothing of other machines."""
+    """A new tab, closed before dashboards end; it must not fail or request other machines."""
     context = browser.new_context(viewport={"width": 1280, "height": 800})
     yield watched.watch(context.new_page())
     context.close()
     assert watched.errors == []
-    elsewhere = {urlsplit(url).hostname for url in watched.requests if urlsplit(url).scheme not in ("data", "blob", "file")}
+    elsewhere = {
+        urlsplit(url).hostname
+        for url in watched.requests
+        if urlsplit(url).scheme not in ("data", "blob", "file")
+    }
     assert elsewhere <= {"127.0.0.1"}
 
 
@@ -86,7 +97,9 @@ class Dashboard:
         assert found, line + self._program.stderr.read()
         self.url, self.token = found[1], found[2]
         self._said: list[str] = []
-        self._listener = threading.Thread(target=self._said.extend, args=(self._program.stderr,), daemon=True)
+        self._listener = threading.Thread(
+            target=self._said.extend, args=(self._program.stderr,), daemon=True
+        )
         self._listener.start()
 
     def stop(self) -> str:

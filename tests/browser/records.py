@@ -11,8 +11,8 @@ import numpy as np
 
 from zswarm import experiment
 from zswarm.controller import Controller
-from zswarm.ot.record import Record
-from zswarm.ot.schema import SCHEMA_VERSION
+from zswarm.ot.record.schema import SCHEMA_VERSION
+from zswarm.ot.record.writer import Record
 
 CANDIDATES = 10
 BEGUN = 1_790_000_000.0
@@ -29,20 +29,26 @@ def write(
     seed: int = 1,
     finished: bool = True,
 ) -> Path:
-    """A run of a stadium: fitness rises, servers share the work by turns; between two generations there is a second."""
+    """A run whose fitness rises, a second per generation; servers take turns."""
     loaded = experiment.load(
-        experiment.find("stadium"), [f"generations={generations if finished else generations + 5}", f"seed={seed}"]
+        experiment.find("stadium"),
+        [f"generations={generations if finished else generations + 5}", f"seed={seed}"],
     )
     complete = experiment.complete(loaded, "test")
     draws = random.Random(seed)
-    genomes = [np.array([draws.uniform(-2, 2) for _ in range(60)], "<f4").tobytes() for _ in range(CANDIDATES)]
+    genomes = [
+        np.array([draws.uniform(-2, 2) for _ in range(60)], "<f4").tobytes()
+        for _ in range(CANDIDATES)
+    ]
     with Record.create(out, complete, "0" * 32, ["left", "time"], name=name) as record:
         folder = record.folder
         record.champion(
             Controller(
-                simulator="emergency-exit", simulator_settings=complete.problem.settings, representation="fully-meshed",
+                simulator="emergency-exit", simulator_settings=complete.problem.settings,
+                representation="fully-meshed",
                 representation_settings=complete.representation.settings, inputs=10, outputs=2,
-                sensors=[f"sensor {number}" for number in range(10)], actuators=["vx", "vy"], genome=genomes[0],
+                sensors=[f"sensor {number}" for number in range(10)], actuators=["vx", "vy"],
+                genome=genomes[0],
                 fitness=1.0, run="run",
             )
         )  # fmt: skip
@@ -54,31 +60,47 @@ def write(
         fitness = [best * (1 - candidate / (2 * CANDIDATES)) for candidate in range(CANDIDATES)]
         mean = sum(fitness) / CANDIDATES
         history.append(
-            (generation, at, best, mean, CANDIDATES, f'{{"best": {best}, "mean": {mean}, "diversity_mean": {1 - best}, '
-             f'"effectivity_mutation": {draws.random()}, "effectivity_crossover": {draws.random()}}}')
+            (generation, at, best, mean, CANDIDATES,
+            f'{{"best": {best}, "mean": {mean}, "diversity_mean": {1 - best}, '
+             f'"effectivity_mutation": {draws.random()}, '
+             f'"effectivity_crossover": {draws.random()}}}')
         )  # fmt: skip
-        told += [(generation, candidate, genomes[candidate], fitness[candidate]) for candidate in range(CANDIDATES)]
+        told += [
+            (generation, candidate, genomes[candidate], fitness[candidate])
+            for candidate in range(CANDIDATES)
+        ]
         halves = np.array_split(trials, 2)
         for place, part in enumerate(halves):
             server = servers[(2 * generation + place) % len(servers)]
             values = np.repeat(np.array(fitness), complete.problem.trials)[part]
             outcomes.append(
-                (generation, b"", len(part), part.tobytes(), values.astype("<f8").tobytes(), np.ones((len(part), 2)).tobytes(), 0,
+                (generation, b"", len(part), part.tobytes(), values.astype("<f8").tobytes(),
+                np.ones((len(part), 2)).tobytes(), 0,
                  server, 0.9, at - 0.1 * place)
             )  # fmt: skip
-    kinds = [(BEGUN, None, "began", "", "", 0), *((BEGUN, 0, "server_joined", server, "", 2) for server in servers), *events]
+    kinds = [
+        (BEGUN, None, "began", "", "", 0),
+        *((BEGUN, 0, "server_joined", server, "", 2) for server in servers),
+        *events,
+    ]
     with sqlite3.connect(folder / "run.sqlite") as database:
         database.executemany("INSERT INTO generations VALUES (?, ?, ?, ?, ?, ?)", history)
-        database.executemany("INSERT INTO candidates (generation, candidate, genome, fitness) VALUES (?, ?, ?, ?)", told)
         database.executemany(
-            "INSERT INTO outcomes (generation, asked, count, trials, fitness, metrics, faulted, server, seconds, at) "
+            "INSERT INTO candidates (generation, candidate, genome, fitness) VALUES (?, ?, ?, ?)",
+            told,
+        )
+        database.executemany(
+            "INSERT INTO outcomes (generation, asked, count, trials, fitness, metrics, faulted, "
+            "server, seconds, at) "
             "VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
             outcomes,
         )
         database.executemany(EVENT, kinds)
         database.execute("UPDATE meta SET value = ? WHERE key = 'created_at'", (BEGUN,))
         if finished:
-            database.execute("INSERT INTO meta VALUES ('history_hash', ?)", ("0123456789abcdef" * 2,))
+            database.execute(
+                "INSERT INTO meta VALUES ('history_hash', ?)", ("0123456789abcdef" * 2,)
+            )
     database.close()
     return folder
 
@@ -87,7 +109,8 @@ def grow(folder: Path, generation: int, best: float) -> None:
     """One more generation, as a run that goes on would write it."""
     with sqlite3.connect(folder / "run.sqlite", timeout=30) as database:
         database.execute(
-            "INSERT INTO generations VALUES (?, ?, ?, ?, ?, ?)", (generation, time.time(), best, best / 2, CANDIDATES, "{}")
+            "INSERT INTO generations VALUES (?, ?, ?, ?, ?, ?)",
+            (generation, time.time(), best, best / 2, CANDIDATES, "{}"),
         )
         database.execute(EVENT, (time.time(), generation, "requeued", "", "", 3))
     database.close()
@@ -96,5 +119,7 @@ def grow(folder: Path, generation: int, best: float) -> None:
 def from_the_future(folder: Path) -> None:
     """A record of a newer zswarm."""
     with sqlite3.connect(folder / "run.sqlite") as database:
-        database.execute("UPDATE meta SET value = ? WHERE key = 'schema_version'", (SCHEMA_VERSION + 1,))
+        database.execute(
+            "UPDATE meta SET value = ? WHERE key = 'schema_version'", (SCHEMA_VERSION + 1,)
+        )
     database.close()

@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import Dashboard
 from playwright.sync_api import Page, expect
+
+from tests.browser.conftest import Dashboard
 
 pytestmark = pytest.mark.browser
 
@@ -46,7 +47,11 @@ def program(tmp_path: Path) -> Iterator[Callable[..., "subprocess.Popen[Any]"]]:
         with (tmp_path / f"program-{len(begun)}.log").open("wb") as log:
             begun.append(
                 subprocess.Popen(
-                    [sys.executable, "-m", *arguments], stdin=subprocess.DEVNULL, stderr=log, stdout=log, cwd=tmp_path
+                    [sys.executable, "-m", *arguments],
+                    stdin=subprocess.DEVNULL,
+                    stderr=log,
+                    stdout=log,
+                    cwd=tmp_path,
                 )
             )
         return begun[-1]
@@ -58,28 +63,55 @@ def program(tmp_path: Path) -> Iterator[Callable[..., "subprocess.Popen[Any]"]]:
         one.wait(60)
 
 
-def test_a_killed_server_is_seen_to_go_and_the_run_to_go_on(
-    page: Page, dashboard: Callable[..., Dashboard], program: Callable[..., "subprocess.Popen[Any]"], tmp_path: Path
+def test_a_killed_server_disappears_and_the_run_continues(
+    page: Page,
+    dashboard: Callable[..., Dashboard],
+    program: Callable[..., "subprocess.Popen[Any]"],
+    tmp_path: Path,
 ) -> None:
     """And the run stops when the page says so, and comes back into the page when it is resumed."""
     ports = [free_port(), free_port()]
 
     def serve(name: str, port: int) -> "subprocess.Popen[Any]":
-        return program("zswarm.ss", "--name", name, "--capacity", "1", "--no-multicast", "--listen", f"tcp/127.0.0.1:{port}")
+        return program(
+            "zswarm.ss",
+            "--name",
+            name,
+            "--capacity",
+            "1",
+            "--no-multicast",
+            "--listen",
+            f"tcp/127.0.0.1:{port}",
+        )
 
     near, far = serve("near", ports[0]), serve("far", ports[1])
     for port in ports:
         wait_until_somebody_listens(port)
-    reach = ["--no-multicast", *(word for port in ports for word in ("--connect", f"tcp/127.0.0.1:{port}"))]
+    reach = [
+        "--no-multicast",
+        *(word for port in ports for word in ("--connect", f"tcp/127.0.0.1:{port}")),
+    ]
     run = program(
-        "zswarm.ot", "run", "stadium", "--servers", "2", "--set", "generations=1000000", "--out", str(tmp_path / "runs"), *reach
+        "zswarm.ot",
+        "run",
+        "stadium",
+        "--servers",
+        "2",
+        "--set",
+        "generations=1000000",
+        "--out",
+        str(tmp_path / "runs"),
+        *reach,
     )
     shown = dashboard(tmp_path)
     page.goto(f"{shown.url}/#token={shown.token}")
     page.get_by_role("link", name="stadium").click(timeout=SLOW_MS)
     expect(page.locator(".badge")).to_contain_text("running", timeout=SLOW_MS)
     page.get_by_role("link", name="Servers").click()
-    rows = {name: page.locator("#servers tbody tr", has_text=re.compile(f"{name}-[0-9a-f]{{8}}")) for name in ("near", "far")}
+    rows = {
+        name: page.locator("#servers tbody tr", has_text=re.compile(f"{name}-[0-9a-f]{{8}}"))
+        for name in ("near", "far")
+    }
     for row in rows.values():
         expect(row.first).to_contain_text("computing", timeout=SLOW_MS)
 
@@ -87,11 +119,17 @@ def test_a_killed_server_is_seen_to_go_and_the_run_to_go_on(
     expect(rows["far"]).to_contain_text(re.compile("left|lost"), timeout=SLOW_MS)
     expect(rows["near"]).to_contain_text("computing")
     far = serve("far", ports[1])
-    expect(rows["far"]).to_have_count(2, timeout=SLOW_MS)  # it is another one: the old one stays in the table as lost
-    expect(page.locator("#servers tbody tr", has_text="computing")).to_have_count(2, timeout=SLOW_MS)
+    expect(rows["far"]).to_have_count(
+        2, timeout=SLOW_MS
+    )  # it is another one: the old one stays in the table as lost
+    expect(page.locator("#servers tbody tr", has_text="computing")).to_have_count(
+        2, timeout=SLOW_MS
+    )
 
     page.get_by_role("link", name="Run", exact=True).click()
-    expect(page.locator(".log li", has_text=re.compile("server lost|server left")).first).to_be_visible()
+    expect(
+        page.locator(".log li", has_text=re.compile("server lost|server left")).first
+    ).to_be_visible()
     expect(page.locator(".tile", has_text="slots")).to_contain_text("2")
     page.get_by_role("button", name="Stop after this generation").click()
     expect(page.locator(".badge")).to_contain_text("stopped", timeout=SLOW_MS)
@@ -105,7 +143,9 @@ def test_a_killed_server_is_seen_to_go_and_the_run_to_go_on(
     assert os.listdir(tmp_path / "runs") == ["stadium"]
 
 
-def test_a_run_shows_itself_while_it_goes_on(page: Page, program: Callable[..., "subprocess.Popen[Any]"], tmp_path: Path) -> None:
+def test_a_running_run_is_shown_live(
+    page: Page, program: Callable[..., "subprocess.Popen[Any]"], tmp_path: Path
+) -> None:
     """With ``run --dashboard``: its address is among the first lines, and it ends with the run."""
     run = program(
         "zswarm.ot",
@@ -123,7 +163,9 @@ def test_a_run_shows_itself_while_it_goes_on(page: Page, program: Callable[..., 
     while found is None:
         assert run.poll() is None
         page.wait_for_timeout(50)
-        found = re.search(r"^dashboard: (http://\S+)$", (tmp_path / "program-0.log").read_text(), re.M)
+        found = re.search(
+            r"^dashboard: (http://\S+)$", (tmp_path / "program-0.log").read_text(), re.M
+        )
     page.goto(found[1])
     page.get_by_role("link", name="stadium").click(timeout=SLOW_MS)
     expect(page.locator(".badge")).to_contain_text("running", timeout=SLOW_MS)

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from played import played
 from playwright.sync_api import Browser, Page, expect
 
+from tests.played import played
 from zswarm import evaluate
-from zswarm.draws import Stream
-from zswarm.ot import replay
-from zswarm.ot.trace import Trace, record
+from zswarm.kernels.random import Stream
+from zswarm.ot.replay import page as replay
+from zswarm.ot.replay.trace import Trace, record
 
 pytestmark = pytest.mark.browser
 HOSTILE = '<img src=x onerror="document.title=1">'
@@ -22,7 +22,9 @@ HOSTILE = '<img src=x onerror="document.title=1">'
 def of(simulator: str, **settings: object) -> Trace:
     built, network = evaluate.build(simulator, settings, "fully-meshed", {})
     found = record(built, network, network.random(built.participants, Stream(1)), 5)
-    return Trace(**{**found.__dict__, "about": {"run": "a-run", "generation": 3, "candidate": 1, "trial": 0}})
+    return Trace(
+        **{**found.__dict__, "about": {"run": "a-run", "generation": 3, "candidate": 1, "trial": 0}}
+    )
 
 
 def opened(page: Page, trace: Trace, folder: Path) -> Page:
@@ -80,8 +82,10 @@ def test_every_control_has_a_name_and_is_reached_by_tab(page: Page, tmp_path: Pa
     for _ in range(14):
         page.keyboard.press("Tab")
         focused = page.evaluate(
-            "(() => { const e = document.activeElement; const words = e.closest('label, summary')?.textContent;"
-            " return [e.tagName, e.getAttribute('aria-label') ?? words ?? '', getComputedStyle(e).outlineStyle]; })()"
+            "(() => { const e = document.activeElement; const words = e.closest('label, "
+            "summary')?.textContent;"
+            " return [e.tagName, e.getAttribute('aria-label') ?? words ?? '', "
+            "getComputedStyle(e).outlineStyle]; })()"
         )
         names.append(focused[1])
         if focused[0] != "BODY":
@@ -90,7 +94,7 @@ def test_every_control_has_a_name_and_is_reached_by_tab(page: Page, tmp_path: Pa
     assert {"round", "play", "a round ahead", "speed", "sensors", "agent"} <= set(names)
 
 
-def test_what_is_shown_is_what_the_trace_has(page: Page, tmp_path: Path) -> None:
+def test_the_player_shows_the_trace(page: Page, tmp_path: Path) -> None:
     """Numbers of the chosen agent at a round, and the picture in words."""
     trace = of("turtlebot-exit", steps=30, robots=3)
     paused(page, trace, tmp_path)
@@ -101,7 +105,9 @@ def test_what_is_shown_is_what_the_trace_has(page: Page, tmp_path: Path) -> None
     assert said(page) == "7 / 30"
     shown = [float(text) for text in page.locator(".zp-value").all_inner_texts()]
     numbers = [*trace.inputs[7, 2], *trace.hidden[7, 2], *trace.outputs[7, 2]]
-    spread = max(float(part.max() - part.min()) for part in (trace.inputs, trace.hidden, trace.outputs))
+    spread = max(
+        float(part.max() - part.min()) for part in (trace.inputs, trace.hidden, trace.outputs)
+    )
     assert shown == pytest.approx(numbers, abs=spread / 254 + 0.006)
     expect(page.get_by_role("img", name="picture of the trial: robot: 3")).to_be_visible()
     assert page.locator(".zp-name").all_inner_texts()[:2] == ["scan_0", "scan_1"]
@@ -109,12 +115,17 @@ def test_what_is_shown_is_what_the_trace_has(page: Page, tmp_path: Path) -> None
 
 def test_an_agent_is_chosen_by_a_touch(browser: Browser, tmp_path: Path) -> None:
     trace = of("turtlebot-exit", steps=5, robots=4)
-    context = browser.new_context(viewport={"width": 400, "height": 800}, has_touch=True, reduced_motion="reduce")
+    context = browser.new_context(
+        viewport={"width": 400, "height": 800}, has_touch=True, reduced_motion="reduce"
+    )
     page = opened(context.new_page(), trace, tmp_path)
     frame, box = trace.frames[0], page.locator(".zp-canvas").bounding_box()
     assert box is not None
     body = frame.bodies[2]
-    page.touchscreen.tap(box["x"] + body.x / frame.width * box["width"], box["y"] + body.y / frame.height * box["height"])
+    page.touchscreen.tap(
+        box["x"] + body.x / frame.width * box["width"],
+        box["y"] + body.y / frame.height * box["height"],
+    )
     expect(page.get_by_role("heading", name="agent 3")).to_be_visible()
     page.touchscreen.tap(box["x"] + 3, box["y"] + 3)
     expect(page.get_by_role("heading", name="no agent chosen")).to_be_visible()
@@ -123,7 +134,9 @@ def test_an_agent_is_chosen_by_a_touch(browser: Browser, tmp_path: Path) -> None
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("simulator", ["xor", "inverted-pendulum", "arena"])
-def test_nothing_is_wider_than_a_phone(page: Page, tmp_path: Path, simulator: str, scheme: str) -> None:
+def test_nothing_is_wider_than_a_phone(
+    page: Page, tmp_path: Path, simulator: str, scheme: str
+) -> None:
     """Every swatch of the legend has a colour that differs from the field's."""
     page.set_viewport_size({"width": 400, "height": 800})
     page.emulate_media(color_scheme=scheme, reduced_motion="reduce")  # type: ignore[arg-type]  # one of the two
@@ -143,7 +156,7 @@ def test_the_colours_change_by_a_button(page: Page, tmp_path: Path) -> None:
     assert page.evaluate(picture) != before
 
 
-def test_who_wants_less_motion_gets_none(page: Page, tmp_path: Path) -> None:
+def test_reduced_motion_is_respected(page: Page, tmp_path: Path) -> None:
     paused(page, of("minisim", steps=20), tmp_path)
     page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
     assert said(page) == "0 / 20"
@@ -151,10 +164,14 @@ def test_who_wants_less_motion_gets_none(page: Page, tmp_path: Path) -> None:
 
 def test_names_are_text(page: Page, tmp_path: Path) -> None:
     trace = of("minisim", steps=5, width=4)
-    frames = [frame._replace(bodies=[body._replace(kind=HOSTILE) for body in frame.bodies]) for frame in trace.frames]
+    frames = [
+        frame._replace(bodies=[body._replace(kind=HOSTILE) for body in frame.bodies])
+        for frame in trace.frames
+    ]
     hostile = Trace(
         **{
-            **trace.__dict__, "frames": frames, "note": HOSTILE, "error": HOSTILE, "sensors": [HOSTILE] * 9,
+            **trace.__dict__, "frames": frames, "note": HOSTILE, "error": HOSTILE,
+            "sensors": [HOSTILE] * 9,
             "metrics": {HOSTILE: 1.0}, "about": {"run": HOSTILE, HOSTILE: HOSTILE},
         }
     )  # fmt: skip
@@ -174,29 +191,34 @@ def test_a_trial_without_pictures_shows_its_numbers(page: Page, tmp_path: Path) 
     assert page.locator(".zp-value").count() == 9 + 2 + 2
 
 
-def test_bytes_that_are_no_trace_are_told(page: Page, tmp_path: Path) -> None:
-    class Damaged(Trace):
-        def encode(self) -> bytes:
-            return b"zswtrace" + bytes(8)
-
-    trace = of("minisim", steps=5, width=4)
-    (tmp_path / "x.html").write_text(replay.page(Damaged(**trace.__dict__), "x"))
+def test_an_invalid_trace_is_reported(
+    page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(replay, "encode", lambda _: b"zswtrace" + bytes(8))
+    (tmp_path / "x.html").write_text(replay.page(of("minisim", steps=5, width=4), "x"))
     page.goto((tmp_path / "x.html").as_uri())
-    expect(page.get_by_text("This trace cannot be shown: a trace of version 0, expected 1")).to_be_visible()
+    expect(
+        page.get_by_text("This trace cannot be shown: a trace of version 0, expected 1")
+    ).to_be_visible()
 
 
 def test_a_hundred_agents_are_drawn_fluently(page: Page, tmp_path: Path) -> None:
-    """The aim is 28 pictures a second; how many there are depends on the machine, so it is printed."""
+    """The aim is 28 pictures a second; the number depends on the machine and is printed."""
     opened(page, of("arena", robots=100, steps=1000, side=8.0), tmp_path)
-    hundred = "new Promise((done) => { const look = () => player.frames < 100 ? requestAnimationFrame(look) : done(); look(); })"
+    hundred = (
+        "new Promise((done) => { const look = () => player.frames < 100 ? "
+        "requestAnimationFrame(look) : done(); look(); })"
+    )
     begin = time.monotonic()
     page.evaluate(hundred)
     sys.stdout.write(f"\nplayer: {100 / (time.monotonic() - begin):.1f} pictures/s of 100 agents\n")
     assert page.evaluate("player.frames") >= 100
 
 
-def test_a_trial_is_played_on_the_page_of_its_candidate(page: Page, dashboard: Callable[..., Any], tmp_path: Path) -> None:
-    """The dashboard serves the same player, under rules that forbid scripts and styles within a page."""
+def test_a_trial_is_played_on_the_page_of_its_candidate(
+    page: Page, dashboard: Callable[..., Any], tmp_path: Path
+) -> None:
+    """The dashboard serves the same player; its policy forbids scripts and styles in a page."""
     played(tmp_path)
     page.goto(f"{dashboard(tmp_path).url}/candidate?run=minisim")
     page.get_by_role("button", name="Play trial 0").click()

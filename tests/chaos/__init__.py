@@ -1,1 +1,1 @@
-"""Deterministic fault simulation: the real ``Dispatch`` and the real ``Slots``, on a network and with clocks that fail."""
+"""Deterministic fault simulation of ``Dispatch`` and ``Slots``, with faulty networks and clocks."""

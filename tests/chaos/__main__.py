@@ -37,7 +37,10 @@ def main() -> int:
     print(f"schedules from {base} on, for {options.seconds:g} s")
     with concurrent.futures.ProcessPoolExecutor() as pool:
         while time.monotonic() - begin < options.seconds:
-            chunks = [range(base + played + i * CHUNK, base + played + (i + 1) * CHUNK) for i in range(os.cpu_count() or 1)]
+            chunks = [
+                range(base + played + i * CHUNK, base + played + (i + 1) * CHUNK)
+                for i in range(os.cpu_count() or 1)
+            ]
             found = [text for chunk in pool.map(failures, chunks) for text in chunk]
             played += len(chunks) * CHUNK
             if found:

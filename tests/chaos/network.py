@@ -2,9 +2,9 @@
 
 from typing import TYPE_CHECKING, Literal
 
-from zswarm.ot import dispatch
+from zswarm.ot.cluster.events import Answered, Gone, Seen
 from zswarm.protocol import codec, messages
-from zswarm.ss import slots
+from zswarm.ss.slots import events
 
 from .world import World
 
@@ -12,11 +12,19 @@ if TYPE_CHECKING:
     from .optimizer import Optimizer
     from .server import Server
 
-QUERY_S = {"offer": 3.0, "reserve": 10.0, "renew": 25.0, "evaluate": 60.0, "cancel": 3.0, "release": 3.0}
+QUERY_S = {
+    "offer": 3.0,
+    "reserve": 10.0,
+    "renew": 25.0,
+    "evaluate": 60.0,
+    "cancel": 3.0,
+    "release": 3.0,
+}
 SLOW_S = 8.0
 
-# Queries end empty on a link that is down or mute, and by their timeout where it is deaf. The optimizer notices by the token
-# that it is down, the server that it is down or deaf. A slow one is only slow.
+# Queries end empty on a link that is down or mute, and by their timeout where it is deaf. The
+# optimizer notices by the token that it is down, the server that it is down or deaf. A slow one is
+# only slow.
 State = Literal["up", "down", "mute", "deaf", "slow"]
 
 
@@ -34,8 +42,8 @@ class Link:
     def _meet(self) -> None:
         """Each sees the other's token."""
         if not self.server.slots.draining:
-            self._travel(lambda: self.optimizer.handle(dispatch.Seen(self.server.id)))
-        self._travel(lambda: self.server.handle(slots.HolderSeen("user", self.optimizer.run)))
+            self._travel(lambda: self.optimizer.handle(Seen(self.server.id)))
+        self._travel(lambda: self._holder(alive=True))
 
     def _travel(self, call: "object") -> None:
         world, breaks = self.world, self.breaks
@@ -64,22 +72,25 @@ class Link:
                 self._meet()
             return
         if state in ("down", "deaf"):
-            world.soon(lambda: self.server.handle(slots.HolderGone("user", self.optimizer.run)))
+            world.soon(lambda: self._holder(alive=False))
         if state == "down":
-            world.soon(lambda: self.optimizer.handle(dispatch.Gone(self.server.id)))
+            world.soon(lambda: self.optimizer.handle(Gone(self.server.id)))
         if state in ("down", "mute"):
             delay = world.random.choice([0.001, 0.01, 5.0])
             for question in list(self.open):
                 world.at(delay, lambda question=question: self._arrive(question, None))
 
+    def _holder(self, *, alive: bool) -> None:
+        self.server.handle(events.HolderAlive("user", self.optimizer.run, alive))
+
     def undeclare(self) -> None:
         """The server's token goes."""
-        self._travel(lambda: self.optimizer.handle(dispatch.Gone(self.server.id)))
+        self._travel(lambda: self.optimizer.handle(Gone(self.server.id)))
 
-    def ask(self, question: int, verb: str, message: messages.Request) -> None:
+    def ask(self, question: int, message: messages.Request) -> None:
         """From the optimizer to the server."""
         world = self.world
-        self.open[question] = verb
+        self.open[question] = verb = messages.verb(message)
         world.at(QUERY_S[verb], lambda: self._arrive(question, None))
         if self.state in ("down", "mute") or world.chance(world.failing):
             world.soon(lambda: self._arrive(question, None))
@@ -95,8 +106,8 @@ class Link:
         if self.state in ("up", "slow"):
             self._travel(lambda: self._arrive(question, reply))
         if world.chance(world.failing):
-            world.at(1.0, lambda: self.optimizer.handle(dispatch.Answered(question, reply)))  # once more
+            world.at(1.0, lambda: self.optimizer.handle(Answered(question, reply)))  # once more
 
     def _arrive(self, question: int, reply: messages.Reply | str | None) -> None:
         if self.open.pop(question, None) is not None:
-            self.optimizer.handle(dispatch.Answered(question, reply))
+            self.optimizer.handle(Answered(question, reply))

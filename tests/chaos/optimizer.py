@@ -4,11 +4,12 @@ import copy
 
 import numpy as np
 
-from zswarm.ot import dispatch
-from zswarm.ot.dispatch import Dispatch
-from zswarm.ot.history import History
-from zswarm.ot.matching import Choice
-from zswarm.ot.requests import Wanted, Who, request
+from zswarm.ot.cluster import events
+from zswarm.ot.cluster.dispatch import Dispatch
+from zswarm.ot.cluster.matching import Choice, Terms
+from zswarm.ot.cluster.remote_server import Phase
+from zswarm.ot.notes import Note
+from zswarm.ot.record.history_hash import History
 from zswarm.protocol import messages
 
 from .network import Link
@@ -24,7 +25,9 @@ class Journal:
 
     def __init__(self) -> None:
         self.finished: list[tuple[list[bytes], np.ndarray]] = []
-        self.doubtful = False  # a server may have computed wrong that could not be found out in time
+        self.doubtful = (
+            False  # a server may have computed wrong that could not be found out in time
+        )
         self.counted: list[tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray, str]] = []
 
     def survives(self, now: float) -> "Journal":
@@ -43,28 +46,55 @@ class Journal:
         return history.hex()
 
 
-class Optimizer(Node[dispatch.Event]):
+class Optimizer(Node[events.Event]):
     """One program that runs, or goes on with, an experiment."""
 
     def __init__(
-        self, world: World, experiment: Experiment, *, verify: float, epoch: int = 0, journal: Journal | None = None
+        self,
+        world: World,
+        experiment: Experiment,
+        *,
+        verify: float,
+        epoch: int = 0,
+        journal: Journal | None = None,
     ) -> None:
         super().__init__(world)
-        self.experiment, self.run, self.epoch, self.verify = experiment, experiment.name, epoch, verify
-        self.who = Who("lab", "user", self.run, epoch, world.random.randbytes(16))
+        self.experiment, self.run, self.epoch, self.verify = (
+            experiment,
+            experiment.name,
+            epoch,
+            verify,
+        )
+        self.nonce = world.random.randbytes(16)
         self.journal = journal or Journal()
         self.links: dict[str, Link] = {}  # by server
         self.left = False  # it is done
         self.superseded = False  # another one goes on with its run
         self.progressed_at = self.unserved_at = world.now
         self._verified, self._missed = 0, False
-        choice = Choice(max_slots=0 if verify else world.random.choice([0, 0, 1, 3]))  # a check needs a second server
-        self.wanted = Wanted(
-            messages.Requirements(), choice,
-            messages.Part(self.run, {}), messages.Part("", {}), 1, 1, TRIAL_TIMEOUT_S, trial_memory_mb=0,
-            slots=world.random.choice([1, 2, 100]), quarantine=True, verify=verify, probe=b"",
-        )  # fmt: skip
-        self.dispatch = Dispatch(1, 1, wanted_slots=self.wanted.slots, choice=choice, quarantine=True, verify=verify)
+        choice = Choice(
+            max_slots=0 if verify else world.random.choice([0, 0, 1, 3])
+        )  # a check needs a second server
+        reserve = messages.Reserve(
+            nonce=self.nonce,
+            epoch=epoch,
+            slots=world.random.choice([1, 2, 100]),
+            simulator=messages.Part(self.run, {}),
+            representation=messages.Part("", {}),
+            version_hash="",
+            trial_timeout_s=TRIAL_TIMEOUT_S,
+        )
+        self.max_slots = choice.max_slots or messages.MAX_SLOTS
+        self.dispatch = Dispatch(
+            Terms(
+                requirements=messages.Requirements(),
+                reserve=reserve,
+                choice=choice,
+                metrics=1,
+                quarantine=True,
+                verify=verify,
+            )
+        )
         self.workload = experiment.workload(None)  # the one that runs
         self._wake_at = float("inf")
         world.soon(self._next_generation)
@@ -82,50 +112,64 @@ class Optimizer(Node[dispatch.Event]):
             self.workload.counted[trials], self.workload.faulted[trials] = True, faulted
             self.workload.source[trials] = server
         self._once = [1] * len(self.workload.seeds)
-        self.handle(dispatch.Work(self.workload))
+        self.handle(events.Work(self.workload))
 
     def _slots_held(self) -> int:
         """Slots that it has a lease for, and that it asks for."""
-        phases = {dispatch.Phase.LEASED: "slots", dispatch.Phase.RESERVING: "wanted"}
-        servers = self.dispatch.servers.values()
-        return sum(getattr(server, phases[server.phase]) for server in servers if server.phase in phases)
+        phases = {Phase.LEASED: "slots", Phase.RESERVING: "wanted"}
+        servers = self.dispatch.servers.by_id.values()
+        return sum(
+            getattr(server, phases[server.phase]) for server in servers if server.phase in phases
+        )
 
-    def react(self, event: dispatch.Event) -> None:
+    def react(self, event: events.Event) -> None:
         """Give the dispatch an event, and carry out what it says."""
         world = self.world
-        if not isinstance(event, dispatch.Tick):
-            world.tell(self.run, self.epoch, "Work" if isinstance(event, dispatch.Work) else event)
+        if not isinstance(event, events.TimePassed):
+            world.tell(self.run, self.epoch, "Work" if isinstance(event, events.Work) else event)
         commands = self.dispatch.handle(event, self.clock())
-        if self._slots_held() > (self.wanted.choice.max_slots or messages.MAX_SLOTS):
-            world.fail(f"{self.run} holds or asks for {self._slots_held()} slots of {self.wanted.choice.max_slots}")
+        if (held := self._slots_held()) > self.max_slots:
+            world.fail(f"{self.run} holds or asks for {held} slots of {self.max_slots}")
         for command in commands:
             match command:
-                case dispatch.Ask():
-                    message = request(command, self.who, self.wanted, self.workload)
-                    self.links[command.server].ask(command.question, command.verb, message)
-                case dispatch.Counted():
+                case events.Ask():
+                    self.links[command.server].ask(command.question, command.message)
+                case events.Counted():
                     self._record(command)
-                case dispatch.Disputed():
+                case events.Disputed():
                     trial, (index,) = command.trial, self.workload.participants[command.trial]
-                    truth = np.array([outcome((self.workload.genomes[index], int(self.workload.seeds[trial])))])
-                    world.at(0.5, lambda trial=trial, truth=truth: self.handle(dispatch.Settled(trial, truth, truth)))
-                case dispatch.ProbeDisputed():
-                    world.at(2.0, lambda: self.handle(dispatch.ProbeSettled(PROBE)))
-                case dispatch.Retracted():
-                    self.journal.doubtful |= bool(self.journal.finished)  # earlier generations were told what it computed
-                    self.journal.counted = [row for row in self.journal.counted if row[-1] != command.server]
-                case dispatch.Complete():
+                    truth = np.array(
+                        [outcome((self.workload.genomes[index], int(self.workload.seeds[trial])))]
+                    )
+                    world.at(
+                        0.5,
+                        lambda trial=trial, truth=truth: self.handle(
+                            events.Arbitrated(trial, truth, truth)
+                        ),
+                    )
+                case events.ProbeDisputed():
+                    world.at(2.0, lambda: self.handle(events.ProbeArbitrated(PROBE)))
+                case events.Retracted():
+                    self.journal.doubtful |= bool(
+                        self.journal.finished
+                    )  # earlier generations were told what it computed
+                    self.journal.counted = [
+                        row for row in self.journal.counted if row[-1] != command.server
+                    ]
+                case events.Complete():
                     self._finish()
-                case dispatch.Failed():
+                case events.Failed():
                     if "taken over" not in command.reason or not self.superseded:
                         world.fail(f"{self.run} failed: {command.reason}")
                     self.end()
-                case dispatch.Note():
-                    self._missed |= command.event == "unverified" or "when it was verified" in command.text
-        if not self.dispatch.slots():
+                case Note():
+                    self._missed |= (
+                        command.event == "unverified" or "when it was verified" in command.text
+                    )
+        if not self.dispatch.servers.standing().slots:
             self.unserved_at = world.now
-        if self.dispatch._checks.verified > self._verified:
-            self._verified, self.progressed_at = self.dispatch._checks.verified, world.now
+        if self.dispatch.batches.checks.verified > self._verified:
+            self._verified, self.progressed_at = self.dispatch.batches.checks.verified, world.now
         self._check()
         self._set_alarm()
 
@@ -137,9 +181,9 @@ class Optimizer(Node[dispatch.Event]):
 
     def _tick(self) -> None:
         self._wake_at = float("inf")
-        self.handle(dispatch.Tick())
+        self.handle(events.TimePassed())
 
-    def _record(self, counted: dispatch.Counted) -> None:
+    def _record(self, counted: events.Counted) -> None:
         rows = [row[1] for row in self.journal.counted]
         if rows and np.isin(counted.trials, np.concatenate(rows)).any():
             self.world.fail("a trial was counted twice")
@@ -157,7 +201,9 @@ class Optimizer(Node[dispatch.Event]):
         if sum(len(row[1]) for row in self.journal.counted) != len(fitness):
             world.fail("the record does not have every trial once")
         wrong = {server for server in set(load.source) if server.endswith(WRONG)}
-        if self.dispatch._probe_settled and any(server.probe for server in self.dispatch.servers.values() if server.id in wrong):
+        if self.dispatch.servers._probe_arbitrated and any(
+            server.probe for server in self.dispatch.servers.by_id.values() if server.id in wrong
+        ):
             world.fail(f"{wrong}: computes wrong, is known to, and was counted for")
         lied = self._missed and any(server.endswith(LIAR) for server in load.source)
         self.journal.doubtful |= bool(wrong) or lied
@@ -172,7 +218,7 @@ class Optimizer(Node[dispatch.Event]):
         world.at(0.0, lambda: self.when_awake(self._next_generation))
 
     def _leave(self) -> None:
-        self.handle(dispatch.Leave())
+        self.handle(events.Leave())
         self.left = True
         self.world.at(0.1, self.end)
 
@@ -186,17 +232,25 @@ class Optimizer(Node[dispatch.Event]):
         """Another one that goes on with what is recorded, whether this one ended or not."""
         self.superseded = True
         journal = self.journal.survives(self.world.now)
-        return Optimizer(self.world, self.experiment, verify=self.verify, epoch=self.epoch + 1, journal=journal)
+        return Optimizer(
+            self.world, self.experiment, verify=self.verify, epoch=self.epoch + 1, journal=journal
+        )
 
     def _check(self) -> None:
         """Every trial is in one place."""
-        state = self.dispatch
-        if state._workload is not None:
-            out = [batch for server in state.servers.values() for batch in server.batches.values() if not batch.check]
-            places = [piece.trials for piece in state._waiting.pieces] + [batch.rest() for batch in out]
-            places.append(np.flatnonzero(state._workload.counted))
-            if np.bincount(np.concatenate(places), minlength=len(state._workload.seeds)).tolist() != self._once:
+        servers, batches = self.dispatch.servers.by_id.values(), self.dispatch.batches
+        if batches.workload is not None:
+            places = [entry.trials for entry in batches.queue.entries]
+            places += [
+                batch.rest()
+                for server in servers
+                for batch in server.batches.values()
+                if not batch.check
+            ]
+            places.append(np.flatnonzero(batches.workload.counted))
+            found = np.bincount(np.concatenate(places), minlength=len(self._once))
+            if found.tolist() != self._once:
                 self.world.fail(f"{self.run}: a trial is lost, or in two places")
-        for server in state.servers.values():
-            if server.batches and server.phase.name not in ("LEASED", "LEAVING"):
+        for server in servers:
+            if server.batches and server.phase not in (Phase.LEASED, Phase.LEAVING):
                 self.world.fail(f"{server.id} has batches")

@@ -1,11 +1,11 @@
-"""What is evaluated: a problem whose outcomes are a pure function of genome and seed, and what a run of it must come to."""
+"""A problem whose outcomes depend only on genome and seed, and the history that it must have."""
 
 import functools
 import hashlib
 
 import numpy as np
 
-from zswarm.ot.history import History
+from zswarm.ot.record.history_hash import History
 from zswarm.ot.workload import Workload
 
 Trial = tuple[bytes, int]  # genome and seed
@@ -26,21 +26,29 @@ def poisonous(trial: Trial) -> bool:
 class Experiment:
     """A run's generations: the genomes of one follow from the fitness of the one before."""
 
-    def __init__(self, name: str, seed: int, *, generations: int, population: int, trials: int) -> None:
+    def __init__(
+        self, name: str, seed: int, *, generations: int, population: int, trials: int
+    ) -> None:
         self.name, self.generations = name, generations
         self._seed, self._population, self._trials = seed, population, trials
 
     def workload(self, before: np.ndarray | None) -> Workload:
         """The generation after the one with this fitness."""
         root = (b"" if before is None else before.tobytes()) + self._seed.to_bytes(8, "little")
-        genomes = [hashlib.blake2b(root + bytes([index]), digest_size=8).digest() for index in range(self._population)]
+        genomes = [
+            hashlib.blake2b(root + bytes([index]), digest_size=8).digest()
+            for index in range(self._population)
+        ]
         seeds = np.arange(self._trials, dtype=np.uint64) + np.uint64(self._seed)
         participants = np.repeat(np.arange(self._population), self._trials).reshape(-1, 1)
         return Workload(genomes, participants, np.tile(seeds, self._population), metrics=1)
 
     def expected(self, workload: Workload) -> tuple[np.ndarray, np.ndarray]:
         """Fitness of each trial, NaN where it is poisonous, and which are."""
-        trials = [(workload.genomes[i], int(seed)) for (i,), seed in zip(workload.participants, workload.seeds, strict=True)]
+        trials = [
+            (workload.genomes[i], int(seed))
+            for (i,), seed in zip(workload.participants, workload.seeds, strict=True)
+        ]
         poison = np.array([poisonous(trial) for trial in trials])
         return np.where(poison, np.nan, [outcome(trial) for trial in trials]), poison
 

@@ -1,4 +1,4 @@
-"""One seeded schedule: who is there, which faults happen to whom and when, and what must have come of it."""
+"""One seeded schedule: its programs, their faults, and what must be true at the end."""
 
 import itertools
 from typing import NamedTuple
@@ -44,8 +44,12 @@ class Lab:
         self.optimizers: list[Optimizer] = []
         self._deaths: dict[Trial, int] = {}
         self._numbers = itertools.count()
-        self.alone = draw.random() < 0.15  # one server that never ends, for one run: nothing is ever run twice
-        self.liar = not self.alone and draw.random() < 0.15  # one server computes some trials wrong, and all are verified
+        self.alone = (
+            draw.random() < 0.15
+        )  # one server that never ends, for one run: nothing is ever run twice
+        self.liar = (
+            not self.alone and draw.random() < 0.15
+        )  # one server computes some trials wrong, and all are verified
         if self.alone:
             self.add_server(sound=True).alone = True
             self._add_run("run-1")
@@ -70,7 +74,11 @@ class Lab:
     def _add_run(self, name: str) -> None:
         draw = self.world.random
         experiment = Experiment(
-            name, draw.getrandbits(32), generations=draw.randint(1, 3), population=draw.randint(2, 8), trials=draw.randint(1, 5)
+            name,
+            draw.getrandbits(32),
+            generations=draw.randint(1, 3),
+            population=draw.randint(2, 8),
+            trials=draw.randint(1, 5),
         )
         verify = 1.0 if self.liar else draw.choice([0.0, 0.0, 0.2])
         self.add_optimizer(Optimizer(self.world, experiment, verify=verify))
@@ -90,8 +98,12 @@ class Lab:
         if world.now > CHAOS_S:
             return
         world.at(draw.expovariate(0.3), self.fail_something)
-        server = draw.choice([server for server in self.servers if not server.ended] or self.servers)
-        optimizer = draw.choice([optimizer for optimizer in self.optimizers if not optimizer.ended] or self.optimizers)
+        server = draw.choice(
+            [server for server in self.servers if not server.ended] or self.servers
+        )
+        optimizer = draw.choice(
+            [optimizer for optimizer in self.optimizers if not optimizer.ended] or self.optimizers
+        )
         fault, lasts_s = draw.choice(FAULTS), draw.choice(LASTS_S)
         if self.alone and fault in ("crash", "drain", "end", "takeover", "jump"):
             return
@@ -126,9 +138,9 @@ class Lab:
         trial = worker.progress()
         if worker.since is None or not worker.trials:
             return
-        deaths = self._deaths.get(worker.trials[trial - worker.first], 0)
+        deaths = self._deaths.get(worker.trials[trial], 0)
         if deaths < DEATHS:
-            self._deaths[worker.trials[trial - worker.first]] = deaths + 1
+            self._deaths[worker.trials[trial]] = deaths + 1
             worker.die()
 
     def _fail_optimizer(self, fault: str, optimizer: Optimizer, lasts_s: float) -> None:
@@ -138,7 +150,9 @@ class Lab:
         match fault:
             case "end" if not optimizer.superseded:
                 optimizer.end()
-                world.at(world.random.uniform(0.1, 40.0), lambda: self.add_optimizer(optimizer.resume()))
+                world.at(
+                    world.random.uniform(0.1, 40.0), lambda: self.add_optimizer(optimizer.resume())
+                )
             case "takeover" if not optimizer.superseded:
                 self.add_optimizer(optimizer.resume())
             case "stop" if not optimizer.frozen:
@@ -181,7 +195,10 @@ class Lab:
         if undone and all(optimizer.progressed_at < world.now - BOUND_S for optimizer in standing):
             world.fail("no run goes on")
         for optimizer in self._standing():
-            if not optimizer.left and max(optimizer.progressed_at, optimizer.unserved_at) < world.now - BOUND_S:
+            if (
+                not optimizer.left
+                and max(optimizer.progressed_at, optimizer.unserved_at) < world.now - BOUND_S
+            ):
                 world.fail(f"{optimizer.run} has slots and does not go on")
         world.run(END_S, self._done)
         world.run(world.now + 120.0)
@@ -197,7 +214,10 @@ class Lab:
         return [optimizer for optimizer in self.optimizers if not optimizer.superseded]
 
     def _done(self) -> bool:
-        return all(optimizer.left or (optimizer.superseded and optimizer.ended) for optimizer in self.optimizers)
+        return all(
+            optimizer.left or (optimizer.superseded and optimizer.ended)
+            for optimizer in self.optimizers
+        )
 
     def end(self) -> End:
         """What is left when it is over."""
@@ -208,11 +228,13 @@ class Lab:
             runs=sorted({optimizer.run for optimizer in self.optimizers}),
             done=sorted(optimizer.run for optimizer in self._standing() if optimizer.left),
             histories={optimizer.run: optimizer.journal.history() for optimizer in trusted},
-            undisturbed={optimizer.run: optimizer.experiment.undisturbed() for optimizer in trusted},
+            undisturbed={
+                optimizer.run: optimizer.experiment.undisturbed() for optimizer in trusted
+            },
             slots_taken=sum(len(server.workers) - server.slots.free() for server in up),
             leases=sum(len(server.slots.leases) for server in up),
             unanswered=sum(len(server.pending) for server in up),
-            kept_bytes=sum(server.slots.kept.bytes for server in up),
+            kept_bytes=sum(server.slots.leases.replies.size for server in up),
         )
 
 

@@ -5,8 +5,8 @@ import itertools
 import numpy as np
 
 from zswarm.protocol import codec, messages
-from zswarm.ss import slots
-from zswarm.ss.slots import Slots, SlotState
+from zswarm.ss.slots import events
+from zswarm.ss.slots.table import Slots
 
 from .network import Link
 from .problem import Trial, outcome, poisonous
@@ -19,18 +19,25 @@ WRONG, LIAR = "-wrong", "-liar"  # ends of the ids of servers that are
 DEATHS = 2  # of a worker by chance at one trial: one fewer than would put it in quarantine
 
 
-class Server(Node[slots.Event]):
+class Server(Node[events.Event]):
     """A server of the simulated world."""
 
-    def __init__(self, world: World, number: int, deaths: dict[Trial, int], *, sound: bool, lies: float) -> None:
+    def __init__(
+        self, world: World, number: int, deaths: dict[Trial, int], *, sound: bool, lies: float
+    ) -> None:
         super().__init__(world)
         self.links: dict[str, Link] = {}  # by optimizer
         self.deaths = deaths
-        self.wrong = not sound and world.random.random() < 0.05  # computes other numbers, which the probe shows
-        self.lies = lies  # share of the trials of which it computes other numbers, the probe's not among them
+        self.wrong = (
+            not sound and world.random.random() < 0.05
+        )  # computes other numbers, which the probe shows
+        # Share of the trials with other numbers; the probe is never among them.
+        self.lies = lies
         self.id = f"ss-{number}{WRONG if self.wrong else LIAR if lies else ''}"
         self.broken = not sound and world.random.random() < 0.05  # cannot be prepared
-        self.faulty = not sound and world.random.random() < 0.05  # every third trial ends its process
+        self.faulty = (
+            not sound and world.random.random() < 0.05
+        )  # every third trial ends its process
         self.trial_s = world.random.choice([0.001, 0.03, 0.2, 0.8, 16.0])
         self.prepare_deaths = 0
         self.pending: dict[int, tuple[Link, int]] = {}  # queries to answer
@@ -39,17 +46,33 @@ class Server(Node[slots.Event]):
         self.finished: set[tuple[bytes, Trial]] = set()  # trials by lease
         capacity = world.random.randint(1, 3)
         offer = messages.Offer(
-            server=self.id, program="", machine="", capacity=capacity, free=0, leases=0, simulators=[], representations=[]
+            server=self.id,
+            program="",
+            machine="",
+            capacity=capacity,
+            free=0,
+            leases=0,
+            simulators=[],
+            representations=[],
         )
         tokens = itertools.count()
-        self.slots = Slots(capacity, offer, lambda _: "", lambda: f"{number:8}{next(tokens):8}".encode())
+        self.slots = Slots(
+            capacity, offer, lambda _: "", lambda: f"{number:8}{next(tokens):8}".encode()
+        )
         self.workers = [Worker(self, index) for index in range(capacity)]
         self._queries = itertools.count()
         self._ticking = False
 
     def good(self) -> bool:
         """Whether runs can count on it."""
-        return not (self.ended or self.wrong or self.lies or self.broken or self.faulty or self.slots.draining)
+        return not (
+            self.ended
+            or self.wrong
+            or self.lies
+            or self.broken
+            or self.faulty
+            or self.slots.draining
+        )
 
     def receive(self, link: Link, question: int, message: messages.Request) -> None:
         """A request arrived."""
@@ -59,31 +82,34 @@ class Server(Node[slots.Event]):
         query = next(self._queries)
         self.pending[query] = (link, question)
         token = getattr(message, "lease", b"")
-        if token in self.slots.leases and self.slots.leases[token].setup.nonce != link.optimizer.who.nonce:
+        if any(
+            lease.token == token and lease.setup.nonce != link.optimizer.nonce
+            for lease in self.slots.leases.values()
+        ):
             self.world.fail(f"{self.id}: a lease is used by two")
-        self.handle(slots.Asked(query, "user", link.optimizer.run, message))
+        self.handle(events.Asked(query, "user", link.optimizer.run, message))
 
-    def react(self, event: slots.Event) -> None:
+    def react(self, event: events.Event) -> None:
         """Give the slot table an event, and carry out what it says."""
         world = self.world
-        if not isinstance(event, slots.Tick):
+        if not isinstance(event, events.Tick):
             world.tell(self.id, getattr(event, "message", event))
         for command in self.slots.handle(event, self.clock()):
             match command:
-                case slots.Answer():
+                case events.Answer():
                     if command.query not in self.pending:
                         world.fail(f"{self.id} answers a query twice")
                     link, question = self.pending.pop(command.query)
                     link.answer(question, command.body)
-                case slots.Prepare():
+                case events.PrepareSlot():
                     self.workers[command.slot].prepare(command.probe)
-                case slots.Run():
-                    self.workers[command.slot].evaluate(command.body, command.first)
-                case slots.Stop():
+                case events.RunChunk():
+                    self.workers[command.slot].evaluate(command.work)
+                case events.StopSlot():
                     self.workers[command.slot].stop()
-                case slots.Kill():
+                case events.KillSlot():
                     self.workers[command.slot].restart()
-                case slots.Drained():
+                case events.Drained():
                     if self.pending:
                         world.fail(f"{self.id} drained with queries unanswered")
                     self.ended = True
@@ -99,24 +125,21 @@ class Server(Node[slots.Event]):
             return
         self._ticking = False
         if self.slots.busy() or self.slots.draining:
-            self.handle(slots.Tick(tuple(worker.progress() for worker in self.workers)))
+            self.handle(events.Tick(tuple(worker.progress() for worker in self.workers)))
 
     def _check(self) -> None:
         """A slot belongs to one lease or none, and works when the table says so."""
-        held, holders = set(), set()
+        held = set()
         for lease in self.slots.leases.values():
-            holders.add(lease.run)
             for slot in lease.slots:
                 if slot.index in held:
                     self.world.fail(f"{self.id}: slot {slot.index} belongs to two leases")
                 held.add(slot.index)
-        if len(holders) != len(self.slots.leases):
-            self.world.fail(f"{self.id}: a run has two leases")
         for slot, worker in zip(self.slots.slots, self.workers, strict=True):
             state = slot.state
-            if (slot.index in held) == (state in (SlotState.FREE, SlotState.STOPPING)):
+            if (slot.index in held) == (state in ("free", "stopping")):
                 self.world.fail(f"{self.id}: slot {slot.index} is {state} with a wrong lease")
-            if (state in (SlotState.BUSY, SlotState.PREPARING, SlotState.STOPPING)) != (worker.since is not None):
+            if (state in ("busy", "preparing", "stopping")) != (worker.since is not None):
                 self.world.fail(f"{self.id}: slot {slot.index} is {state}, its worker not")
 
     def disappear(self) -> None:
@@ -133,7 +156,7 @@ class Server(Node[slots.Event]):
         """It is told to stop: its token goes first."""
         for link in self.links.values():
             link.undeclare()
-        self.handle(slots.Drain())
+        self.handle(events.Drain())
 
 
 class Worker:
@@ -143,8 +166,7 @@ class Worker:
         self.server, self.index = server, index
         self.life = 0  # what was to come from an earlier life does not
         self.since: float | None = None  # it works since then
-        self.trials: list[Trial] = []  # from the first on
-        self.first = 0
+        self.trials: list[Trial] = []  # of its chunk
         self.lease = b""
         self.trial_s = 1.0
 
@@ -155,14 +177,14 @@ class Worker:
     def die(self) -> None:
         """Somebody else kills it."""
         self.life += 1
-        self._later(0.0, slots.Died(self.index, self.progress(), "killed"))
+        self._later(0.0, events.Died(self.index, self.progress(), "killed"))
 
-    def _later(self, delay: float, event: slots.Event) -> None:
+    def _later(self, delay: float, event: events.Event) -> None:
         life = self.life
 
         def happen() -> None:
             if life == self.life:
-                if isinstance(event, slots.Finished | slots.Exhausted):
+                if isinstance(event, events.Finished):
                     self.server.finished |= {(self.lease, trial) for trial in self.trials}
                 self.restart()
                 self.server.handle(event)
@@ -177,48 +199,47 @@ class Worker:
         self.since, self.trials = world.now, []
         delay = world.random.uniform(0.05, 3.0)
         if server.broken:
-            self._later(delay, slots.Unprepared(self.index, "broken"))
+            self._later(delay, events.Unprepared(self.index, "broken"))
         elif server.prepare_deaths < DEATHS and world.chance(0.05):
             server.prepare_deaths += 1
-            self._later(delay, slots.Died(self.index, 0, "while it was prepared"))
+            self._later(delay, events.Died(self.index, 0, "while it was prepared"))
         else:
             digest = (WRONG_PROBE if server.wrong else PROBE) if probe else b""
-            self._later(delay, slots.Prepared(self.index, digest, server.trial_s))
+            self._later(delay, events.Prepared(self.index, digest, server.trial_s))
 
-    def evaluate(self, body: bytes, first: int) -> None:
-        """Play a batch from a trial on."""
+    def evaluate(self, batch: messages.Evaluate) -> None:
+        """Play the trials of a chunk."""
         server, world = self.server, self.server.world
-        batch = codec.decode_request(body)
-        assert isinstance(batch, messages.Evaluate)
         if self.since is not None:
             world.fail(f"{server.id}: a slot that works is given a batch")
         participants, seeds = codec.trials(batch, 1)
-        self.first, self.since, self.trial_s, self.lease = first, world.now, server.trial_s, batch.lease
-        self.trials = [(batch.genomes[i], int(seed)) for i, seed in zip(participants[:, 0], seeds, strict=True)][first:]
-        piece = (batch.lease, batch.batch, tuple(self.trials))
-        if piece in server.ran:
+        self.since, self.trial_s, self.lease = world.now, server.trial_s, batch.lease
+        rows = zip(participants[:, 0], seeds, strict=True)
+        self.trials = [(batch.genomes[row], int(seed)) for row, seed in rows]
+        chunk = (batch.lease, batch.batch, tuple(self.trials))
+        if chunk in server.ran:
             world.fail(f"{server.id}: trials of batch {batch.batch} are run twice")
-        server.ran.add(piece)
+        server.ran.add(chunk)
         if server.alone and any((batch.lease, trial) in server.finished for trial in self.trials):
             world.fail(f"{server.id}: a trial that it has the outcome of is run again")
-        exhausted = len(self.trials) > 1 and world.chance(10 * world.failing)
-        if exhausted:
-            self.trials = self.trials[: world.random.randint(1, len(self.trials) - 1)]
+        if len(self.trials) > 1 and world.chance(10 * world.failing):
+            at = world.random.randrange(len(self.trials))
+            self._later(at * self.trial_s, events.Exhausted(self.index, at))
+            return
         for index, trial in enumerate(self.trials):
             if poisonous(trial) or self._dies_at(trial):
                 if world.random.random() < 0.3:
                     self.trials = self.trials[: index + 1]  # it hangs there, until it is killed
                 else:
-                    self._later(index * self.trial_s, slots.Died(self.index, first + index, "crash"))
+                    self._later(index * self.trial_s, events.Died(self.index, index, "crash"))
                 return
         fitness = np.array([outcome(trial) + self._lie(trial) for trial in self.trials])
         seconds = len(self.trials) * self.trial_s
-        reply = messages.Outcomes(batch=batch.batch, fitness=fitness.tobytes(), metrics=fitness.tobytes(), seconds=seconds)
-        done = first + len(self.trials)
-        if exhausted:
-            self._later(seconds, slots.Exhausted(self.index, reply, done, world.random.choice([-1, done])))
-        else:
-            self._later(seconds, slots.Finished(self.index, codec.encode(reply), worn=world.chance(10 * world.failing)))
+        reply = messages.Outcomes(
+            batch=batch.batch, fitness=fitness.tobytes(), metrics=fitness.tobytes(), seconds=seconds
+        )
+        recycled = world.chance(10 * world.failing)
+        self._later(seconds, events.Finished(self.index, reply, recycled))
 
     def _lie(self, trial: Trial) -> float:
         return float(self.server.wrong or outcome(trial) % 0.1 < 0.1 * self.server.lies)
@@ -227,7 +248,9 @@ class Worker:
         """By chance, but not so often that the trial is taken for poisonous."""
         server = self.server
         deaths = server.deaths.get(trial, 0)
-        dies = server.world.chance(server.world.failing) or (server.faulty and server.world.chance(0.3))
+        dies = server.world.chance(server.world.failing) or (
+            server.faulty and server.world.chance(0.3)
+        )
         if deaths == DEATHS or not dies:
             return False
         server.deaths[trial] = deaths + 1
@@ -236,10 +259,14 @@ class Worker:
     def stop(self) -> None:
         """The present trial ends; one in three times it takes too long."""
         if self.since is not None and self.server.world.random.random() < 0.7:
-            self._later(self.trial_s, slots.Finished(self.index, codec.encode(messages.Done())))
+            self._later(
+                self.trial_s,
+                events.Finished(self.index, messages.Refused(code="cancelled", reason="")),
+            )
 
     def progress(self) -> int:
         """The trial it is at."""
         if self.since is None or not self.trials:
             return 0
-        return self.first + min(int((self.server.world.now - self.since) / self.trial_s), len(self.trials) - 1)
+        played = int((self.server.world.now - self.since) / self.trial_s)
+        return min(played, len(self.trials) - 1)

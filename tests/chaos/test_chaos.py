@@ -1,4 +1,4 @@
-"""Whatever fails, every candidate is counted once, the history is that of an undisturbed run, and nothing leaks.
+"""Faults change no history: every candidate is counted once, and nothing leaks.
 
 A seed that fails names the line that replays it, such as ``make chaos SEED=17``.
 """
@@ -8,27 +8,37 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from zswarm.ot.dispatch import Answered, Batch, Counted, Dispatch, Server
-from zswarm.protocol.messages import Outcomes, Reply
-from zswarm.ss.kept import Kept
+from zswarm.ot.cluster.batches import Batches
+from zswarm.ot.cluster.dispatch import Dispatch
+from zswarm.ot.cluster.events import Answered, Counted
+from zswarm.ot.cluster.queue import QueuedTrials
+from zswarm.ot.cluster.remote_server import SentBatch
+from zswarm.ot.cluster.servers import Servers
+from zswarm.protocol.messages import Outcomes
+from zswarm.ss.slots.reply_cache import ReplyCache
 
 from .schedule import play
 
-SCHEDULES, SOME, CHUNK = 2000, 500, 50  # with ``make long``; with ``make test``
+SCHEDULES, SOME, CHUNK = 2000, 200, 50  # with ``make long``; with ``make test``
 FOUND_WITHIN = 100  # schedules, a planted bug
 
 
 @pytest.mark.parametrize(
     "first",
-    [*range(0, SOME, CHUNK), *(pytest.param(first, marks=pytest.mark.long) for first in range(SOME, SCHEDULES, CHUNK))],
+    [
+        *range(0, SOME, CHUNK),
+        *(pytest.param(first, marks=pytest.mark.long) for first in range(SOME, SCHEDULES, CHUNK)),
+    ],
 )
-def test_whatever_fails_the_history_is_the_same_and_nothing_leaks(first: int) -> None:
+def test_faults_do_not_change_the_history_and_nothing_leaks(first: int) -> None:
     """Something does fail in nearly all schedules, and nearly all histories can be compared."""
     ends = [play(seed) for seed in range(first, first + CHUNK)]
     for seed, end in enumerate(ends, first):
         assert end.done == end.runs, f"seed {seed}"
         assert end.histories == end.undisturbed, f"seed {seed}"
-        assert (end.slots_taken, end.leases, end.unanswered, end.kept_bytes) == (0, 0, 0, 0), f"seed {seed}"
+        assert (end.slots_taken, end.leases, end.unanswered, end.kept_bytes) == (0, 0, 0, 0), (
+            f"seed {seed}"
+        )
     assert sum(end.world.faults > 0 for end in ends) > 0.7 * CHUNK
     assert sum(len(end.histories) for end in ends) > 0.7 * sum(len(end.runs) for end in ends)
 
@@ -41,75 +51,82 @@ def test_the_same_seed_is_the_same_schedule() -> None:
     assert [repr(what) for what in first.trace] != [repr(what) for what in play(4).world.trace]
 
 
-# ---- planted bugs -------------------------------------------------------------------------------------------------
+# ---- planted bugs -----------------------------------------------------------------------
 
 
 def no_dedupe(patch: pytest.MonkeyPatch) -> None:
-    """An answer counts however often it comes, and although its batch was given elsewhere."""
-    answered, batch_answered = Dispatch._answered, Dispatch._batch_answered
+    """An answer counts however often it comes, and although its batch was sent elsewhere."""
+    answered, ask = Dispatch._answered, Batches.ask
+    sent: dict[tuple[int, int], SentBatch] = {}  # by dispatch and question
 
-    def remembers(self: Dispatch, event: Answered, now: float) -> None:
-        question = self._questions.get(event.question)
-        answered(self, event, now)
-        if question is not None:
-            self._questions[event.question] = question
+    def asks(self: Batches, batch: SentBatch) -> None:
+        ask(self, batch)
+        sent[id(self), batch.question] = batch
 
-    def takes(self: Dispatch, server: Server, batch: Batch, reply: Reply | None, now: float) -> None:
-        if isinstance(reply, Outcomes) and self._workload is not None:
-            server.batches[batch.id] = batch
-        batch_answered(self, server, batch, reply, now)
+    def remembers(self: Dispatch, event: Answered) -> None:
+        query, batch = (
+            self.out.queries.get(event.question),
+            sent.get((id(self.batches), event.question)),
+        )
+        if query and batch and self.batches.workload and isinstance(event.reply, Outcomes):
+            self.servers.by_id[query.server].batches[batch.id] = batch
+            batch.question = event.question
+            batch.done[:] = False
+        answered(self, event)
+        if query is not None:
+            self.out.queries[event.question] = query
 
-    def counts(self: Dispatch, trials: np.ndarray, server: str, seconds: float) -> None:
-        assert self._workload is not None
-        self._rest -= int((~self._workload.counted[trials]).sum())
-        self._workload.counted[trials] = True
-        self._commands.append(Counted(trials, server, seconds))
-        self._complete_if_done()
+    def counts(self: Batches, trials: np.ndarray, server: str, seconds: float) -> None:
+        assert self.workload is not None
+        self.uncounted -= int((~self.workload.counted[trials]).sum())
+        self.workload.counted[trials] = True
+        self.out.commands.append(Counted(trials, server, seconds))
 
+    patch.setattr(Batches, "ask", asks)
     patch.setattr(Dispatch, "_answered", remembers)
-    patch.setattr(Dispatch, "_batch_answered", takes)
-    patch.setattr(Dispatch, "_mark_counted", counts)
+    patch.setattr(Batches, "_count_once", counts)
 
 
 def a_lease_is_never_freed(patch: pytest.MonkeyPatch) -> None:
     """The time of a lease does not run out."""
-    patch.setattr("zswarm.ss.slots.LEASE_S", 1e9)
-    patch.setattr("zswarm.ss.slots.GRACE_S", 1e9)
+    patch.setattr("zswarm.ss.slots.leases.LEASE_S", 1e9)
+    patch.setattr("zswarm.ss.slots.leases.GRACE_S", 1e9)
 
 
 def a_lost_requeue(patch: pytest.MonkeyPatch) -> None:
     """What a server did not answer is not given out again, one time in four."""
-    requeue = Dispatch._requeue
+    requeue = Batches._requeue
 
-    def loses(self: Dispatch, trials: np.ndarray, *arguments: object) -> None:
-        if self._next % 4:
-            requeue(self, trials, *arguments)  # type: ignore[arg-type]
+    def loses(self: Batches, entry: QueuedTrials) -> None:
+        if self.out.number() % 4:
+            requeue(self, entry)
 
-    patch.setattr(Dispatch, "_requeue", loses)
+    patch.setattr(Batches, "_requeue", loses)
 
 
 def a_batch_is_not_kept(patch: pytest.MonkeyPatch) -> None:
     """A server that is asked again for a finished batch computes it again."""
-    patch.setattr(Kept, "put", lambda *_: None)
+    patch.setattr(ReplyCache, "put", lambda *_: None)
 
 
 def a_cut_link_forgets(patch: pytest.MonkeyPatch) -> None:
     """A server that is back is given anew what it still has."""
-
-    def forgets(self: Dispatch, server: Server, now: float) -> None:
-        self._end_former(server)
-
-    patch.setattr(Dispatch, "_return_to", forgets)
+    patch.setattr(Batches, "_resume", Batches._forget_stranded)
 
 
 def a_lie_is_believed(patch: pytest.MonkeyPatch) -> None:
     """Whoever is wrong in a dispute, nobody is found out."""
-    patch.setattr(Dispatch, "_bar", lambda *_: None)
+    patch.setattr(Servers, "ban", lambda *_: None)
 
 
 PLANTED: list[Callable[[pytest.MonkeyPatch], None]] = [
-    no_dedupe, a_lease_is_never_freed, a_lost_requeue, a_batch_is_not_kept, a_cut_link_forgets, a_lie_is_believed,
-]  # fmt: skip
+    no_dedupe,
+    a_lease_is_never_freed,
+    a_lost_requeue,
+    a_batch_is_not_kept,
+    a_cut_link_forgets,
+    a_lie_is_believed,
+]
 
 
 @pytest.fixture

@@ -21,7 +21,9 @@ class World:
 
     def __init__(self, seed: int) -> None:
         self.seed, self.random, self.now = seed, random.Random(seed), 0.0
-        self.failing = self.random.choice([0.0, 0.002, 0.02])  # share of messages that get no answer, and of trials that die
+        self.failing = self.random.choice(
+            [0.0, 0.002, 0.02]
+        )  # share of messages that get no answer, and of trials that die
         self.faults = 0  # that happened
         self.trace: deque[tuple[object, ...]] = deque(maxlen=60)
         self._queue: list[tuple[float, int, Callable[[], None]]] = []
@@ -45,9 +47,13 @@ class World:
 
     def fail(self, text: str) -> NoReturn:
         """A rule was broken: the seed, the line that replays it, and what happened last."""
-        lines = (f"{time:9.4f} " + " ".join(str(word)[:150] for word in words) for time, *words in self.trace)
+        lines = (
+            f"{time:9.4f} " + " ".join(str(word)[:150] for word in words)
+            for time, *words in self.trace
+        )
         raise AssertionError(
-            f"make chaos SEED={self.seed}    # {self.now:.3f} s: {text}; what happened last:\n" + "\n".join(lines)
+            f"make chaos SEED={self.seed}    # {self.now:.3f} s: {text}; what happened last:\n"
+            + "\n".join(lines)
         )
 
     def run(self, until: float, done: Callable[[], bool] = lambda: False) -> None:
@@ -65,7 +71,7 @@ class World:
 
 
 class Node(Generic[E]):
-    """A program with a clock of its own, which may jump, and that may be stopped for a while (SIGSTOP)."""
+    """A program with its own clock, which may jump; it may be stopped for a while (SIGSTOP)."""
 
     def __init__(self, world: World) -> None:
         self.world = world

@@ -1,4 +1,4 @@
-"""The files in deploy/, without a machine to install them on: that is tests/integration/test_machines.py."""
+"""The files in deploy/; tests/integration/test_machines.py installs them on machines."""
 
 import re
 import shutil
@@ -10,24 +10,37 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from tests.places import REPOSITORY
 from zswarm import router
+from zswarm.config.decode import convert
 from zswarm.ss.server import Options
-from zswarm.strict import convert
 
-REPOSITORY = Path(__file__).parents[2]
 DEPLOY = REPOSITORY / "deploy"
 DOCUMENT = (REPOSITORY / "docs" / "deploy.md").read_text()
 
 
-@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not there (Debian: apt install systemd)")
+@pytest.mark.skipif(
+    shutil.which("systemd-analyze") is None,
+    reason="systemd-analyze is not there (Debian: apt install systemd)",
+)
 def test_systemd_finds_nothing_wrong_with_the_units() -> None:
     """And their exposure is 1.2 at most."""
-    done = subprocess.run([str(DEPLOY / "check-units.sh"), str(Path(sys.executable).parent)], capture_output=True, text=True)
+    done = subprocess.run(
+        [str(DEPLOY / "check-units.sh"), str(Path(sys.executable).parent)],
+        capture_output=True,
+        text=True,
+    )
     assert (done.returncode, done.stderr) == (0, ""), done.stdout
 
 
-@pytest.mark.parametrize(("file", "options"), [("ss.toml", Options), ("router.toml", router.Options)], ids=["ss", "router"])
-def test_the_example_of_a_configuration_shows_the_defaults(file: str, options: type[msgspec.Struct]) -> None:
+@pytest.mark.parametrize(
+    ("file", "options"),
+    [("ss.toml", Options), ("router.toml", router.RouterOptions)],
+    ids=["ss", "router"],
+)
+def test_the_example_of_a_configuration_shows_the_defaults(
+    file: str, options: type[msgspec.Struct]
+) -> None:
     """Every key but for those that are set is behind a #, with its default."""
     text = (DEPLOY / "systemd" / file).read_text()
     set_here = tomllib.loads(text)
@@ -37,36 +50,47 @@ def test_the_example_of_a_configuration_shows_the_defaults(file: str, options: t
     assert shown == defaults | set_here
 
 
-@pytest.mark.parametrize(("what", "heading"), [("install", "Install"), ("upgrade", "Upgrade"), ("uninstall", "Uninstall")])
+@pytest.mark.parametrize(
+    ("what", "heading"),
+    [("install", "Install"), ("upgrade", "Upgrade"), ("uninstall", "Uninstall")],
+)
 def test_the_script_for_many_machines_does_what_the_document_says(what: str, heading: str) -> None:
     script = re.search(rf"^{what}='\n(.*?)^'$", (DEPLOY / "fleet.sh").read_text(), re.S | re.M)
     assert script
     lines = script[1].replace("--quiet ", "").replace('"$PACKAGE"', "'zswarm[keys]'")
-    lines = lines.replace('[ ! "$keys" ] || ', "").replace('join --yes "$keys"', "join ~/lab-01.zkeys")
+    lines = lines.replace('[ ! "$keys" ] || ', "").replace(
+        'join --yes "$keys"', "join ~/lab-01.zkeys"
+    )
     lines = re.sub(r" \|\| \{.*\}$", "", lines, flags=re.M)  # what it does where pip fails
-    assert lines == re.findall(r"^```sh\n(.*?)^```$", DOCUMENT.split(f"# {heading}\n", 1)[1], re.S | re.M)[0]
+    assert (
+        lines
+        == re.findall(r"^```sh\n(.*?)^```$", DOCUMENT.split(f"# {heading}\n", 1)[1], re.S | re.M)[0]
+    )
 
 
 @pytest.mark.parametrize("arguments", [[], ["install"], ["instal", "lab-01"]])
-def test_the_script_for_many_machines_says_how_it_is_used(arguments: list[str]) -> None:
+def test_the_script_for_many_machines_prints_its_usage(arguments: list[str]) -> None:
     done = subprocess.run([str(DEPLOY / "fleet.sh"), *arguments], capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("usage: fleet.sh install|upgrade|join|uninstall|status HOST...")
 
 
 @pytest.mark.parametrize("what", ["install", "join"])
-def test_the_script_for_many_machines_names_the_keys_it_misses(tmp_path: Path, what: str) -> None:
+def test_the_script_for_many_machines_names_missing_keys(tmp_path: Path, what: str) -> None:
     command = [str(DEPLOY / "fleet.sh"), what, "root@lab-01.example.org"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
     assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr == "root@lab-01.example.org: lab-01.zkeys is not in this folder: see docs/keys.md, or say KEYS=none\n"
+    missing = "lab-01.zkeys is not in this folder: see docs/keys.md, or set KEYS=none"
+    assert done.stderr == f"root@lab-01.example.org: {missing}\n"
 
 
-def test_the_script_for_many_machines_ends_where_something_fails(tmp_path: Path) -> None:
+def test_the_script_for_many_machines_stops_at_the_first_failure(tmp_path: Path) -> None:
     """The machines after it serve on as they are."""
     (tmp_path / "ssh").write_text('#!/bin/sh\ncat > /dev/null\n[ "$1" != lab-02 ]\n')
     (tmp_path / "ssh").chmod(0o755)
     command = [str(DEPLOY / "fleet.sh"), "upgrade", "lab-01", "lab-02", "lab-03"]
-    done = subprocess.run(command, capture_output=True, text=True, env={"PATH": f"{tmp_path}:/usr/bin:/bin"})
+    done = subprocess.run(
+        command, capture_output=True, text=True, env={"PATH": f"{tmp_path}:/usr/bin:/bin"}
+    )
     assert (done.returncode, done.stdout) == (1, "lab-01: upgrade\nlab-02: upgrade\n")
-    assert done.stderr == "lab-02: upgrade failed; the machines after it were left alone\n"
+    assert done.stderr == "lab-02: upgrade failed; the machines after it are unchanged\n"

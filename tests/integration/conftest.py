@@ -4,12 +4,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from paced import Scene, Size, Undisturbed, play_undisturbed
+
+from tests.integration.paced import Scene, Size, Undisturbed, play_undisturbed
 
 
 @pytest.fixture(scope="session")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Undisturbed:
-    """What the run of a ``scene`` comes to when nothing happens to it."""
+    """Return the result of a ``scene``'s run without faults."""
     return play_undisturbed(tmp_path_factory.mktemp("undisturbed"), Size())
 
 

@@ -1,4 +1,4 @@
-"""The experiment that most tests disturb: a real simulator, compiled, whose trials take as long as a test wants."""
+"""The experiment that most tests disturb: a compiled simulator with trials of a chosen length."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ COUNTED = "SELECT coalesce(sum(count), 0) FROM outcomes"
 
 
 def write(folder: Path, name: str, steps: int, more: str = "") -> str:
-    """Put it into a folder; 4,000 steps take a millisecond."""
+    """Write the experiment into a folder; 4,000 steps take a millisecond."""
     file = folder / "experiment.toml"
     file.write_text(EXPERIMENT.format(name=name, steps=steps) + more)
     return str(file)

@@ -1,6 +1,7 @@
-"""Optimizers as processes that start at once: a program that has imported everything forks itself for each run.
+"""Run optimizers in processes forked from one that has imported everything.
 
-``Forks`` starts the program, which is this file, and has it play; each run is one process with a record and a session of its own.
+``Forks`` starts the program, which is this file, and has it play; each run is one process with a
+record and a session of its own.
 """
 
 import gc
@@ -15,7 +16,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from programs import wait_until
+from tests.integration.programs import wait_until
 
 KILLED_IN = 1  # the generation in which processes kill themselves
 
@@ -27,23 +28,36 @@ class Forks:
         self._errors = folder / "forks.err"
         with self._errors.open("wb") as errors:
             self._program = subprocess.Popen(
-                [sys.executable, __file__], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, cwd=folder, text=True,
-                env=os.environ | {"ZSWARM_PLAIN": "1"},
-            )  # fmt: skip
+                [sys.executable, __file__],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                cwd=folder,
+                text=True,
+                # Nothing is computed here that is worth compiling; ribs would compile for seconds.
+                env=os.environ | {"ZSWARM_PLAIN": "1", "NUMBA_DISABLE_JIT": "1"},
+            )
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self._program.communicate()  # the end of its input ends it
 
-    def run(self, experiment: dict[str, Any], out: Path, servers: Sequence[str], *, killed: bool = False) -> None:
-        """Evolve below a folder on these servers, and no other: to the end, or until SIGKILL in generation ``KILLED_IN``."""
+    def run(
+        self, experiment: dict[str, Any], out: Path, servers: Sequence[str], *, killed: bool = False
+    ) -> None:
+        """Evolve on these servers only, to the end or until SIGKILL in generation ``KILLED_IN``."""
         task = {"experiment": experiment, "out": str(out), "servers": servers, "killed": killed}
         self._play(task, -signal.SIGKILL if killed else 0)
 
     def resume(self, run: Path, servers: Sequence[str]) -> None:
-        """Evolve to the end."""
+        """Resume a run to its end."""
         self._play({"resume": str(run), "servers": servers}, 0)
 
     def _play(self, task: dict[str, Any], expected: int) -> None:
@@ -53,10 +67,12 @@ class Forks:
         stdin.write(json.dumps(task) + "\n")
         stdin.flush()
         status = stdout.readline().strip()
-        assert status == str(expected), f"exit status {status} of {task}\n{self._errors.read_text()}"
+        assert status == str(expected), (
+            f"exit status {status} of {task}\n{self._errors.read_text()}"
+        )
 
 
-# ---- the program --------------------------------------------------------------------------------------------------
+# ---- the program -------------------------------------------------------------------------------
 
 
 def main() -> None:
@@ -80,30 +96,41 @@ def main() -> None:
 
 
 def import_everything() -> None:
-    """What a run imports, and has numba compile; no session is open yet, for a process that has one cannot be forked."""
+    """Import what a run needs, and hash all parts: each forked process would do so again.
+
+    No session is opened here: a process with one cannot be forked.
+    """
     import cmaes  # noqa: F401
     import ribs.archives
     import ribs.emitters
 
-    from zswarm import plugins
-    from zswarm.ot import evaluations, evolution, leases  # noqa: F401
+    import zswarm.api
+    import zswarm.ot.embedding  # noqa: F401
+    from zswarm.plugins import registry as plugins
+    from zswarm.plugins.version_hash import version_hash, versions
 
     for kind, table in plugins.BUNDLED.items():
         for name in table:
             plugins.load(kind, name)
+    for simulator in plugins.BUNDLED["simulator"]:
+        for representation in plugins.BUNDLED["representation"]:
+            version_hash(simulator, representation)
+            versions(simulator, representation)
     archive = ribs.archives.GridArchive(solution_dim=2, dims=[2], ranges=[(0, 1)])
-    emitter = ribs.emitters.EvolutionStrategyEmitter(archive, x0=[0.0, 0.0], sigma0=1.0, batch_size=4)
+    emitter = ribs.emitters.EvolutionStrategyEmitter(
+        archive, x0=[0.0, 0.0], sigma0=1.0, batch_size=4
+    )
     fitness, measures = [0.0] * 4, [[0.0]] * 4
     solutions = emitter.ask()
     emitter.tell(solutions, fitness, measures, archive.add(solutions, fitness, measures))
 
 
 def play(task: dict[str, Any]) -> None:
-    """In a forked process: run or resume."""
+    """Run or resume, in a forked process."""
     import zswarm
 
     class Killer(zswarm.Logger):
-        """Kills its process at the second message of results of a generation, from a thread of its own."""
+        """Kill its own process at the second progress message of a generation."""
 
         messages = 2
 
@@ -119,10 +146,14 @@ def play(task: dict[str, Any]) -> None:
                 resumed.finish()
             return
         loggers = [Killer()] if task["killed"] else []
-        with zswarm.start(task["experiment"], out=task["out"], connection=connection, loggers=loggers) as run:
+        with zswarm.start(
+            task["experiment"], out=task["out"], connection=connection, loggers=loggers
+        ) as run:
             for generation in run:
                 if task["killed"] and generation.generation == KILLED_IN:
-                    os.kill(os.getpid(), signal.SIGKILL)  # results came in one message; the next generation is on its way
+                    os.kill(
+                        os.getpid(), signal.SIGKILL
+                    )  # results came in one message; the next generation is on its way
                 if generation.generation == 0:
                     wait_until(lambda: connection.slots == len(servers), "all servers are ready")
 

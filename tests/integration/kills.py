@@ -1,8 +1,10 @@
-"""A seeded killer: SIGKILL, and now and then SIGSTOP, to processes that are busy, again and again during one run.
+"""Kill and stop busy processes again and again during one run, by a seed.
 
-What was killed is started anew: a server on its port, an optimizer by ``resume``. Before it strikes the killer makes sure
-that it hits work. A slot, its server or its fork server: the slot's process used processor time between two looks. The
-optimizer: it recorded trials since its start. ``kills.jsonl`` in the scene's folder has each strike with its evidence.
+What was killed is started anew: a server on its port, an optimizer by ``resume``. Before it strikes
+the killer makes sure that it hits work. A slot, its server or its fork server: the slot's process
+used processor time between two looks. The
+optimizer: it recorded trials since its start. ``kills.jsonl`` in the scene's folder has each strike
+with its evidence.
 """
 
 import json
@@ -12,18 +14,24 @@ import signal
 import time
 from typing import Any, NamedTuple
 
-from paced import Pace, Scene, Size
-from programs import Optimizer, Server, children, query, status, wait_until
+from tests.integration.paced import Pace, Scene, Size
+from tests.integration.programs import Optimizer, Server, children, query, status, wait_until
 
 SERVERS = 3  # of one slot
 LOOK_S = 0.03  # between two looks at a process: three ticks of its processor time
 BUSY_S, SLOW_S = 0.03, 0.3  # of a trial; the second while the run is ahead of the killer
 STOPPED_S = (0.5, 2.0, 10.0)  # of a stopped server; the last is longer than the link timeout
-TARGETS = {"slot": 45, "server": 20, "fork server": 10, "optimizer": 20, "stopped server": 5}  # and how often, in percent
+TARGETS = {
+    "slot": 45,
+    "server": 20,
+    "fork server": 10,
+    "optimizer": 20,
+    "stopped server": 5,
+}  # and how often, in percent
 
 
 def size(kills: int) -> Size:
-    """A run of some 50 trials a kill."""
+    """Return a run with some 50 trials per kill."""
     return Size(generations=max(3, kills // 6), population=20, trials=20)
 
 
@@ -44,7 +52,8 @@ class Campaign:
         """Start servers and the optimizer.
 
         Args:
-            trials: of the whole run. They last until the last kill: trials take longer when they are ahead of the kills.
+            trials: of the whole run. They last until the last kill: trials take longer when they
+                are ahead of the kills.
         """
         self.strikes: list[Strike] = []
         self.paused = 0  # times that a run stopped because one trial was hit three times
@@ -57,11 +66,11 @@ class Campaign:
         self._start_optimizer(resume=False)
 
     def kills(self) -> int:
-        """SIGKILLs so far."""
+        """Return the number of SIGKILLs so far."""
         return sum(strike.signal == "SIGKILL" for strike in self.strikes)
 
     def run(self) -> dict[str, Any]:
-        """Kill as often as wanted, then let the run end; its last line."""
+        """Kill the wanted number of times, then let the run end; return its last line."""
         with (self._scene.folder / "kills.jsonl").open("w") as log:
             while self.kills() < self._wanted:
                 strike = wait_until(self._strike, "somebody is busy")
@@ -78,7 +87,7 @@ class Campaign:
     # ---- striking
 
     def _strike(self) -> Strike | None:
-        """Hit whom the dice say, if they are busy; those that were hit before are mended meanwhile."""
+        """Hit the drawn target if it is busy, and restart earlier victims meanwhile."""
         self._mend()
         self._set_pace()
         target = self._random.choices(list(TARGETS), list(TARGETS.values()))[0]
@@ -98,11 +107,14 @@ class Campaign:
             os.kill(process, number)
             if process == server.process.pid:
                 server.wait()
-            wait_until(lambda: (found := status(process)) is None or found.state == "Z", f"{process} has ended")
+            wait_until(
+                lambda: (found := status(process)) is None or found.state == "Z",
+                f"{process} has ended",
+            )
         return self._struck(target, number, process, evidence)
 
     def _busy(self, server: Server, pace: Pace) -> tuple[int, int, str] | None:
-        """A server's slot that computes a batch, its fork server, and how this is known."""
+        """Return a server's busy slot, its fork server, and the evidence."""
         fork_server = server.fork_server()
         slots = children(fork_server) if fork_server and server.events("server_ready") else []
         if not slots:
@@ -114,7 +126,11 @@ class Campaign:
         if not trials or first is None or second is None or second.ticks <= first.ticks:
             return None
         ticks = f"{first.ticks} -> {second.ticks} ticks of processor time"
-        return slots[0], fork_server, f"slot {slots[0]}: {ticks}, state {second.state}, in its trial number {trials}"
+        return (
+            slots[0],
+            fork_server,
+            f"slot {slots[0]}: {ticks}, state {second.state}, in its trial number {trials}",
+        )
 
     def _strike_optimizer(self) -> Strike | None:
         fresh = self._count() - self._counted_before
@@ -122,16 +138,29 @@ class Campaign:
             return None
         self._optimizer.kill()
         self._optimizer.wait()
-        return self._struck("optimizer", signal.SIGKILL, self._optimizer.process.pid, f"recorded {fresh} trials since its start")
+        return self._struck(
+            "optimizer",
+            signal.SIGKILL,
+            self._optimizer.process.pid,
+            f"recorded {fresh} trials since its start",
+        )
 
     def _struck(self, target: str, number: int, process: int, evidence: str) -> Strike:
-        return Strike(round(time.monotonic() - self._begin, 2), target, signal.Signals(number).name, process, evidence)
+        return Strike(
+            round(time.monotonic() - self._begin, 2),
+            target,
+            signal.Signals(number).name,
+            process,
+            evidence,
+        )
 
     # ---- mending
 
     def _mend(self) -> bool:
-        """Start what was killed, continue what was stopped for long enough; whether the optimizer runs."""
-        for index in [index for index, time_ in self._go_on_at.items() if time_ <= time.monotonic()]:
+        """Restart killed processes, continue stopped ones; return whether the optimizer runs."""
+        for index in [
+            index for index, time_ in self._go_on_at.items() if time_ <= time.monotonic()
+        ]:
             self._go_on(index)
         for index, (server, pace) in enumerate(self._servers):
             if server.process.poll() is not None:
@@ -140,7 +169,9 @@ class Campaign:
                 self._servers[index] = (again, pace)
         if (code := self._optimizer.process.poll()) is not None:
             if code != -signal.SIGKILL:
-                assert "a trial ended in a fault 3 times" in self._optimizer.err.read_text(), self._optimizer.err.read_text()
+                assert "a trial ended in a fault 3 times" in self._optimizer.err.read_text(), (
+                    self._optimizer.err.read_text()
+                )
                 self.paused += 1
             self._start_optimizer(resume=True)
         return self._optimizer.process.poll() is None
@@ -150,12 +181,18 @@ class Campaign:
         self._scene.go_on(self._servers[index][0].process.pid)
 
     def _start_optimizer(self, *, resume: bool) -> None:
-        up = (server.events("server_ready") for i, (server, _) in enumerate(self._servers) if i not in self._go_on_at)
+        up = (
+            server.events("server_ready")
+            for i, (server, _) in enumerate(self._servers)
+            if i not in self._go_on_at
+        )
         if resume and not any(up):
             return  # it would wait 10 s for a server and give up
         self._counted_before = self._count()
         endpoints = [server.endpoint for server, _ in self._servers]
-        self._optimizer: Optimizer = self._scene.optimizer(*endpoints, resume=self._scene.run if resume else None, wait=1)
+        self._optimizer: Optimizer = self._scene.optimizer(
+            *endpoints, resume=self._scene.run if resume else None, wait=1
+        )
 
     def _set_pace(self) -> None:
         ahead = self._count() > 0.9 * self._trials * (self.kills() + 1) / self._wanted
@@ -164,5 +201,7 @@ class Campaign:
 
     def _count(self) -> int:
         rows = query(self._scene.run, "SELECT coalesce(sum(count), 0) FROM outcomes")
-        self._counted = max(self._counted, *(count for (count,) in rows), 0)  # no rows: not readable just now
+        self._counted = max(
+            self._counted, *(count for (count,) in rows), 0
+        )  # no rows: not readable just now
         return self._counted

@@ -1,7 +1,9 @@
-"""A lab of network namespaces: hosts on switches, with links to cut. Needs root and iproute2; nothing outside is touched.
+"""Build a lab of network namespaces: hosts on switches, with links to cut.
 
-Everything, switches included, lives in namespaces of one lab, so labs side by side may use the same addresses. They are
-deleted at the end, and those of a test that was killed by the next lab.
+It needs root and iproute2, and touches nothing outside.
+
+Everything, switches included, lives in namespaces of one lab, so labs side by side may use the same
+addresses. They are deleted at the end, and those of a test that was killed by the next lab.
 """
 
 import os
@@ -22,13 +24,20 @@ PREFIX = "zswarm"  # of a namespace: zswarm-<pid of the test>-<6 hex digits>-<nu
 
 
 class Host:
-    """A machine of the lab: one interface per network, ``eth0``, ``eth1``, ... in the order of ``networks``."""
+    """A host with one interface per network: ``eth0``, ``eth1``, ... as in ``networks``."""
 
     def __init__(self, lab: "Lab", networks: tuple["Network", ...]) -> None:
         self.namespace = lab.add_namespace()
-        self.inside = ["ip", "netns", "exec", self.namespace]  # put before a command; the process is the command's own
+        self.inside = [
+            "ip",
+            "netns",
+            "exec",
+            self.namespace,
+        ]  # put before a command; the process is the command's own
         self._networks = networks
-        self.addresses = [network.plug(self, f"eth{number}") for number, network in enumerate(networks)]
+        self.addresses = [
+            network.plug(self, f"eth{number}") for number, network in enumerate(networks)
+        ]
         if networks:
             _ip("-n", self.namespace, "route", "add", "224.0.0.0/4", "dev", "eth0")
         self.address = self.addresses[0] if networks else "127.0.0.1"
@@ -36,41 +45,61 @@ class Host:
             self._wait_up(f"eth{number}")
 
     def _wait_up(self, interface: str) -> None:
-        """The kernel takes up to a second; zenoh passes over an interface that is not running when it opens."""
+        """Wait for the interfaces: Zenoh ignores one that is not running when it opens."""
         end = time.monotonic() + 60.0
-        while "LOWER_UP" not in (told := self.run("ip", "-o", "link", "show", interface)) or "state UP" not in told:
+        while (
+            "LOWER_UP" not in (told := self.run("ip", "-o", "link", "show", interface))
+            or "state UP" not in told
+        ):
             assert time.monotonic() < end, f"{interface} does not come up: {told}"
             time.sleep(0.01)
 
     def run(self, *command: str) -> str:
-        """Run a short command here to its end; its output."""
-        return subprocess.run([*self.inside, *command], check=True, capture_output=True, text=True).stdout
+        """Run a short command here and return its output."""
+        return subprocess.run(
+            [*self.inside, *command], check=True, capture_output=True, text=True
+        ).stdout
 
     def succeeds(self, *command: str) -> bool:
-        """Whether a short command ends well here."""
-        return subprocess.run([*self.inside, *command], check=False, capture_output=True).returncode == 0
+        """Return whether a short command succeeds here."""
+        return (
+            subprocess.run([*self.inside, *command], check=False, capture_output=True).returncode
+            == 0
+        )
 
     def cut(self, network: int = 0) -> None:
-        """Pull the cable out of the switch: whatever is sent is lost, nothing is reset."""
+        """Pull the cable from the switch: packets are lost, nothing is reset."""
         self._networks[network].port(self, f"eth{network}", "down")
 
     def mend(self, network: int = 0) -> None:
-        """Put it back."""
+        """Plug the cable in again."""
         self._networks[network].port(self, f"eth{network}", "up")
 
 
 class Network:
-    """A switch that floods multicast, with addresses 10.77.<number>.<host>/24. Nothing is forwarded between two."""
+    """A switch that floods multicast, with addresses 10.77.<number>.<host>/24 and no routing."""
 
     def __init__(self, lab: "Lab", number: int) -> None:
         self.number = number
         self._namespace = lab.add_namespace()
         self._hosts: list[str] = []
-        _ip("-n", self._namespace, "link", "add", "switch", "type", "bridge", "mcast_snooping", "0", "forward_delay", "0")
+        _ip(
+            "-n",
+            self._namespace,
+            "link",
+            "add",
+            "switch",
+            "type",
+            "bridge",
+            "mcast_snooping",
+            "0",
+            "forward_delay",
+            "0",
+        )
         _ip("-n", self._namespace, "link", "set", "switch", "up")
 
     def plug(self, host: Host, interface: str) -> str:
-        """Connect an interface; its address."""
+        """Connect an interface and return its address."""
         self._hosts.append(host.namespace)
         address, port = f"10.77.{self.number}.{len(self._hosts)}", f"p{len(self._hosts)}"
         cable = ("type", "veth", "peer", "name", interface, "netns", host.namespace)
@@ -83,7 +112,9 @@ class Network:
     def port(self, host: Host, interface: str, state: str) -> None:
         """Switch a host's port up or down."""
         assert interface.startswith("eth")
-        _ip("-n", self._namespace, "link", "set", f"p{self._hosts.index(host.namespace) + 1}", state)
+        _ip(
+            "-n", self._namespace, "link", "set", f"p{self._hosts.index(host.namespace) + 1}", state
+        )
 
 
 class Lab:
@@ -103,21 +134,26 @@ class Lab:
                 _delete(namespace.name)
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         for namespace in self._namespaces:
             _delete(namespace)
 
     def network(self) -> Network:
-        """A switch without hosts."""
+        """Add a switch without hosts."""
         self._networks += 1
         return Network(self, self._networks)
 
     def host(self, *networks: Network) -> Host:
-        """A host on these networks; multicast leaves by the first one."""
+        """Add a host on these networks; multicast leaves by the first one."""
         return Host(self, networks)
 
     def add_namespace(self) -> str:
-        """An empty namespace, with loopback up."""
+        """Add an empty namespace with loopback up."""
         name = f"{self._name}-{len(self._namespaces)}"
         _ip("netns", "add", name)
         self._namespaces.append(name)
@@ -132,13 +168,17 @@ def _forbidden() -> str:
     tried = subprocess.run(["ip", "netns", "add", name], capture_output=True, text=True)
     if tried.returncode != 0:
         return f"network namespaces are not permitted here: {tried.stderr.strip()}"
-    tried = subprocess.run(["ip", "-n", name, "link", "add", "switch", "type", "bridge"], capture_output=True, text=True)
+    tried = subprocess.run(
+        ["ip", "-n", name, "link", "add", "switch", "type", "bridge"],
+        capture_output=True,
+        text=True,
+    )
     _delete(name)
     return f"no bridge can be made here: {tried.stderr.strip()}" if tried.returncode != 0 else ""
 
 
 def _delete(namespace: str) -> None:
-    """With whatever runs in it, which would keep it alive."""
+    """Delete a namespace after its processes, which would keep it alive."""
     end = time.monotonic() + 10.0
     while (pids := _pids(namespace)) and time.monotonic() < end:
         for pid in pids:
@@ -151,7 +191,7 @@ def _delete(namespace: str) -> None:
 
 
 def _pids(namespace: str) -> list[int]:
-    """Of processes in it; those that ended and are not waited for yet left it."""
+    """Return a namespace's processes; unreaped ones have already left it."""
     told = subprocess.run(["ip", "netns", "pids", namespace], capture_output=True, text=True)
     return [int(pid) for pid in told.stdout.split()]
 

@@ -1,9 +1,10 @@
 """A lab of machines: real systemd systems on one switch, each with its own address. Needs root.
 
-A machine is this machine's own file system with an overlay in memory, booted by systemd-nspawn: the same programs, nothing
-downloaded, everything written is thrown away. All mounts, the switch and the machines live in namespaces of one process.
-When that ends, and it ends with the tests, the kernel takes everything away; but for the machines' control groups, which then
-are empty and are removed by whoever comes next.
+A machine is this machine's own file system with an overlay in memory, booted by systemd-nspawn: the
+same programs, nothing downloaded, everything written is thrown away. All mounts, the switch and the
+machines live in namespaces of one process. When that ends, and it ends with the tests, the kernel
+takes everything away; but for the machines' control groups, which then are empty and are removed by
+whoever comes next.
 """
 
 import os
@@ -19,14 +20,20 @@ from types import TracebackType
 from typing import IO, Self
 
 import pytest
-from programs import children, wait_until
+
+from tests.integration.programs import children, wait_until
 
 SPACE = "8g"  # of memory, at most, that all machines may write
 BOOT_S = 90.0
 RUN_S = 180.0
 PREFIX = "zswarm"  # of a control group: zswarm-<pid of the test>-<6 hex digits>
-# Version 2, also where it is mounted beside version 1; and where systemd keeps its own groups on such a system.
-HIERARCHIES = [Path("/sys/fs/cgroup"), Path("/sys/fs/cgroup/unified"), Path("/sys/fs/cgroup/systemd")]
+# Version 2, also where it is mounted beside version 1; and where systemd keeps its own groups on
+# such a system.
+HIERARCHIES = [
+    Path("/sys/fs/cgroup"),
+    Path("/sys/fs/cgroup/unified"),
+    Path("/sys/fs/cgroup/systemd"),
+]
 HIERARCHIES = [folder for folder in HIERARCHIES if (folder / "cgroup.procs").exists()]
 CLEAN = [
     "env",
@@ -37,7 +44,8 @@ CLEAN = [
     "LANG=C.UTF-8",
 ]
 
-# Files in the folder given are mounted, not in a folder of the machine's: tests side by side do not meet.
+# Files in the folder given are mounted, not in a folder of the machine's: tests side by side do not
+# meet.
 PLACE = """
 mount -t tmpfs -o size={space},mode=755 tmpfs {folder}
 ip link set lo up
@@ -46,7 +54,8 @@ ip link set switch up
 exec sleep infinity
 """
 
-# An empty machine-id: an identity of its own. No unit of the image's is started beside what systemd itself needs.
+# An empty machine-id: an identity of its own. No unit of the image's is started beside what systemd
+# itself needs.
 DISK = """
 cd {folder}
 mkdir upper-{name} work-{name} {name}
@@ -56,10 +65,13 @@ cd {name}/etc
 echo {name} > hostname
 rm -rf systemd/system/*.wants systemd/network
 ln -sf /usr/lib/systemd/system/multi-user.target systemd/system/default.target
-mkdir -p systemd/network systemd/system/multi-user.target.wants systemd/system/network-online.target.wants
+mkdir -p systemd/network systemd/system/multi-user.target.wants
+mkdir -p systemd/system/network-online.target.wants
 ln -s /usr/lib/systemd/system/systemd-networkd.service systemd/system/multi-user.target.wants/
-ln -s /usr/lib/systemd/system/systemd-networkd-wait-online.service systemd/system/network-online.target.wants/
-printf '%s\\n' '[Match]' Name=host0 '[Network]' Address={address}/24 LinkLocalAddressing=ipv6 IPv6AcceptRA=no \
+ln -s /usr/lib/systemd/system/systemd-networkd-wait-online.service \\
+    systemd/system/network-online.target.wants/
+printf '%s\\n' '[Match]' Name=host0 '[Network]' Address={address}/24 \\
+    LinkLocalAddressing=ipv6 IPv6AcceptRA=no \
     '[Route]' Destination=224.0.0.0/4 Scope=link > systemd/network/10-host0.network
 printf '%s\\n' '[global]' no-index=true find-links=/srv/wheels > pip.conf
 """
@@ -79,66 +91,103 @@ class Machine:
         self.switch_on()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self.cut_power()
 
     @property
     def is_on(self) -> bool:
-        """Whether it has power."""
+        """Return whether the machine has power."""
         return self._nspawn is not None
 
     def switch_on(self) -> None:
-        """Boot it; returns before it is up."""
+        """Boot the machine; return before it is up."""
         assert self._nspawn is None
         log = self._lab.folder.parent / f"{self.name}.log"
-        command = ["systemd-nspawn", "--quiet", f"--directory={self._lab.folder / self.name}", f"--machine={self.name}", "--boot"]
-        command += ["--register=no", "--keep-unit", "--network-bridge=switch", "--link-journal=no", "--console=pipe"]
+        command = [
+            "systemd-nspawn",
+            "--quiet",
+            f"--directory={self._lab.folder / self.name}",
+            f"--machine={self.name}",
+            "--boot",
+        ]
+        command += [
+            "--register=no",
+            "--keep-unit",
+            "--network-bridge=switch",
+            "--link-journal=no",
+            "--console=pipe",
+        ]
         command += ["--resolv-conf=off", "--timezone=off", f"--bind={self._lab.shared}:/srv"]
-        # In a group of its own, of version 2: there systemd is told when the last process of a service ended.
+        # In a group of its own, of version 2: there systemd is told when the last process of a
+        # service ended.
         groups = [shlex.quote(str(folder / self.name)) for folder in self._lab.groups]
         enter = "".join(f"mkdir -p {group}; echo 0 > {group}/cgroup.procs; " for group in groups)
         environment = "export SYSTEMD_NSPAWN_UNIFIED_HIERARCHY=1; "
         with log.open("ab") as out:
-            self._nspawn = self._lab.popen(["sh", "-eu", "-c", f"{enter}{environment}exec {shlex.join(command)}"], out)
+            self._nspawn = self._lab.popen(
+                ["sh", "-eu", "-c", f"{enter}{environment}exec {shlex.join(command)}"], out
+            )
         self._init = wait_until(self._find_init, f"{self.name} boots: {log}")
 
     def wait_up(self) -> None:
-        """Until systemd says that everything was started."""
-        wait_until(lambda: self.run("systemctl is-system-running || :").strip() in ("running", "degraded"), "it is up", BOOT_S)
+        """Wait until systemd has started everything."""
+        wait_until(
+            lambda: self.run("systemctl is-system-running || :").strip() in ("running", "degraded"),
+            "it is up",
+            BOOT_S,
+        )
 
     def run(self, script: str, answers: str = "") -> str:
-        """Run a shell script to its end, as root on its console would, who answers what it asks; what it printed."""
+        """Run a shell script as root on its console, answer its prompts, return its output."""
         command = self.inside("sh", "-eu", "-c", script)
         done = subprocess.run(command, input=answers, capture_output=True, text=True, timeout=RUN_S)
         assert done.returncode == 0, f"{self.name}: {script}\n{done.stdout}{done.stderr}"
         return done.stdout
 
     def inside(self, *command: str) -> list[str]:
-        """The command that runs a command on it, until one of the two is killed."""
-        enter = ["nsenter", "-t", str(self._init), "-m", "-u", "-i", "-n", "-p", "--", "setpriv", "--pdeathsig", "KILL"]
+        """Return the command that runs a command on the machine."""
+        enter = [
+            "nsenter",
+            "-t",
+            str(self._init),
+            "-m",
+            "-u",
+            "-i",
+            "-n",
+            "-p",
+            "--",
+            "setpriv",
+            "--pdeathsig",
+            "KILL",
+        ]
         return [*enter, *CLEAN, *command]
 
     def unplug(self) -> None:
-        """Pull its cable out of the switch: whatever is sent is lost, nothing is reset."""
+        """Pull the cable from the switch: packets are lost, nothing is reset."""
         self._lab.run(f"ip link set vb-{self.name} down")
 
     def plug(self) -> None:
-        """Put it back."""
+        """Plug the cable in again."""
         self._lab.run(f"ip link set vb-{self.name} up")
 
     def cut_power(self) -> None:
-        """Everything on it ends at once; its disk stays as it is."""
+        """End everything at once; the disk stays as it is."""
         os.kill(self._init, signal.SIGKILL)
         self.wait_off()
 
     def wait_off(self) -> None:
-        """Until nothing of it runs."""
+        """Wait until none of its processes runs."""
         if self._nspawn is not None:
             self._nspawn.wait(BOOT_S)
         self._nspawn, self._init = None, 0
 
     def _find_init(self) -> int:
-        """The process that is number 1 in a namespace of its own within the lab's; 0 while it is not there."""
+        """Return the host's id of process 1 in its PID namespace; 0 before it exists."""
         assert self._nspawn is not None
         assert self._nspawn.poll() is None, f"{self.name} does not boot"
         below = [self._nspawn.pid]
@@ -155,7 +204,8 @@ class Machines:
     """Use as ``with Machines(folder) as lab``; skips the test where this is not permitted.
 
     Attributes:
-        shared: a folder that every machine sees as /srv. What is in its ``wheels`` is what pip finds there.
+        shared: a folder that every machine sees as /srv. What is in its ``wheels`` is what pip
+            finds there.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -179,7 +229,12 @@ class Machines:
         self.depth = len(_numbers(self._first))
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self._holder.kill()  # and with it all in its namespaces
         self._holder.wait()
         for machine in self.machines:
@@ -188,63 +243,99 @@ class Machines:
             _remove(group)
 
     def machine(self, name: str) -> Machine:
-        """A machine that is off."""
+        """Add a machine that is switched off."""
         made = Machine(self, name, len(self.machines) + 1)
         self.machines.append(made)
         return made
 
     def run(self, script: str) -> None:
-        """Run a shell script beside the machines."""
-        done = subprocess.run([*self._inside(), "sh", "-eu", "-c", script], capture_output=True, text=True)
+        """Run a shell script next to the machines."""
+        done = subprocess.run(
+            [*self._inside(), "sh", "-eu", "-c", script], capture_output=True, text=True
+        )
         assert done.returncode == 0, f"{script}\n{done.stderr}"
 
     def popen(self, command: Sequence[str], out: IO[bytes]) -> subprocess.Popen[bytes]:
-        """Start a program beside the machines."""
-        return subprocess.Popen([*self._inside(), *command], stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT)
+        """Start a program next to the machines."""
+        return subprocess.Popen(
+            [*self._inside(), *command],
+            stdin=subprocess.DEVNULL,
+            stdout=out,
+            stderr=subprocess.STDOUT,
+        )
 
     def _inside(self) -> list[str]:
         return ["nsenter", "-t", str(self._first), "-m", "-n", "-p", "--", *CLEAN]
 
     def _find_first(self) -> int:
-        """The process that holds the namespaces, once it has made everything and sleeps."""
+        """Return the process that holds the namespaces, once it has made all and sleeps."""
         assert self._holder.poll() is None, "the lab cannot be made"
-        return next((child for child in children(self._holder.pid) if Path(f"/proc/{child}/comm").read_text() == "sleep\n"), 0)
+        return next(
+            (
+                child
+                for child in children(self._holder.pid)
+                if Path(f"/proc/{child}/comm").read_text() == "sleep\n"
+            ),
+            0,
+        )
 
 
-# Ends with the test's process, and takes all that was started in it along; its mounts and interfaces go with it.
-_HOLD = ["setpriv", "--pdeathsig", "KILL", "unshare", "--mount", "--net", "--pid", "--fork", "--kill-child", "--mount-proc"]
+# Ends with the test's process, and takes all that was started in it along; its mounts and
+# interfaces go with it.
+_HOLD = [
+    "setpriv",
+    "--pdeathsig",
+    "KILL",
+    "unshare",
+    "--mount",
+    "--net",
+    "--pid",
+    "--fork",
+    "--kill-child",
+    "--mount-proc",
+]
 _HOLD += ["--propagation", "private"]
 
 
 def _forbidden() -> str:
     if os.geteuid() != 0:
         return "booting machines needs root"
-    for program, package in (("systemd-nspawn", "systemd-container"), ("ip", "iproute2"), ("nsenter", "util-linux")):
+    for program, package in (
+        ("systemd-nspawn", "systemd-container"),
+        ("ip", "iproute2"),
+        ("nsenter", "util-linux"),
+    ):
         if shutil.which(program) is None:
             return f"booting machines needs the program {program} (Debian: apt install {package})"
     if not any((folder / "cgroup.controllers").exists() for folder in HIERARCHIES):
         return "booting machines needs control groups of version 2"
-    make = "mkdir upper work all && mount -t overlay overlay -o lowerdir=/,upperdir=upper,workdir=work all"
+    make = (
+        "mkdir upper work all && "
+        "mount -t overlay overlay -o lowerdir=/,upperdir=upper,workdir=work all"
+    )
     script = f"mount -t tmpfs tmpfs /mnt && cd /mnt && {make} && ip link add switch type bridge"
     tried = subprocess.run([*_HOLD, "sh", "-c", script], capture_output=True, text=True)
     if tried.returncode != 0:
         return f"namespaces, overlays or bridges are not permitted here: {tried.stderr.strip()}"
     fit = "import ensurepip, sys; sys.exit(sys.version_info < (3, 11))"
     if subprocess.run([*CLEAN, "python3", "-c", fit], capture_output=True).returncode != 0:
-        return "the machine's own python3 is not 3.11 with its venv module (Debian: apt install python3-venv)"
+        return "the system's python3 is not 3.11 with venv (Debian: apt install python3-venv)"
     return ""
 
 
 def _remove(group: Path) -> None:
-    """A control group with all below it, once the last process of a killed machine has left it."""
+    """Remove a control group and those below it after a killed machine's last process left."""
     below = sorted(group.rglob("**/"), key=lambda path: len(path.parts), reverse=True)
-    wait_until(lambda: not any((folder / "cgroup.procs").read_text() for folder in below), f"{group} is empty")
+    wait_until(
+        lambda: not any((folder / "cgroup.procs").read_text() for folder in below),
+        f"{group} is empty",
+    )
     for folder in below:
         folder.rmdir()
 
 
 def _numbers(process: int) -> list[str]:
-    """Of a process in each of its namespaces, the outermost first; none when it is gone."""
+    """Return a process's ids, outermost namespace first; empty when it is gone."""
     try:
         lines = Path(f"/proc/{process}/status").read_text().splitlines()
     except (FileNotFoundError, ProcessLookupError):

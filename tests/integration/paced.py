@@ -1,9 +1,10 @@
 """A simulator plug-in whose pace the tests set while it plays, and that notes what it played.
 
 Its environment, none of which changes an outcome:
-``PACED_FOLDER``: where a server's slots look and write. In it ``pace`` holds how long a trial takes, busy or asleep;
-``gate`` makes the first trial that sees it wait until it is gone again (it is renamed to ``held-<pid>``); ``played`` gets a
-line per trial, its slot's process, seed and action.
+``PACED_FOLDER``: where a server's slots look and write. In it ``pace`` holds how long a trial
+takes, busy or asleep; ``gate`` makes the first trial that sees it wait until it is gone again (it
+is renamed to ``held-<pid>``); ``played`` gets a line per trial, its slot's process, seed and
+action.
 """
 
 import contextlib
@@ -14,8 +15,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple, Self, TypeVar
 
-from programs import Optimizer, Program, Server, install, query, status, wait_until
-from promise import check_run
+from tests.integration.programs import (
+    Optimizer,
+    Program,
+    Server,
+    install,
+    query,
+    status,
+    wait_until,
+)
+from tests.promise.promise import check_run
 
 T = TypeVar("T")
 
@@ -38,7 +47,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class Paced(Simulator):
-    """Observation: two numbers of the seed. Action: one number. Fitness: how near it comes to a third one."""
+    """Observe two numbers of the seed; act with one number; fitness is its closeness to a third."""
 
     settings_type = Settings
     inputs, outputs, owners = 2, 1, (0,)
@@ -125,7 +134,7 @@ class Pace:
         self.set(seconds, how)
 
     def set(self, seconds: float, how: str = "asleep") -> None:
-        """Seconds of each trial that begins from now on."""
+        """Set the seconds of each trial that begins from now on."""
         part = self.folder / "pace.part"
         part.write_text(f"{how} {seconds}")
         part.replace(self.folder / "pace")
@@ -135,24 +144,27 @@ class Pace:
         (self.folder / "gate").touch()
 
     def held(self) -> int:
-        """The process that is at the held trial, once there is one; it has a batch for as long as it is held."""
+        """Return the process of the held trial, once there is one."""
         return wait_until(self._held, f"a trial of {self.folder.name} is held")
 
     def _held(self) -> int:
         return next((int(path.name.partition("-")[2]) for path in self.folder.glob("held-*")), 0)
 
     def let_go(self) -> None:
-        """Let the held trial go on."""
+        """Release the held trial."""
         for path in self.folder.glob("held-*"):
             path.unlink()
 
     def played(self) -> list[Played]:
-        """All trials that were begun, in order."""
+        """Return all trials begun, in order."""
         try:
             lines = (self.folder / "played").read_text().splitlines()
         except FileNotFoundError:
             return []
-        return [Played(int(process), int(seed), action) for process, seed, action in map(str.split, lines)]
+        return [
+            Played(int(process), int(seed), action)
+            for process, seed, action in map(str.split, lines)
+        ]
 
 
 class Size(NamedTuple):
@@ -170,7 +182,7 @@ class Size(NamedTuple):
         return str(file)
 
     def environment(self, folder: Path) -> dict[str, str]:
-        """Installs the plug-in into a new folder."""
+        """Install the plug-in into a new folder."""
         folder.mkdir()
         return {
             "PYTHONPATH": install(folder, "zswarm_paced", SOURCE, "paced = zswarm_paced:Paced"),
@@ -186,15 +198,27 @@ class Undisturbed(NamedTuple):
 
 
 def play_undisturbed(folder: Path, size: Size) -> Undisturbed:
-    """The experiment on one slot of this machine, as fast as it can be."""
-    arguments = ["run", size.write(folder / "paced.toml"), "--json", "--servers", "local", "--set", "cluster.local_slots=1"]
+    """Run the experiment on one local slot as fast as possible."""
+    arguments = [
+        "run",
+        size.write(folder / "paced.toml"),
+        "--json",
+        "--servers",
+        "local",
+        "--set",
+        "cluster.local_slots=1",
+    ]
     done = Optimizer(folder, "ot", arguments, **size.environment(folder / "site")).done()
     return Undisturbed(done["history_hash"], counted(folder / "runs" / "paced"))
 
 
 def counted(run: Path, server: str = "") -> int:
-    """Trials in a record, of servers whose name begins so."""
-    return sum(count for name, count in query(run, "SELECT server, count FROM outcomes") if name.startswith(server))
+    """Return the record's trials of servers whose names begin with a prefix."""
+    return sum(
+        count
+        for name, count in query(run, "SELECT server, count FROM outcomes")
+        if name.startswith(server)
+    )
 
 
 class Scene:
@@ -217,7 +241,12 @@ class Scene:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         for process in self._stopped:
             if status(process) is not None:
                 os.kill(process, signal.SIGKILL)
@@ -226,15 +255,22 @@ class Scene:
         self._stack.close()
 
     def enter(self, part: contextlib.AbstractContextManager[T]) -> T:
-        """Something that is to end with the scene, after its programs."""
+        """Close something with the scene, after its programs."""
         return self._stack.enter_context(part)
 
     def server(
-        self, name: str, *, capacity: int = 1, address: str = "127.0.0.1", inside: Sequence[str] = ()
+        self,
+        name: str,
+        *,
+        capacity: int = 1,
+        address: str = "127.0.0.1",
+        inside: Sequence[str] = (),
     ) -> tuple[Server, Pace]:
-        """A server that is ready, and what paces it."""
+        """Start a server with its pace and wait until it is ready."""
         pace = Pace(self.folder / f"{name}-pace")
-        return self.start_server(name, pace, capacity=capacity, address=address, inside=inside).ready(), pace
+        return self.start_server(
+            name, pace, capacity=capacity, address=address, inside=inside
+        ).ready(), pace
 
     def start_server(
         self,
@@ -246,52 +282,77 @@ class Scene:
         address: str = "127.0.0.1",
         inside: Sequence[str] = (),
     ) -> Server:
-        """A server that starts."""
+        """Start a server."""
         server = Server(
-            self.folder, name, capacity=capacity, port=port, address=address, inside=inside, options=self.options,
-            PACED_FOLDER=str(pace.folder), **self.environment,
-        )  # fmt: skip
+            self.folder,
+            name,
+            capacity=capacity,
+            port=port,
+            address=address,
+            inside=inside,
+            options=self.options,
+            PACED_FOLDER=str(pace.folder),
+            **self.environment,
+        )
         self._programs.append(server)
         return server
 
-    def optimizer(self, *endpoints: str, resume: Path | None = None, inside: Sequence[str] = (), wait: int = 0) -> Optimizer:
-        """An optimizer that begins when all servers are there, or so many."""
-        what = ["resume", str(resume)] if resume else ["run", self.size.write(self.folder / "paced.toml")]
+    def optimizer(
+        self, *endpoints: str, resume: Path | None = None, inside: Sequence[str] = (), wait: int = 0
+    ) -> Optimizer:
+        """Start an optimizer that begins with all servers, or a given number."""
+        what = (
+            ["resume", str(resume)]
+            if resume
+            else ["run", self.size.write(self.folder / "paced.toml")]
+        )
         connect = [f"--connect={endpoint}" for endpoint in endpoints]
         options = ["--json", "--no-multicast", "--servers", str(wait or len(endpoints)), *connect]
-        optimizer = Optimizer(self.folder, f"ot-{len(self._programs)}", [*what, *options], inside, **self.environment)
+        optimizer = Optimizer(
+            self.folder, f"ot-{len(self._programs)}", [*what, *options], inside, **self.environment
+        )
         self._programs.append(optimizer)
         return optimizer
 
     def stop(self, process: int) -> None:
-        """SIGSTOP; when this returns it is stopped."""
+        """Send SIGSTOP and wait until the process is stopped."""
         os.kill(process, signal.SIGSTOP)
         self._stopped.add(process)
-        wait_until(lambda: (found := status(process)) is not None and found.state == "T", f"{process} is stopped")
+        wait_until(
+            lambda: (found := status(process)) is not None and found.state == "T",
+            f"{process} is stopped",
+        )
 
     def go_on(self, process: int) -> None:
-        """SIGCONT."""
+        """Send SIGCONT."""
         os.kill(process, signal.SIGCONT)
         self._stopped.remove(process)
 
     def counted(self, server: str = "") -> int:
-        """Trials in the record, of servers whose name begins so."""
+        """Return the record's trials of servers whose names begin with a prefix."""
         return counted(self.run, server)
 
     def wait_for_more(self, server: str = "", more: int = 1) -> None:
-        """Until that many more trials are counted."""
+        """Wait until that many more trials are counted."""
         enough = self.counted(server) + more
-        wait_until(lambda: self.counted(server) >= enough, f"{more} more trials of {server or 'all'} are counted")
+        wait_until(
+            lambda: self.counted(server) >= enough,
+            f"{more} more trials of {server or 'all'} are counted",
+        )
 
     def events(self, event: str, server: str = "") -> list[str]:
-        """Texts of the record's events of servers whose name begins so."""
+        """Return texts of the record's events of servers whose names begin with a prefix."""
         rows = query(self.run, "SELECT event, server, text FROM events ORDER BY at")
         return [text for found, name, text in rows if found == event and name.startswith(server)]
 
-    def check(self, done: dict[str, Any], undisturbed: Undisturbed, run: Path | None = None) -> None:
-        """The run's history is the undisturbed one's, and every trial was counted once."""
+    def check(
+        self, done: dict[str, Any], undisturbed: Undisturbed, run: Path | None = None
+    ) -> None:
+        """Check that the history is the undisturbed one and every trial counts once."""
         assert done["history_hash"] == undisturbed.history_hash
-        facts = check_run(run or self.run, sample=0)  # this process has no plug-in to evaluate anything again
+        facts = check_run(
+            run or self.run, sample=0
+        )  # this process has no plug-in to evaluate anything again
         assert facts.finished
         assert facts.history_hash == undisturbed.history_hash
         assert len(facts.outcomes) == undisturbed.trials

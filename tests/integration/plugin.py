@@ -1,8 +1,8 @@
-"""A simulator plug-in as a user would install one, that behaves badly in its second trial when told to."""
+"""An installed simulator plug-in that misbehaves in its second trial on demand."""
 
 from pathlib import Path
 
-import programs
+from tests.integration import programs
 
 SOURCE = '''
 import ctypes
@@ -19,7 +19,8 @@ from zswarm.sims.simulator import Outcome, Simulator, Turn
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     how: Literal[
-        "fine", "raises", "hangs", "exits", "exits-once", "segfault", "segfault-once", "leaks", "hoards", "refuses", "too-large",
+        "fine", "raises", "hangs", "exits", "exits-once", "segfault", "segfault-once", "leaks",
+        "hoards", "refuses", "too-large",
         "slow",
     ] = "fine"
     marker: str = ""
@@ -45,7 +46,7 @@ class Rough(Simulator):
         return range(trials)
 
     def reset(self, seed):
-        # A broken machine: ROUGH_WRONG is about the trials of a run, or about the probe, whose seeds are large.
+        # A broken machine: ROUGH_WRONG concerns a run's trials, or the probe, with large seeds.
         self.wrong = os.environ.get("ROUGH_WRONG") == ("trials" if seed < 1000 else "probe")
         if self.settings.how == "slow":
             time.sleep(0.02)
@@ -99,8 +100,10 @@ trial_memory_mb = 512
 
 
 def install(folder: Path) -> str:
-    """Install the plug-in into a folder; what PYTHONPATH must be to have it."""
-    return programs.install(folder, "zswarm_rough", SOURCE, "rough = zswarm_rough:Rough\nbroken = zswarm_nowhere:X")
+    """Install the plug-in into a folder and return the PYTHONPATH to use."""
+    return programs.install(
+        folder, "zswarm_rough", SOURCE, "rough = zswarm_rough:Rough\nbroken = zswarm_nowhere:X"
+    )
 
 
 def experiment(folder: Path, how: str) -> Path:

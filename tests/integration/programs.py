@@ -1,4 +1,4 @@
-"""Real programs for the tests: servers and optimizers as processes on loopback, with deadlines instead of sleeps."""
+"""Servers and optimizers as real processes on loopback, with deadlines instead of sleeps."""
 
 import json
 import os
@@ -12,7 +12,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-DEADLINE_S = 180.0
+DEADLINE_S = 600.0  # for what ends at once, on a machine that computes much else
+NO_PICTURES = "import sys\nsys.modules['matplotlib'] = None\n"
 
 
 def free_port() -> int:
@@ -22,7 +23,7 @@ def free_port() -> int:
 
 
 def wait_until(condition: Callable[[], Any], what: str, deadline_s: float = DEADLINE_S) -> Any:
-    """The condition's first true value; it is looked at often."""
+    """Return the condition's first true value, polled often."""
     end = time.monotonic() + deadline_s
     while time.monotonic() < end:
         if value := condition():
@@ -32,23 +33,38 @@ def wait_until(condition: Callable[[], Any], what: str, deadline_s: float = DEAD
 
 
 class Program:
-    """A process with its output in files; ``inside`` is put before its command, such as that of a ``lab.Host``."""
+    """A process with its output in files; ``inside`` (a ``lab.Host``'s) precedes its command."""
 
     python = sys.executable
 
-    def __init__(self, folder: Path, name: str, arguments: list[str], inside: Sequence[str] = (), **environment: str) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        name: str,
+        arguments: list[str],
+        inside: Sequence[str] = (),
+        **environment: str,
+    ) -> None:
         self.out, self.err = folder / f"{name}.out", folder / f"{name}.err"
         with self.out.open("wb") as out, self.err.open("wb") as err:
             self.process = subprocess.Popen(
-                [*inside, self.python, *arguments], stdin=subprocess.DEVNULL, stdout=out, stderr=err, cwd=folder,
+                [*inside, self.python, *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=err,
+                cwd=folder,
                 env=os.environ | {"RUNTIME_DIRECTORY": str(folder)} | environment,
-            )  # fmt: skip
+            )
 
     def kill(self, number: int = signal.SIGKILL) -> None:
         self.process.send_signal(number)
 
     def events(self, event: str) -> list[dict[str, Any]]:
-        lines = (json.loads(line) for line in self.err.read_text().splitlines() if line.startswith("{") and line.endswith("}"))
+        lines = (
+            json.loads(line)
+            for line in self.err.read_text().splitlines()
+            if line.startswith("{") and line.endswith("}")
+        )
         return [line for line in lines if line["event"] == event]
 
     def wait(self) -> int:
@@ -97,30 +113,56 @@ class Server(Program):
         )
 
     def ready(self) -> "Server":
-        wait_until(lambda: self.events("server_ready") or self.process.poll() is not None, f"{self.err} says server_ready")
+        wait_until(
+            lambda: self.events("server_ready") or self.process.poll() is not None,
+            f"{self.err} says server_ready",
+        )
         assert self.process.poll() is None, self.err.read_text()
         return self
 
     def fork_server(self) -> int:
-        """The process that its slots are forked from; 0 while there is none."""
-        return next((child for child in children(self.process.pid) if "forkserver" in command_line(child)), 0)
+        """Return the process its slots are forked from; 0 before there is one."""
+        return next(
+            (child for child in children(self.process.pid) if "forkserver" in command_line(child)),
+            0,
+        )
 
     def workers(self) -> list[int]:
-        """The processes of its slots."""
+        """Return the processes of its slots."""
         return children(self.fork_server())
 
 
 class Optimizer(Program):
-    """A ``zswarm-ot``."""
+    """A ``zswarm-ot``, which finds no matplotlib unless its run's picture is wanted.
 
-    def __init__(self, folder: Path, name: str, arguments: list[str], inside: Sequence[str] = (), **environment: str) -> None:
+    To load it takes longer than everything else that the program does in most tests.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        name: str,
+        arguments: list[str],
+        inside: Sequence[str] = (),
+        *,
+        picture: bool = False,
+        **environment: str,
+    ) -> None:
+        if not picture:
+            hidden = folder / "no-pictures"
+            hidden.mkdir(exist_ok=True)
+            (hidden / "sitecustomize.py").write_text(NO_PICTURES)
+            path = environment.get("PYTHONPATH", os.environ.get("PYTHONPATH", ""))
+            environment["PYTHONPATH"] = os.pathsep.join(filter(None, [str(hidden), path]))
         super().__init__(folder, name, ["-m", "zswarm.ot", *arguments], inside, **environment)
 
     def lines(self) -> list[dict[str, Any]]:
-        return [json.loads(line) for line in self.out.read_text().splitlines() if line.endswith("}")]
+        return [
+            json.loads(line) for line in self.out.read_text().splitlines() if line.endswith("}")
+        ]
 
     def done(self) -> dict[str, Any]:
-        """The last line of a run that went well."""
+        """Return the last line of a successful run."""
         assert self.wait() == 0, self.err.read_text()
         last = self.lines()[-1]
         assert last["event"] == "done"
@@ -128,7 +170,7 @@ class Optimizer(Program):
 
 
 def query(run: Path, sql: str) -> list[tuple[Any, ...]]:
-    """Rows of a run's record; none while it is not there yet."""
+    """Return rows of a run's record; empty before it exists."""
     try:
         database = sqlite3.connect(f"file:{run / 'run.sqlite'}?mode=ro", uri=True)
         try:
@@ -148,7 +190,7 @@ class Status(NamedTuple):
 
 
 def status(process: int) -> Status | None:
-    """None when it is gone."""
+    """Return a process's state, or None when it is gone."""
     try:
         text = Path(f"/proc/{process}/stat").read_text()
     except (FileNotFoundError, ProcessLookupError):
@@ -158,7 +200,7 @@ def status(process: int) -> Status | None:
 
 
 def command_line(process: int) -> str:
-    """Nothing when it is gone."""
+    """Return a process's command line, or "" when it is gone."""
     try:
         return Path(f"/proc/{process}/cmdline").read_text(errors="replace")
     except (FileNotFoundError, ProcessLookupError):
@@ -166,9 +208,17 @@ def command_line(process: int) -> str:
 
 
 def children(process: int) -> list[int]:
-    """Processes that a process started and that have not ended."""
-    everybody = [(int(path.name), status(int(path.name))) for path in Path("/proc").iterdir() if path.name.isdigit()]
-    return [number for number, found in everybody if found and found.parent == process and found.state != "Z"]
+    """Return a process's children that have not ended."""
+    everybody = [
+        (int(path.name), status(int(path.name)))
+        for path in Path("/proc").iterdir()
+        if path.name.isdigit()
+    ]
+    return [
+        number
+        for number, found in everybody
+        if found and found.parent == process and found.state != "Z"
+    ]
 
 
 def install(folder: Path, module: str, source: str, simulators: str) -> str:

@@ -9,18 +9,22 @@ from types import TracebackType
 from typing import Self
 
 CHUNK = 1024  # bytes: at 20 kB/s, a chunk every 0.05 s
-BUFFER = 8192  # bytes the kernel keeps for it: what a sender wrote is soon on the way, not in a buffer
+BUFFER = (
+    8192  # bytes the kernel keeps for it: what a sender wrote is soon on the way, not in a buffer
+)
 RESET = struct.pack("ii", 1, 0)  # closing sends RST
 
 
 class Proxy:
-    """Listens on ``endpoint`` and forwards to ``target``, each direction of a connection at ``rate`` bytes/s."""
+    """Forward ``endpoint`` to ``target``, each direction of a connection at ``rate`` bytes/s."""
 
     def __init__(self, target: str, rate: float = float("inf")) -> None:
         host, port = target.removeprefix("tcp/").split(":")
         self._target, self._rate = (host, int(port)), rate
         self._listener = socket.create_server(("127.0.0.1", 0), backlog=8)
-        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER)  # inherited by what it accepts
+        self._listener.setsockopt(
+            socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER
+        )  # inherited by what it accepts
         self.endpoint = f"tcp/127.0.0.1:{self._listener.getsockname()[1]}"
         self.connections = 0
         self.there, self.back = 0, 0  # bytes forwarded to the target, and from it
@@ -32,13 +36,18 @@ class Proxy:
         threading.Thread(target=self._accept, daemon=True).start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self._closed = True
         self._listener.close()
         self.reset()
 
     def reset(self) -> None:
-        """End all connections at once, with RST; new ones are taken."""
+        """End all connections with RST; accept new ones."""
         with self._lock:
             sockets, self._sockets = self._sockets, []
         for end in sockets:
@@ -64,7 +73,9 @@ class Proxy:
                 self._sockets += [near, far]
             self.connections += 1
             threading.Thread(target=self._forward, args=(near, far), daemon=True).start()
-            threading.Thread(target=self._forward, args=(far, near), kwargs={"back": True}, daemon=True).start()
+            threading.Thread(
+                target=self._forward, args=(far, near), kwargs={"back": True}, daemon=True
+            ).start()
 
     def _forward(self, source: socket.socket, sink: socket.socket, *, back: bool = False) -> None:
         due = time.monotonic()

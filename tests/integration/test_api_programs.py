@@ -1,4 +1,4 @@
-"""Programs that use ``import zswarm``: they are interrupted and go on, and simulators fail on them."""
+"""Programs that use ``import zswarm`` survive interruptions and failing simulators."""
 
 import os
 import signal
@@ -6,11 +6,13 @@ import subprocess
 import sys
 from pathlib import Path
 
-import plugin
-import programs
-from programs import wait_until
+import pytest
 
 import zswarm
+from tests.integration import plugin, programs
+from tests.integration.programs import wait_until
+
+pytestmark = pytest.mark.programs
 
 INTERRUPTED = """
 import sys
@@ -38,7 +40,8 @@ with zswarm.connect("local", local_slots=1) as cluster:
     for how in ("fine", "raises", "exits", "fine"):
         problem = zswarm.problem(simulator="rough", settings={"how": how}, trials=3)
         try:
-            print(cluster.evaluate(problem, problem.random(2)), cluster.outcomes(problem, problem.random(1)).fitness)
+            fitness = cluster.evaluate(problem, problem.random(2))
+            print(fitness, cluster.outcomes(problem, problem.random(1)).fitness)
         except zswarm.EvaluationError as error:
             print(error)
 """
@@ -49,7 +52,11 @@ def test_an_interrupted_program_keeps_its_servers_and_its_run(tmp_path: Path) ->
     log = tmp_path / "out"
     with log.open("wb") as out:
         program = subprocess.Popen(
-            [sys.executable, "-c", INTERRUPTED], cwd=tmp_path, stdout=out, stderr=subprocess.STDOUT, process_group=0
+            [sys.executable, "-c", INTERRUPTED],
+            cwd=tmp_path,
+            stdout=out,
+            stderr=subprocess.STDOUT,
+            process_group=0,
         )
     folder = tmp_path / "runs" / "stadium"
     try:
@@ -62,7 +69,7 @@ def test_an_interrupted_program_keeps_its_servers_and_its_run(tmp_path: Path) ->
         program.kill()
         program.wait()
     assert log.read_text().splitlines() == [
-        "nothing of the run is lost; to go on: zswarm.resume('runs/stadium')",
+        "nothing is lost; to resume: zswarm.resume('runs/stadium')",
         "evaluating",
         "interrupted again",
         "True",
@@ -73,11 +80,16 @@ def test_an_interrupted_program_keeps_its_servers_and_its_run(tmp_path: Path) ->
     assert left.generations() > 0
 
 
-def test_simulators_that_fail_are_told_and_the_connection_goes_on(tmp_path: Path) -> None:
+def test_failing_simulators_are_reported_and_the_connection_continues(tmp_path: Path) -> None:
     """What raises is a candidate's NaN; what ends the process is an error."""
     environment = os.environ | {"PYTHONPATH": plugin.install(tmp_path), "ZSWARM_PLAIN": "1"}
     done = subprocess.run(
-        [sys.executable, "-c", FAILING], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+        [sys.executable, "-c", FAILING],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     fine, raises, exits, again = done.stdout.splitlines()
     assert "nan" not in fine

@@ -1,7 +1,7 @@
 """One server, one run, and a simulator that does in each trial something else that it should not.
 
-What the simulator's code decides is this trial's outcome; what ends its process is a fault, three times, and then NaN. All that
-comes after is as if nothing had been.
+What the simulator's code decides is this trial's outcome; what ends its process is a fault, three
+times, and then NaN. All that comes after is as if nothing had been.
 """
 
 import json
@@ -9,8 +9,12 @@ import re
 from pathlib import Path
 
 import numpy as np
-import programs
-from programs import Optimizer, Server, query, status, wait_until
+import pytest
+
+from tests.integration import programs
+from tests.integration.programs import Optimizer, Server, query, status, wait_until
+
+pytestmark = pytest.mark.programs
 
 SOURCE = '''
 import ctypes
@@ -63,7 +67,9 @@ class Bad(Simulator):
         return None
 
     def outcome(self):
-        return self.given if isinstance(self.given, Outcome) else Outcome([self.action], [self.seed])
+        if isinstance(self.given, Outcome):
+            return self.given
+        return Outcome([self.action], [self.seed])
 
     def nothing(self):
         return self.nothing_at_all
@@ -181,30 +187,53 @@ trial_timeout_s = 1.0
 on_fault = "quarantine"
 """
 NAN = [
-    *("wrong_shape", "nan_observation", "nan_fitness", "infinite_fitness", "too_many_metrics", "sys_exit", "keyboard_interrupt"),
+    *(
+        "wrong_shape",
+        "nan_observation",
+        "nan_fitness",
+        "infinite_fitness",
+        "too_many_metrics",
+        "sys_exit",
+        "keyboard_interrupt",
+    ),
     *("recursion", "base_exception", "nothing"),
 ]
 HARMLESS = [
-    *("fine", "changes_directory", "changes_signals", "prints", "closes_stdout", "starts_a_thread", "leaves_a_program"),
+    *(
+        "fine",
+        "changes_directory",
+        "changes_signals",
+        "prints",
+        "closes_stdout",
+        "starts_a_thread",
+        "leaves_a_program",
+    ),
     *("leaves_a_daemon", "forks"),
 ]
 FAULTS = {
-    "exits": "crashed: simulator bad: the slot's process ended with code 7; it said: last words",
-    "crashes": "crashed: simulator bad: the slot's process was killed by signal 11 (SIGSEGV); it said: Fatal Python error: "
+    "exits": "crashed: simulator bad: the slot's process ended with code 7; it wrote: last words",
+    "crashes": "crashed: simulator bad: the slot's process was killed by signal 11 (SIGSEGV); "
+    "it wrote: Fatal Python error: "
     "Segmentation fault, File ",
     "hangs": "timeout: simulator bad: one trial took longer than 1 s (cluster.trial_timeout_s)",
     "kills_all": "crashed: simulator bad: the slot's process was killed by signal 9",
     "closes_everything": "crashed: simulator bad: the slot's process ended with code ",
 }
-WHAT = [name for pair in zip(NAN, HARMLESS, strict=False) for name in pair] + [*FAULTS, "nothing", "fine"]
+WHAT = [name for pair in zip(NAN, HARMLESS, strict=False) for name in pair] + [
+    *FAULTS,
+    "nothing",
+    "fine",
+]
 
 
-def test_whatever_a_simulator_does_costs_its_own_trials_and_nothing_else(tmp_path: Path) -> None:
+def test_a_misbehaving_simulator_affects_only_its_own_trials(tmp_path: Path) -> None:
     site = tmp_path / "site"
     site.mkdir()
     installed = programs.install(site, "zswarm_bad", SOURCE, "bad = zswarm_bad:Bad")
     experiment = tmp_path / "bad.toml"
-    experiment.write_text(EXPERIMENT.format(trials=len(WHAT), what=json.dumps(WHAT), folder=tmp_path))
+    experiment.write_text(
+        EXPERIMENT.format(trials=len(WHAT), what=json.dumps(WHAT), folder=tmp_path)
+    )
     environment = {"PYTHONPATH": installed, "ZSWARM_PLAIN": "1"}
     server = Server(tmp_path, "ss", **environment).ready()
     try:
@@ -224,7 +253,9 @@ def test_whatever_a_simulator_does_costs_its_own_trials_and_nothing_else(tmp_pat
         for line in server.err.read_text().splitlines():
             json.loads(line)
         said = server.events("slot_said")
-        assert {"bad"} == {event["simulator"] for event in said if event["text"] == "a word of the module"}
+        assert {"bad"} == {
+            event["simulator"] for event in said if event["text"] == "a word of the module"
+        }
         assert len(said) <= 21 * (2 + 3 * done["faulted"]), "not the forty thousand lines"
     finally:
         server.close()
@@ -245,7 +276,7 @@ def check_outcomes(run: Path) -> None:
     for what, words in FAULTS.items():
         mine = [text for text in told if f"its seed {WHAT.index(what)}, " in text]
         assert len(mine) == 3 * len(fitness) // len(WHAT), (what, told)
-        said = words.partition("; it said")[0]
+        said = words.partition("; it wrote")[0]
         assert all(said in text for text in mine), mine
         assert any(words in text for text in mine), "but where an earlier trial closed stderr"
     raised = query(run, "SELECT text FROM events WHERE event = 'simulator_raised'")

@@ -1,4 +1,4 @@
-"""A run on disks that fill up, fail, turn read-only or lose what was written last: it goes on to the same history."""
+"""A run survives disks that fill up, fail, turn read-only or lose their last writes."""
 
 import contextlib
 import random
@@ -11,13 +11,13 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import evacuation
 import pytest
-from evacuation import COUNTED
-from programs import Optimizer, Server, query, wait_until
-from promise import check_prefix, check_run
 
-from zswarm.ot.record import Record
+from tests.integration import evacuation
+from tests.integration.evacuation import COUNTED
+from tests.integration.programs import Optimizer, Server, query, wait_until
+from tests.promise.promise import check_prefix, check_run
+from zswarm.ot.record.writer import Record
 
 pytestmark = pytest.mark.faults
 
@@ -38,7 +38,7 @@ STARTED: list[Optimizer] = []
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of the experiment's run on a good disk."""
+    """Return the folder of the experiment's run on a good disk."""
     folder = tmp_path_factory.mktemp("undisturbed")
     run(folder).done()
     return folder / "runs" / "on-disk"
@@ -46,13 +46,15 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def mount(tmp_path: Path) -> Iterator[Mount]:
-    """Mounts a file system below the test's folder; what is mounted is unmounted at the end."""
+    """Mount a file system below the test's folder; unmount it at the end."""
     mounted: list[Path] = []
 
     def mounting(name: str, *how: str) -> Path:
         place = tmp_path / name
         place.mkdir(exist_ok=True)
-        done = subprocess.run(["mount", *how, str(place)], capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            ["mount", *how, str(place)], capture_output=True, text=True, check=False
+        )
         if done.returncode:
             pytest.skip(f"mounting is not permitted here: {done.stderr.strip()}")
         mounted.append(place)
@@ -65,14 +67,16 @@ def mount(tmp_path: Path) -> Iterator[Mount]:
 
 @pytest.fixture(autouse=True)
 def ended() -> Iterator[None]:
-    """No program outlives its test."""
+    """Check that no program outlives its test."""
     yield
     while STARTED:
         STARTED.pop().close()
 
 
 def run(folder: Path, *options: str, name: str = "run") -> Optimizer:
-    return start(folder, name, "run", evacuation.write(folder, "on-disk", STEPS, CLUSTER), "--json", *options)
+    return start(
+        folder, name, "run", evacuation.write(folder, "on-disk", STEPS, CLUSTER), "--json", *options
+    )
 
 
 def resume(folder: Path, at: Path, *options: str, name: str = "resumed") -> Optimizer:
@@ -90,12 +94,12 @@ def counted(at: Path) -> int:
 
 
 def said(optimizer: Optimizer, words: str) -> int:
-    """Lines on stderr with these words."""
+    """Return lines on stderr with these words."""
     return sum(words in line for line in optimizer.err.read_text().splitlines())
 
 
 def fill(folder: Path) -> Path:
-    """A file that takes all the room there is."""
+    """Write a file that takes all free space."""
     ballast = folder / "ballast"
     with ballast.open("ab", buffering=0) as file:
         for size in (65_536, 4096, 1):
@@ -122,7 +126,9 @@ def tmpfs(mount: Mount) -> Path:
 # ---- full
 
 
-def test_a_run_waits_for_room_and_goes_on_by_itself(tmp_path: Path, undisturbed: Path, mount: Mount) -> None:
+def test_a_run_waits_for_disk_space_and_continues(
+    tmp_path: Path, undisturbed: Path, mount: Mount
+) -> None:
     """Twice; nothing is evaluated again, and the server keeps the lease."""
     disk, whole = tmpfs(mount), check_run(undisturbed)
     server = Server(tmp_path, "ss")
@@ -133,10 +139,16 @@ def test_a_run_waits_for_room_and_goes_on_by_itself(tmp_path: Path, undisturbed:
             before = counted(at)
             wait_until(lambda before=before: counted(at) > before + 100, "some trials are counted")
             ballast = fill(disk)
-            wait_until_said(optimizer, "the disk of disk/on-disk is full: waiting for room; nothing is lost", episode)
+            wait_until_said(
+                optimizer,
+                "the disk of disk/on-disk is full: waiting for room; nothing is lost",
+                episode,
+            )
             stuck = counted(at)
             ballast.unlink()
-            wait_until_said(optimizer, "the disk of disk/on-disk takes data again: going on", episode)
+            wait_until_said(
+                optimizer, "the disk of disk/on-disk takes data again: the run continues", episode
+            )
             wait_until(lambda stuck=stuck: counted(at) > stuck, "what waited is recorded")
         done = optimizer.done()
         leases = server.events("lease_granted")
@@ -149,7 +161,9 @@ def test_a_run_waits_for_room_and_goes_on_by_itself(tmp_path: Path, undisturbed:
     assert said(optimizer, "is full") == 2, "one line for each time"
 
 
-def test_a_run_that_waits_for_room_can_be_stopped_and_resumed(tmp_path: Path, undisturbed: Path, mount: Mount) -> None:
+def test_a_run_that_waits_for_disk_space_can_be_stopped_and_resumed(
+    tmp_path: Path, undisturbed: Path, mount: Mount
+) -> None:
     disk = tmpfs(mount)
     optimizer = run(tmp_path, "--out", "disk")
     at = disk / "on-disk"
@@ -158,7 +172,7 @@ def test_a_run_that_waits_for_room_can_be_stopped_and_resumed(tmp_path: Path, un
     wait_until_said(optimizer, "waiting for room")
     optimizer.kill(signal.SIGINT)
     assert optimizer.wait() == 130
-    assert said(optimizer, "Go on with: zswarm-ot resume disk/on-disk") == 1
+    assert said(optimizer, "Resume with: zswarm-ot resume disk/on-disk") == 1
     assert said(optimizer, "Traceback") == 0
     for log in ("as it was left", "carried over, so that even its index needs room"):
         if log != "as it was left":
@@ -168,17 +182,25 @@ def test_a_run_that_waits_for_room_can_be_stopped_and_resumed(tmp_path: Path, un
         fill(disk)  # closing the record may have made room
         resumed = resume(tmp_path, at, name="too-early")
         wait_until(
-            lambda resumed=resumed: resumed.process.poll() is not None or said(resumed, "waiting for room"),
+            lambda resumed=resumed: (
+                resumed.process.poll() is not None or said(resumed, "waiting for room")
+            ),
             "it is refused, or waits where the log has some room left",
         )
         if waits := said(resumed, "waiting for room"):
             resumed.kill(signal.SIGINT)
         assert resumed.wait() == (130 if waits else 2), resumed.err.read_text()
-        assert waits or resumed.err.read_text() == f"zswarm-ot: {at}: cannot be written: No space left on device\n", log
+        assert (
+            waits
+            or resumed.err.read_text()
+            == f"zswarm-ot: {at}: cannot be written: No space left on device\n"
+        ), log
     another = run(tmp_path, "--out", "disk", name="another")
     assert another.wait() == 2, another.err.read_text()
     assert said(another, "No space left on device; choose another place with --out") == 1
-    assert [path.name for path in disk.iterdir() if path.is_dir()] == ["on-disk"], "a folder was left behind"
+    assert [path.name for path in disk.iterdir() if path.is_dir()] == ["on-disk"], (
+        "a folder was left behind"
+    )
     ballast.unlink()
     rows = query(at, ROWS)
     assert resume(tmp_path, at).done()["history_hash"] == check_run(undisturbed).history_hash
@@ -190,24 +212,30 @@ def test_a_run_that_waits_for_room_can_be_stopped_and_resumed(tmp_path: Path, un
 
 
 def test_a_run_survives_writes_that_fail(tmp_path: Path, undisturbed: Path) -> None:
-    """The system refuses to write past some size of a file, which SQLite calls an I/O error; then it does not any more."""
+    """A limit on file sizes, which SQLite reports as an I/O error, is set and lifted again."""
     optimizer = run(tmp_path)
     at, small = tmp_path / "runs" / "on-disk", 30_000
     log = at / "run.sqlite-wal"
-    wait_until(lambda: log.is_file() and log.stat().st_size > 2 * small, "the log is larger than files may get")
+    wait_until(
+        lambda: log.is_file() and log.stat().st_size > 2 * small,
+        "the log is larger than files may get",
+    )
     _, most = resource.prlimit(optimizer.process.pid, resource.RLIMIT_FSIZE)
     resource.prlimit(optimizer.process.pid, resource.RLIMIT_FSIZE, (small, most))
-    wait_until_said(optimizer, "the disk of runs/on-disk does not take what is written: trying again; nothing is lost")
+    wait_until_said(
+        optimizer,
+        "the disk of runs/on-disk does not take what is written: trying again; nothing is lost",
+    )
     resource.prlimit(optimizer.process.pid, resource.RLIMIT_FSIZE, (most, most))
-    wait_until_said(optimizer, "takes data again: going on")
+    wait_until_said(optimizer, "takes data again: the run continues")
     assert optimizer.done()["history_hash"] == check_run(undisturbed).history_hash
     check_run(at)
 
 
-def test_a_disk_that_turns_read_only_for_ever_loses_nothing_that_was_recorded(
+def test_a_disk_that_becomes_read_only_loses_nothing_recorded(
     tmp_path: Path, undisturbed: Path, mount: Mount
 ) -> None:
-    """As ext4 does when the device fails: what waits is told and evaluated again after the repair."""
+    """ext4 remounts read-only when the device fails; unrecorded trials are evaluated again."""
     image = tmp_path / "image"
     with image.open("wb") as file:
         file.truncate(16 << 20)
@@ -219,15 +247,22 @@ def test_a_disk_that_turns_read_only_for_ever_loses_nothing_that_was_recorded(
     at = disk / "on-disk"
     wait_until(lambda: counted(at) > 100, "some trials are counted")
     subprocess.run(["mount", "-o", "remount,abort", str(disk)], check=True, capture_output=True)
-    wait_until_said(optimizer, "the disk of disk/on-disk ")  # newer kernels do not call it read-only
+    wait_until_said(
+        optimizer, "the disk of disk/on-disk "
+    )  # newer kernels do not call it read-only
     rows = query(at, ROWS)
     optimizer.kill(signal.SIGINT)
     assert optimizer.wait() == 130
     assert said(optimizer, "trials again") == 1
-    assert said(optimizer, "Go on with: zswarm-ot resume disk/on-disk") == 1
+    assert said(optimizer, "Resume with: zswarm-ot resume disk/on-disk") == 1
     subprocess.run(["umount", str(disk)], check=True)
-    repaired = shutil.copy(image, tmp_path / "repaired")  # programs in other mount namespaces may hold the broken one
-    assert subprocess.run(["e2fsck", "-fy", str(repaired)], capture_output=True).returncode in (0, 1), "it is repaired"
+    repaired = shutil.copy(
+        image, tmp_path / "repaired"
+    )  # programs in other mount namespaces may hold the broken one
+    assert subprocess.run(["e2fsck", "-fy", str(repaired)], capture_output=True).returncode in (
+        0,
+        1,
+    ), "it is repaired"
     mount("disk", "-o", "loop", str(repaired))
     assert len(rows) > 0
     assert query(at, ROWS)[: len(rows)] == rows, "recorded outcomes are gone"
@@ -238,12 +273,16 @@ def test_a_disk_that_turns_read_only_for_ever_loses_nothing_that_was_recorded(
 # ---- read-only
 
 
-def test_a_read_only_folder_is_read_and_not_written(tmp_path: Path, undisturbed: Path, mount: Mount) -> None:
-    """A finished run, a killed one with its log, and that without the log's index, as a copy leaves it."""
+def test_a_read_only_folder_is_read_and_not_written(
+    tmp_path: Path, undisturbed: Path, mount: Mount
+) -> None:
+    """A finished run, a killed one with its WAL, and one with its WAL but no index."""
     disk = tmpfs(mount)
     shutil.copytree(undisturbed, disk / "finished")
     killed = run(tmp_path, "--out", "disk")
-    wait_until(lambda: query(disk / "on-disk", "SELECT 1 FROM generations"), "a generation is finished")
+    wait_until(
+        lambda: query(disk / "on-disk", "SELECT 1 FROM generations"), "a generation is finished"
+    )
     killed.kill()
     killed.wait()
     shutil.copytree(disk / "on-disk", disk / "copied", ignore=shutil.ignore_patterns("*-shm"))
@@ -254,14 +293,26 @@ def test_a_read_only_folder_is_read_and_not_written(tmp_path: Path, undisturbed:
     assert listed.wait() == 0, listed.err.read_text()
     rows = {Path(row["run"]).name: row for row in listed.lines()[0]["runs"]}
     assert rows["finished"]["history_hash"] == check_run(undisturbed).history_hash
-    assert [rows[name].get("generations") for name in ("on-disk", "copied", "finished")] == [generations, generations, 4], rows
+    assert [rows[name].get("generations") for name in ("on-disk", "copied", "finished")] == [
+        generations,
+        generations,
+        4,
+    ], rows
     evaluated = start(tmp_path, "evaluate", "evaluate", "disk/finished", "--trials", "2", "--json")
     assert evaluated.wait() == 0, evaluated.err.read_text()
     assert evaluated.lines()[0]["trials"] == 2
 
     for name, arguments, words in (
-        ("run", ["run", "experiment.toml", "--out", "disk"], "cannot be made: Read-only file system; choose another place"),
-        ("resume", ["resume", "disk/on-disk"], "disk/on-disk: cannot be written: Read-only file system"),
+        (
+            "run",
+            ["run", "experiment.toml", "--out", "disk"],
+            "cannot be made: Read-only file system; choose another place",
+        ),
+        (
+            "resume",
+            ["resume", "disk/on-disk"],
+            "disk/on-disk: cannot be written: Read-only file system",
+        ),
     ):
         refused = start(tmp_path, f"refused-{name}", *arguments)
         assert refused.wait() == 2
@@ -274,14 +325,17 @@ def test_a_read_only_folder_is_read_and_not_written(tmp_path: Path, undisturbed:
 
 
 def wait_for_a_moment(optimizer: Optimizer, at: Path, until: int, seconds: float) -> None:
-    """More trials are counted, or a time is over."""
+    """Wait until more trials are counted or a time is over."""
     end = time.monotonic() + seconds
     wait_until(
-        lambda: counted(at) > until or time.monotonic() > end or optimizer.process.poll() is not None, "a moment to kill at"
+        lambda: (
+            counted(at) > until or time.monotonic() > end or optimizer.process.poll() is not None
+        ),
+        "a moment to kill at",
     )
 
 
-def test_a_run_killed_again_and_again_ends_as_if_it_never_was(tmp_path: Path, undisturbed: Path) -> None:
+def test_a_repeatedly_killed_run_has_the_same_result(tmp_path: Path, undisturbed: Path) -> None:
     """At seeded random moments, from before the folder is there to the last generation."""
     draw, at = random.Random(11), tmp_path / "runs" / "on-disk"
     total = counted(undisturbed)
@@ -292,8 +346,14 @@ def test_a_run_killed_again_and_again_ends_as_if_it_never_was(tmp_path: Path, un
         for kill in range(KILLS):
             first = not (at / "run.sqlite").exists()
             options = (*remote, "--out", "runs")
-            optimizer = run(tmp_path, *options, name=f"{kill}") if first else resume(tmp_path, at, *remote, name=f"{kill}")
-            if first:  # a folder that is not there yet is no run, and the next one gets a name of its own
+            optimizer = (
+                run(tmp_path, *options, name=f"{kill}")
+                if first
+                else resume(tmp_path, at, *remote, name=f"{kill}")
+            )
+            if (
+                first
+            ):  # a folder that is not there yet is no run, and the next one gets a name of its own
                 shutil.rmtree(at, ignore_errors=True)
             until = min(total - 1, len(kept) and counted(at)) + draw.randrange(total // KILLS)
             wait_for_a_moment(optimizer, at, until, draw.uniform(0.2, 2.5))
@@ -314,7 +374,7 @@ def test_a_run_killed_again_and_again_ends_as_if_it_never_was(tmp_path: Path, un
 
 
 def test_a_log_cut_anywhere_is_the_beginning_of_the_run(tmp_path: Path, undisturbed: Path) -> None:
-    """Copies of the files while the run writes, the log cut at a random length: what a power cut leaves, and worse."""
+    """Copies taken during writing, with the WAL cut at a random length, as after a power cut."""
     draw, at = random.Random(12), tmp_path / "runs" / "on-disk"
     optimizer = run(tmp_path)
     copies: list[Path] = []
@@ -322,12 +382,19 @@ def test_a_log_cut_anywhere_is_the_beginning_of_the_run(tmp_path: Path, undistur
     for number in range(SNAPSHOTS):
         wait_until(lambda number=number: counted(at) > number * 250, "more trials are counted")
         optimizer.kill(signal.SIGSTOP)
-        content = {name: (at / name).read_bytes() for name in ("experiment.toml", "run.sqlite", "run.sqlite-wal")}
+        content = {
+            name: (at / name).read_bytes()
+            for name in ("experiment.toml", "run.sqlite", "run.sqlite-wal")
+        }
         optimizer.kill(signal.SIGCONT)
         size = size or len(content["run.sqlite"])
         if len(content["run.sqlite"]) != size:
-            break  # the log was carried over: no power cut takes away from it what is in the database
-        for cut in (len(content["run.sqlite-wal"]), *(draw.randrange(len(content["run.sqlite-wal"])) for _ in range(3))):
+            # The log was carried over: no power cut takes away from it what is in the database
+            break
+        for cut in (
+            len(content["run.sqlite-wal"]),
+            *(draw.randrange(len(content["run.sqlite-wal"])) for _ in range(3)),
+        ):
             copy = tmp_path / "copies" / str(len(copies))
             copy.mkdir(parents=True)
             for name, held in content.items():

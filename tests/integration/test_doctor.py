@@ -1,4 +1,4 @@
-"""``zswarm-ot doctor``: each fault is found on a machine that has it, and what is fit is left in peace."""
+"""``zswarm-ot doctor`` finds each fault on a machine that has it, and no others."""
 
 import json
 import os
@@ -14,15 +14,19 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
-from lab import Lab
-from programs import Optimizer, Server, wait_until
+from packaging.requirements import Requirement
 
-from zswarm import jit, session
+from tests.integration.lab import Lab
+from tests.integration.programs import Optimizer, Server, wait_until
+from zswarm import session
+from zswarm.kernels import cache
 from zswarm.ot.doctor import machine, network
 from zswarm.ot.doctor.examination import examine
 from zswarm.ot.doctor.finding import Finding
 from zswarm.protocol.messages import Requirements
 from zswarm.session import Reach
+
+pytestmark = pytest.mark.programs
 
 NOBODY = Reach([], multicast=False)
 
@@ -45,9 +49,17 @@ def only(findings: Iterable[Finding]) -> Finding:
 # ---- the machine
 
 
-def test_a_fit_machine_has_nothing_broken(tmp_path: Path) -> None:
-    found = [*machine.python(), *machine.packages(), *machine.extras(), *machine.cores(), *machine.temporary()]
-    assert "broken" not in states([*found, *machine.runs(tmp_path / "runs"), *machine.cache(), *machine.clock()])
+def test_nothing_is_broken_on_a_working_machine(tmp_path: Path) -> None:
+    found = [
+        *machine.python(),
+        *machine.packages(),
+        *machine.extras(),
+        *machine.cores(),
+        *machine.temporary(),
+    ]
+    assert "broken" not in states(
+        [*found, *machine.runs(tmp_path / "runs"), *machine.cache(), *machine.clock()]
+    )
     assert "installed: " in found[2].text
 
 
@@ -64,8 +76,8 @@ def test_a_fit_machine_has_nothing_broken(tmp_path: Path) -> None:
     ],
 )
 def test_a_package_of_another_version_is_named(requirement: str, fault: str) -> None:
-    assert machine.unmet(requirement).endswith(fault)
-    assert bool(machine.unmet(requirement)) == bool(fault)
+    assert machine.unmet(Requirement(requirement)).endswith(fault)
+    assert bool(machine.unmet(Requirement(requirement))) == bool(fault)
 
 
 def test_a_folder_that_cannot_be_written_is_broken() -> None:
@@ -76,20 +88,22 @@ def test_a_folder_that_cannot_be_written_is_broken() -> None:
     assert "--out DIR" in finding.mend
 
 
-def test_nothing_is_left_in_the_folder_of_runs(tmp_path: Path) -> None:
+def test_the_check_of_the_folder_of_runs_leaves_no_files(tmp_path: Path) -> None:
     assert states(machine.runs(tmp_path / "a" / "runs"))[0] != "broken"
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_cache_that_cannot_be_kept_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cache_that_cannot_be_written_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
     made = Path(tempfile.mkdtemp(prefix="zswarm-"))
-    monkeypatch.setattr(jit, "cache_folder", lambda: made)
+    monkeypatch.setattr(cache, "cache_folder", lambda: made)
     finding = only(machine.cache())
     assert (finding.state, finding.mend) == ("warning", "set ZSWARM_CACHE to a folder of your own")
     assert not made.exists()
 
 
-def test_keys_that_cannot_be_used_are_broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_keys_that_cannot_be_used_are_broken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("ZSWARM_KEYS", str(tmp_path))
     finding = only(machine.keys())
     assert finding.state == "broken"
@@ -98,23 +112,31 @@ def test_keys_that_cannot_be_used_are_broken(tmp_path: Path, monkeypatch: pytest
     assert only(machine.keys()).state == "ok"
 
 
-def test_a_path_too_long_for_sockets_is_broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_path_too_long_for_sockets_is_broken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     long = tmp_path / ("x" * 100)
     long.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(long))
     assert only(machine.temporary()).state == "broken"
 
 
-def test_few_open_files_and_a_small_disk_are_told(tmp_path: Path) -> None:
+def test_few_open_files_and_a_small_disk_are_reported(tmp_path: Path) -> None:
     """The program says so itself, with the exit code of what is broken."""
     mount = "mount -t tmpfs -o size=20m none ."
-    if subprocess.run(["unshare", "--mount", "sh", "-c", mount], cwd=tmp_path, check=False).returncode:
+    if subprocess.run(
+        ["unshare", "--mount", "sh", "-c", mount], cwd=tmp_path, check=False
+    ).returncode:
         pytest.skip("no file system can be mounted here")
     doctor = f"{sys.executable} -m zswarm.ot doctor --out . --no-multicast --json"
     done = subprocess.run(
-        ["unshare", "--mount", "sh", "-c", f'{mount} && cd "$PWD" && exec {doctor}'], cwd=tmp_path, capture_output=True,
-        text=True, check=False, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (512, 512)),
-    )  # fmt: skip
+        ["unshare", "--mount", "sh", "-c", f'{mount} && cd "$PWD" && exec {doctor}'],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (512, 512)),
+    )
     found = [json.loads(line) for line in done.stdout.splitlines()]
     assert all(list(line) == ["check", "state", "text", "mend"] for line in found)
     by_check = {line["check"]: line for line in found}
@@ -136,7 +158,7 @@ class Unheard(bytes):
     __hash__ = bytes.__hash__
 
 
-def test_others_in_the_group_do_not_hide_that_this_machine_is_not_heard(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_traffic_does_not_hide_a_missing_echo(monkeypatch: pytest.MonkeyPatch) -> None:
     """However much they send, it ends."""
     group, port = session.SCOUTING_GROUP.split(":")
     monkeypatch.setattr(network.secrets, "token_bytes", Unheard)
@@ -146,20 +168,24 @@ def test_others_in_the_group_do_not_hide_that_this_machine_is_not_heard(monkeypa
 
     def talk() -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-            sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, struct.pack("=4s4si", bytes(4), bytes(4), index))
+            sender.setsockopt(
+                socket.IPPROTO_IP,
+                socket.IP_MULTICAST_IF,
+                struct.pack("=4s4si", bytes(4), bytes(4), index),
+            )
             while not done.wait(0.01):
                 sender.sendto(b"of somebody else", (group, int(port)))
 
     talking = threading.Thread(target=talk)
     talking.start()
     try:
-        assert network._unheard(index) == "nothing heard"
+        assert network._echo_fault(index) == "nothing heard"
     finally:
         done.set()
         talking.join()
 
 
-def test_a_port_in_use_is_named_with_who_uses_it() -> None:
+def test_a_port_in_use_is_named_with_its_user() -> None:
     with socket.socket() as other:
         other.bind(("0.0.0.0", 0))  # noqa: S104
         other.listen()
@@ -170,7 +196,9 @@ def test_a_port_in_use_is_named_with_who_uses_it() -> None:
     assert only(network.port(number)).state == "ok"
 
 
-def test_a_server_of_this_machine_has_its_port_rightly_and_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_server_of_this_machine_may_have_the_port(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """And one whose code is another is a warning."""
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
     server = Server(tmp_path, "mine", capacity=1, address="0.0.0.0", ZSWARM_PLAIN="1").ready()  # noqa: S104
@@ -181,7 +209,9 @@ def test_a_server_of_this_machine_has_its_port_rightly_and_is_found(tmp_path: Pa
         assert "server mine-" in finding.text
         reach = Reach([f"tcp/127.0.0.1:{number}"], multicast=False)
         assert only(network.servers("default", reach)).state == "ok"
-        other = Requirements(simulator="minisim", representation="fully-meshed", version_hash="0" * 32)
+        other = Requirements(
+            simulator="minisim", representation="fully-meshed", version_hash="0" * 32
+        )
         finding = only(network.servers("default", reach, other))
         assert finding.state == "warning"
         assert "is not used: " in finding.text
@@ -189,15 +219,18 @@ def test_a_server_of_this_machine_has_its_port_rightly_and_is_found(tmp_path: Pa
         server.close()
 
 
-def test_nobody_found_is_a_warning_with_the_reason() -> None:
+def test_finding_no_server_is_a_warning_with_the_reason() -> None:
     first, *rest = network.servers("default", NOBODY)
     assert first.text.startswith("none found in realm default")
     assert [finding.state for finding in (first, *rest)] == ["warning", "warning"]
     assert "multicast is off" in rest[0].text
 
 
-def test_a_machine_without_multicast_is_told_apart_from_one_with_it(lab: Lab) -> None:
-    script = "from zswarm.ot.doctor import network; from zswarm.session import Reach; print(*network.multicast(Reach()))"
+def test_missing_multicast_is_found(lab: Lab) -> None:
+    script = (
+        "from zswarm.ot.doctor import network; from zswarm.session import Reach; "
+        "print(*network.multicast(Reach()))"
+    )
     on, off = lab.host(lab.network()), lab.host()
     heard, deaf = (host.run(sys.executable, "-c", script) for host in (on, off))
     assert "'ok'" in heard
@@ -206,7 +239,9 @@ def test_a_machine_without_multicast_is_told_apart_from_one_with_it(lab: Lab) ->
     assert "--connect" in deaf
 
 
-def test_a_check_that_fails_does_not_end_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_check_that_fails_does_not_end_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def fails() -> Iterator[Finding]:
         raise OSError(5, "Input/output error")
         yield
@@ -214,7 +249,7 @@ def test_a_check_that_fails_does_not_end_the_others(tmp_path: Path, monkeypatch:
     monkeypatch.setattr(machine, "packages", fails)
     monkeypatch.setattr(network, "LOOK_S", 0.1)
     found = list(examine("default", tmp_path, NOBODY))
-    assert [finding.check for finding in found if finding.state == "broken"] == ["fails"]
+    assert [finding.check for finding in found if finding.state == "broken"] == ["packages"]
     assert found[-1].check == "servers"
 
 
@@ -226,9 +261,21 @@ def test_check_names_the_servers_that_match_and_why_others_do_not(tmp_path: Path
     try:
         told = []
         for memory in (0, 2**39):
-            options = [f"--set=cluster.connect=['{server.endpoint}']", f"--set=cluster.trial_memory_mb={memory}"]
+            options = [
+                f"--set=cluster.connect=['{server.endpoint}']",
+                f"--set=cluster.trial_memory_mb={memory}",
+            ]
             done = Optimizer(
-                tmp_path, "ot", ["check", "minisim", "--json", "--servers", "--set=cluster.multicast=false", *options]
+                tmp_path,
+                "ot",
+                [
+                    "check",
+                    "minisim",
+                    "--json",
+                    "--servers",
+                    "--set=cluster.multicast=false",
+                    *options,
+                ],
             )
             assert done.wait() == 0, done.err.read_text()
             told += done.lines()[0]["servers"]
@@ -246,23 +293,31 @@ def test_check_names_the_servers_that_match_and_why_others_do_not(tmp_path: Path
     ("options", "words"),
     [
         (["--servers", "1"], "no server found in realm lab7; "),
-        (["--set=cluster.local_slots=1"], "no server found in realm lab7: this machine's slots compute alone; "),
+        (
+            ["--set=cluster.local_slots=1"],
+            "no server found in realm lab7: this machine's slots compute alone; ",
+        ),
     ],
 )
-def test_a_run_that_finds_nobody_says_after_a_while_what_to_do(options: list[str], words: str, tmp_path: Path) -> None:
+def test_a_run_that_finds_no_server_says_what_to_do(
+    options: list[str], words: str, tmp_path: Path
+) -> None:
     """Once."""
     long = ["run", "minisim", "--no-multicast", "--realm", "lab7", "--set=generations=100000"]
     started = Optimizer(tmp_path, "ot", [*long, *options])
     try:
         hint = words + "zswarm-ot doctor says why, docs/network.md what to do\n"
-        wait_until(lambda: started.err.read_text().partition(hint)[2].count("\n"), "the hint, and a line after it")
+        wait_until(
+            lambda: started.err.read_text().partition(hint)[2].count("\n"),
+            "the hint, and a line after it",
+        )
         assert started.err.read_text().count("zswarm-ot doctor") == 1
     finally:
         started.kill(signal.SIGINT)
         assert started.wait() == 130
 
 
-def test_a_run_of_this_machine_alone_misses_nobody(tmp_path: Path) -> None:
+def test_a_local_run_does_not_wait_for_servers(tmp_path: Path) -> None:
     options = ["--servers", "local", "--set=cluster.local_slots=1", "--set=generations=100000"]
     started = Optimizer(tmp_path, "ot", ["run", "minisim", *options])
     try:

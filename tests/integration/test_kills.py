@@ -7,16 +7,17 @@ import sys
 from collections import Counter
 from pathlib import Path
 
-import kills
 import pytest
-from paced import Scene, play_undisturbed
+
+from tests.integration import kills
+from tests.integration.paced import Scene, play_undisturbed
 
 pytestmark = pytest.mark.faults
 
 KILLS = int(os.environ.get("KILLS", "15"))
 
 
-def test_a_run_in_which_everything_is_killed_again_and_again_ends_as_if_nothing_was(
+def test_a_run_with_repeated_kills_of_all_programs_has_the_same_result(
     tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     size = kills.size(KILLS)
@@ -28,8 +29,10 @@ def test_a_run_in_which_everything_is_killed_again_and_again_ends_as_if_nothing_
         between = statistics.median(after - before for before, after in itertools.pairwise(times))
         hits = Counter(strike.target for strike in campaign.strikes)
         sys.stdout.write(
-            f"\n{campaign.kills()} kills in {times[-1]:.0f} s, median {between:.2f} s apart: {dict(hits)}; "
-            f"{campaign.paused} times the run stopped because one trial was hit three times, and was resumed\n"
+            f"\n{campaign.kills()} kills in {times[-1]:.0f} s, median {between:.2f} s apart: "
+            f"{dict(hits)}; "
+            f"{campaign.paused} times the run stopped because one trial was hit three times, and "
+            "was resumed\n"
         )
     assert campaign.kills() == KILLS
     killed = [strike.process for strike in campaign.strikes if strike.signal == "SIGKILL"]

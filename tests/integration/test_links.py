@@ -1,24 +1,26 @@
-"""Links that are cut, reset, slow or stuck: the run goes on, and the history is that of an undisturbed run."""
+"""A run on links that are cut, reset, slow or stuck has the undisturbed history."""
 
 import time
 from pathlib import Path
 
 import pytest
-from lab import Lab
-from paced import Scene, Size, Undisturbed, play_undisturbed, query
-from programs import Optimizer, wait_until
-from proxy import Proxy
 
+from tests.integration.lab import Lab
+from tests.integration.paced import Scene, Size, Undisturbed, play_undisturbed, query
+from tests.integration.programs import Optimizer, wait_until
+from tests.integration.proxy import Proxy
 from zswarm.session import LINK_TIMEOUT_S
 
 pytestmark = pytest.mark.faults
 
 LARGE = Size(generations=1, population=10, trials=4, hidden=200)  # a genome has 164,000 bytes
-HUGE = Size(generations=1, population=60, trials=1, hidden=500, compiled=True)  # a genome has 1 MB, a batch 4 MB
+HUGE = Size(
+    generations=1, population=60, trials=1, hidden=500, compiled=True
+)  # a genome has 1 MB, a batch 4 MB
 
 
 def wait_for(seconds: float) -> None:
-    """The length of a fault, where that is what it is about."""
+    """Wait for the length of a fault that is about time."""
     end = time.monotonic() + seconds
     wait_until(lambda: time.monotonic() >= end, "time passes", seconds + 1.0)
 
@@ -31,7 +33,10 @@ def test_a_link_that_is_cut_for_less_than_the_link_timeout_costs_nothing(
         network = lab.network()
         hosts = [lab.host(network) for _ in range(servers)]
         desk = lab.host(network)
-        paced = [scene.server(f"ss-{i}", address=host.address, inside=host.inside) for i, host in enumerate(hosts)]
+        paced = [
+            scene.server(f"ss-{i}", address=host.address, inside=host.inside)
+            for i, host in enumerate(hosts)
+        ]
         _, pace = paced[0]
         pace.arm()
         optimizer = scene.optimizer(*(server.endpoint for server, _ in paced), inside=desk.inside)
@@ -44,10 +49,14 @@ def test_a_link_that_is_cut_for_less_than_the_link_timeout_costs_nothing(
         scene.check(done, undisturbed)
         assert done["requeued"] == 0
         assert not scene.events("server_left")
-        assert sum(len(pace.played()) for _, pace in paced) == undisturbed.trials, "a trial was played twice"
+        assert sum(len(pace.played()) for _, pace in paced) == undisturbed.trials, (
+            "a trial was played twice"
+        )
 
 
-def test_a_link_that_is_cut_for_longer_leaves_the_work_to_the_other_server(scene: Scene, undisturbed: Undisturbed) -> None:
+def test_work_moves_to_another_server_after_the_link_timeout(
+    scene: Scene, undisturbed: Undisturbed
+) -> None:
     with Lab() as lab:
         network = lab.network()
         near, far, desk = (lab.host(network) for _ in range(3))
@@ -73,7 +82,7 @@ def test_a_link_that_is_cut_for_longer_leaves_the_work_to_the_other_server(scene
 
 
 @pytest.mark.parametrize("when_back", ["finished", "at it"])
-def test_what_the_only_server_had_is_neither_lost_nor_played_twice_when_its_link_is_back(
+def test_trials_of_the_only_server_are_neither_lost_nor_repeated_after_a_link_cut(
     scene: Scene, undisturbed: Undisturbed, when_back: str
 ) -> None:
     with Lab() as lab:
@@ -90,14 +99,19 @@ def test_what_the_only_server_had_is_neither_lost_nor_played_twice_when_its_link
             pace.let_go()
             wait_until(lambda: len(pace.played()) == out, "the server has played what it had")
         host.mend()
-        wait_until(lambda: scene.events("server_back") or scene.events("lease_ready"), "the server is there again")
+        wait_until(
+            lambda: scene.events("server_back") or scene.events("lease_ready"),
+            "the server is there again",
+        )
         pace.let_go()
         scene.check(optimizer.done(), undisturbed)
         assert len(pace.played()) == undisturbed.trials, "a trial was played twice"
         assert len(server.events("lease_granted")) == 1, "the lease outlived the cut"
 
 
-def test_what_the_only_server_had_is_not_played_twice_when_its_link_was_reset(scene: Scene, undisturbed: Undisturbed) -> None:
+def test_trials_of_the_only_server_are_not_repeated_after_a_link_reset(
+    scene: Scene, undisturbed: Undisturbed
+) -> None:
     server, pace = scene.server("ss")
     pace.arm()
     with Proxy(server.endpoint) as link:
@@ -111,18 +125,26 @@ def test_what_the_only_server_had_is_not_played_twice_when_its_link_was_reset(sc
     assert len(server.events("lease_granted")) == 1, "the lease outlived the reset"
 
 
-def test_a_link_of_20_kilobytes_a_second_is_slow_and_stays(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_a_link_of_20_kilobytes_a_second_is_slow_and_stays(
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
     undisturbed = play_undisturbed(tmp_path_factory.mktemp("undisturbed"), LARGE)
     with Scene(tmp_path, LARGE) as scene:
         far, _ = scene.server("far")
         near, _ = scene.server("near")
         with Proxy(far.endpoint, rate=20_000) as link:
-            # The small buffer makes a send last as long as the link needs, as it does for larger messages.
+            # The small buffer makes a send last as long as the link needs, as it does for larger
+            # messages.
             optimizer = scene.optimizer(f"{link.endpoint}#so_sndbuf=16384", near.endpoint)
             done = optimizer.done()
             scene.check(done, undisturbed)
-            order = [name.partition("-")[0] for (name,) in query(scene.run, "SELECT server FROM outcomes ORDER BY id")]
-            assert "near" in order[: order.index("far")], "the slow link kept the other server waiting"
+            order = [
+                name.partition("-")[0]
+                for (name,) in query(scene.run, "SELECT server FROM outcomes ORDER BY id")
+            ]
+            assert "near" in order[: order.index("far")], (
+                "the slow link kept the other server waiting"
+            )
             assert link.connections == 1
             assert link.there > 2 * 164_000, "two batches went over the slow link"
             assert done["requeued"] == 0
@@ -130,8 +152,8 @@ def test_a_link_of_20_kilobytes_a_second_is_slow_and_stays(tmp_path: Path, tmp_p
             assert not scene.events("server_silent")
 
 
-def test_four_megabytes_to_a_stopped_server_do_not_hold_up_the_others(tmp_path: Path) -> None:
-    """Nor do they when the link times out on both sides; what hangs is given elsewhere later (``test_long_faults.py``)."""
+def test_four_megabytes_to_a_stopped_server_do_not_delay_others(tmp_path: Path) -> None:
+    """A link timeout on both sides loses nothing either."""
     with Scene(tmp_path, HUGE) as scene:
         hang_a_batch(scene)
         assert not scene.events("server_left", "other")
@@ -139,7 +161,7 @@ def test_four_megabytes_to_a_stopped_server_do_not_hold_up_the_others(tmp_path: 
 
 
 def hang_a_batch(scene: Scene) -> Optimizer:
-    """Stop a server while 4 MB go out to it; another one counts before and after the link timeouts of both sides."""
+    """A server stopped during a send of 4 MB does not stop another server."""
     victim, _ = scene.server("victim")
     other, pace = scene.server("other")
     pace.arm()

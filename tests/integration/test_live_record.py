@@ -4,19 +4,23 @@ import contextlib
 import subprocess
 from pathlib import Path
 
-import evacuation
-from programs import Optimizer, wait_until
-from promise import check_run
+import pytest
 
-from zswarm.ot.reading import Run, listed
+from tests.integration import evacuation
+from tests.integration.programs import Optimizer, wait_until
+from tests.promise.promise import check_run
+from zswarm.ot.record.reader import Run
+from zswarm.ot.record.run_index import list_runs
+
+pytestmark = pytest.mark.programs
 
 
 def read(folder: Path) -> Run | None:
-    """The run; None while its folder is being made."""
+    """Return the run; None while its folder is being made."""
     return Run(folder) if (folder / "run.sqlite").exists() else None
 
 
-def test_a_run_is_read_while_it_goes_on_and_not_disturbed(tmp_path: Path) -> None:
+def test_reading_a_running_record_does_not_disturb_the_run(tmp_path: Path) -> None:
     """What is read later goes on from what was read before; at the end all is there."""
     local = ["--servers", "local", "--set", "cluster.local_slots=1", "--json"]
     experiment = evacuation.write(tmp_path, "watched", 1500)
@@ -32,7 +36,7 @@ def test_a_run_is_read_while_it_goes_on_and_not_disturbed(tmp_path: Path) -> Non
             now = Run(folder)
             seen.append(now.history())
             assert len(now.trials(len(seen[-1]))) <= 50 * 20
-            assert [row["run"] for row in listed(tmp_path / "runs")] == [str(folder)]
+            assert [row["run"] for row in list_runs(tmp_path / "runs")] == [str(folder)]
         done = watched.done()
     finally:
         watched.close()

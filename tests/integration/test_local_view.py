@@ -1,4 +1,4 @@
-"""What a daemon shows on its own machine: to systemd, to ``zswarm-ss status`` and ``drain``, to Prometheus."""
+"""A daemon reports to systemd, ``zswarm-ss status``, ``drain`` and Prometheus."""
 
 import contextlib
 import itertools
@@ -15,10 +15,12 @@ from typing import Any
 
 import pytest
 from click.testing import CliRunner, Result
-from paced import Pace, Scene, Size
-from programs import Program, Server, free_port, wait_until
 
+from tests.integration.paced import Pace, Scene, Size
+from tests.integration.programs import Program, Server, free_port, wait_until
 from zswarm.ss.cli import command
+
+pytestmark = pytest.mark.programs
 
 WATCHDOG_S = 4.0
 
@@ -31,10 +33,13 @@ class Systemd:
         self.words: list[tuple[float, str]] = []
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.bind(str(self.path))
-        self.environment = {"NOTIFY_SOCKET": str(self.path), "WATCHDOG_USEC": str(int(WATCHDOG_S * 1e6))}
+        self.environment = {
+            "NOTIFY_SOCKET": str(self.path),
+            "WATCHDOG_USEC": str(int(WATCHDOG_S * 1e6)),
+        }
 
     def heard(self, word: str, within_s: float = 60.0) -> bool:
-        """Whether something that begins so comes from now on."""
+        """Return whether a message with this prefix comes from now on."""
         end = time.monotonic() + within_s
         while (rest := end - time.monotonic()) > 0:
             self._socket.settimeout(rest)
@@ -45,7 +50,7 @@ class Systemd:
         return False
 
     def forget(self) -> None:
-        """What came so far."""
+        """Drop the messages received so far."""
         self._socket.setblocking(False)
         with contextlib.suppress(BlockingIOError):
             while True:
@@ -53,7 +58,7 @@ class Systemd:
         self.words.clear()
 
     def longest_fast(self) -> float:
-        """The longest time without food for the watchdog, s."""
+        """Return the longest time between watchdog messages in seconds."""
         times = [at for at, word in self.words if word == "WATCHDOG=1"]
         return max(after - before for before, after in itertools.pairwise(times))
 
@@ -74,8 +79,12 @@ def scene(tmp_path: Path) -> Iterator[Scene]:
 
 
 def control(folder: Path, *arguments: str, columns: int = 80) -> Result:
-    """The command of an administrator, in this process: it is asked for again and again."""
-    environment = {"RUNTIME_DIRECTORY": str(folder), "XDG_RUNTIME_DIR": str(folder), "COLUMNS": str(columns)}
+    """Call an administrator's command in this process, again and again."""
+    environment = {
+        "RUNTIME_DIRECTORY": str(folder),
+        "XDG_RUNTIME_DIR": str(folder),
+        "COLUMNS": str(columns),
+    }
     return CliRunner().invoke(command, arguments, prog_name="zswarm-ss", env=environment)
 
 
@@ -88,15 +97,19 @@ def view(folder: Path, name: str = "") -> dict[str, Any]:
 def metrics(port: int) -> dict[str, float]:
     with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=30) as answer:
         text = answer.read().decode()
-    return {line.rpartition(" ")[0]: float(line.rpartition(" ")[2]) for line in text.splitlines() if not line.startswith("#")}
+    return {
+        line.rpartition(" ")[0]: float(line.rpartition(" ")[2])
+        for line in text.splitlines()
+        if not line.startswith("#")
+    }
 
 
 # ---- systemd
 
 
 @pytest.mark.faults
-def test_a_watchdog_is_fed_idle_and_busy_and_not_when_a_slot_is_missed(scene: Scene, systemd: Systemd) -> None:
-    """Ready comes when the slots are warm; what is missed is named in the log, to systemd and by status."""
+def test_the_watchdog_is_fed_unless_a_slot_is_unresponsive(scene: Scene, systemd: Systemd) -> None:
+    """A server is ready when its slots are warm, and names what it lacks."""
     scene.environment |= systemd.environment
     server, pace = scene.server("ss", capacity=2)
     assert systemd.heard("READY=1")
@@ -118,15 +131,29 @@ def test_a_watchdog_is_fed_idle_and_busy_and_not_when_a_slot_is_missed(scene: Sc
     os.kill(held, signal.SIGKILL)
     pace.let_go()
     (missed,) = wait_until(lambda: server.events("slots_missed"), "the slot is missed")
-    assert missed["reason"] in ("its killed process does not go away", "the fork server does not start its process")
-    assert (len(missed["slots"]), missed["seconds"], missed["watchdog"]) == (1, WATCHDOG_S, "not fed")
+    assert missed["reason"] in (
+        "its killed process does not go away",
+        "the fork server does not start its process",
+    )
+    assert (len(missed["slots"]), missed["seconds"], missed["watchdog"]) == (
+        1,
+        WATCHDOG_S,
+        "not fed",
+    )
     systemd.forget()
     assert not systemd.heard("WATCHDOG=1", WATCHDOG_S), "systemd is to end it"
-    assert any(f"slot {missed['slots'][0]}: its killed process" in word for _, word in systemd.words)
+    assert any(
+        f"slot {missed['slots'][0]}: its killed process" in word for _, word in systemd.words
+    )
     shown = view(scene.folder)
-    assert [(slot["slot"], slot["reason"]) for slot in shown["missed"]] == [(missed["slots"][0], missed["reason"])]
+    assert [(slot["slot"], slot["reason"]) for slot in shown["missed"]] == [
+        (missed["slots"][0], missed["reason"])
+    ]
     assert shown["slots"]["starting"] == 1
-    assert f"slot {missed['slots'][0]}: its killed process does not go away" in control(scene.folder, "status").stdout
+    assert (
+        f"slot {missed['slots'][0]}: its killed process does not go away"
+        in control(scene.folder, "status").stdout
+    )
     scene.go_on(forking)
     assert systemd.heard("WATCHDOG=1")
     wait_until(lambda: server.events("slots_back"), "the slot is back")
@@ -134,7 +161,7 @@ def test_a_watchdog_is_fed_idle_and_busy_and_not_when_a_slot_is_missed(scene: Sc
     assert len(server.events("slots_missed")) == 1
 
 
-def test_a_daemon_whose_fork_server_stands_still_can_be_stopped(scene: Scene) -> None:
+def test_a_daemon_with_a_stopped_fork_server_can_be_stopped(scene: Scene) -> None:
     server, _ = scene.server("ss", capacity=2)
     wait_until(lambda: len(server.workers()) == 2, "the slots are there")
     slot, _ = server.workers()
@@ -145,7 +172,9 @@ def test_a_daemon_whose_fork_server_stands_still_can_be_stopped(scene: Scene) ->
 
 
 @pytest.mark.faults
-def test_systemd_hears_that_a_daemon_stops_and_how_long_it_may_take(scene: Scene, systemd: Systemd) -> None:
+def test_a_daemon_notifies_systemd_that_it_stops_and_extends_the_timeout(
+    scene: Scene, systemd: Systemd
+) -> None:
     scene.environment |= systemd.environment
     server, pace = scene.server("ss")
     pace.arm()
@@ -162,7 +191,9 @@ def test_systemd_hears_that_a_daemon_stops_and_how_long_it_may_take(scene: Scene
     optimizer.kill(signal.SIGINT)
 
 
-def test_systemd_hears_that_a_router_is_ready_and_stops(tmp_path: Path, systemd: Systemd) -> None:
+def test_a_router_notifies_systemd_when_ready_and_stopping(
+    tmp_path: Path, systemd: Systemd
+) -> None:
     options = ["--no-multicast", "--listen", f"tcp/127.0.0.1:{free_port()}"]
     router = Program(tmp_path, "router", ["-m", "zswarm.router", *options], **systemd.environment)
     try:
@@ -186,8 +217,17 @@ def test_status_shows_what_a_daemon_does(scene: Scene) -> None:
     wait_until(lambda: scene.counted() > 10, "the other slots go on")
     shown = view(scene.folder)
     (ready,) = server.events("server_ready")
-    assert (shown["server"], shown["realm"], shown["listen"]) == (ready["server"], "default", [server.endpoint])
-    assert (shown["pid"], shown["warm"], shown["draining"], shown["missed"]) == (server.process.pid, True, False, [])
+    assert (shown["server"], shown["realm"], shown["listen"]) == (
+        ready["server"],
+        "default",
+        [server.endpoint],
+    )
+    assert (shown["pid"], shown["warm"], shown["draining"], shown["missed"]) == (
+        server.process.pid,
+        True,
+        False,
+        [],
+    )
     assert sum(shown["slots"].values()) == 3
     assert shown["slots"]["busy"] >= 1
     (lease,) = shown["leases"]
@@ -218,16 +258,22 @@ def test_status_shows_what_a_daemon_does(scene: Scene) -> None:
 
 
 @pytest.mark.faults
-def test_status_lists_several_daemons_and_drain_wants_to_know_which(tmp_path: Path) -> None:
-    one, other = (Server(tmp_path, name, capacity=1, ZSWARM_PLAIN="1").ready() for name in ("one", "other"))
+def test_status_lists_several_daemons_and_drain_needs_a_name(tmp_path: Path) -> None:
+    one, other = (
+        Server(tmp_path, name, capacity=1, ZSWARM_PLAIN="1").ready() for name in ("one", "other")
+    )
     try:
-        names = [json.loads(line)["server"] for line in control(tmp_path, "status", "--json").stdout.splitlines()]
+        names = [
+            json.loads(line)["server"]
+            for line in control(tmp_path, "status", "--json").stdout.splitlines()
+        ]
         assert [name.rpartition("-")[0] for name in names] == ["one", "other"]
         assert view(tmp_path, "other")["server"] == view(tmp_path, names[1])["server"] == names[1]
         refused = control(tmp_path, "drain")
         assert (refused.exit_code, refused.stderr) == (
-            1, f"zswarm-ss: several daemons run here, choose one with --name: {', '.join(names)}\n",
-        )  # fmt: skip
+            1,
+            f"zswarm-ss: several daemons run here, choose one with --name: {', '.join(names)}\n",
+        )
         drained = control(tmp_path, "drain", "--wait", "--name", "one")
         assert (drained.exit_code, drained.stderr) == (0, "")
         assert one.wait() == 0
@@ -235,7 +281,10 @@ def test_status_lists_several_daemons_and_drain_wants_to_know_which(tmp_path: Pa
         other.wait()
         gone = control(tmp_path, "status")
         assert gone.exit_code == 1
-        assert re.fullmatch(r"zswarm-ss: no daemon runs on this machine that this user can ask \(looked in .*\)\n", gone.stderr)
+        assert re.fullmatch(
+            r"zswarm-ss: no daemon runs on this machine that this user can ask \(looked in .*\)\n",
+            gone.stderr,
+        )
     finally:
         one.close()
         other.close()
@@ -252,13 +301,16 @@ def test_a_daemon_that_hangs_is_named_and_the_others_are_shown(scene: Scene) -> 
     assert json.loads(shown)["pid"] == other.process.pid
 
 
-def test_options_of_the_daemon_are_none_of_status(tmp_path: Path) -> None:
+def test_status_refuses_options_of_the_daemon(tmp_path: Path) -> None:
     done = control(tmp_path, "--name", "lab", "status")
     assert (done.exit_code, done.stdout) == (2, "")
-    assert done.stderr.splitlines()[-1] == "Error: expected the options of status after its name, and none of the daemon's"
+    assert (
+        done.stderr.splitlines()[-1]
+        == "Error: expected the options of status after its name, and none of the daemon's"
+    )
 
 
-def test_a_drained_daemon_finishes_what_runs_and_ends(scene: Scene) -> None:
+def test_a_drained_daemon_finishes_running_work_and_ends(scene: Scene) -> None:
     server, pace = scene.server("ss")
     other, _ = scene.server("other")
     pace.arm()
@@ -273,10 +325,17 @@ def test_a_drained_daemon_finishes_what_runs_and_ends(scene: Scene) -> None:
     optimizer.done()
 
 
-def test_local_slots_of_a_run_are_no_daemon(tmp_path: Path) -> None:
+def test_local_slots_of_a_run_are_not_listed_as_a_daemon(tmp_path: Path) -> None:
     """They are the run's own business."""
-    options = ["--no-multicast", "--until-stdin-closes", "--listen", f"unixsock-stream/{tmp_path}/s"]
-    local = Program(tmp_path, "local", ["-m", "zswarm.ss", "--name", "local", *options], ZSWARM_PLAIN="1")
+    options = [
+        "--no-multicast",
+        "--until-stdin-closes",
+        "--listen",
+        f"unixsock-stream/{tmp_path}/s",
+    ]
+    local = Program(
+        tmp_path, "local", ["-m", "zswarm.ss", "--name", "local", *options], ZSWARM_PLAIN="1"
+    )
     assert local.wait() == 0
     assert not list(tmp_path.glob("local-*.sock"))
 
@@ -293,19 +352,31 @@ def test_metrics_agree_with_the_run(scene: Scene) -> None:
     pace.let_go()
     optimizer.done()
     trials = scene.counted()
-    wait_until(lambda: metrics(port)["zswarm_ss_trials_total"] == trials, f"all {trials} trials are counted")
-    numbers = wait_until(lambda: (found := metrics(port))["zswarm_ss_leases"] == 0 and found, "the lease is released")
+    wait_until(
+        lambda: metrics(port)["zswarm_ss_trials_total"] == trials,
+        f"all {trials} trials are counted",
+    )
+    numbers = wait_until(
+        lambda: (found := metrics(port))["zswarm_ss_leases"] == 0 and found, "the lease is released"
+    )
     assert numbers['zswarm_ss_faults_total{kind="crashed"}'] == 1
     assert numbers['zswarm_ss_slots{state="free"}'] == 2
     assert numbers["zswarm_ss_warm"] == 1
     assert numbers["zswarm_ss_malformed_messages_total"] == 0
-    assert 0 < numbers["zswarm_ss_busy_seconds_total"] < 2 * (time.time() - numbers["zswarm_ss_start_time_seconds"])
+    assert (
+        0
+        < numbers["zswarm_ss_busy_seconds_total"]
+        < 2 * (time.time() - numbers["zswarm_ss_start_time_seconds"])
+    )
     (ready,) = server.events("server_ready")
-    assert f'zswarm_ss_info{{realm="default",server="{ready["server"]}",version="{ready["program"]}"}}' in numbers
+    assert (
+        f'zswarm_ss_info{{realm="default",server="{ready["server"]}",version="{ready["program"]}"}}'
+        in numbers
+    )
 
 
 @pytest.mark.faults
-def test_who_hangs_on_socket_or_port_hurts_no_run(scene: Scene) -> None:
+def test_hanging_clients_of_socket_and_port_do_not_affect_runs(scene: Scene) -> None:
     server, pace, port = metered(scene)
     pace.set(0.05)
     (path,) = scene.folder.glob("ss-*.sock")
@@ -320,7 +391,13 @@ def test_who_hangs_on_socket_or_port_hurts_no_run(scene: Scene) -> None:
 
         optimizer = scene.optimizer(server.endpoint)
         wait_until(lambda: scene.counted() > 10, "the run goes on")
-        for words in (b"", b'{"ask": ', b"x" * 100_000, b'{"ask": "status"}\n', b'{"ask": "drain"') * 10:
+        for words in (
+            b"",
+            b'{"ask": ',
+            b"x" * 100_000,
+            b'{"ask": "status"}\n',
+            b'{"ask": "drain"',
+        ) * 10:
             hang(socket.AF_UNIX, str(path), words)
         for words in (b"", b"GET /metrics HTTP/1.1\r\n", b"GET /metrics HTTP/1.0\r\n\r\n") * 10:
             hang(socket.AF_INET, ("127.0.0.1", port), words)
@@ -336,7 +413,7 @@ def test_who_hangs_on_socket_or_port_hurts_no_run(scene: Scene) -> None:
 
 
 def metered(scene: Scene) -> tuple[Server, Pace, int]:
-    """A server, its pace, and the port of its metrics."""
+    """Start a server; return it with its pace and metrics port."""
     port = free_port()
     config = scene.folder / "ss.toml"
     config.write_text(f"metrics = {port}\n")
@@ -352,14 +429,22 @@ def test_a_port_in_use_is_named(tmp_path: Path) -> None:
         server = Server(tmp_path, "ss", options=("--metrics", str(port)), ZSWARM_PLAIN="1")
         assert server.wait() == 2
     assert (
-        server.err.read_text() == f"zswarm-ss: --metrics {port}: 127.0.0.1:{port} cannot be listened on: Address already in use\n"
+        server.err.read_text()
+        == f"zswarm-ss: --metrics {port}: 127.0.0.1:{port} cannot be listened on: "
+        "Address already in use\n"
     )
 
 
 def test_a_missing_package_is_named_with_the_command_that_installs_it(tmp_path: Path) -> None:
-    (tmp_path / "prometheus_client.py").write_text("raise ModuleNotFoundError(name='prometheus_client')\n")
+    (tmp_path / "prometheus_client.py").write_text(
+        "raise ModuleNotFoundError(name='prometheus_client')\n"
+    )
     path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
-    server = Server(tmp_path, "ss", options=("--metrics", str(free_port())), PYTHONPATH=path, ZSWARM_PLAIN="1")
+    server = Server(
+        tmp_path, "ss", options=("--metrics", str(free_port())), PYTHONPATH=path, ZSWARM_PLAIN="1"
+    )
     assert server.wait() == 2
-    assert server.err.read_text().startswith("zswarm-ss: --metrics needs the package prometheus_client: ")
+    assert server.err.read_text().startswith(
+        "zswarm-ss: --metrics needs the package prometheus_client: "
+    )
     assert server.err.read_text().endswith(" install prometheus-client\n")

@@ -3,14 +3,15 @@
 from pathlib import Path
 
 import pytest
-from paced import Scene, Undisturbed, play_undisturbed
-from programs import wait_until
-from test_links import HUGE, hang_a_batch
+
+from tests.integration.paced import Scene, Undisturbed, play_undisturbed
+from tests.integration.programs import wait_until
+from tests.integration.test_links import HUGE, hang_a_batch
 
 pytestmark = pytest.mark.faults
 
 
-def test_what_hangs_on_the_way_to_a_stopped_server_goes_elsewhere_in_the_end(
+def test_batches_blocked_on_the_way_to_a_stopped_server_move_to_another(
     tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     undisturbed = play_undisturbed(tmp_path_factory.mktemp("undisturbed"), HUGE)
@@ -21,7 +22,9 @@ def test_what_hangs_on_the_way_to_a_stopped_server_goes_elsewhere_in_the_end(
         assert not scene.counted("victim")
 
 
-def test_an_optimizer_that_was_stopped_until_its_lease_expired_goes_on_by_itself(scene: Scene, undisturbed: Undisturbed) -> None:
+def test_an_optimizer_continues_after_its_lease_expired(
+    scene: Scene, undisturbed: Undisturbed
+) -> None:
     server, pace = scene.server("ss")
     pace.arm()
     optimizer = scene.optimizer(server.endpoint)

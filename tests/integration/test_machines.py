@@ -1,4 +1,4 @@
-"""docs/deploy.md on real systems: what it says is installed word by word, and serves whatever happens to the machines.
+"""Machines that are installed as docs/deploy.md says serve through any failure.
 
 Whatever that is, the result is that of a run on one machine.
 """
@@ -14,12 +14,13 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from machines import CLEAN, Machine, Machines
-from programs import Optimizer, query, wait_until
+
+from tests.integration.machines import CLEAN, Machine, Machines
+from tests.integration.programs import Optimizer, query, wait_until
+from tests.places import REPOSITORY
 
 pytestmark = pytest.mark.machines
 
-REPOSITORY = Path(__file__).parents[2]
 DOCUMENT = (REPOSITORY / "docs" / "deploy.md").read_text()
 # A run takes some seconds: long enough to disturb it.
 EXPERIMENT = """
@@ -46,7 +47,7 @@ SERVED = "SELECT count(DISTINCT server) FROM outcomes"
 
 
 def documented(heading: str, block: int = 0) -> str:
-    """The commands of a section of docs/deploy.md."""
+    """Return the commands of a section of docs/deploy.md."""
     section = DOCUMENT.split(f"# {heading}\n", 1)[1]
     blocks: list[str] = re.findall(r"^```sh\n(.*?)^```$", section, re.S | re.M)
     return blocks[block]
@@ -59,7 +60,7 @@ class Installed(Optimizer):
 
 
 class Site:
-    """Two machines that serve, and the workstation of Alice and of the administrator; and the runs on it."""
+    """Two servers, the workstations of Alice and the administrator, and runs on them."""
 
     def __init__(self, lab: Machines, workstation: Machine) -> None:
         self.lab, self.workstation = lab, workstation
@@ -76,18 +77,26 @@ class Site:
             machine.wait_up()
             machine.run(f"mkdir /etc/zswarm && {CONFIGURE}")
         with ThreadPoolExecutor() as side_by_side:
-            for done in [side_by_side.submit(self.fleet, "install", machine) for machine in self.servers]:
+            for done in [
+                side_by_side.submit(self.fleet, "install", machine) for machine in self.servers
+            ]:
                 done.result()
 
     def fleet(self, what: str, *machines: Machine, **environment: str) -> str:
-        """Run deploy/fleet.sh; what it printed. ``ssh`` is a program that enters the machine of that name."""
+        """Run deploy/fleet.sh with an ``ssh`` that enters the named machine; return its output."""
         for machine in machines:
             (self.ssh / machine.name).write_text(shlex.join(machine.inside("sh", "-c")))
         done = subprocess.run(
-            [str(REPOSITORY / "deploy" / "fleet.sh"), what, *(machine.name for machine in machines)],
-            capture_output=True, text=True, cwd=self.lab.shared,
+            [
+                str(REPOSITORY / "deploy" / "fleet.sh"),
+                what,
+                *(machine.name for machine in machines),
+            ],
+            capture_output=True,
+            text=True,
+            cwd=self.lab.shared,
             env=os.environ | environment | {"PATH": f"{self.ssh}:{os.environ['PATH']}"},
-        )  # fmt: skip
+        )
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
 
@@ -96,14 +105,14 @@ class Site:
         return self.runs[-1]
 
     def run_on(self, machine: Machine) -> "Run":
-        """A run on this server alone."""
+        """Run on this server alone."""
         for other in self.servers:
             if other is not machine:
                 other.run("systemctl stop zswarm-ss")
         return self.run(servers="1")
 
     def mend(self) -> None:
-        """End the runs and put right what a test broke."""
+        """End the runs and repair what a test broke."""
         for run in self.runs:
             run.close()
         for machine in self.servers:
@@ -112,7 +121,9 @@ class Site:
             machine.plug()
         for machine in self.servers:
             machine.wait_up()
-            machine.run(f"{CONFIGURE}; rm -rf {DROP_IN}; systemctl daemon-reload; systemctl start zswarm-ss")
+            machine.run(
+                f"{CONFIGURE}; rm -rf {DROP_IN}; systemctl daemon-reload; systemctl start zswarm-ss"
+            )
 
 
 class Run(Installed):
@@ -132,11 +143,15 @@ class Run(Installed):
             wait_until(lambda: words in self.err.read_text(), f"the run says {words!r}")
         except AssertionError as error:
             raise AssertionError(
-                f"{error}; but:\n{self.err.read_text()}{self.counted()} trials of {TRIALS} are counted"
+                f"{error}; but:\n{self.err.read_text()}{self.counted()} trials of {TRIALS} are "
+                "counted"
             ) from None
 
     def wait_counted(self, trials: int) -> None:
-        wait_until(lambda: self.counted() > trials or self.process.poll() is not None, f"{trials} trials are counted")
+        wait_until(
+            lambda: self.counted() > trials or self.process.poll() is not None,
+            f"{trials} trials are counted",
+        )
         assert self.process.poll() is None, self.err.read_text()
         assert self.counted() < TRIALS, "the run is over too early for this test"
 
@@ -152,20 +167,32 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Machines]:
 
 @pytest.fixture(scope="module")
 def workstation(lab: Machines) -> Machine:
-    """The administrator's, with the authority and everybody's keys in /srv; and Alice's, with hers."""
+    """The administrator's machine with the authority and all keys in /srv; and Alice's."""
     machine = lab.machine("desk")
     machine.switch_on()
     machine.wait_up()
     machine.run("python3 -m venv /opt/zswarm && /opt/zswarm/bin/pip install 'zswarm[keys]'")
-    machine.run(f"PATH=/opt/zswarm/bin:$PATH; cd /srv; {documented('Keys')}zswarm-keys join --yes alice.zkeys")
+    machine.run(
+        f"PATH=/opt/zswarm/bin:$PATH; cd /srv; {documented('Keys')}zswarm-keys join --yes "
+        "alice.zkeys"
+    )
     return machine
 
 
 def build_wheels(folder: Path, wheels: Path) -> None:
-    """This repository and what it needs, for the machines' Python."""
+    """Build wheels of this repository and its requirements for the machines' Python."""
     subprocess.run([*CLEAN, "python3", "-m", "venv", str(folder / "venv")], check=True)
     python = str(folder / "venv" / "bin" / "python")
-    command = [python, "-m", "pip", "wheel", "--quiet", "--wheel-dir", str(wheels), f"{REPOSITORY}[keys]"]
+    command = [
+        python,
+        "-m",
+        "pip",
+        "wheel",
+        "--quiet",
+        "--wheel-dir",
+        str(wheels),
+        f"{REPOSITORY}[keys]",
+    ]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     shutil.rmtree(folder / "venv")
@@ -178,23 +205,29 @@ def installed(lab: Machines, workstation: Machine) -> Site:
 
 @pytest.fixture
 def site(installed: Site) -> Iterator[Site]:
-    """All is well at the beginning of a test."""
+    """Repair the site before a test."""
     yield installed
     installed.mend()
 
 
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """The history hash of the experiment on one slot of this machine."""
+    """Return the history hash of the experiment on one local slot."""
     folder = tmp_path_factory.mktemp("alone")
     (folder / "experiment.toml").write_text(EXPERIMENT)
     options = ["--servers", "local", "--set", "cluster.local_slots=1"]
-    return str(Optimizer(folder, "alone", ["run", "experiment.toml", "--json", *options]).done()["history_hash"])
+    return str(
+        Optimizer(folder, "alone", ["run", "experiment.toml", "--json", *options]).done()[
+            "history_hash"
+        ]
+    )
 
 
 def show(machine: Machine, *names: str) -> list[str]:
-    """What systemd says of the server's unit."""
-    lines = machine.run(f"systemctl show zswarm-ss {' '.join(f'-p {name}' for name in names)}").splitlines()
+    """Return systemd's properties of the server's unit."""
+    lines = machine.run(
+        f"systemctl show zswarm-ss {' '.join(f'-p {name}' for name in names)}"
+    ).splitlines()
     told = dict(line.split("=", 1) for line in lines)
     return [told[name] for name in names]
 
@@ -204,7 +237,10 @@ def wait_active(machine: Machine) -> None:
 
 
 def restart_counted(machine: Machine, restarts: int) -> None:
-    wait_until(lambda: show(machine, "NRestarts", "ActiveState") == [str(restarts), "active"], f"{machine.name} serves again")
+    wait_until(
+        lambda: show(machine, "NRestarts", "ActiveState") == [str(restarts), "active"],
+        f"{machine.name} serves again",
+    )
 
 
 # ---- the document
@@ -232,7 +268,9 @@ def test_the_document_is_followed_word_by_word(lab: Machines, workstation: Machi
         assert machine.run("systemctl is-active zswarm-router") == "active\n"
         check(machine, "zswarm-router")
         assert ports(machine) == {"tcp 7466", "tcp 7467", "udp 7467"}
-        machine.run("systemctl disable --now zswarm-router && rm /etc/systemd/system/zswarm-router.service")
+        machine.run(
+            "systemctl disable --now zswarm-router && rm /etc/systemd/system/zswarm-router.service"
+        )
         machine.run(documented("Uninstall"))
         assert machine.run(LEFT) == before
         assert ports(machine) == set()
@@ -242,9 +280,24 @@ def test_a_user_without_root_has_a_server(lab: Machines, workstation: Machine) -
     """As the document says, in a user's own systemd."""
     with lab.machine("lab-02") as machine:
         machine.wait_up()
-        user = machine.run("useradd --create-home alice && loginctl enable-linger alice && id --user alice").strip()
-        wait_until(lambda: machine.run(f"ls /run/user/{user} 2>/dev/null || :"), "the user's systemd is there")
-        as_alice = ["runuser", "-u", "alice", "--", "env", "HOME=/home/alice", f"XDG_RUNTIME_DIR=/run/user/{user}", "sh", "-euc"]
+        user = machine.run(
+            "useradd --create-home alice && loginctl enable-linger alice && id --user alice"
+        ).strip()
+        wait_until(
+            lambda: machine.run(f"ls /run/user/{user} 2>/dev/null || :"),
+            "the user's systemd is there",
+        )
+        as_alice = [
+            "runuser",
+            "-u",
+            "alice",
+            "--",
+            "env",
+            "HOME=/home/alice",
+            f"XDG_RUNTIME_DIR=/run/user/{user}",
+            "sh",
+            "-euc",
+        ]
         machine.run("install -m 600 -o alice /srv/lab-02.zkeys /home/alice")
         machine.run(shlex.join([*as_alice, documented("Without root")]), "y\n")
         told = machine.run(shlex.join([*as_alice, "systemctl --user status zswarm-ss"]))
@@ -253,27 +306,37 @@ def test_a_user_without_root_has_a_server(lab: Machines, workstation: Machine) -
         machine.run(shlex.join([*as_alice, "systemctl --user stop zswarm-ss"]))
 
 
-LEFT = "find /etc /opt /run /usr /var -name '*zswarm*' 2>/dev/null; getent passwd zswarm || :; pgrep zswarm || :"
+LEFT = (
+    "find /etc /opt /run /usr /var -name '*zswarm*' 2>/dev/null; "
+    "getent passwd zswarm || :; pgrep zswarm || :"
+)
 
 
 def check(machine: Machine, unit: str) -> None:
-    """As deploy/check-units.sh does, of the unit as it is installed and runs."""
+    """Check the installed, running unit as deploy/check-units.sh does."""
     assert machine.run(f"systemd-analyze verify --man=no {unit}.service 2>&1") == ""
     machine.run(f"systemd-analyze security --no-pager --threshold=12 {unit}")
 
 
 def ports(machine: Machine) -> set[str]:
-    """That programs of the machine's own listen on beyond loopback, but for those that answers to a question come to."""
-    lines = [line.split() for line in machine.run("ss --no-header --listening --tcp --udp --numeric").splitlines()]
+    """Return sockets that listen beyond loopback, other than those for answers."""
+    lines = [
+        line.split()
+        for line in machine.run("ss --no-header --listening --tcp --udp --numeric").splitlines()
+    ]
     ends = [(line[0], *line[4].rsplit(":", 1)) for line in lines]
-    return {f"{kind} {port}" for kind, address, port in ends if "127." not in address and int(port) < 32_768}
+    return {
+        f"{kind} {port}"
+        for kind, address, port in ends
+        if "127." not in address and int(port) < 32_768
+    }
 
 
 # ---- a run on two servers
 
 
 def test_a_run_survives_a_pulled_cable_and_a_power_cut(site: Site, alone: str) -> None:
-    """One server's cable is pulled, then the other's power is cut; both come back, the second by itself at its boot."""
+    """Pull one server's cable and the other's power; both come back, one by its boot."""
     first, second = site.servers
     run = site.run()
     run.wait_counted(100)
@@ -290,7 +353,7 @@ def test_a_run_survives_a_pulled_cable_and_a_power_cut(site: Site, alone: str) -
     wait_active(second)
 
 
-def test_a_server_that_is_killed_is_started_again(site: Site, alone: str) -> None:
+def test_a_killed_server_is_restarted(site: Site, alone: str) -> None:
     """With all its slots; the run goes on with it."""
     first = site.servers[0]
     restarts = int(show(first, "NRestarts")[0])
@@ -306,14 +369,17 @@ def test_a_server_that_is_killed_is_started_again(site: Site, alone: str) -> Non
 
 
 def processes(machine: Machine) -> set[str]:
-    """Of the server: program and slots."""
+    """Return the server's processes: program and slots."""
     return set(machine.run("pgrep --uid zswarm").split())
 
 
-def test_a_server_that_hangs_is_started_again(site: Site, alone: str) -> None:
+def test_a_hanging_server_is_restarted(site: Site, alone: str) -> None:
     """Its loop does nothing for as long as WatchdogSec, here made short."""
     second = site.servers[1]
-    second.run(f"mkdir -p {DROP_IN} && printf '[Service]\\nWatchdogSec=3\\n' > {DROP_IN}/short.conf && systemctl daemon-reload")
+    second.run(
+        f"mkdir -p {DROP_IN} && printf '[Service]\\nWatchdogSec=3\\n' > {DROP_IN}/short.conf && "
+        "systemctl daemon-reload"
+    )
     second.run("systemctl restart zswarm-ss")
     restarts = int(show(second, "NRestarts")[0])
     run = site.run_on(second)
@@ -325,7 +391,7 @@ def test_a_server_that_hangs_is_started_again(site: Site, alone: str) -> None:
     assert run.counted(SERVED) == 2
 
 
-def test_a_server_that_is_stopped_finishes_what_runs(site: Site, alone: str) -> None:
+def test_a_stopped_server_finishes_running_work(site: Site, alone: str) -> None:
     """What waits there waits for the next server: here itself, started again."""
     first = site.servers[0]
     run = site.run_on(first)
@@ -353,11 +419,13 @@ def test_a_server_reads_its_keys_again_during_a_run(site: Site, alone: str) -> N
     assert "reload_refused" not in first.run("journalctl --boot --unit zswarm-ss")
 
 
-def test_whoever_has_no_keys_is_refused(site: Site) -> None:
+def test_users_without_keys_are_refused(site: Site) -> None:
     """By its server, in words for both sides."""
     first = site.servers[0]
     script = f"zswarm-ot servers --no-multicast --wait 2 --connect tcp/{first.address}:7467 2>&1"
-    told = site.workstation.run(f"PATH=/opt/zswarm/bin:$PATH; ZSWARM_KEYS=none {script} && exit 1 || [ $? = 4 ]")
+    told = site.workstation.run(
+        f"PATH=/opt/zswarm/bin:$PATH; ZSWARM_KEYS=none {script} && exit 1 || [ $? = 4 ]"
+    )
     assert "lets in members only" in " ".join(told.split())
     assert "it does not speak TLS" in first.run("journalctl --boot --unit zswarm-ss")
 
@@ -393,7 +461,7 @@ def test_compiled_kernels_outlive_a_restart(site: Site, alone: str) -> None:
 
 
 def test_servers_are_upgraded_during_a_run(site: Site, alone: str) -> None:
-    """A version that computes the same is used; one that does not is named and not used, and the run waits for another."""
+    """A server with equal code is used; one with other code is named and not used."""
     first, second = site.servers
     wheels = [next((site.lab.shared / "wheels").glob("zswarm-*.whl"))]
     wheels.append(rebuilt(wheels[0], "0.1.1", ""))
@@ -416,7 +484,7 @@ def test_servers_are_upgraded_during_a_run(site: Site, alone: str) -> None:
 
 
 def rebuilt(wheel: Path, version: str, line: str) -> Path:
-    """The same wheel as another version, with one more line in a file that computes."""
+    """Rebuild the wheel as another version, with one more line in a file that computes."""
     made = wheel.with_name(wheel.name.replace("0.1.0", version))
     with zipfile.ZipFile(wheel) as old, zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as new:
         for entry in old.infolist():

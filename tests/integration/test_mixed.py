@@ -1,4 +1,4 @@
-"""Servers that differ (docs/mixed.md): each run uses those that match it, names the others, and has the history it has alone."""
+"""On servers that differ each run uses those that match and names the others."""
 
 import os
 import shutil
@@ -10,15 +10,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 import zenoh
-from programs import Optimizer, Server, query, wait_until
 
 import zswarm
-from zswarm import evaluate, experiment, extras, plugins, session
-from zswarm.ot import run as runs
-from zswarm.ot.history import History
+from tests.integration.programs import Optimizer, Server, query, wait_until
+from zswarm import evaluate, experiment, session
+from zswarm.ot.build import build
+from zswarm.ot.record.history_hash import History
+from zswarm.plugins import registry as plugins
+from zswarm.plugins.version_hash import version_hash, versions
 from zswarm.protocol import codec, keys, messages
-from zswarm.version_hash import version_hash, versions
+from zswarm.system import extras
+
+pytestmark = pytest.mark.programs
 
 EXPERIMENT = """
 name = "{name}"
@@ -45,21 +50,25 @@ TRIALS = "SELECT sum(trials) FROM servers WHERE server LIKE '{}-%'"
 
 def write(folder: Path, name: str, generations: int, settings: str) -> Path:
     folder.mkdir()
-    text = EXPERIMENT.format(name=name, generations=generations, settings=settings, os=os.uname().sysname.lower())
+    text = EXPERIMENT.format(
+        name=name, generations=generations, settings=settings, os=os.uname().sysname.lower()
+    )
     (folder / "experiment.toml").write_text(text)
     return folder
 
 
 def alone(folder: Path) -> str:
-    """The history hash of a plain loop in this process."""
+    """Return the history hash of a plain loop in this process."""
     file = folder / "experiment.toml"
-    problem, optimizer = runs.build(experiment.complete(experiment.load(file), str(file)))
+    problem, optimizer = build(experiment.complete(experiment.load(file), str(file)))
     history = History()
     for generation in range(problem.experiment.generations):
         genomes = optimizer.ask()
         work = problem.workload(genomes, generation)
         everything = work.batch(np.arange(len(work.seeds)))
-        work.fitness = evaluate.evaluate(problem.simulator, problem.representation, *everything).fitness
+        work.fitness = evaluate.evaluate(
+            problem.simulator, problem.representation, *everything
+        ).fitness
         fitness = problem.total(work)
         optimizer.tell(fitness, np.empty((len(genomes), 0)))
         history.add(genomes, fitness)
@@ -67,38 +76,53 @@ def alone(folder: Path) -> str:
 
 
 def altered(folder: Path) -> str:
-    """A place for PYTHONPATH with this zswarm, but for a line of minisim's code."""
+    """Return a PYTHONPATH with this zswarm, one line of minisim changed."""
     package = folder / "zswarm"
-    shutil.copytree(Path(zswarm.__file__).parent, package, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(
+        Path(zswarm.__file__).parent, package, ignore=shutil.ignore_patterns("__pycache__")
+    )
     with (package / "sims" / "minisim.py").open("a") as code:
         code.write("# a version later\n")
     return str(folder)
 
 
 def python_without(folder: Path, *packages: str) -> str:
-    """The program of an environment that has what this one has, but for some packages."""
+    """Return an environment's Python without some of this one's packages."""
     hidden = {file.parts[0] for package in packages for file in metadata.files(package) or []}
-    site = folder / "lib" / f"python{sys.version_info.major}.{sys.version_info.minor}" / "site-packages"
+    site = (
+        folder
+        / "lib"
+        / f"python{sys.version_info.major}.{sys.version_info.minor}"
+        / "site-packages"
+    )
     site.mkdir(parents=True)
     for path in Path(sysconfig.get_path("purelib")).iterdir():
         if path.name not in hidden:
             (site / path.name).symlink_to(path)
     program = Path(sys._base_executable)
-    (folder / "pyvenv.cfg").write_text(f"home = {program.parent}\ninclude-system-site-packages = false\n")
+    (folder / "pyvenv.cfg").write_text(
+        f"home = {program.parent}\ninclude-system-site-packages = false\n"
+    )
     (folder / "bin").mkdir()
     (folder / "bin" / "python").symlink_to(program)
     return str(folder / "bin" / "python")
 
 
 def ask(server: Server, message: messages.Requirements | messages.Reserve) -> messages.Reply:
-    """What a server answers to whoever asks."""
+    """Return a server's answer to a request."""
     opened = session.open_optimizer(session.Reach([server.endpoint], multicast=False))
     name = str(server.events("server_ready")[0]["server"])
     offered = isinstance(message, messages.Requirements)
-    key = keys.offer("default", name) if offered else keys.request("default", name, "ada", "bold", "reserve")
+    key = (
+        keys.offer("default", name)
+        if offered
+        else keys.request("default", name, "ada", "bold", "reserve")
+    )
 
     def answers() -> list[bytes]:
-        got = opened.get(key, payload=codec.encode(message), target=zenoh.QueryTarget.ALL, timeout=5.0)
+        got = opened.get(
+            key, payload=codec.encode(message), target=zenoh.QueryTarget.ALL, timeout=5.0
+        )
         return [reply.ok.payload.to_bytes() for reply in got if reply.ok is not None]
 
     try:
@@ -108,29 +132,37 @@ def ask(server: Server, message: messages.Requirements | messages.Reserve) -> me
 
 
 def refusal(server: Server, simulator: str, settings: dict[str, Any]) -> str:
-    """Why a server refuses a lease to whoever did not ask for its offer first."""
+    """Return why a server refuses a lease without a previous offer."""
     message = messages.Reserve(
-        nonce=bytes(16), epoch=0, slots=1, simulator=messages.Part(simulator, settings),
-        representation=messages.Part("fully-meshed", {}), version_hash=version_hash(simulator, "fully-meshed"),
+        nonce=bytes(16),
+        epoch=0,
+        slots=1,
+        simulator=messages.Part(simulator, settings),
+        representation=messages.Part("fully-meshed", {}),
+        version_hash=version_hash(simulator, "fully-meshed"),
         trial_timeout_s=60.0,
-    )  # fmt: skip
+    )
     refused = ask(server, message)
     assert isinstance(refused, messages.Refused)
     assert refused.code == "mismatch"
     return refused.reason
 
 
-def test_each_of_two_runs_uses_the_servers_that_match_it_and_names_the_others_once(tmp_path: Path) -> None:
-    """A server for each simulator; and one of another version, one whose limits exclude, and one without the label.
+def test_each_of_two_runs_uses_the_servers_that_match_it_and_names_the_others_once(
+    tmp_path: Path,
+) -> None:
+    """A server per simulator, one of another version, one with limits, one without the label.
 
-    They refuse a lease, too, to whoever asks for one all the same; and labels and limits change when the file is read again.
+    They refuse a lease, too, to whoever asks for one all the same; and labels and limits change
+    when the file is read again.
     """
     folders = {
         "minisim": write(tmp_path / "minisim", "minisim", 10, "steps = 20\nrobots = 2"),
         "xor": write(tmp_path / "xor", "xor", 40, ""),
     }
     (tmp_path / "limited.toml").write_text(
-        'simulators = ["minisim"]\n[limits]\n"minisim.robots" = { max = 1 }\n[labels]\ngpu = "yes"\n'
+        'simulators = ["minisim"]\n[limits]\n"minisim.robots" = { max = 1 }\n[labels]\ngpu = '
+        '"yes"\n'
     )
     options = {
         "tanks": ("--simulators", "minisim", "--label", "gpu=yes"),
@@ -144,7 +176,7 @@ def test_each_of_two_runs_uses_the_servers_that_match_it_and_names_the_others_on
             "logic": "no simulator 'minisim' here; there are xor",
             "later": "another version is installed here: other code of simulator minisim; "
             "install the same, and start this server again",
-            "limited": "minisim.robots is 2; it is 1 at most here",
+            "limited": "minisim.robots is 2; this server takes at most 1",
             "bare": "the experiment requires gpu=yes (it has gpu=no)",
         },
         "xor": {
@@ -157,27 +189,47 @@ def test_each_of_two_runs_uses_the_servers_that_match_it_and_names_the_others_on
     later = altered(tmp_path / "later")
     servers = {
         name: Server(
-            tmp_path, name, capacity=1, options=told, ZSWARM_PLAIN="1", **({"PYTHONPATH": later} if name == "later" else {})
+            tmp_path,
+            name,
+            capacity=1,
+            options=told,
+            ZSWARM_PLAIN="1",
+            **({"PYTHONPATH": later} if name == "later" else {}),
         )
         for name, told in options.items()
     }
     programs: list[Optimizer] = []
     try:
-        connect = ["--no-multicast", *(f"--connect={server.ready().endpoint}" for server in servers.values())]
+        connect = [
+            "--no-multicast",
+            *(f"--connect={server.ready().endpoint}" for server in servers.values()),
+        ]
         runs_ = {
-            name: Optimizer(folder, "ot", ["run", "experiment.toml", "--json", "--servers", "1", *connect], ZSWARM_PLAIN="1")
+            name: Optimizer(
+                folder,
+                "ot",
+                ["run", "experiment.toml", "--json", "--servers", "1", *connect],
+                ZSWARM_PLAIN="1",
+            )
             for name, folder in folders.items()
         }
         programs += runs_.values()
         looks = Optimizer(
-            tmp_path, "look", ["servers", "--wait", "1", "--json", "--for", "minisim/experiment.toml", *connect], ZSWARM_PLAIN="1"
+            tmp_path,
+            "look",
+            ["servers", "--wait", "1", "--json", "--for", "minisim/experiment.toml", *connect],
+            ZSWARM_PLAIN="1",
         )
         programs.append(looks)
         refused_by_tanks = refusal(servers["tanks"], "xor", {})
-        refused_by_limited = [refusal(servers["limited"], "minisim", settings) for settings in ({"robots": 2}, {})]
+        refused_by_limited = [
+            refusal(servers["limited"], "minisim", settings) for settings in ({"robots": 2}, {})
+        ]
         hashes = {name: run.done()["history_hash"] for name, run in runs_.items()}
         assert looks.wait() == 0, looks.err.read_text()
-        (tmp_path / "limited.toml").write_text('[limits]\n"minisim.steps" = { max = 9 }\n[labels]\nroom = "b12"\n')
+        (tmp_path / "limited.toml").write_text(
+            '[limits]\n"minisim.steps" = { max = 9 }\n[labels]\nroom = "b12"\n'
+        )
         servers["limited"].kill(signal.SIGHUP)
         wait_until(lambda: servers["limited"].events("reloaded"), "its file is read again")
         refused_by_limited.append(refusal(servers["limited"], "minisim", {"steps": 10}))
@@ -187,29 +239,44 @@ def test_each_of_two_runs_uses_the_servers_that_match_it_and_names_the_others_on
             program.close()
     assert refused_by_tanks == "no simulator 'xor' here; there are minisim"
     assert refused_by_limited == [
-        *(f"minisim.robots is {robots}; it is 1 at most here" for robots in (2, 8)),
-        "minisim.steps is 10; it is 9 at most here",
+        *(f"minisim.robots is {robots}; this server takes at most 1" for robots in (2, 8)),
+        "minisim.steps is 10; this server takes at most 9",
     ]
     assert isinstance(later_offer, messages.Offer)
     assert (later_offer.labels.get("gpu"), later_offer.labels["room"]) == (None, "b12")
-    assert (later_offer.simulators, later_offer.limits) == (["minisim"], ["minisim.steps 9 at most"])
+    assert (later_offer.simulators, later_offer.limits) == (
+        ["minisim"],
+        ["minisim.steps at most 9"],
+    )
     assert hashes == {name: alone(folder) for name, folder in folders.items()}
     for name, run in runs_.items():
         told = run.err.read_text().splitlines()
         record = folders[name] / "runs" / name
         for server, why in excluded[name].items():
-            assert [line.partition(" is not used: ")[2] for line in told if line.startswith(f"{server}-")] == [why]
+            assert [
+                line.partition(" is not used: ")[2]
+                for line in told
+                if line.startswith(f"{server}-")
+            ] == [why]
             assert query(record, TRIALS.format(server)) in ([(None,)], [(0,)])
             assert query(record, MISMATCHES.format(server)) == [(why,)]
     seen = {line["server"].rpartition("-")[0]: line for line in looks.lines()}
-    assert {name: line["mismatch"] for name, line in seen.items()} == {"tanks": "", **excluded["minisim"]}
+    assert {name: line["mismatch"] for name, line in seen.items()} == {
+        "tanks": "",
+        **excluded["minisim"],
+    }
     assert next(iter(seen)) == "tanks", "who matches comes first"
-    assert (seen["limited"]["labels"]["gpu"], seen["limited"]["limits"]) == ("yes", ["minisim.robots 1 at most"])
+    assert (seen["limited"]["labels"]["gpu"], seen["limited"]["limits"]) == (
+        "yes",
+        ["minisim.robots at most 1"],
+    )
     assert {line["labels"]["name"] for line in seen.values()} == set(options)
 
 
-def test_where_the_packages_of_a_simulator_are_missing_a_line_says_what_to_install(tmp_path: Path) -> None:
-    """A server without them is not used, and plays the others all the same; an optimizer without them ends."""
+def test_missing_packages_are_reported_with_the_install_command(
+    tmp_path: Path,
+) -> None:
+    """A server without the packages is not used for this run but serves others."""
     here, common = versions("pettingzoo", "fully-meshed"), versions("minisim", "fully-meshed")
     named = plugins.libraries(plugins.source_files("simulator", "pettingzoo"))
     packages = {name: here[name] for name in named if name not in common and here[name] != "none"}
@@ -226,9 +293,11 @@ def test_where_the_packages_of_a_simulator_are_missing_a_line_says_what_to_insta
         offers = []
         for simulator in ("pettingzoo", "minisim"):
             asked = messages.Requirements(
-                simulator=simulator, representation="fully-meshed", versions=versions(simulator, "fully-meshed"),
+                simulator=simulator,
+                representation="fully-meshed",
+                versions=versions(simulator, "fully-meshed"),
                 version_hash=version_hash(simulator, "fully-meshed"),
-            )  # fmt: skip
+            )
             offers.append(ask(server, asked).mismatch)
         refused = refusal(server, "pettingzoo", {})
         assert optimizer.wait() == 2

@@ -1,9 +1,8 @@
-"""A server whose simulator is a ROS simulation: evolution is that of the bundled simulator, whatever happens to the node."""
+"""A ROS simulation evolves as the bundled simulator does, through killed nodes."""
 
 import os
 import re
 import signal
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,14 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from programs import Optimizer, Server, children, command_line, query, wait_until
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "robots"))
-from ros_here import need
-
+from tests.integration.programs import Optimizer, Server, children, command_line, query, wait_until
+from tests.ros.ros_here import need
 from zswarm import evaluate, experiment
-from zswarm.ot import run
-from zswarm.ot.history import History
+from zswarm.ot.build import build
+from zswarm.ot.record.history_hash import History
 
 pytestmark = pytest.mark.robots
 ROOM = {"robots": 2, "steps": 40, "map": "open", "epsilon": 0.5}
@@ -39,7 +36,7 @@ population = 10
 [cluster]
 trial_timeout_s = 60.0
 """
-NODE = "zswarm.ros.node"
+NODE = "zswarm.ros.simulation.node"
 
 
 def write(to: Path, simulator: str, generations: int, **settings: Any) -> Path:
@@ -50,15 +47,17 @@ def write(to: Path, simulator: str, generations: int, **settings: Any) -> Path:
 
 
 def history(to: Path, generations: int) -> tuple[str, int]:
-    """The history hash of the bundled simulator, without a server; and how many different candidates there were."""
+    """Return the bundled simulator's history hash and its number of distinct candidates."""
     file = write(to, "turtlebot-exit", generations)
-    problem, optimizer = run.build(experiment.complete(experiment.load(file), str(file)))
+    problem, optimizer = build(experiment.complete(experiment.load(file), str(file)))
     told, different = History(), set()
     for generation in range(generations):
         genomes = optimizer.ask()
         different.update(map(bytes, genomes))
         work = problem.workload(genomes, generation)
-        outcomes = evaluate.evaluate(problem.simulator, problem.representation, genomes, work.participants, work.seeds)
+        outcomes = evaluate.evaluate(
+            problem.simulator, problem.representation, genomes, work.participants, work.seeds
+        )
         fitness = outcomes.fitness[0::2, 0] + outcomes.fitness[1::2, 0]
         told.add(genomes, fitness)
         optimizer.tell(fitness, np.empty((len(genomes), 0)))
@@ -67,9 +66,18 @@ def history(to: Path, generations: int) -> tuple[str, int]:
 
 @contextmanager
 def evolving(to: Path, file: Path) -> Iterator[tuple[Server, Optimizer, Callable[[], list[int]]]]:
-    """A server of two slots, a run on it, and a look at the slots' nodes. Afterwards nothing that they started is left."""
+    """A server of two slots, a run on it, and its nodes; check that none remains."""
     server = Server(to, "ss", capacity=2)
-    arguments = ["run", str(file), "--json", "--no-multicast", "--servers", "1", "--connect", server.endpoint]
+    arguments = [
+        "run",
+        str(file),
+        "--json",
+        "--no-multicast",
+        "--servers",
+        "1",
+        "--connect",
+        server.endpoint,
+    ]
     optimizer = Optimizer(to, "ot", arguments)
     started: set[int] = set()
 
@@ -85,11 +93,17 @@ def evolving(to: Path, file: Path) -> Iterator[tuple[Server, Optimizer, Callable
         optimizer.close()
         server.kill(signal.SIGTERM)
         server.wait()
-        wait_until(lambda: not any(re.search("zswarm|rosmaster", command_line(one)) for one in started), "all have ended", 20)
+        wait_until(
+            lambda: not any(re.search("zswarm|rosmaster", command_line(one)) for one in started),
+            "all have ended",
+            20,
+        )
 
 
 @pytest.mark.parametrize("link", ["zenoh", "rospy", "rclpy"])
-def test_a_run_in_ros_is_that_of_the_bundled_simulator_though_a_node_is_killed(link: str, tmp_path: Path) -> None:
+def test_a_run_in_ros_is_that_of_the_bundled_simulator_though_a_node_is_killed(
+    link: str, tmp_path: Path
+) -> None:
     need(link)
     generations = 6
     expected, different = history(tmp_path, generations)
@@ -97,29 +111,40 @@ def test_a_run_in_ros_is_that_of_the_bundled_simulator_though_a_node_is_killed(l
     with evolving(tmp_path, file) as (server, optimizer, nodes):
         record = tmp_path / "runs" / "room"
         wait_until(
-            lambda: len(query(record, "SELECT 1 FROM outcomes")) > 20 or optimizer.process.poll() is not None, "some are there"
+            lambda: (
+                len(query(record, "SELECT 1 FROM outcomes")) > 20
+                or optimizer.process.poll() is not None
+            ),
+            "some are there",
         )
         assert optimizer.process.poll() is None, optimizer.err.read_text()
         os.kill(nodes()[0], signal.SIGKILL)
         done = optimizer.done()
         (died,) = server.events("slot_died")
     assert re.search(
-        "simulator 'turtlebot-exit-ros', trial seed [0-9]+: the simulation node was killed by signal 9", died["reason"]
+        "simulator 'turtlebot-exit-ros', trial seed [0-9]+: the simulation node was killed by "
+        "signal 9",
+        died["reason"],
     )
     assert done["history_hash"] == expected
     assert done["requeued"] > 0
     assert done["evaluations"] == different, "each once"
 
 
-def test_a_simulation_that_hangs_is_a_fault_and_the_run_goes_on(tmp_path: Path) -> None:
-    """A node is stopped, as if the machine held it up; the slot gives up on it and starts another one."""
+def test_a_hanging_simulation_is_a_fault_and_the_run_continues(tmp_path: Path) -> None:
+    """A stopped node, as on an overloaded machine, is replaced by another."""
     need("zenoh")
     expected, _ = history(tmp_path, 4)
     file = write(tmp_path, "turtlebot-exit-ros", 4, deadline_s=2.0)
     with evolving(tmp_path, file) as (server, optimizer, nodes):
-        wait_until(lambda: query(tmp_path / "runs" / "room", "SELECT 1 FROM outcomes"), "some trials are counted")
+        wait_until(
+            lambda: query(tmp_path / "runs" / "room", "SELECT 1 FROM outcomes"),
+            "some trials are counted",
+        )
         os.kill(nodes()[0], signal.SIGSTOP)
         done = optimizer.done()
         (died,) = server.events("slot_died")
-    assert re.search(r"no scan and pose of robot [01, ]+ at [\d.]+ s within 2 s \(deadline_s\)", died["reason"])
+    assert re.search(
+        r"no scan and pose of robot [01, ]+ at [\d.]+ s within 2 s \(deadline_s\)", died["reason"]
+    )
     assert done["history_hash"] == expected

@@ -1,10 +1,11 @@
-"""The program ``zswarm-router``: one line when it is up, one line when something is wrong, an exit code for each end."""
+"""``zswarm-router`` prints one line when it is up and one for an error."""
 
 import signal
 from pathlib import Path
 
 import pytest
-from programs import Program, free_port, wait_until
+
+from tests.integration.programs import Program, free_port, wait_until
 
 
 def router(folder: Path, name: str, *options: str) -> Program:
@@ -21,7 +22,9 @@ def test_a_signal_ends_it_cleanly(tmp_path: Path, number: int, code: int) -> Non
         assert (ready[0]["listen"], ready[0]["multicast"]) == ([place], False)
         program.kill(number)
         assert program.wait() == code
-        assert len(program.err.read_text().splitlines()) == 3, "in_the_clear, router_ready and router_stopped"
+        assert len(program.err.read_text().splitlines()) == 3, (
+            "in_the_clear, router_ready and router_stopped"
+        )
         assert program.events("router_stopped")
     finally:
         program.close()
@@ -31,13 +34,20 @@ def test_a_signal_ends_it_cleanly(tmp_path: Path, number: int, code: int) -> Non
     ("config", "options", "code", "words"),
     [
         ("", ("--listen", "nonsense"), 2, "listen: expected endpoints such as"),
-        ("listen = ['tcp/127.0.0.1:port']", ("--config", "router.toml"), 78, "the port must be a number"),
+        (
+            "listen = ['tcp/127.0.0.1:port']",
+            ("--config", "router.toml"),
+            78,
+            "the port must be a number",
+        ),
         ("lisen = []", ("--config", "router.toml"), 78, "did you mean 'listen'"),
         ("multicast = 3", ("--config", "router.toml"), 78, "multicast: expected bool"),
         ("=", ("--config", "router.toml"), 78, "router.toml"),
     ],
 )
-def test_a_mistake_is_named_in_one_line(tmp_path: Path, config: str, options: tuple[str, ...], code: int, words: str) -> None:
+def test_a_mistake_is_named_in_one_line(
+    tmp_path: Path, config: str, options: tuple[str, ...], code: int, words: str
+) -> None:
     (tmp_path / "router.toml").write_text(config)
     program = router(tmp_path, "router", "--no-multicast", *options)
     assert program.wait() == code

@@ -1,24 +1,28 @@
-"""Runs with real processes on loopback: whatever the servers and the optimizer go through, the result is the same."""
+"""Runs with real processes on loopback give the same result through any failure."""
 
 import signal
 from pathlib import Path
 
-import evacuation
 import pytest
-from evacuation import COUNTED, TRIALS
-from programs import Optimizer, Server, free_port, query, wait_until
-from promise import check_run
+
+from tests.integration import evacuation
+from tests.integration.evacuation import COUNTED, TRIALS
+from tests.integration.programs import Optimizer, Server, free_port, query, wait_until
+from tests.promise.promise import check_run
 
 STEPS = 3_000  # a run takes some seconds: long enough to disturb it
-ALONE = "4f59c4480f0bd4ba1aee798341bf9694"  # the history hash of the experiment when nothing happens to it, made once
+# The history hash of the experiment when nothing happens to it, made once
+ALONE = "4f59c4480f0bd4ba1aee798341bf9694"
 
 
 def run(folder: Path, name: str, *options: str) -> Optimizer:
-    return Optimizer(folder, name, ["run", evacuation.write(folder, "disturbed", STEPS), "--json", *options])
+    return Optimizer(
+        folder, name, ["run", evacuation.write(folder, "disturbed", STEPS), "--json", *options]
+    )
 
 
 def remote(*servers: Server, wait: int = 0) -> list[str]:
-    """Options that use these servers and no other."""
+    """Return options that use only these servers."""
     return [
         "--no-multicast",
         "--servers",
@@ -32,11 +36,16 @@ def counted(folder: Path) -> int:
     return int(rows[0][0]) if rows else 0
 
 
-def test_killed_servers_and_a_late_one_leave_the_history_as_it_is(tmp_path: Path) -> None:
-    """One is killed, the others go on; then these are killed, and what is left is done by one that starts only now."""
+def test_killed_and_late_servers_do_not_change_the_history(tmp_path: Path) -> None:
+    """Kill one server, then the others; a server that starts late finishes the work."""
     servers = [Server(tmp_path, f"ss-{number}", capacity=1) for number in range(3)]
     late_port = free_port()
-    optimizer = run(tmp_path, "ot", *remote(*[server.ready() for server in servers]), f"--connect=tcp/127.0.0.1:{late_port}")
+    optimizer = run(
+        tmp_path,
+        "ot",
+        *remote(*[server.ready() for server in servers]),
+        f"--connect=tcp/127.0.0.1:{late_port}",
+    )
     record = tmp_path / "runs" / "disturbed"
     programs = [*servers, optimizer]
     try:
@@ -62,7 +71,7 @@ def test_killed_servers_and_a_late_one_leave_the_history_as_it_is(tmp_path: Path
     assert check_run(record).history_hash == ALONE
 
 
-def test_a_killed_optimizer_goes_on_and_repeats_nothing(tmp_path: Path) -> None:
+def test_a_killed_optimizer_resumes_and_repeats_nothing(tmp_path: Path) -> None:
     server = Server(tmp_path, "ss")
     try:
         killed = run(tmp_path, "killed", *remote(server))
@@ -70,7 +79,9 @@ def test_a_killed_optimizer_goes_on_and_repeats_nothing(tmp_path: Path) -> None:
         killed.kill()
         killed.wait()
         before = counted(tmp_path)
-        done = Optimizer(tmp_path, "resumed", ["resume", "runs/disturbed", "--json", *remote(server)]).done()
+        done = Optimizer(
+            tmp_path, "resumed", ["resume", "runs/disturbed", "--json", *remote(server)]
+        ).done()
         taken_over = server.events("lease_taken_over")
     finally:
         server.close()
@@ -81,16 +92,22 @@ def test_a_killed_optimizer_goes_on_and_repeats_nothing(tmp_path: Path) -> None:
     assert check_run(tmp_path / "runs" / "disturbed").history_hash == ALONE
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.long)])
-def test_a_stopped_optimizer_says_how_to_go_on(tmp_path: Path, number: int, code: int) -> None:
+@pytest.mark.parametrize(
+    ("number", "code"),
+    [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.long)],
+)
+def test_a_stopped_optimizer_prints_how_to_resume(tmp_path: Path, number: int, code: int) -> None:
     stopped = run(tmp_path, "stopped", "--servers", "local")
     wait_until(lambda: counted(tmp_path) > 100, "some trials are counted")
     stopped.kill(number)
     assert stopped.wait() == code
     assert "zswarm-ot resume runs/disturbed" in stopped.err.read_text()
     assert "Traceback" not in stopped.err.read_text()
-    (tmp_path / "runs" / "disturbed" / "fitness.png").unlink(missing_ok=True)  # a picture, if a generation was finished
-    done = Optimizer(tmp_path, "resumed", ["resume", "runs/disturbed", "--json", "--servers", "local"]).done()
+    (tmp_path / "runs" / "disturbed" / "fitness.png").unlink(
+        missing_ok=True
+    )  # a picture, if a generation was finished
+    arguments = ["resume", "runs/disturbed", "--json", "--servers", "local"]
+    done = Optimizer(tmp_path, "resumed", arguments, picture=True).done()
     assert done["history_hash"] == ALONE
     assert counted(tmp_path) == TRIALS
     assert check_run(tmp_path / "runs" / "disturbed").history_hash == ALONE
@@ -114,7 +131,7 @@ def test_two_optimizers_of_one_user_share_the_servers_and_both_finish(tmp_path: 
 
 
 @pytest.mark.long
-def test_runs_that_wait_for_a_slot_get_it_in_the_order_in_which_they_came(tmp_path: Path) -> None:
+def test_waiting_runs_get_slots_in_order_of_arrival(tmp_path: Path) -> None:
     server = Server(tmp_path, "ss", capacity=1).ready()
     short = ["--set", "generations=1"]
     folders = [tmp_path / name for name in ("first", "second", "third")]
@@ -123,7 +140,9 @@ def test_runs_that_wait_for_a_slot_get_it_in_the_order_in_which_they_came(tmp_pa
         for number, folder in enumerate(folders):
             folder.mkdir()
             optimizers.append(run(folder, "ot", *remote(server), *([] if number == 0 else short)))
-            wait_until(lambda number=number: len(server.events("lease_granted")) > number, "it has a lease")
+            wait_until(
+                lambda number=number: len(server.events("lease_granted")) > number, "it has a lease"
+            )
         optimizers[0].kill(signal.SIGINT)
         assert optimizers[0].wait() == 130
         for optimizer in optimizers[1:]:
@@ -131,19 +150,24 @@ def test_runs_that_wait_for_a_slot_get_it_in_the_order_in_which_they_came(tmp_pa
     finally:
         for program in (server, *optimizers):
             program.close()
-    spans = [query(folder / "runs" / "disturbed", "SELECT min(at), max(at) FROM outcomes")[0] for folder in folders]
+    spans = [
+        query(folder / "runs" / "disturbed", "SELECT min(at), max(at) FROM outcomes")[0]
+        for folder in folders
+    ]
     assert spans[0][1] < spans[1][0], "the second run had a slot before the first gave it back"
     assert spans[1][1] < spans[2][0], "the third run was served before the second"
 
 
-def test_a_drained_server_finishes_what_runs_and_exits(tmp_path: Path) -> None:
+def test_a_drained_server_finishes_running_work_and_exits(tmp_path: Path) -> None:
     servers = [Server(tmp_path, f"ss-{number}") for number in range(2)]
     optimizer = run(tmp_path, "ot", *remote(*[server.ready() for server in servers]))
     try:
         wait_until(lambda: counted(tmp_path) > 100, "some trials are counted")
         servers[0].kill(signal.SIGTERM)
         assert servers[0].wait() == 143
-        assert [event["event"] for event in servers[0].events("server_stopped")] == ["server_stopped"]
+        assert [event["event"] for event in servers[0].events("server_stopped")] == [
+            "server_stopped"
+        ]
         assert not servers[0].events("drain_cut_short")
         assert optimizer.done()["history_hash"] == ALONE
     finally:
@@ -154,7 +178,14 @@ def test_a_drained_server_finishes_what_runs_and_exits(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_fresh_seeds_and_local_slots_give_the_same_for_any_number_of_slots(tmp_path: Path) -> None:
-    small = ["--set", "problem.seeds=fresh", "--set", "problem.settings.steps=50", "--servers", "local"]
+    small = [
+        "--set",
+        "problem.seeds=fresh",
+        "--set",
+        "problem.settings.steps=50",
+        "--servers",
+        "local",
+    ]
     hashes = set()
     for slots in (1, 3):
         options = [*small, "--set", f"cluster.local_slots={slots}", "--out", f"out-{slots}"]

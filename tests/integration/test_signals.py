@@ -1,18 +1,21 @@
-"""SIGKILL and SIGSTOP of everything that runs, in the middle of a batch: the history is that of an undisturbed run."""
+"""SIGKILL and SIGSTOP of any process in the middle of a batch keep the history."""
 
 import os
 import shutil
 import signal
 
 import pytest
-from paced import Scene, Undisturbed
-from programs import status, wait_until
+
+from tests.integration.paced import Scene, Undisturbed
+from tests.integration.programs import status, wait_until
 
 pytestmark = pytest.mark.faults
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_what_a_killed_or_stopped_server_had_goes_elsewhere(scene: Scene, undisturbed: Undisturbed, number: int) -> None:
+def test_trials_of_a_killed_or_stopped_server_move_to_another(
+    scene: Scene, undisturbed: Undisturbed, number: int
+) -> None:
     victim, pace = scene.server("victim")
     other, _ = scene.server("other")
     pace.arm()
@@ -30,7 +33,9 @@ def test_what_a_killed_or_stopped_server_had_goes_elsewhere(scene: Scene, undist
     assert "victim-" in optimizer.err.read_text()
 
 
-def test_a_stopped_server_that_goes_on_is_used_again(scene: Scene, undisturbed: Undisturbed) -> None:
+def test_a_stopped_server_that_resumes_is_used_again(
+    scene: Scene, undisturbed: Undisturbed
+) -> None:
     victim, pace = scene.server("victim")
     other, others_pace = scene.server("other")
     pace.arm()
@@ -39,7 +44,9 @@ def test_a_stopped_server_that_goes_on_is_used_again(scene: Scene, undisturbed: 
     pace.held()
     others_pace.held()
     scene.stop(victim.process.pid)
-    wait_until(lambda: scene.events("server_left", "victim"), "the stopped server is taken for gone")
+    wait_until(
+        lambda: scene.events("server_left", "victim"), "the stopped server is taken for gone"
+    )
     scene.go_on(victim.process.pid)
     pace.let_go()
     scene.wait_for_more("victim")
@@ -48,7 +55,7 @@ def test_a_stopped_server_that_goes_on_is_used_again(scene: Scene, undisturbed: 
     assert victim.process.poll() is None
 
 
-def test_a_killed_slot_costs_one_trial_an_attempt(scene: Scene, undisturbed: Undisturbed) -> None:
+def test_a_killed_slot_costs_one_trial_one_attempt(scene: Scene, undisturbed: Undisturbed) -> None:
     server, pace = scene.server("ss", capacity=2)
     pace.arm()
     optimizer = scene.optimizer(server.endpoint)
@@ -58,12 +65,16 @@ def test_a_killed_slot_costs_one_trial_an_attempt(scene: Scene, undisturbed: Und
     scene.check(optimizer.done(), undisturbed)
     faults = scene.events("fault")
     assert len(faults) == 1
-    assert faults[0].startswith("crashed: simulator paced: the slot's process was killed by signal 9 (")
+    assert faults[0].startswith(
+        "crashed: simulator paced: the slot's process was killed by signal 9 ("
+    )
     assert faults[0].endswith(", attempt 1)")
     assert len(server.workers()) == 2, "the slot has a new process"
 
 
-def test_a_stopped_slot_is_killed_at_the_trials_timeout_and_blames_one_trial(scene: Scene, undisturbed: Undisturbed) -> None:
+def test_a_stopped_slot_is_killed_at_the_trials_timeout_and_blames_one_trial(
+    scene: Scene, undisturbed: Undisturbed
+) -> None:
     scene.size = scene.size._replace(trial_timeout_s=3.0)
     server, pace = scene.server("ss", capacity=2)
     pace.arm()
@@ -75,11 +86,15 @@ def test_a_stopped_slot_is_killed_at_the_trials_timeout_and_blames_one_trial(sce
     assert status(held) is None, "a stopped process was left behind"
     faults = scene.events("fault")
     assert len(faults) == 1
-    assert faults[0].startswith("timeout: simulator paced: one trial took longer than 3 s (cluster.trial_timeout_s) (trial ")
+    assert faults[0].startswith(
+        "timeout: simulator paced: one trial took longer than 3 s (cluster.trial_timeout_s) (trial "
+    )
     assert [event["kind"] for event in server.events("slot_died")] == ["timeout"]
 
 
-def test_a_slot_that_was_stopped_for_less_than_the_timeout_costs_nothing(scene: Scene, undisturbed: Undisturbed) -> None:
+def test_a_slot_that_was_stopped_for_less_than_the_timeout_costs_nothing(
+    scene: Scene, undisturbed: Undisturbed
+) -> None:
     server, pace = scene.server("ss", capacity=2)
     pace.arm()
     optimizer = scene.optimizer(server.endpoint)
@@ -94,7 +109,9 @@ def test_a_slot_that_was_stopped_for_less_than_the_timeout_costs_nothing(scene: 
     assert len(pace.played()) == undisturbed.trials, "a trial was played twice"
 
 
-def test_a_killed_fork_server_takes_its_slots_along_and_all_are_replaced(scene: Scene, undisturbed: Undisturbed) -> None:
+def test_slots_of_a_killed_fork_server_end_and_are_replaced(
+    scene: Scene, undisturbed: Undisturbed
+) -> None:
     server, pace = scene.server("ss", capacity=2)
     pace.arm()
     optimizer = scene.optimizer(server.endpoint)
@@ -111,7 +128,9 @@ def test_a_killed_fork_server_takes_its_slots_along_and_all_are_replaced(scene: 
     assert server.process.poll() is None
 
 
-def test_a_stopped_fork_server_is_missed_only_when_a_slot_needs_a_process(scene: Scene, undisturbed: Undisturbed) -> None:
+def test_a_stopped_fork_server_is_reported_when_a_slot_needs_a_process(
+    scene: Scene, undisturbed: Undisturbed
+) -> None:
     server, pace = scene.server("ss")
     other, others_pace = scene.server("other")
     pace.set(0.1)
@@ -135,7 +154,9 @@ def test_a_stopped_fork_server_is_missed_only_when_a_slot_needs_a_process(scene:
     assert server.process.poll() is None
 
 
-def test_a_copy_that_is_resumed_takes_over_from_a_stopped_optimizer(scene: Scene, undisturbed: Undisturbed) -> None:
+def test_a_copy_that_is_resumed_takes_over_from_a_stopped_optimizer(
+    scene: Scene, undisturbed: Undisturbed
+) -> None:
     """The stopped one goes on later: it ends with one line, and its record is as good as before."""
     server, pace = scene.server("ss", capacity=2)
     old = scene.optimizer(server.endpoint)
@@ -153,7 +174,7 @@ def test_a_copy_that_is_resumed_takes_over_from_a_stopped_optimizer(scene: Scene
     assert old.wait() == 1
     *_, reason, last = old.err.read_text().splitlines()
     assert reason.startswith("zswarm-ot: ss-")
-    assert last.startswith("stopped; nothing is lost. Go on with: ")
+    assert last.startswith("stopped; nothing is lost. Resume with: ")
     assert reason.endswith("the run was taken over: its epoch is 1, not 0")
     assert "Traceback" not in old.err.read_text()
     assert kept <= scene.counted() < undisturbed.trials

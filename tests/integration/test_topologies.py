@@ -1,17 +1,19 @@
 """Topologies (docs/network.md): real programs on networks of namespaces.
 
-However servers are reached, and whatever happens to the router, the result is that of a run on one machine.
+However servers are reached, and whatever happens to the router, the result is that of a run on one
+machine.
 """
 
 import signal
 from collections.abc import Iterator
 from pathlib import Path
 
-import evacuation
 import pytest
-from evacuation import COUNTED, TRIALS
-from lab import Host, Lab
-from programs import Optimizer, Program, query, wait_until
+
+from tests.integration import evacuation
+from tests.integration.evacuation import COUNTED, TRIALS
+from tests.integration.lab import Host, Lab
+from tests.integration.programs import Optimizer, Program, query, wait_until
 
 pytestmark = pytest.mark.faults
 
@@ -34,12 +36,25 @@ class Site:
         evacuation.write(folder, "linked", STEPS)
 
     def server(self, host: Host, *options: str) -> Program:
-        arguments = ["-m", "zswarm.ss", "--capacity", "1", "--name", f"ss-{len(self.programs)}", *options]
-        return self._ready(Program(self.folder, f"ss-{len(self.programs)}", arguments, host.inside), "server_ready")
+        arguments = [
+            "-m",
+            "zswarm.ss",
+            "--capacity",
+            "1",
+            "--name",
+            f"ss-{len(self.programs)}",
+            *options,
+        ]
+        return self._ready(
+            Program(self.folder, f"ss-{len(self.programs)}", arguments, host.inside), "server_ready"
+        )
 
     def router(self, host: Host, *options: str) -> Program:
         arguments = ["-m", "zswarm.router", *options]
-        return self._ready(Program(self.folder, f"router-{len(self.programs)}", arguments, host.inside), "router_ready")
+        return self._ready(
+            Program(self.folder, f"router-{len(self.programs)}", arguments, host.inside),
+            "router_ready",
+        )
 
     def optimizer(self, host: Host, *arguments: str) -> Optimizer:
         started = Optimizer(self.folder, f"ot-{len(self.programs)}", list(arguments), host.inside)
@@ -47,7 +62,9 @@ class Site:
         return started
 
     def run(self, host: Host, *options: str, servers: str = "2") -> Optimizer:
-        return self.optimizer(host, "run", "experiment.toml", "--json", "--servers", servers, *options)
+        return self.optimizer(
+            host, "run", "experiment.toml", "--json", "--servers", servers, *options
+        )
 
     def counted(self, sql: str = COUNTED) -> int:
         rows = query(self.folder / "runs" / "linked", sql)
@@ -59,7 +76,10 @@ class Site:
 
     def _ready(self, program: Program, event: str) -> Program:
         self.programs.append(program)
-        wait_until(lambda: program.events(event) or program.process.poll() is not None, f"{program.err} says {event}")
+        wait_until(
+            lambda: program.events(event) or program.process.poll() is not None,
+            f"{program.err} says {event}",
+        )
         assert program.process.poll() is None, program.err.read_text()
         return program
 
@@ -74,17 +94,23 @@ def site(tmp_path: Path) -> Iterator[Site]:
 
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """The history hash of the experiment on one slot of this machine."""
+    """Return the history hash of the experiment on one local slot."""
     folder = tmp_path_factory.mktemp("alone")
     evacuation.write(folder, "linked", STEPS)
     options = ["--servers", "local", "--set", "cluster.local_slots=1"]
-    return str(Optimizer(folder, "alone", ["run", "experiment.toml", "--json", *options]).done()["history_hash"])
+    return str(
+        Optimizer(folder, "alone", ["run", "experiment.toml", "--json", *options]).done()[
+            "history_hash"
+        ]
+    )
 
 
 # ---- found directly
 
 
-def test_servers_of_a_plain_lan_are_found_without_an_option(lab: Lab, site: Site, alone: str) -> None:
+def test_servers_of_a_plain_lan_are_found_without_an_option(
+    lab: Lab, site: Site, alone: str
+) -> None:
     lan = lab.network()
     for _ in range(2):
         site.server(lab.host(lan))
@@ -92,7 +118,9 @@ def test_servers_of_a_plain_lan_are_found_without_an_option(lab: Lab, site: Site
     assert site.counted(SERVED) == 2
 
 
-def test_servers_of_a_plain_lan_that_start_after_the_optimizer_are_found(lab: Lab, site: Site, alone: str) -> None:
+def test_servers_of_a_plain_lan_that_start_after_the_optimizer_are_found(
+    lab: Lab, site: Site, alone: str
+) -> None:
     """They do the whole rest: the one that was there first is killed before they start."""
     lan = lab.network()
     first = site.server(lab.host(lan))
@@ -118,8 +146,10 @@ def test_given_endpoints_need_no_multicast(lab: Lab, site: Site, alone: str) -> 
 # ---- a router
 
 
-def test_a_router_introduces_servers_and_may_die_in_the_middle(lab: Lab, site: Site, alone: str) -> None:
-    """The data goes direct: without the router the run goes on. Back again, it introduces a server that started meanwhile."""
+def test_a_router_introduces_servers_and_may_die_in_the_middle(
+    lab: Lab, site: Site, alone: str
+) -> None:
+    """Data flows directly without the router; back again, it introduces a new server."""
     lan = lab.network()
     middle, *hosts = [lab.host(lan) for _ in range(4)]
     options = ["--no-multicast", f"--connect=tcp/{middle.address}:7466"]
@@ -139,12 +169,14 @@ def test_a_router_introduces_servers_and_may_die_in_the_middle(lab: Lab, site: S
 
 
 def beyond(lab: Lab) -> tuple[Host, list[Host], Host]:
-    """A router with a leg in each of two networks, two hosts for servers in one, and a host for the optimizer in the other."""
+    """A router between two networks, two servers' hosts in one, the optimizer's in the other."""
     inner, outer = lab.network(), lab.network()
     return lab.host(inner, outer), [lab.host(inner) for _ in range(2)], lab.host(outer)
 
 
-def test_a_router_carries_everything_and_may_be_restarted_in_the_middle(lab: Lab, site: Site, alone: str) -> None:
+def test_a_router_carries_everything_and_may_be_restarted_in_the_middle(
+    lab: Lab, site: Site, alone: str
+) -> None:
     middle, hosts, workstation = beyond(lab)
     router = site.router(middle, "--no-multicast")
     for host in hosts:
@@ -154,7 +186,10 @@ def test_a_router_carries_everything_and_may_be_restarted_in_the_middle(lab: Lab
     site.wait_counted(100)
     router.kill()
     router.wait()
-    wait_until(lambda: "no server computes now" in optimizer.err.read_text(), "the optimizer misses its servers")
+    wait_until(
+        lambda: "no server computes now" in optimizer.err.read_text(),
+        "the optimizer misses its servers",
+    )
     assert site.counted() < TRIALS
     site.router(middle, "--no-multicast")
     assert optimizer.done()["history_hash"] == alone
@@ -165,7 +200,11 @@ def test_a_router_that_multicast_finds_may_start_after_the_optimizer(lab: Lab, s
     """Until then the optimizer's own slots compute, and it takes what comes through the router."""
     middle, hosts, workstation = beyond(lab)
     optimizer = site.run(
-        workstation, "--through-router", "--set=cluster.local_slots=1", "--set=generations=100000", servers="auto"
+        workstation,
+        "--through-router",
+        "--set=cluster.local_slots=1",
+        "--set=generations=100000",
+        servers="auto",
     )
     wait_until(site.counted, "its own slots compute")
     site.router(middle)
@@ -179,7 +218,7 @@ def test_a_router_that_multicast_finds_may_start_after_the_optimizer(lab: Lab, s
 
 
 def findings(optimizer: Optimizer) -> list[str]:
-    """What ``servers --json`` found wrong."""
+    """Return the findings of ``servers --json``."""
     assert optimizer.wait() == 4, optimizer.err.read_text()
     assert optimizer.lines() == []
     first, *rest = " ".join(optimizer.err.read_text().split()).split(" - ")
@@ -191,20 +230,25 @@ def look(site: Site, host: Host, *options: str) -> list[str]:
     return findings(site.optimizer(host, "servers", "--json", "--wait", "2", *options))
 
 
-def test_servers_beyond_a_router_are_named_with_the_option_that_reaches_them(lab: Lab, site: Site) -> None:
+def test_servers_beyond_a_router_are_named_with_the_option_that_reaches_them(
+    lab: Lab, site: Site
+) -> None:
     middle, hosts, workstation = beyond(lab)
     site.router(middle)
     server = site.server(hosts[0], "--no-multicast", f"--connect=tcp/{middle.address}:7466")
     name, outside = server.events("server_ready")[0]["server"], f"tcp/{middle.addresses[1]}:7466"
     expected = (
-        f"{outside}: this router sees {name}, which cannot be dialled from here: set through_router = true (--through-router)"
+        f"{outside}: this router sees {name}, which cannot be dialled from here: "
+        "set through_router = true (--through-router)"
     )
     assert look(site, workstation, "--no-multicast", "--connect", outside) == [expected]
     assert look(site, workstation) == [expected], "multicast finds the router"
     failed = site.run(workstation, "--no-multicast", "--connect", outside, servers="1")
     assert failed.wait() == 4
     assert expected in failed.err.read_text().splitlines()
-    seen = site.optimizer(workstation, "servers", "--json", "--through-router", "--no-multicast", "--connect", outside)
+    seen = site.optimizer(
+        workstation, "servers", "--json", "--through-router", "--no-multicast", "--connect", outside
+    )
     assert seen.wait() == 0
     assert [line["server"] for line in seen.lines()] == [name]
 
@@ -223,28 +267,40 @@ def test_each_endpoint_that_leads_nowhere_is_named_with_the_reason(lab: Lab, sit
     assert list(reasons) == ends
     for end, words in zip(
         ends,
-        ["connection refused", "no zswarm", "no server is connected to it", "No route", "unreachable", "not known"],
+        [
+            "connection refused",
+            "no zswarm",
+            "no server is connected to it",
+            "No route",
+            "unreachable",
+            "not known",
+        ],
         strict=True,
     ):
         assert words in reasons[end]
 
 
-def test_nobody_to_look_for_and_no_way_to_look_are_named(lab: Lab, site: Site) -> None:
+def test_missing_endpoints_and_missing_multicast_are_reported(lab: Lab, site: Site) -> None:
     lan = lab.network()
-    assert look(site, lab.host(lan), "--no-multicast")[0].startswith("multicast is off and connect is empty")
+    assert look(site, lab.host(lan), "--no-multicast")[0].startswith(
+        "multicast is off and connect is empty"
+    )
     assert look(site, lab.host(lan))[0].startswith("no server answers to multicast")
-    assert look(site, lab.host())[0].startswith("multicast does not work on this machine: no network interface")
+    assert look(site, lab.host())[0].startswith(
+        "multicast does not work on this machine: no network interface"
+    )
 
 
 def test_servers_of_another_realm_are_named_with_the_option(lab: Lab, site: Site) -> None:
     lan = lab.network()
     site.server(lab.host(lan), "--realm", "lab7")
     assert look(site, lab.host(lan)) == [
-        "1 server in realm lab7, none in default: use --realm lab7, or start servers with --realm default"
+        "1 server in realm lab7, none in default: use --realm lab7, or start servers with --realm "
+        "default"
     ]
 
 
-def test_a_server_that_cannot_be_found_by_multicast_says_so(lab: Lab, site: Site) -> None:
+def test_a_server_without_multicast_logs_it(lab: Lab, site: Site) -> None:
     assert site.server(lab.host()).events("multicast_unavailable")
     assert site.router(lab.host()).events("multicast_unavailable")
     assert not site.server(lab.host(lab.network())).events("multicast_unavailable")

@@ -1,4 +1,4 @@
-"""The controller at the optimizer, with real processes: the history is that of controllers that travel, whatever happens."""
+"""A controller at the optimizer gives the history of controllers that travel."""
 
 import os
 import signal
@@ -6,9 +6,20 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from programs import Optimizer, Program, Server, free_port, query, status, wait_until
-from promise import check_run
-from proxy import Proxy
+
+from tests.integration.programs import (
+    Optimizer,
+    Program,
+    Server,
+    free_port,
+    query,
+    status,
+    wait_until,
+)
+from tests.integration.proxy import Proxy
+from tests.promise.promise import check_run
+
+pytestmark = pytest.mark.programs
 
 EXPERIMENT = """
 name = "asked"
@@ -28,10 +39,16 @@ ASKED = '--set=cluster.controller="optimizer"'
 EACH_AGENT = '--set=cluster.messages="agent"'
 
 
-def play(folder: Path, name: str, *options: str, simulator: str = "minisim", trials: int = 1) -> Optimizer:
+def play(
+    folder: Path, name: str, *options: str, simulator: str = "minisim", trials: int = 1
+) -> Optimizer:
     file = folder / "experiment.toml"
     file.write_text(EXPERIMENT.format(simulator=simulator, trials=trials))
-    return Optimizer(folder, name, ["run", str(file), "--json", "--no-multicast", f"--out={folder / name}", *options])
+    return Optimizer(
+        folder,
+        name,
+        ["run", str(file), "--json", "--no-multicast", f"--out={folder / name}", *options],
+    )
 
 
 def local(slots: int) -> tuple[str, ...]:
@@ -43,8 +60,12 @@ def remote(*servers: Server) -> tuple[str, ...]:
 
 
 def reference(folder: Path, simulator: str, trials: int) -> str:
-    """The history hash of controllers that travel."""
-    return str(play(folder, "reference", *local(1), simulator=simulator, trials=trials).done()["history_hash"])
+    """Return the history hash of controllers that travel."""
+    return str(
+        play(folder, "reference", *local(1), simulator=simulator, trials=trials).done()[
+            "history_hash"
+        ]
+    )
 
 
 def counted(folder: Path, name: str) -> int:
@@ -52,38 +73,50 @@ def counted(folder: Path, name: str) -> int:
     return int(rows[0][0]) if rows else 0
 
 
-def test_the_history_is_that_of_controllers_that_travel(tmp_path: Path) -> None:
-    """And the run says in one line which way it goes; a question for all agents of a turn, and for each agent."""
+def test_the_history_is_that_of_controllers_at_the_servers(tmp_path: Path) -> None:
+    """The run names its way in one line: a question per turn, or per agent."""
     expected = reference(tmp_path, "minisim", 1)
     for name, options in (("turn", ()), ("agent", (EACH_AGENT,))):
         optimizer = play(tmp_path, name, ASKED, *options, *local(2))
         assert optimizer.done()["history_hash"] == expected
         said = [line for line in optimizer.err.read_text().splitlines() if "controllers" in line]
-        assert said == [f"the controllers stay in this program: servers ask it, a question for each {name}"]
+        assert said == [
+            f"the controllers stay in this program: servers ask it a question for each {name}"
+        ]
 
 
 @pytest.mark.faults
 @pytest.mark.parametrize("options", [(), (EACH_AGENT,)])
-def test_worlds_in_which_agents_act_one_after_another_have_the_same_history(tmp_path: Path, options: tuple[str, ...]) -> None:
+def test_simulators_with_sequential_agents_have_the_same_history(
+    tmp_path: Path, options: tuple[str, ...]
+) -> None:
     """As have those whose settings differ by trial."""
     more = ("--set=problem.settings.agents={from = 3, to = 6}", *local(2))
     travelled = play(tmp_path, "travelled", *more, simulator="emergency-exit", trials=2).done()
-    asked = play(tmp_path, "asked", ASKED, *options, *more, simulator="emergency-exit", trials=2).done()
+    asked = play(
+        tmp_path, "asked", ASKED, *options, *more, simulator="emergency-exit", trials=2
+    ).done()
     assert asked["history_hash"] == travelled["history_hash"]
 
 
 @pytest.mark.faults
-def test_servers_that_are_killed_in_the_middle_of_trials_leave_the_history_as_it_is(tmp_path: Path) -> None:
+def test_killed_servers_do_not_change_the_history(
+    tmp_path: Path,
+) -> None:
     """Two of them; then both, and one that starts only now does the rest."""
     expected = reference(tmp_path, "emergency-exit", 4)
     servers = [Server(tmp_path, f"ss-{number}", capacity=1).ready() for number in range(2)]
     port = free_port()
     late = f"--connect=tcp/127.0.0.1:{port}"
-    optimizer = play(tmp_path, "asked", ASKED, *remote(*servers), late, simulator="emergency-exit", trials=4)
+    optimizer = play(
+        tmp_path, "asked", ASKED, *remote(*servers), late, simulator="emergency-exit", trials=4
+    )
     programs: list[Program] = [optimizer, *servers]
     try:
         shares = "SELECT count(DISTINCT server) FROM outcomes"
-        wait_until(lambda: query(tmp_path / "asked" / "asked", shares) == [(2,)], "both servers play")
+        wait_until(
+            lambda: query(tmp_path / "asked" / "asked", shares) == [(2,)], "both servers play"
+        )
         servers[0].kill()
         before = counted(tmp_path, "asked")
         wait_until(lambda: counted(tmp_path, "asked") > before + 2, "the other one goes on")
@@ -97,7 +130,9 @@ def test_servers_that_are_killed_in_the_middle_of_trials_leave_the_history_as_it
 
 
 @pytest.mark.faults
-def test_an_optimizer_that_is_killed_is_resumed_and_its_slots_are_free_again(tmp_path: Path) -> None:
+def test_a_killed_optimizer_is_resumed_and_its_slots_are_freed(
+    tmp_path: Path,
+) -> None:
     """Slots that asked it do not hang: the next epoch of the run has them."""
     expected = reference(tmp_path, "emergency-exit", 4)
     server = Server(tmp_path, "ss", capacity=2).ready()
@@ -106,7 +141,9 @@ def test_an_optimizer_that_is_killed_is_resumed_and_its_slots_are_free_again(tmp
         wait_until(lambda: counted(tmp_path, "asked") > 8, "some trials are counted")
         first.kill()
         folder = str(tmp_path / "asked" / "asked")
-        second = Optimizer(tmp_path, "second", ["resume", folder, "--json", "--no-multicast", *remote(server)])
+        second = Optimizer(
+            tmp_path, "second", ["resume", folder, "--json", "--no-multicast", *remote(server)]
+        )
         assert second.done()["history_hash"] == expected
         assert not server.events("slot_died"), "nobody's fault"
     finally:
@@ -116,16 +153,23 @@ def test_an_optimizer_that_is_killed_is_resumed_and_its_slots_are_free_again(tmp
 
 
 @pytest.mark.faults
-def test_a_slot_whose_process_is_killed_and_an_optimizer_that_stands_still_cost_nothing(tmp_path: Path) -> None:
+def test_a_killed_slot_and_a_stopped_optimizer_do_not_change_the_history(
+    tmp_path: Path,
+) -> None:
     expected = reference(tmp_path, "emergency-exit", 4)
     server = Server(tmp_path, "ss", capacity=2).ready()
-    optimizer = play(tmp_path, "asked", ASKED, *remote(server), simulator="emergency-exit", trials=4)
+    optimizer = play(
+        tmp_path, "asked", ASKED, *remote(server), simulator="emergency-exit", trials=4
+    )
     try:
         wait_until(lambda: counted(tmp_path, "asked") > 8, "some trials are counted")
         os.kill(server.workers()[0], signal.SIGKILL)
         wait_until(lambda: server.events("slot_died"), "the server notices")
         optimizer.kill(signal.SIGSTOP)
-        wait_until(lambda: (found := status(optimizer.process.pid)) and found.state == "T", "it stands still")
+        wait_until(
+            lambda: (found := status(optimizer.process.pid)) and found.state == "T",
+            "it stands still",
+        )
         quiet = [status(worker) for worker in server.workers()]
         assert all(quiet), "slots wait"
         optimizer.kill(signal.SIGCONT)
@@ -137,7 +181,7 @@ def test_a_slot_whose_process_is_killed_and_an_optimizer_that_stands_still_cost_
 
 
 @pytest.mark.faults
-def test_answers_that_a_link_loses_are_asked_for_again(tmp_path: Path) -> None:
+def test_lost_answers_are_requested_again(tmp_path: Path) -> None:
     """The link is reset again and again in the middle of trials; states go on where they were."""
     expected = reference(tmp_path, "emergency-exit", 4)
     server = Server(tmp_path, "ss", capacity=2).ready()
@@ -159,11 +203,13 @@ def test_answers_that_a_link_loses_are_asked_for_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.faults
-def test_several_runs_at_once_are_answered_each_by_its_own_controllers(tmp_path: Path) -> None:
+def test_parallel_runs_are_answered_by_their_own_controllers(tmp_path: Path) -> None:
     """A study whose runs share a server, and ask with it."""
 
     def histories(name: str, *options: str) -> dict[str, Any]:
-        optimizer = play(tmp_path, name, "--repeat=2", "--set=study.at_once=2", *options, *local(2), trials=2)
+        optimizer = play(
+            tmp_path, name, "--repeat=2", "--set=study.at_once=2", *options, *local(2), trials=2
+        )
         assert optimizer.wait() == 0, optimizer.err.read_text()
         ended = [line for line in optimizer.lines() if line["event"] == "run"]
         return {Path(line["run"]).name: line["history_hash"] for line in ended}
@@ -174,18 +220,23 @@ def test_several_runs_at_once_are_answered_each_by_its_own_controllers(tmp_path:
 
 
 @pytest.mark.faults
-def test_questions_and_answers_of_large_swarms_go_by_threads_that_may_wait(tmp_path: Path) -> None:
+def test_large_questions_and_answers_use_sender_threads(tmp_path: Path) -> None:
     """Zenoh takes small ones without waiting; these have 38 kB, and 6 kB for each of two slots."""
     swarm = ("--set=problem.settings={robots = 800, steps = 10, side = 100.0}", *local(2))
     travelled = play(tmp_path, "travelled", *swarm, simulator="arena").done()
-    assert play(tmp_path, "asked", ASKED, *swarm, simulator="arena").done()["history_hash"] == travelled["history_hash"]
+    assert (
+        play(tmp_path, "asked", ASKED, *swarm, simulator="arena").done()["history_hash"]
+        == travelled["history_hash"]
+    )
 
 
 @pytest.mark.faults
 def test_a_router_carries_the_questions(tmp_path: Path) -> None:
     expected = reference(tmp_path, "minisim", 1)
     place = f"tcp/127.0.0.1:{free_port()}"
-    router = Program(tmp_path, "router", ["-m", "zswarm.router", "--no-multicast", "--listen", place])
+    router = Program(
+        tmp_path, "router", ["-m", "zswarm.router", "--no-multicast", "--listen", place]
+    )
     wait_until(lambda: router.events("router_ready"), "the router is there")
     server = Server(tmp_path, "ss", options=("--connect", place)).ready()
     try:
@@ -196,8 +247,8 @@ def test_a_router_carries_the_questions(tmp_path: Path) -> None:
         router.close()
 
 
-def test_messages_for_each_agent_are_for_controllers_at_the_optimizer(tmp_path: Path) -> None:
+def test_messages_per_agent_need_controllers_at_the_optimizer(tmp_path: Path) -> None:
     optimizer = play(tmp_path, "wrong", EACH_AGENT)
     assert optimizer.wait() == 2
     (line,) = optimizer.err.read_text().splitlines()
-    assert 'messages: expected "turn", not "agent", where controller is not "optimizer"' in line
+    assert 'messages: expected "turn" unless controller is "optimizer", not "agent"' in line

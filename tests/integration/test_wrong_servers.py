@@ -2,9 +2,11 @@
 
 from pathlib import Path
 
-import plugin
 import pytest
-from programs import Optimizer, Program, Server, query
+
+from tests.integration import plugin
+from tests.integration.programs import Optimizer, Program, Server, query
+from tests.places import REPOSITORY
 
 pytestmark = pytest.mark.faults
 
@@ -16,18 +18,32 @@ def path(tmp_path: Path) -> str:
     return plugin.install(folder)
 
 
-@pytest.mark.parametrize(("wrong", "options"), [("trials", ["--set", "cluster.verify=1.0"]), ("probe", [])])
+@pytest.mark.parametrize(
+    ("wrong", "options"), [("trials", ["--set", "cluster.verify=1.0"]), ("probe", [])]
+)
 def test_a_server_that_computes_wrong_is_named_and_the_history_is_the_same(
     tmp_path: Path, path: str, wrong: str, options: list[str]
 ) -> None:
     file = plugin.experiment(tmp_path, "slow")
-    right = Optimizer(tmp_path, "alone", ["run", str(file), "--json", "--servers", "local"], PYTHONPATH=path).done()
+    right = Optimizer(
+        tmp_path, "alone", ["run", str(file), "--json", "--servers", "local"], PYTHONPATH=path
+    ).done()
     servers = [
         Server(tmp_path, "sound", capacity=1, PYTHONPATH=path).ready(),
         Server(tmp_path, "broken", capacity=1, PYTHONPATH=path, ROUGH_WRONG=wrong).ready(),
     ]
-    remote = ["--servers", "2", "--no-multicast", *(f"--connect={server.endpoint}" for server in servers)]
-    optimizer = Optimizer(tmp_path, "ot", ["run", str(file), "--json", "--out", "two", *remote, *options], PYTHONPATH=path)
+    remote = [
+        "--servers",
+        "2",
+        "--no-multicast",
+        *(f"--connect={server.endpoint}" for server in servers),
+    ]
+    optimizer = Optimizer(
+        tmp_path,
+        "ot",
+        ["run", str(file), "--json", "--out", "two", *remote, *options],
+        PYTHONPATH=path,
+    )
     try:
         done = optimizer.done()
     finally:
@@ -35,26 +51,53 @@ def test_a_server_that_computes_wrong_is_named_and_the_history_is_the_same(
             program.close()
     run = tmp_path / "two" / "rough"
     assert done["history_hash"] == right["history_hash"]
-    assert done["doubtful"] == 0
+    # An earlier generation may have ended before the servers' probes were compared.
+    trusted = "SELECT coalesce(sum(count), 0) FROM outcomes WHERE server LIKE 'broken-%'"
+    assert query(run, f"{trusted} AND NOT doubtful") == [(0,)]
+    assert query(run, trusted) == [(done["doubtful"],)]
     ((named,),) = query(run, "SELECT DISTINCT server FROM events WHERE event = 'server_wrong'")
     assert named.startswith("broken-")
-    assert f"{named} is used no more" in optimizer.err.read_text()
-    assert query(run, "SELECT count(*) FROM outcomes WHERE server LIKE 'broken-%'") == [(0,)]
-    checker = Program(tmp_path, "promise", [str(Path(__file__).parents[1] / "promise.py"), str(run)], PYTHONPATH=path)
+    assert f"{named} is banned" in optimizer.err.read_text()
+    checker = Program(
+        tmp_path,
+        "promise",
+        [str(REPOSITORY / "tests" / "promise" / "promise.py"), str(run)],
+        PYTHONPATH=path,
+    )
     assert checker.wait() == 0, checker.err.read_text()
 
 
 def test_verification_with_sound_servers_changes_nothing(tmp_path: Path, path: str) -> None:
     file = plugin.experiment(tmp_path, "slow")
-    servers = [Server(tmp_path, f"ss-{number}", capacity=1, PYTHONPATH=path).ready() for number in range(2)]
-    remote = ["--servers", "2", "--no-multicast", *(f"--connect={server.endpoint}" for server in servers)]
+    servers = [
+        Server(tmp_path, f"ss-{number}", capacity=1, PYTHONPATH=path).ready() for number in range(2)
+    ]
+    remote = [
+        "--servers",
+        "2",
+        "--no-multicast",
+        *(f"--connect={server.endpoint}" for server in servers),
+    ]
     hashes = set()
     try:
         for share in ("0.0", "0.3"):
-            arguments = ["run", str(file), "--json", "--out", share, "--set", f"cluster.verify={share}", *remote]
-            hashes.add(Optimizer(tmp_path, share, arguments, PYTHONPATH=path).done()["history_hash"])
+            arguments = [
+                "run",
+                str(file),
+                "--json",
+                "--out",
+                share,
+                "--set",
+                f"cluster.verify={share}",
+                *remote,
+            ]
+            hashes.add(
+                Optimizer(tmp_path, share, arguments, PYTHONPATH=path).done()["history_hash"]
+            )
     finally:
         for server in servers:
             server.close()
     assert len(hashes) == 1
-    assert query(tmp_path / "0.3" / "rough", "SELECT count(*) FROM events WHERE event LIKE 'server_wrong'") == [(0,)]
+    assert query(
+        tmp_path / "0.3" / "rough", "SELECT count(*) FROM events WHERE event LIKE 'server_wrong'"
+    ) == [(0,)]

@@ -5,17 +5,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from zswarm import plugins
-from zswarm.draws import Stream
+from zswarm.config.decode import convert
 from zswarm.errors import ConfigError
-from zswarm.nets.bulk import Bulk, Settings
-from zswarm.strict import convert
+from zswarm.kernels.random import Stream
+from zswarm.nets.bulk import Bulk, BulkSettings
+from zswarm.plugins import registry as plugins
 from zswarm.testing import check_representation
 
 
-def network(parts: int = 3, inputs: int = 4, outputs: int = 2, chosen_by: int = 1, **of: Any) -> Bulk:
+def network(
+    parts: int = 3, inputs: int = 4, outputs: int = 2, chosen_by: int = 1, **of: Any
+) -> Bulk:
     given = {"parts": parts, "input": chosen_by, "of": {"kind": "fully-meshed", **of}}
-    return Bulk(convert(given, Settings, "representation"), inputs, outputs)
+    return Bulk(convert(given, BulkSettings, "representation"), inputs, outputs)
 
 
 def decide(built: Any, genome: bytes, observations: Any) -> np.ndarray:
@@ -37,7 +39,9 @@ def test_the_part_decides_that_the_input_is_nearest_to(value: float, part: int) 
     parts = [of_part.tobytes() for of_part in genome]
     seen = [[0.5, value, -1, 2]]
     decided = decide(built, genome.tobytes(), seen).tobytes()
-    assert [decided == decide(built.part, one, seen).tobytes() for one in parts] == [number == part for number in range(3)]
+    assert [decided == decide(built.part, one, seen).tobytes() for one in parts] == [
+        number == part for number in range(3)
+    ]
 
 
 def test_a_part_remembers_its_own_decisions_only() -> None:
@@ -47,7 +51,7 @@ def test_a_part_remembers_its_own_decisions_only() -> None:
     seen[:, 1] = np.arange(12) % 3 == 0
     decided = decide(built, genome, seen)
     for part in (0, 1):
-        alone = decide(built.part, built._split(genome)[part], seen[seen[:, 1] == part])
+        alone = decide(built.part, built._split([genome])[part], seen[seen[:, 1] == part])
         assert decided[seen[:, 1] == part].tobytes() == alone.tobytes()
 
 
@@ -57,13 +61,15 @@ def test_parts_may_be_of_every_kind_whose_genomes_have_one_length(kind: str) -> 
     part = plugins.load("representation", kind)
     if part(part.settings_type(), 5, 2).genome_bytes is None:
         with pytest.raises(ConfigError, match="expected a kind whose genomes have one length"):
-            Bulk(convert(settings, Settings, "representation"), 5, 2)
+            Bulk(convert(settings, BulkSettings, "representation"), 5, 2)
     else:
         check_representation(Bulk, settings)
 
 
 def test_the_defaults_of_the_parts_are_written_out() -> None:
-    complete = convert({"of": {"kind": "three-layer", "hidden": 7}}, Settings, "representation").of
+    complete = convert(
+        {"of": {"kind": "three-layer", "hidden": 7}}, BulkSettings, "representation"
+    ).of
     assert complete == {"kind": "three-layer", "hidden": 7, "weight_range": 2.0, "bias_range": 2.0}
 
 
@@ -72,7 +78,10 @@ def test_the_defaults_of_the_parts_are_written_out() -> None:
     [
         ({"of": {"kind": "bulk"}}, "of: kind: expected one of "),
         ({"of": {}}, "of: kind: expected one of "),
-        ({"of": {"kind": "ctrnn", "hiden": 1}}, r"of: unknown key 'hiden' \(did you mean 'hidden'\?\)"),
+        (
+            {"of": {"kind": "ctrnn", "hiden": 1}},
+            r"of: unknown key 'hiden' \(did you mean 'hidden'\?\)",
+        ),
         ({"of": {"kind": "ctrnn", "tau_min": 0.1}}, "of: tau_min: expected at least"),
         ({"of": 3}, "of: expected object, got int"),
         ({"parts": 0}, "parts: expected int >= 1"),
@@ -80,7 +89,7 @@ def test_the_defaults_of_the_parts_are_written_out() -> None:
 )
 def test_impossible_settings_are_refused(settings: dict[str, Any], text: str) -> None:
     with pytest.raises(ConfigError, match=f"^representation: {text}"):
-        convert(settings, Settings, "representation")
+        convert(settings, BulkSettings, "representation")
 
 
 def test_an_input_that_is_not_there_is_refused() -> None:
@@ -88,7 +97,7 @@ def test_an_input_that_is_not_there_is_refused() -> None:
         network(chosen_by=4)
 
 
-# ---- operators ----------------------------------------------------------------------------------------------------
+# ---- operators
 
 
 def test_a_genome_is_the_genomes_of_its_parts() -> None:
@@ -96,12 +105,16 @@ def test_a_genome_is_the_genomes_of_its_parts() -> None:
     assert built.genes == 3 * built.part.genes
     assert built.ranges is not None
     assert built.ranges.tolist() == [2.0] * built.genes
-    assert b"".join(built._split(built.random(1, Stream(1))[0])) == b"".join(built.part.random(3, Stream(1)))
+    assert b"".join(built._split(built.random(1, Stream(1)))) == b"".join(
+        built.part.random(3, Stream(1))
+    )
 
 
 def test_every_part_mutates() -> None:
     built = network()
-    (mutant,) = built.mutate([bytes(built.genome_bytes)], Stream(1), method=1, severity=0.3, probability=1.0)
+    (mutant,) = built.mutate(
+        [bytes(built.genome_bytes)], Stream(1), method=1, severity=0.3, probability=1.0
+    )
     assert np.frombuffer(mutant, "<f4").all()
 
 
@@ -119,11 +132,16 @@ def test_a_child_has_first_parts_of_the_mother_and_last_ones_of_the_father() -> 
 def test_a_single_part_is_crossed_as_its_kind_does() -> None:
     built = network(parts=1)
     mother, father = built.random(2, Stream(1))
-    assert built.crossover(mother, father, Stream(2)) == built.part.crossover(mother, father, Stream(2))
+    assert built.crossover(mother, father, Stream(2)) == built.part.crossover(
+        mother, father, Stream(2)
+    )
 
 
 def test_the_distance_is_the_mean_of_the_parts() -> None:
     built = network(parts=2)
     a, b = built.random(2, Stream(1))
-    of_parts = [built.part.distances([x], [y])[0, 0] for x, y in zip(built._split(a), built._split(b), strict=True)]
+    of_parts = [
+        built.part.distances([x], [y])[0, 0]
+        for x, y in zip(built._split([a]), built._split([b]), strict=True)
+    ]
     assert built.distances([a], [b])[0, 0] == sum(of_parts) / 2

@@ -6,22 +6,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from zswarm.draws import Stream
+from zswarm.config.decode import convert
 from zswarm.errors import ConfigError
-from zswarm.nets.ctrnn import CTRNN, Settings
-from zswarm.strict import convert
+from zswarm.kernels.jit import interpreted
+from zswarm.kernels.random import Stream
+from zswarm.nets.ctrnn import CTRNN, CtrnnSettings
 from zswarm.testing import check_representation
 
 
 def network(hidden: int = 3, inputs: int = 3, outputs: int = 2, **settings: Any) -> CTRNN:
-    return CTRNN(Settings(hidden=hidden, **settings), inputs, outputs)
+    return CTRNN(CtrnnSettings(hidden=hidden, **settings), inputs, outputs)
 
 
-def decide(built: CTRNN, genome: bytes, observations: Any, step: Any = None) -> np.ndarray:
+def decide(built: CTRNN, genome: bytes, observations: Any) -> np.ndarray:
     state, parameters = np.zeros(built.state_size, np.float32), built.parameters([genome])[0]
     actions = np.empty((len(observations), built.outputs), np.float32)
     for observation, action in zip(np.array(observations, np.float32), actions, strict=True):
-        (step or built.step)(parameters, state, observation, action)
+        built.step(parameters, state, observation, action)
     return actions
 
 
@@ -32,7 +33,12 @@ def logistic(x: float) -> float:
 def integrated(built: CTRNN, genome: bytes, observations: np.ndarray, finer: int = 1) -> np.ndarray:
     """The same by Beer's equation with numpy's float64, with so many times more steps."""
     table = np.frombuffer(genome, "<f4").astype(float).reshape(built.neurons, -1)
-    from_inputs, inner, bias, gene = table[:, : built.inputs], table[:, built.inputs : -2], table[:, -2], table[:, -1]
+    from_inputs, inner, bias, gene = (
+        table[:, : built.inputs],
+        table[:, built.inputs : -2],
+        table[:, -2],
+        table[:, -1],
+    )
     settings = built.settings
     tau = settings.tau_min + (settings.tau_max - settings.tau_min) * (np.clip(gene, -1, 1) + 1) / 2
     steps = settings.iterations * finer
@@ -53,22 +59,28 @@ def test_decisions_follow_the_equation_compiled_and_plain(hidden: int, iteration
     for genome in built.random(5, Stream(hidden)):
         decided = decide(built, genome, observations)
         assert np.abs(decided - integrated(built, genome, observations)).max() < 2e-4
-        plain = getattr(built.step, "py_func", built.step)
-        assert decide(built, genome, observations[:5], plain).tobytes() == decided[:5].tobytes()
+        with interpreted():
+            plain = decide(built, genome, observations[:5])
+        assert plain.tobytes() == decided[:5].tobytes()
 
 
 def test_more_iterations_come_nearer_to_the_continuous_network() -> None:
     observations = Stream(2).uniform(-2.0, 2.0, 90).reshape(30, 3)
     (genome,) = network().random(1, Stream(4))
     exact = integrated(network(iterations=1), genome, observations, finer=1000)
-    errors = [np.abs(decide(network(iterations=iterations), genome, observations) - exact).max() for iterations in (1, 4, 16)]
+    errors = [
+        np.abs(decide(network(iterations=iterations), genome, observations) - exact).max()
+        for iterations in (1, 4, 16)
+    ]
     assert errors[0] > 3 * errors[1] > 9 * errors[2]
 
 
 def test_a_neuron_alone_approaches_its_input_by_its_time_constant() -> None:
     """y follows 1 - e^(-t / tau)."""
     built = network(hidden=0, inputs=1, outputs=1, iterations=100, tau_min=5.0, tau_max=5.0)
-    genome = np.array([1, 0, 0, 0], "<f4").tobytes()  # from the input, to itself, bias, time constant
+    genome = np.array(
+        [1, 0, 0, 0], "<f4"
+    ).tobytes()  # from the input, to itself, bias, time constant
     decided = decide(built, genome, [[1.0]] * 20)[:, 0]
     expected = [logistic(1 - math.exp(-t / 5)) for t in range(1, 21)]
     assert np.abs(decided - expected).max() < 1e-3
@@ -85,7 +97,9 @@ def test_outputs_and_state_stay_bounded_whatever_the_genome() -> None:
     """A step goes a part of the way to the weighted sum, never beyond it."""
     built = network(hidden=5, tau_min=0.5, tau_max=0.5)
     wild = np.frombuffer(built.random(1, Stream(1))[0], "<f4") * 1000
-    decided = decide(built, wild.astype("<f4").tobytes(), Stream(2).uniform(-9.0, 9.0, 600).reshape(200, 3))
+    decided = decide(
+        built, wild.astype("<f4").tobytes(), Stream(2).uniform(-9.0, 9.0, 600).reshape(200, 3)
+    )
     assert np.isfinite(decided).all()
     assert decided.min() >= 0
     assert decided.max() <= 1
@@ -102,12 +116,16 @@ def test_what_was_seen_is_remembered() -> None:
 def test_crossover_takes_a_neuron_with_all_its_numbers() -> None:
     built = network()
     mother, father = (np.full(built.genes, value, "<f4").tobytes() for value in (1, 2))
-    child = np.frombuffer(built.crossover(mother, father, Stream(1)), "<f4").reshape(built.neurons, -1)
+    child = np.frombuffer(built.crossover(mother, father, Stream(1)), "<f4").reshape(
+        built.neurons, -1
+    )
     assert (child == child[:, :1]).all()
     assert {1, 2} == set(child[:, 0].tolist())
 
 
-@pytest.mark.parametrize("settings", [{"hidden": 0}, {"hidden": 7, "iterations": 3}, {"tau_min": 0.5, "tau_max": 0.5}])
+@pytest.mark.parametrize(
+    "settings", [{"hidden": 0}, {"hidden": 7, "iterations": 3}, {"tau_min": 0.5, "tau_max": 0.5}]
+)
 def test_other_settings_keep_the_contract(settings: dict[str, Any]) -> None:
     check_representation(CTRNN, settings)
 
@@ -121,4 +139,4 @@ def test_other_settings_keep_the_contract(settings: dict[str, Any]) -> None:
 )
 def test_time_constants_that_cannot_be_are_refused(settings: dict[str, Any], text: str) -> None:
     with pytest.raises(ConfigError, match=f"representation: {text}"):
-        convert(settings, Settings, "representation")
+        convert(settings, CtrnnSettings, "representation")

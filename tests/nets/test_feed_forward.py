@@ -1,42 +1,62 @@
-"""Feed-forward networks decide what FREVO's layered networks decided, bit for bit, and their operators do what FREVO's did."""
+"""Feed-forward networks decide and breed as FREVO's layered networks do, bit for bit."""
 
+import contextlib
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from zswarm.draws import Stream
+from tests.places import REPOSITORY
+from zswarm.config.decode import convert
 from zswarm.errors import ConfigError
-from zswarm.nets.feed_forward import FeedForward, Layered, Settings, ThreeLayer, ThreeLayerSettings
-from zswarm.strict import convert
+from zswarm.kernels.jit import interpreted
+from zswarm.kernels.random import Stream
+from zswarm.nets.feed_forward import (
+    FeedForward,
+    FeedForwardSettings,
+    Layered,
+    ThreeLayer,
+    ThreeLayerSettings,
+)
 from zswarm.testing import check_representation
 
-GOLDEN = Path(__file__).parents[1] / "golden"
+GOLDEN = REPOSITORY / "tests" / "golden"
 THREE_LAYER = json.loads((GOLDEN / "threelayer.json").read_text())["nets"]
 MULTI_LAYER = json.loads((GOLDEN / "multilayer.json").read_text())["nets"]
 
 
 def network(hidden: list[int], inputs: int = 3, outputs: int = 2, **settings: Any) -> FeedForward:
-    return FeedForward(Settings(hidden=hidden, **settings), inputs, outputs)
+    return FeedForward(FeedForwardSettings(hidden=hidden, **settings), inputs, outputs)
 
 
 def layers(net: dict[str, Any]) -> list[tuple[Any, Any]]:
     """Per layer of a recorded net the weights to each node, and the biases."""
     if "weights_hidden" in net:
-        return [(net["weights_hidden"], net["bias_hidden"]), (net["weights_output"], net["bias_output"])]
+        return [
+            (net["weights_hidden"], net["bias_hidden"]),
+            (net["weights_output"], net["bias_output"]),
+        ]
     hidden = [net["weights_first"], *net["weights_between"]]
-    return [*zip(hidden, net["bias_hidden"], strict=True), (net["weights_output"], net["bias_output"])]
+    return [
+        *zip(hidden, net["bias_hidden"], strict=True),
+        (net["weights_output"], net["bias_output"]),
+    ]
 
 
 def recorded(net: dict[str, Any]) -> tuple[Layered, bytes]:
     """A recorded net and its genome."""
-    numbers = [[*weights, bias] for layer in layers(net) for weights, bias in zip(*layer, strict=True)]
+    numbers = [
+        [*weights, bias] for layer in layers(net) for weights, bias in zip(*layer, strict=True)
+    ]
     genome = np.concatenate(numbers).astype("<f4").tobytes()
     if "weights_hidden" in net:
-        return ThreeLayer(ThreeLayerSettings(hidden=net["hidden"]), net["inputs"], net["outputs"]), genome
-    return network([net["nodes_per_layer"]] * net["hidden_layers"], net["inputs"], net["outputs"]), genome
+        return ThreeLayer(
+            ThreeLayerSettings(hidden=net["hidden"]), net["inputs"], net["outputs"]
+        ), genome
+    return network(
+        [net["nodes_per_layer"]] * net["hidden_layers"], net["inputs"], net["outputs"]
+    ), genome
 
 
 def decide(built: Layered, genome: bytes, observations: Any, step: Any) -> np.ndarray:
@@ -52,12 +72,18 @@ def test_the_recorded_nets_have_one_to_three_hidden_layers() -> None:
     assert {net["stepNumber"] for net in THREE_LAYER} == {1, 2}, "which has no effect"
 
 
-@pytest.mark.parametrize("net", [*THREE_LAYER, *MULTI_LAYER], ids=lambda net: f"{len(layers(net))}-{net['id']}")
-def test_a_recorded_net_decides_as_in_frevo_bit_for_bit_compiled_and_plain(net: dict[str, Any]) -> None:
+@pytest.mark.parametrize(
+    "net", [*THREE_LAYER, *MULTI_LAYER], ids=lambda net: f"{len(layers(net))}-{net['id']}"
+)
+def test_a_recorded_net_decides_as_in_frevo_bit_for_bit_compiled_and_plain(
+    net: dict[str, Any],
+) -> None:
     built, genome = recorded(net)
     expected = np.array([*net["out"], *net["out_continued"]], np.float32).tobytes()
-    for step in (built.step, getattr(built.step, "py_func", built.step)):
-        assert decide(built, genome, [*net["in"], *net["in"][:3]], step).tobytes() == expected
+    for compiled_or_plain in (contextlib.nullcontext, interpreted):
+        with compiled_or_plain():
+            decided = decide(built, genome, [*net["in"], *net["in"][:3]], built.step)
+        assert decided.tobytes() == expected
 
 
 def test_a_net_of_three_layers_is_a_feed_forward_one_with_one_hidden_layer() -> None:
@@ -92,7 +118,9 @@ def test_the_output_is_that_of_each_layer_in_turn(hidden: list[int]) -> None:
 @pytest.mark.parametrize("hidden", [[], [4], [9, 3]])
 @pytest.mark.parametrize("activation", ["clamp", "sigmoid", "relu", "tanh"])
 def test_all_settings_keep_the_contract(hidden: list[int], activation: str) -> None:
-    check_representation(FeedForward, {"hidden": hidden, "activation": activation, "output_activation": activation})
+    check_representation(
+        FeedForward, {"hidden": hidden, "activation": activation, "output_activation": activation}
+    )
 
 
 def test_nothing_is_remembered() -> None:
@@ -109,27 +137,32 @@ def test_nothing_is_remembered() -> None:
         ({"hidden": [0]}, "hidden[0]: expected int >= 1"),
         ({"hidden": [1] * 9}, "hidden: expected array of length <= 8"),
         ({"hidden": 3}, "hidden: expected array, got int"),
-        ({"output_activation": "step"}, "output_activation: expected clamp, sigmoid, relu or tanh, not 'step'"),
+        (
+            {"output_activation": "step"},
+            "output_activation: expected clamp, sigmoid, relu or tanh, not 'step'",
+        ),
     ],
 )
 def test_impossible_settings_are_refused(settings: dict[str, Any], text: str) -> None:
     with pytest.raises(ConfigError) as refusal:
-        convert(settings, Settings, "representation")
+        convert(settings, FeedForwardSettings, "representation")
     assert str(refusal.value) == f"representation: {text}"
 
 
-# ---- operators ----------------------------------------------------------------------------------------------------
+# ---- operators
 
 
 def test_crossover_takes_whole_nodes_whatever_their_layer() -> None:
-    """A node of the father comes with all its weights and its bias; starts and lengths reach over layers."""
+    """A node of the father comes with all its weights and its bias; blocks span layers."""
     built = network([3, 2], inputs=4, outputs=1)
     assert np.diff(built.blocks).tolist() == [5, 5, 5, 4, 4, 3]
     mother, father = (np.full(built.genes, value, "<f4").tobytes() for value in (1, 2))
     stream, taken = Stream(5), set()
     for _ in range(500):
         child = np.frombuffer(built.crossover(mother, father, stream), "<f4") == 2
-        nodes = [child[begin:end] for begin, end in zip(built.blocks, built.blocks[1:], strict=False)]
+        nodes = [
+            child[begin:end] for begin, end in zip(built.blocks, built.blocks[1:], strict=False)
+        ]
         assert all(node.all() or not node.any() for node in nodes)
         taken.add(tuple(bool(node.all()) for node in nodes))
     assert len(taken) == 20, "blocks of 1 to 5 of 6 nodes: never all"
@@ -137,7 +170,9 @@ def test_crossover_takes_whole_nodes_whatever_their_layer() -> None:
 
 def test_mutation_2_moves_weights_and_biases_by_10_at_least() -> None:
     built = network([3])
-    mutants = built.mutate([bytes(built.genome_bytes)] * 1000, Stream(3), method=2, severity=0.3, probability=1.0)
+    mutants = built.mutate(
+        [bytes(built.genome_bytes)] * 1000, Stream(3), method=2, severity=0.3, probability=1.0
+    )
     changes = np.abs(np.array([np.frombuffer(mutant, "<f4") for mutant in mutants])).max(axis=0)
     assert ((changes > 9.9) & (changes <= 10.0)).all()
 

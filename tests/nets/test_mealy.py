@@ -1,27 +1,36 @@
-"""Mealy machines decide what FREVO's decided, bit for bit, and each of the seven mutations does what it is named for."""
+"""Mealy machines decide as FREVO's, bit for bit; each mutation does what its name says."""
 
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.places import REPOSITORY
 from zswarm import evaluate, experiment
-from zswarm.draws import Stream
+from zswarm.config.decode import convert
 from zswarm.errors import ConfigError
-from zswarm.nets.mealy import Machine, Mealy, Settings
-from zswarm.ot import run
-from zswarm.strict import convert
+from zswarm.kernels.random import Stream
+from zswarm.nets.mealy import Machine, Mealy, MealySettings
+from zswarm.ot.build import build
 from zswarm.testing import check_representation
 
-MACHINES = json.loads((Path(__file__).parents[1] / "golden" / "mealy.json").read_text())["machines"]
+MACHINES = json.loads((REPOSITORY / "tests" / "golden" / "mealy.json").read_text())["machines"]
 STEPS = [Mealy.step, getattr(Mealy.step, "py_func", Mealy.step)]
-STILL = dict.fromkeys(("delete_transition", "change_first_state", "change_output", "change_next_state", "change_threshold"), 0.0)
+STILL = dict.fromkeys(
+    (
+        "delete_transition",
+        "change_first_state",
+        "change_output",
+        "change_next_state",
+        "change_threshold",
+    ),
+    0.0,
+)
 
 
 def machines(inputs: int = 2, outputs: int = 2, **settings: Any) -> Mealy:
-    return Mealy(Settings(**settings), inputs, outputs)
+    return Mealy(MealySettings(**settings), inputs, outputs)
 
 
 def recorded(machine: dict[str, Any]) -> tuple[Mealy, bytes]:
@@ -42,10 +51,16 @@ def recorded(machine: dict[str, Any]) -> tuple[Mealy, bytes]:
     return built, Machine(machine["init_state"], thresholds, following, outputs).genome()
 
 
-def decide(built: Mealy, genome: bytes, observations: Any, step: Any = Mealy.step) -> tuple[np.ndarray, list[int]]:
+def decide(
+    built: Mealy, genome: bytes, observations: Any, step: Any = Mealy.step
+) -> tuple[np.ndarray, list[int]]:
     """Outputs, and the states after each decision."""
     (parameters,) = built.parameters([genome])
-    state, actions, states = np.zeros(1, np.float32), np.empty((len(observations), built.outputs), np.float32), []
+    state, actions, states = (
+        np.zeros(1, np.float32),
+        np.empty((len(observations), built.outputs), np.float32),
+        [],
+    )
     for observation, action in zip(np.array(observations, np.float32), actions, strict=True):
         step(parameters, state, observation, action)
         states.append(int(state[0]) - 1)
@@ -53,22 +68,27 @@ def decide(built: Mealy, genome: bytes, observations: Any, step: Any = Mealy.ste
 
 
 def numbers(built: Mealy, genome: bytes) -> Machine:
-    return built._taken_apart(genome)
+    return built._decoded(genome)
 
 
-# ---- decisions ----------------------------------------------------------------------------------------------------
+# ---- decisions
 
 
 @pytest.mark.parametrize("step", STEPS, ids=["compiled", "plain"])
 @pytest.mark.parametrize("machine", MACHINES, ids=lambda machine: str(machine["id"]))
-def test_a_recorded_machine_decides_as_in_frevo_bit_for_bit(machine: dict[str, Any], step: Any) -> None:
+def test_a_recorded_machine_decides_as_in_frevo_bit_for_bit(
+    machine: dict[str, Any], step: Any
+) -> None:
     actions, states = decide(*recorded(machine), machine["in"], step)
     assert actions.tobytes() == np.array(machine["out"], np.float32).tobytes()
     assert states == machine["state_after"]
 
 
 def test_the_recorded_machines_have_inputs_with_thresholds_and_without() -> None:
-    assert {each["thresholds"] is None for machine in MACHINES for each in machine["inputs"]} == {True, False}
+    assert {each["thresholds"] is None for machine in MACHINES for each in machine["inputs"]} == {
+        True,
+        False,
+    }
 
 
 @pytest.mark.parametrize(
@@ -87,7 +107,7 @@ def test_all_settings_keep_the_contract(settings: dict[str, Any]) -> None:
 
 
 def rows_of(built: Mealy, observations: Any) -> list[int]:
-    """Which row of the table each observation chooses: a machine with one state whose output tells the row."""
+    """Return the row of the table that each observation chooses."""
     outputs = np.arange(built.rows).reshape(-1, 1, 1)
     genome = Machine(0, np.array([30, 60] * 2), np.zeros((built.rows, 1), int), outputs).genome()
     return [round(float(number) * 100) for number in decide(built, genome, observations)[0][:, 0]]
@@ -108,10 +128,23 @@ def test_products_choose_rows_as_in_frevo() -> None:
 
 
 def test_inputs_out_of_range_count_as_the_nearest_class() -> None:
-    built = machines(1, 1, states=1, thresholds=[0], units=[4], scale=1.0, minimum=[-10], maximum=[10])
+    built = machines(
+        1, 1, states=1, thresholds=[0], units=[4], scale=1.0, minimum=[-10], maximum=[10]
+    )
     genome = Machine(0, np.zeros(0), np.zeros((5, 1), int), np.arange(5).reshape(5, 1, 1)).genome()
     seen = [[-1e30], [-11], [-10], [-5.1], [-4.9], [0], [9.9], [10], [1e30], [float("nan")]]
-    assert (decide(built, genome, seen)[0][:, 0] * 100).round().tolist() == [0, 0, 0, 1, 1, 2, 3, 4, 4, 2]
+    assert (decide(built, genome, seen)[0][:, 0] * 100).round().tolist() == [
+        0,
+        0,
+        0,
+        1,
+        1,
+        2,
+        3,
+        4,
+        4,
+        2,
+    ]
 
 
 def test_a_machine_begins_in_its_first_state_in_each_trial() -> None:
@@ -123,7 +156,7 @@ def test_a_machine_begins_in_its_first_state_in_each_trial() -> None:
     assert states == [0, 1, 2, 0]
 
 
-# ---- genomes ------------------------------------------------------------------------------------------------------
+# ---- genomes
 
 
 @pytest.mark.parametrize(
@@ -134,7 +167,10 @@ def test_a_machine_begins_in_its_first_state_in_each_trial() -> None:
         ({"outputs": np.full((4, 3, 2), 101)}, r"an output that is not in 0\.\.100"),
         ({"outputs": np.full((4, 3, 2), -1)}, r"an output that is not in 0\.\.100"),
         ({"thresholds": np.array([0, 2**30])}, "a threshold beyond 2,000,000"),
-        ({"following": np.zeros((4, 2), int), "outputs": np.zeros((4, 2, 2), int)}, "2 states; this machine has 3 states"),
+        (
+            {"following": np.zeros((4, 2), int), "outputs": np.zeros((4, 2, 2), int)},
+            "2 states; this machine has 3 states",
+        ),
     ],
 )
 def test_a_malformed_genome_is_refused(change: dict[str, Any], text: str) -> None:
@@ -153,14 +189,14 @@ def test_a_malformed_genome_is_refused(change: dict[str, Any], text: str) -> Non
         ({"add_state": 0.1, "states": 30}, "max_states must be at least states, 30, not 20"),
         (
             {"thresholds": [600]},
-            r"table would have 361,201 rows of 6 states, which are 6,501,618 numbers; at most 1,048,576",
+            r"have 361,201 rows of 6 states, which are 6,501,618 numbers; at most 1,048,576",
         ),
         ({"rows": "sum"}, "rows: expected combinations or product"),
     ],
 )
 def test_impossible_settings_are_refused(settings: dict[str, Any], text: str) -> None:
     with pytest.raises(ConfigError, match=text):
-        Mealy(convert(settings, Settings, "representation"), 2, 2)
+        Mealy(convert(settings, MealySettings, "representation"), 2, 2)
 
 
 def test_machines_of_different_sizes_fit_in_one_batch() -> None:
@@ -180,14 +216,18 @@ def test_new_machines_fill_their_ranges() -> None:
     assert {int(number) for machine in drawn for number in machine.thresholds} == {-20, -10, 0, 10}
     assert all((np.diff(machine.thresholds) >= 0).all() for machine in drawn)
     assert {int(number) for machine in drawn for number in machine.outputs.ravel()} == set(range(8))
-    assert {int(number) for machine in drawn for number in machine.following.ravel()} == set(range(6))
+    assert {int(number) for machine in drawn for number in machine.following.ravel()} == set(
+        range(6)
+    )
     assert {machine.first for machine in drawn} == {0}
 
 
-# ---- the seven mutations ------------------------------------------------------------------------------------------
+# ---- the seven mutations
 
 
-def mutants(built: Mealy, count: int = 200, probability: float = 1.0) -> list[tuple[Machine, Machine]]:
+def mutants(
+    built: Mealy, count: int = 200, probability: float = 1.0
+) -> list[tuple[Machine, Machine]]:
     """Parents and what became of them."""
     parents = built.random(count, Stream(1))
     children = built.mutate(parents, Stream(2), method=1, severity=0.3, probability=probability)
@@ -218,10 +258,14 @@ def test_a_mutation_changes_its_own_part_only(mutation: str, part: str) -> None:
     for before, after in pairs:
         for other in set(Machine._fields) - {part}:
             assert same(getattr(before, other), getattr(after, other))
-    assert sum(not same(getattr(before, part), getattr(after, part)) for before, after in pairs) > 60
+    assert (
+        sum(not same(getattr(before, part), getattr(after, part)) for before, after in pairs) > 60
+    )
 
 
-@pytest.mark.parametrize(("mutation", "part"), [("change_output", "outputs"), ("change_next_state", "following")])
+@pytest.mark.parametrize(
+    ("mutation", "part"), [("change_output", "outputs"), ("change_next_state", "following")]
+)
 def test_a_mutation_hits_with_its_chance_times_the_probability(mutation: str, part: str) -> None:
     pairs = mutants(machines(output_units=1_000_000, **{**STILL, mutation: 0.4}), probability=0.5)
     changed = [(getattr(before, part) != getattr(after, part)).mean() for before, after in pairs]
@@ -235,7 +279,9 @@ def test_a_deleted_transition_stays_in_its_state() -> None:
 
 def test_thresholds_change_behind_an_input_without_any() -> None:
     """In FREVO that fails."""
-    pairs = mutants(machines(thresholds=[0, 3], units=[5], minimum=[-50], **{**STILL, "change_threshold": 1.0}))
+    pairs = mutants(
+        machines(thresholds=[0, 3], units=[5], minimum=[-50], **{**STILL, "change_threshold": 1.0})
+    )
     assert any(not same(before.thresholds, after.thresholds) for before, after in pairs)
     for _, after in pairs:
         assert (np.diff(after.thresholds) >= 0).all()
@@ -259,7 +305,9 @@ def test_a_deleted_state_is_led_to_no_more_and_the_others_keep_their_transitions
     """In FREVO transitions still lead to it, and to the last one, which has another number now."""
     for before, after in mutants(machines(delete_state=1.0, **STILL), 50):
         (lost,) = [
-            state for state in range(6) if same(np.delete(before.outputs, state, axis=1), after.outputs)
+            state
+            for state in range(6)
+            if same(np.delete(before.outputs, state, axis=1), after.outputs)
         ]  # the random outputs tell
         kept = np.delete(before.following, lost, axis=1)
         expected = kept - (kept > lost)
@@ -273,22 +321,31 @@ def test_states_stay_between_one_and_the_most() -> None:
     genomes, stream, seen = built.random(10, Stream(1)), Stream(2), set()
     for _ in range(30):
         genomes = built.mutate(genomes, stream, method=1, severity=0.3, probability=1.0)
-        genomes = [built.crossover(a, b, stream) for a, b in zip(genomes, genomes[1:] + genomes[:1], strict=True)]
+        genomes = [
+            built.crossover(a, b, stream)
+            for a, b in zip(genomes, genomes[1:] + genomes[:1], strict=True)
+        ]
         seen |= {numbers(built, genome).following.shape[1] for genome in genomes}
         built.parameters(genomes)
     assert seen == {1, 2, 3, 4}
 
 
-# ---- crossover and distance ---------------------------------------------------------------------------------------
+# ---- crossover and distance
 
 
 def test_a_child_has_each_number_of_either_parent() -> None:
     built = machines(states=2, thresholds=[2, 1])
-    mother = Machine(0, np.array([1, 1, 1]), np.zeros((6, 2), int), np.ones((6, 2, 2), int)).genome()
+    mother = Machine(
+        0, np.array([1, 1, 1]), np.zeros((6, 2), int), np.ones((6, 2, 2), int)
+    ).genome()
     father = Machine(1, np.array([2, 2, 2]), np.ones((6, 2), int), np.full((6, 2, 2), 2)).genome()
-    children = [numbers(built, built.crossover(mother, father, Stream(seed))) for seed in range(300)]
+    children = [
+        numbers(built, built.crossover(mother, father, Stream(seed))) for seed in range(300)
+    ]
     assert {child.first for child in children} == {0, 1}
-    assert {tuple(child.thresholds) for child in children} == {(a, a, b) for a in (1, 2) for b in (1, 2)}, "input by input"
+    assert {tuple(child.thresholds) for child in children} == {
+        (a, a, b) for a in (1, 2) for b in (1, 2)
+    }, "input by input"
     assert abs(np.mean([child.following for child in children]) - 0.5) < 0.05
     assert abs(np.mean([child.outputs for child in children]) - 1.5) < 0.05
 
@@ -302,18 +359,23 @@ def test_the_distance_counts_the_numbers_that_differ() -> None:
     assert found.tolist() == [[0, 4, 12]]
 
 
-# ---- what it is known for -----------------------------------------------------------------------------------------
+# ---- what it is known for
 
 
 def test_a_machine_learns_to_walk_to_the_exit_and_to_stop_there() -> None:
     """The example, on the exit within half of its generations, and not at first."""
     loaded = experiment.load(experiment.find("mealy"), [])
-    parts = run.build(experiment.complete(loaded, "test"))
+    parts = build(experiment.complete(loaded, "test"))
     bests = []
     for _ in range(30):
         genomes = parts.optimizer.ask()
-        participants, seeds = np.arange(len(genomes)).reshape(-1, 1), np.zeros(len(genomes), np.uint64)
-        outcomes = evaluate.evaluate(parts.problem.simulator, parts.problem.representation, genomes, participants, seeds)
+        participants, seeds = (
+            np.arange(len(genomes)).reshape(-1, 1),
+            np.zeros(len(genomes), np.uint64),
+        )
+        outcomes = evaluate.evaluate(
+            parts.problem.simulator, parts.problem.representation, genomes, participants, seeds
+        )
         parts.optimizer.tell(outcomes.fitness[:, 0])
         bests.append(parts.optimizer.best()[1])
     assert bests[0] < -1

@@ -1,23 +1,27 @@
-"""A network that remembers finds the light where one that does not drives in an arc, as examples/light-memory.toml says."""
+"""A network with memory finds the light where one without drives in an arc."""
 
 import numpy as np
 import pytest
 
 from zswarm import evaluate, experiment
 from zswarm.experiment import Experiment
-from zswarm.ot import run
+from zswarm.ot.build import build
 
 FORGETFUL = 'representation={kind = "feed-forward", hidden = [4], activation = "tanh"}'
 
 
 def best_per_trial(complete: Experiment) -> float:
     """Of a run, played here."""
-    parts = run.build(complete)
+    parts = build(complete)
     problem, optimizer = parts.problem, parts.optimizer
     for generation in range(complete.generations):
         work = problem.workload(optimizer.ask(), generation)
-        outcomes = evaluate.evaluate(problem.simulator, problem.representation, work.genomes, work.participants, work.seeds)
-        optimizer.tell(np.cumsum(outcomes.fitness[:, 0].reshape(-1, complete.problem.trials), axis=1)[:, -1])
+        outcomes = evaluate.evaluate(
+            problem.simulator, problem.representation, work.genomes, work.participants, work.seeds
+        )
+        optimizer.tell(
+            np.cumsum(outcomes.fitness[:, 0].reshape(-1, complete.problem.trials), axis=1)[:, -1]
+        )
     return optimizer.best()[1] / complete.problem.trials
 
 
@@ -28,9 +32,12 @@ def found(seed: int, *overrides: str) -> float:
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("seed", "remembering", "forgetful"), [(1, 0.82, 0.75), (2, 0.89, 0.74), (3, 0.88, 0.74), (4, 0.72, 0.73)]
+    ("seed", "remembering", "forgetful"),
+    [(1, 0.82, 0.75), (2, 0.89, 0.74), (3, 0.88, 0.74), (4, 0.72, 0.73)],
 )
-def test_what_remembers_finds_more_lights_with_most_seeds(seed: int, remembering: float, forgetful: float) -> None:
+def test_what_remembers_finds_more_lights_with_most_seeds(
+    seed: int, remembering: float, forgetful: float
+) -> None:
     """The numbers are those of the example's comment."""
     assert found(seed) == pytest.approx(remembering, abs=0.006)
     assert found(seed, FORGETFUL) == pytest.approx(forgetful, abs=0.006)

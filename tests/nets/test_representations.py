@@ -1,15 +1,15 @@
-"""Every representation keeps the contract, for any numbers of inputs and outputs; the check finds what authors get wrong."""
+"""Every representation keeps the contract; the check finds the mistakes of authors."""
 
 from typing import Any
 
 import numpy as np
 import pytest
-from documents import REPOSITORY
 
-from zswarm import plugins
-from zswarm.draws import Stream
-from zswarm.jit import STEP_SIGNATURE, kernel
+from tests.docs.documents import REPOSITORY
+from zswarm.kernels.jit import STEP_SIGNATURE, kernel
+from zswarm.kernels.random import Stream
 from zswarm.nets.fully_meshed import FullyMeshed
+from zswarm.plugins import registry as plugins
 from zswarm.testing import check_representation
 
 ZERO = np.float32(0)
@@ -35,7 +35,7 @@ def test_the_page_says_what_every_representation_is(name: str) -> None:
     assert f"`{name}`" in PAGE.read_text(encoding="utf-8")
 
 
-# ---- what the check finds -----------------------------------------------------------------------------------------
+# ---- what the check finds
 
 
 @kernel(STEP_SIGNATURE)
@@ -96,7 +96,9 @@ def depending(self, genomes):
 
 def added_in_pairs(self, left, right):
     a, b = (np.array([np.frombuffer(genome, "<f4") for genome in side]).T for side in (left, right))
-    return np.add.reduce(np.abs(a[:, :, None] - b[:, None, :]).astype(np.float64) * 1e-9 + 1, axis=0) * (left != right)
+    return np.add.reduce(
+        np.abs(a[:, :, None] - b[:, None, :]).astype(np.float64) * 1e-9 + 1, axis=0
+    ) * (left != right)
 
 
 def of_none(self, count, stream):
@@ -104,12 +106,18 @@ def of_none(self, count, stream):
 
 
 def beyond(self, count, stream):
-    genomes = [np.frombuffer(genome, "<f4") * np.float32(2) for genome in FullyMeshed.random(self, count, stream)]
+    genomes = [
+        np.frombuffer(genome, "<f4") * np.float32(2)
+        for genome in FullyMeshed.random(self, count, stream)
+    ]
     return [genome.tobytes() for genome in genomes]
 
 
 def positive(self, count, stream):
-    genomes = [np.frombuffer(genome, "<f4") * np.float32(0.4) for genome in FullyMeshed.random(self, count, stream)]
+    genomes = [
+        np.frombuffer(genome, "<f4") * np.float32(0.4)
+        for genome in FullyMeshed.random(self, count, stream)
+    ]
     return [genome.tobytes() for genome in genomes]
 
 
@@ -131,21 +139,33 @@ def not_compiled(parameters, state, observation, output):
         ("distances", far_from_itself, "differs from itself"),
         ("distances", one_way, "not symmetric"),
         ("distances", added_in_pairs, "a pair's distance depends on the other genomes"),
-        ("parameters", never_refusing, "must refuse a genome"),
+        ("parameters", never_refusing, "of a genome that is one byte short must raise ValueError"),
         ("parameters", depending, "a genome's row depends on the other genomes"),
         ("parameters", refusing_large, "any finite numbers must be a genome, also all -1e\\+30"),
         ("random", of_none, "random of 0 and mutate of no genomes"),
         ("random", beyond, "is beyond its range"),
         ("random", positive, "is not uniform in plus or minus its range"),
         ("mutate", losing_one, "6 genomes gave 5"),
-        ("mutate", changing_nothing, "mutate, method 1: all genomes are the same after 50 mutations"),
-        ("crossover", cloning, "a child is its mother and has nothing of its father"),
+        (
+            "mutate",
+            changing_nothing,
+            "mutate, method 1: all genomes are the same after 50 mutations",
+        ),
+        ("crossover", cloning, "a child equals its mother and has nothing of its father"),
         ("step", staticmethod(not_compiled), "must be compiled"),
-        ("step", staticmethod(untyped), "plain Python decides otherwise than the compiled form; type all constants"),
-        ("step", staticmethod(reading_beside), "where it reads what is not in its arrays"),
-        ("step", staticmethod(writing_beside), "writes beside its arrays: is state_size too small?"),
+        (
+            "step",
+            staticmethod(untyped),
+            "plain Python and the compiled form decide differently; type all constants",
+        ),
+        ("step", staticmethod(reading_beside), "or reads outside its arrays"),
+        (
+            "step",
+            staticmethod(writing_beside),
+            "writes outside its arrays: is state_size too small?",
+        ),
         ("step_lanes", staticmethod(not_compiled), "step_lanes must be compiled"),
-        ("step_lanes", staticmethod(untyped), "an agent decides otherwise than with step"),
+        ("step_lanes", staticmethod(untyped), "an agent decides differently than with step"),
     ],
 )
 def test_the_contract_check_names_what_is_broken(attribute: str, fault: Any, text: str) -> None:
@@ -157,8 +177,16 @@ def test_the_contract_check_names_what_is_broken(attribute: str, fault: Any, tex
 @pytest.mark.parametrize(
     ("attribute", "value", "text"),
     [
-        ("ranges", np.full(16, 2.0, np.float32), r"ranges must be a \(16,\) float64 array, not \(16,\) float32"),
-        ("ranges", np.full(15, 2.0), r"ranges must be a \(16,\) float64 array, not \(15,\) float64"),
+        (
+            "ranges",
+            np.full(16, 2.0, np.float32),
+            r"ranges must be a \(16,\) float64 array, not \(16,\) float32",
+        ),
+        (
+            "ranges",
+            np.full(15, 2.0),
+            r"ranges must be a \(16,\) float64 array, not \(15,\) float64",
+        ),
         ("ranges", None, r"ranges must be a \(16,\) float64 array, not None"),
         ("ranges", np.zeros(16), "ranges must be finite and above 0"),
         ("genes", None, "ranges must be None where genes is"),

@@ -8,24 +8,26 @@ from typing import Any
 
 import numpy as np
 import pytest
-from standing import Servers, result
 
-from zswarm import experiment, plugins
+from tests.ot.cluster.standing import Servers, result
+from zswarm import experiment
 from zswarm.errors import ConfigError
 from zswarm.nets.representation import Representation
 from zswarm.ot import run
-from zswarm.ot.assessment import Assessment
-from zswarm.ot.dispatch import Counted
+from zswarm.ot.build import build
+from zswarm.ot.cluster.events import Counted
+from zswarm.ot.generation import Assessment
 from zswarm.ot.logger import Generation, Logger, Result
 from zswarm.ot.optimizers.cmaes import CMAES
-from zswarm.ot.optimizers.nnga import NNGA, Settings
+from zswarm.ot.optimizers.nnga import NNGA, NNGASettings
 from zswarm.ot.optimizers.optimizer import Told
-from zswarm.ot.reading import Run
-from zswarm.ot.record import Record
+from zswarm.ot.record.reader import Run
+from zswarm.ot.record.writer import Record
 from zswarm.ot.workload import Workload
+from zswarm.plugins import registry as plugins
 
 
-class MeasuringSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class MeasuringSettings(NNGASettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Those of NNGA, and names of metrics."""
 
     measures: tuple[str, ...] = ()
@@ -37,7 +39,9 @@ class Measuring(NNGA):
     settings_type = MeasuringSettings
     settings: MeasuringSettings
 
-    def __init__(self, settings: MeasuringSettings, representation: Representation, seed: int) -> None:
+    def __init__(
+        self, settings: MeasuringSettings, representation: Representation, seed: int
+    ) -> None:
         super().__init__(settings, representation, seed)
         self.measures = settings.measures
         self.told: list[np.ndarray] = []
@@ -58,20 +62,22 @@ class Genes(Servers):
         trials = np.flatnonzero(~workload.counted)
         genes = np.array([np.frombuffer(genome, "<f4")[0] for genome in workload.genomes])
         workload.fitness[trials] = genes[workload.participants[trials]]
-        workload.metrics[trials] = np.stack([workload.seeds[trials] % 7 / 3, workload.fitness[trials, 0]], axis=1)
+        workload.metrics[trials] = np.stack(
+            [workload.seeds[trials] % 7 / 3, workload.fitness[trials, 0]], axis=1
+        )
         workload.counted[trials] = True
         yield Counted(trials, "lab-1-0123abcd", 0.01)
 
 
 @pytest.fixture
-def servers(monkeypatch: pytest.MonkeyPatch) -> Genes:
-    made = Genes()
-    monkeypatch.setattr(run, "Evaluations", made)
-    return made
+def servers() -> Genes:
+    return Genes()
 
 
-def begun(record: Record, complete: experiment.Experiment, servers: Genes) -> Generator[Generation, None, Result]:
-    return run.evolve(run.build(complete), record, servers, Logger(), threading.Event())  # type: ignore[arg-type]
+def begun(
+    record: Record, complete: experiment.Experiment, servers: Genes
+) -> Generator[Generation, None, Result]:
+    return run.evolve(build(complete), record, servers, Logger(), threading.Event())  # type: ignore[arg-type]
 
 
 def loaded(*overrides: str) -> experiment.Experiment:
@@ -80,29 +86,37 @@ def loaded(*overrides: str) -> experiment.Experiment:
 
 
 def created(out: Path, complete: experiment.Experiment) -> Record:
-    return Record.create(out, complete, "0" * 32, run.build(complete).problem.simulator.metrics)
+    return Record.create(out, complete, "0" * 32, build(complete).problem.simulator.metrics)
 
 
-def test_a_generation_is_told_when_it_is_on_the_disk_and_servers_have_the_next(tmp_path: Path, servers: Genes) -> None:
+def test_a_generation_is_reported_when_recorded_and_the_next_is_sent(
+    tmp_path: Path, servers: Genes
+) -> None:
     complete = loaded()
     with created(tmp_path, complete) as record:
         evolution = begun(record, complete, servers)
         for generation in range(4):
             told = next(evolution)
             assert told.generation == generation
-            assert [row["generation"] for row in Run(record.folder).history()] == list(range(generation + 1))
-            assert told.evaluations == sum(len(workload.genomes) for workload in servers.handed[: generation + 1])
+            assert [row["generation"] for row in Run(record.folder).history()] == list(
+                range(generation + 1)
+            )
+            assert told.evaluations == sum(
+                len(workload.genomes) for workload in servers.handed[: generation + 1]
+            )
             assert len(servers.handed) == min(generation + 2, 4)
         assert result(evolution).history_hash == record.history().hex()
 
 
 def with_cmaes(*overrides: str) -> experiment.Experiment:
-    mapping = experiment.to_mapping(loaded(*overrides)) | {"optimizer": {"kind": "cmaes", "population": 10}}
+    mapping = experiment.to_mapping(loaded(*overrides)) | {
+        "optimizer": {"kind": "cmaes", "population": 10}
+    }
     return experiment.complete(experiment.check(mapping, "test"), "test")
 
 
 @pytest.mark.parametrize("complete", [loaded(), with_cmaes()], ids=["nnga", "cmaes"])
-def test_a_run_that_is_left_in_its_loop_goes_on_as_if_it_had_not(
+def test_a_run_left_in_its_loop_resumes_with_the_same_result(
     tmp_path: Path, servers: Genes, complete: experiment.Experiment
 ) -> None:
     """Of the generation that servers had by then nothing is recorded; it is asked for again."""
@@ -149,15 +163,20 @@ def test_what_is_written_of_a_generation_is_one_transaction(
 ) -> None:
     """Its outcomes are not older than 0.1 s: they wait for it."""
     complete = loaded("generations=3")
-    monkeypatch.setattr("zswarm.ot.database.COMMIT_S", 3600.0)
+    monkeypatch.setattr("zswarm.ot.record.database.COMMIT_S", 3600.0)
     with created(tmp_path, complete) as record:
         evolution = begun(record, complete, servers)
         next(evolution)
         statements: list[str] = []
         record._database._connection.set_trace_callback(statements.append)
         next(evolution)
-        assert [line for line in statements if line.startswith(("BEGIN", "COMMIT"))] == ["BEGIN IMMEDIATE", "COMMIT"]
-        assert not [line for line in statements if line.startswith("SELECT")], "nothing is read in the loop"
+        assert [line for line in statements if line.startswith(("BEGIN", "COMMIT"))] == [
+            "BEGIN IMMEDIATE",
+            "COMMIT",
+        ]
+        assert not [line for line in statements if line.startswith("SELECT")], (
+            "nothing is read in the loop"
+        )
         evolution.close()
 
 
@@ -171,10 +190,10 @@ class Said(Logger):
         self.lines.append(line)
 
 
-def test_where_an_optimizer_proposes_otherwise_than_before_the_run_goes_on_and_says_so(
+def test_diverging_proposals_are_reported_and_the_run_continues(
     tmp_path: Path, servers: Genes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """On another processor, or with another version of its package: here its draws are others from the third generation on."""
+    """On another processor or version of a package, draws may differ: here from generation 3 on."""
     complete = with_cmaes()
     with created(tmp_path, complete) as record:
         evolution = begun(record, complete, servers)
@@ -182,20 +201,26 @@ def test_where_an_optimizer_proposes_otherwise_than_before_the_run_goes_on_and_s
             next(evolution)
         evolution.close()
     propose = CMAES._propose
-    monkeypatch.setattr(CMAES, "_propose", lambda self: propose(self) + (0.1 if self.generation >= 2 else 0.0))
+    monkeypatch.setattr(
+        CMAES, "_propose", lambda self: propose(self) + (0.1 if self.generation >= 2 else 0.0)
+    )
     record, complete = Record.open(record.folder)
     said = Said()
     with record:
         record.begin(3, servers.handed[-1])
         for counted in servers.play(servers.handed[-1]):
             record.add(counted, servers.handed[-1])
-        ended = result(run.evolve(run.build(complete), record, servers, said, threading.Event()))  # type: ignore[arg-type]
+        ended = result(run.evolve(build(complete), record, servers, said, threading.Event()))  # type: ignore[arg-type]
     assert said.lines[1:] == [
-        "cmaes would have proposed other candidates from generation 2 on; it goes on from those that were recorded",
-        "generation 3 was begun with other candidates: 10 trials are forgotten",
+        "cmaes would have proposed other candidates from generation 2 on; "
+        "it continues from the recorded ones",
+        "generation 3 was begun with other candidates: 10 trials are dropped",
     ]
     assert ended.evaluations == 40
-    genomes = [[row["genome"] for row in Run(record.folder).candidates(generation)] for generation in range(4)]
+    genomes = [
+        [row["genome"] for row in Run(record.folder).candidates(generation)]
+        for generation in range(4)
+    ]
     assert genomes[:3] == [workload.genomes for workload in servers.handed[:3]]
     assert genomes[3] == servers.handed[-1].genomes != servers.handed[3].genomes
 
@@ -209,29 +234,40 @@ def measuring(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("measuring")
-def test_measures_are_means_of_metrics_in_trial_order_told_hashed_and_recorded(tmp_path: Path, servers: Genes) -> None:
+def test_measures_are_means_of_metrics_in_trial_order_told_hashed_and_recorded(
+    tmp_path: Path, servers: Genes
+) -> None:
     """Also to an optimizer that goes on from the record; what they are added in changes bits."""
-    complete = loaded("optimizer.kind=measuring", "optimizer.measures=['rounds', 'escaped']", "problem.trials=3", "generations=3")
-    assert run.build(complete).problem.simulator.metrics == ("escaped", "rounds")
-    parts = run.build(complete)
+    complete = loaded(
+        "optimizer.kind=measuring",
+        "optimizer.measures=['rounds', 'escaped']",
+        "problem.trials=3",
+        "generations=3",
+    )
+    assert build(complete).problem.simulator.metrics == ("escaped", "rounds")
+    parts = build(complete)
     with created(tmp_path, complete) as record:
         evolution = run.evolve(parts, record, servers, Logger(), threading.Event())  # type: ignore[arg-type]
         for _ in range(2):
             next(evolution)
         evolution.close()
     record, complete = Record.open(record.folder)
-    parts = run.build(complete)
+    parts = build(complete)
     with record:
         ended = result(run.evolve(parts, record, servers, Logger(), threading.Event()))  # type: ignore[arg-type]
         recorded = list(record.told())
     told = parts.optimizer.told  # type: ignore[attr-defined]
     assert len(told) == len(recorded) == 3
     hashed = hashlib.blake2b(digest_size=16)
-    for workload, measures, generation in zip((*servers.handed[:2], servers.handed[-1]), told, recorded, strict=True):
+    for workload, measures, generation in zip(
+        (*servers.handed[:2], servers.handed[-1]), told, recorded, strict=True
+    ):
         metrics = workload.metrics.reshape(-1, 3, 2)
         expected = ((metrics[:, 0] + metrics[:, 1] + metrics[:, 2]) / 3)[:, ::-1]
         assert measures.tobytes() == generation.measures.tobytes() == expected.tobytes()
-        hashed.update(b"".join(generation.genomes) + generation.fitness.tobytes() + expected.tobytes())
+        hashed.update(
+            b"".join(generation.genomes) + generation.fitness.tobytes() + expected.tobytes()
+        )
     assert ended.history_hash == hashed.hexdigest()
 
 
@@ -239,7 +275,7 @@ def test_measures_are_means_of_metrics_in_trial_order_told_hashed_and_recorded(t
 def test_measures_that_are_no_metric_are_refused_with_those_that_are(tmp_path: Path) -> None:
     complete = loaded("optimizer.kind=measuring", "optimizer.measures=['rounds', 'spread']")
     with pytest.raises(ConfigError) as refusal:
-        run.build(complete)
+        build(complete)
     words = "optimizer: measures: emergency-exit has no metric 'spread'; it has: escaped, rounds"
     assert str(refusal.value) == words
 
@@ -247,7 +283,7 @@ def test_measures_that_are_no_metric_are_refused_with_those_that_are(tmp_path: P
 @pytest.mark.usefixtures("measuring")
 @pytest.mark.parametrize("metrics", [[np.nan, 1.0], [1.7e308, 1.7e308], [-np.inf, 1.0]])
 def test_a_mean_that_is_not_finite_is_the_one_nan(metrics: list[float]) -> None:
-    problem = run.build(loaded("problem.trials=2")).problem
+    problem = build(loaded("problem.trials=2")).problem
     assessment = Assessment(problem, problem.random(2), 0)
     assessment.workload.metrics[:] = 0.5
     assessment.workload.metrics[2:, 1] = metrics

@@ -1,4 +1,4 @@
-"""Loggers of users: they hear all in order, and neither their errors nor their slowness reach the run."""
+"""Users' loggers get all calls in order; neither their errors nor their slowness stop the run."""
 
 import threading
 from pathlib import Path
@@ -9,14 +9,15 @@ import pytest
 from zswarm import experiment
 from zswarm.controller import Controller
 from zswarm.ot import logger as loggers
-from zswarm.ot.dispatch import Note
 from zswarm.ot.logger import Generation, InBackground, Logger, Loggers, Result, Started
+from zswarm.ot.notes import Note
 
 STARTED = Started(Path("runs/x"), experiment.load(experiment.find("stadium")), 0)
 RESULT = Result("runs/x", 3, 1.0, 150, 0, "00", 0.1, 0, 0)
 NOTE = Note("server_joined", "lab-1", count=2)
 CHAMPION = Controller(
-    simulator="s", simulator_settings={}, representation="r", representation_settings={}, inputs=1, outputs=1, sensors=[],
+    simulator="s", simulator_settings={}, representation="r", representation_settings={}, inputs=1,
+    outputs=1, sensors=[],
     actuators=[], genome=b"", fitness=1.0, run="x",
 )  # fmt: skip
 
@@ -76,7 +77,8 @@ def without_progress(heard: list[tuple[str, Any]]) -> list[tuple[str, Any]]:
 
 ALL = [
     ("start", STARTED), ("say", "hello"), ("event", NOTE),
-    *(call for number in range(3) for call in (("generation", generation(number)), ("champion", CHAMPION))),
+    *(call for number in range(3) for call in (("generation", generation(number)), ("champion",
+    CHAMPION))),
     ("end", RESULT),
 ]  # fmt: skip
 
@@ -107,8 +109,12 @@ def test_a_logger_in_the_background_hears_all_in_order_in_one_thread_of_its_own(
     assert said == []
 
 
-@pytest.mark.parametrize("error", [ZeroDivisionError("no disk"), SystemExit("no disk")], ids=["an error", "an exit"])
-def test_what_a_logger_raises_is_told_once_and_it_hears_the_rest(error: BaseException) -> None:
+@pytest.mark.parametrize(
+    "error", [ZeroDivisionError("no disk"), SystemExit("no disk")], ids=["an error", "an exit"]
+)
+def test_an_error_of_a_logger_is_reported_once_and_it_gets_later_events(
+    error: BaseException,
+) -> None:
     class Raising(Hearing):
         def on_generation(self, generation: Generation) -> None:
             super().on_generation(generation)
@@ -116,11 +122,13 @@ def test_what_a_logger_raises_is_told_once_and_it_hears_the_rest(error: BaseExce
 
     raising, said = Raising(), list[str]()
     tell(InBackground(raising, said.append))
-    assert said == [f"logger Raising: {type(error).__name__}: no disk; the run goes on"]
+    assert said == [f"logger Raising: {type(error).__name__}: no disk; the run continues"]
     assert without_progress(raising.heard) == ALL
 
 
-def test_a_slow_logger_holds_up_nobody_and_is_told_what_it_missed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_slow_logger_delays_nothing_and_learns_how_much_it_missed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """No more than so many calls wait for it; progress is left out as long as it is behind."""
     monkeypatch.setattr(loggers, "WAITING", 10)
     slow, said = threading.Event(), list[str]()
@@ -145,11 +153,11 @@ def test_a_slow_logger_holds_up_nobody_and_is_told_what_it_missed(monkeypatch: p
     assert sum(what == "progress" for what, _ in hearing.heard) <= 1
     assert hearing.heard[-1] == ("end", RESULT)
     assert len(said) == 1
-    assert said[0].startswith("logger Slow was behind: 2")
+    assert said[0].startswith("logger Slow was too slow: 2")
 
 
 def test_a_logger_that_hangs_is_left_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whether a call hangs with room behind it or with none; when it goes on, it hears the end, and its thread ends."""
+    """With room in its queue or without; if it continues, it gets the last call and ends."""
     monkeypatch.setattr(loggers, "LAST_CALLS_S", 0.05)
     for waiting in (2, 100):
         monkeypatch.setattr(loggers, "WAITING", waiting)
@@ -162,7 +170,7 @@ def test_a_logger_that_hangs_is_left_at_the_end(monkeypatch: pytest.MonkeyPatch)
         hanging = Hanging()
         background = InBackground(hanging, said.append)
         tell(background)
-        assert said == ["logger Hanging is behind and was left"]
+        assert said == ["logger Hanging hangs and was abandoned"]
         go_on.set()
         background._thread.join(30.0)
         assert not background._thread.is_alive()

@@ -25,7 +25,8 @@ def test_ctrl_c_while_it_still_loads_ends_it_in_silence(tmp_path: Path, begun: s
     path = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
     how = signal.SIG_IGN if begun == "in the background" else signal.SIG_DFL
     with subprocess.Popen(
-        [sys.executable, "-m", "zswarm.ot", "--version"], env=os.environ | {"PYTHONPATH": path}, text=True,
+        [sys.executable, "-m", "zswarm.ot", "--version"], env=os.environ | {"PYTHONPATH": path},
+        text=True,
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         preexec_fn=lambda: signal.signal(signal.SIGINT, how),
     ) as program:  # fmt: skip

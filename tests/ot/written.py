@@ -1,4 +1,4 @@
-"""Run folders as our programs leave them, with the fitness that a test wants; nothing is evaluated."""
+"""Write run folders as our programs do, with a given fitness; nothing is evaluated."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,9 +9,10 @@ import numpy as np
 
 from zswarm import experiment
 from zswarm.controller import Controller
-from zswarm.ot.dispatch import Counted, Note
-from zswarm.ot.history import History
-from zswarm.ot.record import Record
+from zswarm.ot.cluster.events import Counted
+from zswarm.ot.notes import Note
+from zswarm.ot.record.history_hash import History
+from zswarm.ot.record.writer import Record
 from zswarm.ot.workload import Workload
 
 EXPERIMENT = experiment.complete(experiment.load(experiment.find("stadium")), "test")
@@ -29,15 +30,21 @@ def written(
     simulator: str = "emergency-exit",
     settings: Mapping[str, Any] | None = None,
 ) -> Path:
-    """A run whose best fitness was ``best`` after each generation; NaN: every candidate failed so far."""
+    """Write a run with its best fitness after each generation; NaN: every candidate failed."""
     representation = msgspec.structs.replace(
         EXPERIMENT.representation, settings={**EXPERIMENT.representation.settings, "hidden": hidden}
     )
     problem = msgspec.structs.replace(
-        EXPERIMENT.problem, simulator=simulator, settings={**EXPERIMENT.problem.settings, **(settings or {})}
+        EXPERIMENT.problem,
+        simulator=simulator,
+        settings={**EXPERIMENT.problem.settings, **(settings or {})},
     )
     complete = msgspec.structs.replace(
-        EXPERIMENT, seed=seed, generations=len(best) + (not finished), representation=representation, problem=problem
+        EXPERIMENT,
+        seed=seed,
+        generations=len(best) + (not finished),
+        representation=representation,
+        problem=problem,
     )
     genomes = [np.linspace(-1, 1, (hidden + 2) * (hidden + 13), dtype="<f4").tobytes()] * candidates
     history = History()
@@ -45,7 +52,9 @@ def written(
         for note in notes:
             record.note(note)
         for generation, value in enumerate(best):
-            workload = Workload(genomes, np.arange(candidates).reshape(-1, 1), np.zeros(candidates, np.uint64), 2)
+            workload = Workload(
+                genomes, np.arange(candidates).reshape(-1, 1), np.zeros(candidates, np.uint64), 2
+            )
             workload.fitness[:], workload.metrics[:] = value, 0.0
             record.begin(generation, workload)
             record.add(Counted(np.arange(candidates), "lab-1-0123abcd", 0.01), workload)
@@ -55,8 +64,10 @@ def written(
         if len(best):
             record.champion(
                 Controller(
-                    simulator=simulator, simulator_settings=problem.settings, representation="fully-meshed",
-                    representation_settings=representation.settings, inputs=10, outputs=2, sensors=[], actuators=["vx", "vy"],
+                    simulator=simulator, simulator_settings=problem.settings,
+                    representation="fully-meshed",
+                    representation_settings=representation.settings, inputs=10, outputs=2,
+                    sensors=[], actuators=["vx", "vy"],
                     genome=genomes[0], fitness=best[-1], run="run",
                 )
             )  # fmt: skip

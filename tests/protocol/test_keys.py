@@ -1,4 +1,4 @@
-"""Keys: what is built is taken apart again, and nothing from the network can widen one or leave a folder."""
+"""Keys round-trip, and nothing from the network can widen one or leave a folder."""
 
 import os
 import re
@@ -44,7 +44,7 @@ def test_an_id_is_a_safe_name_of_a_file(text: str) -> None:
 
 
 @pytest.mark.parametrize("text", NO_IDS)
-def test_what_is_no_id_is_told(text: str) -> None:
+def test_an_invalid_id_is_reported(text: str) -> None:
     assert not keys.is_id(text)
 
 
@@ -58,7 +58,13 @@ def test_any_text_folds_to_an_id_that_a_server_can_be_named_by(text: str) -> Non
 
 @pytest.mark.parametrize(
     ("text", "folded"),
-    [("Lab-PC.example.org", "lab-pc-example-org"), ("__", "x"), ("", "x"), ("Ünal", "nal"), ("a" * 99, "a" * 54)],
+    [
+        ("Lab-PC.example.org", "lab-pc-example-org"),
+        ("__", "x"),
+        ("", "x"),
+        ("Ünal", "nal"),
+        ("a" * 99, "a" * 54),
+    ],
 )
 def test_a_host_name_folds_to_the_nearest_id(text: str, folded: str) -> None:
     assert keys.fold(text) == folded
@@ -83,11 +89,17 @@ def test_the_keys_are_those_of_the_protocol() -> None:
 
 
 @given(IDS, IDS, IDS, IDS, st.sampled_from(VERBS))
-def test_a_key_of_a_server_is_taken_apart_as_it_was_built(realm: str, server: str, user: str, run: str, verb: str) -> None:
+def test_a_key_of_a_server_is_taken_apart_as_it_was_built(
+    realm: str, server: str, user: str, run: str, verb: str
+) -> None:
     parsed = keys.parse_server_key(keys.request(realm, server, user, run, verb))
     assert parsed == ServerKey("v1", realm, server, verb, user, run)
-    assert keys.parse_server_key(keys.alive(realm, server)) == ServerKey("v1", realm, server, "alive")
-    assert keys.parse_server_key(keys.offer(realm, server)) == ServerKey("v1", realm, server, "offer")
+    assert keys.parse_server_key(keys.alive(realm, server)) == ServerKey(
+        "v1", realm, server, "alive"
+    )
+    assert keys.parse_server_key(keys.offer(realm, server)) == ServerKey(
+        "v1", realm, server, "offer"
+    )
     assert keys.parse_run_key(keys.run_alive(realm, user, run)) == (user, run)
 
 
@@ -96,7 +108,7 @@ def test_a_server_of_another_version_can_be_named() -> None:
 
 
 @pytest.mark.parametrize("bad", NO_IDS)
-def test_what_is_no_id_never_becomes_part_of_a_key(bad: str) -> None:
+def test_an_invalid_id_never_becomes_part_of_a_key(bad: str) -> None:
     """A star would widen a key; only the two that ask for all servers or runs take one."""
     builders = [
         lambda: keys.alive(bad, "s"),
@@ -151,7 +163,7 @@ def test_what_is_no_id_never_becomes_part_of_a_key(bad: str) -> None:
         "zswarm/v1/r/ss/s/xx/u/n/renew",
     ],
 )
-def test_what_is_no_key_of_a_server_is_the_peers_fault(key: str) -> None:
+def test_an_invalid_server_key_is_a_remote_protocol_error(key: str) -> None:
     with pytest.raises(RemoteProtocolError) as refusal:
         keys.parse_server_key(key)
     assert str(refusal.value).isprintable()
@@ -170,12 +182,17 @@ def test_what_is_no_key_of_a_server_is_the_peers_fault(key: str) -> None:
         "zswarm/v1/r/ss/u/n/alive",
     ],
 )
-def test_what_is_no_key_of_a_run_is_the_peers_fault(key: str) -> None:
+def test_an_invalid_run_key_is_a_remote_protocol_error(key: str) -> None:
     with pytest.raises(RemoteProtocolError):
         keys.parse_run_key(key)
 
 
-PARTS = st.lists(st.one_of(st.text(max_size=8), IDS, st.sampled_from(["zswarm", "v1", "ss", "ot", "alive", *VERBS])), max_size=9)
+PARTS = st.lists(
+    st.one_of(
+        st.text(max_size=8), IDS, st.sampled_from(["zswarm", "v1", "ss", "ot", "alive", *VERBS])
+    ),
+    max_size=9,
+)
 
 
 @settings(derandomize=True, max_examples=500 if os.environ.get("CI") else 100)

@@ -5,10 +5,11 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from zswarm import plugins
 from zswarm.controller import Controller
-from zswarm.draws import Stream
+from zswarm.kernels.random import Stream
+from zswarm.plugins import registry as plugins
 
+RANGE = {"minimum": [-50], "maximum": [150]}
 KINDS: list[tuple[str, dict[str, Any]]] = [
     *((name, {}) for name in plugins.BUNDLED["representation"]),
     *(("fully-meshed", {"hidden": hidden, "activation": activation, "iterations": 3})
@@ -18,7 +19,7 @@ KINDS: list[tuple[str, dict[str, Any]]] = [
     ("hebbian", {"plasticity": "one", "hidden": 5}),
     ("neat", {"recurrent": True}),
     ("mealy", {"rows": "product", "thresholds": [2]}),
-    ("mealy", {"thresholds": [0, 1, 2, 0], "units": [3], "minimum": [-50], "maximum": [150], "states": 3}),
+    ("mealy", {"thresholds": [0, 1, 2, 0], "units": [3], "states": 3, **RANGE}),
     *(("bulk", {"parts": 3, "of": {"kind": kind}})
       for kind in ("ctrnn", "feed-forward", "hebbian", "mealy", "three-layer")),
 ]  # fmt: skip
@@ -26,11 +27,18 @@ KINDS: list[tuple[str, dict[str, Any]]] = [
 
 def named(kind: tuple[str, dict[str, Any]]) -> str:
     """For a test's id."""
-    return "-".join([kind[0], *(f"{key}={value}" for key, value in kind[1].items())]).replace(" ", "")
+    return "-".join([kind[0], *(f"{key}={value}" for key, value in kind[1].items())]).replace(
+        " ", ""
+    )
 
 
 def controller(
-    kind: str, settings: dict[str, Any] | None = None, *, seed: int = 1, inputs: int = 4, outputs: int = 3
+    kind: str,
+    settings: dict[str, Any] | None = None,
+    *,
+    seed: int = 1,
+    inputs: int = 4,
+    outputs: int = 3,
 ) -> Controller:
     """One with a random genome, which mutated some times where that changes its structure."""
     part = plugins.load("representation", kind)
@@ -44,7 +52,8 @@ def controller(
     return Controller(
         simulator="minisim", simulator_settings={"robots": 3}, representation=kind,
         representation_settings=msgspec.to_builtins(complete), inputs=inputs, outputs=outputs,
-        sensors=[f"sensor {number}" for number in range(inputs)], actuators=[f"motor {number}" for number in range(outputs)],
+        sensors=[f"sensor {number}" for number in range(inputs)],
+        actuators=[f"motor {number}" for number in range(outputs)],
         genome=genomes[0], fitness=0.5, run="of-a-test",
     )  # fmt: skip
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from zswarm import evaluate
 from zswarm.controller import Controller
-from zswarm.draws import Stream
+from zswarm.kernels.random import Stream
 from zswarm.robots.package import Files
 from zswarm.sims.simulator import RobotInterface
 from zswarm.sims.turtlebot_exit import TurtlebotExit
@@ -22,17 +22,27 @@ def evolved(kind: str = "fully-meshed", seed: int = 4, **settings: Any) -> Contr
     """A controller of TurtleBots that leave a room, with a random genome."""
     simulator, network = evaluate.build("turtlebot-exit", settings, kind, {})
     return Controller(
-        simulator="turtlebot-exit", simulator_settings=msgspec.to_builtins(simulator.settings), representation=kind,
-        representation_settings=msgspec.to_builtins(network.settings), inputs=simulator.inputs, outputs=simulator.outputs,
-        sensors=list(simulator.sensors), actuators=list(simulator.actuators), genome=network.random(1, Stream(seed))[0],
-        fitness=-1.25, run="runs/of a test",
-    )  # fmt: skip
+        simulator="turtlebot-exit",
+        simulator_settings=msgspec.to_builtins(simulator.settings),
+        representation=kind,
+        representation_settings=msgspec.to_builtins(network.settings),
+        inputs=simulator.inputs,
+        outputs=simulator.outputs,
+        sensors=list(simulator.sensors),
+        actuators=list(simulator.actuators),
+        genome=network.random(1, Stream(seed))[0],
+        fitness=-1.25,
+        run="runs/of a test",
+    )
 
 
 def simulator(controller: Controller) -> TurtlebotExit:
     """The simulator that it was evolved in."""
     built, _ = evaluate.build(
-        controller.simulator, controller.simulator_settings, controller.representation, controller.representation_settings
+        controller.simulator,
+        controller.simulator_settings,
+        controller.representation,
+        controller.representation_settings,
     )
     assert isinstance(built, TurtlebotExit)
     return built
@@ -64,11 +74,13 @@ def scanner(robot: RobotInterface) -> tuple[float, float]:
     return float(np.float32(-robot.view / 2)), float(np.float32(robot.view / (robot.rays - 1)))
 
 
-def played(world: TurtlebotExit, seed: int, decide: Callable[[int, int], tuple[float, float]]) -> tuple[list[bytes], list[float]]:
+def played(
+    world: TurtlebotExit, seed: int, decide: Callable[[int, int], tuple[float, float]]
+) -> tuple[list[bytes], list[float]]:
     """The poses of all robots in each step of a trial, and its fitness and metrics.
 
     Args:
-        decide: (step, robot) -> m/s ahead, rad/s counter-clockwise, from the world's scans and poses.
+        decide: (step, robot) -> m/s ahead, rad/s counter-clockwise.
     """
     turn, poses, step = world.reset(seed), [world.poses.tobytes()], 0
     linear, angular = np.zeros(world.settings.robots), np.zeros(world.settings.robots)
@@ -88,7 +100,10 @@ def in_process(controller: Controller, seed: int) -> tuple[list[bytes], list[flo
     drivers = [controller.driver() for _ in range(world.settings.robots)]
     turn, poses = world.reset(seed), [world.poses.tobytes()]
     while turn is not None:
-        actions = [drivers[robot].act(seen) for robot, seen in zip(turn.agents, turn.observations, strict=True)]
+        actions = [
+            drivers[robot].act(seen)
+            for robot, seen in zip(turn.agents, turn.observations, strict=True)
+        ]
         turn = world.step(np.array(actions))
         poses.append(world.poses.tobytes())
     outcome = world.outcome()

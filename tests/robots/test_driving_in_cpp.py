@@ -1,4 +1,4 @@
-"""The C++ node decides and stops by the same rules as the Python ones: equal messages at equal times, equal velocities."""
+"""The C++ node decides and stops by the rules of the Python ones."""
 
 import shutil
 import subprocess
@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from packed import evolved, load, write
-from test_package import compiled
 
-from zswarm.robots.ros1 import ros1
-from zswarm.robots.ros2 import ros2
+from tests.robots.packed import evolved, load, write
+from tests.robots.test_package import compiled
+from zswarm.robots.package import ros1, ros2
 
 pytestmark = pytest.mark.robots
 
@@ -29,7 +28,8 @@ int main(int, char **arguments) {
   unsigned long long stamp;
   while (std::scanf(" %c %lf %llu %lf", &what, &now, &stamp, &x) == 4) {
     bool said = false;
-    if (what == 's') said = driving.on_scan(now, {stamp, std::vector<float>(90, static_cast<float>(x)), 0.0, 0.07});
+    const std::vector<float> ranges(90, static_cast<float>(x));
+    if (what == 's') said = driving.on_scan(now, {stamp, ranges, 0.0, 0.07});
     if (what == 'p') said = driving.on_pose(now, {stamp, x, -x, 0.6, 0.8});
     if (what == 't') said = driving.on_step(now);
     if (what == 'w') said = driving.on_watch(now);
@@ -41,7 +41,7 @@ int main(int, char **arguments) {
 
 
 def events(count: int) -> list[tuple[str, float, int, float]]:
-    """Scans, poses, steps and looks of the watchdog; some messages repeat, stop for a while, begin anew, or are at a target."""
+    """Events of any kind; messages repeat, pause, restart, or are at a target."""
     stream = np.random.default_rng(5)
     now, stamps, told = 0.0, {"s": 0, "p": 0}, []
     for _ in range(count):
@@ -69,14 +69,24 @@ def test_both_decide_and_stop_alike(tmp_path: Path, lock_step: bool) -> None:
     (tmp_path / "cpp/src/main.cpp").write_text(MAIN)
     source = tmp_path / "cpp/src"
     subprocess.run(
-        ["cc", "-std=c99", "-O2", "-ffp-contract=off", "-c", "robot.c", "interface.c", "zs_x.c"], cwd=source, check=True
+        ["cc", "-std=c99", "-O2", "-ffp-contract=off", "-c", "robot.c", "interface.c", "zs_x.c"],
+        cwd=source,
+        check=True,
     )
     flags = ["-std=c++14", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic"]
-    subprocess.run(["c++", *flags, "main.cpp", "robot.o", "interface.o", "zs_x.o", "-lm", "-o", "main"], cwd=source, check=True)
+    subprocess.run(
+        ["c++", *flags, "main.cpp", "robot.o", "interface.o", "zs_x.o", "-lm", "-o", "main"],
+        cwd=source,
+        check=True,
+    )
     told = events(4000)
     lines = "\n".join(f"{what} {now!r} {stamp} {x!r}" for what, now, stamp, x in told)
     done = subprocess.run(
-        [source / "main", str(watchdog_s), str(int(lock_step))], input=lines, capture_output=True, text=True, check=True
+        [source / "main", str(watchdog_s), str(int(lock_step))],
+        input=lines,
+        capture_output=True,
+        text=True,
+        check=True,
     )
     robot, driving, settings = load(tmp_path / "python", "zs_x", "robot", "driving", "settings")
     assert arrived_m == settings.ARRIVED
@@ -85,7 +95,9 @@ def test_both_decide_and_stop_alike(tmp_path: Path, lock_step: bool) -> None:
     def said(what: str, now: float, stamp: int, x: float) -> list[Any]:
         match what:
             case "s":
-                velocity = drive.on_scan(now, driving.Scan(stamp, np.full(90, x, np.float32), 0.0, 0.07))
+                velocity = drive.on_scan(
+                    now, driving.Scan(stamp, np.full(90, x, np.float32), 0.0, 0.07)
+                )
             case "p":
                 velocity = drive.on_pose(now, driving.Pose(stamp, x, -x, 0.6, 0.8))
             case "t":
@@ -95,7 +107,10 @@ def test_both_decide_and_stop_alike(tmp_path: Path, lock_step: bool) -> None:
         return [*(velocity or ()), int(drive.silent), int(drive.arrived)]
 
     here = [said(*each) for each in told]
-    there = [[*map(float.fromhex, line.split()[:-2]), *map(int, line.split()[-2:])] for line in done.stdout.splitlines()]
+    there = [
+        [*map(float.fromhex, line.split()[:-2]), *map(int, line.split()[-2:])]
+        for line in done.stdout.splitlines()
+    ]
     assert there == here
     assert len({tuple(each) for each in here if len(each) == 4}) > (5 if lock_step else 20)
     if not lock_step:

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from zswarm.robots.package import TEMPLATES
+from zswarm.robots.c.templates import TEMPLATES
 
 SPEC = importlib.util.spec_from_file_location("driving", TEMPLATES / "python/driving.py")
 assert SPEC is not None
@@ -75,16 +75,24 @@ def test_a_robot_decides_in_each_step_by_what_is_newest(free: Any) -> None:
 
 
 @pytest.mark.parametrize("silent", ["scan", "pose"])
-def test_it_stops_when_its_sensors_fall_silent_and_drives_when_they_come_again(free: Any, silent: str) -> None:
+def test_it_stops_when_its_sensors_fall_silent_and_drives_when_they_come_again(
+    free: Any, silent: str
+) -> None:
     free.on_scan(0.0, scan(1))
     free.on_pose(0.0, pose(1))
     assert free.on_step(0.0) == (1, 1)
-    (free.on_pose if silent == "scan" else free.on_scan)(0.9, pose(2) if silent == "scan" else scan(2))
+    (free.on_pose if silent == "scan" else free.on_scan)(
+        0.9, pose(2) if silent == "scan" else scan(2)
+    )
     assert free.on_step(WATCHDOG_S) != STOP
     assert free.on_step(WATCHDOG_S + 0.01) == STOP
     assert free.silent
-    (free.on_scan if silent == "scan" else free.on_pose)(2.0, scan(9) if silent == "scan" else pose(9))
-    (free.on_pose if silent == "scan" else free.on_scan)(2.0, pose(9) if silent == "scan" else scan(9))
+    (free.on_scan if silent == "scan" else free.on_pose)(
+        2.0, scan(9) if silent == "scan" else pose(9)
+    )
+    (free.on_pose if silent == "scan" else free.on_scan)(
+        2.0, pose(9) if silent == "scan" else scan(9)
+    )
     assert free.on_step(2.0) != STOP
     assert not free.silent
 
@@ -147,7 +155,7 @@ def test_in_lock_step_it_decides_once_for_scan_and_pose_of_one_stamp(locked: Any
     assert locked.on_watch(99.0) is None
 
 
-def test_in_lock_step_the_simulation_says_who_is_there(robot: Decided, locked: Any) -> None:
+def test_in_lock_step_the_simulation_names_the_present_robots(robot: Decided, locked: Any) -> None:
     robot.distance = 0.0
     locked.on_scan(0.0, scan(5))
     assert locked.on_pose(0.0, pose(5)) == (1, 5)
@@ -168,7 +176,7 @@ def test_stamps_that_go_back_begin_a_trial(robot: Decided, locked: Any, first: s
     assert robot.forgot > before
 
 
-def test_a_scanner_that_looks_elsewhere_ends_the_drive(robot: Decided, free: Any) -> None:
+def test_a_scanner_with_another_orientation_ends_the_drive(robot: Decided, free: Any) -> None:
     robot.blind = True
     free.on_scan(0.0, scan(1))
     free.on_pose(0.0, pose(1))

@@ -12,14 +12,16 @@ import click
 import msgspec
 import pytest
 from click.testing import CliRunner, Result
-from controllers import controller
-from played import played
 
+from tests.places import REPOSITORY
+from tests.played import played
+from tests.robots.controllers import controller
 from zswarm.controller import CHAMPION, load_controller
 from zswarm.errors import ConfigError
-from zswarm.ot import cli, exported
+from zswarm.ot import cli
 from zswarm.ot.problem import Problem
-from zswarm.ot.reading import Run
+from zswarm.ot.record import selection
+from zswarm.ot.record.reader import Run
 from zswarm.robots import folder, targets
 
 
@@ -29,7 +31,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = played(tmp_path_factory.mktemp("runs"))
     recorded = Run(folder)
     best = max(recorded.candidates(1), key=lambda row: row["fitness"])
-    champion = Problem(recorded.experiment).controller(best["genome"], best["fitness"], "minisim-0123abcd")
+    champion = Problem(recorded.experiment).controller(
+        best["genome"], best["fitness"], "minisim-0123abcd"
+    )
     (folder / CHAMPION).write_bytes(msgspec.msgpack.encode(champion))
     return folder
 
@@ -57,14 +61,19 @@ def test_the_champion_is_written_and_the_next_command_works(run: Path) -> None:
     file, of, parameters, on = done.output.splitlines()
     name = f"zs_{run.name}"
     assert file == f"{run.name}-python/{name}.py"
-    assert of == f"controller  of minisim-0123abcd, fitness {load_controller(run).fitness:.6g}, fully-meshed"
+    assert (
+        of == f"controller  of minisim-0123abcd, fitness {load_controller(run).fitness:.6g}, "
+        "fully-meshed"
+    )
     assert parameters.split()[-1] in Path(file).read_text()
     command = on.removeprefix("next").strip().replace("python3", sys.executable)
     said = subprocess.run(command, shell=True, capture_output=True, text=True, check=True)  # noqa: S602  what a user types
     assert said.stdout == f"{name}: 16 of 16 steps have the same bits\n"
 
 
-@pytest.mark.parametrize("target", [name for name, target in targets.TARGETS.items() if not target.driving])
+@pytest.mark.parametrize(
+    "target", [name for name, target in targets.TARGETS.items() if not target.driving]
+)
 def test_every_target_names_its_files_and_the_hash(target: str, run: Path) -> None:
     """The same hash in all."""
     done = typed(run, "--to", target, "--json", "--out", "deep/below", "--name", "My Robot")
@@ -73,31 +82,44 @@ def test_every_target_names_its_files_and_the_hash(target: str, run: Path) -> No
         "target": target, "name": "zs_my_robot", "folder": "deep/below", "files": [],
         "run": "minisim-0123abcd", "fitness": load_controller(run).fitness, "sha256": "",
     }  # fmt: skip
-    assert sorted(told["files"]) == sorted(path.name for path in Path("deep/below").iterdir() if path.name != folder.LIST)
+    assert sorted(told["files"]) == sorted(
+        path.name for path in Path("deep/below").iterdir() if path.name != folder.LIST
+    )
     contents = b"".join(Path("deep/below", file).read_bytes() for file in told["files"])
     assert told["sha256"].encode() in contents
 
 
 def test_help_and_documents_name_every_target() -> None:
     said = CliRunner().invoke(cli.command, ["export", "--help"]).output
-    docs = Path(__file__).parents[2] / "docs"
+    docs = REPOSITORY / "docs"
     for target in targets.TARGETS:
-        assert re.search(rf"^ +{target}  ", said, re.M), f"zswarm-ot export --help: {target} is missing"
+        assert re.search(rf"^ +{target}  ", said, re.M), (
+            f"zswarm-ot export --help: {target} is missing"
+        )
         for page in ("export.md", "commands.md"):
-            assert f"`{target}`" in (docs / page).read_text(encoding="utf-8"), f"docs/{page}: {target} is missing"
+            assert f"`{target}`" in (docs / page).read_text(encoding="utf-8"), (
+                f"docs/{page}: {target} is missing"
+            )
 
 
 def test_another_candidate_is_named_as_in_replay(run: Path) -> None:
     """Its genome and fitness are those of the record, all else is the champion's."""
-    rows, champion = [Run(run).candidates(generation) for generation in (0, 1)], load_controller(run)
+    rows, champion = (
+        [Run(run).candidates(generation) for generation in (0, 1)],
+        load_controller(run),
+    )
     for given, row in (
         ((1, 2), rows[1][2]),
         ((0, None), max(rows[0], key=lambda row: row["fitness"])),
         ((None, None), max(rows[1], key=lambda row: row["fitness"])),
     ):
-        found = exported.controller(run, *given)
-        assert found == msgspec.structs.replace(champion, genome=row["genome"], fitness=row["fitness"])
-    told = json.loads(typed(run, "--to", "json", "--json", "--generation", "0", "--candidate", "3").output)
+        found = selection.controller(run, *given)
+        assert found == msgspec.structs.replace(
+            champion, genome=row["genome"], fitness=row["fitness"]
+        )
+    told = json.loads(
+        typed(run, "--to", "json", "--json", "--generation", "0", "--candidate", "3").output
+    )
     assert told["fitness"] == rows[0][3]["fitness"]
 
 
@@ -136,9 +158,13 @@ def test_a_network_that_is_not_installed_is_named(tmp_path: Path) -> None:
     assert "unknown representation 'of-a-plugin'" in refused(tmp_path, "--to", "python")
 
 
-@pytest.mark.parametrize("hostile", ["../../etc/passwd", "x\x1b[31m\ny", "*/ #error", "a" * 4000, "\u202e"])
+@pytest.mark.parametrize(
+    "hostile", ["../../etc/passwd", "x\x1b[31m\ny", "*/ #error", "a" * 4000, "\u202e"]
+)
 def test_hostile_names_stay_in_the_folder_and_off_the_screen(hostile: str, tmp_path: Path) -> None:
-    kept = msgspec.structs.replace(controller("fully-meshed"), run=hostile, sensors=[hostile] * 4, simulator=hostile)
+    kept = msgspec.structs.replace(
+        controller("fully-meshed"), run=hostile, sensors=[hostile] * 4, simulator=hostile
+    )
     (tmp_path / "c.zsc").write_bytes(msgspec.msgpack.encode(kept))
     for target in ("json", "python"):
         done = typed(tmp_path / "c.zsc", "--to", target)
@@ -173,24 +199,27 @@ def test_a_later_export_replaces_what_it_wrote_and_leaves_the_rest() -> None:
 
 
 @pytest.mark.parametrize("file", ["a.c", "own.c", "link.c"])
-def test_what_somebody_else_wrote_or_changed_is_not_replaced(file: str) -> None:
+def test_foreign_and_edited_files_are_not_replaced(file: str) -> None:
     folder.write(Path("f"), {"a.c": "one", "b.c": "one"})
     Path("f/a.c").write_text("changed by hand")
     Path("f/own.c").write_text("mine")
     Path("f/elsewhere").write_text("mine")
     Path("f/link.c").symlink_to("elsewhere")
     before = Path("f", file).read_text()
-    with pytest.raises(ConfigError, match=f"f/{file}: is there, and not as it was exported; name another folder by --out"):
+    with pytest.raises(
+        ConfigError,
+        match=f"f/{file}: exists, and not as it was exported; name another folder by --out",
+    ):
         folder.write(Path("f"), {"b.c": "two", file: "two"})
     assert Path("f", file).read_text() == before
     assert Path("f/b.c").read_text() == "one"
     assert Path("f/elsewhere").read_text() == "mine"
 
 
-def test_a_damaged_list_is_nobodys() -> None:
+def test_files_of_a_damaged_list_are_not_replaced() -> None:
     Path("f").mkdir()
     Path("f", folder.LIST).write_text("{}")
-    with pytest.raises(ConfigError, match="is no list of exported files"):
+    with pytest.raises(ConfigError, match="is not a list of exported files"):
         folder.write(Path("f"), {"a": "b"})
 
 

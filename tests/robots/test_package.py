@@ -11,20 +11,29 @@ from xml.etree import ElementTree
 import msgspec
 import numpy as np
 import pytest
-from packed import evolved, in_process, load, played, scanner, simulator, write
 
+from tests.places import REPOSITORY
+from tests.robots.packed import evolved, in_process, load, played, scanner, simulator, write
 from zswarm.errors import ConfigError
-from zswarm.robots.package import Files
-from zswarm.robots.ros1 import ros1
-from zswarm.robots.ros2 import ros2
-from zswarm.robots.zenoh_node import zenoh
+from zswarm.robots.package import Files, ros1, ros2, zenoh
 
 TARGETS: dict[str, tuple[Callable[..., Files], str]] = {
     "ros1": (ros1, "stageros"),
     "ros2": (ros2, "stage_ros2"),
     "zenoh": (zenoh, "stage_ros2"),
 }
-FLAGS = ["-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic", "-fPIC", "-shared"]
+FLAGS = [
+    "-std=c99",
+    "-O2",
+    "-ffp-contract=off",
+    "-Wall",
+    "-Wextra",
+    "-Wconversion",
+    "-Werror",
+    "-pedantic",
+    "-fPIC",
+    "-shared",
+]
 
 
 def compiled(folder: Path, name: str) -> None:
@@ -32,7 +41,9 @@ def compiled(folder: Path, name: str) -> None:
     if shutil.which("cc") is None:
         pytest.skip("no C compiler here: apt-get install gcc")
     sources = [str(folder / "src" / file) for file in ("robot.c", "interface.c", f"{name}.c")]
-    subprocess.run(["cc", *FLAGS, "-o", str(folder / name / "librobot.so"), *sources, "-lm"], check=True)
+    subprocess.run(
+        ["cc", *FLAGS, "-o", str(folder / name / "librobot.so"), *sources, "-lm"], check=True
+    )
 
 
 @pytest.mark.parametrize("how", ["compiled", "plain"])
@@ -118,12 +129,18 @@ def test_a_robot_is_never_faster_than_evolved_nor_than_its_base(tmp_path: Path) 
     [
         ("zs_x/network.py", 'SHA256 = "', 'SHA256 = "0'),  # the parameters are others
         ("zs_x/kernels.py", "return distance", "return distance + 1e-15 * (x > 0)"),
-        ("src/zs_x.c", "_actions[16][ZS_X_OUTPUTS] = {\n    {", "_actions[16][ZS_X_OUTPUTS] = {\n    {1.0f + "),
+        (
+            "src/zs_x.c",
+            "_actions[16][ZS_X_OUTPUTS] = {\n    {",
+            "_actions[16][ZS_X_OUTPUTS] = {\n    {1.0f + ",
+        ),
         ("src/interface.c", "fabs(angle_increment);", "0.5 * fabs(angle_increment);"),
     ],
 )
-def test_a_self_test_that_fails_refuses_to_drive(tmp_path: Path, file: str, true: str, false: str) -> None:
-    """The controller, or what stands between it and the robot, computes otherwise, in Python or in C."""
+def test_a_self_test_that_fails_refuses_to_drive(
+    tmp_path: Path, file: str, true: str, false: str
+) -> None:
+    """The controller or the code around it computes other numbers, in Python or C."""
     files = ros2(evolved(), "x", "stage_ros2")
     text = str(files[file])
     assert true in text
@@ -166,7 +183,10 @@ def test_what_others_wrote_stays_text(target: str, tmp_path: Path) -> None:
     hostile = '*/ ]]> </description> """ `|` @{name} \\" ??/ ${x} ü'
     controller = evolved()
     worse = msgspec.structs.replace(
-        controller, run=hostile, sensors=[hostile] * controller.inputs, actuators=[hostile] * controller.outputs
+        controller,
+        run=hostile,
+        sensors=[hostile] * controller.inputs,
+        actuators=[hostile] * controller.outputs,
     )
     files = make(worse, "x", profile)
     for path, content in files.items():
@@ -178,21 +198,31 @@ def test_what_others_wrote_stays_text(target: str, tmp_path: Path) -> None:
     write(files, tmp_path)
     (tmp_path / "zs_x").mkdir(exist_ok=True)
     compiled(tmp_path, "zs_x")
-    table = next(line for line in str(files["README.md"]).splitlines() if line.startswith("| evolved in"))
+    table = next(
+        line for line in str(files["README.md"]).splitlines() if line.startswith("| evolved in")
+    )
     assert table.count("|") == 3
     assert table.count("`") == 4
 
 
 def test_what_fits_no_robot_is_refused_in_one_line() -> None:
-    from controllers import controller
+    from tests.robots.controllers import controller
 
-    with pytest.raises(ConfigError, match=r"minisim: its controllers fit no robot; expected .* turtlebot-exit"):
+    with pytest.raises(
+        ConfigError, match=r"minisim: its controllers fit no robot; expected .* turtlebot-exit"
+    ):
         ros1(controller("fully-meshed"), "x")
-    with pytest.raises(ConfigError, match=r"10 numbers and takes 2 .*; this one has 11 inputs and 2 outputs"):
+    with pytest.raises(
+        ConfigError, match=r"10 numbers and takes 2 .*; this one has 11 inputs and 2 outputs"
+    ):
         ros1(msgspec.structs.replace(evolved(), inputs=11), "x")
-    with pytest.raises(ConfigError, match=r"profile stageros: is for ROS 1; expected one for ROS 2: .*stage_ros2"):
+    with pytest.raises(
+        ConfigError, match=r"profile stageros: is for ROS 1; expected one for ROS 2: .*stage_ros2"
+    ):
         ros2(evolved(), "x", "stageros")
-    with pytest.raises(ConfigError, match=r"profile stage_ros2: is for ROS 2; expected one for ROS 1: .*stageros"):
+    with pytest.raises(
+        ConfigError, match=r"profile stage_ros2: is for ROS 2; expected one for ROS 1: .*stageros"
+    ):
         ros1(evolved(), "x", "stage_ros2")
     with pytest.raises(ConfigError, match="no profile 'turtlebot'"):
         zenoh(evolved(), "x", "turtlebot")
@@ -200,11 +230,18 @@ def test_what_fits_no_robot_is_refused_in_one_line() -> None:
 
 def test_templates_are_in_the_wheel() -> None:
     """All that lies below the package is packed; nothing there is ignored."""
-    root = Path(__file__).parents[2]
-    config = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
+    root = REPOSITORY
+    config = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["hatch"]["build"][
+        "targets"
+    ]["wheel"]
     assert config["packages"] == ["zswarm"]
-    templates = [str(path) for path in (root / "zswarm/robots/templates").rglob("*") if path.is_file()]
+    templates = [
+        str(path) for path in (root / "zswarm/robots/templates").rglob("*") if path.is_file()
+    ]
     ignored = subprocess.run(
-        ["git", "-C", str(root), "check-ignore", *templates], capture_output=True, text=True, check=False
+        ["git", "-C", str(root), "check-ignore", *templates],
+        capture_output=True,
+        text=True,
+        check=False,
     ).stdout.splitlines()
     assert not [path for path in ignored if "__pycache__" not in path]

@@ -1,4 +1,4 @@
-"""Packages for robots are built and started as their own READMEs say, and drive robots of real ROS."""
+"""Packages are built and started as their READMEs say, and drive robots in ROS."""
 
 import contextlib
 import json
@@ -16,17 +16,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from packed import evolved, in_process, scanner, simulator, write
-from ros_here import ROS_2, need
 
-from zswarm.robots.package import Files
-from zswarm.robots.ros1 import ros1
-from zswarm.robots.ros2 import ros2
-from zswarm.robots.zenoh_node import zenoh
-from zswarm.ros import graph, profiles
-from zswarm.ros.graph import Graph, LinkKind
-from zswarm.ros.link import Link
-from zswarm.ros.messages import Odometry, Scan, Velocity
+from tests.robots.packed import evolved, in_process, scanner, simulator, write
+from tests.ros.ros_here import ROS_2, need
+from zswarm.robots.package import Files, ros1, ros2, zenoh
+from zswarm.robots.profiles import profile as profiles
+from zswarm.ros.link import graph
+from zswarm.ros.link.graph import LinkKind, RosGraph
+from zswarm.ros.link.link import Link
+from zswarm.ros.link.messages import Odometry, Scan, Velocity
 
 pytestmark = pytest.mark.robots
 
@@ -48,7 +46,9 @@ class Target(NamedTuple):
 
 
 TARGETS = {
-    "catkin_make": Target(ros1, "rospy", "stageros", 0, "robot:={robot} lock_step:=true", "/usr/bin"),
+    "catkin_make": Target(
+        ros1, "rospy", "stageros", 0, "robot:={robot} lock_step:=true", "/usr/bin"
+    ),
     "cmake": Target(ros1, "rospy", "stageros", 1, "__ns:={robot} _lock_step:=true", "/usr/bin"),
     "ros2": Target(
         ros2,
@@ -58,7 +58,14 @@ TARGETS = {
         "--ros-args -r __ns:=/{robot} -p lock_step:=true -p use_sim_time:=true",
         str(ROS_2 / "bin"),
     ),
-    "zenoh": Target(zenoh, "zenoh", "stage_ros2", 0, "--namespace {robot} --lock-step", str(Path(sys.executable).parent)),
+    "zenoh": Target(
+        zenoh,
+        "zenoh",
+        "stage_ros2",
+        0,
+        "--namespace {robot} --lock-step",
+        str(Path(sys.executable).parent),
+    ),
 }
 
 
@@ -71,14 +78,24 @@ class Built(NamedTuple):
     command: str
 
     @contextlib.contextmanager
-    def started(self, here: Graph, more: str = "") -> Iterator[subprocess.Popen[str]]:
+    def started(self, here: RosGraph, more: str = "") -> Iterator[subprocess.Popen[str]]:
         """The node, in a process group of its own; it is ended with the block."""
-        environment = self.environment | here.environment(profiles.read(self.target.profile).distribution)
-        command = self.command.replace("tcp/localhost:7447", here.connect[0] if here.connect else "")
+        environment = self.environment | here.environment(
+            profiles.read(self.target.profile).distribution
+        )
+        command = self.command.replace(
+            "tcp/localhost:7447", here.connect[0] if here.connect else ""
+        )
         node = subprocess.Popen(
-            ["bash", "-c", f"exec {command} {more}"], cwd=self.folder, env=environment, text=True, start_new_session=True,
-            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        )  # fmt: skip
+            ["bash", "-c", f"exec {command} {more}"],
+            cwd=self.folder,
+            env=environment,
+            text=True,
+            start_new_session=True,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+        )
         try:
             yield node
         finally:
@@ -98,20 +115,28 @@ def build(target: Target, files: Files, folder: Path) -> Built:
     need(target.link)
     if shutil.which("cc") is None or (target.make is ros1 and shutil.which("catkin_make") is None):
         pytest.skip(
-            "no C compiler or no catkin here: apt-get install g++ cmake catkin libroscpp-dev and the messages' -dev packages"
+            "no C compiler or no catkin here: apt-get install g++ cmake catkin libroscpp-dev "
+            "and the messages' -dev packages"
         )
     package = write(files, folder / "package")
     blocks = re.findall(r"^```sh\n(.*?)^```", str(files["README.md"]), re.M | re.S)
     *lines, command = blocks[target.way].strip().splitlines()
     (folder / "home").mkdir(exist_ok=True)
     environment = {
-        "HOME": str(folder / "home"), "PATH": f"{target.path}:/usr/local/bin:/usr/bin:/bin", "LANG": "C.UTF-8",
+        "HOME": str(folder / "home"),
+        "PATH": f"{target.path}:/usr/local/bin:/usr/bin:/bin",
+        "LANG": "C.UTF-8",
         "PIP_NO_INDEX": "1",
     }  # fmt: skip
     script = "\n".join(["set -e", *lines, "printf '\\0'", "pwd", "printf '\\0'", "env -0"])
     done = subprocess.run(
-        ["bash", "-c", script], cwd=package, env=environment, capture_output=True, text=True, check=False
-    )  # fmt: skip
+        ["bash", "-c", script],
+        cwd=package,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
     _, where, *variables = done.stdout.split("\0")
     found = dict(variable.split("=", 1) for variable in variables if "=" in variable)
@@ -126,34 +151,60 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Built]
     def give(name: str) -> Built:
         if name not in built:
             target = TARGETS[name]
-            built[name] = build(target, target.make(CONTROLLER, "of_a_test", target.profile), tmp_path_factory.mktemp(name))
+            built[name] = build(
+                target,
+                target.make(CONTROLLER, "of_a_test", target.profile),
+                tmp_path_factory.mktemp(name),
+            )
         return built[name]
 
     return give
 
 
-def simulated(here: Graph, profile: str, poses: Path) -> subprocess.CompletedProcess[str]:
+def simulated(here: RosGraph, profile: str, poses: Path) -> subprocess.CompletedProcess[str]:
     """A trial in the simulation node, in lock-step."""
     dialled = here.dialled()
     options = [
-        *("--link", here.link, "--profile", profile, "--master", here.master, "--domain", str(here.domain)),
+        *(
+            "--link",
+            here.link,
+            "--profile",
+            profile,
+            "--master",
+            here.master,
+            "--domain",
+            str(here.domain),
+        ),
         *(word for endpoint in dialled.listen for word in ("--listen", endpoint)),
-        *("--settings", json.dumps(CONTROLLER.simulator_settings), "--channels", "scan,odometry", "--deadline-s", "60"),
+        *(
+            "--settings",
+            json.dumps(CONTROLLER.simulator_settings),
+            "--channels",
+            "scan,odometry",
+            "--deadline-s",
+            "60",
+        ),
         *("--seed", str(SEED), "--poses", str(poses)),
     ]
     return subprocess.run(
-        [sys.executable, "-m", "zswarm.ros.node", *options], capture_output=True, text=True, check=False, timeout=180
+        [sys.executable, "-m", "zswarm.ros.simulation.node", *options],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=180,
     )
 
 
-def ask(here: Graph, what: str, *arguments: Any) -> Any:
+def ask(here: RosGraph, what: str, *arguments: Any) -> Any:
     """The ROS master's answer."""
     with xmlrpc.client.ServerProxy(here.master) as master:
         return getattr(master, what)("/of_a_test", *arguments)
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_a_packed_robot_drives_in_ros_as_evolved(packages: Callable[[str], Built], tmp_path: Path, name: str) -> None:
+def test_a_packed_robot_drives_in_ros_as_evolved(
+    packages: Callable[[str], Built], tmp_path: Path, name: str
+) -> None:
     """The poses of all robots in all steps, and the fitness, to the bit."""
     built = packages(name)
     target = built.target
@@ -164,8 +215,16 @@ def test_a_packed_robot_drives_in_ros_as_evolved(packages: Callable[[str], Built
             ask(here, "setParam", "/use_sim_time", True)
         nodes = []
         for robot in range(ROBOTS):
-            nodes.append(running.enter_context(built.started(here, target.lock_step.format(robot=f"robot_{robot}"))))
-            while here.master and nodes[-1].poll() is None and ask(here, "lookupNode", f"/robot_{robot}/drive")[0] != 1:
+            nodes.append(
+                running.enter_context(
+                    built.started(here, target.lock_step.format(robot=f"robot_{robot}"))
+                )
+            )
+            while (
+                here.master
+                and nodes[-1].poll() is None
+                and ask(here, "lookupNode", f"/robot_{robot}/drive")[0] != 1
+            ):
                 time.sleep(0.05)  # two programs of roslaunch that begin at once refuse each other
         done = simulated(here, target.profile, tmp_path / "poses.npy")
         assert done.returncode == 0, (done.stderr, [node.poll() for node in nodes])
@@ -191,10 +250,18 @@ class Robot:
         while time.monotonic() < until:
             self._stamp_ns += 50_000_000
             scan = Scan(
-                robot=0, stamp_ns=self._stamp_ns, ranges=np.full(rays, 3.0, np.float32), angle_min=first,
-                angle_max=first + between * (rays - 1), angle_increment=between, range_min=0.0, range_max=4.0,
-            )  # fmt: skip
-            self._link.send([Odometry(robot=0, stamp_ns=self._stamp_ns, x=0.1, y=-1.0, z=0.0, w=1.0), scan])
+                robot=0,
+                stamp_ns=self._stamp_ns,
+                ranges=np.full(rays, 3.0, np.float32),
+                angle_min=first,
+                angle_max=first + between * (rays - 1),
+                angle_increment=between,
+                range_min=0.0,
+                range_max=4.0,
+            )
+            self._link.send(
+                [Odometry(robot=0, stamp_ns=self._stamp_ns, x=0.1, y=-1.0, z=0.0, w=1.0), scan]
+            )
             came += self.heard(0.05)
         return came
 
@@ -208,7 +275,7 @@ class Robot:
         return came
 
     def drives(self, decisions: int) -> list[Velocity]:
-        """Sense until so many velocities came that are not zero; these. A busy machine may be silent and stop it."""
+        """Publish until so many velocities came that are not zero, and return them."""
         deadline, came = time.monotonic() + DECIDES_S, list[Velocity]()
         while len(came) < decisions:
             assert time.monotonic() < deadline, f"{len(came)} of {decisions} decisions"
@@ -216,7 +283,7 @@ class Robot:
         return came
 
     def stops(self) -> None:
-        """Sense nothing until the last that came is zero, and nothing else comes for half a second."""
+        """Publish nothing until the last velocity is zero, and none comes for half a second."""
         deadline, last = time.monotonic() + DECIDES_S, None
         while True:
             came = self.heard(0.5)
@@ -237,7 +304,9 @@ def alone(built: Built) -> Iterator[tuple[Robot, subprocess.Popen[str]]]:
     with contextlib.ExitStack() as running:
         here = running.enter_context(graph.private(target.link))
         profile = profiles.read(target.profile)
-        link = running.enter_context(Link(here.dialled(), profile, robots=1, side="simulation", channels=channels))  # type: ignore[arg-type]  # names
+        link = running.enter_context(
+            Link(here.dialled(), profile, robots=1, side="simulation", channels=channels)
+        )  # type: ignore[arg-type]  # names
         node = running.enter_context(built.started(here))
         link.ready(60)
         yield Robot(link), node
@@ -281,8 +350,10 @@ def test_velocities_are_stamped_where_the_profile_says_so(tmp_path: Path, name: 
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_a_robot_stops_when_its_sensors_fall_silent(packages: Callable[[str], Built], name: str) -> None:
-    """It drives by what it senses, stops when it senses nothing, drives again, and stands when its program ends."""
+def test_a_robot_stops_when_its_sensors_fall_silent(
+    packages: Callable[[str], Built], name: str
+) -> None:
+    """It drives by its sensors, stops when they are silent, and when its program ends."""
     with alone(packages(name)) as (robot, node):
         robot.drives(10)
         robot.stops()
@@ -294,7 +365,9 @@ def test_a_robot_stops_when_its_sensors_fall_silent(packages: Callable[[str], Bu
 
 
 @pytest.mark.parametrize("name", ["cmake", "ros2", "zenoh"])
-def test_a_scanner_that_covers_less_ends_the_drive(packages: Callable[[str], Built], name: str) -> None:
+def test_a_scanner_that_covers_less_ends_the_drive(
+    packages: Callable[[str], Built], name: str
+) -> None:
     """And the robot stands then."""
     with alone(packages(name)) as (robot, node):
         robot.drives(1)
@@ -312,7 +385,9 @@ def test_a_node_whose_self_test_fails_does_not_drive(tmp_path: Path, name: str) 
     table = f"_actions[16][{NAME.upper()}_OUTPUTS] = {{\n    {{"
     source = f"src/{NAME}.c"
     assert table in str(files[source])
-    built = build(target, files | {source: str(files[source]).replace(table, table + "1.0f + ")}, tmp_path)
+    built = build(
+        target, files | {source: str(files[source]).replace(table, table + "1.0f + ")}, tmp_path
+    )
     with graph.private(target.link) as here, built.started(here) as node:
         said, _ = node.communicate(timeout=ENDS_S)
         assert node.returncode == 1
@@ -335,12 +410,17 @@ def test_without_a_compiler_a_robot_drives_in_python(tmp_path: Path) -> None:
     files = target.make(CONTROLLER, "of_a_test", target.profile)
     setup = files["setup.py"]
     assert isinstance(setup, str)
-    built = build(target, files | {"setup.py": setup.replace('"cc"', '"no-such-compiler"')}, tmp_path)
+    built = build(
+        target, files | {"setup.py": setup.replace('"cc"', '"no-such-compiler"')}, tmp_path
+    )
     assert not list(Path(built.folder).rglob("*.so"))
     with contextlib.ExitStack() as running:
         here = running.enter_context(graph.private(target.link))
         nodes = [
-            running.enter_context(built.started(here, target.lock_step.format(robot=f"robot_{robot}"))) for robot in range(ROBOTS)
+            running.enter_context(
+                built.started(here, target.lock_step.format(robot=f"robot_{robot}"))
+            )
+            for robot in range(ROBOTS)
         ]
         done = simulated(here, target.profile, tmp_path / "poses.npy")
         assert done.returncode == 0, done.stderr

@@ -10,16 +10,16 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from controllers import KINDS, controller, named, observed
 
+from tests.robots.controllers import KINDS, controller, named, observed
 from zswarm.controller import Controller
 from zswarm.errors import ConfigError
-from zswarm.robots import gather
+from zswarm.robots.c import kernel_source
 from zswarm.robots.python_file import python
 
 DEBIAN = Path("/usr/bin/python3")
 STEPS = 60
-# Plays observations by every file of a folder, in an interpreter that has numpy and knows no zswarm.
+# Runs observations through every file of a folder, in an interpreter without zswarm.
 PLAY = """
 import importlib, json, pathlib, sys
 numpy, folder = sys.argv[1:]
@@ -30,7 +30,8 @@ played = {}
 for file in sorted(pathlib.Path(folder).glob("zs_*.py")):
     module = importlib.import_module(file.stem)
     controller = module.Controller()
-    seen = np.frombuffer(file.with_suffix(".seen").read_bytes(), "<f4").reshape(-1, controller.inputs)
+    seen = np.frombuffer(file.with_suffix(".seen").read_bytes(), "<f4")
+    seen = seen.reshape(-1, controller.inputs)
     acted = [controller.act(one).tobytes().hex() for one in seen]
     controller.reset()
     again = controller.act(seen[0]).tobytes().hex()
@@ -53,10 +54,9 @@ def exported(folder: Path, steps: int = STEPS) -> dict[str, list[str]]:
 
 
 def played(interpreter: str | Path, folder: Path, numpy: str = "") -> Any:
-    done = subprocess.run(
-        [interpreter, "-I", *(["-S"] if numpy else []), "-W", "error", "-c", PLAY, numpy, str(folder)],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    flags = ["-I", *(["-S"] if numpy else []), "-W", "error"]
+    command = [interpreter, *flags, "-c", PLAY, numpy, str(folder)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 
@@ -71,7 +71,12 @@ def test_files_decide_the_same_bits_without_zswarm(tmp_path: Path) -> None:
 @pytest.mark.robots
 def test_an_older_numpy_decides_the_same_bits(tmp_path: Path) -> None:
     """Debian's, whose numbers of one element become wider beside Python's."""
-    if not DEBIAN.exists() or subprocess.run([DEBIAN, "-c", "import numpy"], capture_output=True, check=False).returncode:
+    if (
+        not DEBIAN.exists()
+        or subprocess.run(
+            [DEBIAN, "-c", "import numpy"], capture_output=True, check=False
+        ).returncode
+    ):
         pytest.skip("needs the system's own Python with numpy (Debian: apt install python3-numpy)")
     decided = exported(tmp_path, 300)
     assert played(DEBIAN, tmp_path) == {name: [0, acted, True] for name, acted in decided.items()}
@@ -96,7 +101,11 @@ def test_a_file_checks_itself_and_notices_a_changed_number(tmp_path: Path) -> No
     file = tmp_path / "zs_mine.py"
     file.write_text(text)
     done = run(file)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "zs_mine: 16 of 16 steps have the same bits\n", "")
+    assert (done.returncode, done.stdout, done.stderr) == (
+        0,
+        "zs_mine: 16 of 16 steps have the same bits\n",
+        "",
+    )
     for changed in (
         text.replace("PARAMETERS = ", "PARAMETERS = np.float32(1.0000001) * "),
         text.replace("HALF = np.float32(0.5)", "HALF = np.float32(0.50001)"),
@@ -108,9 +117,16 @@ def test_a_file_checks_itself_and_notices_a_changed_number(tmp_path: Path) -> No
         assert "16 of 16" not in done.stdout
 
 
-@pytest.mark.parametrize("hostile", ['"""; import os; os.abort()  #', "@PARAMETERS@", "\\", "x\n1/0", "größe ☃ \u202e"])
+@pytest.mark.parametrize(
+    "hostile", ['"""; import os; os.abort()  #', "@PARAMETERS@", "\\", "x\n1/0", "größe ☃ \u202e"]
+)
 def test_hostile_names_stay_texts(hostile: str, tmp_path: Path) -> None:
-    texts = {"run": hostile, "simulator": hostile, "sensors": [hostile] * 4, "actuators": [hostile] * 3}
+    texts = {
+        "run": hostile,
+        "simulator": hostile,
+        "sensors": [hostile] * 4,
+        "actuators": [hostile] * 3,
+    }
     evolved: Controller = msgspec.structs.replace(controller("fully-meshed"), **texts)
     file = tmp_path / "zs_x.py"
     file.write_text(python(evolved, "x")["zs_x.py"])
@@ -145,7 +161,7 @@ def missing(x):  # type: ignore[no-untyped-def]
 
 
 def test_functions_bring_what_they_use() -> None:
-    text = gather.functions([limited])
+    text = kernel_source.functions([limited])
     found: dict[str, Any] = {"np": np}
     exec(text, found)  # noqa: S102  our own text
     assert (found["limited"](1.0), found["limited"](7.0)) == (2.0, 3.5)
@@ -155,13 +171,13 @@ def test_functions_bring_what_they_use() -> None:
 @pytest.mark.parametrize(
     ("function", "why"),
     [
-        (worded, "worded uses WORD, of type str: only functions, numbers and arrays of numbers can be exported"),
-        (missing, "missing uses nowhere, which is not there"),
+        (worded, "worded uses WORD, of type str: only functions, numbers and arrays"),
+        (missing, "missing uses nowhere, which is not defined"),
         (lambda x: x, "expected a function on the top level of a module"),
         (len, "its source cannot be read"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_gathered_is_named(function: Any, why: str) -> None:
     with pytest.raises(ConfigError) as raised:
-        gather.functions([function])
+        kernel_source.functions([function])
     assert why in str(raised.value)

@@ -1,22 +1,13 @@
 """One trial of the room with its robots, in this process or in ROS: all poses, and the outcome."""
 
-import importlib.util
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from zswarm import evaluate
-from zswarm.draws import Stream
+from zswarm.kernels.random import Stream
 from zswarm.sims.simulator import Outcome
-
-_path = Path(__file__).parents[1] / "sims" / "robot_controllers.py"
-_spec = importlib.util.spec_from_file_location("robot_controllers", _path)
-assert _spec is not None
-assert _spec.loader is not None
-robot_controllers = importlib.util.module_from_spec(_spec)  # what somebody would write by hand
-_spec.loader.exec_module(robot_controllers)
 
 Policy = Callable[[np.ndarray], np.ndarray]  # (robots, inputs) -> (robots, 2), float32
 

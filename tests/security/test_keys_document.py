@@ -6,10 +6,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+from tests.places import REPOSITORY
 from zswarm.security import keyring
 
 BLOCKS = re.findall(
-    r"```sh\n# on ([a-z0-9-]+)\n(.*?)```", (Path(__file__).parents[2] / "docs/keys.md").read_text(encoding="utf-8"), re.S
+    r"```sh\n# on ([a-z0-9-]+)\n(.*?)```",
+    (REPOSITORY / "docs/keys.md").read_text(encoding="utf-8"),
+    re.S,
 )
 PROGRAM = """#!{python}
 import platform
@@ -20,7 +23,7 @@ main()
 
 
 def programs(folder: Path, machine: str) -> Path:
-    """What a machine of this name has: zswarm-keys, sudo for who is root already, and a service that is reloaded."""
+    """Make a machine's programs: zswarm-keys, a sudo for root, and a service to reload."""
     folder.mkdir(parents=True)
     texts = {
         "zswarm-keys": PROGRAM.format(python=sys.executable, machine=machine),
@@ -44,12 +47,21 @@ def test_what_the_document_says_works(tmp_path: Path) -> None:
         tools = home / "bin"
         environment = os.environ | {
             "PATH": f"{tools if tools.is_dir() else programs(tools, machine)}:{os.environ['PATH']}",
-            "HOME": str(home), "ZSWARM_KEYS": str(home / "keys"), "XDG_DATA_HOME": str(home), "SUDO_USER": "",
+            "HOME": str(home),
+            "ZSWARM_KEYS": str(home / "keys"),
+            "XDG_DATA_HOME": str(home),
+            "SUDO_USER": "",
             "PYTHONPATH": os.pathsep.join(sys.path),
-        }  # fmt: skip
+        }
         for command in commands.splitlines():
             done = subprocess.run(
-                ["bash", "-c", command], cwd=files, env=environment, input="y\n", capture_output=True, text=True, check=False
+                ["bash", "-c", command],
+                cwd=files,
+                env=environment,
+                input="y\n",
+                capture_output=True,
+                text=True,
+                check=False,
             )
             assert done.returncode == 0, f"on {machine}: {command}\n{done.stdout}{done.stderr}"
             said += done.stdout

@@ -1,12 +1,15 @@
-"""Arena written a second time, slowly, from its data sheet alone: robots are objects, and everybody looks at everybody."""
+"""Arena implemented a second time, naively, from its reference alone.
+
+Robots are objects, and every robot checks every other one.
+"""
 
 from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
 
-from zswarm.draws import Stream
-from zswarm.sims.arena import Settings
+from zswarm.kernels.random import Stream
+from zswarm.sims.arena import ArenaSettings
 
 F = np.float32
 ZERO, HALF, ONE, TWO = F(0), F(0.5), F(1), F(2)
@@ -19,7 +22,9 @@ def cut(output: np.float32) -> np.float32:
 
 
 class Robot:
-    def __init__(self, x: np.float32, y: np.float32, heading: tuple[np.float32, np.float32]) -> None:
+    def __init__(
+        self, x: np.float32, y: np.float32, heading: tuple[np.float32, np.float32]
+    ) -> None:
         self.x, self.y = x, y
         self.h, self.k = heading
         self.carries = False
@@ -31,9 +36,9 @@ class Robot:
 
 
 class NaiveArena:
-    """One trial; ``play`` returns fitness and metrics, and leaves what was seen in ``observations``."""
+    """One trial; ``play`` returns fitness and metrics and records ``observations``."""
 
-    def __init__(self, settings: Settings, seed: int) -> None:
+    def __init__(self, settings: ArenaSettings, seed: int) -> None:
         self.settings, self.stream = settings, Stream(seed)
         self.task = settings.task
         self.side, self.sight, self.r = F(settings.side), F(settings.sight), F(settings.radius)
@@ -94,11 +99,15 @@ class NaiveArena:
         per_metre = F(cells / s.side)
 
         def cell(robot: Robot) -> tuple[int, int]:
-            return min(int(robot.y * per_metre), cells - 1), min(int(robot.x * per_metre), cells - 1)
+            return min(int(robot.y * per_metre), cells - 1), min(
+                int(robot.x * per_metre), cells - 1
+            )
 
         ordered = sorted(self.robots, key=cell)  # which leaves those of a cell as they are
         for robot in self.robots:
-            near = [other for other in ordered if self.square(robot, other) < self.sight * self.sight]
+            near = [
+                other for other in ordered if self.square(robot, other) < self.sight * self.sight
+            ]
             robot.neighbours = [other for other in near if other is not robot]
 
     def square(self, robot: Robot, other: Robot) -> np.float32:
@@ -128,7 +137,10 @@ class NaiveArena:
     def reach(self, robot: Robot, ray: tuple[np.float32, np.float32], places: list) -> np.float32:
         u, v = ray
         ways = [self.sight]
-        for part, here in ((robot.h * u - robot.k * v, robot.x), (robot.k * u + robot.h * v, robot.y)):
+        for part, here in (
+            (robot.h * u - robot.k * v, robot.x),
+            (robot.k * u + robot.h * v, robot.y),
+        ):
             left = self.side - here if part > 0 else here
             ways.append(left / max(abs(part), F(1e-6)))
         for a, b in places:
@@ -158,12 +170,20 @@ class NaiveArena:
         near = mean([len(robot.neighbours) for robot in self.robots])
         match self.task:
             case "aggregation":
-                x, y = mean([robot.x for robot in self.robots]), mean([robot.y for robot in self.robots])
+                x, y = (
+                    mean([robot.x for robot in self.robots]),
+                    mean([robot.y for robot in self.robots]),
+                )
                 offsets = [(robot.x - x, robot.y - y) for robot in self.robots]
                 return mean([np.sqrt(dx * dx + dy * dy) for dx, dy in offsets]), near
             case "dispersion":
-                squares = [[self.square(robot, other) for other in robot.neighbours] for robot in self.robots]
-                return mean([np.sqrt(min(some, default=self.sight * self.sight)) for some in squares]), near
+                squares = [
+                    [self.square(robot, other) for other in robot.neighbours]
+                    for robot in self.robots
+                ]
+                return mean(
+                    [np.sqrt(min(some, default=self.sight * self.sight)) for some in squares]
+                ), near
             case "consensus":
                 said = mean([robot.said for robot in self.robots])
                 errors = [abs(robot.said - self.truth) for robot in self.robots]
@@ -179,7 +199,10 @@ class NaiveArena:
                 self.overlaps += 1
                 d = np.sqrt(square)
                 share = HALF * (both - d) / max(d, F(1e-6))
-                push_x, push_y = push_x - share * (other.x - robot.x), push_y - share * (other.y - robot.y)
+                push_x, push_y = (
+                    push_x - share * (other.x - robot.x),
+                    push_y - share * (other.y - robot.y),
+                )
         return push_x, push_y
 
     def drive(self, robot: Robot, action: np.ndarray, push: tuple[np.float32, np.float32]) -> None:
@@ -213,7 +236,9 @@ class NaiveArena:
                 return
 
     def outcome(self) -> tuple[float, ...]:
-        first, second = (sum(map(float, column)) / len(column) for column in zip(*self.measured, strict=True))
+        first, second = (
+            sum(map(float, column)) / len(column) for column in zip(*self.measured, strict=True)
+        )
         contacts = self.overlaps / 2 / self.settings.steps
         match self.task:
             case "aggregation":

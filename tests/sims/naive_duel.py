@@ -1,15 +1,15 @@
-"""The game of two teams in minisim written a second time, slowly, from its data sheet alone.
+"""Minisim's game of two teams implemented a second time, naively, from its reference alone.
 
-All places are on one field, as the first team sees it; the other's view is made where it is needed. Robots are objects.
+Robots are objects. All positions use the first team's frame and are converted for the other team.
 """
 
 from collections.abc import Callable
 
 import numpy as np
-from naive_minisim import Place, king, offset
 
-from zswarm.draws import Stream
-from zswarm.sims.minisim import Settings
+from tests.sims.naive_minisim import Place, king, offset
+from zswarm.kernels.random import Stream
+from zswarm.sims.minisim import MinisimSettings
 
 
 class Robot:
@@ -24,7 +24,7 @@ class Robot:
 class Team:
     """``stand`` is that of its own flag; ``thief`` is who carries it."""
 
-    def __init__(self, settings: Settings, far: bool) -> None:
+    def __init__(self, settings: MinisimSettings, far: bool) -> None:
         self.settings, self.far = settings, far
         self.robots: list[Robot] = []
         self.thief: Robot | None = None
@@ -34,17 +34,24 @@ class Team:
 
     def view(self, place: Place) -> Place:
         """A place of the field as this team sees it, and back."""
-        return (self.settings.width - 1 - place[0], self.settings.height - 1 - place[1]) if self.far else place
+        return (
+            (self.settings.width - 1 - place[0], self.settings.height - 1 - place[1])
+            if self.far
+            else place
+        )
 
 
 class NaiveDuel:
-    """One trial; ``play`` returns the fitness of both teams, then captures, steals and times tagged."""
+    """One trial; ``play`` returns both teams' fitness, then captures, steals and times tagged."""
 
-    def __init__(self, settings: Settings, seed: int) -> None:
+    def __init__(self, settings: MinisimSettings, seed: int) -> None:
         stream = Stream(seed)
         self.settings, self.size = settings, max(settings.width, settings.height)
         self.teams = [Team(settings, far=False), Team(settings, far=True)]
-        seen = (settings.width - 1 - stream.integer(settings.width // 2), stream.integer(settings.height))
+        seen = (
+            settings.width - 1 - stream.integer(settings.width // 2),
+            stream.integer(settings.height),
+        )
         rows = [stream.integer(settings.height) for _ in range(settings.robots)]
         self.goal_column = seen[0]
         for team, other in zip(self.teams, self.teams[::-1], strict=True):
@@ -55,7 +62,9 @@ class NaiveDuel:
     def play(self, decide: Callable[[int, np.ndarray], np.ndarray]) -> tuple[float, ...]:
         for _ in range(self.settings.steps):
             seen = [self.observe(robot) for robot in self.robots]
-            for robot, action in zip(self.robots, [decide(index, one) for index, one in enumerate(seen)], strict=True):
+            for robot, action in zip(
+                self.robots, [decide(index, one) for index, one in enumerate(seen)], strict=True
+            ):
                 self.move(robot, action)
             for team in self.teams:
                 self.take_and_capture(team, self.other(team))
@@ -65,7 +74,13 @@ class NaiveDuel:
             there = 1 - min(team.distances, default=self.size) / self.size
             back = 1 - min(team.columns, default=self.goal_column) / self.goal_column
             fitness.append(team.captures + (there + back) / 2)
-        return (*fitness, *(sum(getattr(team, name) for team in self.teams) for name in ("captures", "steals", "tagged")))
+        return (
+            *fitness,
+            *(
+                sum(getattr(team, name) for team in self.teams)
+                for name in ("captures", "steals", "tagged")
+            ),
+        )
 
     def other(self, team: Team) -> Team:
         return self.teams[1 - self.teams.index(team)]
@@ -80,7 +95,9 @@ class NaiveDuel:
             [
                 *self.bearing(here, goal),
                 *self.arrow(here, [team.view(one.place) for one in other.robots]),
-                *self.arrow(here, [team.view(one.place) for one in team.robots if one is not robot]),
+                *self.arrow(
+                    here, [team.view(one.place) for one in team.robots if one is not robot]
+                ),
                 carrying,
                 other.thief is not None and not carrying,
                 *self.bearing(here, flag),
@@ -94,7 +111,11 @@ class NaiveDuel:
         away = np.float32(king(here, there))
         dx, dy = offset(here, there)
         one = np.float32(1)
-        return [np.float32(dx) / max(one, away), np.float32(dy) / max(one, away), one - away / np.float32(self.size)]
+        return [
+            np.float32(dx) / max(one, away),
+            np.float32(dy) / max(one, away),
+            one - away / np.float32(self.size),
+        ]
 
     def arrow(self, here: Place, places: list[Place]) -> tuple[np.float32, np.float32]:
         sight = self.settings.robot_sight

@@ -1,4 +1,7 @@
-"""Emergency exit written a second time, slowly, from its data sheet alone: places are pairs, what is taken is a set."""
+"""Emergency exit implemented a second time, naively, from its reference alone.
+
+Positions are pairs, and occupied cells form a set.
+"""
 
 from collections.abc import Callable, Iterator
 from math import dist
@@ -29,14 +32,21 @@ def java_below(bound: int, bits: Iterator[int]) -> int:
 class NaiveEmergencyExit:
     """One trial in a room; ``play`` returns fitness, escaped agents and rounds."""
 
-    def __init__(self, size: Place, agents: list[Place], exits: list[Place], blockades: list[Place]) -> None:
+    def __init__(
+        self, size: Place, agents: list[Place], exits: list[Place], blockades: list[Place]
+    ) -> None:
         self.floor = {(x, y) for x in range(size[0]) for y in range(size[1])} - set(blockades)
         self.agents = dict(enumerate(agents))
         self.exits = exits
 
     @classmethod
-    def random(cls, size: Place, agents: int, exits: int, blockades: int, seed: int) -> "NaiveEmergencyExit":
-        """Everything lies where the generator says, on cells that nothing lies on; y is drawn from the width too."""
+    def random(
+        cls, size: Place, agents: int, exits: int, blockades: int, seed: int
+    ) -> "NaiveEmergencyExit":
+        """Place everything on free cells drawn by Java's generator.
+
+        As in FREVO, y is drawn from the width, too.
+        """
         bits = java_random(seed)
         things: list[Place] = []
         while len(things) < agents + exits + blockades:
@@ -45,7 +55,9 @@ class NaiveEmergencyExit:
                 things.append(place)
         return cls(size, things[:agents], things[agents : agents + exits], things[agents + exits :])
 
-    def play(self, steps: int, decide: Callable[[int, list[float]], list[float]]) -> tuple[float, float, float]:
+    def play(
+        self, steps: int, decide: Callable[[int, list[float]], list[float]]
+    ) -> tuple[float, float, float]:
         everybody_out = [round_ for round_ in range(steps) if self.play_round(decide)]
         first = min(everybody_out, default=steps)
         distances = 0.0

@@ -1,4 +1,7 @@
-"""The maze written a second time, slowly, from its data sheet alone: walls are any lines, sines those of the C library."""
+"""The maze implemented a second time, naively, from its reference alone.
+
+Walls are arbitrary line segments, and sines come from the C library.
+"""
 
 import math
 
@@ -11,18 +14,27 @@ Wall = tuple[Point, Point]
 class Maze:
     """One trial; walls are those inside, the rim comes by itself."""
 
-    def __init__(self, size: Point, inside: list[Wall], start: Point, goal: Point, steps: int) -> None:
+    def __init__(
+        self, size: Point, inside: list[Wall], start: Point, goal: Point, steps: int
+    ) -> None:
         width, height = size
         corners = [(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)]
         self.walls = inside + [(corners[i], corners[(i + 1) % 4]) for i in range(4)]
-        self.longest, self.goal, self.steps, self.left = math.hypot(width, height), goal, steps, steps
+        self.longest, self.goal, self.steps, self.left = (
+            math.hypot(width, height),
+            goal,
+            steps,
+            steps,
+        )
         self.place, self.heading, self.speed, self.turning = start, 0.0, 0.0, 0.0
 
     def observe(self) -> list[float]:
         finders = [self.free(self.heading + aside) for aside in (-90, -45, 0, 45, 90, 180)]
         goal = math.degrees(math.atan2(self.goal[1] - self.place[1], self.goal[0] - self.place[0]))
         aside = (goal - self.heading + 45) % 360
-        return finders + [1.0 if 90 * quarter <= aside < 90 * (quarter + 1) else 0.0 for quarter in range(4)]
+        return finders + [
+            1.0 if 90 * quarter <= aside < 90 * (quarter + 1) else 0.0 for quarter in range(4)
+        ]
 
     def free(self, direction: float) -> float:
         """Both sides of start + t d = a + s (b - a), by Cramer's rule."""
@@ -54,7 +66,10 @@ class Maze:
         self.speed = max(-0.03, min(0.03, self.speed + 0.01 * drive))
         self.heading += self.turning
         towards = math.radians(self.heading)
-        there = (self.place[0] + self.speed * math.cos(towards), self.place[1] + self.speed * math.sin(towards))
+        there = (
+            self.place[0] + self.speed * math.cos(towards),
+            self.place[1] + self.speed * math.sin(towards),
+        )
         if self.is_free(there):
             self.place = there
         self.left -= 1
@@ -64,4 +79,8 @@ class Maze:
         return math.dist(self.place, self.goal) < 0.05
 
     def fitness(self) -> float:
-        return 1 + self.left / self.steps if self.is_there() else 1 - math.dist(self.place, self.goal) / self.longest
+        return (
+            1 + self.left / self.steps
+            if self.is_there()
+            else 1 - math.dist(self.place, self.goal) / self.longest
+        )

@@ -1,11 +1,14 @@
-"""Minisim written a second time, slowly, from its data sheet alone: places are pairs, robots are objects."""
+"""Minisim implemented a second time, naively, from its reference alone.
+
+Positions are pairs, and robots are objects.
+"""
 
 from collections.abc import Callable
 
 import numpy as np
 
-from zswarm.draws import Stream
-from zswarm.sims.minisim import Settings
+from zswarm.kernels.random import Stream
+from zswarm.sims.minisim import MinisimSettings
 
 Place = tuple[int, int]
 
@@ -23,7 +26,7 @@ class Robot:
 class NaiveMinisim:
     """One trial; ``play`` returns fitness, captures, steals and times tagged."""
 
-    def __init__(self, settings: Settings, seed: int) -> None:
+    def __init__(self, settings: MinisimSettings, seed: int) -> None:
         stream = Stream(seed)
         self.settings = settings
         self.size = max(settings.width, settings.height)
@@ -61,7 +64,9 @@ class NaiveMinisim:
                 np.float32(dy) / max(one, away),
                 one - away / size,
                 *self.sense(robot.place, self.defenders),
-                *self.sense(robot.place, [other.place for other in self.robots if other is not robot]),
+                *self.sense(
+                    robot.place, [other.place for other in self.robots if other is not robot]
+                ),
                 carrying,
                 self.carrier is not None and not carrying,
             ],
@@ -84,7 +89,10 @@ class NaiveMinisim:
             return wanted if wanted in range(length) else position
 
         x, y = robot.place
-        robot.place = along(x, action[0], self.settings.width), along(y, action[1], self.settings.height)
+        robot.place = (
+            along(x, action[0], self.settings.width),
+            along(y, action[1], self.settings.height),
+        )
 
     def take_and_capture(self) -> None:
         self.distances_to_stand += [king(robot.place, self.stand) for robot in self.robots]
@@ -101,7 +109,9 @@ class NaiveMinisim:
         chosen: set[Robot] = set()
         for index, here in enumerate(self.defenders):
             prey = [robot for robot in self.robots if not robot.at_home and robot not in chosen]
-            prey = [robot for robot in prey if king(here, robot.place) <= self.settings.defender_sight]
+            prey = [
+                robot for robot in prey if king(here, robot.place) <= self.settings.defender_sight
+            ]
             target = self.stand
             if prey:
                 nearest = min(prey, key=lambda robot: king(here, robot.place))
@@ -112,7 +122,9 @@ class NaiveMinisim:
 
     def tag(self) -> None:
         for robot in self.robots:
-            within_reach = any(king(robot.place, there) <= self.settings.reach for there in self.defenders)
+            within_reach = any(
+                king(robot.place, there) <= self.settings.reach for there in self.defenders
+            )
             if within_reach and not robot.at_home:
                 robot.place = robot.start
                 self.counts["tagged"] += 1

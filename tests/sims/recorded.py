@@ -1,21 +1,33 @@
 """Small problems as FREVO played them: its recordings, and the same networks in our simulators."""
 
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from zswarm.evaluate import Outcomes, build, evaluate
+from tests.places import REPOSITORY
+from zswarm.evaluate import TrialOutcomes, build, evaluate
 
-PROBLEMS: dict[str, Any] = json.loads((Path(__file__).parents[1] / "golden" / "problems.json").read_text())
+PROBLEMS: dict[str, Any] = json.loads(
+    (REPOSITORY / "tests" / "golden" / "problems.json").read_text()
+)
 ACTIVATIONS = {"LINEAR": "clamp", "SIGMOID": "sigmoid", "RELU": "relu"}
 
 
-def play(simulator: str, settings: dict[str, Any], net: dict[str, Any], seeds: list[int]) -> Outcomes:
+def play(
+    simulator: str, settings: dict[str, Any], net: dict[str, Any], seeds: list[int]
+) -> TrialOutcomes:
     """A recorded network on some seeds."""
-    shape = {"hidden": net["hidden"], "iterations": net["iterations"], "activation": ACTIVATIONS[net["activation"]]}
-    table = [[*weights, bias] for weights, bias in zip(net["weights_into"], net["bias"], strict=True)]
+    shape = {
+        "hidden": net["hidden"],
+        "iterations": net["iterations"],
+        "activation": ACTIVATIONS[net["activation"]],
+    }
+    table = [
+        [*weights, bias] for weights, bias in zip(net["weights_into"], net["bias"], strict=True)
+    ]
     genome = np.array(table, "<f4").tobytes()
     built = build(simulator, settings, "fully-meshed", shape)
-    return evaluate(*built, [genome], np.zeros((len(seeds), 1), np.int64), np.array(seeds, np.uint64))
+    return evaluate(
+        *built, [genome], np.zeros((len(seeds), 1), np.int64), np.array(seeds, np.uint64)
+    )

@@ -1,13 +1,18 @@
-"""What somebody would write by hand for the robots of ``robot_world``: (robots, inputs) -> (robots, 2), float32."""
+"""Handwritten controllers for the robots of ``physics``.
+
+Each maps (robots, inputs) to (robots, 2), float32.
+"""
 
 import numpy as np
 
-CENTRES = np.radians((np.arange(8) + 0.5) * 270 / 8 - 135)  # of the laser's eighths, counter-clockwise
+CENTRES = np.radians(
+    (np.arange(8) + 0.5) * 270 / 8 - 135
+)  # of the laser's eighths, counter-clockwise
 VIEW = np.column_stack([np.cos(CENTRES), np.sin(CENTRES)])
 
 
 def steer(goal: np.ndarray) -> np.ndarray:
-    """Turn towards a direction in the robots' frame, and drive the faster the more it lies ahead."""
+    """Turn towards a direction in the robots' frame, driving faster the more it lies ahead."""
     angle = np.arctan2(goal[:, 1], goal[:, 0])
     drive = 0.5 + 0.5 * np.maximum(np.cos(angle), 0)
     return np.column_stack([drive, 0.5 + 0.5 * np.clip(angle, -1, 1)]).astype(np.float32)
@@ -26,7 +31,9 @@ def turtlebot_exit(seen: np.ndarray) -> np.ndarray:
     return steer(seen[:, 8:10] + 8 * away_from_what_is_near(seen, 0.85))
 
 
-def behind(seen: np.ndarray, way: np.ndarray, reach: float, behind_m: float, clear_m: float) -> np.ndarray:
+def behind(
+    seen: np.ndarray, way: np.ndarray, reach: float, behind_m: float, clear_m: float
+) -> np.ndarray:
     """To the side of a thing from which it is pushed in a direction, and then straight on.
 
     Args:
@@ -39,7 +46,9 @@ def behind(seen: np.ndarray, way: np.ndarray, reach: float, behind_m: float, cle
     offset = to_thing * ((1 - seen[:, 10:11]) * reach)
     lies_before = (to_thing * way).sum(axis=1)
     spot = offset - way * behind_m
-    aside = unit(lies_before[:, None] * to_thing - way)  # across the way to the thing, away from where it is to go
+    aside = unit(
+        lies_before[:, None] * to_thing - way
+    )  # across the way to the thing, away from where it is to go
     near = np.hypot(offset[:, 0], offset[:, 1]) < clear_m
     around = np.where(near[:, None], aside - 0.3 * to_thing, spot)
     pushing = lies_before > 0.85
@@ -68,8 +77,12 @@ def strolling(seen: np.ndarray) -> np.ndarray:
 
 
 def foraging_physical(seen: np.ndarray) -> np.ndarray:
-    """Robots push the nearest puck if it lies before them, and else get behind it; who sees none strolls about."""
-    return steer(np.where((seen[:, 8:10] != 0).any(axis=1, keepdims=True), from_behind(seen), strolling(seen)))
+    """Push the nearest puck if it is ahead, else get behind it; stroll if no puck is visible."""
+    return steer(
+        np.where(
+            (seen[:, 8:10] != 0).any(axis=1, keepdims=True), from_behind(seen), strolling(seen)
+        )
+    )
 
 
 def clever_foraging_physical(seen: np.ndarray) -> np.ndarray:

@@ -1,15 +1,15 @@
 """The C that arena is timed beside computes the same: its bits are those of the kernel."""
 
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from zswarm.draws import Stream
+from tests.places import REPOSITORY
 from zswarm.evaluate import build, evaluate
+from zswarm.kernels.random import Stream
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+BENCHMARKS = REPOSITORY / "benchmarks"
 
 
 def test_c_has_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -23,7 +23,9 @@ def test_c_has_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     exact = in_c.Arena(in_c.EXACT)
     for robots in (8, 32):
         settings = {"robots": robots, "side": robots**0.5, "steps": 200}
-        simulator, network = build("arena", settings, "fully-meshed", {"hidden": 6, "iterations": 1, "activation": "tanh"})
+        simulator, network = build(
+            "arena", settings, "fully-meshed", {"hidden": 6, "iterations": 1, "activation": "tanh"}
+        )
         genomes, seeds = network.random(4, Stream(1)), np.arange(4, dtype=np.uint64)
         trials = simulator, network, genomes, np.arange(4)[:, None], seeds
         ours, (fitness, metrics) = evaluate(*trials), exact.evaluate(*trials)

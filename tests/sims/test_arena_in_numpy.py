@@ -1,14 +1,13 @@
 """The numpy that arena is timed beside computes the same, but for the last bits."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from zswarm.draws import Stream
+from tests.places import REPOSITORY
 from zswarm.evaluate import build, evaluate
+from zswarm.kernels.random import Stream
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+BENCHMARKS = REPOSITORY / "benchmarks"
 
 
 @pytest.mark.parametrize("robots", [8, 64])
@@ -18,7 +17,9 @@ def test_numpy_computes_the_same(robots: int, monkeypatch: pytest.MonkeyPatch) -
     import in_numpy
 
     settings = {"robots": robots, "side": 0.6 * robots**0.5, "steps": 25}
-    simulator, network = build("arena", settings, "fully-meshed", {"hidden": 6, "iterations": 1, "activation": "tanh"})
+    simulator, network = build(
+        "arena", settings, "fully-meshed", {"hidden": 6, "iterations": 1, "activation": "tanh"}
+    )
     genomes, seeds = network.random(16, Stream(1)), np.arange(16, dtype=np.uint64)
     trials = simulator, network, genomes, np.arange(16)[:, None], seeds
     ours, (fitness, metrics) = evaluate(*trials), in_numpy.Arena(*trials).play()

@@ -5,16 +5,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from naive_duel import NaiveDuel
 
+from tests.sims.naive_duel import NaiveDuel
 from zswarm import experiment
-from zswarm.draws import Stream
 from zswarm.errors import ConfigError
 from zswarm.evaluate import build, evaluate, play_in_turns
+from zswarm.kernels.random import Stream
 from zswarm.nets.representation import Representation
-from zswarm.ot import run, unseen
-from zswarm.ot.assessment import Assessment
-from zswarm.sims.minisim import Minisim, Settings
+from zswarm.ot.build import build as build_parts
+from zswarm.ot.generation import Assessment
+from zswarm.ot.replay import held_out as unseen
+from zswarm.sims.minisim import Minisim, MinisimSettings
 from zswarm.testing import check_simulator
 
 UNUSUAL: list[dict[str, int]] = [
@@ -28,7 +29,9 @@ SEEDS = np.array([0, 3, 2**64 - 1], np.uint64)
 
 
 def built(settings: dict[str, int]) -> tuple[Minisim, Representation]:
-    simulator, network = build("minisim", {"teams": 2, "defenders": 0, **settings}, "fully-meshed", {"hidden": 2})
+    simulator, network = build(
+        "minisim", {"teams": 2, "defenders": 0, **settings}, "fully-meshed", {"hidden": 2}
+    )
     assert isinstance(simulator, Minisim)
     return simulator, network
 
@@ -42,14 +45,16 @@ def greedy(observations: np.ndarray) -> np.ndarray:
 
 
 def guarding(observations: np.ndarray) -> np.ndarray:
-    """The first two robots stay with the own flag and go for opponents that they see; the others attack."""
+    """Keep the first two robots at their own flag, chasing visible opponents; the others attack."""
     actions, guards = greedy(observations), observations[:2]
     seen = guards[:, 3:5].any(axis=1, keepdims=True)
     actions[:2] = steer(np.where(seen, np.sign(guards[:, 3:5]), guards[:, 9:11]))
     return actions
 
 
-def deciding(network: Representation, parameters: np.ndarray, robots: int) -> Callable[[int, np.ndarray], np.ndarray]:
+def deciding(
+    network: Representation, parameters: np.ndarray, robots: int
+) -> Callable[[int, np.ndarray], np.ndarray]:
     """Each team by its parameters."""
     states = np.zeros((2 * robots, network.state_size), np.float32)
 
@@ -81,7 +86,7 @@ def test_kernel_turns_and_a_naive_reference_have_the_same_bits(settings: dict[st
 
 def test_observations_agree_with_the_naive_reference_at_every_step() -> None:
     """Flags are carried and robots tagged in it, on both sides."""
-    settings = Settings(teams=2, defenders=0, robots=5)
+    settings = MinisimSettings(teams=2, defenders=0, robots=5)
     simulator, naive = Minisim(settings), NaiveDuel(settings, 11)
 
     def act(observations: np.ndarray) -> np.ndarray:
@@ -104,7 +109,9 @@ def test_observations_agree_with_the_naive_reference_at_every_step() -> None:
     assert np.concatenate(observations).tobytes() == np.array(seen).tobytes()
     outcome = simulator.outcome()
     assert (*outcome.fitness, *outcome.metrics) == told
-    assert np.array(seen)[:, [7, 8, 12, 13]].any(axis=0).all(), "somebody carried a flag, somebody intruded"
+    assert np.array(seen)[:, [7, 8, 12, 13]].any(axis=0).all(), (
+        "somebody carried a flag, somebody intruded"
+    )
     assert all(outcome.metrics), "captures, steals and tagged robots were compared"
 
 
@@ -124,7 +131,7 @@ def test_sides_do_not_matter() -> None:
 
 def played(policies: list[Callable[[np.ndarray], np.ndarray]], trials: int) -> np.ndarray:
     """(trials, 2) fitness of controllers written by hand."""
-    simulator = Minisim(Settings(teams=2, defenders=0))
+    simulator = Minisim(MinisimSettings(teams=2, defenders=0))
     found = []
     for seed in range(trials):
         turn: Any = simulator.reset(seed)
@@ -145,13 +152,19 @@ def test_two_guards_beat_a_team_that_only_attacks() -> None:
 def test_later_champions_of_the_example_beat_earlier_ones(seed: int) -> None:
     """Those of generations 0, 10 and 30 on 100 unseen starts; some seconds of computing each."""
     example = experiment.load(experiment.find("minisim-duel"), [f"seed={seed}"])
-    problem, optimizer = run.build(experiment.complete(example, "test"))
+    problem, optimizer = build_parts(experiment.complete(example, "test"))
     champions = []
     for generation in range(example.generations):
         assessment = Assessment(problem, optimizer.ask(), generation)
         while True:
             work = assessment.workload
-            played = evaluate(problem.simulator, problem.representation, work.genomes, work.participants, work.seeds)
+            played = evaluate(
+                problem.simulator,
+                problem.representation,
+                work.genomes,
+                work.participants,
+                work.seeds,
+            )
             work.fitness[:], work.metrics[:] = played.fitness, played.metrics
             if not assessment.advance():
                 break
@@ -167,7 +180,10 @@ def test_the_contract_holds() -> None:
 
 
 def test_the_frame_shows_two_teams_on_one_field() -> None:
-    simulator, stream = Minisim(Settings(teams=2, defenders=0, width=11, height=7, robots=2)), Stream(5)
+    simulator, stream = (
+        Minisim(MinisimSettings(teams=2, defenders=0, width=11, height=7, robots=2)),
+        Stream(5),
+    )
     simulator.reset(5)
     frame = simulator.frame()
     x, y = 10 - stream.integer(5), stream.integer(7)
@@ -182,7 +198,10 @@ def test_the_frame_shows_two_teams_on_one_field() -> None:
     assert [(body.kind, body.x - 0.5, body.y - 0.5) for body in frame.bodies] == expected
 
 
-def test_defenders_beside_two_teams_are_refused() -> None:
+def test_defenders_with_two_teams_are_refused() -> None:
     with pytest.raises(ConfigError) as refusal:
         build("minisim", {"teams": 2}, "fully-meshed", {})
-    assert str(refusal.value) == "minisim: two teams guard their flags themselves; give defenders = 0 with teams = 2"
+    assert (
+        str(refusal.value)
+        == "minisim: two teams guard their flags themselves; give defenders = 0 with teams = 2"
+    )

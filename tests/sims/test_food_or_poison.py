@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from zswarm.draws import Stream
-from zswarm.sims.food_or_poison import FoodOrPoison, Settings
+from zswarm.kernels.random import Stream
+from zswarm.sims.food_or_poison import FoodOrPoison, FoodOrPoisonSettings
 from zswarm.sims.simulator import Outcome
 from zswarm.testing import check_simulator
 
@@ -19,9 +19,11 @@ def test_food_or_poison_keeps_the_contract(settings: dict[str, Any]) -> None:
     check_simulator(FoodOrPoison, settings)
 
 
-def played(seed: int, decide: Decide, kinds: int = 6, items: int = 60) -> tuple[list[tuple[int, float, bool]], Outcome]:
+def played(
+    seed: int, decide: Decide, kinds: int = 6, items: int = 60
+) -> tuple[list[tuple[int, float, bool]], Outcome]:
     """What was observed and said in each turn, and the outcome."""
-    simulator = FoodOrPoison(Settings(kinds=kinds, items=items))
+    simulator = FoodOrPoison(FoodOrPoisonSettings(kinds=kinds, items=items))
     turn, said = simulator.reset(seed), []
     while turn is not None:
         (shown,) = turn.observations.tolist()
@@ -33,7 +35,9 @@ def played(seed: int, decide: Decide, kinds: int = 6, items: int = 60) -> tuple[
     return said, simulator.outcome()
 
 
-def naive(seed: int, decide: Decide, kinds: int, items: int) -> tuple[list[tuple[int, float, bool]], list[float]]:
+def naive(
+    seed: int, decide: Decide, kinds: int, items: int
+) -> tuple[list[tuple[int, float, bool]], list[float]]:
     """The data sheet written a second time."""
     stream = Stream(seed)
     foods = [stream.integer(2) == 1 for _ in range(kinds)]
@@ -47,7 +51,10 @@ def naive(seed: int, decide: Decide, kinds: int, items: int) -> tuple[list[tuple
         if eats:
             taste = 1.0 if foods[kind] else -1.0
             said.append((kind, taste, decide(kind, taste)))
-    shares = [sum(some) / len(some) if some else 0.0 for some in (eaten[True], eaten[False], right[items // 2 :])]
+    shares = [
+        sum(some) / len(some) if some else 0.0
+        for some in (eaten[True], eaten[False], right[items // 2 :])
+    ]
     return said, [sum(right) / items - right.count(False) / items, *shares]
 
 
@@ -97,7 +104,7 @@ def test_what_is_said_while_tasting_has_no_effect() -> None:
 
 
 def test_a_controller_that_says_nan_eats_nothing() -> None:
-    simulator = FoodOrPoison(Settings(items=9))
+    simulator = FoodOrPoison(FoodOrPoisonSettings(items=9))
     simulator.reset(1)
     for _ in range(8):
         assert simulator.step(np.full((1, 1), np.nan, np.float32)) is not None

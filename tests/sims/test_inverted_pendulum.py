@@ -5,9 +5,14 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
-from recorded import PROBLEMS, play
 
-from zswarm.sims.inverted_pendulum import FITNESS_MODELS, INPUT_MODELS, InvertedPendulum, Settings
+from tests.sims.recorded import PROBLEMS, play
+from zswarm.sims.inverted_pendulum import (
+    FITNESS_MODELS,
+    INPUT_MODELS,
+    InvertedPendulum,
+    InvertedPendulumSettings,
+)
 from zswarm.testing import check_simulator
 
 NETS = PROBLEMS["inverted_pendulum"]
@@ -21,17 +26,19 @@ def ours(name: str) -> str:
 
 def begun(settings: dict[str, Any], **state: float) -> InvertedPendulum:
     """A trial that has begun, with other numbers in its state."""
-    simulator = InvertedPendulum(Settings(**settings))
+    simulator = InvertedPendulum(InvertedPendulumSettings(**settings))
     simulator.reset(1)
     for number, name in enumerate(("phi", "rod_speed", "cart_speed", "position")):
-        simulator._state[number] = state.get(name, simulator._state[number])
+        simulator.world.state[number] = state.get(name, simulator.world.state[number])
     return simulator
 
 
 @pytest.mark.parametrize("net", NETS, ids=range(len(NETS)))
 def test_fitness_after_200_steps_is_frevos(net: dict[str, Any]) -> None:
     settings = {"steps": 200, "input_model": ours(net["inputmodel"])}
-    assert play("inverted-pendulum", settings, net, [1]).fitness[0, 0] == pytest.approx(net["fitness_200_steps"], rel=1e-9)
+    assert play("inverted-pendulum", settings, net, [1]).fitness[0, 0] == pytest.approx(
+        net["fitness_200_steps"], rel=1e-9
+    )
 
 
 @pytest.mark.parametrize("model", NETS[0]["fitness"])
@@ -39,23 +46,26 @@ def test_fitness_after_200_steps_is_frevos(net: dict[str, Any]) -> None:
 def test_fitness_after_10000_steps_is_nearly_frevos(net: dict[str, Any], model: str) -> None:
     """What the last bits of sine and cosine make of it in ten seconds: 7e-12 at most, measured."""
     settings = {"input_model": ours(net["inputmodel"]), "fitness_model": ours(model)}
-    assert play("inverted-pendulum", settings, net, [1]).fitness[0, 0] == pytest.approx(net["fitness"][model], rel=1e-10)
+    assert play("inverted-pendulum", settings, net, [1]).fitness[0, 0] == pytest.approx(
+        net["fitness"][model], rel=1e-10
+    )
 
 
 def test_the_choices_are_frevos() -> None:
     assert {ours(model) for net in NETS for model in net["fitness"]} == set(FITNESS_MODELS)
     for field, choices in (("fitness_model", FITNESS_MODELS), ("input_model", INPUT_MODELS)):
-        assert get_args(get_args(Settings.__annotations__[field])[0]) == choices
+        assert get_args(get_args(InvertedPendulumSettings.__annotations__[field])[0]) == choices
 
 
 @pytest.mark.parametrize(
-    "settings", [{"steps": 30, "input_model": INPUT_MODELS[0]}, {"steps": 1, "input_model": INPUT_MODELS[3]}]
+    "settings",
+    [{"steps": 30, "input_model": INPUT_MODELS[0]}, {"steps": 1, "input_model": INPUT_MODELS[3]}],
 )
 def test_inverted_pendulum_keeps_the_contract(settings: dict[str, Any]) -> None:
     check_simulator(InvertedPendulum, settings)
 
 
-def test_a_pendulum_that_nobody_pushes_hangs_and_has_fitness_zero() -> None:
+def test_an_unpushed_pendulum_hangs_and_has_fitness_zero() -> None:
     simulator = begun({"steps": 50, "fitness_model": "angle-pow-2"})
     while simulator.step(HALF) is not None:
         pass
@@ -64,17 +74,33 @@ def test_a_pendulum_that_nobody_pushes_hangs_and_has_fitness_zero() -> None:
 
 
 @pytest.mark.parametrize(
-    ("degrees", "angle"), [(90, 0), (180, 90), (270, 180), (0, -90), (-1, 269), (450, 0), (-300, -30), (-359, -89), (-370, -100)]
+    ("degrees", "angle"),
+    [
+        (90, 0),
+        (180, 90),
+        (270, 180),
+        (0, -90),
+        (-1, 269),
+        (450, 0),
+        (-300, -30),
+        (-359, -89),
+        (-370, -100),
+    ],
 )
 def test_an_angle_reads_as_in_the_data_sheet(degrees: float, angle: float) -> None:
-    """Up to a float32's rounding; the last is FREVO's, whose remainder has the sign of what is divided."""
+    """Agree up to float32 rounding.
+
+    The last case is FREVO's: its remainder has the sign of the dividend.
+    """
     simulator = begun({}, phi=math.radians(degrees))
     assert simulator._turn().observations[0, 0] == pytest.approx(angle, abs=1e-3)
 
 
 def test_the_controller_senses_what_the_input_model_says() -> None:
     for count, model in enumerate(INPUT_MODELS, start=1):
-        simulator = begun({"input_model": model}, phi=math.pi, rod_speed=1.5, cart_speed=-2.5, position=3.5)
+        simulator = begun(
+            {"input_model": model}, phi=math.pi, rod_speed=1.5, cart_speed=-2.5, position=3.5
+        )
         assert simulator._turn().observations.tolist() == [[90.0, 1.5, -2.5, 3.5][:count]]
         assert (simulator.inputs, len(simulator.sensors)) == (count, count)
 
@@ -85,7 +111,9 @@ def test_a_step_moves_cart_and_mass_by_the_formulas_of_the_data_sheet() -> None:
     sine, cosine = math.sin(1.0), math.cos(1.0)
     a = (2.5 - 0.01 * 9.81 * sine * cosine + 0.01 * 0.25 * cosine) / (0.1 + 0.01 * cosine)
     speed, mass = 2.0 + a * 0.1, 0.5 + (a * sine - 9.81 * cosine) * 0.1
-    assert simulator._state.tolist() == pytest.approx([1.0 + mass * 0.1, mass, speed, -1.0 + speed * 0.1])
+    assert simulator.world.state[:4].tolist() == pytest.approx(
+        [1.0 + mass * 0.1, mass, speed, -1.0 + speed * 0.1]
+    )
 
 
 def test_upright_counts_the_steps_near_the_top() -> None:

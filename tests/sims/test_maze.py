@@ -5,10 +5,10 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
-from naive_maze import Maze as Naive
 
-from zswarm.draws import Stream
-from zswarm.sims.maze import PLANS, WALLS, Maze, Settings
+from tests.sims.naive_maze import Maze as Naive
+from zswarm.kernels.random import Stream
+from zswarm.sims.maze import PLANS, WALLS, Maze, MazeSettings
 from zswarm.testing import check_simulator
 
 REST = np.full((1, 2), 0.5, np.float32)
@@ -24,10 +24,10 @@ def naive(name: Any, steps: int) -> Naive:
 
 def begun(**world: float) -> Maze:
     """A trial in the hard maze that has begun, with other numbers in its world."""
-    simulator = Maze(Settings())
+    simulator = Maze(MazeSettings())
     simulator.reset(1)
     for number, name in enumerate(("x", "y", "heading", "speed", "turning")):
-        simulator._world[number] = world.get(name, simulator._world[number])
+        simulator.world.state[number] = world.get(name, simulator.world.state[number])
     return simulator
 
 
@@ -43,8 +43,11 @@ def test_maze_keeps_the_contract(settings: dict[str, Any]) -> None:
 @pytest.mark.parametrize("name", ["medium", "hard"])
 @pytest.mark.parametrize("seed", range(5))
 def test_a_robot_that_drives_about_is_where_a_second_program_has_it(name: Any, seed: int) -> None:
-    """It bumps into walls, too; sensors, places and fitness as written a second time from the data sheet."""
-    simulator, other = Maze(Settings(map=name)), naive(name, 400)
+    """Compare sensors, positions and fitness with the naive implementation of the reference.
+
+    The robot also bumps into walls.
+    """
+    simulator, other = Maze(MazeSettings(map=name)), naive(name, 400)
     turn, stream = simulator.reset(1), Stream(seed)
     going, held, bumps = True, np.zeros(2), 0
     while going:
@@ -56,7 +59,9 @@ def test_a_robot_that_drives_about_is_where_a_second_program_has_it(name: Any, s
         before = other.place
         turn, going = simulator.step(action[None]), other.act(action)
         bumps += other.place == before and other.speed != 0
-        assert simulator._world[:3].tolist() == pytest.approx([*other.place, other.heading], abs=1e-9)
+        assert simulator.world.state[:3].tolist() == pytest.approx(
+            [*other.place, other.heading], abs=1e-9
+        )
         assert (turn is not None) == going
     outcome = simulator.outcome()
     assert outcome.fitness[0] == pytest.approx(other.fitness(), rel=1e-9)
@@ -66,7 +71,7 @@ def test_a_robot_that_drives_about_is_where_a_second_program_has_it(name: Any, s
 
 
 def test_the_settings_name_the_mazes_that_there_are() -> None:
-    assert set(get_args(Settings.__annotations__["map"].__origin__)) == set(PLANS) == set(WALLS)
+    assert set(get_args(MazeSettings.__annotations__["map"].__origin__)) == set(PLANS) == set(WALLS)
 
 
 @pytest.mark.parametrize("name", list(PLANS))
@@ -78,7 +83,10 @@ def test_walls_are_given_from_the_left_or_from_above(name: Any) -> None:
 
 @pytest.mark.parametrize("name", list(PLANS))
 def test_there_is_a_way_to_the_goal_and_time_enough(name: Any) -> None:
-    """A flood over places some cm apart; its way has no diagonals, and less than what the robot can drive."""
+    """Flood-fill the maze on a grid of a few centimetres.
+
+    Even without diagonals, the path found is shorter than the robot can drive.
+    """
     simulator = naive(name, 400)
     start_x, start_y, _, goal_x, goal_y, _, _ = PLANS[name]
     step = 0.05 if name == "medium" else 0.025
@@ -87,8 +95,15 @@ def test_there_is_a_way_to_the_goal_and_time_enough(name: Any) -> None:
     while reached and goal not in ways:
         ahead = []
         for column, row in reached:
-            for there in ((column + 1, row), (column - 1, row), (column, row + 1), (column, row - 1)):
-                if there not in ways and simulator.is_free((start_x + step * there[0], start_y + step * there[1])):
+            for there in (
+                (column + 1, row),
+                (column - 1, row),
+                (column, row + 1),
+                (column, row - 1),
+            ):
+                if there not in ways and simulator.is_free(
+                    (start_x + step * there[0], start_y + step * there[1])
+                ):
                     ways[there] = ways[column, row] + step
                     ahead.append(there)
         reached = ahead
@@ -118,25 +133,30 @@ def test_a_range_finder_sees_a_metre_far() -> None:
 
 
 @pytest.mark.parametrize(
-    ("heading", "quarter"), [(-90.0, 0), (180.0, 1), (90.0, 2), (0.0, 3), (-50.0, 0), (-40.0, 3), (670.0, 0)]
+    ("heading", "quarter"),
+    [(-90.0, 0), (180.0, 1), (90.0, 2), (0.0, 3), (-50.0, 0), (-40.0, 3), (670.0, 0)],
 )
 def test_the_compass_tells_the_quarter_in_which_the_goal_is(heading: float, quarter: int) -> None:
     """From straight below it."""
-    assert seen(x=0.3, y=1.0, heading=heading)[COMPASS] == [float(number == quarter) for number in range(4)]
+    assert seen(x=0.3, y=1.0, heading=heading)[COMPASS] == [
+        float(number == quarter) for number in range(4)
+    ]
 
 
 def test_a_robot_turns_before_it_drives_and_speeds_have_limits() -> None:
     simulator = begun(turning=2.75, speed=0.029)
     simulator.step(np.array([[1.0, 1.0]], np.float32))
-    x, y, heading, speed, turning = simulator._world.tolist()
+    x, y, heading, speed, turning = simulator.world.state.tolist()
     assert (heading, speed, turning) == (3.0, 0.03, 3.0)
-    assert (x, y) == pytest.approx((0.3 + 0.03 * math.cos(math.radians(3)), 1.75 + 0.03 * math.sin(math.radians(3))))
+    assert (x, y) == pytest.approx(
+        (0.3 + 0.03 * math.cos(math.radians(3)), 1.75 + 0.03 * math.sin(math.radians(3)))
+    )
 
 
 def test_a_wall_holds_the_robot_which_keeps_its_speeds_and_turns_on() -> None:
     simulator = begun(x=0.09, heading=180.0, speed=0.02, turning=1.0)
     simulator.step(REST)
-    assert simulator._world.tolist() == [0.09, 1.75, 181.0, 0.02, 1.0]
+    assert simulator.world.state.tolist() == [0.09, 1.75, 181.0, 0.02, 1.0]
 
 
 def test_a_trial_ends_at_the_goal_and_the_time_saved_counts() -> None:
@@ -148,10 +168,10 @@ def test_a_trial_ends_at_the_goal_and_the_time_saved_counts() -> None:
     assert simulator.frame().bodies[0].kind == "robot at the goal"
 
 
-def test_who_reaches_the_goal_in_the_last_step_beats_all_who_do_not() -> None:
-    simulator = Maze(Settings(steps=1))
+def test_reaching_the_goal_in_the_last_step_beats_not_reaching_it() -> None:
+    simulator = Maze(MazeSettings(steps=1))
     simulator.reset(1)
-    simulator._world[:] = 0.34, 0.25, 0.0, 0.0, 0.0
+    simulator.world.state[:] = 0.34, 0.25, 0.0, 0.0, 0.0
     assert simulator.step(REST) is None
     assert simulator.outcome().fitness == [1.0]
 
@@ -177,7 +197,18 @@ def test_the_frame_shows_walls_goal_and_robot_inside_its_rim() -> None:
     walls = [place for place in frame.places if place.kind == "wall"]
     assert (frame.width, frame.height) == (2.1, 2.1)
     assert len(walls) == 4 + len(WALLS["hard"])
-    assert all(wall.x >= 0 and wall.y >= 0 and wall.x + wall.width <= 2.1 and wall.y + wall.height <= 2.1 for wall in walls)
-    assert (robot.kind, robot.x, robot.y, robot.radius) == ("robot", pytest.approx(0.35), pytest.approx(1.8), 0.08)
+    assert all(
+        wall.x >= 0 and wall.y >= 0 and wall.x + wall.width <= 2.1 and wall.y + wall.height <= 2.1
+        for wall in walls
+    )
+    assert (robot.kind, robot.x, robot.y, robot.radius) == (
+        "robot",
+        pytest.approx(0.35),
+        pytest.approx(1.8),
+        0.08,
+    )
     assert robot.heading == pytest.approx(math.pi / 2), "downwards"
-    assert (goal.x + goal.width / 2, goal.y + goal.height / 2) == (pytest.approx(0.35), pytest.approx(0.3))
+    assert (goal.x + goal.width / 2, goal.y + goal.height / 2) == (
+        pytest.approx(0.35),
+        pytest.approx(0.3),
+    )

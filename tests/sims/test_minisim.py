@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from naive_minisim import NaiveMinisim
 
-from zswarm.draws import Stream
+from tests.sims.naive_minisim import NaiveMinisim
 from zswarm.errors import ConfigError
-from zswarm.evaluate import Outcomes, build, evaluate, play_in_turns
+from zswarm.evaluate import TrialOutcomes, build, evaluate, play_in_turns
+from zswarm.kernels.random import Stream
 from zswarm.nets.fully_meshed import FullyMeshed
-from zswarm.sims.minisim import Minisim, Settings
+from zswarm.sims.minisim import Minisim, MinisimSettings
 
 CHAMPION = json.loads(Path(__file__).with_name("minisim_champion.json").read_text())
 UNSEEN = np.arange(10**9, 10**9 + 100, dtype=np.uint64)
@@ -20,9 +20,26 @@ UNUSUAL = [
     {},
     {"steps": 60, "width": 9, "height": 31, "robots": 5, "defenders": 1, "rest": 2},
     {"steps": 40, "width": 2, "height": 2, "robots": 3, "defenders": 1, "reach": 0},
-    {"steps": 40, "width": 7, "height": 3, "robots": 4, "defenders": 6, "rest": 0, "reach": 0, "robot_sight": 3},
+    {
+        "steps": 40,
+        "width": 7,
+        "height": 3,
+        "robots": 4,
+        "defenders": 6,
+        "rest": 0,
+        "reach": 0,
+        "robot_sight": 3,
+    },
     {"steps": 50, "width": 12, "height": 5, "defenders": 0, "robot_sight": 1},
-    {"steps": 50, "width": 15, "robots": 20, "defenders": 3, "rest": 2, "reach": 2, "defender_sight": 4},
+    {
+        "steps": 50,
+        "width": 15,
+        "robots": 20,
+        "defenders": 3,
+        "rest": 2,
+        "reach": 2,
+        "defender_sight": 4,
+    },
 ]
 
 
@@ -37,22 +54,28 @@ def champion() -> bytes:
     return np.array(CHAMPION["genome"], "<f4").tobytes()
 
 
-def play(simulator: Minisim, network: FullyMeshed, genomes: list[bytes], seeds: np.ndarray) -> Outcomes:
+def play(
+    simulator: Minisim, network: FullyMeshed, genomes: list[bytes], seeds: np.ndarray
+) -> TrialOutcomes:
     """Every genome on every seed."""
     participants = np.repeat(np.arange(len(genomes)), len(seeds))[:, None]
     return evaluate(simulator, network, genomes, participants, np.tile(seeds, len(genomes)))
 
 
-def play_policy(policy: Callable[[np.ndarray], np.ndarray], seeds: np.ndarray) -> tuple[float, float]:
+def play_policy(
+    policy: Callable[[np.ndarray], np.ndarray], seeds: np.ndarray
+) -> tuple[float, float]:
     """Mean fitness and captures of a hand-written controller, through the turns."""
-    simulator = Minisim(Settings())
+    simulator = Minisim(MinisimSettings())
     outcomes = []
     for seed in seeds:
         turn = simulator.reset(int(seed))
         while turn is not None:
             turn = simulator.step(policy(turn.observations))
         outcomes.append(simulator.outcome())
-    return float(np.mean([o.fitness[0] for o in outcomes])), float(np.mean([o.metrics[0] for o in outcomes]))
+    return float(np.mean([o.fitness[0] for o in outcomes])), float(
+        np.mean([o.metrics[0] for o in outcomes])
+    )
 
 
 def steer(direction: np.ndarray) -> np.ndarray:
@@ -79,7 +102,9 @@ def test_the_kernel_agrees_with_a_naive_reference_bit_for_bit(settings: dict[str
         for seed in seeds:
             states = np.zeros((simulator.settings.robots, network.state_size), np.float32)
 
-            def decide(robot: int, observation: np.ndarray, states=states, parameters=parameters) -> np.ndarray:
+            def decide(
+                robot: int, observation: np.ndarray, states=states, parameters=parameters
+            ) -> np.ndarray:
                 action = np.empty(2, np.float32)
                 network.step(parameters, states[robot], observation, action)
                 return action
@@ -88,11 +113,13 @@ def test_the_kernel_agrees_with_a_naive_reference_bit_for_bit(settings: dict[str
             assert (outcomes.fitness[trial, 0], *outcomes.metrics[trial]) == expected
             trial += 1
     seen = outcomes.metrics.sum(axis=0)
-    assert seen.all() if not settings else seen.any(), "captures, steals and tagged robots were compared"
+    assert seen.all() if not settings else seen.any(), (
+        "captures, steals and tagged robots were compared"
+    )
 
 
 def test_observations_agree_with_the_naive_reference_at_every_step() -> None:
-    simulator, naive = Minisim(Settings()), NaiveMinisim(Settings(), 11)
+    simulator, naive = Minisim(MinisimSettings()), NaiveMinisim(MinisimSettings(), 11)
     turn = simulator.reset(11)
     observations = [turn.observations]
     while turn is not None:
@@ -139,19 +166,23 @@ def test_a_seed_decides_the_trial_whatever_was_played_before() -> None:
 def test_the_start_is_drawn_by_the_streams_of_zswarm() -> None:
     """All robots are at home, the flag is in the far half, and defenders stand on it."""
     for seed in (0, 77, 2**64 - 1):
-        simulator, stream = Minisim(Settings(width=11, height=7)), Stream(seed)
+        simulator, stream = Minisim(MinisimSettings(width=11, height=7)), Stream(seed)
         simulator.reset(seed)
         frame = simulator.frame()
         home, stand = frame.places
         assert (home.kind, *home[1:]) == ("home", 0, 0, 1, 7)
-        assert (stand.kind, stand.x, stand.y) == ("flag's stand", 10 - stream.integer(5), stream.integer(7))
+        assert (stand.kind, stand.x, stand.y) == (
+            "flag's stand",
+            10 - stream.integer(5),
+            stream.integer(7),
+        )
         cells = [(body.kind, body.x - 0.5, body.y - 0.5) for body in frame.bodies]
         assert cells[:8] == [("robot", 0, stream.integer(7)) for _ in range(8)]
         assert cells[8:] == [("defender", stand.x, stand.y)] * 2
 
 
-def test_outputs_that_are_no_numbers_move_nobody() -> None:
-    simulator = Minisim(Settings())
+def test_outputs_that_are_nan_move_no_robot() -> None:
+    simulator = Minisim(MinisimSettings())
     simulator.reset(4)
     before = simulator.frame().bodies
     simulator.step(np.full((8, 2), np.nan, np.float32))
@@ -163,7 +194,10 @@ def test_random_controllers_capture_almost_nothing() -> None:
     outcomes = play(simulator, network, network.random(200, Stream(3)), UNSEEN[:10])
     assert outcomes.metrics[:, 0].mean() < 0.1
     draws = Stream(9)
-    _, captures = play_policy(lambda seen: draws.uniform(0, 1, 2 * len(seen)).reshape(-1, 2).astype(np.float32), UNSEEN[:20])
+    _, captures = play_policy(
+        lambda seen: draws.uniform(0, 1, 2 * len(seen)).reshape(-1, 2).astype(np.float32),
+        UNSEEN[:20],
+    )
     assert captures < 0.1
 
 
@@ -185,14 +219,24 @@ def test_an_evolved_controller_beats_both_on_unseen_seeds() -> None:
     ("settings", "text"),
     [
         ({"steps": 19}, "minisim: no flag can be captured in 19 steps; width 20 takes 20"),
-        ({"reach": 7}, "minisim: reach 7 must not exceed defender_sight 6: a defender cannot tag what it does not see"),
-        ({"rest": 1}, "minisim: rest 1 keeps the defenders on the flag for ever; give 0 (no rest) or 2 and more"),
+        (
+            {"reach": 7},
+            "minisim: reach 7 must not exceed defender_sight 6: "
+            "a defender cannot tag what it does not see",
+        ),
+        (
+            {"rest": 1},
+            "minisim: rest 1 keeps the defenders on the flag for ever; "
+            "give 0 (no rest) or 2 and more",
+        ),
         ({"robots": 0}, "problem.settings: robots: expected int >= 1"),
         ({"width": 1}, "problem.settings: width: expected int >= 2"),
         ({"robot": 3}, "problem.settings: unknown key 'robot' (did you mean 'robots'?)"),
     ],
 )
-def test_impossible_settings_are_refused_in_one_clear_line(settings: dict[str, int], text: str) -> None:
+def test_impossible_settings_are_refused_in_one_clear_line(
+    settings: dict[str, int], text: str
+) -> None:
     with pytest.raises(ConfigError) as refusal:
         built(settings)
     assert str(refusal.value).startswith(text)

@@ -3,17 +3,28 @@
 import numpy as np
 import pytest
 
-from zswarm.jit import inline
-from zswarm.portable import PI
+from zswarm.kernels.jit import inline
+from zswarm.kernels.portable import PI
 from zswarm.sims.robot_interface import fit_scan, observe, velocity
-from zswarm.sims.turtlebot_exit import Settings, TurtlebotExit
+from zswarm.sims.turtlebot_exit import TurtlebotExit, TurtlebotExitSettings
 
 VIEW, REACH = 270 * PI / 180, np.float32(4)
 
 
-def fitted(ranges: np.ndarray, angle_min: float, increment: float, rays: int = 36, view: float = VIEW) -> np.ndarray:
+def fitted(
+    ranges: np.ndarray, angle_min: float, increment: float, rays: int = 36, view: float = VIEW
+) -> np.ndarray:
     found = np.full(rays, np.nan, np.float32)
-    fit_scan(np.asarray(ranges, np.float32), len(ranges), float(angle_min), float(increment), rays, view, REACH, found)
+    fit_scan(
+        np.asarray(ranges, np.float32),
+        len(ranges),
+        float(angle_min),
+        float(increment),
+        rays,
+        view,
+        REACH,
+        found,
+    )
     return found
 
 
@@ -31,7 +42,7 @@ def test_a_scan_of_the_controllers_own_scanner_stays_as_it_is(rays: int, degrees
 
 
 @pytest.mark.parametrize("nothing", [0.0, -1.0, np.inf, np.nan, 4.0, 9.0])
-def test_what_is_no_reading_is_nothing_there(nothing: float) -> None:
+def test_an_invalid_reading_counts_as_no_obstacle(nothing: float) -> None:
     ranges = np.full(36, 2.0)
     ranges[7] = nothing
     found = fitted(ranges, -VIEW / 2, VIEW / 35)
@@ -46,12 +57,17 @@ def test_what_is_too_close_to_be_measured_is_at_0() -> None:
 
 
 @pytest.mark.parametrize(
-    ("angle_min", "increment"), [(0.0, PI / 180), (-PI, PI / 180), (PI, -PI / 180), (0.0, -PI / 180), (2 * PI, -PI / 180)]
+    ("angle_min", "increment"),
+    [(0.0, PI / 180), (-PI, PI / 180), (PI, -PI / 180), (0.0, -PI / 180), (2 * PI, -PI / 180)],
 )
-def test_scanners_that_look_all_around_begin_where_they_like(angle_min: float, increment: float) -> None:
+def test_scanners_that_look_all_around_begin_where_they_like(
+    angle_min: float, increment: float
+) -> None:
     """Something is at 57 to 63 degrees on the left, and at 2 on the right of straight ahead."""
     angles = np.degrees(angle_min + increment * np.arange(360)) % 360
-    ranges = np.where(np.abs(angles - 60) < 3.5, 1.0, 0.0) + np.where(np.abs(angles - 358) < 0.5, 2.0, 0.0)
+    ranges = np.where(np.abs(angles - 60) < 3.5, 1.0, 0.0) + np.where(
+        np.abs(angles - 358) < 0.5, 2.0, 0.0
+    )
     found = fitted(ranges, angle_min, increment)
     seen = np.degrees(np.linspace(-VIEW / 2, VIEW / 2, 36))
     half = 135 / 35
@@ -70,13 +86,18 @@ def test_a_few_rays_are_read_by_those_that_look_almost_there() -> None:
     assert (fitted(np.ones(10), -VIEW / 2, VIEW / 9) == 1).all()
 
 
-@pytest.mark.parametrize("angles", [(0.0, 0.0), (np.nan, 0.1), (0.0, np.nan), (1e30, 0.1), (0.0, 1e-30), (np.inf, 0.1)])
+@pytest.mark.parametrize(
+    "angles", [(0.0, 0.0), (np.nan, 0.1), (0.0, np.nan), (1e30, 0.1), (0.0, 1e-30), (np.inf, 0.1)]
+)
 def test_impossible_angles_see_nothing(angles: tuple[float, float]) -> None:
     assert (fitted(np.ones(36), *angles) == REACH).all()
 
 
 def test_the_nearest_target_is_seen_in_the_robots_frame() -> None:
-    """The robot at (1, 1) looks up (quaternion of 90 degrees); of two exits the nearer one is 2 m on its left."""
+    """Look up from (1, 1), a rotation by 90 degrees as a quaternion.
+
+    The nearer of two exits is 2 m to the left of the robot.
+    """
     scan = np.array([4, 4, 1, 2, 4, 4, 4, 3], np.float32)
     half = np.sqrt(0.5)
     observation = np.full(6, np.nan, np.float32)
@@ -111,22 +132,42 @@ def test_compiled_and_plain_have_the_same_bits() -> None:
     if not hasattr(plain, "py_func"):
         pytest.skip("kernels are plain Python here")
     for _ in range(50):
-        scan, pose, targets = draw.uniform(0.1, 4, 36).astype(np.float32), draw.normal(size=4), draw.normal(size=6)
+        scan, pose, targets = (
+            draw.uniform(0.1, 4, 36).astype(np.float32),
+            draw.normal(size=4),
+            draw.normal(size=6),
+        )
         seen, again = np.empty(10, np.float32), np.empty(10, np.float32)
         distances = [
             function(scan, 36, REACH, 8, *pose, targets, 3, filled)
             for function, filled in ((observe, seen), (observe.py_func, again))
         ]
-        assert (np.float64(distances[0]).tobytes(), seen.tobytes()) == (np.float64(distances[1]).tobytes(), again.tobytes())
+        assert (np.float64(distances[0]).tobytes(), seen.tobytes()) == (
+            np.float64(distances[1]).tobytes(),
+            again.tobytes(),
+        )
 
 
 def test_the_world_tells_all_that_its_controllers_observe_by_messages() -> None:
-    simulator = TurtlebotExit(Settings(robots=3))
+    simulator = TurtlebotExit(TurtlebotExitSettings(robots=3))
     turn = simulator.reset(5)
     assert simulator.robot is not None
     robot, targets = simulator.robot, np.array(simulator.robot.targets).ravel()
     for row in range(3):
-        scan = fitted(simulator.scans[row], np.float32(-robot.view / 2), np.float32(robot.view / (robot.rays - 1)))
+        scan = fitted(
+            simulator.scans[row],
+            np.float32(-robot.view / 2),
+            np.float32(robot.view / (robot.rays - 1)),
+        )
         observation = np.empty(simulator.inputs, np.float32)
-        observe(scan, robot.rays, np.float32(robot.range), robot.sectors, *simulator.poses[row], targets, 2, observation)
+        observe(
+            scan,
+            robot.rays,
+            np.float32(robot.range),
+            robot.sectors,
+            *simulator.poses[row],
+            targets,
+            2,
+            observation,
+        )
         assert observation.tobytes() == turn.observations[row].tobytes()

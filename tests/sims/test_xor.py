@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recorded import PROBLEMS, play
 
-from zswarm.sims.xor import XOR, Settings
+from tests.sims.recorded import PROBLEMS, play
+from zswarm.sims.xor import XOR, XORSettings
 
 
 @pytest.mark.parametrize("net", PROBLEMS["xor"], ids=lambda net: f"{net['fitness']:.4f}")
@@ -27,8 +27,10 @@ def test_fitness_is_frevos(net: dict[str, Any]) -> None:
         ([1, 0, 0, 1], -1.0, 0),
     ],
 )
-def test_fitness_and_metrics_are_those_of_the_data_sheet(said: list[float], fitness: float, correct: int) -> None:
-    simulator = XOR(Settings())
+def test_fitness_and_metrics_are_those_of_the_data_sheet(
+    said: list[float], fitness: float, correct: int
+) -> None:
+    simulator = XOR(XORSettings())
     turn = simulator.reset(1)
     assert turn.observations.tolist() == [[0, 0], [0, 1], [1, 0], [1, 1]]
     assert simulator.step(np.array(said, np.float32)[:, None]) is None

@@ -1,1 +1,1 @@
-"""Representations: genome to controller. One kind per file; the contract is ``representation.py``."""
+"""Representations: from genome to controller, one kind per file. See ``representation.py``."""

@@ -1,60 +1,64 @@
-"""Feed-forward networks: FREVO's ``MultiLayerNetwork`` and ``ThreeLayerNetwork`` (github.com/smartgrids-aau/Frevo, version 1.5).
+"""Feed-forward networks: FREVO's ``MultiLayerNetwork`` and ``ThreeLayerNetwork``.
 
-Each node hears the nodes of the layer before it: output = activation(bias + sum of weight times output). FREVO's have sigmoid
-nodes throughout, which is the default here, and decide the same, bit for bit; a net of one hidden layer is its
-``ThreeLayerNetwork``. Its ``stepNumber`` is not offered: a net without memory decides the same when it is asked twice. State:
-room for two layers, of which nothing is read in the next decision.
-
-Genome: per node, layer after layer, the weights from the nodes of the layer before, then its bias; float32, little-endian.
-Operators are FREVO's, ``least`` reaches of mutation 2 included (10 for weights, too). The distance is the mean of
-|difference| / range; ``MultiLayerNetwork`` divides differences of biases by the weights' range instead.
+Source: FREVO 1.5, github.com/smartgrids-aau/Frevo. With sigmoid nodes, the default, a decision has
+the same bits as FREVO's. State: room for two layers; a decision reads nothing of the previous one.
+Genome, operators, and what differs from FREVO: docs/representations.md.
 """
 
+import itertools
 from collections.abc import Sequence
 from typing import Annotated
 
-import msgspec
 import numpy as np
-from msgspec import Meta
+from msgspec import Meta, field
 
-from zswarm.jit import STEP_SIGNATURE, kernel
-from zswarm.lanes import LANES, fill, load, store
+from zswarm.config.meta import PartSettings, about
+from zswarm.kernels.jit import STEP_SIGNATURE, kernel
+from zswarm.kernels.lanes import LANES, fill, load, store
+from zswarm.nets import neurons, vector
 from zswarm.nets.graph import Graph, of_layers
-from zswarm.nets.neurons import ACTIVATIONS, MEANING, ONE, ZERO, Activation, activate, add, padded, put
-from zswarm.nets.vector import COARSE, Range, VectorRepresentation, absolute_differences
+from zswarm.nets.neurons import (
+    ONE,
+    ZERO,
+    activate,
+    add,
+    copy_lanes,
+    copy_outputs,
+    put,
+    weigh,
+    weigh_lanes,
+)
 
 HEADER = 3  # layers, their activation, that of the last one; then the nodes of each
 
 Width = Annotated[int, Meta(ge=1, le=1000)]
-WeightRange = Annotated[
-    Range, Meta(description="new weights are uniform in plus or minus this; method 1 of mutation scales with it")
-]
-BiasRange = Annotated[Range, Meta(description="the same of biases")]
 
 
-class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class FeedForwardSettings(PartSettings, frozen=True):
     """Settings of ``[representation]`` with ``kind = "feed-forward"``."""
 
     hidden: Annotated[
-        list[Width], Meta(max_length=8, description="nodes of each hidden layer; []: the outputs hear the inputs")
-    ] = msgspec.field(default_factory=lambda: [2, 2])
-    activation: Annotated[Activation, Meta(description=f"of hidden nodes; {MEANING}")] = "sigmoid"
-    output_activation: Annotated[Activation, Meta(description="of outputs")] = "sigmoid"
-    weight_range: WeightRange = 2.0
-    bias_range: BiasRange = 2.0
+        list[Width], Meta(max_length=8, description="nodes of each hidden layer; may be empty")
+    ] = field(default_factory=lambda: [2, 2])
+    activation: Annotated[
+        neurons.Activation, about(f"activation of hidden nodes; {neurons.MEANING}")
+    ] = "sigmoid"
+    output_activation: Annotated[neurons.Activation, about("activation of outputs")] = "sigmoid"
+    weight_range: vector.WeightRange = 2.0
+    bias_range: vector.BiasRange = 2.0
 
 
-class ThreeLayerSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ThreeLayerSettings(PartSettings, frozen=True):
     """Settings of ``[representation]`` with ``kind = "three-layer"``."""
 
-    hidden: Annotated[Width, Meta(description="nodes of the hidden layer")] = 2
-    weight_range: WeightRange = 2.0
-    bias_range: BiasRange = 2.0
+    hidden: Annotated[Width, about("nodes of the hidden layer")] = 2
+    weight_range: vector.WeightRange = 2.0
+    bias_range: vector.BiasRange = 2.0
 
 
 @kernel(STEP_SIGNATURE)
 def step(parameters, state, observation, output):  # type: ignore[no-untyped-def]  # compiled
-    """One decision, layer after layer; the sums run over the sources in order, eight nodes side by side."""
+    """Make one decision: sums over the sources in order, of eight nodes at once."""
     layers, sources = int(parameters[0]), observation.shape[0]
     here, there = 0, state.shape[0] // 2
     weights = HEADER + layers
@@ -65,21 +69,19 @@ def step(parameters, state, observation, output):  # type: ignore[no-untyped-def
         row = (nodes + LANES - 1) // LANES * LANES
         activation = int(parameters[2 if layer == layers - 1 else 1])
         biases = weights + sources * row
+        weigh(parameters, weights, row, state, here, sources, state, there)
         for first in range(0, row, LANES):
-            sums = fill(ZERO)
-            for source in range(sources):
-                sums = sums + load(parameters, weights + source * row + first) * state[here + source]
+            sums = load(state, there + first)
             store(state, there + first, load(parameters, biases + first) + sums)
             activate(activation, state, there + first, there + first, min(LANES, nodes - first))
         weights, sources = biases + row, nodes
         here, there = there, here
-    for index in range(output.shape[0]):
-        output[index] = state[here + index]
+    copy_outputs(state, here + sources, output)
 
 
 @kernel(STEP_SIGNATURE)
 def step_lanes(parameters, state, observation, output):  # type: ignore[no-untyped-def]  # compiled
-    """``step`` of eight agents, one in each lane; the sums of four nodes at a time, for they wait for one another."""
+    """Make one decision of eight agents, with four independent sums at a time."""
     layers, sources = int(parameters[0]), observation.shape[0] // LANES
     here, there = 0, state.shape[0] // 2
     weights = (HEADER + layers) * LANES
@@ -92,79 +94,83 @@ def step_lanes(parameters, state, observation, output):  # type: ignore[no-untyp
         biases = weights + sources * row
         for first in range(0, nodes * LANES, 4 * LANES):
             sums = fill(ZERO), fill(ZERO), fill(ZERO), fill(ZERO)
-            for source in range(sources):
-                sums = add(sums, parameters, weights + source * row + first, load(state, here + source * LANES))
+            sums = weigh_lanes(sums, parameters, weights + first, row, state, here, sources)
             put(add(sums, parameters, biases + first, fill(ONE)), state, there + first)
         for first in range(0, nodes * LANES, LANES):
             activate(activation, state, there + first, there + first, LANES)
         weights, sources = biases + row, nodes
         here, there = there, here
-    for index in range(0, output.shape[0], LANES):
-        store(output, index, load(state, here + index))
+    copy_lanes(state, here + sources * LANES, output)
 
 
-class Layered(VectorRepresentation):
-    """A network of the given layers."""
+class Layered(vector.VectorRepresentation):
+    """A network of given layers.
+
+    Args:
+        hidden: nodes of the hidden layers.
+        activations: of hidden nodes and of outputs.
+    """
 
     step = staticmethod(step)
     step_lanes = staticmethod(step_lanes)
-    settings: Settings | ThreeLayerSettings
 
     def __init__(
         self,
-        settings: Settings | ThreeLayerSettings,
+        settings: FeedForwardSettings | ThreeLayerSettings,
         inputs: int,
         outputs: int,
         hidden: Sequence[int],
-        activations: tuple[Activation, Activation],
+        *activations: neurons.Activation,
     ) -> None:
         self.widths = [*hidden, outputs]
         self.activations = activations
         ranges: list[float] = []
         blocks = [0]
-        for sources, nodes in zip([inputs, *hidden], self.widths, strict=True):
+        for sources, nodes in itertools.pairwise([inputs, *self.widths]):
             ranges += ([settings.weight_range] * sources + [settings.bias_range]) * nodes
             blocks += range(blocks[-1] + sources + 1, len(ranges) + 1, sources + 1)
-        least = np.full(len(ranges), COARSE)
-        super().__init__(settings, inputs, outputs, ranges=np.array(ranges), blocks=blocks, least=least)
-        self.state_size = 2 * max(inputs, *map(padded, self.widths))
+        least = np.full(len(ranges), vector.COARSE)
+        super().__init__(
+            settings, inputs, outputs, ranges=np.array(ranges), blocks=blocks, least=least
+        )
+        self.state_size = 2 * max(inputs, *map(neurons.padded, self.widths))
+
+    def tables(self, genomes: Sequence[bytes]) -> list[np.ndarray]:
+        """Return per layer (genomes, nodes, nodes of the previous layer + 1) float32."""
+        sizes = [
+            (nodes, sources + 1)
+            for sources, nodes in itertools.pairwise([self.inputs, *self.widths])
+        ]
+        ends = np.cumsum([nodes * genes for nodes, genes in sizes])
+        layers = np.split(self.vectors(genomes), ends[:-1], axis=1)
+        return [
+            layer.reshape(len(genomes), *size) for layer, size in zip(layers, sizes, strict=True)
+        ]
 
     def parameters(self, genomes: Sequence[bytes]) -> np.ndarray:
-        """Header and the nodes of each layer; then per layer and source its weights to all nodes (padded), then the biases."""
-        vectors = self.vectors(genomes)
-        header = [len(self.widths), *map(ACTIVATIONS.index, self.activations), *self.widths]
-        parts = [np.tile(np.array(header, np.float32), (len(genomes), 1))]
-        begin, sources = 0, self.inputs
-        for nodes in self.widths:
-            end = begin + nodes * (sources + 1)
-            layer = np.zeros((len(genomes), sources + 1, padded(nodes)), np.float32)
-            layer[:, :, :nodes] = vectors[:, begin:end].reshape(len(genomes), nodes, sources + 1).transpose(0, 2, 1)
-            parts.append(layer.reshape(len(genomes), (sources + 1) * padded(nodes)))
-            begin, sources = end, nodes
-        return np.concatenate(parts, axis=1)
+        """Return header and widths; per layer and source the weights, padded, then the biases."""
+        activations = map(neurons.ACTIVATIONS.index, self.activations)
+        header = len(self.widths), *activations, *self.widths
+        return neurons.parameter_rows(header, *self.tables(genomes))
 
     def distances(self, left: Sequence[bytes], right: Sequence[bytes]) -> np.ndarray:
-        """Means of |difference| / range over all genes, added in gene order."""
+        """Return means of |difference| / range over all genes, added in gene order."""
         a, b = (self._numbers(side) / self.ranges for side in (left, right))
-        return absolute_differences(a, b) / self.genes
+        return vector.absolute_differences(a, b) / self.genes
 
     def graph(self, genome: bytes) -> Graph:
-        """See ``Representation``."""
-        vector, tables, begin, sources = self.vectors([genome])[0], [], 0, self.inputs
-        for nodes in self.widths:
-            end = begin + nodes * (sources + 1)
-            tables.append(vector[begin:end].reshape(nodes, sources + 1))
-            begin, sources = end, nodes
-        return of_layers(self.inputs, self.widths, tables)
+        """Return the network with the weights of its genome."""
+        return of_layers(self.inputs, [table for (table,) in self.tables([genome])])
 
 
 class FeedForward(Layered):
     """Feed-forward network of any number of hidden layers."""
 
-    settings_type = Settings
+    settings_type = FeedForwardSettings
 
-    def __init__(self, settings: Settings, inputs: int, outputs: int) -> None:
-        super().__init__(settings, inputs, outputs, settings.hidden, (settings.activation, settings.output_activation))
+    def __init__(self, settings: FeedForwardSettings, inputs: int, outputs: int) -> None:
+        activations = settings.activation, settings.output_activation
+        super().__init__(settings, inputs, outputs, settings.hidden, *activations)
 
 
 class ThreeLayer(Layered):
@@ -176,4 +182,4 @@ class ThreeLayer(Layered):
     settings_type = ThreeLayerSettings
 
     def __init__(self, settings: ThreeLayerSettings, inputs: int, outputs: int) -> None:
-        super().__init__(settings, inputs, outputs, [settings.hidden], ("sigmoid", "sigmoid"))
+        super().__init__(settings, inputs, outputs, [settings.hidden], "sigmoid", "sigmoid")

@@ -1,58 +1,59 @@
-"""Fully-meshed recurrent network, exactly FREVO's ``FullyMeshedNet`` (github.com/smartgrids-aau/Frevo, version 1.5).
+"""Fully-meshed recurrent network, exactly FREVO's ``FullyMeshedNet``.
 
-Nodes are numbered inputs, hidden, outputs; every non-input node hears every node, itself included. One decision repeats
-``iterations`` times: clamp the inputs, compute all activations from the previous outputs, then set all outputs. Outputs
-last from one decision to the next. FREVO's random source (noise on the biases) is not offered: it is off by default there.
-``tanh`` is an activation that FREVO does not have.
-
-Genome: per non-input node (hidden, then outputs) the weights from nodes 0..N-1, then its bias; float32, little-endian.
+Source: FREVO 1.5, github.com/smartgrids-aau/Frevo. Nodes are inputs, hidden, outputs; each node but
+the inputs hears every node. A decision repeats ``iterations`` times: compute all activations from
+the previous outputs, then set all outputs. Outputs last from one decision to the next. Genome and
+what differs from FREVO: docs/representations.md.
 """
 
 from collections.abc import Sequence
 from typing import Annotated
 
-import msgspec
 import numpy as np
-from msgspec import Meta
 
-from zswarm.jit import STEP_SIGNATURE, kernel
-from zswarm.lanes import LANES, fill, load, store
-from zswarm.nets.graph import Graph, of_meshed
-from zswarm.nets.neurons import ACTIVATIONS, MEANING, ONE, ZERO, Activation, activate, add, padded, put, take
-from zswarm.nets.vector import COARSE, FINE, Range, VectorRepresentation
+from zswarm.config.meta import about
+from zswarm.kernels.jit import STEP_SIGNATURE, kernel
+from zswarm.kernels.lanes import LANES, fill, load, store
+from zswarm.nets import neurons, vector
+from zswarm.nets.meshed import Meshed, MeshedSettings
+from zswarm.nets.neurons import (
+    ONE,
+    activate,
+    add,
+    copy_lanes,
+    copy_outputs,
+    put,
+    take,
+    weigh,
+    weigh_inputs_lanes,
+    weigh_lanes,
+)
 
 HEADER = 4  # iterations, activation, neurons, 0
 
 
-class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class FullyMeshedSettings(MeshedSettings, frozen=True):
     """Settings of ``[representation]`` with ``kind = "fully-meshed"``."""
 
-    hidden: Annotated[int, Meta(ge=0, le=1000, description="nodes beside inputs and outputs")] = 2
-    iterations: Annotated[int, Meta(ge=1, le=100, description="updates of all nodes in one decision")] = 2
-    activation: Annotated[Activation, Meta(description=MEANING)] = "clamp"
-    weight_range: Annotated[
-        Range, Meta(description="new weights are uniform in plus or minus this; method 1 of mutation scales with it")
-    ] = 2.0
-    bias_range: Annotated[Range, Meta(description="the same of biases")] = 2.0
+    iterations: Annotated[vector.Iterations, about("updates of all nodes in a decision")] = 2
+    activation: Annotated[neurons.Activation, about(neurons.MEANING)] = "clamp"
+    weight_range: vector.WeightRange = 2.0
+    bias_range: vector.BiasRange = 2.0
 
 
 @kernel(STEP_SIGNATURE)
 def step(parameters, state, observation, output):  # type: ignore[no-untyped-def]  # compiled
-    """One decision; the sums run over the sources in order, eight neurons side by side.
+    """Make one decision: sums over the sources in order, of eight neurons at once.
 
-    The inputs do not change between iterations, so what they add is summed once and each iteration goes on from there:
-    the same additions in the same order as FREVO's.
+    The inputs do not change between iterations, so their sums are computed once. The additions and
+    their order are those of FREVO.
     """
     iterations, activation, neurons = int(parameters[0]), int(parameters[1]), int(parameters[2])
-    row = state.shape[0] // 3
+    inputs, row = observation.shape[0], state.shape[0] // 3
     from_inputs, fresh = row, 2 * row  # behind the outputs
-    inner = HEADER + observation.shape[0] * row
+    inner = HEADER + inputs * row
     biases = inner + neurons * row
-    for first in range(0, row, LANES):
-        sums = fill(ZERO)
-        for source in range(observation.shape[0]):
-            sums = sums + load(parameters, HEADER + source * row + first) * observation[source]
-        store(state, from_inputs + first, sums)
+    weigh(parameters, HEADER, row, observation, 0, inputs, state, from_inputs)
     for _ in range(iterations):
         for first in range(0, row, LANES):
             sums = load(state, from_inputs + first)
@@ -61,69 +62,45 @@ def step(parameters, state, observation, output):  # type: ignore[no-untyped-def
             store(state, fresh + first, load(parameters, biases + first) + sums)
         for first in range(0, row, LANES):
             activate(activation, state, fresh + first, first, min(LANES, neurons - first))
-    for index in range(output.shape[0]):
-        output[index] = state[neurons - output.shape[0] + index]
+    copy_outputs(state, neurons, output)
 
 
 @kernel(STEP_SIGNATURE)
 def step_lanes(parameters, state, observation, output):  # type: ignore[no-untyped-def]  # compiled
-    """``step`` of eight agents, one in each lane; the sums of four neurons at a time, for they wait for one another."""
-    iterations, activation, neurons = int(parameters[0]), int(parameters[LANES]), int(parameters[2 * LANES])
+    """Make one decision of eight agents, with four independent sums at a time."""
+    iterations, activation = int(parameters[0]), int(parameters[LANES])
+    neurons = int(parameters[2 * LANES])
     row = state.shape[0] // 3  # the numbers of all neurons
     from_inputs, fresh = row, 2 * row
-    inputs, outputs = observation.shape[0] // LANES, output.shape[0] // LANES
-    inner = HEADER * LANES + inputs * row
-    biases = inner + neurons * row
-    for first in range(0, neurons * LANES, 4 * LANES):
-        sums = fill(ZERO), fill(ZERO), fill(ZERO), fill(ZERO)
-        for source in range(inputs):
-            sums = add(sums, parameters, HEADER * LANES + source * row + first, load(observation, source * LANES))
-        put(sums, state, from_inputs + first)
+    inner = HEADER * LANES + observation.shape[0] // LANES * row
+    biases, end = inner + neurons * row, neurons * LANES
+    weigh_inputs_lanes(parameters, HEADER * LANES, row, observation, state, from_inputs, end)
     for _ in range(iterations):
-        for first in range(0, neurons * LANES, 4 * LANES):
+        for first in range(0, end, 4 * LANES):
             sums = take(state, from_inputs + first)
-            for neuron in range(neurons):
-                sums = add(sums, parameters, inner + neuron * row + first, load(state, neuron * LANES))
+            sums = weigh_lanes(sums, parameters, inner + first, row, state, 0, neurons)
             put(add(sums, parameters, biases + first, fill(ONE)), state, fresh + first)
-        for first in range(0, neurons * LANES, LANES):
+        for first in range(0, end, LANES):
             activate(activation, state, fresh + first, first, LANES)
-    for index in range(outputs):
-        store(output, index * LANES, load(state, (neurons - outputs + index) * LANES))
+    copy_lanes(state, end, output)
 
 
-class FullyMeshed(VectorRepresentation):
-    """Recurrent network, FREVO's, in which every node hears every node.
+class FullyMeshed(Meshed):
+    """Recurrent network, FREVO's, in which every node hears every node."""
 
-    ``neurons`` are the non-input nodes.
-    """
-
-    settings_type = Settings
+    settings_type = FullyMeshedSettings
     step = staticmethod(step)
     step_lanes = staticmethod(step_lanes)
-    settings: Settings
+    settings: FullyMeshedSettings
 
-    def __init__(self, settings: Settings, inputs: int, outputs: int) -> None:
-        self.neurons = settings.hidden + outputs
-        self.sources = inputs + self.neurons
-        self.shape = (self.neurons, self.sources + 1)  # a genome as a table: weights, then the bias, per neuron
-        ranges, least = np.full(self.shape, settings.weight_range), np.full(self.shape, FINE)
-        ranges[:, -1], least[:, -1] = settings.bias_range, COARSE
-        blocks = range(0, ranges.size + 1, self.sources + 1)
-        super().__init__(settings, inputs, outputs, ranges=ranges.ravel(), blocks=blocks, least=least.ravel())
-        self._padded = padded(self.neurons)
-        self.state_size = 3 * self._padded
-        self.hidden_at = range(settings.hidden)
+    def __init__(self, settings: FullyMeshedSettings, inputs: int, outputs: int) -> None:
+        sources = inputs + settings.hidden + outputs
+        neuron = [(settings.weight_range, vector.FINE)] * sources
+        neuron.append((settings.bias_range, vector.COARSE))
+        super().__init__(settings, inputs, outputs, neuron)
 
     def parameters(self, genomes: Sequence[bytes]) -> np.ndarray:
-        """Header, then per source its weights to all neurons (padded with zeros), then the biases."""
-        tables = self.vectors(genomes).reshape(len(genomes), *self.shape)
-        rows = np.zeros((len(genomes), HEADER + (self.sources + 1) * self._padded), np.float32)
-        rows[:, :3] = self.settings.iterations, ACTIVATIONS.index(self.settings.activation), self.neurons
-        body = rows[:, HEADER:].reshape(len(genomes), self.sources + 1, self._padded)
-        body[:, :, : self.neurons] = tables.transpose(0, 2, 1)
-        return rows
-
-    def graph(self, genome: bytes) -> Graph:
-        """See ``Representation``."""
-        table = self.vectors([genome]).reshape(self.shape)
-        return of_meshed(self.inputs, self.outputs, table[:, :-1], [f"bias {bias:.4g}" for bias in table[:, -1].tolist()])
+        """Return header; per source its weights to all neurons, padded; the biases."""
+        activation = neurons.ACTIVATIONS.index(self.settings.activation)
+        header = self.settings.iterations, activation, self.neurons, 0
+        return neurons.parameter_rows(header, self.tables(genomes))

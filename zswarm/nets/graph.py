@@ -1,4 +1,4 @@
-"""A network as a drawing has it: what it consists of, and what leads where."""
+"""A network as a drawing: nodes and edges."""
 
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
@@ -12,10 +12,9 @@ class Node(NamedTuple):
     """An input, a neuron, or a state of a machine.
 
     Attributes:
-        kind: what it is.
-        number: among the inputs, the hidden neurons, the outputs or the states, from 0.
-        text: what else there is to know of it, such as its bias.
-        part: of a genome that holds several networks, the number of its network, from 0.
+        number: index among the nodes of its kind.
+        text: more about it, such as its bias.
+        part: number of its network, if a genome holds several.
     """
 
     kind: Kind
@@ -25,12 +24,12 @@ class Node(NamedTuple):
 
 
 class Edge(NamedTuple):
-    """What one node hears of another, or a transition.
+    """A connection between two nodes, or a transition.
 
     Attributes:
-        source, target: places in the list of nodes.
-        weight: how much; of transitions, the share of the state's inputs that lead there.
-        text: what else there is to know of it.
+        source, target: indices into the list of nodes.
+        weight: of a transition, the share of the state's inputs that take it.
+        text: more about it.
     """
 
     source: int
@@ -40,46 +39,56 @@ class Edge(NamedTuple):
 
 
 class Graph(NamedTuple):
-    """Nodes, inputs first and outputs last, and edges between them."""
+    """Nodes, inputs first and outputs last, and the edges between them."""
 
     nodes: list[Node]
     edges: list[Edge]
 
 
-def of_layers(inputs: int, widths: Sequence[int], tables: Sequence[np.ndarray]) -> Graph:
-    """Layers, each of which hears the one before.
+def numbered(inputs: int, hidden: Sequence[str], outputs: Sequence[str]) -> list[Node]:
+    """Return the nodes of a network: inputs, and neurons with these texts."""
+    kinds: dict[Kind, Sequence[str]] = {
+        "input": [""] * inputs,
+        "hidden": hidden,
+        "output": outputs,
+    }
+    return [Node(kind, *node) for kind, texts in kinds.items() for node in enumerate(texts)]
+
+
+def of_layers(inputs: int, tables: Sequence[np.ndarray]) -> Graph:
+    """Return the graph of a layered network.
 
     Args:
         inputs: numbers that the network observes.
-        widths: neurons of each layer, the outputs last.
-        tables: per layer (neurons, nodes of the layer before + 1), weights and at last the bias.
+        tables: per layer (neurons, nodes of the previous layer + 1): weights, then the bias.
     """
-    nodes = [Node("input", number) for number in range(inputs)]
-    edges, before, hidden = [], range(inputs), 0
-    for layer, (width, table) in enumerate(zip(widths, tables, strict=True)):
-        begin, last = len(nodes), layer == len(widths) - 1
-        for neuron, row in enumerate(table.tolist()):
-            edges += [Edge(source, begin + neuron, weight) for source, weight in zip(before, row, strict=False)]
-            number = neuron if last else hidden + neuron
-            nodes.append(Node("output" if last else "hidden", number, f"bias {row[-1]:.4g}"))
-        hidden += 0 if last else width
-        before = range(begin, len(nodes))
-    return Graph(nodes, edges)
+    texts, edges, previous, target = [], [], 0, inputs
+    for table in tables:
+        layer = target
+        for *weights, bias in table.tolist():
+            texts.append(f"bias {bias:.4g}")
+            edges += [
+                Edge(source, target, weight) for source, weight in enumerate(weights, previous)
+            ]
+            target += 1
+        previous = layer
+    hidden = previous - inputs
+    return Graph(numbered(inputs, texts[:hidden], texts[hidden:]), edges)
 
 
 def of_meshed(inputs: int, outputs: int, weights: np.ndarray, texts: Sequence[str]) -> Graph:
-    """Neurons, hidden ones first, each of which hears all inputs and all neurons.
+    """Return the graph of a network whose neurons hear all inputs and all neurons.
 
     Args:
-        inputs, outputs: numbers that the network observes, and sets.
-        weights: (neurons, inputs + neurons).
-        texts: of each neuron.
+        inputs: numbers that the network observes.
+        outputs: numbers that the network sets.
+        weights: (neurons, inputs + neurons); the outputs are the last neurons.
+        texts: one per neuron.
     """
     hidden = len(weights) - outputs
-    nodes = [Node("input", number) for number in range(inputs)]
-    nodes += [Node("hidden", number, texts[number]) for number in range(hidden)]
-    nodes += [Node("output", number, texts[hidden + number]) for number in range(outputs)]
     edges = [
-        Edge(source, inputs + neuron, weight) for neuron, row in enumerate(weights.tolist()) for source, weight in enumerate(row)
+        Edge(source, target, weight)
+        for target, row in enumerate(weights.tolist(), inputs)
+        for source, weight in enumerate(row)
     ]
-    return Graph(nodes, edges)
+    return Graph(numbered(inputs, texts[:hidden], texts[hidden:]), edges)

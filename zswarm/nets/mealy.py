@@ -1,84 +1,73 @@
 """Finite-state machines whose outputs follow from state and inputs.
 
-Source: FREVO's ``MealyFSM`` (github.com/smartgrids-aau/Frevo, version 1.5), by A. Pinter-Bartha.
-
-A decision: each input, times ``scale`` and cut to an integer, falls into a class: by so many thresholds, the number of those
-that it reaches before the first that it does not; without any, by equal parts of ``minimum`` to ``maximum``, ``units`` + 1
-of them. The classes of all inputs choose a row of the table, the state a column; there stand the outputs, in parts of
-``output_units``, and the next state.
-
-With ``rows = "product"`` the row is the product of (class + 1) over the inputs, less 1, as FREVO computes: so (1, 3) and (3,
-1) have one row, and a part of the table is never read. With ``rows = "combinations"`` each combination has its own, the last
-input counting fastest, as FREVO's documentation says.
-
-Genome, little-endian: uint16 states, uint16 first state; int32 thresholds, input by input; per row and in it per state
-uint16 next state; in the same order int32 outputs.
-
-FREVO's other flaws, mended: changing thresholds fails if an input without any comes before one with some, and forgets where
-the range begins; changing the first state swaps as many rows as there are inputs, not all; a new state lands at a wrong
-place in the table; a deleted one leaves transitions that lead to it; deleting a transition has a setting, but does nothing
-(here the machine then stays in its state); machines of different numbers of states cannot be crossed; an input out of its
-range reads outside the table (here it counts as the nearest class). A mutation may move a threshold to where another one is.
+Source: ``MealyFSM`` of FREVO 1.5, github.com/smartgrids-aau/Frevo, by A. Pinter-Bartha. How a
+machine decides, the genome, the mutations, and what differs from FREVO: docs/representations.md.
 """
 
-import struct
 from collections.abc import Sequence
 from typing import Annotated, Literal, NamedTuple
 
-import msgspec
 import numpy as np
 from msgspec import Meta, field
 
-from zswarm.draws import Stream
+from zswarm.config.meta import PartSettings, about, above, within
 from zswarm.errors import ConfigError
-from zswarm.jit import STEP_SIGNATURE, kernel
+from zswarm.kernels.jit import STEP_SIGNATURE, kernel
+from zswarm.kernels.portable import to_int
+from zswarm.kernels.random import Stream
 from zswarm.nets.graph import Edge, Graph, Node
-from zswarm.nets.representation import Representation
-from zswarm.portable import to_int
+from zswarm.nets.representation import Representation, stacked
 
-STATES = struct.Struct("<HH")
-HEADER = 6  # of a row of parameters: states, first state, output units, whether rows are products, scale, where the table begins
+# A row of parameters: states, first state, output units, whether rows are products, scale, where
+# the table begins; then the inputs; then the table: next states, then outputs.
+HEADER = 6
 PER_INPUT = 4  # thresholds, minimum, maximum, units; then the thresholds
 LARGEST = 1 << 20  # numbers of a table
 
 Chance = Annotated[float, Meta(ge=0, le=1)]
-Bound = Annotated[int, Meta(ge=-1_000_000, le=1_000_000)]
-Count = Annotated[int, Meta(ge=0, le=1000)]
+States = Annotated[int, Meta(ge=1, le=1000)]
+Bounds = Annotated[list[Annotated[int, Meta(ge=-1_000_000, le=1_000_000)]], Meta(min_length=1)]
+Counts = Annotated[list[Annotated[int, Meta(ge=0, le=1000)]], Meta(min_length=1)]
 
 
-class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Settings of ``[representation]`` with ``kind = "mealy"``; lists have one number for all inputs, or one for each."""
+class MealySettings(PartSettings, frozen=True):
+    """Settings of ``[representation]`` with ``kind = "mealy"``.
 
-    states: Annotated[int, Meta(ge=1, le=1000, description="states of a new machine")] = 6
-    max_states: Annotated[int, Meta(ge=1, le=1000, description="states at most, if `add_state` is not 0")] = 20
+    Lists have one number for all inputs, or one per input.
+    """
+
+    states: Annotated[States, about("states of a new machine")] = 6
+    max_states: Annotated[States, about("maximum number of states, if `add_state` is not 0")] = 20
     rows: Annotated[
         Literal["combinations", "product"],
-        Meta(description="combinations: each has a row of the table; product: rows are chosen by FREVO's product of classes"),
+        about("combinations: a table row for each combination; product: as in FREVO"),
     ] = "combinations"
-    scale: Annotated[float, Meta(gt=0, le=1e6, description="an input is multiplied by this and cut to an integer")] = 100.0
+    scale: Annotated[float, above(0, 1e6, "an input is multiplied by this, then truncated")] = 100.0
     thresholds: Annotated[
-        list[Count], Meta(min_length=1, description="thresholds of each input, to 1,000; 0: `units` + 1 classes of equal width")
+        Counts, about("thresholds of each input; 0: `units` + 1 classes of equal width")
     ] = field(default_factory=lambda: [1])
-    minimum: Annotated[list[Bound], Meta(min_length=1, description="least value of each input, after `scale`")] = field(
+    minimum: Annotated[Bounds, about("minimum scaled value of each input")] = field(
         default_factory=lambda: [0]
     )
-    maximum: Annotated[list[Bound], Meta(min_length=1, description="greatest value")] = field(default_factory=lambda: [100])
+    maximum: Annotated[Bounds, about("maximum scaled value of each input")] = field(
+        default_factory=lambda: [100]
+    )
     units: Annotated[
-        list[Count], Meta(min_length=1, description="steps from least to greatest, 1 to 1,000: thresholds lie on them")
+        Counts, about("steps from minimum to maximum, at least 1; thresholds lie on them")
     ] = field(default_factory=lambda: [100])
-    output_units: Annotated[int, Meta(ge=1, le=1_000_000, description="an output is a whole number of these parts of 1")] = 100
-    add_state: Annotated[Chance, Meta(description="chance of a mutant to get another state")] = 0.0
-    delete_state: Annotated[Chance, Meta(description="chance to lose one")] = 0.0
-    delete_transition: Annotated[Chance, Meta(description="chance of each transition to stay in its state")] = 0.01
-    change_first_state: Annotated[Chance, Meta(description="chance to begin in another state")] = 0.01
-    change_output: Annotated[Chance, Meta(description="chance of each output to be drawn anew")] = 0.01
-    change_next_state: Annotated[Chance, Meta(description="chance of each transition to lead elsewhere")] = 0.01
-    change_threshold: Annotated[Chance, Meta(description="chance of each threshold to be drawn anew")] = 0.01
+    output_units: Annotated[int, within(1, 1_000_000, "an output is a multiple of 1 / this")] = 100
+    add_state: Annotated[Chance, about("chance to add a state")] = 0.0
+    delete_state: Annotated[Chance, about("chance to delete a state")] = 0.0
+    delete_transition: Annotated[Chance, about("chance that a transition keeps its state")] = 0.01
+    change_first_state: Annotated[Chance, about("chance to redraw the first state")] = 0.01
+    change_output: Annotated[Chance, about("chance to redraw each output")] = 0.01
+    change_next_state: Annotated[Chance, about("chance to redirect each transition")] = 0.01
+    change_threshold: Annotated[Chance, about("chance to redraw each threshold")] = 0.01
 
 
 @kernel(STEP_SIGNATURE)
 def step(parameters, state, observation, output):  # type: ignore[no-untyped-def]  # compiled
-    """One decision; ``state`` is the machine's state plus 1, or 0 where it has not begun."""
+    """Make one decision; ``state`` is the machine's state plus 1, or 0 at the start."""
     states, units, product = int(parameters[0]), parameters[2], int(parameters[3])
     current = int(parameters[1]) if state[0] == 0 else int(state[0]) - 1
     table = int(parameters[5])
@@ -108,264 +97,274 @@ def step(parameters, state, observation, output):  # type: ignore[no-untyped-def
 
 
 class Machine(NamedTuple):
-    """A genome taken apart."""
+    """A decoded genome."""
 
     first: int  # state
     thresholds: np.ndarray  # (thresholds of all inputs,) int32
     following: np.ndarray  # (rows, states) uint16
     outputs: np.ndarray  # (rows, states, outputs) int32
 
+    @property
+    def states(self) -> int:
+        """Return the number of states."""
+        return int(self.following.shape[1])
+
     def genome(self) -> bytes:
-        """The bytes."""
-        return STATES.pack(self.following.shape[1], self.first) + b"".join(
-            array.astype(dtype).tobytes()
-            for array, dtype in ((self.thresholds, "<i4"), (self.following, "<u2"), (self.outputs, "<i4"))
-        )
+        """Encode the machine."""
+        layout = _layout(len(self.thresholds), self.outputs.shape)
+        return np.array((self.states, *self), layout).tobytes()
+
+
+def _layout(thresholds: int, table: tuple[int, ...]) -> np.dtype[np.void]:
+    """Return the layout of a genome whose table is (rows, states, outputs)."""
+    return np.dtype(
+        [
+            ("states", "<u2"),
+            ("first", "<u2"),
+            ("thresholds", "<i4", (thresholds,)),
+            ("following", "<u2", table[:2]),
+            ("outputs", "<i4", table),
+        ]
+    )
 
 
 class Mealy(Representation):
-    """Finite-state machines: inputs fall into classes, and a table says outputs and next state.
+    """Finite-state machines: inputs fall into classes, and a table gives outputs and next state.
 
-    ``mutate``: each of the seven mutations with its chance from the settings times ``probability``; both methods, and any
-    ``severity``, are the same.
+    ``mutate``: each of the seven mutations with its chance from the settings times ``probability``.
+    Both methods, and all severities, are the same.
     """
 
-    settings_type = Settings
+    settings_type = MealySettings
     step = staticmethod(step)
-    settings: Settings
+    settings: MealySettings
     state_size = 1
 
-    def __init__(self, settings: Settings, inputs: int, outputs: int) -> None:
+    def __init__(self, settings: MealySettings, inputs: int, outputs: int) -> None:
         super().__init__(settings, inputs, outputs)
-        self._per_input = np.array(
-            [self._each(name) for name in ("thresholds", "minimum", "maximum", "units")], np.int64
-        ).T  # (inputs, 4)
+        names = ("thresholds", "minimum", "maximum", "units")
+        self._per_input = np.array([self._each(name) for name in names], np.int64).T
         if (self._per_input[:, 1] >= self._per_input[:, 2]).any():
             raise ConfigError("representation: minimum must be less than maximum, for each input")
         if (self._per_input[:, 3] < 1).any():
             raise ConfigError("representation: units must be at least 1, for each input")
         if settings.max_states < settings.states and settings.add_state:
-            raise ConfigError(f"representation: max_states must be at least states, {settings.states}, not {settings.max_states}")
+            raise ConfigError(
+                "representation: max_states must be at least states, "
+                f"{settings.states}, not {settings.max_states}"
+            )
         self.rows = 1
         for thresholds, _, _, units in self._per_input.tolist():
             self.rows *= (thresholds or units) + 1
         self._varies = settings.add_state > 0 or settings.delete_state > 0
         self._most = settings.max_states if settings.add_state else settings.states
-        if self.rows * self._most * (outputs + 1) > LARGEST:
+        numbers = self.rows * self._most * (outputs + 1)
+        if numbers > LARGEST:
             raise ConfigError(
-                f"representation: a mealy machine's table would have {self.rows:,} rows of {self._most} states, which are "
-                f"{self.rows * self._most * (outputs + 1):,} numbers; at most {LARGEST:,}: use fewer thresholds or states"
+                f"representation: a mealy machine's table would have {self.rows:,} rows of "
+                f"{self._most} states, which are {numbers:,} numbers; at most {LARGEST:,}: use "
+                "fewer thresholds or states"
             )
         self._thresholds = int(np.add.reduce(self._per_input[:, 0]))
-        self.genome_bytes = None if self._varies else self._length(settings.states)
+        self.genome_bytes = None if self._varies else self._layout(settings.states).itemsize
 
     def parameters(self, genomes: Sequence[bytes]) -> np.ndarray:
-        """See ``HEADER`` and ``PER_INPUT``; then the next states and the outputs. Rows of fewer states end in zeros."""
-        rows = [self._row(genome) for genome in genomes]
-        table = np.zeros((len(rows), max(map(len, rows), default=HEADER)), np.float32)
-        for into, row in zip(table, rows, strict=True):
-            into[: len(row)] = row
-        return table
+        """Return rows as described at ``HEADER``; rows of fewer states end in zeros."""
+        return stacked([self._row(genome) for genome in genomes], HEADER)
 
     def random(self, count: int, stream: Stream) -> list[bytes]:
-        """Begin in state 0; all else uniform."""
-        return [self._random(stream).genome() for _ in range(count)]
+        """Draw machines that begin in state 0; all else is uniform."""
+        states, entries = self.settings.states, self.rows * self.settings.states
+        genomes = []
+        for _ in range(count):
+            thresholds = self._drawn_thresholds(stream)
+            following = stream.integers(states, entries).reshape(self.rows, states)
+            outputs = self._drawn_outputs(stream, states)
+            genomes.append(Machine(0, thresholds, following, outputs).genome())
+        return genomes
 
     def mutate(
         self,
         genomes: Sequence[bytes],
         stream: Stream,
         *,
-        method: int,  # noqa: ARG002  there is one
-        severity: float,  # noqa: ARG002  whatever changes is drawn anew
+        method: int,  # noqa: ARG002  both are the same
+        severity: float,  # noqa: ARG002  what changes is drawn again
         probability: float,
     ) -> list[bytes]:
-        """See the class; in FREVO's order, deleted transitions last."""
-        mutants = []
+        """Mutate in FREVO's order, deleted transitions last."""
+        settings, mutants = self.settings, []
         for genome in genomes:
-            machine = self._taken_apart(genome)
+            machine = self._decoded(genome)
             add, delete, first = stream.uniform(0.0, 1.0, 3) / probability
-            if add < self.settings.add_state and machine.following.shape[1] < self.settings.max_states:
+            if add < settings.add_state and machine.states < settings.max_states:
                 machine = self._with_state(machine, stream)
-            if delete < self.settings.delete_state and machine.following.shape[1] > 1:
+            if delete < settings.delete_state and machine.states > 1:
                 machine = self._without_state(machine, stream)
             machine = self._changed(machine, stream, probability)
-            states = machine.following.shape[1]
-            if first < self.settings.change_first_state and states > 1:
-                machine = machine._replace(first=_other(machine.first, states, stream))
+            if first < settings.change_first_state and machine.states > 1:
+                other = machine.first + 1 + stream.integer(machine.states - 1)
+                machine = machine._replace(first=other % machine.states)
             mutants.append(machine.genome())
         return mutants
 
     def crossover(self, mother: bytes, father: bytes, stream: Stream) -> bytes:
-        """FREVO's uniform crossover: the first state, each input's thresholds, each next state and output of either parent.
+        """Cross as FREVO does uniformly: first state, thresholds of each input, each table entry.
 
-        The child has as many states as the mother; of the father count those that she has, too, and what leads to such.
+        The child has as many states as the mother. Of the father's table only states that she has,
+        and transitions to them, count.
         """
-        hers, his = self._taken_apart(mother), self._taken_apart(father)
-        states = hers.following.shape[1]
-        both = min(states, his.following.shape[1])
-        inputs, nexts = self.inputs, self.rows * both
-        chosen = stream.uniform(0.0, 1.0, 1 + inputs + nexts * (1 + self.outputs)) < 0.5
-        by_input = np.repeat(chosen[1 : 1 + inputs], self._per_input[:, 0])
+        hers, his = self._decoded(mother), self._decoded(father)
+        states, inputs = hers.states, self.inputs
+        both = min(states, his.states)
+        begin, end = 1 + inputs, 1 + inputs + self.rows * both
+        chosen = stream.uniform(0.0, 1.0, end + self.rows * both * self.outputs) < 0.5
+        by_input = np.repeat(chosen[1:begin], self._per_input[:, 0])
         following = his.following[:, :both]
-        taken = chosen[1 + inputs : 1 + inputs + nexts].reshape(following.shape) & (following < states)
+        taken = chosen[begin:end].reshape(following.shape) & (following < states)
         hers.following[:, :both] = np.where(taken, following, hers.following[:, :both])
-        taken = chosen[1 + inputs + nexts :].reshape(self.rows, both, self.outputs)
+        taken = chosen[end:].reshape(self.rows, both, self.outputs)
         hers.outputs[:, :both] = np.where(taken, his.outputs[:, :both], hers.outputs[:, :both])
-        return hers._replace(
-            first=his.first if chosen[0] and his.first < states else hers.first,
-            thresholds=np.where(by_input, his.thresholds, hers.thresholds),
-        ).genome()
+        first = his.first if chosen[0] and his.first < states else hers.first
+        thresholds = np.where(by_input, his.thresholds, hers.thresholds)
+        return hers._replace(first=first, thresholds=thresholds).genome()
 
     def distances(self, left: Sequence[bytes], right: Sequence[bytes]) -> np.ndarray:
-        """How many numbers differ: first state, thresholds, next states, outputs; those of states that one has, too.
+        """Count the numbers that differ, including those of states that only one machine has.
 
         FREVO counts digits of a text, without the thresholds.
         """
-        tables = [np.array([self._padded(genome) for genome in side]) for side in (left, right)]
-        found = np.empty((len(left), len(right)))
-        for row, numbers in enumerate(tables[0]):
-            found[row] = np.count_nonzero(tables[1] != numbers, axis=1)
-        return found
+        a, b = (np.array([self._padded(genome) for genome in side]) for side in (left, right))
+        counts = [np.count_nonzero(b != numbers, axis=1) for numbers in a]
+        return np.array(counts, np.float64).reshape(len(left), len(right))
 
     def graph(self, genome: bytes) -> Graph:
-        """States and transitions: how many rows of the table lead from one to another."""
-        self.parameters([genome])  # refuses what is no machine
-        machine = self._taken_apart(genome)
-        states = machine.following.shape[1]
-        nodes = [Node("state", state, "the first one" if state == machine.first else "") for state in range(states)]
-        edges = []
-        for state in range(states):
-            counts = np.bincount(machine.following[:, state], minlength=states)
-            edges += [
-                Edge(state, target, count / self.rows, f"{count} of {self.rows} combinations of inputs")
-                for target, count in enumerate(counts.tolist())
-                if count
-            ]
+        """Return states and transitions, with the share of table rows that take each."""
+        self.parameters([genome])  # checks the genome
+        machine = self._decoded(genome)
+        nodes, edges = [], []
+        for state in range(machine.states):
+            nodes.append(Node("state", state, "the first one" if state == machine.first else ""))
+            counts = np.bincount(machine.following[:, state], minlength=machine.states)
+            for target in np.flatnonzero(counts).tolist():
+                text = f"{counts[target]} of {self.rows} combinations of inputs"
+                edges.append(Edge(state, target, int(counts[target]) / self.rows, text))
         return Graph(nodes, edges)
 
-    # ---- genomes --------------------------------------------------------------------------------------------------
+    # ---- genomes
 
     def _each(self, name: str) -> list[int]:
+        """Return a setting's number for each input."""
         given = getattr(self.settings, name)
         if len(given) not in (1, self.inputs):
-            raise ConfigError(f"representation: {name}: expected one number, or {self.inputs}, one per input, not {len(given)}")
+            text = f"expected one number, or {self.inputs}, one per input, not {len(given)}"
+            raise ConfigError(f"representation: {name}: {text}")
         return list(given) * (self.inputs if len(given) == 1 else 1)
 
-    def _length(self, states: int) -> int:
-        return STATES.size + 4 * self._thresholds + self.rows * states * (2 + 4 * self.outputs)
+    def _layout(self, states: int) -> np.dtype[np.void]:
+        return _layout(self._thresholds, (self.rows, states, self.outputs))
 
-    def _taken_apart(self, genome: bytes) -> Machine:
-        """Copies of its arrays, to change."""
-        states, first = STATES.unpack_from(genome)
-        at = STATES.size + 4 * self._thresholds
-        entries = self.rows * states
-        return Machine(
-            first,
-            np.frombuffer(genome, "<i4", self._thresholds, STATES.size).copy(),
-            np.frombuffer(genome, "<u2", entries, at).reshape(self.rows, states).copy(),
-            np.frombuffer(genome, "<i4", entries * self.outputs, at + 2 * entries)
-            .reshape(self.rows, states, self.outputs)
-            .copy(),
-        )
+    def _decoded(self, genome: bytes) -> Machine:
+        """Return a machine whose arrays may be changed."""
+        layout = self._layout(int.from_bytes(genome[:2], "little"))
+        _, first, *arrays = np.frombuffer(genome, layout)[0].copy()
+        return Machine(int(first), *arrays)
 
-    def _row(self, genome: bytes) -> np.ndarray:
-        states = STATES.unpack_from(genome)[0] if len(genome) >= STATES.size else 0
+    def _checked(self, genome: bytes) -> Machine:
+        states = int.from_bytes(genome[:2], "little")
         fits = 1 <= states <= self._most if self._varies else states == self.settings.states
-        if not fits or len(genome) != self._length(states):
-            wanted = f"up to {self._most}" if self._varies else f"{self._most}"
-            raise ValueError(f"a genome has {len(genome)} bytes and {states} states; this machine has {wanted} states")
-        machine = self._taken_apart(genome)
+        if not fits or len(genome) != self._layout(states).itemsize:
+            up_to = "up to " if self._varies else ""
+            raise ValueError(
+                f"a genome has {len(genome)} bytes and {states} states; this machine has "
+                f"{up_to}{self._most} states"
+            )
+        machine, most = self._decoded(genome), self.settings.output_units
         if machine.first >= states or (machine.following >= states).any():
             raise ValueError(f"a genome leads to a state beyond its {states}")
-        if ((machine.outputs < 0) | (machine.outputs > self.settings.output_units)).any():
-            raise ValueError(f"a genome has an output that is not in 0..{self.settings.output_units}")
+        if ((machine.outputs < 0) | (machine.outputs > most)).any():
+            raise ValueError(f"a genome has an output that is not in 0..{most}")
         if (np.abs(machine.thresholds.astype(np.int64)) > 2_000_000).any():
             raise ValueError("a genome has a threshold beyond 2,000,000")
-        inputs, at = [], 0
-        for of in self._per_input.tolist():
-            inputs.append(np.array(of, np.float32))
-            inputs.append(machine.thresholds[at : at + of[0]].astype(np.float32))
-            at += of[0]
+        return machine
+
+    def _row(self, genome: bytes) -> np.ndarray:
+        machine, settings = self._checked(genome), self.settings
         table = HEADER + PER_INPUT * self.inputs + self._thresholds
-        product = self.settings.rows == "product"
-        header = np.array([states, machine.first, self.settings.output_units, product, self.settings.scale, table], np.float32)
-        numbers = (machine.following.ravel(), machine.outputs.ravel())
-        return np.concatenate([header, *inputs, *(array.astype(np.float32) for array in numbers)])
+        product = settings.rows == "product"
+        header = (machine.states, machine.first, settings.output_units, product, settings.scale)
+        by_input = zip(self._per_input, self._by_input(machine.thresholds), strict=True)
+        inputs = [part for parts in by_input for part in parts]
+        parts = [[*header, table], *inputs, machine.following.ravel(), machine.outputs.ravel()]
+        return np.concatenate([np.asarray(part, np.float32) for part in parts])
+
+    def _by_input(self, thresholds: np.ndarray) -> list[np.ndarray]:
+        return np.split(thresholds, np.add.accumulate(self._per_input[:, 0])[:-1])
 
     def _padded(self, genome: bytes) -> np.ndarray:
-        """All numbers of a machine, those of states that it does not have -1."""
-        machine = self._taken_apart(genome)
-        missing = self._most - machine.following.shape[1]
-        following = np.pad(machine.following.astype(np.int64), ((0, 0), (0, missing)), constant_values=-1)
-        outputs = np.pad(machine.outputs.astype(np.int64), ((0, 0), (0, missing), (0, 0)), constant_values=-1)
-        return np.concatenate([[machine.first], machine.thresholds, following.ravel(), outputs.ravel()])
+        """Return all numbers of a machine, -1 for states that it does not have."""
+        machine = self._decoded(genome)
+        table = np.full((self.rows, self._most, 1 + self.outputs), -1, np.int64)
+        table[:, : machine.states, 0] = machine.following
+        table[:, : machine.states, 1:] = machine.outputs
+        return np.concatenate([[machine.first], machine.thresholds, table.ravel()])
 
-    # ---- what is drawn --------------------------------------------------------------------------------------------
+    # ---- draws
 
-    def _random(self, stream: Stream) -> Machine:
-        states, entries = self.settings.states, self.rows * self.settings.states
-        return Machine(
-            0,
-            self._drawn_thresholds(stream),
-            stream.integers(states, entries).reshape(self.rows, states),
-            self._drawn_outputs(stream, entries).reshape(self.rows, states, self.outputs),
-        )
-
-    def _drawn_outputs(self, stream: Stream, entries: int) -> np.ndarray:
-        return stream.integers(self.settings.output_units + 1, entries * self.outputs)
+    def _drawn_outputs(self, stream: Stream, states: int) -> np.ndarray:
+        """Return (rows, states, outputs)."""
+        count = self.rows * states * self.outputs
+        drawn = stream.integers(self.settings.output_units + 1, count)
+        return drawn.reshape(self.rows, states, self.outputs)
 
     def _drawn_thresholds(self, stream: Stream) -> np.ndarray:
-        """On the steps of their inputs, the last one left out, as there; rising for each input."""
+        """Draw rising thresholds on the steps of each input, without the last one, as in FREVO."""
         drawn = []
         for thresholds, least, most, units in self._per_input.tolist():
-            drawn.append(np.sort(least + (most - least) // units * stream.integers(units, thresholds)))
+            steps = stream.integers(units, thresholds)
+            drawn.append(np.sort(least + (most - least) // units * steps))
         return np.concatenate(drawn).astype(np.int64)
 
     def _changed(self, machine: Machine, stream: Stream, probability: float) -> Machine:
-        """Thresholds, outputs, next states, and deleted transitions."""
-        settings, states = self.settings, machine.following.shape[1]
-        entries = self.rows * states
+        """Change thresholds, outputs and next states; delete transitions."""
+        settings, states = self.settings, machine.states
+        shape, outputs = machine.following.shape, machine.outputs
 
-        def hit(chance: float, count: int) -> np.ndarray:
-            return stream.uniform(0.0, 1.0, count) < chance * probability
+        def hit(chance: float, shape: tuple[int, ...]) -> np.ndarray:
+            draws = stream.uniform(0.0, 1.0, int(np.prod(shape))).reshape(shape)
+            return draws < chance * probability
 
-        thresholds = np.where(
-            hit(settings.change_threshold, self._thresholds), self._drawn_thresholds(stream), machine.thresholds
-        )
-        ends = np.add.accumulate(self._per_input[:, 0])[:-1]
-        thresholds = np.concatenate([np.sort(of) for of in np.split(thresholds, ends)])
-        outputs = machine.outputs.ravel()
-        outputs = np.where(hit(settings.change_output, entries * self.outputs), self._drawn_outputs(stream, entries), outputs)
-        following = machine.following.ravel().astype(np.int64)
-        elsewhere = (following + 1 + stream.integers(max(1, states - 1), entries)) % states
-        following = np.where(hit(settings.change_next_state, entries), elsewhere, following)
-        itself = np.tile(np.arange(states), self.rows)
-        following = np.where(hit(settings.delete_transition, entries), itself, following)
-        return Machine(
-            machine.first, thresholds, following.reshape(self.rows, states), outputs.reshape(self.rows, states, self.outputs)
-        )
+        redrawn = hit(settings.change_threshold, machine.thresholds.shape)
+        thresholds = np.where(redrawn, self._drawn_thresholds(stream), machine.thresholds)
+        thresholds = np.concatenate([np.sort(part) for part in self._by_input(thresholds)])
+        redrawn = hit(settings.change_output, outputs.shape)
+        outputs = np.where(redrawn, self._drawn_outputs(stream, states), outputs)
+        following = machine.following.astype(np.int64)
+        steps = 1 + stream.integers(max(1, states - 1), following.size).reshape(shape)
+        others = (following + steps) % states
+        following = np.where(hit(settings.change_next_state, shape), others, following)
+        deleted = hit(settings.delete_transition, shape)
+        following = np.where(deleted, np.arange(states), following)
+        return Machine(machine.first, thresholds, following, outputs)
 
     def _with_state(self, machine: Machine, stream: Stream) -> Machine:
-        """One more, the last, to which nothing leads yet."""
-        states = machine.following.shape[1]
-        following = stream.integers(states + 1, self.rows).reshape(self.rows, 1)
-        outputs = self._drawn_outputs(stream, self.rows).reshape(self.rows, 1, self.outputs)
+        """Append a state, to which no transition leads yet."""
+        following = stream.integers(machine.states + 1, self.rows).reshape(self.rows, 1)
+        outputs = self._drawn_outputs(stream, 1)
         return machine._replace(
             following=np.concatenate([machine.following, following], axis=1),
             outputs=np.concatenate([machine.outputs, outputs], axis=1),
         )
 
     def _without_state(self, machine: Machine, stream: Stream) -> Machine:
-        """Without a random one; what led to it leads to random others."""
-        states = machine.following.shape[1]
-        lost = stream.integer(states)
+        """Delete a random state; transitions to it lead to random others."""
+        rest = machine.states - 1
+        lost = stream.integer(machine.states)
         following = np.delete(machine.following, lost, axis=1).astype(np.int64)
-        others = stream.integers(states - 1, following.size).reshape(following.shape)
+        others = stream.integers(rest, following.size).reshape(following.shape)
         following = np.where(following == lost, others, following - (following > lost))
-        first = stream.integer(states - 1) if machine.first == lost else machine.first - (machine.first > lost)
-        return machine._replace(first=first, following=following, outputs=np.delete(machine.outputs, lost, axis=1))
-
-
-def _other(state: int, states: int, stream: Stream) -> int:
-    return (state + 1 + stream.integer(states - 1)) % states
+        outputs = np.delete(machine.outputs, lost, axis=1)
+        first = machine.first - (machine.first > lost)
+        if machine.first == lost:
+            first = stream.integer(rest)
+        return Machine(first, machine.thresholds, following, outputs)

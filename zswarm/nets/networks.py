@@ -1,4 +1,4 @@
-"""The controllers of a trial's agents: a network for each, with a state of its own."""
+"""The controllers of a trial: one network per agent, each with its own state."""
 
 from collections.abc import Sequence
 
@@ -8,28 +8,33 @@ from zswarm.nets.representation import Representation
 
 
 class Networks:
-    """Of one trial: all states are zero at its start.
+    """Networks of one trial. All states are zero at its start.
 
     Args:
         parameters: (participants, P) float32.
     """
 
     def __init__(self, representation: Representation, parameters: np.ndarray) -> None:
-        self._step, self._state_size, self._parameters = representation.step, representation.state_size, parameters
-        self._outputs = representation.outputs
+        self._representation = representation
+        self._step = representation.step
+        self._parameters = parameters
         self._states: dict[int, np.ndarray] = {}  # by agent
 
-    def decide(self, agents: Sequence[int], participants: Sequence[int], observations: np.ndarray) -> np.ndarray:
-        """One decision of each of these agents: (agents, outputs) float32.
+    def decide(
+        self, agents: Sequence[int], participants: Sequence[int], observations: np.ndarray
+    ) -> np.ndarray:
+        """Return one decision of each agent: (agents, outputs) float32.
 
         Args:
-            participants: which of the trial's participants drives each.
+            agents: agents that decide.
+            participants: per agent the participant that drives it.
             observations: (agents, inputs) float32.
         """
-        actions = np.empty((len(agents), self._outputs), np.float32)
+        actions = np.empty((len(agents), self._representation.outputs), np.float32)
         for row, (agent, participant) in enumerate(zip(agents, participants, strict=True)):
             state = self._states.get(agent)
             if state is None:
-                state = self._states[agent] = np.zeros(self._state_size, np.float32)
+                state = np.zeros(self._representation.state_size, np.float32)
+                self._states[agent] = state
             self._step(self._parameters[participant], state, observations[row], actions[row])
         return actions

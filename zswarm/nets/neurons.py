@@ -1,28 +1,48 @@
-"""What the kernels of several networks do with eight numbers at once: activations, and sums of four neurons at a time."""
+"""Parts of the kernels of several networks: activations, weighted sums, rows of parameters."""
 
-from typing import Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
-from zswarm.jit import float32, inline
-from zswarm.lanes import LANES, load, select, store
-from zswarm.portable import sigmoid, tanh
+from zswarm.kernels.jit import float32, inline
+from zswarm.kernels.lanes import LANES, fill, load, select, store
+from zswarm.kernels.portable import sigmoid, tanh
 
 Activation = Literal["clamp", "sigmoid", "relu", "tanh"]
-ACTIVATIONS = ("clamp", "sigmoid", "relu", "tanh")
-MEANING = "clamp: cut to 0..1; sigmoid: 1 / (1 + e^-x); relu: negative is 0; tanh: -1..1, within 3.7e-5"
+ACTIVATIONS = get_args(Activation)
+MEANING = (
+    "clamp: cut to 0..1; sigmoid: 1 / (1 + e^-x); relu: negative is 0; tanh: -1..1, within 3.7e-5"
+)
 CLAMP, SIGMOID, RELU, TANH = range(4)
 ZERO, ONE = np.float32(0), np.float32(1)
 
 
 def padded(neurons: int) -> int:
-    """So many neurons and as many more as make whole eights."""
+    """Round up to a multiple of eight."""
     return -(-neurons // LANES) * LANES
 
 
-@inline
+def parameter_rows(header: Any, *layers: np.ndarray) -> np.ndarray:
+    """Return (genomes, P) float32: header, then per layer and gene the numbers of all neurons.
+
+    Args:
+        header: numbers of all genomes, or a row for each.
+        layers: (genomes, neurons, genes of a neuron). Neurons are padded to a multiple of eight.
+    """
+    count = len(layers[0])
+    header = np.asarray(header, np.float32)
+    parts = [np.broadcast_to(header, (count, header.shape[-1]))]
+    for layer in layers:
+        _, neurons, genes = layer.shape
+        part = np.zeros((count, genes, padded(neurons)), np.float32)
+        part[..., :neurons] = layer.transpose(0, 2, 1)
+        parts.append(part.reshape(count, genes * padded(neurons)))
+    return np.concatenate(parts, axis=1)
+
+
+@inline(counts=False)
 def activate(activation, state, at, to, wanted):  # type: ignore[no-untyped-def]  # compiled
-    """Eight outputs from eight sums, of which so many are wanted."""
+    """Store the outputs of eight sums; sigmoid computes only the first ``wanted``."""
     sums = load(state, at)
     if activation == CLAMP:
         positive = select(sums < ZERO, ZERO, sums)
@@ -36,22 +56,54 @@ def activate(activation, state, at, to, wanted):  # type: ignore[no-untyped-def]
             state[to + lane] = float32(sigmoid(np.float64(state[at + lane])))
 
 
-@inline
+@inline(counts=False)
+def copy_outputs(state, end, output):  # type: ignore[no-untyped-def]  # compiled
+    """Copy the values of the last neurons, which end at ``end``, to the output."""
+    begin = end - output.shape[0]
+    for index in range(output.shape[0]):
+        output[index] = state[begin + index]
+
+
+# ---- one agent, eight neurons at once
+
+
+@inline(counts=False)
+def weigh(parameters, at, row, values, begin, count, state, to):  # type: ignore[no-untyped-def]  # compiled
+    """Store sums of ``count`` values from ``begin``, in order, times weights, for all neurons.
+
+    The weights of the first value, ``row`` numbers, begin at ``at``; those of the next follow.
+    """
+    for first in range(0, row, LANES):
+        sums = fill(ZERO)
+        for source in range(count):
+            sums = sums + load(parameters, at + source * row + first) * values[begin + source]
+        store(state, to + first, sums)
+
+
+# ---- eight agents, four neurons at once
+
+
+@inline(counts=False)
 def take(array, at):  # type: ignore[no-untyped-def]  # compiled
-    """What four neurons have, eight agents each."""
-    return load(array, at), load(array, at + LANES), load(array, at + 2 * LANES), load(array, at + 3 * LANES)
+    """Load the numbers of four neurons, eight agents each."""
+    return (
+        load(array, at),
+        load(array, at + LANES),
+        load(array, at + 2 * LANES),
+        load(array, at + 3 * LANES),
+    )
 
 
-@inline
+@inline(counts=False)
 def put(sums, array, at):  # type: ignore[no-untyped-def]  # compiled
-    """Write it."""
+    """Store the numbers of four neurons."""
     for neuron in range(4):
         store(array, at + neuron * LANES, sums[neuron])
 
 
-@inline
+@inline(counts=False)
 def add(sums, parameters, at, value):  # type: ignore[no-untyped-def]  # compiled
-    """Add what one source gives to four neurons."""
+    """Add one source's value times its weights to the sums of four neurons."""
     weights = take(parameters, at)
     return (
         sums[0] + weights[0] * value,
@@ -59,3 +111,29 @@ def add(sums, parameters, at, value):  # type: ignore[no-untyped-def]  # compile
         sums[2] + weights[2] * value,
         sums[3] + weights[3] * value,
     )
+
+
+@inline(counts=False)
+def weigh_lanes(sums, parameters, at, row, values, first, count):  # type: ignore[no-untyped-def]  # compiled
+    """Add weighted values as ``weigh`` does, to the sums of four neurons of eight agents."""
+    for source in range(count):
+        sums = add(sums, parameters, at + source * row, load(values, first + source * LANES))
+    return sums
+
+
+@inline(counts=False)
+def weigh_inputs_lanes(parameters, at, row, observation, state, to, end):  # type: ignore[no-untyped-def]  # compiled
+    """Store the weighted sums of the inputs for all neurons, ``end`` numbers, of eight agents."""
+    inputs = observation.shape[0] // LANES
+    for first in range(0, end, 4 * LANES):
+        sums = fill(ZERO), fill(ZERO), fill(ZERO), fill(ZERO)
+        sums = weigh_lanes(sums, parameters, at + first, row, observation, 0, inputs)
+        put(sums, state, to + first)
+
+
+@inline(counts=False)
+def copy_lanes(state, end, output):  # type: ignore[no-untyped-def]  # compiled
+    """Copy outputs as ``copy_outputs`` does, of eight agents: faster than number by number."""
+    begin = end - output.shape[0]
+    for index in range(0, output.shape[0], LANES):
+        store(output, index, load(state, begin + index))

@@ -1,8 +1,8 @@
 """The contract of a representation: a kind of network, from the genome's bytes to a decision.
 
-A genome is bytes in a layout that the representation documents. ``parameters`` turns genomes into rows of float32 for
-the compiled ``step``, which every simulator calls with the same signature: (parameters, state, observation, output).
-The operators (random, mutate, crossover, distances) are numpy on the optimizer's side and draw from the stream they get.
+A genome is bytes in a layout that the representation documents. ``parameters`` turns genomes into
+rows of float32 for the compiled ``step``, which has the same signature everywhere. The operators
+(random, mutate, crossover, distances) run in numpy on the optimizer's side.
 """
 
 from abc import ABC, abstractmethod
@@ -12,25 +12,27 @@ from typing import ClassVar
 import msgspec
 import numpy as np
 
-from zswarm.draws import Stream
-from zswarm.jit import Step
-from zswarm.nets.graph import Graph, Node
+from zswarm.kernels.jit import Step
+from zswarm.kernels.random import Stream
+from zswarm.nets.graph import Graph, numbered
 
 
 class Representation(ABC):
-    """A kind of network with its settings, for so many inputs and outputs.
+    """A kind of network with its settings, for given numbers of inputs and outputs.
 
     Attributes:
         settings_type: the struct of its settings in an experiment file.
-        step: one decision, compiled with ``jit.STEP_SIGNATURE``; reads parameters and observation, changes
-            state, fills output; makes no arrays.
-        step_lanes: the same decision of eight agents side by side (``lanes.py``), or None. In each of the four arrays number k of
-            the agent in a lane stands at 8 k + lane; each agent has parameters and state of its own. Same bits as ``step``.
+        step: one decision, compiled with ``jit.STEP_SIGNATURE``. It reads parameters and
+            observation, changes the state, fills the output, and allocates nothing.
+        step_lanes: the decision of eight agents at once (``lanes.py``), or None. Number k of lane l
+            stands at 8 k + l of each array; each agent has its own parameters and state. The bits
+            are those of ``step``.
         state_size: float32 numbers of state per agent; all zero at the start of a trial.
-        genome_bytes: length of every genome, or None where it varies.
-        genes: float32 numbers that a genome is a plain list of, any finite ones; None where it is something else.
-        hidden_at: where in a state the hidden neurons' values stand after a decision, for pictures; empty where they do not.
-        ranges: (genes,) float64, new genomes are uniform in plus or minus these; None where ``genes`` is.
+        genome_bytes: length of every genome, or None if it varies.
+        genes: numbers in a genome that is a plain list of any finite float32; otherwise None.
+        hidden_at: indices of the hidden neurons' values in the state, for pictures; may be empty.
+        ranges: (genes,) float64, new genomes are uniform in plus or minus these; None if ``genes``
+            is.
     """
 
     settings_type: ClassVar[type[msgspec.Struct]]
@@ -49,7 +51,7 @@ class Representation(ABC):
 
     @abstractmethod
     def parameters(self, genomes: Sequence[bytes]) -> np.ndarray:
-        """(len(genomes), P) float32, one row for ``step`` per genome.
+        """Return (len(genomes), P) float32, one row for ``step`` per genome.
 
         Raises:
             ValueError: a genome has the wrong length, or a number in it is not finite.
@@ -57,27 +59,45 @@ class Representation(ABC):
 
     @abstractmethod
     def random(self, count: int, stream: Stream) -> list[bytes]:
-        """New random genomes."""
+        """Return new random genomes."""
 
     @abstractmethod
     def mutate(
-        self, genomes: Sequence[bytes], stream: Stream, *, method: int, severity: float, probability: float
+        self,
+        genomes: Sequence[bytes],
+        stream: Stream,
+        *,
+        method: int,
+        severity: float,
+        probability: float,
     ) -> list[bytes]:
-        """A changed copy of each genome."""
+        """Return a changed copy of each genome."""
 
     @abstractmethod
     def crossover(self, mother: bytes, father: bytes, stream: Stream) -> bytes:
-        """A child of two genomes."""
+        """Return a child of two genomes."""
 
     @abstractmethod
     def distances(self, left: Sequence[bytes], right: Sequence[bytes]) -> np.ndarray:
-        """(len(left), len(right)) float64: how different each is from each; the same bits on every machine."""
+        """Return (len(left), len(right)) float64, the same bits on every machine."""
 
-    def graph(self, genome: bytes) -> Graph:  # noqa: ARG002  this one knows its inputs and outputs only
-        """A genome's network, to draw it; here its inputs and outputs alone.
+    def graph(self, genome: bytes) -> Graph:  # noqa: ARG002  the default shows no inside
+        """Return a genome's network for drawing; by default only its inputs and outputs.
 
         Raises:
             ValueError: as ``parameters``.
         """
-        inputs = [Node("input", number) for number in range(self.inputs)]
-        return Graph([*inputs, *(Node("output", number) for number in range(self.outputs))], [])
+        return Graph(numbered(self.inputs, [], [""] * self.outputs), [])
+
+
+def stacked(rows: Sequence[np.ndarray], least: int) -> np.ndarray:
+    """Return rows of different lengths as one table, padded with zeros.
+
+    Args:
+        rows: float32 each.
+        least: columns of the table without any row.
+    """
+    table = np.zeros((len(rows), max(map(len, rows), default=least)), np.float32)
+    for target, row in zip(table, rows, strict=True):
+        target[: len(row)] = row
+    return table

@@ -4,18 +4,20 @@ import os
 import signal
 import sys
 
-from zswarm.ot.exits import EXIT_INTERRUPTED
+from zswarm.ot.commands.shared.exits import EXIT_INTERRUPTED
 
 
 def main() -> None:
-    """Entry point: Ctrl-C ends it in silence also while it still loads its parts, which takes a third of a second."""
-    heard = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # not in the background of a shell
+    """Run ``zswarm-ot``; Ctrl-C ends it silently, even while its modules are being imported."""
+    # A shell starts programs in the background with SIGINT ignored.
+    foreground = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     try:
-        if heard:
-            signal.signal(signal.SIGINT, lambda *_: os._exit(EXIT_INTERRUPTED))  # no import can take it for an error of its own
+        if foreground:
+            # Not an exception, which an import could catch.
+            signal.signal(signal.SIGINT, lambda *_: os._exit(EXIT_INTERRUPTED))
         from zswarm.ot import cli
 
-        if heard:
+        if foreground:
             signal.signal(signal.SIGINT, signal.default_int_handler)
         cli.main()
     except KeyboardInterrupt:

@@ -1,39 +1,71 @@
-"""The command ``zswarm-ot``: its commands, and how errors end it."""
+"""The command ``zswarm-ot``: find its commands by their modules, and turn errors into one line."""
 
+import importlib
 import os
+import pkgutil
 import sqlite3
 import sys
+from itertools import groupby
+from typing import Any
 
 import click
 
-from zswarm import screen
 from zswarm.errors import ConfigError, NoServers, ZswarmError
-from zswarm.ot.commands.check import check
-from zswarm.ot.commands.compare import compare
-from zswarm.ot.commands.completion import completion
-from zswarm.ot.commands.dashboard import dashboard
-from zswarm.ot.commands.describe import describe
-from zswarm.ot.commands.doctor import doctor
-from zswarm.ot.commands.evaluate import evaluate
-from zswarm.ot.commands.export import export
-from zswarm.ot.commands.import_ import import_
-from zswarm.ot.commands.init import init
-from zswarm.ot.commands.list import list_
-from zswarm.ot.commands.menu import Menu
-from zswarm.ot.commands.new import new
-from zswarm.ot.commands.plot import plot
-from zswarm.ot.commands.predict import predict
-from zswarm.ot.commands.replay import replay
-from zswarm.ot.commands.report import report
-from zswarm.ot.commands.run import resume, run
-from zswarm.ot.commands.servers import servers
-from zswarm.ot.exits import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_MISTAKE, EXIT_NO_SERVERS
+from zswarm.ot import commands
+from zswarm.ot.commands.shared.exits import (
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    EXIT_MISTAKE,
+    EXIT_NO_SERVERS,
+)
+from zswarm.system import terminal
+
+LONGEST = 200  # characters of a command's first sentence in the list, which folds it
 
 
-@click.group(cls=Menu, context_settings={"help_option_names": ["-h", "--help"]})
+class Commands(click.Group):
+    """The modules of ``zswarm.ot.commands``, each of which is imported when its command is used."""
+
+    def __init__(self, **more: Any) -> None:
+        super().__init__(**more)
+        names = [module.name for module in pkgutil.iter_modules(commands.__path__)]
+        self._modules = {name.rstrip("_"): name for name in names if name != "shared"}
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
+        """Return the names of all commands."""
+        return sorted(self._modules)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
+        """Import a command."""
+        return self._module(cmd_name).command if cmd_name in self._modules else None
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Import the command that is called; suggest another one if its name is unknown."""
+        self.commands = dict.fromkeys(self._modules, self)  # their names are suggested
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        """List the commands by section, in the order in which a newcomer needs them."""
+        menu = sorted((*self._module(name).MENU, name) for name in self._modules)
+        for section, entries in groupby(menu, key=lambda entry: entry[0]):
+            with formatter.section(section):
+                formatter.write_dl(
+                    [
+                        (name, self._module(name).command.get_short_help_str(LONGEST))
+                        for _, _, name in entries
+                    ]
+                )
+
+    def _module(self, name: str) -> Any:
+        return importlib.import_module(f"{commands.__name__}.{self._modules[name]}")
+
+
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="zswarm", prog_name="zswarm-ot")
 def command() -> None:
-    """Evolve swarm-robot controllers on this machine and on every zswarm-ss server of the network.
+    """Evolve swarm-robot controllers on this machine and on all zswarm-ss servers of the network.
 
     \b
     A first run, and one of your own:
@@ -43,57 +75,34 @@ def command() -> None:
       zswarm-ot run my.toml
 
     Every command has --help.
-    """  # noqa: D301  click's mark for text that is not to be wrapped
-
-
-for _command in (
-    init,
-    check,
-    predict,
-    describe,
-    new,
-    run,
-    resume,
-    evaluate,
-    plot,
-    compare,
-    replay,
-    export,
-    report,
-    dashboard,
-    list_,
-    servers,
-    doctor,
-    import_,
-    completion,
-):
-    command.add_command(_command)
+    """
 
 
 def main() -> None:
-    """Run a command; errors that are the user's to mend end in one line."""
-    screen.prepare()
+    """Run a command; errors that the user can fix end in one line."""
+    terminal.prepare()
     try:
         command.main(standalone_mode=False)
     except (click.exceptions.Abort, KeyboardInterrupt):
         sys.exit(EXIT_INTERRUPTED)
-    except BrokenPipeError:  # whoever read the output has enough
+    except BrokenPipeError:  # the reader of the output has enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(EXIT_FAILED)
     except click.ClickException as error:
         error.show()
         sys.exit(error.exit_code)
     except ConfigError as error:
-        _complain(error)
-        sys.exit(EXIT_MISTAKE)
+        _exit(error, EXIT_MISTAKE)
     except NoServers as error:
-        _complain(error, "; start zswarm-ss on the machines. What is wrong is told by: zswarm-ot doctor (docs/network.md)")
-        sys.exit(EXIT_NO_SERVERS)
-    except (ZswarmError, sqlite3.Error, OSError) as error:  # the last two: a full disk, a folder that was deleted
-        _complain(error)
-        sys.exit(EXIT_FAILED)
+        remedy = "start zswarm-ss on the machines; zswarm-ot doctor finds faults (docs/network.md)"
+        _exit(error, EXIT_NO_SERVERS, f"; {remedy}")
+    # The last two: a full disk, or a folder that was deleted.
+    except (ZswarmError, sqlite3.Error, OSError) as error:
+        _exit(error, EXIT_FAILED)
 
 
-def _complain(error: Exception, more: str = "") -> None:
-    """The reason, and below it how to go on."""
-    click.echo("\n".join([f"zswarm-ot: {error}{more}", *getattr(error, "__notes__", [])]), err=True)
+def _exit(error: Exception, code: int, more: str = "") -> None:
+    """Print the reason, and below it how to continue."""
+    notes = getattr(error, "__notes__", [])
+    click.echo("\n".join([f"zswarm-ot: {error}{more}", *notes]), err=True)
+    sys.exit(code)

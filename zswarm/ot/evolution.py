@@ -1,26 +1,30 @@
-"""A run under way: begun or resumed, followed generation by generation, stopped at any time."""
+"""A run in progress: started or resumed, iterated generation by generation, stopped at any time."""
 
 import contextlib
 import threading
 import time
 from collections.abc import Callable, Generator, Iterator
-from functools import partial
 from pathlib import Path
 
 from msgspec import structs
 
 from zswarm import experiment
+from zswarm.config.sections import StudyConfig
 from zswarm.errors import Stopped
-from zswarm.experiment import Experiment, Study
-from zswarm.ot import control, run
-from zswarm.ot.connection import Connection
+from zswarm.experiment import Experiment
+from zswarm.ot import run
+from zswarm.ot.build import Parts, build
+from zswarm.ot.cluster.connection import Connection
 from zswarm.ot.logger import Generation, Logger, Result, Started
-from zswarm.ot.reading import Run, told_again
-from zswarm.ot.record import Record, load_experiment
-from zswarm.ot.run import Parts
-from zswarm.version_hash import version_hash
+from zswarm.ot.record import control_file as control
+from zswarm.ot.record.folder import load_experiment
+from zswarm.ot.record.reader import Run
+from zswarm.ot.record.results import finished_result
+from zswarm.ot.record.writer import Record
+from zswarm.plugins.version_hash import version_hash
 
-Evolve = Callable[[threading.Event], Generator[Generation, None, Result]]  # until the event is set
+Generations = Generator[Generation, None, Result]
+CHANGED = "results may differ from here on"
 
 
 class Evolution:
@@ -28,13 +32,15 @@ class Evolution:
 
     Attributes:
         folder: of the run.
-        result: once the last generation is over.
+        result: once the last generation ended.
     """
 
-    def __init__(self, folder: Path, evolve: Evolve, logger: Logger) -> None:
+    def __init__(
+        self, folder: Path, evolve: Callable[[threading.Event], Generations], logger: Logger
+    ) -> None:
         self.folder = folder
         self.result: Result | None = None
-        self._stop = control.Stop(folder)
+        self._stop = control.StopRequest(folder)
         self._logger = logger
         self._generations = self._follow(evolve(self._stop))
 
@@ -43,7 +49,7 @@ class Evolution:
 
     @property
     def run(self) -> Run:
-        """What is recorded so far."""
+        """Everything that is recorded so far."""
         return Run(self.folder)
 
     def finish(self) -> Result:
@@ -59,14 +65,14 @@ class Evolution:
         return self.result
 
     def stop(self) -> None:
-        """Have it stop within a moment, from any thread: whoever iterates gets a ``Stopped``. Nothing is lost."""
+        """Stop within a moment, from any thread: iterating raises ``Stopped``. Nothing is lost."""
         self._stop.set()
 
     def close(self) -> None:
-        """Stop it; from the thread that iterates, between two generations."""
+        """Stop it between two generations, from the thread that iterates."""
         self._generations.close()
 
-    def _follow(self, generations: Generator[Generation, None, Result]) -> Generator[Generation, None, None]:
+    def _follow(self, generations: Generations) -> Generator[Generation, None, None]:
         try:
             with contextlib.closing(generations):
                 while True:
@@ -76,87 +82,96 @@ class Evolution:
                         self.result = end.value
                         return
                     yield generation
-                    self._do_what_is_asked()
+                    self._obey()
         finally:
             self._logger.on_end(self.result)
 
-    def _do_what_is_asked(self) -> None:
-        """Between two generations; the servers have the next one already, and keep it while the run pauses.
+    def _obey(self) -> None:
+        """Pause or stop between two generations, if the control file asks for it.
 
-        Raises:
-            Stopped: that was asked.
+        Servers have the next generation already; they keep it while the run pauses.
         """
         asked = control.asked(self.folder)
         if asked == "pause":
-            self._logger.on_say("the run pauses, as it was asked to; it goes on when it is asked to")
+            self._logger.on_say("the run pauses, as requested, until it is asked to continue")
         while asked == "pause" and not self._stop.is_set():
-            time.sleep(control.LOOK_S)
+            time.sleep(control.CHECK_S)
             asked = control.asked(self.folder)
         if asked == "drain":
-            raise Stopped("stopped after a generation, as it was asked to")
+            raise Stopped("stopped after a generation, as requested")
 
 
 @contextlib.contextmanager
 def start(
-    loaded: Experiment, where: str, out: Path, connection: Connection, logger: Logger, *, name: str = ""
+    loaded: Experiment,
+    where: str,
+    out: Path,
+    connection: Connection,
+    logger: Logger,
+    *,
+    name: str = "",
 ) -> Iterator[Evolution]:
-    """A new run, in a new folder below ``out``; one run, whatever the experiment's study says.
+    """Start one run in a new folder, whatever the experiment's study says.
 
     Args:
-        where: what errors call the experiment, such as its file.
-        name: of the folder, if not the experiment's.
+        loaded, where: the experiment, and its name in errors.
+        out, name: where the folder is made, and its name if not the experiment's.
+        connection, logger: the servers, and what follows the run.
 
     Raises:
         ConfigError: the experiment or the folder cannot be used.
     """
-    complete = experiment.complete(structs.replace(loaded, study=Study()), where)
-    parts = run.build(complete)
-    code = version_hash(complete.problem.simulator, complete.representation.kind)
+    complete = experiment.complete(structs.replace(loaded, study=StudyConfig()), where)
+    parts = build(complete)
     _ = connection.reach  # refuses unusable keys before there is a folder
-    relative = {"relative": 1} if parts.optimizer.relative else {}
-    record = Record.create(out, complete, code, parts.problem.simulator.metrics, name=name, **relative)
-    with record, contextlib.closing(_evolution(parts, record, connection, logger)) as begun:
-        if record.on_network:
-            logger.on_say(f"{record.folder} is on a network file system: the record is kept without a write-ahead log there")
-        yield begun
+    metrics = parts.problem.simulator.metrics
+    more = {"relative": 1} if parts.optimizer.relative else {}
+    record = Record.create(out, complete, _code(complete), metrics, name=name, **more)
+    with record, contextlib.closing(_evolution(parts, record, connection, logger)) as evolution:
+        yield evolution
 
 
 @contextlib.contextmanager
 def resume(folder: Path, connection: Connection, logger: Logger) -> Iterator[Evolution]:
-    """A run that was stopped, from the last thing it recorded. One that is finished is told again: its record stays as it is.
+    """Resume a run from the last thing it recorded; of a finished one, only return the result.
 
     Raises:
         ConfigError: there is none, it is damaged or in use, or its experiment was changed.
     """
     loaded = load_experiment(folder)
-    if (result := told_again(folder, loaded)) is not None:
-        started = Started(folder, loaded, loaded.generations)
-        with contextlib.closing(Evolution(folder, partial(_tell_again, started, result, logger), logger)) as ended:
-            yield ended
+    if (result := finished_result(folder, loaded)) is not None:
+
+        def finished(_: threading.Event) -> Generations:
+            logger.on_start(Started(folder, loaded, loaded.generations))
+            yield from ()
+            return result
+
+        with contextlib.closing(Evolution(folder, finished, logger)) as evolution:
+            yield evolution
         return
     record, complete = Record.open(folder)
     with record:
         control.forget(folder)
-        parts = run.build(complete)
-        if not parts.optimizer.portable and (before := record.machine_changed()):
-            logger.on_say(f"this run was made with {before}; results may differ from here on")
-        if record.meta("version_hash") != version_hash(complete.problem.simulator, complete.representation.kind):
-            logger.on_say("the code that computes was changed since this run began; results may differ from here on")
-        if record.on_network:
-            logger.on_say(f"{record.folder} is on a network file system: the record is kept without a write-ahead log there")
-        with contextlib.closing(_evolution(parts, record, connection, logger)) as begun:
-            yield begun
+        parts = build(complete)
+        if not parts.optimizer.portable and (machine := record.machine_changed()):
+            logger.on_say(f"this run was made with {machine}; {CHANGED}")
+        if record.meta("version_hash") != _code(complete):
+            logger.on_say(f"the code that computes was changed since this run began; {CHANGED}")
+        with contextlib.closing(_evolution(parts, record, connection, logger)) as evolution:
+            yield evolution
+
+
+def _code(complete: Experiment) -> str:
+    return version_hash(complete.problem.simulator, complete.representation.kind)
 
 
 def _evolution(parts: Parts, record: Record, connection: Connection, logger: Logger) -> Evolution:
-    def evolve(stop: threading.Event) -> Generator[Generation, None, Result]:
+    def evolve(stop: threading.Event) -> Generations:
         with connection.run():
             return (yield from run.evolve(parts, record, connection, logger, stop))
 
+    if record.on_network:
+        logger.on_say(
+            f"{record.folder} is on a network file system, so the record has no write-ahead log"
+        )
     return Evolution(record.folder, evolve, logger)
-
-
-def _tell_again(started: Started, result: Result, logger: Logger, _stop: threading.Event) -> Generator[Generation, None, Result]:
-    logger.on_start(started)
-    yield from ()
-    return result

@@ -1,4 +1,4 @@
-"""Whoever follows a run: the terminal, and what a user adds. One protocol: a logger overrides the calls it wants."""
+"""Loggers follow a run: the displays, the record of a study, and what a user adds."""
 
 import contextlib
 import queue
@@ -6,18 +6,18 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from zswarm.controller import Controller
 from zswarm.experiment import Experiment
-from zswarm.ot.dispatch import Note
+from zswarm.ot.notes import Note
 
 WAITING = 1000  # calls that a slow logger may be behind; later ones are dropped
-LAST_CALLS_S = 10.0  # at most, at the end of a run
+LAST_CALLS_S = 10.0  # for the calls that wait at the end of a run
 
 
 class Started(NamedTuple):
-    """A run that begins, or goes on."""
+    """A run that begins or resumes."""
 
     folder: Path
     experiment: Experiment
@@ -33,7 +33,7 @@ class Generation(NamedTuple):
     evaluations: int
     servers: int
     slots: int
-    statistics: dict[str, float]  # the optimizer's; best and mean among them
+    statistics: dict[str, float]  # of the optimizer; best and mean among them
 
 
 class Result(NamedTuple):
@@ -48,126 +48,91 @@ class Result(NamedTuple):
     seconds: float
     faulted: int
     doubtful: int  # trials of a server that was later proved to compute wrong
-    relative: bool = False  # best is the last generation's best score, which compares within that generation only
+    relative: bool = False  # best is a score of the last generation, and compares only within it
 
 
 class Logger:
-    """Follows one run at a time; by itself it does nothing."""
+    """Follow one run at a time; override the calls that matter."""
 
     def on_start(self, run: Started) -> None:
-        """The run begins, or goes on."""
+        """Called when the run begins or resumes."""
 
     def on_say(self, line: str) -> None:
-        """A line for people."""
+        """Called with a line for people."""
 
     def on_progress(self, generation: int, counted: int, trials: int) -> None:
-        """Trials of a generation that are counted, of so many; some times a second."""
+        """Called several times a second with the finished trials of a generation."""
 
     def on_generation(self, generation: Generation) -> None:
-        """A generation ended and is recorded."""
+        """Called when a generation ended and is recorded."""
 
     def on_champion(self, champion: Controller) -> None:
-        """The run found a better controller than before; of scores, which do not compare: a generation's best."""
+        """Called for a better controller; for each generation's, if scores do not compare."""
 
     def on_event(self, event: Note) -> None:
-        """Something happened, as in the table ``events`` of the record."""
+        """Called for each event, as in the table ``events`` of the record."""
 
     def on_end(self, result: Result | None) -> None:
-        """The run ended, or was stopped (None); the last call."""
+        """Called last, when the run ended or was stopped (None)."""
 
 
-class Loggers(Logger):
-    """All of them, each in turn."""
+class Forwarder(Logger):
+    """Pass every call to ``forward`` as a method's name and its arguments."""
+
+    def forward(self, method: str, *arguments: Any) -> None:
+        """Take a call."""
+        raise NotImplementedError
+
+
+def _forwarding(method: str) -> Callable[..., None]:
+    return lambda self, *arguments: self.forward(method, *arguments)
+
+
+for _method in [name for name in vars(Logger) if name.startswith("on_")]:
+    setattr(Forwarder, _method, _forwarding(_method))
+
+
+class Loggers(Forwarder):
+    """Call several loggers, one after the other."""
 
     def __init__(self, loggers: Iterable[Logger]) -> None:
         self._loggers = list(loggers)
 
-    def on_start(self, run: Started) -> None:
-        """See ``Logger``."""
+    def forward(self, method: str, *arguments: Any) -> None:
         for logger in self._loggers:
-            logger.on_start(run)
-
-    def on_say(self, line: str) -> None:
-        """See ``Logger``."""
-        for logger in self._loggers:
-            logger.on_say(line)
-
-    def on_progress(self, generation: int, counted: int, trials: int) -> None:
-        """See ``Logger``."""
-        for logger in self._loggers:
-            logger.on_progress(generation, counted, trials)
-
-    def on_generation(self, generation: Generation) -> None:
-        """See ``Logger``."""
-        for logger in self._loggers:
-            logger.on_generation(generation)
-
-    def on_champion(self, champion: Controller) -> None:
-        """See ``Logger``."""
-        for logger in self._loggers:
-            logger.on_champion(champion)
-
-    def on_event(self, event: Note) -> None:
-        """See ``Logger``."""
-        for logger in self._loggers:
-            logger.on_event(event)
-
-    def on_end(self, result: Result | None) -> None:
-        """See ``Logger``."""
-        for logger in self._loggers:
-            logger.on_end(result)
+            getattr(logger, method)(*arguments)
 
 
-class InBackground(Logger):
-    """A logger of the user's, called in a thread of its own: what it raises is told once, and its slowness stops no run.
+class InBackground(Forwarder):
+    """Call a user's logger in a thread, so that neither its errors nor its slowness stop the run.
 
-    Args:
-        logger: it.
-        say: takes a line about it.
+    ``say`` takes lines about it: the first error that it raises, and whether it was too slow.
     """
 
     def __init__(self, logger: Logger, say: Callable[[str], None]) -> None:
         self._name, self._logger, self._say = type(logger).__name__, logger, say
-        self._calls: queue.Queue[Callable[[], None] | None] = queue.Queue(WAITING)
+        self._calls: queue.Queue[tuple[str, tuple[Any, ...]] | None] = queue.Queue(WAITING)
         self._dropped, self._raised = 0, False
         self._thread = threading.Thread(target=self._work, name=self._name, daemon=True)
 
     def on_start(self, run: Started) -> None:
-        """See ``Logger``."""
         self._thread.start()
-        self._put(lambda: self._logger.on_start(run))
-
-    def on_say(self, line: str) -> None:
-        """See ``Logger``."""
-        self._put(lambda: self._logger.on_say(line))
+        super().on_start(run)
 
     def on_progress(self, generation: int, counted: int, trials: int) -> None:
-        """See ``Logger``; left out while it is behind, for the next call says more."""
-        if self._calls.empty():
-            self._put(lambda: self._logger.on_progress(generation, counted, trials))
-
-    def on_generation(self, generation: Generation) -> None:
-        """See ``Logger``."""
-        self._put(lambda: self._logger.on_generation(generation))
-
-    def on_champion(self, champion: Controller) -> None:
-        """See ``Logger``."""
-        self._put(lambda: self._logger.on_champion(champion))
-
-    def on_event(self, event: Note) -> None:
-        """See ``Logger``."""
-        self._put(lambda: self._logger.on_event(event))
+        if self._calls.empty():  # while it is behind, the next call makes up for this one
+            super().on_progress(generation, counted, trials)
 
     def on_end(self, result: Result | None) -> None:
-        """See ``Logger``; waits some seconds for it."""
+        """Make the last call, and wait a few seconds for it."""
         if not self._thread.is_alive():
             return
         deadline = time.monotonic() + LAST_CALLS_S
-        lasts = (lambda: self._logger.on_end(result), None)
+        lasts = (("on_end", (result,)), None)
         try:
             for last in lasts:
                 self._calls.put(last, timeout=max(0.0, deadline - time.monotonic()))
-        except queue.Full:  # what waits is dropped: its thread ends if the logger ever comes back
+        except queue.Full:  # drop what waits: the thread ends if the logger ever returns
             with contextlib.suppress(queue.Empty):
                 while True:
                     self._calls.get_nowait()
@@ -175,21 +140,25 @@ class InBackground(Logger):
                 self._calls.put_nowait(last)
         self._thread.join(max(0.0, deadline - time.monotonic()))
         if self._thread.is_alive():
-            self._say(f"logger {self._name} is behind and was left")
+            self._say(f"logger {self._name} hangs and was abandoned")
         elif self._dropped:
-            self._say(f"logger {self._name} was behind: {self._dropped} of its calls were dropped")
+            self._say(
+                f"logger {self._name} was too slow: {self._dropped} of its calls were dropped"
+            )
 
-    def _put(self, call: Callable[[], None]) -> None:
+    def forward(self, method: str, *arguments: Any) -> None:
         try:
-            self._calls.put_nowait(call)
+            self._calls.put_nowait((method, arguments))
         except queue.Full:
             self._dropped += 1
 
     def _work(self) -> None:
         while (call := self._calls.get()) is not None:
+            method, arguments = call
             try:
-                call()
-            except (Exception, SystemExit) as error:  # of the user's code: the run goes on
+                getattr(self._logger, method)(*arguments)
+            except (Exception, SystemExit) as error:  # in the user's code: the run continues
                 if not self._raised:
-                    self._say(f"logger {self._name}: {type(error).__name__}: {error}; the run goes on")
+                    reason = f"{type(error).__name__}: {error}"
+                    self._say(f"logger {self._name}: {reason}; the run continues")
                 self._raised = True

@@ -1,4 +1,4 @@
-"""What candidates are judged by, and the kind of network they are: all that evaluating needs of an experiment."""
+"""A problem that candidates are evaluated on, and the kind of network they are."""
 
 import operator
 from collections.abc import Mapping, Sequence
@@ -7,90 +7,95 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from zswarm import evaluate, plugins
+from zswarm import evaluate
+from zswarm.config.decode import convert
 from zswarm.controller import Controller
-from zswarm.draws import Stream, derive_seed
 from zswarm.experiment import Experiment
+from zswarm.kernels.random import Stream, derive_seed
 from zswarm.ot.rankings.ranking import Ranking, Round
 from zswarm.ot.workload import Workload
-from zswarm.strict import convert
+from zswarm.plugins import registry as plugins
 
 
 class Problem:
-    """The problem of a complete experiment, built.
+    """The simulator, the representation and the ranking of a complete experiment, built.
 
-    Attributes:
-        experiment: it is of this one.
-        simulator, representation, ranking: as the experiment sets them up.
+    Raises:
+        ConfigError: one of them refuses its settings, or they do not fit together.
     """
 
     def __init__(self, complete: Experiment) -> None:
-        """Build it.
-
-        Raises:
-            ConfigError: the simulator, the representation or the ranking refuses its settings, or they do not fit together.
-        """
         self.experiment = complete
         problem, network, ranking = complete.problem, complete.representation, complete.ranking
-        self.simulator, self.representation = evaluate.build(problem.simulator, problem.settings, network.kind, network.settings)
+        self.simulator, self.representation = evaluate.build(
+            problem.simulator, problem.settings, network.kind, network.settings
+        )
         loaded = plugins.load("ranking", ranking.kind)
         settings = convert(ranking.settings, loaded.settings_type, "ranking")
         self.ranking: Ranking = loaded(settings, self.simulator.participants)
 
     def __eq__(self, other: object) -> bool:
-        """Whether the same genomes have the same outcomes."""
+        """Return whether the same genomes have the same outcomes."""
         return isinstance(other, Problem) and self._decisive() == other._decisive()
 
     def __hash__(self) -> int:
         return hash(msgspec.json.encode(self._decisive(), order="sorted"))
 
     def __repr__(self) -> str:
-        problem, genes = self.experiment.problem, self.genes
-        of = f", {genes} genes" if genes is not None else ""
-        return (
-            f"<zswarm.Problem: {problem.simulator}, {problem.trials} trial{'s' if problem.trials != 1 else ''}; "
-            f"{self.experiment.representation.kind}{of}>"
-        )
+        problem, kind = self.experiment.problem, self.experiment.representation.kind
+        genes = f", {self.genes} genes" if self.genes is not None else ""
+        trials = f"{problem.trials} trial{'s' if problem.trials != 1 else ''}"
+        return f"<zswarm.Problem: {problem.simulator}, {trials}; {kind}{genes}>"
 
     def trial_seeds(self, generation: int) -> np.ndarray:
-        """(trials,) uint64: the problem's own where it fixes them; else from the run's seed, and the generation if fresh."""
+        """Return the seeds of a generation's trials, (trials,) uint64.
+
+        They are the simulator's own if it fixes them; else they come from the run's seed, and from
+        the generation if they are to be fresh.
+        """
         problem, seed = self.experiment.problem, self.experiment.seed
-        trials = range(problem.trials)
-        if problem.seeds == "fresh":
-            return np.array([derive_seed(seed, "trial", trial, generation) for trial in trials], np.uint64)
-        fixed = self.simulator.fixed_seeds(problem.trials)
-        return np.array(fixed if fixed is not None else [derive_seed(seed, "trial", trial) for trial in trials], np.uint64)
+        fresh = (generation,) if problem.seeds == "fresh" else ()
+        seeds = None if fresh else self.simulator.fixed_seeds(problem.trials)
+        if seeds is None:
+            seeds = [derive_seed(seed, "trial", n, *fresh) for n in range(problem.trials)]
+        return np.array(seeds, np.uint64)
 
     def workload(
-        self, genomes: list[bytes], generation: int, seeds: np.ndarray | None = None, games: np.ndarray | None = None
+        self,
+        genomes: list[bytes],
+        generation: int,
+        seeds: np.ndarray | None = None,
+        games: np.ndarray | None = None,
     ) -> Workload:
-        """Every game on every trial's seed, game after game.
+        """Return every game on every trial's seed, game after game.
 
         Args:
             seeds: (trials,) uint64, instead of the generation's.
-            games: (games, participants) indices into genomes; by default each candidate by itself.
+            games: (games, participants) indices into genomes; by default one of each genome.
         """
         seeds = self.trial_seeds(generation) if seeds is None else seeds
         games = np.arange(len(genomes)).reshape(-1, 1) if games is None else games
-        return Workload(genomes, np.repeat(games, len(seeds), axis=0), np.tile(seeds, len(games)), len(self.simulator.metrics))
+        participants = np.repeat(games, len(seeds), axis=0)
+        trials = np.tile(seeds, len(games))
+        return Workload(genomes, participants, trials, len(self.simulator.metrics))
 
     def trials_at_once(self, candidates: int | None) -> int | None:
-        """Of the first round of so many candidates, None where their number is not known."""
+        """Return the trials in the first round of so many candidates; None if that is unknown."""
         games = None if candidates is None else self.ranking.next_games(candidates, ())
         return None if games is None else len(games) * self.experiment.problem.trials
 
     def played(self, workload: Workload) -> Round:
-        """The games of a workload, with the sums over their trials, added in trial order; never -0.0, which SQLite drops."""
+        """Return the games of a workload with the sums over their trials, added in trial order."""
         trials, participants = self.experiment.problem.trials, self.simulator.participants
-        results = np.cumsum(workload.fitness.reshape(-1, trials, participants), axis=1)[:, -1] + 0.0
-        return Round(workload.participants[::trials], results)
+        sums = np.cumsum(workload.fitness.reshape(-1, trials, participants), axis=1)[:, -1]
+        return Round(workload.participants[::trials], sums + 0.0)  # SQLite drops the sign of -0.0
 
     def total(self, workload: Workload) -> np.ndarray:
-        """(candidates,) float64: the sums over the trials of candidates that play by themselves."""
+        """Return the sums over the trials of candidates that play alone, (candidates,) float64."""
         return self.played(workload).results[:, 0]
 
     def controller(self, genome: bytes, fitness: float, run: str) -> Controller:
-        """A genome with all that is needed to run it."""
+        """Return a genome with all that is needed to run it."""
         complete, simulator = self.experiment, self.simulator
         return Controller(
             simulator=complete.problem.simulator,
@@ -106,82 +111,88 @@ class Problem:
             run=run,
         )
 
-    # ---- for optimizers outside
+    # ---- for a user's optimizer
 
     @property
     def genes(self) -> int | None:
-        """Numbers of a genome that is a plain vector of them; None where the representation's genomes are something else."""
+        """Numbers of a genome that is a plain vector; None if genomes are something else."""
         return self.representation.genes
 
     def random(self, count: int, seed: int = 0) -> list[bytes]:
-        """Random genomes, as evolution begins with; the same seed gives the same.
+        """Return random genomes, as evolution begins with; the same seed gives the same.
 
         Raises:
             ValueError: a number below 0, or a seed of more than 64 bits.
-            TypeError: no whole number.
+            TypeError: an argument that is not a whole number.
         """
         check_whole("count", count)
         check_whole("seed", seed)
         return self.representation.random(count, Stream(derive_seed(seed, "random")))
 
     def genomes(self, candidates: Sequence[bytes] | np.ndarray | Sequence[Any]) -> list[bytes]:
-        """Genomes of vectors: (n, genes) numbers, stored as float32; genomes stay as they are.
+        """Return genomes of vectors, (n, genes) numbers stored as float32, or genomes as they are.
 
         Raises:
-            ValueError: another shape or length, a number that is not real or not finite in float32, or no vectors are taken.
-            TypeError: no list and no array.
+            ValueError: another shape or length, a number that is not real or not finite in float32,
+                or a representation without vectors.
+            TypeError: neither a list nor an array.
         """
         if isinstance(candidates, str | bytes | Mapping) or not hasattr(candidates, "__len__"):
-            raise TypeError(f"candidates: expected a list of genomes or an array of numbers, not {type(candidates).__name__}")
+            raise TypeError(
+                "candidates: expected a list of genomes or an array of numbers,"
+                f" not {type(candidates).__name__}"
+            )
         if len(candidates) == 0:
             return []
-        if isinstance(candidates, Sequence) and any(isinstance(candidate, bytes) for candidate in candidates):
-            if not all(isinstance(candidate, bytes) for candidate in candidates):
-                raise ValueError("candidates: expected either genomes as bytes or vectors of numbers, not both")
+        listed = isinstance(candidates, Sequence)
+        as_bytes = sum(isinstance(one, bytes) for one in candidates) if listed else 0
+        if as_bytes == len(candidates):
             genomes = list(candidates)
-        elif self.genes is None:
-            kind = self.experiment.representation.kind
-            raise ValueError(f"candidates: genomes of {kind} are no plain vectors: expected a list of bytes")
+        elif as_bytes:
+            raise ValueError("candidates: expected either genomes as bytes or vectors, not both")
         else:
-            numbers = _numbers(candidates)
-            if numbers.shape != (len(candidates), self.genes):
-                raise ValueError(f"candidates: expected shape (n, {self.genes}), not {numbers.shape}")
-            with np.errstate(over="ignore"):  # told below
-                vectors = numbers.astype("<f4")
-            genomes = [vector.tobytes() for vector in vectors]
+            genomes = [vector.tobytes() for vector in self._float32(candidates)]
         self.representation.parameters(genomes)  # refuses what no server could evaluate
         return genomes
 
     def vectors(self, genomes: Sequence[bytes]) -> np.ndarray:
-        """(n, genes) float32, which ``genomes`` makes the same genomes of.
+        """Return the vectors of genomes, (n, genes) float32: the inverse of ``genomes``.
 
         Raises:
-            ValueError: the representation's genomes are no plain vectors.
+            ValueError: the representation's genomes are not plain vectors.
         """
         if self.genes is None:
-            raise ValueError(f"genomes of {self.experiment.representation.kind} are no plain vectors")
-        return np.frombuffer(b"".join(genomes), "<f4").reshape(len(genomes), self.genes).astype(np.float32)
+            kind = self.experiment.representation.kind
+            raise ValueError(f"genomes of {kind} are not plain vectors")
+        numbers = np.frombuffer(b"".join(genomes), "<f4").astype(np.float32)
+        return numbers.reshape(len(genomes), self.genes)
+
+    def _float32(self, candidates: Any) -> np.ndarray:
+        if self.genes is None:
+            kind = self.experiment.representation.kind
+            text = f"genomes of {kind} are not plain vectors: expected a list of bytes"
+            raise ValueError(f"candidates: {text}")
+        try:
+            numbers = np.asarray(candidates)
+        except ValueError:
+            raise ValueError("candidates: expected vectors of equal length") from None
+        if numbers.dtype.kind not in "buif":
+            raise ValueError(f"candidates: expected real numbers, not an array of {numbers.dtype}")
+        if numbers.shape != (len(candidates), self.genes):
+            raise ValueError(f"candidates: expected shape (n, {self.genes}), not {numbers.shape}")
+        with np.errstate(over="ignore"):  # infinite numbers are refused as parameters
+            return numbers.astype("<f4")
 
     def _decisive(self) -> dict[str, object]:
-        complete = self.experiment
-        return {"problem": complete.problem, "representation": complete.representation, "seed": complete.seed}
+        names = ("problem", "representation", "seed")
+        return {name: getattr(self.experiment, name) for name in names}
 
 
 def check_whole(name: str, value: Any) -> None:
-    """Refuse what is no whole number from 0 to 2^64 - 1."""
+    """Raise an error unless a value is a whole number from 0 to 2^64 - 1."""
     try:
         number = operator.index(value)
     except TypeError:
         raise TypeError(f"{name}: expected a whole number, not {value!r:.60}") from None
     if not 0 <= number < 2**64:
         raise ValueError(f"{name}: expected a whole number from 0 to 2^64 - 1, not {number}")
-
-
-def _numbers(candidates: Any) -> np.ndarray:
-    try:
-        numbers = np.asarray(candidates)
-    except ValueError:
-        raise ValueError("candidates: expected vectors of equal length") from None
-    if numbers.dtype.kind not in "buif":
-        raise ValueError(f"candidates: expected real numbers, not an array of {numbers.dtype}")
-    return numbers

@@ -1,198 +1,204 @@
 """A run: ask, dispatch, tell, record, until the last generation."""
 
-import contextlib
 import threading
 import time
 from collections.abc import Generator, Iterator
-from typing import NamedTuple
 
 import msgspec
 
-from zswarm import plugins
-from zswarm.controller import Controller
-from zswarm.draws import derive_seed
-from zswarm.errors import ConfigError, ZswarmError
-from zswarm.experiment import Experiment
-from zswarm.ot.assessment import Assessment
-from zswarm.ot.connection import Connection
-from zswarm.ot.dispatch import Counted, Note, Retracted
-from zswarm.ot.evaluations import Evaluations, Happened
+from zswarm.ot.build import Parts
+from zswarm.ot.cluster.connection import Connection
+from zswarm.ot.cluster.events import Counted, Retracted
+from zswarm.ot.cluster.shell import Cluster, Item
+from zswarm.ot.generation import Assessment
 from zswarm.ot.logger import Generation, Logger, Result, Started
-from zswarm.ot.optimizers.optimizer import Optimizer
-from zswarm.ot.problem import Problem
-from zswarm.ot.record import Record
+from zswarm.ot.notes import Note, RunEvent, words
+from zswarm.ot.record.writer import Record
 from zswarm.ot.workload import Workload
 from zswarm.protocol import messages
-from zswarm.strict import convert
-
-
-class Parts(NamedTuple):
-    """What an experiment names, built."""
-
-    problem: Problem
-    optimizer: Optimizer
-
-
-def build(complete: Experiment) -> Parts:
-    """The parts of a complete experiment.
-
-    Raises:
-        ConfigError: a part refuses its settings, or they do not fit together.
-    """
-    problem = Problem(complete)
-    kind, simulator = complete.optimizer.kind, problem.simulator
-    loaded = plugins.load("optimizer", kind)
-    settings = convert(complete.optimizer.settings, loaded.settings_type, "optimizer")
-    optimizer: Optimizer = loaded(settings, problem.representation, derive_seed(complete.seed, "optimizer"))
-    for name in optimizer.measures:
-        if name not in simulator.metrics:
-            known = ", ".join(simulator.metrics) or "none"
-            raise ConfigError(f"optimizer: measures: {complete.problem.simulator} has no metric {name!r}; it has: {known}")
-    if problem.ranking.relative and not optimizer.competes:
-        raise ConfigError(
-            f"optimizer: {kind} compares fitness from generation to generation, and scores of {complete.ranking.kind} compare "
-            f"within one; those that take them: {', '.join(_competing())}"
-        )
-    optimizer.relative = problem.ranking.relative
-    if optimizer.candidates is not None and optimizer.candidates < simulator.participants:
-        raise ConfigError(
-            f"optimizer: {kind} asks for {optimizer.candidates} candidates, and a game of {complete.problem.simulator} takes "
-            f"{simulator.participants}"
-        )
-    return Parts(problem, optimizer)
-
-
-def _competing() -> list[str]:
-    """Optimizers that take fitness which compares within a generation only; of those installed that can be imported."""
-    found = []
-    for name in plugins.names("optimizer"):
-        with contextlib.suppress(ZswarmError):
-            found += [name] * plugins.load("optimizer", name).competes
-    return found
 
 
 def evolve(
     parts: Parts, record: Record, connection: Connection, logger: Logger, stop: threading.Event
 ) -> Generator[Generation, None, Result]:
-    """Evolve to the last generation, from wherever the record is; yields each generation once it is recorded.
+    """Evolve from where the record ends to the last generation; yield each one once it is recorded.
 
-    Servers have the next one by then: it is evaluated while this one is recorded and whoever iterates looks at it.
+    Servers have the next generation by then: they evaluate it while the caller looks at this one.
 
-    Args:
-        stop: ends the run within a moment when it is set; closing the generator ends it, too. Nothing is lost.
+    Closing the generator ends the run within a moment, as setting ``stop`` does.
 
     Raises:
         EvaluationError: trials cannot be evaluated.
         NoServers: the number of servers asked for was not there in time.
         Stopped: ``stop`` was set.
     """
-    begin = time.monotonic()
-    (problem, optimizer), complete = parts, parts.problem.experiment
-    record.say = logger.on_say
-    run_id, probe, resumed = record.meta("run_id"), record.meta("probe") or b"", record.resumed()
-    if resumed.state is not None:
-        optimizer.restore(resumed.state, record.told())
-        if optimizer.best()[0]:
-            _keep_champion(parts, record, run_id)  # the end may have come between a generation and its champion
-    history, improved, candidates = record.history(), optimizer.best()[1], record.evaluations()
-    record.note(Note("began", count=record.meta("epoch")))
-    logger.on_start(Started(record.folder, complete, resumed.generation))
-    logger.on_say(f"{complete.name}: {connection.who_computes()}")
-    if not problem.simulator.repeatable:
-        logger.on_say(f"{complete.problem.simulator} is not repeatable with these settings: the same run again has other results")
-    if (asked := connection.options).controller == "optimizer":
-        logger.on_say(f"the controllers stay in this program: servers ask it, a question for each {asked.messages}")
-    if optimizer.strayed is not None:
-        otherwise = f"would have proposed other candidates from generation {optimizer.strayed} on"
-        logger.on_say(f"{complete.optimizer.kind} {otherwise}; it goes on from those that were recorded")
-    evaluations = Evaluations(
+    begin, (problem, optimizer) = time.monotonic(), parts
+    notebook = _Notebook(parts, record, logger)
+    first, last = notebook.resume(connection), problem.experiment.generations
+    lease = connection.lease(
         problem,
-        connection,
-        run=run_id,
+        run=notebook.run_id,
         epoch=record.meta("epoch"),
         slots=problem.trials_at_once(optimizer.candidates) or messages.MAX_SLOTS,
-        probe=probe,
-        logger=logger,
+        probe=notebook.probe,
+        say=logger.on_say,
         stop=stop,
     )
-    with evaluations:
-        for early in evaluations.wait():
-            _record(early, record)
-        if resumed.generation < complete.generations:
-            assessment = Assessment(problem, optimizer.ask(), resumed.generation)
-            record.begin(resumed.generation, assessment.workload)
-            if not optimizer.portable and (others := record.forget_others()):
-                logger.on_say(f"generation {resumed.generation} was begun with other candidates: {others} trials are forgotten")
-            record.restore(assessment.workload)
-            happening = evaluations.evaluate(assessment.workload)
-        for generation in range(resumed.generation, complete.generations):
-            for happened in _rounds(assessment, happening, evaluations, record, resumed.generation):
-                workload = assessment.workload
-                _record(happened, record, workload)
-                logger.on_progress(generation, workload.first + int(workload.counted.sum()), workload.first + len(workload.seeds))
-            genomes, fitness = assessment.genomes, assessment.fitness()
-            measures = assessment.measures(optimizer.measures)
-            optimizer.tell(fitness, measures)
-            state = msgspec.Raw(msgspec.msgpack.encode(optimizer.state()))  # as it is before the next ask
-            last = generation + 1 == complete.generations
-            if not last:  # the servers have work while this generation is recorded and told
+    with lease as cluster:
+        for early in connection.wait(cluster):
+            notebook.take(early)
+        if first < last:
+            assessment = notebook.begin(first)
+            items = cluster.evaluate(assessment.workload)
+        for generation in range(first, last):
+            notebook.follow(items, assessment)
+            while assessment.advance():
+                record.begin(generation, assessment.workload)
+                if generation == first:
+                    record.restore(assessment.workload)
+                notebook.follow(cluster.evaluate(assessment.workload), assessment)
+            ended = assessment
+            state = notebook.tell(ended)
+            if generation + 1 < last:  # servers have work while this generation is recorded
                 assessment = Assessment(problem, optimizer.ask(), generation + 1)
-                happening = evaluations.evaluate(assessment.workload)
-            history.add(genomes, fitness, measures)
-            statistics = optimizer.statistics()
-            record.finish(generation, genomes, fitness, statistics, state, measures)
-            genome, best = optimizer.best()
-            if best > improved or (optimizer.relative and genome):  # scores of two generations do not compare
-                improved = best
-                logger.on_champion(_keep_champion(parts, record, run_id))
-            if evaluations.probe and not probe:
-                probe = evaluations.probe
-                record.set_meta("probe", probe)
-            candidates += len(genomes)
-            ended = Generation(
-                generation, statistics["best"], statistics["mean"], candidates, evaluations.servers, evaluations.slots,
-                statistics,
-            )  # fmt: skip
-            logger.on_generation(ended)
-            yield ended
-            if not last:
+                items = cluster.evaluate(assessment.workload)
+            yield notebook.finish(ended, state, cluster)
+            if generation + 1 < last:
                 record.begin(generation + 1, assessment.workload)
         record.end()
-        for late in evaluations.rest():
-            _record(late, record)
-    record.set_meta("history_hash", history.hex())
-    return Result(
-        str(record.folder), complete.generations, optimizer.best()[1], candidates, record.requeued(), history.hex(),
-        round(time.monotonic() - begin, 3), record.faulted(), record.doubtful(), optimizer.relative,
-    )  # fmt: skip
+        for late in cluster.rest():
+            notebook.take(late)
+    return notebook.result(time.monotonic() - begin)
 
 
-def _rounds(
-    assessment: Assessment, happening: Iterator[Happened | None], evaluations: Evaluations, record: Record, resumed: int
-) -> Iterator[Happened | None]:
-    """What happens in all rounds of a generation; what was recorded of the one resumed is not played again."""
-    yield from happening
-    while assessment.advance():
-        record.begin(assessment.generation, assessment.workload)
-        if assessment.generation == resumed:
-            record.restore(assessment.workload)
-        yield from evaluations.evaluate(assessment.workload)
+class _Notebook:
+    """Records and logs a run, and knows its numbers so far."""
 
+    def __init__(self, parts: Parts, record: Record, logger: Logger) -> None:
+        self._problem, self._optimizer = parts
+        self._record, self._logger = record, logger
+        record.say = logger.on_say
+        self.run_id: str = record.meta("run_id")
+        self.probe: bytes = record.meta("probe") or b""
 
-def _record(happened: Happened | None, record: Record, workload: Workload | None = None) -> None:
-    """Outcomes are of the workload."""
-    match happened:
-        case Counted() if workload is not None:
-            record.add(happened, workload)
-        case Retracted():
-            record.retract(happened.server)
-        case Note():
-            record.note(happened)
-        case None:
-            record.flush()
+    def resume(self, connection: Connection) -> int:
+        """Restore the optimizer, log how the run begins, and return its first generation."""
+        record, optimizer, say = self._record, self._optimizer, self._logger.on_say
+        complete, resumed = self._problem.experiment, record.resumed()
+        if resumed.state is not None:
+            optimizer.restore(resumed.state, record.told())
+            if optimizer.best()[0]:
+                self._keep_champion()  # the program may have ended before it was written
+        self._history, self._improved = record.history(), optimizer.best()[1]
+        self._candidates = record.evaluations()
+        record.note(Note(RunEvent.BEGAN, count=record.meta("epoch")))
+        self._logger.on_start(Started(record.folder, complete, resumed.generation))
+        say(f"{complete.name}: {connection.who_computes()}")
+        if not self._problem.simulator.repeatable:
+            say(
+                f"{complete.problem.simulator} is not repeatable with these settings: another run "
+                "gives other results"
+            )
+        if (options := connection.options).controller == "optimizer":
+            say(
+                "the controllers stay in this program: servers ask it a question for each "
+                f"{options.messages}"
+            )
+        if optimizer.diverged is not None:
+            say(
+                f"{complete.optimizer.kind} would have proposed other candidates from generation "
+                f"{optimizer.diverged} on; it continues from the recorded ones"
+            )
+        return resumed.generation
 
+    def begin(self, generation: int) -> Assessment:
+        """Ask for the first generation, and restore what is recorded of it."""
+        record, optimizer = self._record, self._optimizer
+        assessment = Assessment(self._problem, optimizer.ask(), generation)
+        record.begin(generation, assessment.workload)
+        if not optimizer.portable and (others := record.forget_others()):
+            self._logger.on_say(
+                f"generation {generation} was begun with other candidates: {others} trials are "
+                "dropped"
+            )
+        record.restore(assessment.workload)
+        return assessment
 
-def _keep_champion(parts: Parts, record: Record, run_id: str) -> Controller:
-    champion = parts.problem.controller(*parts.optimizer.best(), run_id)
-    record.champion(champion)
-    return champion
+    def follow(self, items: Iterator[Item | None], assessment: Assessment) -> None:
+        """Record what happens until a round of games is evaluated."""
+        for item in items:
+            self.take(item, assessment)
+
+    def take(self, item: Item | None, assessment: Assessment | None = None) -> None:
+        """Record what happened; outcomes belong to the generation."""
+        work: Workload | None = assessment.workload if assessment is not None else None
+        match item:
+            case Counted() if work is not None:
+                self._record.add(item, work)
+            case Retracted():
+                self._record.retract(item.server)
+            case Note():
+                self._record.note(item)
+                self._logger.on_event(item)
+                if line := words(item):
+                    self._logger.on_say(line)
+            case None:
+                self._record.flush()
+        if assessment is not None and work is not None:
+            counted, trials = work.first + int(work.counted.sum()), work.first + len(work.seeds)
+            self._logger.on_progress(assessment.generation, counted, trials)
+
+    def tell(self, ended: Assessment) -> msgspec.Raw:
+        """Tell the optimizer a generation, and return its state before the next ask."""
+        self._fitness, self._measures = ended.fitness(), ended.measures(self._optimizer.measures)
+        self._optimizer.tell(self._fitness, self._measures)
+        return msgspec.Raw(msgspec.msgpack.encode(self._optimizer.state()))
+
+    def finish(self, ended: Assessment, state: msgspec.Raw, cluster: Cluster) -> Generation:
+        """Record a generation, and its champion if it is a better one."""
+        record, optimizer, standing = self._record, self._optimizer, cluster.standing
+        genomes, fitness, measures = ended.genomes, self._fitness, self._measures
+        self._history.add(genomes, fitness, measures)
+        statistics = optimizer.statistics()
+        record.finish(ended.generation, genomes, fitness, statistics, state, measures)
+        genome, best = optimizer.best()
+        # Scores of two generations do not compare: the latest champion counts.
+        if best > self._improved or (optimizer.relative and genome):
+            self._improved = best
+            self._keep_champion(log=True)
+        if standing.probe and not self.probe:
+            self.probe = standing.probe
+            record.set_meta("probe", self.probe)
+        self._candidates += len(genomes)
+        generation = Generation(
+            ended.generation,
+            statistics["best"],
+            statistics["mean"],
+            self._candidates,
+            len(standing.serving),
+            standing.slots,
+            statistics,
+        )
+        self._logger.on_generation(generation)
+        return generation
+
+    def result(self, seconds: float) -> Result:
+        """Record the end of the run."""
+        record, history = self._record, self._history.hex()
+        record.set_meta("history_hash", history)
+        return Result(
+            run=str(record.folder),
+            generations=self._problem.experiment.generations,
+            best=self._optimizer.best()[1],
+            evaluations=self._candidates,
+            history_hash=history,
+            seconds=round(seconds, 3),
+            relative=self._optimizer.relative,
+            **record.counts(),
+        )
+
+    def _keep_champion(self, *, log: bool = False) -> None:
+        champion = self._problem.controller(*self._optimizer.best(), self.run_id)
+        self._record.champion(champion)
+        if log:
+            self._logger.on_champion(champion)

@@ -1,1 +1,1 @@
-"""The wire: messages, keys and codec; no input or output happens here. Described for any language in docs/protocol.md."""
+"""The wire: messages, keys and codec, without input or output (docs/protocol.md)."""

@@ -1,6 +1,6 @@
 """The messages of the wire, field by field as in docs/protocol.md.
 
-Each is a map with ``type`` and ``v`` (the protocol's version). Arrays of numbers are raw little-endian bytes.
+Each is a map with ``type`` and ``v`` (the protocol's version). Arrays are raw little-endian bytes.
 """
 
 from typing import Annotated, Any, Literal
@@ -14,30 +14,42 @@ MAX_GENOME = 4_000_000  # bytes
 MAX_TRIALS = 65_536  # in one batch
 MAX_TEXT = 500  # characters
 MAX_SLOTS = 65_535
-MIN_MEMORY_MB = 256  # that a run may ask for or a server give, per slot: less does not hold a compiler
+# Per slot, that a run may ask for or a server give: with less, there is no room for a compiler.
+MIN_MEMORY_MB = 256
 MAX_LABELS = 64  # of a server
 LABEL_NAME = "[a-z][a-z0-9_.-]{0,62}"
 LABEL_VALUE = "[A-Za-z0-9][A-Za-z0-9_.:+-]{0,62}"
 MAX_PARTS = 100  # of a version; limits of a server
 MAX_AGENTS = 65_536  # of a trial whose controllers are at the optimizer
-PROBE_GENOMES, PROBE_SEEDS = 4, 2  # the trials that every server plays for its digest: each genome on each seed
+# Every server plays these trials for its digest: each genome on each seed.
+PROBE_GENOMES = 4
+PROBE_SEEDS = 2
 
 Text = Annotated[str, Meta(max_length=MAX_TEXT)]
 Token = Annotated[bytes, Meta(min_length=16, max_length=16)]
 Count = Annotated[int, Meta(ge=0, le=2**53)]
 Seconds = Annotated[float, Meta(ge=0, le=1e9)]
 Megabytes = Annotated[int, Meta(ge=0, le=2**40)]  # of 2^20 bytes
+Genome = Annotated[bytes, Meta(max_length=MAX_GENOME)]
 LabelName = Annotated[str, Meta(pattern=rf"\A{LABEL_NAME}\Z")]
 LabelValue = Annotated[str, Meta(pattern=rf"\A{LABEL_VALUE}\Z")]
+Labels = Annotated[dict[LabelName, LabelValue], Meta(max_length=MAX_LABELS)]
+Names = Annotated[list[Text], Meta(max_length=1000)]
+Limits = Annotated[list[Text], Meta(max_length=MAX_PARTS)]
+Versions = Annotated[dict[Text, Text], Meta(max_length=MAX_PARTS)]
 BatchId = Count
 State = Literal["waiting", "preparing", "ready", "failed"]
 FaultKind = Literal["crashed", "timeout", "memory"]
 Asks = Literal["", "turn", "agent"]
-Refusal = Literal["malformed", "lease-lost", "busy", "draining", "mismatch", "cancelled"]
+Refusal = Literal[
+    "malformed", "superseded", "lease-lost", "busy", "draining", "mismatch", "cancelled"
+]
 
 
-class Message(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", forbid_unknown_fields=True):
-    """What all messages have."""
+class Message(
+    msgspec.Struct, frozen=True, kw_only=True, tag_field="type", forbid_unknown_fields=True
+):
+    """The fields of all messages."""
 
     v: Literal[1] = 1
 
@@ -49,13 +61,14 @@ class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     settings: dict[str, Any]
 
 
-# ---- from the optimizer -------------------------------------------------------------------------------------------
+# ---- from the optimizer
 
 
 class Requirements(Message, frozen=True, tag="requirements", forbid_unknown_fields=False):
     """Phase 1: what a run needs; with no simulator and no representation every server matches.
 
-    This and Offer may have fields of later versions, which are passed over: programs of unlike versions meet here.
+    This message and Offer may have fields of later versions, which are ignored: programs of
+    different versions meet here.
     """
 
     simulator: Text = ""
@@ -63,7 +76,7 @@ class Requirements(Message, frozen=True, tag="requirements", forbid_unknown_fiel
     version_hash: Text = ""
     trial_memory_mb: Megabytes = 0  # see Reserve
     settings: dict[str, Any] = {}  # of the simulator: all of them
-    versions: Annotated[dict[Text, Text], Meta(max_length=MAX_PARTS)] = {}  # what the version hash is of, to say what differs
+    versions: Versions = {}  # what the version hash is of, to name what differs
 
 
 class Reserve(Message, frozen=True, tag="reserve"):
@@ -77,22 +90,24 @@ class Reserve(Message, frozen=True, tag="reserve"):
     version_hash: Text
     trial_timeout_s: Annotated[float, Meta(gt=0, le=1e9)]
     trial_memory_mb: Megabytes = 0  # that a slot's process may take; 0: what the server gives
-    asks: Asks = ""  # the controllers are at the optimizer, which is asked for each turn, or for each agent; "": they travel
+    # The controllers stay at the optimizer, which is asked in each turn, or for each agent.
+    asks: Asks = ""
 
 
 class Renew(Message, frozen=True, tag="renew"):
-    """Keep a lease, and ask for its state; answered when the state differs from what is known, or after a while."""
+    """Renew a lease; answered when the run knows an outdated state, or after a while."""
 
     lease: Token
-    known_ready: Annotated[int, Meta(ge=-1, le=MAX_SLOTS)] = -1  # ready slots the optimizer knows of; -1: answer at once
+    # Ready slots the optimizer knows of; -1: answer at once.
+    known_ready: Annotated[int, Meta(ge=-1, le=MAX_SLOTS)] = -1
 
 
 class Evaluate(Message, frozen=True, tag="evaluate"):
-    """A batch of trials. Asked again with the same id it attaches to what runs or gets the kept outcomes."""
+    """Evaluate a batch of trials; sent again with the same id, get what runs or was computed."""
 
     lease: Token
     batch: BatchId
-    genomes: Annotated[list[Annotated[bytes, Meta(max_length=MAX_GENOME)]], Meta(max_length=MAX_GENOMES)]  # see Reserve.asks
+    genomes: Annotated[list[Genome], Meta(max_length=MAX_GENOMES)]  # empty: see Reserve.asks
     participants: bytes  # (trials, k) uint32, indices into genomes
     seeds: bytes  # (trials,) uint64
 
@@ -105,16 +120,16 @@ class Cancel(Message, frozen=True, tag="cancel"):
 
 
 class Release(Message, frozen=True, tag="release"):
-    """Give a lease back."""
+    """End a lease."""
 
     lease: Token
 
 
-# ---- from the server ----------------------------------------------------------------------------------------------
+# ---- from the server
 
 
 class Offer(Message, frozen=True, tag="offer", forbid_unknown_fields=False):
-    """What a server has and can do; as for Requirements."""
+    """What a server has and can do; for unknown fields see Requirements."""
 
     server: Text
     program: Text  # zswarm's version
@@ -122,44 +137,43 @@ class Offer(Message, frozen=True, tag="offer", forbid_unknown_fields=False):
     capacity: Count
     free: Count
     leases: Count
-    simulators: Annotated[list[Text], Meta(max_length=1000)]
-    representations: Annotated[list[Text], Meta(max_length=1000)]
+    simulators: Names
+    representations: Names
     mismatch: Text = ""  # why the requirements are not met; empty: they are
-    labels: Annotated[dict[LabelName, LabelValue], Meta(max_length=MAX_LABELS)] = {}  # for what runs require and prefer
-    limits: Annotated[list[Text], Meta(max_length=MAX_PARTS)] = []  # of settings, in words; the server judges them
+    labels: Labels = {}  # that runs require or prefer
+    limits: Limits = []  # of settings, in words; the server judges them
 
 
 class Lease(Message, frozen=True, tag="lease"):
-    """The state of a lease: ``waiting`` for a slot, ``preparing``, ``ready`` (a slot at least) or ``failed``."""
+    """The state of a lease; it is ready if at least one slot is."""
 
     lease: Token
     state: State
     slots: Count  # slots held
     ready: Count  # of them ready to evaluate
-    lease_s: Seconds  # it ends this long after the last message
     probe: Annotated[bytes, Meta(max_length=64)] = b""  # digest of the probe's outcomes, once ready
     trial_s: Seconds = 0.0  # seconds of one trial of the probe
     reason: Text = ""  # of a failure
 
 
 class Outcomes(Message, frozen=True, tag="outcomes"):
-    """What the trials of a batch decided."""
+    """Outcomes of trials of a batch; others of the batch are to go to other servers."""
 
     batch: BatchId
     fitness: bytes  # (trials, k) float64, NaN where the simulator raised
     metrics: bytes  # (trials, m) float64
     seconds: Seconds  # spent computing, by all slots together
-    trials: bytes = b""  # (trials,) uint32, those of the batch that these are of, rising; b"": all. The others go elsewhere
+    trials: bytes = b""  # (trials,) uint32, indices into the batch, rising; b"": all
     error: Text = ""  # what the simulator raised first
 
 
 class Running(Message, frozen=True, tag="running"):
-    """The batch still runs: ask again with the same id. With outcomes of trials that are done and were not told yet."""
+    """The batch still runs: ask again with the same id. Holds outcomes that were not sent yet."""
 
     batch: BatchId
     done: Count  # trials
     given: bool = False  # none of it waits for a slot
-    trials: bytes = b""  # of these, as in Outcomes; b"": of none
+    trials: bytes = b""  # as in Outcomes; b"": none
     fitness: bytes = b""
     metrics: bytes = b""
     seconds: Seconds = 0.0
@@ -167,13 +181,13 @@ class Running(Message, frozen=True, tag="running"):
 
 
 class Fault(Message, frozen=True, tag="fault"):
-    """The machine or the simulator's process failed at one trial; the others are without blame, some of them done."""
+    """The machine or the simulator's process failed at one trial; some others are done."""
 
     batch: BatchId
     kind: FaultKind
     trial: Count
     reason: Text
-    trials: bytes = b""  # of those that are done, as in Outcomes; b"": of none
+    trials: bytes = b""  # that are done, as in Outcomes; b"": none
     fitness: bytes = b""
     metrics: bytes = b""
     seconds: Seconds = 0.0
@@ -181,7 +195,7 @@ class Fault(Message, frozen=True, tag="fault"):
 
 
 class Sensors(Message, frozen=True, tag="sensors"):
-    """What agents observe; the optimizer answers with ``Actuators``. Asked again it gets the same answer."""
+    """What agents observe, answered with ``Actuators``; sent again, with the same answer."""
 
     lease: Token
     batch: BatchId
@@ -201,18 +215,32 @@ class Refused(Message, frozen=True, tag="refused"):
 
 
 class Done(Message, frozen=True, tag="done"):
-    """Carried out."""
+    """The request was carried out."""
 
 
-# ---- from the optimizer, as an answer -----------------------------------------------------------------------------
+# ---- from the optimizer, as an answer
 
 
 class Actuators(Message, frozen=True, tag="actuators"):
-    """What the controllers of the agents of ``Sensors`` decided."""
+    """The actions of the agents of ``Sensors``."""
 
     actions: bytes  # (agents, outputs) float32
 
 
 Request = Requirements | Reserve | Renew | Evaluate | Cancel | Release
+Verb = Literal["offer", "reserve", "renew", "evaluate", "cancel", "release"]
+VERBS: dict[type[Request], Verb] = {
+    Requirements: "offer",
+    Reserve: "reserve",
+    Renew: "renew",
+    Evaluate: "evaluate",
+    Cancel: "cancel",
+    Release: "release",
+}
 Reply = Offer | Lease | Outcomes | Running | Fault | Refused | Done
 Reaction = Actuators | Refused
+
+
+def verb(request: Request) -> Verb:
+    """Return the last part of the key that a request is sent to."""
+    return VERBS[type(request)]

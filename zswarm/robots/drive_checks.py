@@ -1,22 +1,22 @@
-"""Steps by which a packed robot checks itself at each start: messages in, velocities out, to the bit."""
+"""The self-test of a packed robot: scans and poses, and the velocities it must decide."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from zswarm.controller import Controller
-from zswarm.draws import Stream, derive_seed
-from zswarm.robots import fitting
-from zswarm.sims import robot_interface
+from zswarm.kernels.random import Stream, derive_seed
+from zswarm.robots.scan_checks import limited
+from zswarm.sims.robot_interface import fit_scan, observe, velocity
 from zswarm.sims.simulator import RobotInterface
 
 STEPS = 4
-FARTHER = 1.25  # than the scanner reaches, some readings say
-AROUND_M = 3.0  # where the robot is in them
+BEYOND = 1.25  # some readings exceed the scanner's range, up to this multiple
+AROUND_M = 3.0  # poses are within this distance of the origin
 
 
 class DriveSteps(NamedTuple):
-    """What a robot decides, step after step from the start of a trial.
+    """The decisions of a robot, step after step from the start of a trial.
 
     Attributes:
         ranges: (steps, rays) float32 m.
@@ -29,25 +29,30 @@ class DriveSteps(NamedTuple):
     decisions: np.ndarray
 
 
-def drive_steps(controller: Controller, interface: RobotInterface, speed: float, turn: float) -> DriveSteps:
-    """Steps of a robot that goes at most so fast; the same controller has the same."""
+def drive_steps(
+    controller: Controller, interface: RobotInterface, speed: float, turn: float
+) -> DriveSteps:
+    """Return the steps of a robot with such limits, m/s and rad/s; they never change."""
+    rays, sectors, view = interface.rays, interface.sectors, interface.view
     stream = Stream(derive_seed(0, "drive steps"))
-    ranges = stream.uniform(0.0, FARTHER * interface.range, STEPS * interface.rays).astype(np.float32).reshape(STEPS, -1)
+    ranges = stream.uniform(0.0, BEYOND * interface.range, STEPS * rays).astype(np.float32)
+    ranges = ranges.reshape(STEPS, -1)
     poses = stream.uniform(-AROUND_M, AROUND_M, STEPS * 4).reshape(STEPS, 4)
     targets = np.array(interface.targets, np.float64).ravel()
     reach, count = np.float32(interface.range), len(interface.targets)
-    scan, seen = np.empty(interface.rays, np.float32), np.empty(interface.sectors + 2, np.float32)
+    scan, seen = np.empty(rays, np.float32), np.empty(sectors + 2, np.float32)
+    angles = first_and_between(interface)
     driver, decisions = controller.driver(), []
-    for readings, (x, y, z, w) in zip(ranges, poses.tolist(), strict=True):
-        first, between = first_and_between(interface)
-        robot_interface.fit_scan(readings, len(readings), first, between, interface.rays, interface.view, reach, scan)
-        distance = robot_interface.observe(scan, interface.rays, reach, interface.sectors, x, y, z, w, targets, count, seen)
+    for readings, pose in zip(ranges, poses.tolist(), strict=True):
+        fit_scan(readings, len(readings), *angles, rays, view, reach, scan)
+        distance = observe(scan, rays, reach, sectors, *pose, targets, count, seen)
         drive, steer = driver.act(seen)
-        linear, angular = robot_interface.velocity(drive, interface.speed), robot_interface.velocity(steer, interface.turn)
-        decisions.append((fitting.limited(linear, speed), fitting.limited(angular, turn), distance))
+        linear = limited(velocity(drive, interface.speed), speed)
+        angular = limited(velocity(steer, interface.turn), turn)
+        decisions.append((linear, angular, distance))
     return DriveSteps(ranges, poses, np.array(decisions, np.float64))
 
 
 def first_and_between(interface: RobotInterface) -> tuple[float, float]:
-    """The angles of the first ray and between two, radians."""
+    """Return the angles of the first ray and between two, radians."""
     return -0.5 * interface.view, interface.view / (interface.rays - 1)

@@ -1,50 +1,39 @@
-"""A controller as JSON, for programs of others: docs/export.md says what each field means."""
+"""A controller as JSON for third-party programs; docs/export.md describes its fields."""
 
 import base64
 import itertools
 from collections.abc import Iterator
 from typing import Any
 
-import zswarm
+from zswarm.config.decode import to_json
 from zswarm.controller import Controller
 from zswarm.nets.bulk import Bulk
 from zswarm.nets.representation import Representation
 from zswarm.nets.vector import VectorRepresentation
-from zswarm.robots import original
-from zswarm.strict import to_json
+from zswarm.robots.c.reference_steps import check_steps, sha256
+from zswarm.system import version
 
 VERSION = 1
+# Fields of the controller that are written as they are, in this order.
+COPIED = (
+    "run fitness simulator simulator_settings representation representation_settings "
+    "inputs outputs sensors actuators"
+).split()
 
 
 def as_json(controller: Controller, name: str) -> dict[str, str]:
-    """The file ``zs_<name>.json``: ASCII, a field a line.
-
-    Args:
-        name: as ``names.folded`` gives it.
-
-    Raises:
-        ConfigError: as ``Controller.network``.
-    """
+    """Return the file ``zs_<name>.json``: ASCII, one field a line."""
     network, parameters = controller.network()
-    steps = original.check_steps(controller)
+    steps = check_steps(controller)
     fields = {
         "format": "zswarm-controller",
         "version": VERSION,
-        "zswarm": zswarm.__version__,
+        "zswarm": version.VERSION,
         "name": f"zs_{name}",
-        "run": controller.run,
-        "fitness": controller.fitness,
-        "simulator": controller.simulator,
-        "simulator_settings": controller.simulator_settings,
-        "representation": controller.representation,
-        "representation_settings": controller.representation_settings,
-        "inputs": controller.inputs,
-        "outputs": controller.outputs,
-        "sensors": controller.sensors,
-        "actuators": controller.actuators,
+        **{name: getattr(controller, name) for name in COPIED},
         "genome": base64.b64encode(controller.genome).decode(),
-        "sha256": original.sha256(parameters),
-        "networks": [_numbers(part, genome) for part, genome in _networks(network, controller.genome)],
+        "sha256": sha256(parameters),
+        "networks": [_numbers(*part) for part in _networks(network, controller.genome)],
         "check_observations": steps.observations.tolist(),
         "check_actions": steps.actions.tolist(),
     }
@@ -52,8 +41,10 @@ def as_json(controller: Controller, name: str) -> dict[str, str]:
     return {f"zs_{name}.json": "{\n" + ",\n".join(lines) + "\n}\n"}
 
 
-def _networks(network: Representation, genome: bytes) -> Iterator[tuple[VectorRepresentation, bytes]]:
-    """The network, or the parts that it consists of, if their genomes are lists of numbers."""
+def _networks(
+    network: Representation, genome: bytes
+) -> Iterator[tuple[VectorRepresentation, bytes]]:
+    """Yield the network, or its parts, if their genomes are lists of numbers."""
     if isinstance(network, Bulk):
         size = len(genome) // network.settings.parts
         for begin in range(0, len(genome), size):
@@ -63,7 +54,7 @@ def _networks(network: Representation, genome: bytes) -> Iterator[tuple[VectorRe
 
 
 def _numbers(network: VectorRepresentation, genome: bytes) -> dict[str, Any]:
-    """The genome's numbers, those of each neuron in a row, and those behind the last neuron."""
+    """Return a genome's numbers: a row for each neuron, and those after the last."""
     vector = network.vectors([genome])[0]
     rows = [vector[begin:end].tolist() for begin, end in itertools.pairwise(network.blocks)]
     return {"neurons": rows, "others": vector[network.blocks[-1] :].tolist()}

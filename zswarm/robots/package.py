@@ -1,13 +1,14 @@
-"""Packages for robots: a controller with all that a robot needs around it, as the files of a folder.
+"""Packages for robots: a controller with all that a robot needs around it, as files.
 
-A package holds the controller as C99 and as Python, the functions through which it observed in evolution, and a node that
-subscribes to a laser scan and odometry and publishes velocities. Files that are the same for all robots lie in ``templates``;
-``@{word}`` in one stands for what is particular.
+A package holds the controller as C99 and as Python, the functions through which it observed in
+evolution, and a node that subscribes to a laser scan and odometry and publishes velocities. Files
+that are the same for all robots are in ``templates``; each ``@{word}`` there is replaced.
 """
 
 import math
 import re
 from collections.abc import Callable
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.sax.saxutils import escape
@@ -17,204 +18,258 @@ import numpy as np
 from zswarm import evaluate
 from zswarm.controller import Controller
 from zswarm.errors import ConfigError
-from zswarm.robots import c99, fitting, gather, original, python_file, translate
-from zswarm.robots.c_types import FLOAT32, FLOAT64, INT64, Array, Type, literal
-from zswarm.robots.drive_checks import STEPS, drive_steps, first_and_between
-from zswarm.ros import profiles
-from zswarm.ros.profiles import Profile
+from zswarm.robots import python_file, scan_checks
+from zswarm.robots.c import c99, kernel_source, translate
+from zswarm.robots.c.c_types import FLOAT32, FLOAT64, INT64, Array, Type, literal, quoted
+from zswarm.robots.c.reference_steps import sha256
+from zswarm.robots.c.templates import fill
+from zswarm.robots.drive_checks import STEPS, DriveSteps, drive_steps, first_and_between
+from zswarm.robots.profiles import profile as profiles
 from zswarm.sims import robot_interface
-from zswarm.sims.simulator import RobotInterface
 
-TEMPLATES = Path(__file__).parent / "templates"
-WORD = re.compile(r"@\{(\w+)\}")
-FITTING = "turtlebot-exit"
-SILENT_STEPS = 3  # of the controller without a message at least, before the watchdog stops the robot
+SILENT_STEPS = 3  # the watchdog waits at least so many steps for a message
 Types = dict[str, Type]
-SCAN: Types = {"ranges": Array(FLOAT32), "readings": INT64, "angle_min": FLOAT64, "angle_increment": FLOAT64}
-OWN: Types = {"rays": INT64, "view": FLOAT64, "reach": FLOAT32}  # of the scanner that a controller was evolved with
+Files = dict[str, str | bytes]  # path in the package's folder -> content
+Words = dict[str, object]
+
+FLOATS = Array(FLOAT32)
+SCAN: Types = {
+    "ranges": FLOATS,
+    "readings": INT64,
+    "angle_min": FLOAT64,
+    "angle_increment": FLOAT64,
+}
+# The scanner that a controller was evolved with.
+OWN: Types = {"rays": INT64, "view": FLOAT64, "reach": FLOAT32}
 POSE: Types = {"x": FLOAT64, "y": FLOAT64, "z": FLOAT64, "w": FLOAT64}
 TARGETS: Types = {"targets": Array(FLOAT64), "count": INT64}
+SEEN: Types = {"scan": FLOATS, "sectors": INT64, "observation": FLOATS}
 KERNELS: list[tuple[Callable[..., Any], Types]] = [
-    (robot_interface.fit_scan, SCAN | OWN | {"fitted": Array(FLOAT32)}),
-    (robot_interface.observe, OWN | POSE | TARGETS | {"scan": Array(FLOAT32), "sectors": INT64, "observation": Array(FLOAT32)}),
+    (robot_interface.fit_scan, SCAN | OWN | {"fitted": FLOATS}),
+    (robot_interface.observe, OWN | POSE | TARGETS | SEEN),
     (robot_interface.velocity, {"share": FLOAT32, "most": FLOAT64}),
-    (fitting.covers, SCAN | OWN),
-    (fitting.limited, {"velocity": FLOAT64, "most": FLOAT64}),
+    (scan_checks.covers, SCAN | OWN),
+    (scan_checks.limited, {"velocity": FLOAT64, "most": FLOAT64}),
 ]
+KERNELS_HEAD = '''"""The functions with which the controller was evolved, as they are."""
 
-Files = dict[str, str | bytes]  # path in the package's folder -> content
+import numpy as np
 
-
-class Robot(NamedTuple):
-    """What a package is made of."""
-
-    name: str  # of the package: zs_ and an identifier
-    controller: Controller
-    interface: RobotInterface
-    profile: Profile
-    profile_name: str
-
-    @property
-    def speed(self) -> float:
-        """m/s at most: as evolved, and as its base takes."""
-        return min(self.interface.speed, self.profile.speed)
-
-    @property
-    def turn(self) -> float:
-        """rad/s at most, likewise."""
-        return min(self.interface.turn, self.profile.turn)
-
-    @property
-    def watchdog_s(self) -> float:
-        """Silence after which it stops."""
-        return round(max(self.profile.watchdog_s, SILENT_STEPS * self.interface.step_s), 6)
-
-    @property
-    def places(self) -> list[float]:
-        """X, y of the first target, of the second ..., m."""
-        return [float(number) for target in self.interface.targets for number in target]
+'''
+# Words that become constants of the Python package's settings.
+TEXTS = "name sha256 scan_topic odometry_topic velocity_topic velocity_frame distribution".split()
+NUMBERS = (
+    "step_s speed turn evolved_speed evolved_turn view view_degrees first between rays range "
+    "sectors arrived watchdog_s state stamped"
+).split()
+STAMP = "    message.header.stamp = ros::Time::now();\n    message.header.frame_id = {frame};\n"
+FILL = "    {twist}.linear.x = velocity.linear;\n    {twist}.angular.z = velocity.angular;"
+# A file that needs nothing of zswarm: it is copied as it is.
+OVER_ZENOH = Path(__file__).parents[1] / "ros" / "link" / "over_zenoh.py"
 
 
-def robot(controller: Controller, name: str, profile: str, ros: int) -> Robot:
-    """A robot to be packed.
+class NodeKind(NamedTuple):
+    """A kind of package.
+
+    Attributes:
+        folder: of its templates; ``build.md`` there becomes a part of README.md.
+        title: what it is for.
+        ros: the version of ROS that its profiles are for.
+        profile: by default.
+        files: paths of files and of their templates, where {name} is ``package``.
+        in_python: it has the robot in Python, too.
+    """
+
+    folder: str
+    title: str
+    ros: int
+    profile: str
+    files: tuple[str, ...]
+    in_python: bool = True
+
+
+CATKIN = ("package.xml", "CMakeLists.txt", "launch/drive.launch", "src/node.cpp", "src/driving.hpp")
+AMENT = ("package.xml", "setup.py", "setup.cfg", "launch/drive.launch.py", "resource/{name}")
+NODE = "{name}/node.py"
+ROS1 = NodeKind("ros1", "ROS 1", 1, "turtlebot2", CATKIN, in_python=False)
+ROS2 = NodeKind("ros2", "ROS 2", 2, "turtlebot3-jazzy", (*AMENT, NODE))
+ZENOH = NodeKind("zenoh", "ROS 2 over Zenoh", 2, "turtlebot3-jazzy", ("requirements.txt", NODE))
+
+
+def package(kind: NodeKind, controller: Controller, name: str, profile: str | None = None) -> Files:
+    """Return the package ``zs_<name>``.
 
     Args:
-        name: as ``names.folded`` gives it.
-        profile: name, or path of a file.
-        ros: the version that the package is for.
+        name: as ``folded`` gives it.
+        profile: name, or path of a file; None: that of the kind.
 
     Raises:
-        ConfigError: the controller drives no robot with messages; the profile is unknown, wrong, or of another ROS.
+        ConfigError: the controller drives no robot with messages; the profile is unknown, wrong, or
+            for another version of ROS.
     """
-    simulator, _ = evaluate.build(
-        controller.simulator, controller.simulator_settings, controller.representation, controller.representation_settings
-    )
-    if simulator.robot is None:
-        raise ConfigError(
-            f"{controller.simulator}: its controllers fit no robot; expected a simulator with a robot's interface: {FITTING}"
-        )
-    numbers = (simulator.robot.sectors + 2, 2)
-    if (controller.inputs, controller.outputs) != numbers:
-        raise ConfigError(
-            f"{controller.simulator}: a robot gives its controller {numbers[0]} numbers and takes 2 (robot_interface.observe); "
-            f"this one has {controller.inputs} inputs and {controller.outputs} outputs"
-        )
-    read = profiles.read(profile)
-    if read.ros != ros:
-        fit = ", ".join(one for one in profiles.names() if profiles.read(one).ros == ros)
-        raise ConfigError(f"profile {profile}: is for ROS {read.ros}; expected one for ROS {ros}: {fit}")
-    return Robot(f"zs_{name}", controller, simulator.robot, read, profile)
+    robot = Robot(kind, controller, name, profile or kind.profile)
+    words = _words(robot) | {"target": kind.title}
+    words["build"] = fill(f"{kind.folder}/build.md", words)
+    files: Files = {"README.md": fill("README.md", words)}
+    for path in kind.files:
+        template = f"{kind.folder}/{path.format(name='package')}"
+        files[path.format(name=robot.name)] = fill(template, words)
+    if kind is ZENOH:
+        files[f"{robot.name}/over_zenoh.py"] = OVER_ZENOH.read_text(encoding="utf-8")
+    if kind.in_python:
+        files |= _python_files(robot, words)
+    return files | _c_files(robot, words)
 
 
-def words(robot: Robot) -> dict[str, str]:
-    """What the words of templates stand for."""
+ros1, ros2, zenoh = (partial(package, kind) for kind in (ROS1, ROS2, ZENOH))
+
+
+class Robot:
+    """The contents of a package.
+
+    Attributes:
+        name: of the package: zs_ and an identifier.
+        speed: m/s at most: as evolved, and as its base takes.
+        turn: rad/s at most, likewise.
+        watchdog_s: silence after which it stops.
+    """
+
+    def __init__(self, kind: NodeKind, controller: Controller, name: str, profile: str) -> None:
+        simulator, _ = evaluate.build(
+            controller.simulator,
+            controller.simulator_settings,
+            controller.representation,
+            controller.representation_settings,
+        )
+        if simulator.robot is None:
+            raise ConfigError(
+                f"{controller.simulator}: its controllers fit no robot; expected a simulator "
+                "with a robot's interface: turtlebot-exit"
+            )
+        self.interface = simulator.robot
+        inputs = self.interface.sectors + 2
+        if (controller.inputs, controller.outputs) != (inputs, 2):
+            raise ConfigError(
+                f"{controller.simulator}: a robot gives its controller {inputs} numbers and takes "
+                f"2 (robot_interface.observe); this one has {controller.inputs} inputs and "
+                f"{controller.outputs} outputs"
+            )
+        self.name = f"zs_{name}"
+        self.controller = controller
+        self.profile_name = profile
+        self.profile = profiles.read(profile)
+        if self.profile.ros != kind.ros:
+            fit = ", ".join(one for one in profiles.names() if profiles.read(one).ros == kind.ros)
+            raise ConfigError(
+                f"profile {profile}: is for ROS {self.profile.ros}; "
+                f"expected one for ROS {kind.ros}: {fit}"
+            )
+        self.speed = min(self.interface.speed, self.profile.speed)
+        self.turn = min(self.interface.turn, self.profile.turn)
+        wait_s = max(self.profile.watchdog_s, SILENT_STEPS * self.interface.step_s)
+        self.watchdog_s = round(wait_s, 6)
+
+    @cached_property
+    def checks(self) -> DriveSteps:
+        """The steps of its self-test."""
+        return drive_steps(self.controller, self.interface, self.speed, self.turn)
+
+
+def _words(robot: Robot) -> Words:
+    """Return what the words of templates stand for."""
     interface, profile, controller = robot.interface, robot.profile, robot.controller
     network, parameters = controller.network()
     first, between = first_and_between(interface)
-    return {
-        "check_steps": str(STEPS),
-        "first": _number(first),
-        "between": _number(between),
+    about = f"evolved with zswarm: {controller.simulator}, {controller.representation}"
+    velocity = profile.velocity
+    frame = STAMP.format(frame=quoted(velocity.frame)) if velocity.stamped else ""
+    numbers = {
+        "first": first,
+        "between": between,
+        "evolved_speed": interface.speed,
+        "evolved_turn": interface.turn,
+        **{name: getattr(interface, name) for name in ("step_s", "view", "range", "arrived")},
+        **{name: getattr(robot, name) for name in ("speed", "turn", "watchdog_s")},
+    }
+    texts = {name: getattr(controller, name) for name in ("simulator", "representation", "run")}
+    texts["profile"] = robot.profile_name
+    # Topics from the root have {i}; for others the node is given a namespace.
+    topics = {
+        f"{channel}_topic": getattr(profile, channel).name.replace("{i}", "0")
+        for channel in ("scan", "odometry", "velocity")
+    }
+    return topics | {
+        **{name: float(number) for name, number in numbers.items()},
+        **{name: _shown(text) for name, text in texts.items()},
+        "check_steps": STEPS,
         "name": robot.name,
         "prefix": robot.name.upper(),
-        "sha256": original.sha256(parameters),
-        "step_s": _number(interface.step_s),
-        "speed": _number(robot.speed),
-        "turn": _number(robot.turn),
-        "evolved_speed": _number(interface.speed),
-        "evolved_turn": _number(interface.turn),
-        "view": _number(interface.view),
-        "degrees": f"{interface.view * 180 / math.pi:.6g}",
-        "rays": str(interface.rays),
-        "range": _number(interface.range),
+        "sha256": sha256(parameters),
+        "view_degrees": f"{interface.view * 180 / math.pi:.6g}",
+        "rays": interface.rays,
         "reach": f"{float(np.float32(interface.range)).hex()}f",
-        "sectors": str(interface.sectors),
-        "targets": str(len(interface.targets)),
-        "places": ", ".join(map(_number, robot.places)),
-        "arrived": _number(interface.arrived),
-        "watchdog_s": _number(robot.watchdog_s),
-        "state": str(max(1, network.state_size)),
-        "scan": profile.scan.name.replace("{i}", "0"),  # of a topic from the root: others are told to the node
-        "odometry": profile.odometry.name.replace("{i}", "0"),
-        "velocity": profile.velocity.name.replace("{i}", "0"),
-        "frame": profile.velocity.frame,
-        "stamped": str(profile.velocity.stamped),
-        "twist": "TwistStamped" if profile.velocity.stamped else "Twist",
+        "sectors": interface.sectors,
+        "targets": len(interface.targets),
+        "places": ", ".join(
+            str(float(number)) for target in interface.targets for number in target
+        ),
+        "state": max(1, network.state_size),
+        "velocity_frame": velocity.frame,
+        "stamped": velocity.stamped,
+        "twist": "TwistStamped" if velocity.stamped else "Twist",
+        "fill": frame + FILL.format(twist="message.twist" if velocity.stamped else "message"),
         "distribution": profile.distribution,
-        "profile": _shown(robot.profile_name),
-        "simulator": _shown(controller.simulator),
-        "representation": _shown(controller.representation),
-        "run": _shown(controller.run),
         "fitness": f"{controller.fitness:.6g}",
-        "description": escape(f"A robot's controller, evolved with zswarm: {controller.simulator}, {controller.representation}"),
+        "description": escape(f"A robot's controller, {about}"),
     }
 
 
-def fill(template: str, known: dict[str, str]) -> str:
-    """The text of a template, its words replaced; nothing is looked for in what replaces them."""
-    text = (TEMPLATES / template).read_text(encoding="utf-8")
-    return WORD.sub(lambda word: known[word[1]], text)
+def _c_files(robot: Robot, words: Words) -> Files:
+    """Return the robot in C99: controller, observation, command."""
+    interface = translate.functions(KERNELS, "interface")
+    words = words | interface._asdict() | {"guards": c99.GUARDS}
+    words |= {f"check_{name}": _c_rows(rows) for name, rows in robot.checks._asdict().items()}
+    names = ("interface.h", "interface.c", "robot.h", "robot.c")
+    files = c99.pair(robot.controller, robot.name.removeprefix("zs_"))
+    files |= {name: fill(f"c/{name}", words) for name in names}
+    return {f"src/{path}": text for path, text in files.items()}
 
 
-def c_files(robot: Robot, known: dict[str, str], folder: str) -> Files:
-    """The robot in C99: controller, observation, command."""
-    pair = c99.pair(robot.controller, robot.name.removeprefix("zs_"))
-    checks = drive_steps(robot.controller, robot.interface, robot.speed, robot.turn)
-    known = known | translate.functions(KERNELS, "interface")._asdict() | {"guards": c99.GUARDS}
-    known |= {f"check_{what}": c_rows(rows) for what, rows in checks._asdict().items()}
-    files = pair | {path: fill(f"c/{path}", known) for path in ("interface.h", "interface.c", "robot.h", "robot.c")}
-    return {f"{folder}/{path}": text for path, text in files.items()}
+def _c_rows(table: np.ndarray) -> str:
+    return ",\n".join(f"    {{{', '.join(map(literal, row))}}}" for row in table)
 
 
-def python_files(robot: Robot, known: dict[str, str]) -> Files:
-    """A Python package: the robot in Python, and when it decides and stops."""
-    network = python_file.python(robot.controller, robot.name.removeprefix("zs_"))[f"{robot.name}.py"]
-    head = '"""The functions with which the controller was evolved, as they are."""\n\nimport numpy as np\n\n'
+def _python_files(robot: Robot, words: Words) -> Files:
+    """Return a Python package: the robot in Python, and when it decides and stops."""
+    network = python_file.python(robot.controller, robot.name.removeprefix("zs_"))
     files = {
         "__init__.py": "",
-        "network.py": network,
-        "kernels.py": head + gather.functions([kernel for kernel, _ in KERNELS]),
-        "settings.py": settings(known) + checks(robot),
-        **{path: (TEMPLATES / "python" / path).read_text(encoding="utf-8") for path in ("driving.py", "robot.py")},
+        "network.py": network[f"{robot.name}.py"],
+        "kernels.py": KERNELS_HEAD + kernel_source.functions([kernel for kernel, _ in KERNELS]),
+        "settings.py": _settings(robot, words),
+        "driving.py": fill("python/driving.py", words),
+        "robot.py": fill("python/robot.py", words),
     }
     return {f"{robot.name}/{path}": text for path, text in files.items()}
 
 
-def settings(known: dict[str, str]) -> str:
-    """The numbers and names of one robot, as a Python module."""
-    texts = {
-        "NAME": "name", "SHA256": "sha256", "SCAN_TOPIC": "scan", "ODOMETRY_TOPIC": "odometry", "VELOCITY_TOPIC": "velocity",
-        "VELOCITY_FRAME": "frame", "DISTRIBUTION": "distribution",
-    }  # fmt: skip
-    numbers = {
-        "STEP_S": "step_s", "SPEED": "speed", "TURN": "turn", "EVOLVED_SPEED": "evolved_speed", "EVOLVED_TURN": "evolved_turn",
-        "VIEW": "view", "VIEW_DEGREES": "degrees", "FIRST": "first", "BETWEEN": "between", "RAYS": "rays", "RANGE": "range",
-        "SECTORS": "sectors", "ARRIVED": "arrived", "WATCHDOG_S": "watchdog_s", "STATE": "state", "STAMPED": "stamped",
-    }  # fmt: skip
-    lines = ['"""What is particular to this robot; m, radians, s."""', ""]
-    lines += [f"{constant} = {known[word]!a}" for constant, word in texts.items()]
-    lines += [f"{constant} = {known[word]}" for constant, word in numbers.items()]
-    lines += [f"TARGETS = ({known['places']})", ""]
+def _settings(robot: Robot, words: Words) -> str:
+    """Return the numbers and names of one robot, and its self-test, as a Python module."""
+    checks = robot.checks._asdict().items()
+    lines = [
+        '"""What is particular to this robot; m, radians, s."""',
+        "",
+        *(f"{word.upper()} = {words[word]!a}" for word in TEXTS),
+        *(f"{word.upper()} = {words[word]}" for word in NUMBERS),
+        f"TARGETS = ({words['places']})",
+        "",
+        "# Steps of the self-test: scans, poses, and decisions.",
+        *(f"CHECK_{name.upper()} = {rows.tolist()}" for name, rows in checks),
+        "",
+    ]
     return "\n".join(lines)
 
 
-def checks(robot: Robot) -> str:
-    """The steps of the self-test, as Python."""
-    steps = drive_steps(robot.controller, robot.interface, robot.speed, robot.turn)
-    lines = [f"CHECK_{what.upper()} = {rows.tolist()}" for what, rows in steps._asdict().items()]
-    return "\n".join(["", "# Steps of the self-test: scans, poses, and what is decided on them.", *lines, ""])
-
-
-def c_rows(table: np.ndarray) -> str:
-    """The rows of a table as C has them."""
-    return ",\n".join(f"    {{{', '.join(map(literal, row))}}}" for row in table)
-
-
 def _shown(text: str) -> str:
-    """What others wrote, as code in a table of Markdown."""
+    """Return any text so that it can be code in a Markdown table."""
     return re.sub(r"[`|\\<>]", " ", text).strip() or " "
-
-
-def _number(number: float) -> str:
-    """A decimal number with a point or an exponent, that every language reads back to the same float64."""
-    return repr(float(number))

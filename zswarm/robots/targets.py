@@ -1,4 +1,4 @@
-"""What a controller can be exported to: the one place that knows all targets."""
+"""The formats that a controller can be exported to, as a table."""
 
 import importlib
 import shlex
@@ -6,71 +6,78 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+from zswarm.config.suggest import nearest
 from zswarm.controller import Controller
 from zswarm.errors import ConfigError
-from zswarm.nearest import nearest
-from zswarm.robots import names
+from zswarm.robots.c.c_types import folded
 
-Files = dict[str, str | bytes]  # texts and bytes by their paths in a folder; what begins with #! can be run
+Files = dict[str, str | bytes]  # by path in a folder; what begins with #! is made executable
 
 
 class Target(NamedTuple):
-    """One of them.
+    """A format.
 
     Attributes:
-        make: module and function that gives the files of a controller under a name.
-        on: the command that compiles, reads or checks them where they are, with the file's name for {name}, and the
-            same of C's macros for {macro}.
-        driving: it drives a robot, of which it takes a profile.
+        make: module and function that returns the files of a controller with a name.
+        command: compiles, reads or checks the files; {name} is their name, {macro} the prefix of
+            C's macros.
+        driving: it drives a robot, and takes the profile of that.
     """
 
     make: str
-    on: str
+    command: str
     driving: bool = False
 
 
+C99 = "cc -std=c99 -O2 -D{macro}_MAIN {name}.c -lm -o {name} && ./{name}"
+PACKAGE = "zswarm.robots.package"
 TARGETS = {
-    "c99": Target("zswarm.robots.c99:pair", "cc -std=c99 -O2 -D{macro}_MAIN {name}.c -lm -o {name} && ./{name}"),
+    "c99": Target("zswarm.robots.c.c99:pair", C99),
     "json": Target("zswarm.robots.json_file:as_json", "python3 -m json.tool {name}.json"),
-    "onnx": Target("zswarm.robots.onnx_file:model", "python3 -m onnx.checker {name}.onnx"),
+    "onnx": Target("zswarm.robots.onnx.file:model", "python3 -m onnx.checker {name}.onnx"),
     "python": Target("zswarm.robots.python_file:python", "python3 {name}.py"),
-    "ros1": Target("zswarm.robots.ros1:ros1", "cat README.md", driving=True),
-    "ros2": Target("zswarm.robots.ros2:ros2", "cat README.md", driving=True),
-    "zenoh": Target("zswarm.robots.zenoh_node:zenoh", "cat README.md", driving=True),
+    "ros1": Target(f"{PACKAGE}:ros1", "cat README.md", driving=True),
+    "ros2": Target(f"{PACKAGE}:ros2", "cat README.md", driving=True),
+    "zenoh": Target(f"{PACKAGE}:zenoh", "cat README.md", driving=True),
 }
 
 
 def known(target: str) -> None:
-    """Refuse a target that there is not.
+    """Check the name of a target.
 
     Raises:
-        ConfigError: naming those that there are.
+        ConfigError: there is no such target; the text names those that exist.
     """
     if target not in TARGETS:
-        raise ConfigError(f"--to {target}: unknown target{nearest(target, TARGETS)}; known are: {', '.join(TARGETS)}")
+        hint = f"{nearest(target, TARGETS)}; known are: {', '.join(TARGETS)}"
+        raise ConfigError(f"--to {target}: unknown target{hint}")
 
 
 def on(target: str, name: str, folder: Path) -> str:
-    """What to type to compile, read or check the files of a controller that were written to a folder."""
-    return f"cd {shlex.quote(str(folder))} && {TARGETS[target].on.format(name=f'zs_{name}', macro=f'ZS_{name.upper()}')}"
+    """Return the command that compiles, reads or checks exported files in a folder."""
+    command = TARGETS[target].command.format(name=f"zs_{name}", macro=f"ZS_{name.upper()}")
+    return f"cd {shlex.quote(str(folder))} && {command}"
 
 
 def files(target: str, controller: Controller, name: str, profile: str | None = None) -> Files:
-    """The files of a controller.
+    """Return the files of a controller.
 
     Args:
-        name: any; files are named by ``names.folded`` of it.
-        profile: of the robot that is to be driven, its name or file; None: the target's own.
+        name: any; files are named by ``folded`` of it.
+        profile: of the robot to drive, its name or file; None: the target's default.
 
     Raises:
-        ConfigError: no such target, one that drives no robot and a profile, or a controller that it cannot be made of.
+        ConfigError: there is no such target, the profile is for one that drives no robot, or the
+            controller cannot be exported to it.
     """
     known(target)
     module, function = TARGETS[target].make.split(":")
     make: Callable[..., Files] = getattr(importlib.import_module(module), function)
     if profile is None:
-        return make(controller, names.folded(name))
+        return make(controller, folded(name))
     if not TARGETS[target].driving:
         driving = ", ".join(name for name, one in TARGETS.items() if one.driving)
-        raise ConfigError(f"--profile {profile}: {target} drives no robot; a profile is for {driving}")
-    return make(controller, names.folded(name), profile)
+        raise ConfigError(
+            f"--profile {profile}: {target} drives no robot; a profile is for {driving}"
+        )
+    return make(controller, folded(name), profile)

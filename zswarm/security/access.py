@@ -1,105 +1,78 @@
-"""Zenoh's access rules: who may send what, bound to the common name of the certificate at the other end of the link.
+"""Zenoh's access rules: who may send what, by the common name of the certificate of a link.
 
-A certificate's common name is ``<role>.<name>``. A user's requests and tokens carry its name in the key, so a rule for each
-user is all that binds them; a server's carry its name in front of its id. Everything else is denied. Behind a router only the
-router sees the users' certificates: it has their rules, and servers let it carry everything.
+A common name is ``<role>.<name>``. A user's requests and tokens carry its name in the key, and a
+server's carry its name at the beginning of its id: a rule for each binds them. Everything else is
+denied. Behind a router only the router sees the users' certificates: it has their rules, and
+servers let it carry everything.
 """
 
-from typing import Any
+from typing import Any, Literal
 
 from zswarm.protocol import keys
 from zswarm.security.members import Members
 
-# Zenoh's words for what passes a link; those of a question go towards a server, those of an answer away from it.
-ASKING = ["query", "liveliness_query", "declare_liveliness_subscriber"]
-ANSWERING = ["reply", "declare_queryable", "liveliness_token"]
-WATCHING = ["liveliness_query", "declare_liveliness_subscriber"]
-TOKEN = ["liveliness_token"]
+Direction = Literal["ingress", "egress"]
+Flow = tuple[Direction, list[str], list[str]]  # zenoh's kinds of messages on some keys
 
 VERSIONED = f"{keys.ROOT}/*"  # below it: ss/..., ot/...
-ANY_TOKEN = [keys.ANY_ALIVE]
-RUN_TOKENS = [f"{VERSIONED}/ot/*/*/alive"]
-REQUESTS = [f"{VERSIONED}/ss/*/offer", f"{VERSIONED}/ss/*/ot/**"]
-
-
-def _control(user: str = "*", server: str = "*") -> list[str]:
-    """Where servers ask a user's optimizers for what controllers decide."""
-    return [f"{VERSIONED}/ot/{user}/*/control/{server}"]
 
 
 def rules(role: str, members: Members) -> dict[str, Any]:
-    """Zenoh's ``access_control`` for a program of a role: ``ss``, ``ot`` or ``router``."""
-    built = _Rules()
+    """Return zenoh's ``access_control`` for a program of a role: ``ss``, ``ot`` or ``router``."""
+    allowed: dict[str, list[Flow]] = {}
     if role != "ot":
-        for user in members.users:
-            built.let(f"ot.{user}", *_user(user))
+        allowed |= {f"ot.{user}": _from_user(user) for user in members.users}
     if role != "ss":
-        for server in members.servers:
-            built.let(f"ss.{server}", *_server(server))
-    for router in members.routers:
-        if role == "ss":
-            built.let(f"router.{router}", *_user("*"))
-        elif role == "ot":
-            built.let(f"router.{router}", *_server(""))
-    return built.block()
+        allowed |= {f"ss.{server}": _from_server(f"{server}-$*") for server in members.servers}
+    if role != "router":
+        flows = _from_user("*") if role == "ss" else _from_server("*")
+        allowed |= {f"router.{router}": flows for router in members.routers}
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": [
+            {
+                "id": f"{holder}/{number}",
+                "permission": "allow",
+                "flows": [direction],
+                "messages": messages,
+                "key_exprs": expressions,
+            }
+            for holder, flows in allowed.items()
+            for number, (direction, messages, expressions) in enumerate(flows)
+        ],
+        "subjects": [{"id": holder, "cert_common_names": [holder]} for holder in allowed],
+        "policies": [
+            {"rules": [f"{holder}/{number}" for number in range(len(flows))], "subjects": [holder]}
+            for holder, flows in allowed.items()
+        ],
+    }
 
 
-def _user(user: str) -> tuple[tuple[str, list[str], list[str]], ...]:
-    """What passes the link to a user's optimizer, ``*`` for a router that carries all users'."""
-    return (
-        ("ingress", ASKING, [keys.ANY_ALIVE, f"{VERSIONED}/ss/*/offer"]),
-        ("ingress", ["query"], [f"{VERSIONED}/ss/*/ot/{user}/**"]),
-        ("ingress", TOKEN, [f"{VERSIONED}/ot/{user}/*/alive"]),
-        ("egress", ["reply"], [f"{VERSIONED}/ss/*/offer", f"{VERSIONED}/ss/*/ot/{user}/**"]),
-        ("ingress", ["reply", "declare_queryable"], _control(user)),
-        ("egress", ["query"], _control(user)),
-        ("egress", ["declare_queryable"], [f"{VERSIONED}/ss/**"]),
-        ("egress", TOKEN, ANY_TOKEN),
-        ("egress", WATCHING, RUN_TOKENS),
-    )
+def _from_user(user: str) -> list[Flow]:
+    """Return what may pass the link to a user's optimizer; ``*`` for a router, with all users."""
+    return _flows("ingress", "egress", user, "*")
 
 
-def _server(server: str) -> tuple[tuple[str, list[str], list[str]], ...]:
-    """What passes the link to a server, "" for a router that carries all servers'."""
-    ids = f"{server}-$*" if server else "*"
-    return (
-        ("egress", ASKING, [keys.ANY_ALIVE, f"{VERSIONED}/ss/*/offer"]),
-        ("egress", ["query"], [f"{VERSIONED}/ss/*/ot/**"]),
-        ("egress", TOKEN, RUN_TOKENS),
-        ("ingress", ["reply"], [f"{VERSIONED}/ss/{ids}/offer", f"{VERSIONED}/ss/{ids}/ot/**"]),
-        ("ingress", ["query"], _control(server=ids)),
-        ("egress", ["reply"], _control(server=ids)),
-        ("egress", ["declare_queryable"], _control()),
-        ("ingress", ["declare_queryable"], [f"{VERSIONED}/ss/{ids}/**"]),
-        ("ingress", TOKEN, [f"zswarm/*/*/ss/{ids}/alive"]),
-        ("ingress", WATCHING, RUN_TOKENS),
-    )
+def _from_server(server: str) -> list[Flow]:
+    """Return what may pass the link to a server; ``*`` for a router, with all servers."""
+    return _flows("egress", "ingress", "*", server)
 
 
-class _Rules:
-    """Rules, subjects and policies as they are told."""
-
-    def __init__(self) -> None:
-        self._rules: list[dict[str, Any]] = []
-        self._subjects: list[dict[str, Any]] = []
-        self._policies: list[dict[str, Any]] = []
-
-    def let(self, common_name: str, *flows: tuple[str, list[str], list[str]]) -> None:
-        """Let a certificate's holder send (ingress) and be sent (egress) some kinds of messages on some keys."""
-        names = [f"{common_name}/{number}" for number in range(len(flows))]
-        self._rules += [
-            {"id": name, "permission": "allow", "flows": [flow], "messages": kinds, "key_exprs": on}
-            for name, (flow, kinds, on) in zip(names, flows, strict=True)
-        ]
-        self._subjects.append({"id": common_name, "cert_common_names": [common_name]})
-        self._policies.append({"rules": names, "subjects": [common_name]})
-
-    def block(self) -> dict[str, Any]:
-        """All of them, everything else denied."""
-        return {
-            "enabled": True,
-            "default_permission": "deny",
-            "rules": self._rules,
-            "subjects": self._subjects,
-            "policies": self._policies,
-        }
+def _flows(to_server: Direction, to_user: Direction, user: str, server: str) -> list[Flow]:
+    """Return what may pass a link in the directions of requests and of answers to them."""
+    served = f"{VERSIONED}/ss/{server}"
+    control = f"{VERSIONED}/ot/{user}/*/control"  # by which servers ask for actions
+    ask = ["liveliness_query", "declare_liveliness_subscriber"]
+    return [
+        (to_server, ["query", *ask], [keys.ANY_ALIVE, f"{VERSIONED}/ss/*/offer"]),
+        (to_server, ["query"], [f"{VERSIONED}/ss/*/ot/{user}/**"]),
+        (to_server, ["liveliness_token"], [f"{VERSIONED}/ot/{user}/*/alive"]),
+        (to_server, ["reply"], [f"{control}/{server}"]),
+        (to_server, ["declare_queryable"], [f"{control}/*"]),
+        (to_user, ask, [f"{VERSIONED}/ot/*/*/alive"]),
+        (to_user, ["query"], [f"{control}/{server}"]),
+        (to_user, ["liveliness_token"], [f"zswarm/*/*/ss/{server}/alive"]),
+        (to_user, ["reply"], [f"{served}/offer", f"{served}/ot/{user}/**"]),
+        (to_user, ["declare_queryable"], [f"{served}/**"]),
+    ]

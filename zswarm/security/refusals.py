@@ -1,7 +1,7 @@
-"""Who was refused, and why, in words for an administrator's log.
+"""Logs which programs were refused, and why.
 
-What the TLS handshake refuses only zenoh knows, and only its own log tells: on standard output, where a daemon writes
-nothing. What a valid certificate is refused for, the list of members tells.
+Refused TLS handshakes are only in zenoh's own log, on standard output, which a daemon does not use.
+Holders of a valid certificate are refused by the list of members.
 """
 
 import os
@@ -14,34 +14,40 @@ from typing import Any
 
 import zenoh
 
-from zswarm import endpoint
-from zswarm.protocol import codec
-from zswarm.security import handshake
+from zswarm.protocol import endpoint
+from zswarm.security import tls_diagnosis
 from zswarm.security.keyring import Keyring
-from zswarm.security.members import holder
+from zswarm.security.members import Holder
+from zswarm.system.text import clean
 
-ZENOH_LOG = "off,zenoh_link_tls=warn,zenoh::net::routing::interceptor::access_control=trace"  # the rules tell at no other level
-UNREMARKABLE = ("handshake eof", "Connection reset", "os error 104")  # somebody looked whether the port is open
+# Access rules log their refusals at no other level.
+ZENOH_LOG = "off,zenoh_link_tls=warn,zenoh::net::routing::interceptor::access_control=trace"
+# These come from port scans and health checks.
+UNREMARKABLE = ("handshake eof", "Connection reset", "os error 104")
 DIALLED_S = 5.0  # after which a router should have been reached
-EVERY_S = 10.0  # the same reason is told at most so often: a refused program tries again each second
+EVERY_S = 10.0  # the same reason is logged at most so often: a refused program retries each second
 MARK = re.compile(r"zenoh_link_tls::unicast: (.*)")
-DENIED = re.compile(r"CertCommonName\(ot\.([^)]*)\).* is unauthorized to (?:Query|.*Liveliness Token) \(ingress\) on (\S+)")
+DENIED = re.compile(
+    r"CertCommonName\(ot\.(?P<user>[^)]*)\).* is unauthorized to "
+    r"(?:Query|.*Liveliness Token) \(ingress\) on (?P<key>\S+?/ot/(?P<named>[^/\s]*)\S*)"
+)
+DISTRUST = "it does not trust this lab's authority: its keys are of another one"
 REASONS = {
     "certificate expired": "its certificate has expired: zswarm-keys renew, and join there",
     "not valid yet": "its certificate is not valid yet: compare the clocks of both machines",
-    "UnknownCA": "it does not trust this lab's authority: its keys are of another one",
+    "UnknownCA": DISTRUST,
     "UnknownIssuer": "its certificate is of another authority",
     "BadSignature": "its certificate is of another authority",
-    "DecryptError": "it does not trust this lab's authority: its keys are of another one of the same name",
+    "DecryptError": f"{DISTRUST} of the same name",
     "sent no certificates": "it shows no certificate: it has no keys of this lab",
-    "corrupt message": "it does not speak TLS: a program without keys, which would go on in the clear",
-    "Expired": "it says that this machine's certificate has expired: zswarm-keys renew, and join here",
+    "corrupt message": "it does not speak TLS: it has no keys, and would continue in the clear",
+    "Expired": "to it, this machine's certificate has expired: zswarm-keys renew, and join here",
     "BadCertificate": "it does not accept this machine's certificate",
 }
 
 
 def watch_links() -> None:
-    """Log whatever handshake zenoh refuses, from now on; standard output is zenoh's then."""
+    """Log the handshakes that zenoh refuses from now on; standard output becomes zenoh's."""
     os.environ.setdefault("NO_COLOR", "1")
     reading, writing = os.pipe()
     os.dup2(writing, 1)
@@ -50,55 +56,63 @@ def watch_links() -> None:
     threading.Thread(target=_read, args=(reading,), name="refusals", daemon=True).start()
 
 
-def _log() -> Any:
-    import structlog  # of daemons: it brings all of rich, for which a run that only looks who refuses it would wait
+def _warn(event: str, **fields: str) -> None:
+    import structlog  # lazily: it imports rich, which a run that only looks for servers needs not
 
-    return structlog.get_logger()
+    structlog.get_logger().warning(event, **fields)
 
 
 def log_stranger(certificate: str, address: str, reason: str) -> None:
-    """For a daemon."""
-    _log().warning("member_unknown", certificate=certificate, address=address, reason=reason)
+    """Log a program that is not a member, for a daemon."""
+    _warn("member_unknown", certificate=certificate, address=address, reason=reason)
 
 
-def watch_members(session: zenoh.Session, keyring: Keyring, tell: Callable[[str, str, str], None] = log_stranger) -> None:
-    """Tell of whoever has a certificate of the authority and is not let in; of each name every 10 s at most.
+def watch_members(
+    session: zenoh.Session, keyring: Keyring, report: Callable[[str, str, str], None] = log_stranger
+) -> None:
+    """Report holders of certificates that are not members, each at most every 10 s.
 
     Args:
-        tell: takes the common name, an address and the reason, on zenoh's threads.
+        session: whose links are watched.
+        keyring: with the list of members.
+        report: called with common name, address and reason, in zenoh's threads.
     """
-    told = _Seldom()
+    is_due = _limited()
 
     def on_link(event: Any) -> None:
         name = event.link.auth_identifier or ""
-        if event.kind == zenoh.SampleKind.PUT and (reason := strange(name, keyring)) and told.now(name):
-            tell(codec.clean(name), event.link.dst, reason)
+        new = event.kind == zenoh.SampleKind.PUT
+        if new and (reason := why_refused(name, keyring)) and is_due(name):
+            report(clean(name), event.link.dst, reason)
 
-    session.info.declare_link_events_listener(zenoh.handlers.Callback(on_link, indirect=False), history=True)
+    callback = zenoh.handlers.Callback(on_link, indirect=False)
+    session.info.declare_link_events_listener(callback, history=True)
 
 
-def strange(common_name: str, keyring: Keyring) -> str:
-    """Why the holder of a certificate is not let in; "" when it is."""
-    who = holder(common_name)
-    if who is None or who.name not in keyring.members.of(who.role):
-        then = "bring the newest list here (zswarm-keys join members.zkeys)" if keyring.role == "ot" else "it can ask nothing"
-        return f"not, or no more, among the members (list {keyring.members.number}): {then}"
-    if who.role == "ss" and keyring.role == "ss":
+def why_refused(common_name: str, keyring: Keyring) -> str:
+    """Return why the holder of a certificate is refused; "" if it is not."""
+    holder = Holder.parse(common_name)
+    if holder is None or holder.name not in keyring.members.of(holder.role):
+        remedy = "it can ask nothing"
+        if keyring.role == "ot":
+            remedy = "bring the newest list here (zswarm-keys join members.zkeys)"
+        return f"not, or no longer, among the members (list {keyring.members.number}): {remedy}"
+    if holder.role == keyring.role == "ss":
         return "a server does not dial servers: it can ask nothing"
     return ""
 
 
 def watch_routers(connect: Sequence[str], keyring: Keyring | None) -> None:
-    """Log, some seconds later, why a router that is to be dialled and this program do not let each other in."""
+    """Log, some seconds later, why a router to dial and this program refuse each other."""
 
     def look() -> None:
         for text in connect:
             at = endpoint.parse(text)
-            reason = handshake.refusal(at, keyring)
-            if not reason and keyring is None and handshake.speaks_tls(at):
+            reason = tls_diagnosis.refusal(at, keyring)
+            if not reason and keyring is None and tls_diagnosis.speaks_tls(at):
                 reason = "it lets in members only: zswarm-keys join BUNDLE"
             if reason:
-                _log().warning("router_refused", endpoint=text, reason=reason)
+                _warn("router_refused", endpoint=text, reason=reason)
 
     if connect:
         timer = threading.Timer(DIALLED_S, look)
@@ -106,47 +120,47 @@ def watch_routers(connect: Sequence[str], keyring: Keyring | None) -> None:
         timer.start()
 
 
-class _Seldom:
-    """The same at most every 10 s."""
+def _limited() -> Callable[[str], bool]:
+    """Return a function that is true for the same text at most once in 10 s."""
+    due: dict[str, float] = {}
 
-    def __init__(self) -> None:
-        self._told: dict[str, float] = {}
-
-    def now(self, what: str) -> bool:
+    def is_due(text: str) -> bool:
         now = time.monotonic()
-        if now < self._told.get(what, now):
+        if now < due.get(text, now):
             return False
-        self._told[what] = now + EVERY_S
+        due[text] = now + EVERY_S
         return True
 
+    return is_due
 
-def in_words(line: str) -> str:
-    """Why a handshake failed, from a line of zenoh's log; "" when it is of something else."""
-    said = MARK.search(line)
-    if said is None:
+
+def handshake_reason(line: str) -> str:
+    """Return why a handshake failed by a line of zenoh's log; "" if it is about something else."""
+    found = MARK.search(line)
+    if found is None:
         return ""
-    text = said[1].partition(" Hint:")[0]
+    text = found[1].partition(" Hint:")[0]
     if any(mark in text for mark in UNREMARKABLE):
         return ""
-    return next((words for mark, words in REASONS.items() if mark in text), codec.clean(text))
+    return next((words for mark, words in REASONS.items() if mark in text), clean(text))
 
 
-def another_users(line: str) -> tuple[str, str] | None:
-    """The certificate and the key of who asked or showed itself in another user's name, or in all users' by a wildcard."""
+def posed_as(line: str) -> tuple[str, str] | None:
+    """Return the certificate and key of a user that used the name of another, or a wildcard."""
     denied = DENIED.search(line)
-    if denied is None or "/ot/" not in denied[2]:
+    if denied is None or denied["named"] == denied["user"]:
         return None
-    user, key = denied.groups()
-    return None if key.split("/ot/")[1].split("/")[0] == user else (codec.clean(f"ot.{user}"), codec.clean(key))
+    return clean(f"ot.{denied['user']}"), clean(denied["key"])
 
 
 def _read(reading: int) -> None:
-    told = _Seldom()
+    is_due = _limited()
     with os.fdopen(reading, encoding="utf-8", errors="replace") as lines:
         for line in lines:
-            if "RUST_LOG" in os.environ:  # somebody wants to see all of it
+            if "RUST_LOG" in os.environ:  # the user asks for all of it
                 sys.stderr.write(line)
-            if (denied := another_users(line)) and told.now(denied[0]):
-                _log().warning("member_refused", certificate=denied[0], key=denied[1], reason="the key is not of its own name")
-            elif (reason := in_words(line)) and told.now(reason):
-                _log().warning("link_refused", reason=reason)
+            if (denied := posed_as(line)) and is_due(denied[0]):
+                reason = "the key is not of its own name"
+                _warn("member_refused", certificate=denied[0], key=denied[1], reason=reason)
+            elif (reason := handshake_reason(line)) and is_due(reason):
+                _warn("link_refused", reason=reason)

@@ -1,4 +1,4 @@
-"""How robots that leave a room are judged from what their logs say: the paper's rule, and that of its authors' scripts."""
+"""Fitness of robots that leave a room: the paper's rule, and that of its authors' scripts."""
 
 from collections.abc import Sequence
 
@@ -6,15 +6,15 @@ FARTHEST, LONGEST, ARRIVED = 50.0, 90, 0.2  # m, lines and m of ``cpswarm_log``
 
 
 def last_distance(distances: Sequence[float]) -> float:
-    """Minus the sum of the robots' last distances to their nearest exit, in m: at most 0."""
+    """Return minus the sum of the robots' last distances to their nearest exit, in m."""
     total = 0.0
-    for distance in distances:  # sum() adds floats otherwise from Python 3.12 on
+    for distance in distances:  # sum() compensates errors from Python 3.12 on
         total += distance
     return -total
 
 
 def cpswarm_log(distances: Sequence[float], lines: Sequence[int]) -> float:
-    """The mean over robots of 100 (50 - d) / 50 + (if d < .2) 100 (90 - t) / 90: 0 to 200.
+    """Return the mean over robots of 100 (50 - d) / 50 + (if d < .2) 100 (90 - t) / 90: 0 to 200.
 
     Args:
         distances: d, m, in the last line of each log; more than 50 counts as 50.
@@ -22,7 +22,8 @@ def cpswarm_log(distances: Sequence[float], lines: Sequence[int]) -> float:
     """
     total = 0.0
     for distance, count in zip(distances, lines, strict=True):
-        far, long = min(distance, FARTHEST), min(count, LONGEST)
+        far = min(distance, FARTHEST)
+        long = min(count, LONGEST)
         total += (FARTHEST - far) / FARTHEST * 100
         if far < ARRIVED:
             total += (LONGEST - long) / LONGEST * 100

@@ -1,47 +1,64 @@
-"""From a robot's own messages to what a controller observes, and from what it decides to the robot's velocity.
+"""Convert a robot's messages to a controller's observation, and its action to a velocity.
 
-Messages are those of ROS: a laser scan (float32 ranges, the first at ``angle_min``, then one every ``angle_increment`` radians
-counter-clockwise), a pose (x, y in m, and z, w of the quaternion of a robot on a floor, float64), and a velocity (m/s ahead,
-rad/s counter-clockwise, float64). Simulators whose controllers drive such robots observe through these functions, and robots run
-the same ones, translated to C: so they get arrays and numbers only, take all sizes as arguments, and make nothing.
+Messages are those of ROS: a laser scan (float32 ranges, the first at ``angle_min``, then one every
+``angle_increment`` radians counter-clockwise), a pose (x, y in m, and z, w of the quaternion of a
+robot on a floor, float64), and a velocity (m/s ahead, rad/s counter-clockwise, float64). Simulators
+whose controllers drive such robots observe through these functions, and robots run the same ones,
+translated to C: so they take arrays, numbers and all sizes as arguments, and allocate nothing.
 ``RobotInterface`` holds the numbers.
 """
 
+# mypy: disable-error-code=no-untyped-def
+# because numba infers the types of kernels.
+
 import numpy as np
 
-from zswarm.jit import array, float32, float64, inline, kernel, sqrt, void
-from zswarm.portable import PI
+from zswarm.kernels.jit import array, float32, float64, inline, kernel, sqrt, void
+from zswarm.kernels.portable import PI
 
 ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
 FINEST = 1e-6  # radians; a scan whose rays are nearer to each other than that says nothing
 MOST_PLACES = 1e7
-TOO_CLOSE = np.float32(-3e38)  # what is less is ROS's minus infinity (REP 117): something is nearer than the scanner can measure
+# Readings below are ROS's minus infinity (REP 117): nearer than the scanner can measure.
+TOO_CLOSE = np.float32(-3e38)
 
 
 @inline
-def fit_scan(ranges, readings, angle_min, angle_increment, rays, view, reach, fitted):  # type: ignore[no-untyped-def]  # compiled
-    """What any scanner reads, as the controller's scanner would: in each of its rays the shortest of those that look there.
+def fit_scan(ranges, readings, angle_min, angle_increment, rays, view, reach, fitted):
+    """Convert any scanner's readings to the controller's: in each ray the shortest that fall in it.
 
-    0 and below, NaN, and what is farther than ``reach`` are nothing there, which is ``reach``, as is where no ray looks; minus
-    infinity is 0. A scan of the controller's own scanner stays as it is.
+    0 and below, NaN, and what is farther than ``reach`` are nothing there, which is ``reach``, as
+    is where no ray looks; minus infinity is 0. A scan of the controller's own scanner stays as it
+    is.
 
     Args:
         ranges: (readings,) float32, m.
-        angle_min, angle_increment: float64, radians; the increment is below 0 for a scanner that is mounted upside down.
-        rays, view: of the controller's scanner: its rays, and radians from the first to the last, half of them to each side.
+        angle_min, angle_increment: float64, radians; the increment is below 0 for a scanner that is
+        mounted upside down.
+        rays, view: of the controller's scanner: its rays, and radians from the first to the last,
+        half of them to each side.
         reach: float32, m.
         fitted: (rays,) float32, filled.
     """
     spread = view / (rays - 1)
     for ray in range(rays):
         fitted[ray] = shortest_around(
-            ranges, readings, angle_min, angle_increment, ray * spread - 0.5 * view, 0.5 * spread, reach
+            ranges,
+            readings,
+            angle_min,
+            angle_increment,
+            ray * spread - 0.5 * view,
+            0.5 * spread,
+            reach,
         )
 
 
 @inline
-def shortest_around(ranges, readings, angle_min, angle_increment, angle, half, reach):  # type: ignore[no-untyped-def]  # compiled
-    """The shortest range within ``half`` radians of an angle, or of the nearest ray if there is none; ``reach`` of nothing."""
+def shortest_around(ranges, readings, angle_min, angle_increment, angle, half, reach):
+    """Return the shortest range within ``half`` radians of an angle; ``reach`` without an obstacle.
+
+    If no ray is that near, use the nearest one.
+    """
     shortest = reach
     spacing = abs(angle_increment)
     if not spacing > FINEST:
@@ -51,7 +68,9 @@ def shortest_around(ranges, readings, angle_min, angle_increment, angle, half, r
         near = 0.5
     if not abs(place) + near < MOST_PLACES:
         return shortest
-    around = int(2.0 * PI / spacing + 0.5)  # readings in a full turn: some scanners begin ahead, others behind
+    around = int(
+        2.0 * PI / spacing + 0.5
+    )  # readings in a full turn: some scanners begin ahead, others behind
     for step in range(int(place - near) - 1, int(place + near) + 2):
         if abs(step - place) <= near:
             which = step
@@ -68,17 +87,20 @@ def shortest_around(ranges, readings, angle_min, angle_increment, angle, half, r
 
 
 @kernel(void(array(float32), float64, float64, float64, float32, array(float32)))
-def fit(ranges, angle_min, angle_increment, view, reach, fitted):  # type: ignore[no-untyped-def]  # compiled
-    """``fit_scan`` for Python."""
-    fit_scan(ranges, ranges.shape[0], angle_min, angle_increment, fitted.shape[0], view, reach, fitted)
+def fit(ranges, angle_min, angle_increment, view, reach, fitted):
+    """Call ``fit_scan`` from Python."""
+    fit_scan(
+        ranges, ranges.shape[0], angle_min, angle_increment, fitted.shape[0], view, reach, fitted
+    )
 
 
 @inline
-def observe(scan, rays, reach, sectors, x, y, z, w, targets, count, observation):  # type: ignore[no-untyped-def]  # compiled
-    """A controller's observation; gives the distance to the nearest target, float64, m.
+def observe(scan, rays, reach, sectors, x, y, z, w, targets, count, observation):
+    """Write a controller's observation; return the distance to the nearest target, float64, m.
 
-    First, from the right to the left, how near something is in each part of the scan: 1 - shortest range / ``reach``. Then the
-    direction of the nearest target (the first of equals), a unit vector: ahead, to the left; zeros on the target itself.
+    First, from the right to the left, how near something is in each part of the scan: 1 - shortest
+    range / ``reach``. Then the direction of the nearest target (the first of equals), a unit
+    vector: ahead, to the left; zeros on the target itself.
 
     Args:
         scan: (rays,) float32 m, at most ``reach``; see ``fit_scan``.
@@ -113,8 +135,8 @@ def observe(scan, rays, reach, sectors, x, y, z, w, targets, count, observation)
 
 
 @inline
-def velocity(share, most):  # type: ignore[no-untyped-def]  # compiled
-    """What a decision means: 0 is full speed back or to the right, .5 none, 1 ahead or to the left; cut to 0..1, NaN is .5.
+def velocity(share, most):
+    """Convert an action: 0 is full speed back or right, .5 none, 1 ahead or left; NaN is .5.
 
     Args:
         share: float32, an action's number.

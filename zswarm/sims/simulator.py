@@ -1,34 +1,38 @@
 """The contract of a simulator.
 
-A simulator plays a trial in turns. A turn names the agents that act next and what they observe: all of them, or one in
-worlds where agents move one after another. Each agent belongs to a participant, whose genome drives it. A simulator
-sees observations and actions only, never the network behind them.
+A simulator plays a trial in turns. A turn names the agents that act next and what they observe: all
+of them, or one in worlds where agents move one after another. Each agent belongs to a participant,
+whose genome drives it. A simulator sees observations and actions only, never the network behind
+them.
 
-``Simulator`` is all that a plug-in needs. ``CompiledSimulator`` adds one method that plays whole trials inside a compiled
-kernel; its turns must give the same bits. ``HostingSimulator`` may play whole trials with networks of its own.
+``Simulator`` is all that a plug-in needs. ``CompiledSimulator`` adds one method that plays whole
+trials inside a compiled kernel; its turns must give the same bits. ``HostingSimulator`` may play
+whole trials with networks of its own.
 """
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import msgspec
 import numpy as np
 
-from zswarm.jit import Step
+from zswarm.config.meta import within
+from zswarm.kernels.signatures import Float32Rows, Float64Rows, Int64Rows, Int64s, Step, UInt64s
 
-MAX_TURNS = 1_000_000  # of a trial; one that goes on is taken to have no end
+Steps = Annotated[int, within(1, 1_000_000, "steps of a trial")]  # a setting of many
+MAX_TURNS = 1_000_000  # of a trial; a longer one has no end
 
 
 class Turn(NamedTuple):
-    """Who acts next, and what they observe."""
+    """The agents that act next, and their observations."""
 
     agents: Sequence[int]
     observations: np.ndarray  # (len(agents), inputs) float32
 
 
 class Outcome(NamedTuple):
-    """What a trial decided."""
+    """The result of a trial."""
 
     fitness: Sequence[float]  # one per participant, higher is better
     metrics: Sequence[float]  # in the order of Simulator.metrics
@@ -37,18 +41,18 @@ class Outcome(NamedTuple):
 class Body(NamedTuple):
     """Something that moves; lengths as in its ``Frame``."""
 
-    kind: str  # what people call it: "robot", "defender"; may change, such as to "robot with the flag"
+    kind: str  # as shown to people: "robot"; it may change, such as to "robot with the flag"
     x: float  # of its centre
     y: float
     radius: float  # half the side of a square
-    heading: float | None = None  # radians from the x axis clockwise, where it looks; of a square, how far it is turned
-    shape: Literal["disc", "square", "triangle", "diamond"] = "disc"  # those of unlike teams or sorts differ; stays
+    heading: float | None = None  # radians from the x axis clockwise; a square is turned by it
+    shape: Literal["disc", "square", "triangle", "diamond"] = "disc"  # constant; by team or sort
 
 
-class Place(NamedTuple):
-    """Something that stays where it is, as a rectangle."""
+class Rectangle(NamedTuple):
+    """Something that does not move, drawn as a rectangle."""
 
-    kind: str  # what people call it: "exit", "wall"
+    kind: str  # as shown to people: "exit", "wall"
     x: float  # of its upper left corner
     y: float
     width: float
@@ -66,7 +70,7 @@ class Line(NamedTuple):
 
 
 class Label(NamedTuple):
-    """Words in the picture, such as a score; they may change."""
+    """Text in the picture, such as a score; it may change."""
 
     text: str
     x: float  # of its middle
@@ -75,25 +79,26 @@ class Label(NamedTuple):
 
 
 class Ray(NamedTuple):
-    """A distance sensor, the same in each agent: shown from the agent's body, as long as what it reads says."""
+    """A distance sensor, which all agents have; it is drawn from the body as long as it reads."""
 
     sensor: int  # index of its number in an observation
-    angle: float  # radians from the body's heading clockwise; from the x axis where the body has none
+    angle: float  # radians clockwise from the body's heading, or from the x axis if it has none
     at_0: float  # its length where that number is 0
     at_1: float  # where it is 1
-    spread: float = 0.0  # radians that it looks at, half of them on each side; 0 for a beam
-    aside: float = 0.0  # it begins so far on the right of the body's centre
+    spread: float = 0.0  # radians that it covers, half of them to each side; 0 for a beam
+    aside: float = 0.0  # how far to the right of the body's centre it begins
 
 
 class Frame(NamedTuple):
-    """What a picture of the present state needs; lengths in the simulator's unit, x to the right and y downwards from (0, 0).
+    """A picture of the present state, in the simulator's unit, x right and y down from (0, 0).
 
-    Bodies and lines are in the same order throughout a trial, the agents' bodies first. Places and rays stay as they are.
+    Bodies and lines keep their order throughout a trial, the agents' bodies first. Places and rays
+    do not change.
     """
 
     width: float
     height: float
-    places: Sequence[Place]
+    places: Sequence[Rectangle]
     bodies: Sequence[Body]
     lines: Sequence[Line] = ()
     labels: Sequence[Label] = ()
@@ -101,13 +106,13 @@ class Frame(NamedTuple):
 
 
 class RobotInterface(msgspec.Struct, frozen=True, kw_only=True):
-    """How a robot's messages become what controllers observe, and what they decide its velocity; see ``robot_interface``."""
+    """How messages become observations, and decisions velocities: ``robot_interface``."""
 
     rays: int  # of the laser scanner
     view: float  # radians from the first ray, on the right, to the last, half of them to each side
-    range: float  # m; so much is read where nothing is
+    range: float  # m; read where nothing is nearer
     sectors: int  # parts of the scan that are observed, from the right to the left
-    targets: tuple[tuple[float, float], ...]  # m: x, y; the direction of the nearest one is observed
+    targets: tuple[tuple[float, float], ...]  # m: x, y; the direction of the nearest is observed
     arrived: float  # m from a target at which a robot is done
     speed: float  # m/s at most
     turn: float  # rad/s at most
@@ -118,7 +123,7 @@ class RobotInterface(msgspec.Struct, frozen=True, kw_only=True):
 class Simulator(ABC):
     """One problem with its settings.
 
-    A whole one, in which three robots on a line gather::
+    This one is complete; three robots on a line gather::
 
         class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             steps: int = 50
@@ -142,19 +147,19 @@ class Simulator(ABC):
                 observations = np.stack([self.x - self.x.min(), self.x.max() - self.x], axis=1)
                 return Turn(range(3), observations.astype(np.float32))
 
-    A trial is ``reset``, then ``step`` until it gives None, then ``outcome``. What it draws comes from the seed alone; nothing is
-    left over from earlier trials. Observations are finite and not changed later. What raises or breaks a rule makes the trial's
-    fitness NaN, as do ``MAX_TURNS`` turns without an end. ``zswarm.testing.check_simulator`` says which rule is broken.
+    A trial is ``reset``, then ``step`` until it returns None, then ``outcome``. It depends on the
+    seed alone. Observations are finite and do not change later. If it raises, breaks a rule
+    (``check_simulator`` names it) or takes ``MAX_TURNS`` turns, its fitness is NaN.
 
     Attributes:
         settings_type: the struct of its settings in an experiment file.
-        metrics: names of what a trial reports beside fitness.
+        metrics: names of the numbers that a trial reports in addition to fitness.
         participants: genomes that play one trial together.
         inputs, outputs: numbers an agent observes and sets in one decision.
         sensors, actuators: their names, for robots; may be empty.
         owners: per agent the participant that drives it.
-        robot: how its controllers drive a real robot; None where they fit none.
-        repeatable: the same genomes and seed have the same outcome; if not, servers are not compared by what they compute.
+        robot: how its controllers drive a real robot; None if they cannot.
+        repeatable: whether the same genomes and seed have the same outcome; servers are compared.
     """
 
     settings_type: ClassVar[type[msgspec.Struct]]
@@ -172,16 +177,16 @@ class Simulator(ABC):
         self.settings = settings
 
     def fixed_seeds(self, trials: int) -> Sequence[int] | None:  # noqa: ARG002  for those that override it
-        """The seeds of an experiment's trials where the problem itself fixes them, else None."""
+        """Return the seeds of an experiment's trials if the problem fixes them, else None."""
         return None
 
     @abstractmethod
     def reset(self, seed: int) -> Turn:
-        """Start a trial; the same seed gives the same trial."""
+        """Start a trial; the same seed starts the same trial."""
 
     @abstractmethod
     def step(self, actions: np.ndarray) -> Turn | None:
-        """Let the agents of the last turn act; None when the trial is over.
+        """Let the agents of the last turn act; return None when the trial is over.
 
         Args:
             actions: (agents of the turn, outputs) float32.
@@ -189,40 +194,43 @@ class Simulator(ABC):
 
     @abstractmethod
     def outcome(self) -> Outcome:
-        """The outcome of the trial that ended."""
+        """Return the outcome of the trial that ended."""
 
     def frame(self) -> Frame | None:
-        """What a picture of the present state needs; None where there is nothing to draw."""
+        """Return a picture of the present state; None if there is nothing to draw."""
         return None
 
 
-class Batch(NamedTuple):
-    """Trials that a kernel plays, and what it fills."""
+class KernelBatch(NamedTuple):
+    """Trials for a kernel, and the arrays that it fills."""
 
     state_size: int  # float32 numbers of state per agent, zero at the start of each trial
-    parameters: np.ndarray  # (genomes, P) float32
-    participants: np.ndarray  # (trials, k) int64, rows of ``parameters``
-    seeds: np.ndarray  # (trials,) uint64
-    progress: np.ndarray  # (2,) int64
-    fitness: np.ndarray  # (trials, k) float64, filled
-    metrics: np.ndarray  # (trials, len(Simulator.metrics)) float64, filled
+    parameters: Float32Rows  # (genomes, P)
+    participants: Int64Rows  # (trials, k), rows of ``parameters``
+    seeds: UInt64s  # (trials,)
+    progress: Int64s  # (2,)
+    fitness: Float64Rows  # (trials, k), filled
+    metrics: Float64Rows  # (trials, len(Simulator.metrics)), filled
 
 
 class CompiledSimulator(Simulator):
     """A simulator that plays whole trials in a compiled kernel."""
 
     @abstractmethod
-    def play(self, step: Step, batch: Batch) -> None:
-        """Play trials in order; before each set ``progress[0]`` to its index and stop if ``progress[1]`` is not zero.
+    def play(self, step: Step, batch: KernelBatch) -> None:
+        """Play trials in order.
+
+        Before each trial, set ``progress[0]`` to its index and stop if ``progress[1]`` is not zero.
 
         Args:
             step: the controllers' compiled decision.
         """
 
-    def play_lanes(self, step_lanes: Step, step: Step, batch: Batch) -> None:  # noqa: ARG002  for those that override it
-        """``play`` where the controllers decide for eight agents at once, too; a simulator that gains from it overrides this.
+    def play_lanes(self, step_lanes: Step, step: Step, batch: KernelBatch) -> None:  # noqa: ARG002
+        """Play as ``play``, with controllers that can decide for eight agents at once.
 
-        Bits must be those of ``play``. Trials that are played side by side set ``progress[0]`` once, to the first of them.
+        A simulator overrides this if it is faster; the bits must be those of ``play``. For trials
+        that are played in parallel, ``progress[0]`` is the index of the first.
 
         Args:
             step_lanes: the decision of eight agents, see ``Representation.step_lanes``.
@@ -231,18 +239,20 @@ class CompiledSimulator(Simulator):
 
 
 class HostingSimulator(Simulator):
-    """A simulator that may decide for the controllers itself, as one outside of this process; with the bits of its turns.
+    """A simulator that can run the controllers itself, such as a third-party program.
+
+    Its outcomes have the bits of those in turns.
 
     Attributes:
-        hosted: the representation that it decides for, from ``host`` on.
+        hosted: the representation that it runs, after ``host``.
     """
 
     hosted: object = None
 
     @abstractmethod
     def host(self, kind: str, settings: Mapping[str, Any]) -> bool:
-        """Prepare for controllers of a kind, an experiment's ``[representation]``; whether it decides for them."""
+        """Prepare for controllers of a ``[representation]``; return whether that is possible."""
 
     @abstractmethod
     def play_alone(self, genomes: Sequence[bytes], seed: int) -> Outcome:
-        """Play a whole trial of the genomes of all participants."""
+        """Play a whole trial with the genomes of all participants."""

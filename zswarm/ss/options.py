@@ -1,4 +1,4 @@
-"""What a server is told: the command line, and a file that can be read again while it serves."""
+"""The options of a server: its command line, and a file that a reload reads again."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -7,16 +7,19 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
-from zswarm import labels, plugins
+from zswarm.config.decode import overridden
 from zswarm.errors import ConfigError
-from zswarm.protocol import keys
+from zswarm.plugins import registry as plugins
+from zswarm.protocol import keys, labels
 from zswarm.protocol.messages import MIN_MEMORY_MB, Megabytes
-from zswarm.ss import limits
-from zswarm.strict import overridden
+from zswarm.ss import admission, detected_labels
+
+# Options that a reload does not change.
+AT_START = ("capacity", "name", "realm", "simulators", "slot_memory_mb", "metrics")
 
 
 class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What a server is told at its start: command line or ``--config`` file."""
+    """The options, by the names of the ``--config`` file."""
 
     capacity: Annotated[int, Meta(ge=0, le=65_535)] = 0  # slots; 0: one per core
     name: str = ""  # "": the host's name, or that of its keys
@@ -26,42 +29,41 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     multicast: bool = True
     require_keys: bool = False  # do not start in the clear
     simulators: list[str] = []  # offered; empty: all that are installed
-    labels: dict[str, Any] = {}  # beside the facts that it states by itself
-    limits: dict[str, Any] = {}  # of settings, as "SIMULATOR.SETTING" = { min = 1, max = 100 } or { choice = [1, 2] }
+    labels: dict[str, Any] = {}  # in addition to those that it detects
+    limits: dict[str, Any] = {}  # of settings, see admission.py
     slot_memory_mb: Megabytes = 0  # of a slot's process; 0: its share of the machine's memory
     drain_s: Annotated[float, Meta(ge=0, le=1e6)] = 60.0  # at most, on SIGTERM
-    metrics: Annotated[int, Meta(ge=0, le=65_535)] = 0  # port for Prometheus on this machine; 0: none
+    metrics: Annotated[int, Meta(ge=0, le=65_535)] = 0  # local port for Prometheus; 0: none
 
     def __post_init__(self) -> None:
-        if 0 < self.slot_memory_mb < MIN_MEMORY_MB:
-            raise ValueError(f"slot_memory_mb: expected 0 or at least {MIN_MEMORY_MB}, not {self.slot_memory_mb}")
-
-
-FACTS = ("name", "os", "machine", "cpu", "cores", "memory_mb", "slots", "slot_memory_mb")  # labels that nobody gives
-AT_START = ("capacity", "name", "realm", "simulators", "slot_memory_mb", "metrics")  # a reload does not change these
+        memory_mb = self.slot_memory_mb
+        if 0 < memory_mb < MIN_MEMORY_MB:
+            expected = f"expected 0 or at least {MIN_MEMORY_MB}"
+            raise ValueError(f"slot_memory_mb: {expected}, not {memory_mb}")
 
 
 def load(config: Path | None, given: Mapping[str, Any]) -> Options:
-    """The options of a file, where the command line does not say otherwise.
-
-    Raises:
-        ConfigError: the file cannot be read, or something is wrong in it or on the command line.
-    """
+    """Return the options of a file, with those of the command line in place of its own."""
+    if named := labels.assigned(given.get("labels", ()), "--label"):
+        given = {**given, "labels": named}
     options = overridden(config, given, Options, "zswarm-ss")
-    for kind, text, longest in (
-        ("name", options.name or "x", keys.MAX_NAME),
-        ("realm", options.realm, keys.MAX_ID),
-    ):
-        if not keys.is_id(text) or len(text) > longest:
-            raise ConfigError(f"{kind} {text!r}: expected 1 to {longest} of a-z, 0-9 and -, not starting with -")
+    _check_id("name", options.name or "x", keys.MAX_NAME)
+    _check_id("realm", options.realm, keys.MAX_ID)
     for name in options.simulators:
         if name not in plugins.names("simulator"):
-            plugins.load("simulator", name)  # raises, and says which there are
-    labels.labels(options.labels, "--label" if "labels" in given else f"{config}: labels", FACTS)
-    limits.read(options.limits, offered(options), f"{config}: limits")
+            plugins.load("simulator", name)  # raises, and lists those that exist
+    where = "--label" if named else f"{config}: labels"
+    labels.labels(options.labels, where, detected_labels.NAMES)
+    admission.read(options.limits, offered(options), f"{config}: limits")
     return options
 
 
 def offered(options: Options) -> list[str]:
-    """The simulators that a server with these options offers."""
+    """Return the simulators that a server with these options offers."""
     return options.simulators or plugins.names("simulator")
+
+
+def _check_id(kind: str, text: str, longest: int) -> None:
+    if not keys.is_id(text) or len(text) > longest:
+        expected = f"expected 1 to {longest} of a-z, 0-9 and -, not starting with -"
+        raise ConfigError(f"{kind} {text!r}: {expected}")

@@ -1,4 +1,4 @@
-/* Emergency exit on a grid, FREVO's: zswarm/sims/emergency_exit.py once more, from its data sheet. */
+/* FREVO's emergency exit on a grid: a second implementation of zswarm/sims/emergency_exit.py, from its reference. */
 
 #include "zswarm_wrapper.h"
 
@@ -8,7 +8,7 @@ enum { FIELD, STEPS, WIDTH, HEIGHT, AGENTS, EXITS, BLOCKADES, SEED, SETTINGS };
 #define STADIUM_SIZE 20
 
 struct cell {
-    int free;          /* nothing and nobody stands there */
+    int free;          /* not blocked and without an agent */
     int exit_x, exit_y; /* the way to the nearest exit */
 };
 struct place { int x, y; };
@@ -34,9 +34,9 @@ static const char *const ACTUATORS[] = {"vx", "vy", NULL};
 static int width, height, steps, agents, exits, blockades, stadium;
 static char map[STADIUM_SIZE][STADIUM_SIZE + 1];
 static struct place *stadium_starts, *starts, *exit_places;
-static struct cell *cells;     /* with a ring of cells around them that are not free */
-static struct cell **here;     /* of each agent */
-static char *inside;           /* whether it is */
+static struct cell *cells;     /* surrounded by a ring of cells that are not free */
+static struct cell **here;     /* each agent's cell */
+static char *inside;           /* whether each agent is still in the room */
 static int round_, next_agent, first_all_out, remaining;
 
 static struct zswarm_simulator emergency_exit; /* below */
@@ -54,7 +54,7 @@ static int number(int setting) { return (int)settings[setting].number; }
 
 static struct cell *cell_at(int x, int y) { return cells + (size_t)(y + 1) * (size_t)(width + 2) + x + 1; }
 
-/* The stadium's map, then the agents' places in their order. */
+/* Read the stadium's map, then the agents' cells in their order. */
 static const char *read_stadium(void) {
     FILE *file = fopen("../stadium.txt", "r");
     if (!file) return "../stadium.txt cannot be read";
@@ -105,7 +105,7 @@ static int draw(uint64_t *state, int bound) {
     }
 }
 
-/* A free cell, which is none any more. */
+/* Draw a free cell and occupy it. */
 static struct place take(uint64_t *state) {
     struct place place;
     do {
@@ -157,7 +157,7 @@ static void reset(uint64_t seed) {
     remaining = agents;
 }
 
-/* One agent after another; who is out takes part no more. */
+/* Agents act one after another; those that have left are skipped. */
 static int turn(int *acting) {
     for (; round_ < steps && remaining; round_++, next_agent = 0)
         while (next_agent < agents)

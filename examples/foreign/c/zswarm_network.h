@@ -1,7 +1,7 @@
-/* zswarm's fully-meshed network in C, for whatever number of inputs, outputs and hidden neurons an experiment has: the same bits as
-   zswarm/nets/fully_meshed.py. Nothing is compiled for a candidate; its genome is read.
+/* zswarm's fully-meshed network in C, with any number of inputs, outputs and hidden neurons. It gives the same bits as
+   zswarm/nets/fully_meshed.py. It reads genomes at run time, so nothing is compiled for a candidate.
 
-   Compile with -std=c11 or -ffp-contract=off: a product and a sum made in one instruction have other bits. */
+   Compile with -std=c11 or -ffp-contract=off: fused multiply-add instructions give other bits. */
 
 #ifndef ZSWARM_NETWORK_H
 #define ZSWARM_NETWORK_H
@@ -22,15 +22,15 @@ struct zswarm_network {
     enum zswarm_activation activation;
 };
 
-/* Numbers of float32 that a genome has: per neuron the weights from all inputs and all neurons, then its bias. */
+/* Return the number of float32 in a genome: for each neuron the weights from all inputs and all neurons, then its bias. */
 static size_t zswarm_network_genes(const struct zswarm_network *network) {
     return (size_t)network->neurons * (size_t)(network->inputs + network->neurons + 1);
 }
 
-/* Numbers of float32 that an agent remembers: what the neurons gave last, and room for two sums of each. Zero at its start. */
+/* Return the number of float32 in an agent's state: the neurons' last outputs, and two sums of each. They start at zero. */
 static size_t zswarm_network_state(const struct zswarm_network *network) { return 3 * (size_t)network->neurons; }
 
-/* The genome turned about: per source (inputs, neurons, then the bias) its weights to all neurons. */
+/* Transpose a genome: for each source (inputs, neurons, then the bias) its weights to all neurons. */
 static void zswarm_network_load(const struct zswarm_network *network, const unsigned char *genome, float *weights) {
     const int neurons = network->neurons, sources = network->inputs + neurons + 1;
     for (int neuron = 0; neuron < neurons; neuron++)
@@ -38,7 +38,7 @@ static void zswarm_network_load(const struct zswarm_network *network, const unsi
             memcpy(weights + source * neurons + neuron, genome + 4 * (neuron * sources + source), 4);
 }
 
-/* e to the power x: zswarm/portable.py, exp. */
+/* e to the power x: zswarm/kernels/portable.py, exp. */
 static double zswarm_exp(double x) {
     if (x != x) return x;
     if (x > 709.782712893383973096) return HUGE_VAL;
@@ -52,7 +52,7 @@ static double zswarm_exp(double x) {
     return k == 1024 ? y * 2.0 * ldexp(1.0, 1023) : y * ldexp(1.0, k);
 }
 
-/* zswarm/portable.py, tanh. */
+/* zswarm/kernels/portable.py, tanh. */
 static float zswarm_tanh(float x) {
     const int negative = x < 0;
     float size = negative ? 0 - x : x;
@@ -79,7 +79,7 @@ static void zswarm_network_add(int neurons, float *sums, const float *weights, f
     }
 }
 
-/* One decision. The sums run over the sources in order; what the inputs add is the same in each iteration. */
+/* Decide once. Sums run over the sources in order; the inputs' part is the same in each iteration. */
 static void zswarm_network_decide(const struct zswarm_network *network, const float *weights, float *state,
                                   const float *observation, float *action) {
     const int neurons = network->neurons, inputs = network->inputs;
@@ -98,9 +98,9 @@ static void zswarm_network_decide(const struct zswarm_network *network, const fl
     memcpy(action, state + neurons - network->outputs, sizeof(float) * (size_t)network->outputs);
 }
 
-/* Whether this program was compiled so that it has the right bits. */
+/* Return whether this program was compiled without fused multiply-add. */
 static int zswarm_network_is_exact(void) {
-    volatile float number = 1 + 1.0f / 4096, square = number * number; /* volatile: it is computed here, not by the compiler */
+    volatile float number = 1 + 1.0f / 4096, square = number * number; /* volatile: compute at run time, not in the compiler */
     const float one = number, other = number, product = one * other;
     float sum = -square;
     sum += product;

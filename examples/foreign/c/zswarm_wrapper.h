@@ -1,8 +1,8 @@
-/* A simulator in C for zswarm: speaks the protocol of zswarm's docs/foreign.md on standard input and output.
+/* Wrapper for zswarm simulators in C: the protocol of zswarm's docs/foreign.md on standard input and output.
 
-   Fill in a struct zswarm_simulator and call zswarm_serve with it. Networks of the kind fully-meshed are decided here
-   (zswarm_network.h), so that a trial is one message there and one back; for others zswarm decides turn by turn. What the program
-   prints goes to its standard error. Needs POSIX; compile with -std=c11 -D_POSIX_C_SOURCE=200809L. */
+   Fill in a struct zswarm_simulator and call zswarm_serve with it. The wrapper computes networks of the kind fully-meshed
+   (zswarm_network.h), so that a trial is one message in each direction. For other kinds zswarm decides turn by turn. Output of
+   printf goes to standard error. Needs POSIX; compile with -std=c11 -D_POSIX_C_SOURCE=200809L. */
 
 #ifndef ZSWARM_WRAPPER_H
 #define ZSWARM_WRAPPER_H
@@ -23,31 +23,31 @@ enum zswarm_type { ZSWARM_INT, ZSWARM_FLOAT, ZSWARM_BOOL, ZSWARM_TEXT };
 struct zswarm_setting {
     const char *name;
     enum zswarm_type type;
-    double number;               /* of an int, float or bool: the default, and from setup on what the experiment says */
-    char text[100];              /* of a text, likewise */
-    double minimum, maximum;     /* of an int or float; both 0: any */
-    const char *const *choices;  /* of a text, NULL at their end; NULL: any */
+    double number;               /* of an int, float or bool: the default; after setup the experiment's value */
+    char text[100];              /* the same of a text */
+    double minimum, maximum;     /* limits of an int or float; both 0: none */
+    const char *const *choices;  /* allowed texts, ended by NULL; NULL: any text */
     const char *description;
 };
 
 struct zswarm_simulator {
-    const char *description; /* a data sheet; its first line says in short what it is */
+    const char *description; /* the reference; its first line is a summary */
     struct zswarm_setting *settings;
     int settings_count;
-    const char *const *metrics, *const *sensors, *const *actuators; /* NULL at their end; NULL: none */
+    const char *const *metrics, *const *sensors, *const *actuators; /* each ended by NULL; NULL: none */
 
-    /* What follows may be set by setup. */
+    /* setup may set the following. */
     int inputs, outputs, agents;
-    int participants;  /* genomes that play one trial together; 0: one */
-    const int *owners; /* per agent the participant that drives it; NULL: the first drives all */
-    int64_t first_seed; /* trials have this seed, the next one, ...; -1: any */
+    int participants;  /* genomes that play one trial together; 0 means one */
+    const int *owners; /* for each agent the participant that drives it; NULL: the first drives all */
+    int64_t first_seed; /* seed of the first trial, later ones count up; -1: any */
 
-    const char *(*setup)(void);                         /* the settings have their values; NULL, or why it cannot be */
-    void (*reset)(uint64_t seed);                       /* begin a trial: the same seed gives the same one */
-    int (*turn)(int *agents);                           /* go on to the next turn: who acts, and how many; 0: the trial is over */
-    void (*observe)(int agent, float *observation);     /* what an agent of the turn observes */
-    void (*act)(int agent, const float *action);        /* what it does; called for all of the turn after all have observed */
-    void (*judge)(double *fitness, double *metrics);    /* a fitness per participant, and all metrics */
+    const char *(*setup)(void);                         /* apply the settings; return NULL, or why they are refused */
+    void (*reset)(uint64_t seed);                       /* begin a trial; the same seed gives the same trial */
+    int (*turn)(int *agents);                           /* next turn: write the acting agents, return their number; 0: over */
+    void (*observe)(int agent, float *observation);     /* write the observation of an agent of the turn */
+    void (*act)(int agent, const float *action);        /* apply its action; called after all agents of the turn have observed */
+    void (*judge)(double *fitness, double *metrics);    /* write one fitness per participant, and all metrics */
 };
 
 /* ---- messages out */
@@ -75,7 +75,7 @@ static void zswarm__put(const void *bytes, size_t size) {
     zswarm__out.size += size;
 }
 
-static void zswarm__head(unsigned char code, uint64_t number, int bytes) { /* big-endian, as msgpack has it */
+static void zswarm__head(unsigned char code, uint64_t number, int bytes) { /* big-endian, as in msgpack */
     unsigned char head[9] = {code};
     for (int i = 0; i < bytes; i++) head[1 + i] = (unsigned char)(number >> 8 * (bytes - 1 - i));
     zswarm__put(head, 1 + (size_t)bytes);
@@ -116,7 +116,7 @@ static void zswarm__names(const char *key, const char *const *names) {
 }
 
 static void zswarm__begin(const char *type, uint32_t fields) {
-    zswarm__out.size = 4; /* of the length */
+    zswarm__out.size = 4; /* room for the length */
     if (!zswarm__out.room) zswarm__out.bytes = zswarm__memory(NULL, zswarm__out.room = 1024);
     zswarm__map(1 + fields);
     zswarm__text("type");
@@ -128,7 +128,7 @@ static void zswarm__send(void) {
     for (int i = 0; i < 4; i++) zswarm__out.bytes[i] = (unsigned char)(length >> 8 * i);
     for (size_t sent = 0; sent < zswarm__out.size;) {
         const ssize_t some = write(zswarm__pipe, zswarm__out.bytes + sent, zswarm__out.size - sent);
-        if (some <= 0) exit(1); /* nobody listens */
+        if (some <= 0) exit(1); /* the reader has gone */
         sent += (size_t)some;
     }
 }
@@ -136,7 +136,7 @@ static void zswarm__send(void) {
 /* ---- messages in */
 
 typedef const unsigned char *zswarm__at; /* a value within the message */
-static zswarm__at zswarm__last;          /* behind the message */
+static zswarm__at zswarm__last;          /* end of the message */
 
 static uint64_t zswarm__big(zswarm__at at, int bytes) {
     uint64_t number = 0;
@@ -145,7 +145,7 @@ static uint64_t zswarm__big(zswarm__at at, int bytes) {
     return number;
 }
 
-/* What a value begins with: of a number itself, of others their length; and where its content begins. */
+/* Read a value's head: the number itself, or the length of other values, and where the content begins. */
 static char zswarm__value(zswarm__at at, uint64_t *number, zswarm__at *content) {
     const int code = (int)zswarm__big(at, 1);
     int bytes = 0;
@@ -186,7 +186,7 @@ static int zswarm__says(zswarm__at at, const char *text) {
     return at && zswarm__value(at, &length, &at) == 's' && length == strlen(text) && !memcmp(at, text, length);
 }
 
-/* The value of a key of a map; NULL where it is not there. */
+/* Return the value of a key of a map; NULL if the key is missing. */
 static zswarm__at zswarm__field(zswarm__at map, const char *key) {
     uint64_t fields;
     if (!map || zswarm__value(map, &fields, &map) != 'm') return NULL;
@@ -214,7 +214,7 @@ static double zswarm__number(zswarm__at at) {
     return (double)(int64_t)bits;
 }
 
-/* Exactly so many bytes; NULL where there are others. */
+/* Return a bin of exactly this size; NULL for any other value. */
 static zswarm__at zswarm__bytes(zswarm__at at, size_t expected) {
     uint64_t length;
     return at && zswarm__value(at, &length, &at) == 's' && length == expected ? at : NULL;
@@ -225,7 +225,7 @@ static int zswarm__read(void *bytes, size_t size) { return fread(bytes, 1, size,
 /* ---- a simulator */
 
 static struct zswarm_network zswarm__network;
-static int zswarm__hosts; /* it decides for the controllers */
+static int zswarm__hosts; /* whether this program computes the networks */
 static int *zswarm__agents, zswarm__acting; /* of the turn */
 static float *zswarm__observations, *zswarm__actions, *zswarm__states, **zswarm__weights;
 static double *zswarm__fitness, *zswarm__metrics;
@@ -272,7 +272,7 @@ static void zswarm__hello(const struct zswarm_simulator *simulator) {
     zswarm__send();
 }
 
-/* Whether it can decide for controllers of this kind. */
+/* Return whether this program can compute networks of this kind. */
 static int zswarm__host(const struct zswarm_simulator *simulator, zswarm__at network) {
     static const char *const activations[] = {"clamp", "sigmoid", "relu", "tanh"};
     if (!zswarm__says(zswarm__field(network, "kind"), "fully-meshed")) return 0;
@@ -341,7 +341,7 @@ static void zswarm__setup(struct zswarm_simulator *simulator, zswarm__at message
     zswarm__send();
 }
 
-/* Go on to the next turn and take what its agents observe; whether there is one. */
+/* Begin the next turn and collect its observations. Return whether there is one. */
 static int zswarm__next(const struct zswarm_simulator *simulator) {
     zswarm__acting = simulator->turn(zswarm__agents);
     for (int row = 0; row < zswarm__acting; row++)
@@ -412,11 +412,11 @@ static void zswarm__actions_came(const struct zswarm_simulator *simulator, zswar
     zswarm__tell_turn(simulator);
 }
 
-/* Serve until zswarm has done with it; what main returns. */
+/* Serve until the input ends. Return the exit code for main. */
 static int zswarm_serve(struct zswarm_simulator *simulator) {
     unsigned char *message = NULL, head[4];
     zswarm__pipe = dup(STDOUT_FILENO);
-    dup2(STDERR_FILENO, STDOUT_FILENO); /* prints do no harm */
+    dup2(STDERR_FILENO, STDOUT_FILENO); /* printf must not corrupt the messages */
     if (!zswarm_network_is_exact()) zswarm__fail("compile it with -ffp-contract=off: its networks would have other bits");
     zswarm__hello(simulator);
     while (zswarm__read(head, 4)) {

@@ -7,13 +7,13 @@ import java.util.List;
 import java.util.Map;
 import java.util.Random;
 
-/** Emergency exit on a grid, FREVO's: zswarm's emergency-exit once more, from its data sheet. */
+/** FREVO's emergency exit on a grid: a second implementation of zswarm's emergency-exit, from its reference. */
 final class EmergencyExit extends SimulationWrapper {
     private record Place(int x, int y) {}
 
     private static final int[] NEIGHBOUR_X = {0, 1, 1, 1, 0, -1, -1, -1}; // from north clockwise; y grows downward
     private static final int[] NEIGHBOUR_Y = {-1, -1, 0, 1, 1, 1, 0, -1};
-    private static final int OUT = -1; // no agent acts any more
+    private static final int OUT = -1; // all agents have left
 
     private int width;
     private int height;
@@ -24,7 +24,7 @@ final class EmergencyExit extends SimulationWrapper {
     private List<String> map; // of the stadium; null: a random field
     private List<Place> stadiumStarts;
 
-    private boolean[][] free; // by y and x: nothing and nobody stands there
+    private boolean[][] free; // by y and x: not blocked and without an agent
     private List<Place> exitPlaces;
     private Place[][] nearest; // the way to the nearest exit
     private Place[] here;
@@ -95,7 +95,7 @@ final class EmergencyExit extends SimulationWrapper {
         return ((Long) settings.get(name)).intValue();
     }
 
-    /** The map, then the agents' places in their order. */
+    /** Read the map, then the agents' cells in their order. */
     private void readStadium() throws IOException {
         List<String> words = Arrays.asList(Files.readString(Path.of("..", "stadium.txt")).trim().split("\\s+"));
         height = (int) words.stream().filter(word -> !word.contains(",")).count();
@@ -143,7 +143,7 @@ final class EmergencyExit extends SimulationWrapper {
         return next();
     }
 
-    /** A free cell, which is none any more. */
+    /** Draw a free cell and occupy it. */
     private Place take(Random random) {
         while (true) {
             int x = random.nextInt(width);
@@ -196,7 +196,7 @@ final class EmergencyExit extends SimulationWrapper {
         return x >= 0 && x < width && y >= 0 && y < height && free[y][x];
     }
 
-    /** The next agent that is inside, round by round. */
+    /** Return the next agent that is inside, round by round. */
     private Turn next() {
         for (; round < steps && remaining > 0; round++, agent = OUT) {
             while (++agent < agents) {

@@ -6,7 +6,7 @@ import java.util.LinkedHashMap;
 import java.util.List;
 import java.util.Map;
 
-/** As much of msgpack (msgpack.org) as messages need. Whole numbers are Long, those from 2^63 on negative ones of the same bits. */
+/** The part of msgpack (msgpack.org) that messages need. Integers are Long; from 2^63 on the negative Long of the same bits. */
 final class Msgpack {
     private final ByteBuffer in;
 
@@ -14,7 +14,7 @@ final class Msgpack {
         in = ByteBuffer.wrap(message);
     }
 
-    /** Map, List, String, byte[], Long, Double, Boolean or null. */
+    /** Read a Map, List, String, byte[], Long, Double, Boolean or null. */
     static Object unpack(byte[] message) {
         return new Msgpack(message).value();
     }

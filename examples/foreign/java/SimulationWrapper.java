@@ -12,22 +12,22 @@ import java.util.List;
 import java.util.Map;
 
 /**
- * A simulator in Java for zswarm: what all have in common, the protocol of zswarm's docs/foreign.md on standard input and output.
+ * Wrapper for zswarm simulators in Java: the protocol of zswarm's docs/foreign.md on standard input and output.
  *
- * Extend it and call {@link #serve} from main. zswarm decides for the agents: a turn says who acts next and what they observe, and
- * {@link #step} gets what they do. What is printed goes to standard error. An exception makes the trial's fitness NaN.
+ * Extend it and call {@link #serve} from main. zswarm decides for the agents: a turn names the agents that act next and their
+ * observations, and {@link #step} receives their actions. Output goes to standard error. An exception makes the trial's fitness NaN.
  */
 abstract class SimulationWrapper {
     private static final int VERSION = 1;
     private static final int LONGEST = 8 << 20; // bytes of a message
 
-    /** Who acts next, and what each of them observes. */
+    /** The agents that act next, and their observations. */
     record Turn(int[] agents, float[][] observations) {}
 
-    /** What a trial decided: a fitness per participant, higher is better, and all metrics. */
+    /** The outcome of a trial: a fitness per participant, higher is better, and all metrics. */
     record Outcome(double[] fitness, double[] metrics) {}
 
-    /** What a simulator is with its settings; {@code owners}: per agent the participant that drives it. */
+    /** The properties of a simulator with its settings; {@code owners}: for each agent the participant that drives it. */
     record World(int inputs, int outputs, int[] owners, int participants, Long firstSeed) {
         /** One genome drives all agents. */
         World(int inputs, int outputs, int agents, Long firstSeed) {
@@ -40,7 +40,7 @@ abstract class SimulationWrapper {
     private int outputs;
     private int acting; // agents of the last turn
 
-    /** A data sheet; its first line says in short what it is. */
+    /** Return the reference; its first line is a summary. */
     protected abstract String description();
 
     protected abstract List<String> metrics();
@@ -49,39 +49,39 @@ abstract class SimulationWrapper {
 
     protected abstract List<String> actuators();
 
-    /** Take the values of the settings; an IllegalArgumentException refuses them. */
+    /** Set the values of the settings; throw IllegalArgumentException to refuse them. */
     protected abstract World setup(Map<String, Object> settings) throws Exception;
 
     /** Begin a trial; the same seed gives the same trial. */
     protected abstract Turn reset(long seed);
 
-    /** Let the agents of the last turn act; null when the trial is over. */
+    /** Apply the actions of the last turn's agents; return null when the trial is over. */
     protected abstract Turn step(float[][] actions);
 
-    /** The outcome of the trial that ended. */
+    /** Return the outcome of the trial that ended. */
     protected abstract Outcome outcome();
 
-    /** Declare a setting that is a whole number; of main, before serve. */
+    /** Declare an integer setting; call it in main, before serve. */
     protected void setting(String name, long value, long minimum, long maximum, String meaning) {
         settings.add(message("name", name, "type", "int", "default", value, "minimum", minimum, "maximum", maximum,
                 "description", meaning));
     }
 
-    /** Declare a setting that is a number. */
+    /** Declare a floating-point setting. */
     protected void setting(String name, double value, double minimum, double maximum, String meaning) {
         settings.add(message("name", name, "type", "float", "default", value, "minimum", minimum, "maximum", maximum,
                 "description", meaning));
     }
 
-    /** Declare a setting that is one of some words. */
+    /** Declare a setting with a list of allowed texts. */
     protected void setting(String name, String value, List<String> choices, String meaning) {
         settings.add(message("name", name, "type", "text", "default", value, "choices", choices, "description", meaning));
     }
 
-    /** Serve until zswarm has done with it. */
+    /** Serve until the input ends. */
     public final void serve() throws IOException {
         out = new FileOutputStream(FileDescriptor.out);
-        System.setOut(System.err); // prints do no harm
+        System.setOut(System.err); // output must not corrupt the messages
         DataInputStream in = new DataInputStream(System.in);
         say(message("type", "hello", "v", VERSION, "description", description(), "settings", settings));
         while (true) {
@@ -144,7 +144,7 @@ abstract class SimulationWrapper {
     private void say(Map<String, Object> message) throws IOException {
         byte[] body = Msgpack.pack(message);
         ByteBuffer frame = ByteBuffer.allocate(4 + body.length).order(ByteOrder.LITTLE_ENDIAN);
-        out.write(frame.putInt(body.length).put(body).array()); // in one go
+        out.write(frame.putInt(body.length).put(body).array()); // in one write
     }
 
     private static Map<String, Object> message(Object... keysAndValues) {

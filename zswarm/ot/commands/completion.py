@@ -1,26 +1,26 @@
-"""``zswarm-ot completion``: what a shell needs to complete commands, options and names."""
+"""``zswarm-ot completion``: print what a shell needs to complete commands, options and names."""
 
 import click
 from click.shell_completion import get_completion_class
 
-SHELLS = ("bash", "zsh", "fish")
+MENU = ("Shell", 1)
 PROGRAMS = ("zswarm-ot", "zswarm-ss", "zswarm-router", "zswarm-keys")
 
 
-@click.command()
-@click.argument("shell", type=click.Choice(SHELLS), metavar="bash|zsh|fish")
-def completion(shell: str) -> None:
-    """Print a script for the shell's completion.
+@click.command("completion")
+@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]), metavar="bash|zsh|fish")
+def command(shell: str) -> None:
+    """Print a completion script for a shell.
 
-    Commands, options, examples and runs are completed, of all four programs.
+    It completes commands, options, examples and runs, for all four programs.
 
     \b
       zswarm-ot completion bash >> ~/.bashrc
       zswarm-ot completion zsh >> ~/.zshrc
       zswarm-ot completion fish > ~/.config/fish/conf.d/zswarm.fish
 
-    Then open a new terminal. In zsh, compinit comes before it.
-    """  # noqa: D301  click's mark for text that is not to be wrapped
+    Then open a new terminal. In zsh, compinit must come first.
+    """
     made = get_completion_class(shell)
     assert made is not None  # noqa: S101  click has all three
     for program in PROGRAMS:

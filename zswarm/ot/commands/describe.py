@@ -1,70 +1,69 @@
-"""``zswarm-ot describe``: what a simulator, representation, optimizer or ranking is."""
+"""``zswarm-ot describe``: explain a simulator, representation, optimizer or ranking."""
 
-import os
-from typing import TYPE_CHECKING
+from typing import Any
 
 import click
 
-from zswarm.ot.commands import suggestions
-from zswarm.ot.commands.options import json_option
+from zswarm.ot.commands.shared import catalog, options, suggestions
+from zswarm.ot.commands.shared.catalog import CatalogEntry
+from zswarm.ot.display import tables
 
-if TYPE_CHECKING:
-    from zswarm.ot.parts import Part
-
+MENU = ("Begin", 4)
+LABEL = 14  # columns
 MEANINGS = {
     "portable": "gives the same on every machine, bit for bit",
-    "competes": "takes the scores of tournaments, too",
+    "competes": "also takes the scores of tournaments",
     "relative": "scores compare within a generation only",
 }
 
 
-@click.command()
+@click.command("describe")
 @click.argument("name", metavar="PART", shell_complete=suggestions.parts)
-@json_option
-def describe(name: str, as_json: bool) -> None:
-    """Explain a part of experiments: its data sheet and its settings.
+@options.json_option
+def command(name: str, as_json: bool) -> None:
+    """Explain a part of experiments, with its settings.
 
-    A part is a simulator, representation, optimizer or ranking; "zswarm-ot list" names them. Where several have the name,
-    each is explained.
+    A part is a simulator, representation, optimizer or ranking; "zswarm-ot list" names them. If
+    several parts have the name, all of them are explained.
 
     \b
       zswarm-ot describe nnga
       zswarm-ot describe emergency-exit
-    """  # noqa: D301  click's mark for text that is not to be wrapped
-    os.environ["ZSWARM_PLAIN"] = "1"  # nothing is evaluated
-    from zswarm.ot import parts, terminal
-
-    found = parts.find(name)
+    """
+    found = catalog.find(name)
     if as_json:
-        terminal.print_json({"parts": [parts.as_object(part) for part in found]})
+        tables.print_json({"parts": [catalog.as_object(part) for part in found]})
         return
     for number, part in enumerate(found):
         if number:
-            terminal.line("")
+            tables.line("")
         _show(part)
 
 
-def _show(part: "Part") -> None:
-    from zswarm.ot import parts, terminal
-
-    terminal.paragraph(f"{part.name}, {part.kind}: {part.error or part.about}")
-    for paragraph in part.sheet:
-        terminal.paragraph(paragraph)
-    for what, value in part.facts:
-        if isinstance(value, bool):
-            terminal.entry(what, f"{'yes' if value else 'no'}: {MEANINGS[what]}" if value else "no", label=14)
-        elif isinstance(value, list):
-            terminal.entry(what, ", ".join(value) or "no names", label=14)
-        else:
-            terminal.entry(what, str(value), label=14)
+def _show(part: CatalogEntry) -> None:
+    tables.paragraph(f"{part.name}, {part.kind}: {part.error or part.about}")
+    for paragraph in part.reference:
+        tables.paragraph(paragraph)
+    for name, value in part.facts:
+        tables.entry(name, _fact(name, value), label=LABEL)
     if part.settings:
-        table = terminal.table("setting", "type", "default", "meaning")
+        table = tables.table("setting", "type", "default", "meaning")
         for key in part.settings:
-            terminal.row(table, key.name, key.type_text, parts.default(key), key.meaning)
-        terminal.show(table)
+            tables.row(table, key.name, key.type_text, catalog.default(key), key.meaning)
+        tables.show(table)
         if part.kind == "simulator":
-            terminal.paragraph(
-                "A setting may be a range, from which each trial draws: { from = 5, to = 15 } or { choice = [5, 10] }"
+            tables.paragraph(
+                "A setting may be a range, from which each trial draws: { from = 5, to = 15 } or "
+                "{ choice = [5, 10] }"
             )
     elif not part.error:
-        terminal.entry("settings", "none", label=14)
+        tables.entry("settings", "none", label=LABEL)
+
+
+def _fact(name: str, value: Any) -> str:
+    match value:
+        case bool():
+            return f"yes: {MEANINGS[name]}" if value else "no"
+        case list():
+            return ", ".join(value) or "no names"
+    return str(value)

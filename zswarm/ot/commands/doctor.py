@@ -1,48 +1,53 @@
-"""``zswarm-ot doctor``: what this machine and its network are fit for, and how faults are mended."""
+"""``zswarm-ot doctor``: examine this machine and its network, and say how to fix faults."""
 
-import os
 import sys
 from pathlib import Path
+from typing import Any
 
 import click
 
-from zswarm.ot.commands.options import check_looking, json_lines_option, looking_options
-from zswarm.ot.exits import EXIT_FAILED
+from zswarm.ot.commands.shared import options, suggestions
+from zswarm.ot.commands.shared.exits import EXIT_FAILED
+from zswarm.ot.display import tables
+from zswarm.system.text import clean
+
+MENU = ("Begin", 6)
+VERDICTS = {
+    "broken": "something is broken",
+    "warning": "it works; see the warnings",
+    "ok": "everything is fine",
+}
 
 
-@click.command()
-@looking_options
+@click.command("doctor")
+@options.search_options
 @click.option(
-    "--out", type=click.Path(path_type=Path), default=Path("runs"), show_default=True, help="Where runs are to be made."
-)
-@json_lines_option
-def doctor(realm: str, connect: tuple[str, ...], multicast: bool, through_router: bool, out: Path, as_json: bool) -> None:
-    """Look whether machine and network are fit.
+    "--out", type=options.PATH, default=suggestions.RUNS, show_default=True,
+    help="Folder in which runs will be made.",
+)  # fmt: skip
+@options.json_lines_option
+def command(out: Path, as_json: bool, **search: Any) -> None:
+    """Check whether this machine and its network are ready.
 
-    Each line is ok, a warning (it works, but not as well as it could) or broken (runs fail): then the exit code is 1. What
-    is not ok comes with what to do. Takes some seconds; nothing is changed.
+    Each line is ok, a warning (it works, but not as well as it could) or broken (runs fail; the
+    exit code is 1). Whatever is not ok comes with a remedy. This takes a few seconds and changes
+    nothing.
 
     \b
       zswarm-ot doctor
       zswarm-ot doctor --connect tcp/192.168.1.5:7467
-    """  # noqa: D301  click's mark for text that is not to be wrapped
-    os.environ["ZSWARM_PLAIN"] = "1"  # nothing is evaluated
-    from zswarm.ot import terminal
+    """
     from zswarm.ot.doctor.examination import examine
-    from zswarm.protocol.codec import clean
-    from zswarm.session import Reach
 
-    check_looking(realm, connect)
     states = set()
-    for finding in examine(realm, out, Reach(connect, multicast, through_router)):
+    for finding in examine(search["realm"], out, options.reach(**search, keys=False)):
         states.add(finding.state)
-        text, mend = clean(finding.text), clean(finding.mend)
+        text, remedy = clean(finding.text), clean(finding.mend)
         if as_json:
-            terminal.print_json({**finding._asdict(), "text": text, "mend": mend})
+            tables.print_json({**finding._asdict(), "text": text, "mend": remedy})
         else:
-            terminal.fact(finding.state, finding.check, text, mend)
+            tables.fact(finding.state, finding.check, text, remedy)
     if not as_json:
-        told = {"broken": "something is broken", "warning": "it works; see the warnings", "ok": "everything is fine"}
-        terminal.line(next(words for state, words in told.items() if state in states))
+        tables.line(next(verdict for state, verdict in VERDICTS.items() if state in states))
     if "broken" in states:
         sys.exit(EXIT_FAILED)

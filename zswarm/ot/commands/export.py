@@ -1,53 +1,58 @@
-"""``zswarm-ot export``: a controller as files for robots and other programs."""
+"""``zswarm-ot export``: write a controller as files for robots and other programs."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
-from zswarm.ot.commands import suggestions
-from zswarm.ot.commands.options import json_option
+from zswarm.ot.commands.shared import options, suggestions
+from zswarm.ot.display import tables
+from zswarm.system.text import clean
+
+MENU = ("Results", 5)
 
 
-@click.command()
-@click.argument("path", type=click.Path(path_type=Path), metavar="RUN|CHAMPION.zsc", shell_complete=suggestions.runs)
+@click.command("export")
+@options.champion_argument
 @click.option(
-    "--to",
-    "target",
-    required=True,
-    metavar="TARGET",
-    shell_complete=suggestions.targets,
-    help="What to make of it, as listed below.",
+    "--to", "target", required=True, metavar="TARGET", shell_complete=suggestions.targets,
+    help="What to write: one of the targets listed above.",
+)  # fmt: skip
+@options.number_option(
+    "--generation", help="A candidate of this generation, from 0, instead of the champion."
 )
-@click.option("--generation", type=int, metavar="N", help="A candidate of this generation, from 0, instead of the champion.")
-@click.option("--candidate", type=int, metavar="N", help="This candidate of the generation, from 0: the best by default.")
-@click.option("--name", help="Name in files, functions and packages, behind zs_; the run's by default.")
+@options.candidate_option
 @click.option(
-    "--out",
-    type=click.Path(file_okay=False, path_type=Path),
-    metavar="FOLDER",
-    help="Where the files are written; NAME-TARGET by default.",
+    "--name",
+    help="Name in files, functions and packages, after the prefix zs_.  [default: the run's]",
 )
-@click.option("--profile", metavar="NAME|FILE", help="The robot that a package drives: its topics and limits.")
-@json_option
-def export(
+@click.option(
+    "--out", type=click.Path(file_okay=False, path_type=Path), metavar="FOLDER",
+    help="Folder to write the files to.  [default: NAME-TARGET]",
+)  # fmt: skip
+@click.option(
+    "--profile", metavar="NAME|FILE", help="The robot that a package drives: its topics and limits."
+)
+@options.json_option
+def command(
     path: Path,
     target: str,
-    generation: int | None,
-    candidate: int | None,
     name: str | None,
     out: Path | None,
     profile: str | None,
     as_json: bool,
+    **chosen: Any,
 ) -> None:
     """Write a run's champion as files for robots and other programs.
 
-    It decides the same bits there as in evolution, but for onnx, and every file has steps to check that by.
+    Except for onnx, it decides there bit for bit as in evolution; every file comes with reference
+    steps to check that.
 
     \b
       c99     C without malloc, for any processor
-      python  one Python file that needs numpy alone
-      json    a documented file for programs of others
-      onnx    one step as a graph of ONNX (extra onnx)
+      python  one Python file that needs only numpy
+      json    a documented file for third-party programs
+      onnx    one step as an ONNX graph (extra onnx)
       ros1    a catkin package with a node in C++
       ros2    an ament_python package with rclpy
       zenoh   a program for a robot of ROS 2, without ROS
@@ -57,28 +62,31 @@ def export(
       zswarm-ot export runs/stadium --to c99 --out firmware/
       zswarm-ot export runs/stadium --to json --generation 0 --candidate 3
       zswarm-ot export runs/turtlebot-exit --to ros1 --profile turtlebot2
-    """  # noqa: D301  click's mark for text that is not to be wrapped
-    import os
-
-    os.environ["ZSWARM_PLAIN"] = "1"  # the few steps that are played need no compiler
-    from zswarm.ot import exported, terminal
-    from zswarm.protocol.codec import clean
-    from zswarm.robots import folder, names, original, targets
+    """
+    from zswarm.kernels.jit import interpreted
+    from zswarm.ot.record import selection
+    from zswarm.robots import folder, targets
+    from zswarm.robots.c.c_types import folded
+    from zswarm.robots.c.reference_steps import sha256
 
     targets.known(target)
-    controller = exported.controller(path, generation, candidate)
-    own = path.resolve().name if path.is_dir() else controller.run
-    name = names.folded(name if name is not None else own)
-    files = targets.files(target, controller, name, profile)
+    controller = selection.controller(path, **chosen)
+    if name is None:
+        name = path.resolve().name if path.is_dir() else controller.run
+    name = folded(name)
+    with interpreted():  # the few steps that are played need no compiler
+        files = targets.files(target, controller, name, profile)
     out = out or Path(f"{name}-{target}")
     written = folder.write(out, files)
     _, parameters = controller.network()
     if as_json:
         what = {"target": target, "name": f"zs_{name}", "folder": str(out), "files": list(files)}
-        terminal.print_json({**what, "run": controller.run, "fitness": controller.fitness, "sha256": original.sha256(parameters)})
+        who = {"run": controller.run, "fitness": controller.fitness}
+        tables.print_json({**what, **who, "sha256": sha256(parameters)})
         return
     for file in written:
-        terminal.line(clean(str(file)))
-    terminal.entry("controller", f"of {controller.run}, fitness {controller.fitness:.6g}, {controller.representation}")
-    terminal.line(f"{'parameters':12}sha256 {original.sha256(parameters)}")
-    terminal.line(f"{'next':12}{targets.on(target, name, out)}")
+        tables.line(clean(str(file)))
+    about = f"of {controller.run}, fitness {controller.fitness:.6g}, {controller.representation}"
+    tables.entry("controller", about)
+    tables.line(f"{'parameters':12}sha256 {sha256(parameters)}")
+    tables.line(f"{'next':12}{targets.on(target, name, out)}")

@@ -1,79 +1,75 @@
-"""``zswarm-ot init``: a commented experiment file."""
+"""``zswarm-ot init``: write a commented experiment file."""
 
-import os
 import shlex
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import click
 
 from zswarm import experiment
+from zswarm.config.decode import read
 from zswarm.errors import ConfigError
-from zswarm.ot.commands import suggestions
+from zswarm.ot.commands.shared import options, suggestions
+from zswarm.ot.display import tables
+from zswarm.protocol import keys
+
+MENU = ("Begin", 1)
+DEFAULTS = {
+    "simulator": "emergency-exit",
+    "representation": "fully-meshed",
+    "optimizer": "nnga",
+}
 
 
-@click.command()
-@click.argument("file", type=click.Path(path_type=Path), default=Path("experiment.toml"), metavar="[FILE.toml|-]")
+def _part(kind: str, **more: Any) -> Callable[[options.F], options.F]:
+    text = f"Name of the {kind}.  [default: {DEFAULTS[kind]}]"
+    return click.option(f"--{kind}", metavar="NAME", help=text, **more)
+
+
+@click.command("init")
+@click.argument("file", type=options.PATH, default=Path("experiment.toml"), metavar="[FILE.toml|-]")
 @click.option(
-    "--from",
-    "source",
-    metavar="EXPERIMENT",
-    help="Begin with what this example or file sets.",
-    shell_complete=suggestions.experiments,
-)
-@click.option(
-    "--simulator", metavar="NAME", help="Of the experiment.  [default: emergency-exit]", shell_complete=suggestions.simulators
-)
-@click.option("--representation", metavar="NAME", help="Of the controllers.  [default: fully-meshed]")
-@click.option("--optimizer", metavar="NAME", help="That evolves them.  [default: nnga]")
-@click.option("--force", is_flag=True, help="Replace a file that is there.")
-def init(
-    file: Path, source: str | None, simulator: str | None, representation: str | None, optimizer: str | None, force: bool
-) -> None:
+    "--from", "source", metavar="EXPERIMENT", shell_complete=suggestions.experiments,
+    help="Begin with the settings of this example or file.",
+)  # fmt: skip
+@_part("simulator", shell_complete=suggestions.simulators)
+@_part("representation")
+@_part("optimizer")
+@click.option("--force", is_flag=True, help="Replace an existing file.")
+def command(file: Path, source: str | None, force: bool, **parts: str | None) -> None:
     """Write a commented experiment file.
 
-    Every key is in it, with its type, range, default and meaning.
+    It lists every key with its type, range, default and meaning.
 
     \b
       zswarm-ot init                       experiment.toml, with defaults
       zswarm-ot init my.toml --from stadium
       zswarm-ot init - --simulator minisim  to the screen
 
-    Then edit it; "zswarm-ot check FILE" says what it amounts to, "zswarm-ot run FILE" evolves.
-    """  # noqa: D301  click's mark for text that is not to be wrapped
-    os.environ["ZSWARM_PLAIN"] = "1"  # nothing is evaluated
-    from zswarm.ot import template, terminal
-    from zswarm.protocol import keys
-    from zswarm.strict import read
+    Edit it; then "zswarm-ot check FILE" explains it, and "zswarm-ot run FILE" evolves.
+    """
+    from zswarm.ot.commands.shared import template
 
-    parts = {"simulator": simulator, "representation": representation, "optimizer": optimizer}
+    given = {kind: name for kind, name in parts.items() if name is not None}
     if source is not None:
-        if given := [name for name, value in parts.items() if value is not None]:
-            raise ConfigError(f"--from says which {given[0]}: leave --{given[0]} out")
+        if given:
+            raise ConfigError(f"--from names the {next(iter(given))}: omit --{next(iter(given))}")
         path = experiment.find(source)
-        experiment.complete(experiment.load(path), str(path))  # what is wrong is told here
+        experiment.complete(experiment.load(path), str(path))  # raises what is wrong with it
         content = read(path)
     else:
-        content = template.blank(
-            keys.fold(file.stem) if file.stem not in ("", "-") else "experiment",
-            simulator or "emergency-exit",
-            representation or "fully-meshed",
-            optimizer or "nnga",
-        )
+        name = keys.fold(file.stem) if file.stem not in ("", "-") else "experiment"
+        content = template.blank(name, **(DEFAULTS | given))
     text = template.write(content)
     if str(file) == "-":
         click.echo(text, nl=False)
         return
-    _write(file, text, force=force)
-    name = shlex.quote(str(file))
-    terminal.line(f"{file}: an experiment with the simulator {content['problem']['simulator']}; every key is explained in it")
-    terminal.line(f"next:  zswarm-ot check {name}\n       zswarm-ot run {name}")
-
-
-def _write(file: Path, text: str, *, force: bool) -> None:
-    try:
-        with file.open("w" if force else "x", encoding="utf-8") as opened:
-            opened.write(text)
-    except FileExistsError:
-        raise ConfigError(f"{file}: is there already; --force replaces it, or give another name") from None
-    except OSError as error:
-        raise ConfigError(f"{file}: cannot be written: {error.strerror}") from None
+    with (
+        options.writing(file, "use --force to replace it, or another name"),
+        file.open("w" if force else "x", encoding="utf-8") as opened,
+    ):
+        opened.write(text)
+    simulator, name = content["problem"]["simulator"], shlex.quote(str(file))
+    tables.line(f"{file}: an experiment with the simulator {simulator}; it explains every key")
+    tables.line(f"next:  zswarm-ot check {name}\n       zswarm-ot run {name}")

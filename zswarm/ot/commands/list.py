@@ -1,60 +1,78 @@
-"""``zswarm-ot list``: runs, examples and parts."""
+"""``zswarm-ot list``: list runs, examples and parts."""
 
-import os
 import time
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import click
 
 from zswarm import experiment
 from zswarm.errors import ConfigError
-from zswarm.ot.commands.options import json_option
+from zswarm.ot.commands.shared import catalog, options, suggestions
+from zswarm.ot.commands.shared.catalog import CatalogEntry
+from zswarm.ot.display import tables
+from zswarm.system.text import clean
 
-RUNS = Path("runs")  # before the first run it is not there
+MENU = ("Results", 1)
 
 
 @click.command("list")
-@click.argument("folder", type=click.Path(path_type=Path), default=RUNS)
-@json_option
-def list_(folder: Path, as_json: bool) -> None:
-    """Show runs, examples and what experiments are made of.
+@click.argument("folder", type=options.PATH, default=suggestions.RUNS)
+@options.json_option
+def command(folder: Path, as_json: bool) -> None:
+    """Show runs, examples and the parts of experiments.
 
-    The runs below a folder; the examples; and the simulators, representations, optimizers and rankings that are installed, each
-    with what it is and its settings with their defaults. "zswarm-ot describe NAME" explains one of them.
+    Lists the runs below a folder, the examples, and the installed simulators, representations,
+    optimizers and rankings with their settings and defaults. "zswarm-ot describe NAME" explains
+    one of them.
     """
-    os.environ["ZSWARM_PLAIN"] = "1"  # nothing is evaluated
-    from zswarm.ot import parts, reading, terminal
-    from zswarm.protocol.codec import clean
+    from zswarm.ot.record.run_index import list_runs
 
-    if folder != RUNS and not folder.is_dir():
+    # The default does not exist before the first run.
+    if folder != suggestions.RUNS and not folder.is_dir():
         raise ConfigError(f"{clean(str(folder))}: no such folder")
-    runs = reading.listed(folder)
+    runs = list_runs(folder)
     examples = sorted(path.stem for path in experiment.examples_folder().glob("*.toml"))
-    found = parts.installed()
+    found = catalog.installed()
     if as_json:
-        names = {f"{kind}s": [part.name for part in found if part.kind == kind] for kind in parts.KINDS}
-        about = [parts.as_object(part) for part in found]
-        terminal.print_json({"runs": runs, "examples": examples, **names, "parts": about})
+        names = {
+            f"{kind}s": [part.name for part in found if part.kind == kind] for kind in catalog.KINDS
+        }
+        about = [catalog.as_object(part) for part in found]
+        tables.print_json({"runs": runs, "examples": examples, **names, "parts": about})
         return
-    for kind in parts.KINDS:
-        terminal.line(f"{kind}s")
-        for part in found:
-            if part.kind == kind:
-                known = "its program says them" if part.unasked else parts.settings_line(part.settings) or "none"
-                settings = f"settings: {known}"
-                terminal.item(part.name, *((part.error,) if part.error else (part.about, settings)))
-    terminal.paragraph("More of one of them: zswarm-ot describe NAME")
-    terminal.entry("examples", ", ".join(examples))
-    if not runs:
-        terminal.entry("runs", f"none in {folder}")
-        return
-    table = terminal.table("run", "generations", "best", "last at (local time)", "history")
+    _show_parts(found)
+    tables.entry("examples", ", ".join(examples))
+    if runs:
+        _show_runs(runs)
+    else:
+        tables.entry("runs", f"none in {folder}")
+
+
+def _show_parts(found: Sequence[CatalogEntry]) -> None:
+    for number, part in enumerate(found):
+        if not number or part.kind != found[number - 1].kind:
+            tables.line(f"{part.kind}s")
+        if part.error:
+            tables.item(part.name, part.error)
+            continue
+        settings = "its program lists them"
+        if not part.unstarted:
+            settings = catalog.settings_line(part.settings) or "none"
+        tables.item(part.name, part.about, f"settings: {settings}")
+    tables.paragraph("More about one of them: zswarm-ot describe NAME")
+
+
+def _show_runs(runs: list[dict[str, Any]]) -> None:
+    table = tables.table("run", ">generations", ">best", "last at (local time)", "history")
     for row in runs:
         if "error" in row:
-            terminal.row(table, row["run"], "", "", "", row["error"])
+            tables.row(table, row["run"], "", "", "", row["error"])
             continue
-        at = time.strftime("%Y-%m-%d %H:%M", time.localtime(row["finished_at"])) if row["finished_at"] else ""
+        at = row["finished_at"]
+        at = time.strftime("%Y-%m-%d %H:%M", time.localtime(at)) if at else ""
         best = "" if row["best"] is None else f"{row['best']:.6g}"
         history = row["history_hash"][:12] if row["history_hash"] else "not finished"
-        terminal.row(table, row["run"], row["generations"], best, at, history)
-    terminal.show(table)
+        tables.row(table, row["run"], row["generations"], best, at, history)
+    tables.show(table)

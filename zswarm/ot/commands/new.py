@@ -1,4 +1,4 @@
-"""``zswarm-ot new``: the beginning of a package of one's own."""
+"""``zswarm-ot new``: begin a package of your own."""
 
 import keyword
 import re
@@ -7,61 +7,63 @@ from pathlib import Path
 
 import click
 
-from zswarm import experiment, plugins
+from zswarm import experiment
 from zswarm.errors import ConfigError
+from zswarm.ot.commands.shared import options
+from zswarm.ot.display import tables
+from zswarm.plugins import registry
 
-EXAMPLE = "my-simulator"  # of the example whose files these are, in its folder of that name with _
+MENU = ("Begin", 5)
+EXAMPLE = "my-simulator"  # the example that is copied; its folder has _ in place of -
 FILES = (".md", ".py", ".toml")
 
 
-@click.group()
-def new() -> None:
+@click.group("new")
+def command() -> None:
     """Begin a package of your own."""
 
 
-@new.command()
+@command.command()
 @click.argument("name")
 def simulator(name: str) -> None:
     """Begin a simulator: a package with its test and an experiment, in a new folder.
 
-    It is whole, and evolves; change it into yours.
+    It is complete and evolves; change it into yours.
 
     \b
       zswarm-ot new simulator lost-robots
       cd lost-robots
       pip install -e .
       zswarm-ot run lost-robots.toml
-    """  # noqa: D301  click's mark for text that is not to be wrapped
-    from zswarm.ot import terminal
-
+    """
     files = skeleton(name)
     folder = Path(name)
-    try:
+    with options.writing(folder, "give another name, or go to another folder"):
         folder.mkdir()
         for file, text in files.items():
             folder.joinpath(file).write_text(text, encoding="utf-8")
-    except FileExistsError:
-        raise ConfigError(f"{folder}: is there already; give another name, or go to another folder") from None
-    except OSError as error:
-        raise ConfigError(f"{folder}: cannot be written: {error.strerror}") from None
-    terminal.line(f"{folder}: a simulator that can be evolved, in {module_of(name)}.py; change it into yours")
+    tables.line(f"{folder}: a simulator that can be evolved; change {module_of(name)}.py")
     steps = [f"cd {shlex.quote(name)}", "pip install -e .", "python -m pytest"]
-    steps += [f"zswarm-ot {command} {name}.toml" for command in ("check", "run")]
-    terminal.line("\n".join(f"{'next:' if step is steps[0] else '':7}{step}" for step in steps))
+    steps += [f"zswarm-ot {verb} {name}.toml" for verb in ("check", "run")]
+    tables.line("next:  " + "\n       ".join(steps))
 
 
 def skeleton(name: str) -> dict[str, str]:
-    """The files of a new simulator: those of the example, with its name.
+    """Return the files of a new simulator: those of the example, renamed.
 
     Raises:
-        ConfigError: there can be no simulator of that name.
+        ConfigError: a simulator cannot have this name.
     """
     _check(name)
     folder = experiment.examples_folder() / module_of(EXAMPLE)
-    example = {path.name: path.read_text(encoding="utf-8") for path in sorted(folder.iterdir()) if path.suffix in FILES}
+    paths = [path for path in sorted(folder.iterdir()) if path.suffix in FILES]
+    example = {path.name: path.read_text(encoding="utf-8") for path in paths}
     made = class_of(name)
-    if any(re.search(rf"\b{made}\b", text) for text in example.values()) and name != EXAMPLE:
-        raise ConfigError(f"{name}: its class would be {made}, a word that simulators use for something else; give another name")
+    if name != EXAMPLE and any(re.search(rf"\b{made}\b", text) for text in example.values()):
+        raise ConfigError(
+            f"{name}: its class would be {made}, a word that simulators already use; give another "
+            "name"
+        )
 
     def renamed(text: str) -> str:
         for spelled in (str, module_of, class_of):
@@ -72,12 +74,12 @@ def skeleton(name: str) -> dict[str, str]:
 
 
 def module_of(name: str) -> str:
-    """The Python module of a simulator."""
+    """Return the Python module of a simulator."""
     return name.replace("-", "_")
 
 
 def class_of(name: str) -> str:
-    """Its class."""
+    """Return the class of a simulator."""
     return "".join(word.capitalize() for word in name.split("-"))
 
 
@@ -86,8 +88,15 @@ def _check(name: str) -> None:
 
     module = module_of(name)
     if not re.fullmatch(r"[a-z][a-z0-9]*(-[a-z0-9]+)*", name) or len(name) > 63:
-        raise ConfigError(f"{name!r}: expected a name of small letters, digits and -, that begins with a letter: lost-robots")
-    if name in plugins.names("simulator"):
-        raise ConfigError(f"{name}: there is a simulator of that name (zswarm-ot list); give another name")
+        raise ConfigError(
+            f"{name!r}: expected a name of small letters, digits and - that begins with a letter, "
+            "such as lost-robots"
+        )
+    if name in registry.names("simulator"):
+        raise ConfigError(
+            f"{name}: there is a simulator of that name (zswarm-ot list); give another name"
+        )
     if keyword.iskeyword(module) or importlib.util.find_spec(module) is not None:
-        raise ConfigError(f"{name}: Python has a module {module} already; give another name, such as {name}-swarm")
+        raise ConfigError(
+            f"{name}: Python already has a module {module}; give another name, such as {name}-swarm"
+        )

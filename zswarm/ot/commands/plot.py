@@ -1,74 +1,81 @@
-"""``zswarm-ot plot``: learning curves as a figure."""
+"""``zswarm-ot plot``: draw learning curves."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from zswarm.ot.commands.options import json_option, one_stdout
+from zswarm.ot.commands.shared import options
+from zswarm.ot.display import tables
+from zswarm.system.format import plural
+from zswarm.system.text import clean
+
+if TYPE_CHECKING:
+    from zswarm.ot.analysis.curves import Axis
+    from zswarm.ot.analysis.drawing import Size
+
+MENU = ("Results", 7)
 
 
-@click.command()
-@click.argument("paths", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="RUN|STUDY...")
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="The figure: .pdf, .svg or .png; by default the folder's name with .pdf, and comparison.pdf for several folders.",
+@click.command("plot")
+@options.paths_argument
+@options.output_option(
+    "The figure: .pdf, .svg or .png.  [default: the folder's name with .pdf; comparison.pdf for "
+    "several]"
 )
-@click.option("--csv", metavar="FILE", help="Write the numbers that the figure shows, too; - is stdout.")
+@options.csv_option
 @click.option(
-    "--x",
-    "axis",
-    type=click.Choice(["generation", "evaluations", "time"]),
-    default="generation",
-    show_default=True,
-    help="Along the horizontal axis.",
-)
+    "--x", "axis", type=click.Choice(["generation", "evaluations", "time"]), default="generation",
+    show_default=True, help="Quantity on the horizontal axis.",
+)  # fmt: skip
 @click.option(
-    "--size",
-    type=click.Choice(["column", "page", "slides"]),
-    default="column",
-    show_default=True,
-    help="column: 3.4 inches wide, letters of 8 points; page: 7 inches, 9 points; slides: 10 inches, 18 points.",
-)
-@click.option("--title", default="", help="Above the figure.")
-@click.option("--lowest", type=float, metavar="VALUE", help="Lowest fitness on the vertical axis; all that there is by default.")
-@json_option
-def plot(
+    "--size", type=click.Choice(["column", "page", "slides"]), default="column", show_default=True,
+    help="column: 3.4 inches wide, 8 point text; page: 7 inches, 9 point; slides: 10 inches, "
+    "18 point.",
+)  # fmt: skip
+@click.option("--title", default="", help="Title above the figure.")
+@click.option(
+    "--lowest", type=float, metavar="VALUE",
+    help="Lowest fitness on the vertical axis.  [default: the lowest there is]",
+)  # fmt: skip
+@options.json_option
+def command(
     paths: tuple[Path, ...],
     output: Path | None,
     csv: str | None,
-    axis: str,
-    size: str,
+    axis: "Axis",
+    size: "Size",
     title: str,
     lowest: float | None,
     as_json: bool,
 ) -> None:
     """Draw the learning curves of runs.
 
-    One run: its best and mean fitness. Repeats: the median of their best, and of three or more a band from the lower to the
-    upper quartile.
-    Runs of different experiments or settings: a line and a band for each, and a test between them.
+    Of one run: its best and mean fitness. Of repeated runs: the median of their best and, for three
+    or more, a band from the lower to the upper quartile. Of runs with different experiments or
+    settings: a line and a band for each, and a test between them.
     """
-    from zswarm.ot import curves, figures, grouping, reading, spreadsheet, terminal
-    from zswarm.protocol.codec import clean
+    from zswarm.ot.analysis import csv as spreadsheet
+    from zswarm.ot.analysis import curves, figures, grouping
+    from zswarm.ot.record.run_index import runs_below
 
-    one_stdout(csv, as_json=as_json)
-    output = output or Path(f"{paths[0].resolve().name}.pdf" if len(paths) == 1 else "comparison.pdf")
+    options.check_stdout(csv, as_json=as_json)
+    name = paths[0].resolve().name if len(paths) == 1 else "comparison"
+    output = output or Path(f"{name}.pdf")
     figures.format_of(output)
-    left_out: list[str] = []
-    groups = grouping.groups(reading.runs_below(paths, left_out))
+    skipped: list[str] = []
+    groups = grouping.groups(runs_below(paths, skipped))
     loaded, notes = curves.load(groups)
-    for note in [*left_out, *notes, *curves.cut(loaded, axis)]:  # type: ignore[arg-type]  # click checked it
-        terminal.line(note, stderr=True)
+    for note in [*skipped, *notes, *curves.cut(loaded, axis)]:
+        tables.line(note, stderr=True)
     if csv:
-        spreadsheet.save(csv, *figures.table(loaded, axis))  # type: ignore[arg-type]  # click checked it
+        spreadsheet.save(csv, *figures.table(loaded, axis))
     figures.plain_style()
-    figures.save(figures.of_series(loaded, axis, size, title, lowest), output)  # type: ignore[arg-type]  # likewise
+    figures.save(figures.of_series(loaded, axis, size, title, lowest), output)
     runs = {group: len(found) for group, found in loaded.items()}
     if as_json:
-        terminal.print_json({"figure": str(output), "groups": [{"group": g, "runs": n} for g, n in runs.items()]})
+        counts = [{"group": group, "runs": count} for group, count in runs.items()]
+        tables.print_json({"figure": str(output), "groups": counts})
         return
-    drawn = f"{terminal.plural(sum(runs.values()), 'run')} in {terminal.plural(len(runs), 'group')}"
-    terminal.line(f"{clean(str(output))}: {drawn}", stderr=csv == "-")
+    drawn = f"{plural(sum(runs.values()), 'run')} in {plural(len(runs), 'group')}"
+    tables.line(f"{clean(str(output))}: {drawn}", stderr=csv == "-")

@@ -1,145 +1,133 @@
-"""``zswarm-ot predict``: how long an experiment takes on the servers that are there, and in other designs."""
+"""``zswarm-ot predict``: predict how long an experiment takes, here and in other designs."""
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import click
+import msgspec
 
-from zswarm import experiment
-from zswarm.ot.commands import suggestions
-from zswarm.ot.commands.options import cluster_options, json_option, named, set_option, with_cluster
+from zswarm.experiment import Experiment
+from zswarm.ot.commands.shared import options
+from zswarm.ot.display import tables
+from zswarm.ot.estimate import cost_model
+from zswarm.system.format import duration, plural
+from zswarm.system.text import clean
 
 if TYPE_CHECKING:
-    from zswarm.experiment import Experiment
-    from zswarm.ot.constants import Measured
-    from zswarm.ot.prediction import Predicted
+    from zswarm.ot.estimate.calibration import Calibration
+
+MENU = ("Begin", 3)
+PAPER = "Table I of the paper"
 
 
-@click.command()
-@click.argument("name", metavar="EXPERIMENT.toml|EXAMPLE", shell_complete=suggestions.experiments)
-@set_option
-@cluster_options
+@click.command("predict")
+@options.experiment_argument
+@options.set_option
+@options.cluster_options
 @click.option(
-    "--slots",
-    type=click.IntRange(1, 1_000_000),
-    metavar="N",
-    help="Predict for so many slots, not for those that are there.",
-)
+    "--slots", type=click.IntRange(1, 1_000_000), metavar="N",
+    help="Predict for this number of slots.  [default: those that are there]",
+)  # fmt: skip
 @click.option(
-    "--table1", is_flag=True, help="Calculate with the times that the paper measured (its Table I), not with measured ones."
-)
-@json_option
-def predict(name: str, overrides: tuple[str, ...], slots: int | None, table1: bool, as_json: bool, **cluster: Any) -> None:
-    """Say how long an experiment takes, before it is run.
+    "--table1", is_flag=True,
+    help="Use the times that the paper measured (its Table I) instead of measuring.",
+)  # fmt: skip
+@options.json_option
+def command(
+    name: str,
+    overrides: tuple[str, ...],
+    slots: int | None,
+    table1: bool,
+    as_json: bool,
+    **cluster: Any,
+) -> None:
+    """Predict how long an experiment takes.
 
-    Some seconds of trials and messages on the servers that are there show what each of them takes; a model calculates
-    from that the time of the whole run, its messages, and the number of slots beyond which nothing is gained. Other
-    designs stand beside it: those of the paper that zswarm follows.
+    A few seconds of trials and messages on the servers that are there show how long each of them
+    takes. From that a model calculates the time of the whole run, its messages, and the number of
+    slots beyond which nothing is gained. The designs of the paper that zswarm follows are predicted
+    as well.
 
     \b
       zswarm-ot predict minisim
       zswarm-ot predict my.toml --servers local
       zswarm-ot predict my.toml --slots 64
-    """  # noqa: D301  click's mark for text that is not to be wrapped
-    from zswarm.ot import prediction, terminal
+    """
+    from zswarm.ot import build
+    from zswarm.ot.cluster.connection import Connection
+    from zswarm.ot.estimate import calibration
 
-    path = experiment.find(name)
-    with named(overrides, path):
-        complete = experiment.complete(with_cluster(experiment.load(path, overrides), cluster), str(path))
-        measured = _table_1(complete) if table1 else _measured(complete)
-    used = slots or measured.slots
-    ways = prediction.predict(measured.plan, measured.constants, used)
+    complete = options.complete(name, overrides, cluster)
+    parts = build.build(complete)
+    if table1:
+        measured = calibration.of_table_1(parts)
+    else:
+        with Connection(complete.cluster) as connection:
+            measured = calibration.calibrate(parts, connection)
+    slots = slots or measured.slots
+    ways = cost_model.predict(measured.plan, measured.constants, slots)
     if as_json:
-        terminal.print_json(_mapping(complete, measured, ways, used, table1=table1))
+        builtins = {"plan": measured.plan, "constants": measured.constants, "ways": ways}
+        tables.print_json(
+            {
+                "experiment": complete.name,
+                "constants_from": "table1" if table1 else "measured",
+                "servers": measured.servers,
+                "slots": slots,
+                **{key: msgspec.to_builtins(value) for key, value in builtins.items()},
+            }
+        )
         return
-    _show(complete, measured, used, table1=table1)
-    _show_ways(ways, used)
+    for about, text in _lines(complete, measured, slots, table1=table1):
+        tables.entry(about, clean(text))
+    _show_ways(ways, slots)
 
 
-def _measured(complete: "Experiment") -> "Measured":
-    from zswarm.ot import constants
-    from zswarm.ot import run as runs
-    from zswarm.ot.connection import Connection
-
-    parts = runs.build(complete)
-    with Connection(complete.cluster) as connection:
-        return constants.measure(complete, parts, connection)
-
-
-def _table_1(complete: "Experiment") -> "Measured":
-    """With the paper's times, on one slot."""
-    import numpy as np
-
-    from zswarm.ot import constants, cost_model
-    from zswarm.ot import run as runs
-
-    problem, optimizer = runs.build(complete)
-    genomes = optimizer.ask()
-    optimizer.tell(np.arange(len(genomes), dtype=np.float64), np.zeros((len(genomes), len(optimizer.measures))))
-    plan = constants.plan_of(problem, genomes, len(genomes), len(optimizer.ask()))
-    return constants.Measured(plan, cost_model.TABLE_I, servers=1, slots=1)
-
-
-def _show(complete: "Experiment", measured: "Measured", slots: int, *, table1: bool) -> None:
-    """What was measured, and where each number is from."""
-    from zswarm.ot import terminal
-    from zswarm.ot.explanation import in_time
-    from zswarm.protocol.codec import clean
-
-    plan, constants, plural = measured.plan, measured.constants, terminal.plural
-    files_s = constants.export_s + constants.compile_s + constants.fitness_s
-    turns = "" if plan.turns == 1 else f", in each {plan.turns} turns"
-    found = f"{plural(measured.servers, 'server')} with {plural(measured.slots, 'slot')}"
-    where = "Table I of the paper" if table1 else "measured"
-    paper = where if table1 else "Table I of the paper: not measured here"
-    known = {"message": f"{in_time(constants.message_s)}, one way: half of a question and its answer; {where}"}
-    if not table1:
-        known["dispatch"] = f"{in_time(constants.dispatch_s)} of this program's computing for a trial; {where}"
-        known["batch"] = f"{plural(constants.batch, 'trial')} in a message, by the time of a trial"
-    for about, text in {
-        "experiment": f"{complete.name}: {plural(plan.generations, 'generation')}, {plan.simulations:,} simulations of "
-        f"{plural(plan.steps, 'step')} with {plural(plan.agents, 'agent')}{turns}",
-        "servers": ("" if table1 else f"{found} can run it") + (f"; predicted for {slots:,}" if slots != measured.slots else "")
-        or plural(slots, "slot"),
-        "step": f"{in_time(constants.step_s)} for all agents; {where}",
-        **known,
-        "generation": f"{in_time(constants.evolve_s)} between two, in which slots wait; {where}",
-        "files": f"{in_time(files_s)} to export, compile and read logs; {paper}",
-    }.items():
-        terminal.entry(about, clean(text))
-
-
-def _show_ways(ways: "list[Predicted]", slots: int) -> None:
-    from zswarm.ot import terminal
-    from zswarm.ot.explanation import in_time
-    from zswarm.ot.prediction import MEANINGS
-
-    terminal.line("")
-    table = terminal.table("controller", "messages", "time", "slots of use", box=None, padding=(0, 2, 0, 0))
-    for way in ways:
-        terminal.row(table, way.way, f"{way.messages:,.0f}", in_time(way.seconds), f"{way.useful_slots:,}")
-    terminal.show(table)
-    terminal.line("")
-    for name, meaning in MEANINGS.items():
-        terminal.entry(name, meaning, label=21)
-    best = ways[0]
-    terminal.line("")
-    terminal.paragraph(
-        f"Predicted with {terminal.plural(slots, 'slot')}: about {in_time(best.seconds)}. More than {best.useful_slots:,} slots "
-        "gain nothing: a generation has no more trials to share, or the optimizer no more time."
+def _lines(
+    complete: Experiment, measured: "Calibration", slots: int, *, table1: bool
+) -> Iterator[tuple[str, str]]:
+    """Yield what a line is about, and its text: what is known, and from where."""
+    plan, constants = measured.plan, measured.constants
+    source = PAPER if table1 else "measured"
+    turns = "" if plan.turns == 1 else f", {plan.turns} turns each"
+    yield (
+        "experiment",
+        f"{complete.name}: {plural(plan.generations, 'generation')}, "
+        f"{plural(plan.simulations, 'simulation')} of {plural(plan.steps, 'step')} with "
+        f"{plural(plan.agents, 'agent')}{turns}",
     )
+    found = plural(measured.slots, "slot")
+    if not table1:
+        found = f"{plural(measured.servers, 'server')} with {found} can run it"
+    yield "servers", found + ("" if slots == measured.slots else f"; predicted for {slots:,}")
+    yield "step", f"{duration(constants.step_s)} for all agents; {source}"
+    message = duration(constants.message_s)
+    yield "message", f"{message}, one way: half of a question and its answer; {source}"
+    if not table1:
+        dispatch = duration(constants.dispatch_s)
+        yield "dispatch", f"{dispatch} of this program's computing time for a trial; {source}"
+        yield "batch", f"{plural(constants.batch, 'trial')} in a message, by the time of a trial"
+    gap = duration(constants.evolve_s)
+    yield "generation", f"{gap} between two, in which slots wait; {source}"
+    files = duration(constants.export_s + constants.compile_s + constants.fitness_s)
+    unmeasured = "" if table1 else ": not measured here"
+    yield "files", f"{files} to export, compile and read logs; {PAPER}{unmeasured}"
 
 
-def _mapping(
-    complete: "Experiment", measured: "Measured", ways: "list[Predicted]", slots: int, *, table1: bool
-) -> dict[str, Any]:
-    import msgspec
-
-    return {
-        "experiment": complete.name,
-        "constants_from": "table1" if table1 else "measured",
-        "servers": measured.servers,
-        "slots": slots,
-        "plan": msgspec.to_builtins(measured.plan),
-        "constants": msgspec.to_builtins(measured.constants),
-        "ways": msgspec.to_builtins(ways),
-    }
+def _show_ways(ways: list[cost_model.Predicted], slots: int) -> None:
+    tables.line("")
+    columns = ("controller", ">messages", ">time", ">useful slots")
+    table = tables.table(*columns, box=None, padding=(0, 2, 0, 0))
+    for way in ways:
+        numbers = (f"{way.messages:,.0f}", duration(way.seconds), f"{way.useful_slots:,}")
+        tables.row(table, way.way, *numbers)
+    tables.show(table)
+    tables.line("")
+    for name, (_, meaning) in cost_model.WAYS.items():
+        tables.entry(name, meaning, label=21)
+    tables.line("")
+    tables.paragraph(
+        f"Predicted with {plural(slots, 'slot')}: about {duration(ways[0].seconds)}. More than "
+        f"{plural(ways[0].useful_slots, 'slot')} gain nothing: a generation has no more trials to "
+        "share, or the optimizer no more time."
+    )

@@ -1,86 +1,95 @@
-"""``zswarm-ot replay``: a recorded trial, played again."""
+"""``zswarm-ot replay``: play a recorded trial again."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from zswarm.errors import ConfigError
-from zswarm.ot.commands import suggestions
-from zswarm.ot.commands.options import json_option
+from zswarm.ot.commands.shared import options, suggestions
+from zswarm.ot.display import tables
+from zswarm.system.files import write_for_user
+from zswarm.system.text import clean
 
-ENDINGS = {".gif": "gif", ".html": "html", ".htm": "html", ".csv": "csv"}
+if TYPE_CHECKING:
+    from zswarm.ot.replay.trace import Trace
+
+MENU = ("Results", 4)
+FORMATS = {".gif": "gif", ".html": "html", ".htm": "html", ".csv": "csv"}
 
 
-@click.command()
-@click.argument("path", type=click.Path(path_type=Path), metavar="RUN", shell_complete=suggestions.runs)
-@click.option(
-    "--generation", type=int, metavar="N", help="Of this generation, from 0: by default that in which the best was found."
+@click.command("replay")
+@click.argument("path", type=options.PATH, metavar="RUN", shell_complete=suggestions.runs)
+@options.number_option(
+    "--generation", help="Generation, from 0.  [default: the one in which the best was found]"
 )
-@click.option("--candidate", type=int, metavar="N", help="This candidate of the generation, from 0: the best by default.")
-@click.option("--trial", type=int, metavar="N", default=0, show_default=True, help="This one of its trials, from 0.")
-@click.option("--to", type=click.Choice(["gif", "html", "csv"]), help="Write a file, and open no browser.")
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="The file: .gif, .html or .csv; the run's name with that ending by default.",
+@options.candidate_option
+@options.number_option(
+    "--trial", default=0, show_default=True, help="Trial of the candidate, from 0."
 )
-@json_option
-def replay(
-    path: Path,
-    generation: int | None,
-    candidate: int | None,
-    trial: int,
-    to: str | None,
-    output: Path | None,
-    as_json: bool,
-) -> None:
+@click.option(
+    "--to", type=click.Choice(["gif", "html", "csv"]), help="Write a file, and open no browser."
+)
+@options.output_option(
+    "The file: .gif, .html or .csv.  [default: the run's name with that extension]"
+)
+@options.json_option
+def command(path: Path, to: str | None, output: Path | None, as_json: bool, **chosen: Any) -> None:
     """Play a recorded trial again, and watch it in the browser.
 
-    The trial is computed anew from the record, bit for bit as in the run. Without --to and -o a page with a player is opened in
-    the browser; its file is private, and its name is printed.
+    The trial is computed from the record, bit for bit as in the run. Without --to and -o a page
+    with a player is opened in the browser; its file is private, and its name is printed.
 
     \b
       zswarm-ot replay runs/stadium
       zswarm-ot replay runs/stadium --generation 0 --trial 2
       zswarm-ot replay runs/stadium --to gif
       zswarm-ot replay runs/stadium -o champion.html
-    """  # noqa: D301  click's mark for text that is not to be wrapped
-    from zswarm.files import write_for_user
-    from zswarm.ot import gif, reading, spreadsheet, terminal, trace
-    from zswarm.ot import replay as pages
-    from zswarm.protocol.codec import clean
+    """
+    from zswarm.ot.record.reader import Run
+    from zswarm.ot.replay import trace
 
-    kind = to or (_kind(output) if output else None)
+    kind = to or (_format(output) if output else None)
     output = output or Path(f"{path.resolve().name}.{kind}")
-    run = reading.Run(path)
-    found = trace.trace(run, generation, candidate, trial)
+    run = Run(path)
+    found = trace.trace(run, **chosen)
     about = found.about
-    title = f"{run.name}, generation {about['generation']}, candidate {about['candidate']}, trial {about['trial']}"
+    trial_of = (f"{key} {about[key]}" for key in ("generation", "candidate", "trial"))
+    title = ", ".join([run.name, *trial_of])
     if found.note:
-        terminal.line(f"{title}: not the recorded trial: {found.note}", stderr=True)
+        tables.line(f"{title}: not the recorded trial: {found.note}", stderr=True)
     if found.error:
-        terminal.line(f"{title}: the trial failed: {found.error}", stderr=True)
-    opened = False
-    if kind == "csv":
-        spreadsheet.save(str(output), *pages.table(found))
-    elif kind == "gif":
-        write_for_user(output, gif.gif(found, title))
-    elif kind == "html":
-        write_for_user(output, pages.page(found, title).encode())
-    else:
-        output, opened = pages.show(pages.page(found, title))
+        tables.line(f"{title}: the trial failed: {found.error}", stderr=True)
+    output, hint = _write(found, title, kind, output)
     if as_json:
         fitness = [None if value != value else value for value in found.fitness]
-        terminal.print_json({"file": str(output), **about, "fitness": fitness, "note": found.note, "error": found.error})
+        more = {"fitness": fitness, "note": found.note, "error": found.error}
+        tables.print_json({"file": str(output), **about, **more})
         return
-    told = "" if kind or opened else " (no browser was found: open this file in one)"
-    terminal.line(f"{clean(str(output))}: {title}, fitness {', '.join(f'{f:.6g}' for f in found.fitness)}{told}")
+    fitness_text = ", ".join(f"{value:.6g}" for value in found.fitness)
+    tables.line(f"{clean(str(output))}: {title}, fitness {fitness_text}{hint}")
 
 
-def _kind(output: Path) -> str:
+def _write(found: "Trace", title: str, kind: str | None, output: Path) -> tuple[Path, str]:
+    """Write a file, or open the browser; return the file, and a hint."""
+    from zswarm.ot.analysis import csv as spreadsheet
+    from zswarm.ot.replay import gif, page
+
+    match kind:
+        case "csv":
+            spreadsheet.save(str(output), *page.table(found))
+        case "gif":
+            write_for_user(output, gif.gif(found, title))
+        case "html":
+            write_for_user(output, page.page(found, title).encode())
+        case _:
+            output, opened = page.show(page.page(found, title))
+            return output, "" if opened else " (no browser was found: open this file in one)"
+    return output, ""
+
+
+def _format(output: Path) -> str:
     try:
-        return ENDINGS[output.suffix.lower()]
+        return FORMATS[output.suffix.lower()]
     except KeyError:
         raise ConfigError(f"{output}: expected a name that ends in .gif, .html or .csv") from None

@@ -1,46 +1,41 @@
-"""``zswarm-ot report``: a run or a study as one HTML file."""
+"""``zswarm-ot report``: write one HTML file about a run or a study."""
 
 from pathlib import Path
 
 import click
 
 from zswarm.errors import ConfigError
-from zswarm.ot.commands.options import json_option
+from zswarm.ot.commands.shared import options
+from zswarm.ot.display import tables
+from zswarm.system.text import clean
 
-ENDINGS = (".html", ".htm")
+MENU = ("Results", 6)
+EXTENSIONS = (".html", ".htm")
 
 
-@click.command()
-@click.argument("path", type=click.Path(path_type=Path), metavar="RUN|STUDY")
+@click.command("report")
+@click.argument("path", type=options.PATH, metavar="RUN|STUDY")
+@options.output_option("The page.  [default: the folder's name with .html]")
 @click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="The page; the folder's name with .html by default.",
-)
-@click.option(
-    "--trials",
-    type=click.IntRange(0, 1_000_000),
-    default=100,
-    show_default=True,
-    help="Trials on unseen seeds that a run's champion plays; 0: none.",
-)
-@json_option
-def report(path: Path, output: Path | None, trials: int, as_json: bool) -> None:
-    """Write one HTML file about a run: curve, champion, settings, servers and events; about a study: curves and comparison.
+    "--trials", type=click.IntRange(0, 1_000_000), default=100, show_default=True,
+    help="Trials on held-out seeds that the champion of a run plays; 0: none.",
+)  # fmt: skip
+@options.json_option
+def command(path: Path, output: Path | None, trials: int, as_json: bool) -> None:
+    """Write one HTML file about a run or a study.
 
-    The file holds all that it shows: it can be mailed, printed and opened without a network.
+    About a run: its curve, champion, settings, servers and events; about a study: curves and
+    comparison. The file needs no other one: it can be mailed, printed and read without a network.
     """
-    from zswarm.ot import report as reports
-    from zswarm.ot import terminal
-    from zswarm.protocol.codec import clean
+    from zswarm.ot.report import report
 
     output = output or Path(f"{path.resolve().name}.html")
-    if output.suffix.lower() not in ENDINGS:
-        raise ConfigError(f"{clean(str(output))}: expected a name that ends in {' or '.join(ENDINGS)}")
-    reports.write(path, output, trials)
+    if output.suffix.lower() not in EXTENSIONS:
+        raise ConfigError(
+            f"{clean(str(output))}: expected a name that ends in {' or '.join(EXTENSIONS)}"
+        )
+    report.write(path, output, trials)
     if as_json:
-        terminal.print_json({"report": str(output)})
+        tables.print_json({"report": str(output)})
     else:
-        terminal.line(clean(str(output)))
+        tables.line(clean(str(output)))

@@ -1,151 +1,168 @@
-"""``zswarm-ot servers``: who is there, who matches, and why nobody is found."""
+"""``zswarm-ot servers``: list the servers of the network, or say why none is found."""
 
 import sys
 import textwrap
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
 
-from zswarm import __version__, experiment
-from zswarm.ot.commands import suggestions
-from zswarm.ot.commands.options import check_looking, json_option, looking_options
-from zswarm.ot.exits import EXIT_NO_SERVERS
+from zswarm.ot.commands.shared import options, suggestions
+from zswarm.ot.commands.shared.exits import EXIT_NO_SERVERS
+from zswarm.ot.display import tables
+from zswarm.protocol.messages import Requirements
+from zswarm.system.format import plural
+from zswarm.system.version import VERSION
 
 if TYPE_CHECKING:
-    from zswarm.ot.discovery import Found, Survey
-    from zswarm.ot.matching import Choice
-    from zswarm.protocol.messages import Offer
+    from zswarm.ot.cluster.discovery import Found, Survey
+    from zswarm.ot.cluster.matching import Choice
 
+MENU = ("Evolve", 3)
 NAME_WIDTH = 40  # of a server: with the other columns it fits into 80
+HIDDEN = ("type", "v", "server")  # keys of an offer that JSON does not repeat
 
 
-@click.command()
-@looking_options
+@click.command("servers")
+@options.search_options
 @click.option(
-    "--wait",
-    "wait_s",
-    type=click.FloatRange(0.1, 3600.0),
-    default=3.0,
-    show_default=True,
-    metavar="SECONDS",
-    help="How long to look.",
-)
+    "--wait", "wait_s", type=click.FloatRange(0.1, 3600.0), default=3.0, show_default=True,
+    metavar="SECONDS", help="How long to search.",
+)  # fmt: skip
 @click.option(
-    "--for",
-    "name",
-    metavar="EXPERIMENT",
-    help="Say which servers match this experiment, and why others do not.",
-    shell_complete=suggestions.experiments,
-)
-@json_option
-def servers(
-    realm: str, connect: tuple[str, ...], multicast: bool, through_router: bool, wait_s: float, name: str | None, as_json: bool
-) -> None:
+    "--for", "name", metavar="EXPERIMENT", shell_complete=suggestions.experiments,
+    help="Say which servers match this experiment, and why the others do not.",
+)  # fmt: skip
+@options.json_option
+def command(wait_s: float, name: str | None, as_json: bool, **search: Any) -> None:
     """Show the servers of the network.
 
-    With their slots, versions and simulators; or why none is found.
+    Lists their slots, versions, simulators, labels and limits; or says why none is found.
 
     \b
       zswarm-ot servers
       zswarm-ot servers --for my.toml
-    """  # noqa: D301  click's mark for text that is not to be wrapped
-    from zswarm.ot import discovery, matching
-    from zswarm.protocol.messages import Requirements
-    from zswarm.security import keyring
-    from zswarm.session import Reach
+    """
+    from zswarm.ot.cluster import discovery, matching
 
-    check_looking(realm, connect)
+    realm, reach = search["realm"], options.reach(**search, keys=True)
     requirements, choice = Requirements(), matching.Choice()
     if name:
-        complete = experiment.complete(experiment.load(experiment.find(name)), name)
-        requirements, choice = matching.requirements(complete, complete.cluster), matching.choice(complete.cluster)
-    survey = discovery.survey(
-        realm,
-        Reach(connect, multicast, through_router, keyring.installed("ot")),
-        requirements=requirements,
-        wait_s=wait_s,
-    )
-    show(survey, realm, choice, through_router=through_router, experiment_name=name or "", as_json=as_json)
+        complete = options.complete(name, (), {})
+        requirements = matching.requirements(complete, complete.cluster)
+        choice = matching.choice(complete.cluster)
+    survey = discovery.survey(realm, reach, requirements=requirements, wait_s=wait_s)
+    if name:
+        survey = ranked(survey, choice)
+    show(survey, realm, choice, name or "", as_json=as_json, through_router=reach.through_router)
     if not survey.servers:
         sys.exit(EXIT_NO_SERVERS)
 
 
+def ranked(survey: "Survey", choice: "Choice") -> "Survey":
+    """Sort the servers: those that match first, and these by the experiment's rank."""
+
+    def place(server: "Found") -> tuple[bool, tuple[float, ...]]:
+        rank = choice.place(server.offer) if server.offer else (float("inf"),)
+        return bool(server.mismatch(choice)), rank
+
+    return survey._replace(servers=sorted(survey.servers, key=place))
+
+
 def show(
-    survey: "Survey", realm: str, choice: "Choice", *, through_router: bool, experiment_name: str = "", as_json: bool
+    survey: "Survey",
+    realm: str,
+    choice: "Choice",
+    name: str = "",
+    *,
+    as_json: bool = False,
+    through_router: bool = False,
 ) -> None:
-    """Servers with what they have, and why one is of no use; or why there are none.
+    """Print servers with what they have, and why one is not used; or why there are none.
 
-    Args:
-        choice: what the experiment says of servers: the preferred ones are shown first.
-        experiment_name: the experiment that the servers were asked about; "": about none.
+    ``name`` is that of the experiment which the servers were asked about, if there is one.
     """
-    from zswarm.ot import terminal
-
-    found = survey.servers
-    if experiment_name:
-        found = sorted(found, key=lambda server: (bool(server.mismatch(choice)), _place(server, choice)))
-    for server in found if as_json else []:
-        offer = {} if server.offer is None else _offer(server.offer, choice)
-        terminal.print_json({"server": server.server, **offer, "address": server.address, "reason": server.reason})
-    if found and not as_json:
-        _server_table(found, realm, choice, through_router=through_router, experiment_name=experiment_name)
-    if not found:
-        terminal.line(f"no server found in realm {realm}", stderr=as_json)
+    if not survey.servers:
+        tables.line(f"no server found in realm {realm}", stderr=as_json)
         for finding in survey.findings:
-            terminal.paragraph(f"- {finding}", stderr=as_json)
-    elif survey.elsewhere:
-        others = ", ".join(f"{name} ({count})" for name, count in survey.elsewhere.items())
-        terminal.paragraph(f"servers of other realms, seen with --realm: {others}", stderr=as_json)
+            tables.paragraph(f"- {finding}", stderr=as_json)
+        return
+    if as_json:
+        for server in survey.servers:
+            _print_json(server, choice)
+    else:
+        _show_table(survey.servers, realm, choice if name else None, through_router=through_router)
+        for line in _not_used(survey.servers, choice, name):
+            tables.paragraph(line)
+        for line in () if name else _details(survey.servers):
+            tables.paragraph(line)
+    if survey.elsewhere:
+        others = ", ".join(f"{realm} ({count})" for realm, count in survey.elsewhere.items())
+        tables.paragraph(f"servers of other realms, seen with --realm: {others}", stderr=as_json)
 
 
-def _place(server: "Found", choice: "Choice") -> tuple[float, ...]:
-    return (float("inf"),) if server.offer is None else choice.place(server.offer)
+def _print_json(server: "Found", choice: "Choice") -> None:
+    values = {"server": server.server}
+    if server.offer is not None:
+        offer = msgspec.to_builtins(server.offer)
+        values |= {key: value for key, value in offer.items() if key not in HIDDEN}
+        values["mismatch"] = choice.mismatch(server.offer)
+    tables.print_json({**values, "address": server.address, "reason": server.reason})
 
 
-def _server_table(found: "list[Found]", realm: str, choice: "Choice", *, through_router: bool, experiment_name: str) -> None:
-    from zswarm.ot import terminal
-
-    offers = [server.offer for server in found if server.offer is not None]
+def _show_table(
+    servers: "Sequence[Found]", realm: str, choice: "Choice | None", *, through_router: bool
+) -> None:
+    offers = [server.offer for server in servers if server.offer is not None]
     slots, free = sum(offer.capacity for offer in offers), sum(offer.free for offer in offers)
-    terminal.line(
-        f"realm {realm}: {len(found)} server{'s' if len(found) != 1 else ''}, {terminal.plural(slots, 'slot')}, {free} free\n"
-    )
-    columns = ("server", "slots", "free", "runs", "zswarm", *(["matches"] if experiment_name else []))
-    table = terminal.table(*columns, box=None, padding=(0, 2, 0, 0))
-    reasons: dict[str, list[str]] = {}
-    said: dict[str, dict[str, list[str]]] = {"simulators": {}, "labels": {}, "limits": {}}  # in words, and by whom
-    for server in found:
+    counts = f"{plural(len(servers), 'server')}, {plural(slots, 'slot')}, {free} free"
+    tables.line(f"realm {realm}: {counts}\n")
+    columns = ["server", ">slots", ">free", ">runs", "zswarm", *["matches"] * (choice is not None)]
+    table = tables.table(*columns, box=None, padding=(0, 2, 0, 0))
+    for server in servers:
         address = server.address or ("through the router" if through_router else "")
-        name = "\n".join(textwrap.wrap(server.server, NAME_WIDTH) + [f"  {address}"] * bool(address))
-        mismatch = server.mismatch(choice)
-        matches = ["no" if mismatch else "yes"] if experiment_name else []
-        if mismatch:
-            other = server.offer is not None and server.offer.program != __version__
-            versions = f" (that is zswarm {server.offer.program}, this is {__version__})" if server.offer and other else ""
-            reasons.setdefault(mismatch + versions, []).append(server.server)
-        if (offer := server.offer) is None:
-            terminal.row(table, name, "", "", "", "", *matches)
-            continue
-        terminal.row(table, name, offer.capacity, offer.free, offer.leases, offer.program, *matches)
-        said["simulators"].setdefault(", ".join(offer.simulators), []).append(server.server)
-        given = {label: value for label, value in offer.labels.items() if label != "name"}
-        said["labels"].setdefault(", ".join(f"{label}={value}" for label, value in given.items()), []).append(server.server)
-        said["limits"].setdefault(", ".join(offer.limits), []).append(server.server)
-    terminal.show(table)
-    terminal.line("")
-    of_experiment = f" for {experiment_name}" if experiment_name else ""
+        name = textwrap.wrap(server.server, NAME_WIDTH) + [f"  {address}"] * bool(address)
+        cells: list[object] = [""] * 4
+        if (offer := server.offer) is not None:
+            cells = [offer.capacity, offer.free, offer.leases, offer.program]
+        if choice is not None:
+            cells.append("no" if server.mismatch(choice) else "yes")
+        tables.row(table, "\n".join(name), *cells)
+    tables.show(table)
+    tables.line("")
+
+
+def _not_used(servers: "Sequence[Found]", choice: "Choice", name: str) -> Iterator[str]:
+    """Yield a line for each reason why servers are not used."""
+    reasons = defaultdict(list)
+    for server in servers:
+        if mismatch := server.mismatch(choice):
+            if server.offer is not None and server.offer.program != VERSION:
+                mismatch += f" (it has zswarm {server.offer.program}, this is {VERSION})"
+            reasons[mismatch].append(server.server)
+    purpose = f" for {name}" if name else ""
     for reason, names in reasons.items():
-        terminal.paragraph(f"not used{of_experiment}: {', '.join(names)}: {reason}")
-    for about, by_words in said.items() if not experiment_name else ():
-        for words, names in by_words.items():
-            where = "" if len(by_words) == 1 else f" on {', '.join(names)}"
-            if words:
-                terminal.paragraph(f"{about}{where}: {words}")
+        yield f"not used{purpose}: {', '.join(names)}: {reason}"
 
 
-def _offer(offer: "Offer", choice: "Choice") -> dict[str, Any]:
-    values: dict[str, Any] = msgspec.to_builtins(offer)
-    return {key: value for key, value in values.items() if key not in ("type", "v", "server")} | {
-        "mismatch": choice.mismatch(offer)
+def _details(servers: "Sequence[Found]") -> Iterator[str]:
+    """Yield a line for each set of simulators, labels and limits, with the servers that have it."""
+    offers = [server.offer for server in servers if server.offer is not None]
+    details = {
+        "simulators": [offer.simulators for offer in offers],
+        "labels": [
+            [f"{label}={value}" for label, value in offer.labels.items() if label != "name"]
+            for offer in offers
+        ],
+        "limits": [offer.limits for offer in offers],
     }
+    for about, lists in details.items():
+        names = defaultdict(list)
+        for offer, words in zip(offers, lists, strict=True):
+            names[", ".join(words)].append(offer.server)
+        for text, having in names.items():
+            where = "" if len(names) == 1 else f" on {', '.join(having)}"
+            if text:
+                yield f"{about}{where}: {text}"

@@ -1,124 +1,115 @@
-"""The dashboard's answers: pages and scripts as files, history by HTTP, what changes by one WebSocket per page.
+"""The dashboard's routes: pages and scripts as files, records by HTTP, changes by a WebSocket.
 
-It reads run folders and nothing else (docs/dashboard.md), so it shows runs that go on, that are finished and that were copied.
+It reads run folders and nothing else (docs/dashboard.md), so it shows running, finished and copied
+runs.
 """
 
 import asyncio
 import contextlib
-from collections.abc import Awaitable, Callable
-from importlib import resources
-from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
 import msgspec
 from starlette.applications import Starlette
 from starlette.requests import Request
-from starlette.responses import PlainTextResponse, Response
-from starlette.routing import Route, WebSocketRoute
+from starlette.responses import FileResponse, PlainTextResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from zswarm.errors import ConfigError, ZswarmError
-from zswarm.ot import control
-from zswarm.ot.dashboard import answers, guard
-from zswarm.ot.dashboard.hub import Client, Hub, TooMany
-from zswarm.ot.dashboard.shelf import Shelf
-from zswarm.ot.dashboard.traces import Traces
-from zswarm.ot.reading import Run
+from zswarm.errors import ZswarmError
+from zswarm.ot.dashboard import endpoints, guard
+from zswarm.ot.dashboard.broadcast import Broadcaster, Tab, TooMany
+from zswarm.ot.dashboard.replay_cache import ReplayCache
+from zswarm.ot.dashboard.run_index import RunIndex
+from zswarm.ot.record import control_file
+from zswarm.ot.record.reader import Run
 
-KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
-PAGES = resources.files("zswarm.ot.dashboard") / "pages"
-PLAYER = resources.files("zswarm.ot") / "pages"  # of the replay
-SHELL = ("/", "/run", "/cluster", "/candidate")  # one page, whose script looks at the address
-NO_SUCH_RUN, TRY_LATER = 4404, 1013  # close codes; the latter: a tab that takes nothing, or one too many
+SHELL = Path(__file__).parent / "pages" / "index.html"
+PAGES = ("/", "/run", "/cluster", "/candidate")  # all SHELL, whose script looks at the address
+FILES: list[str | tuple[str, str]] = [
+    ("zswarm.ot.dashboard", "pages"),
+    ("zswarm.ot.replay", "pages"),
+]
+NO_SUCH_RUN, TRY_LATER = 4404, 1013  # close codes; the latter: behind, or one tab too many
 STUCK_S = 10.0  # that a tab may take for a message
-LARGEST = 256  # bytes of a request's body
 
 
-def application(shelf: Shelf) -> Starlette:
-    """All routes; ``guard.Guard`` stands before them."""
-    hub, traces = Hub(shelf), Traces()
-
-    def found(id_: str) -> Path:
-        folder = shelf.folder(id_)
-        if folder is None:
-            raise LookupError("no such run: it was moved or deleted, or is not in the folders that the dashboard shows")
-        return folder
-
-    async def rows(_: Request) -> Response:
-        return _json(await asyncio.to_thread(shelf.rows))
-
-    def answering(answer: answers.Answer) -> Callable[[Request], Awaitable[Response]]:
-        def answered(request: Request) -> Response:
-            value = answer(Run(found(request.path_params["run"])), request.query_params)
-            return Response(value, media_type="text/csv") if isinstance(value, str) else _json(value)
-
-        async def endpoint(request: Request) -> Response:
-            return await _in_words(asyncio.to_thread(answered, request))
-
-        return endpoint
-
-    async def trace(request: Request) -> Response:
-        async def traced() -> Response:
-            folder = await asyncio.to_thread(found, request.path_params["run"])
-            names = ("generation", "candidate", "trial")
-            numbers = [answers.number(request.query_params, name) for name in names]
-            return Response(await traces.of(folder, *numbers), media_type="application/octet-stream")
-
-        return await _in_words(traced())
-
-    async def ask(request: Request) -> Response:
-        body = b""
-        async for chunk in request.stream():
-            body += chunk
-            if len(body) > LARGEST:
-                return PlainTextResponse("too long\n", 413)
-        word = _word(body)
-
-        def asked() -> Response:
-            folder = found(request.path_params["run"])
-            match word:
-                case "pause" | "drain" | "stop":
-                    control.ask(folder, word)
-                case "go on":
-                    control.forget(folder)
-                case _:
-                    raise ConfigError("expected pause, go on, drain or stop")
-            return Response(status_code=204)
-
-        return await _in_words(asyncio.to_thread(asked))
-
-    async def socket(websocket: WebSocket) -> None:
-        id_ = websocket.query_params.get("run", "")
-        folder = await asyncio.to_thread(shelf.folder, id_) if id_ else None
-        await websocket.accept(guard.PROTOCOL if guard.PROTOCOL in websocket.scope["subprotocols"] else None)
-        if id_ and folder is None:
-            await websocket.close(NO_SUCH_RUN, "no such run")
-        else:
-            await _serve(websocket, hub, id_, folder)
-
-    async def shell(_: Request) -> Response:
-        return _file(PAGES / "index.html")
-
+def application(index: RunIndex) -> Starlette:
+    """Return all routes; ``guard.Guard`` protects them."""
+    dashboard, run = _Dashboard(index), "/api/runs/{run:path}"
     return Starlette(
         routes=[
-            Route("/static/{name}", _static),
-            Route("/api/runs", rows),
-            *(Route(f"/api/runs/{{run:path}}/{name}", answering(answer)) for name, answer in answers.BY_NAME.items()),
-            Route("/api/runs/{run:path}/trace", trace),
-            Route("/api/runs/{run:path}/control", ask, methods=["POST"]),
-            WebSocketRoute("/ws", socket),
-            *(Route(path, shell) for path in SHELL),
-        ]
+            Mount("/static", StaticFiles(packages=FILES)),
+            Route("/api/runs", dashboard.runs),
+            Route(f"{run}/trace", dashboard.replay),
+            Route(f"{run}/control/{{request}}", dashboard.control, methods=["POST"]),
+            Route(f"{run}/{{name}}", dashboard.answer),
+            WebSocketRoute("/ws", dashboard.socket),
+            *(Route(path, _shell) for path in PAGES),
+        ],
+        exception_handlers={LookupError: _not_found, ZswarmError: _refused},
     )
 
 
-async def _serve(websocket: WebSocket, hub: Hub, id_: str, folder: Path | None) -> None:
-    """Tell a tab, until it goes or takes nothing any more."""
-    behind = True
+class _Dashboard:
+    def __init__(self, index: RunIndex) -> None:
+        self.index, self.broadcaster, self.replays = index, Broadcaster(index), ReplayCache()
+
+    async def runs(self, _: Request) -> Response:
+        return _json(await asyncio.to_thread(self.index.rows))
+
+    async def folder(self, request: Request) -> Path:
+        """Return the folder of a run; raise LookupError if there is no such run."""
+        folder = await asyncio.to_thread(self.index.folder, request.path_params["run"])
+        if folder is None:
+            raise LookupError(
+                "no such run: it was moved or deleted, or is not in the folders that the dashboard "
+                "shows"
+            )
+        return folder
+
+    async def answer(self, request: Request) -> Response:
+        answer, folder = endpoints.BY_NAME[request.path_params["name"]], await self.folder(request)
+        value = await asyncio.to_thread(lambda: answer(Run(folder), request.query_params))
+        return Response(value, media_type="text/csv") if isinstance(value, str) else _json(value)
+
+    async def replay(self, request: Request) -> Response:
+        folder, names = await self.folder(request), ("generation", "candidate", "trial")
+        numbers = [endpoints.number(request.query_params, name) for name in names]
+        content = await self.replays.get(folder, *numbers)
+        return Response(content, media_type="application/octet-stream")
+
+    async def control(self, request: Request) -> Response:
+        folder = await self.folder(request)
+        match request.path_params["request"]:
+            case "pause" | "drain" | "stop" as word:
+                await asyncio.to_thread(control_file.ask, folder, word)
+            case "continue":
+                await asyncio.to_thread(control_file.forget, folder)
+            case _:
+                raise LookupError("expected pause, continue, drain or stop")
+        return Response(status_code=204)
+
+    async def socket(self, websocket: WebSocket) -> None:
+        id_ = websocket.query_params.get("run", "")
+        folder = await asyncio.to_thread(self.index.folder, id_) if id_ else None
+        await websocket.accept(guard.PROTOCOL)
+        if id_ and folder is None:
+            await websocket.close(NO_SUCH_RUN, "no such run")
+        else:
+            await _serve(websocket, self.broadcaster, id_, folder)
+
+
+async def _serve(
+    websocket: WebSocket, broadcaster: Broadcaster, id_: str, folder: Path | None
+) -> None:
+    """Send changes to a tab until it closes or falls behind."""
+    behind, since = True, websocket.query_params.get("since", "")
     with contextlib.suppress(TooMany):
-        async with hub.watching(id_, folder, websocket.query_params.get("since", "")) as client:
-            tasks = sending, _ = asyncio.create_task(_send(websocket, client)), asyncio.create_task(_listen(websocket))
+        async with broadcaster.watching(id_, folder, since) as tab:
+            sending = asyncio.create_task(_send(websocket, tab))
+            tasks = (sending, asyncio.create_task(_wait_for_close(websocket)))
             try:
                 await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
                 behind = sending.done() and not sending.exception()
@@ -132,48 +123,30 @@ async def _serve(websocket: WebSocket, hub: Hub, id_: str, folder: Path | None) 
                 await websocket.close(TRY_LATER, "behind")
 
 
-async def _send(websocket: WebSocket, client: Client) -> None:
-    """What comes for a tab, until it is behind."""
+async def _send(websocket: WebSocket, tab: Tab) -> None:
+    """Send messages until the tab falls behind."""
     with contextlib.suppress(TimeoutError):
-        while not client.full and (message := await client.take()):
+        while not tab.full and (message := await tab.take()):
             async with asyncio.timeout(STUCK_S):
                 await websocket.send_text(message.decode())
 
 
-async def _listen(websocket: WebSocket) -> None:
-    """To the end of a tab, which has nothing to say."""
+async def _wait_for_close(websocket: WebSocket) -> None:
     while (await websocket.receive())["type"] != "websocket.disconnect":
         pass
 
 
-async def _in_words(answer: Awaitable[Response]) -> Response:
-    """An answer, or why there is none, in a line."""
-    try:
-        return await answer
-    except LookupError as error:
-        return PlainTextResponse(f"{error.args[0]}\n", 404)
-    except ZswarmError as error:
-        return PlainTextResponse(f"{error}\n", 422)
-
-
-async def _static(request: Request) -> Response:
-    name = request.path_params["name"]
-    for folder in (PAGES, PLAYER):
-        if folder.is_dir() and name in {file.name for file in folder.iterdir()} and Path(name).suffix in KINDS:
-            return _file(folder / name)
-    return PlainTextResponse("no such file\n", 404)
-
-
-def _file(file: Traversable) -> Response:
-    return Response(file.read_bytes(), media_type=KINDS[Path(file.name).suffix])
+async def _shell(_: Request) -> Response:
+    return FileResponse(SHELL)
 
 
 def _json(value: Any) -> Response:
     return Response(msgspec.json.encode(value), media_type="application/json")
 
 
-def _word(body: bytes) -> str:
-    try:
-        return msgspec.json.decode(body, type=dict[str, str]).get("ask", "")
-    except (msgspec.DecodeError, RecursionError):
-        return ""
+def _not_found(_: Request, error: Exception) -> Response:
+    return PlainTextResponse(f"{error.args[0]}\n", 404)
+
+
+def _refused(_: Request, error: Exception) -> Response:
+    return PlainTextResponse(f"{error}\n", 422)

@@ -1,27 +1,28 @@
-"""Who may ask what of the dashboard: refused is whatever does not come from its own page.
+"""Refuse requests that do not come from the dashboard's own page.
 
-A web page of somebody else can have a browser send requests here. Three things keep it out (docs/dashboard.md). ``Host`` must
-name this machine, so that no other name can be made to lead here (DNS rebinding). ``Origin`` must be the page's own on all that
-is not a GET, and on WebSockets, which browsers let pages of any origin open. What controls runs takes a token.
+A page of another site can have a browser send requests here. Three checks stop it
+(docs/dashboard.md): ``Host`` must name this machine, which prevents DNS rebinding; ``Origin`` must
+be the dashboard's own, except for GET; and what controls runs takes a token. Browsers let pages of
+any origin open WebSockets, so these are checked like POST.
 """
 
 import hmac
 import ipaddress
 from collections.abc import Iterable
 
-from starlette.datastructures import Headers
+from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocketClose
 
 LOCAL = ("localhost",)
 READING = ("GET", "HEAD")
-PROTOCOL = "zswarm"  # of the WebSocket; beside it the page may name its token
-TOKEN = "token."  # noqa: S105  how that begins
+PROTOCOL = "zswarm"  # of the WebSocket; the page may name its token as a second one
+TOKEN = "token."  # noqa: S105  the prefix of that one
 REFUSED = 1008  # close code: policy violation
 POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
-    "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
+    "connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 )
 HEADERS = {
     "content-security-policy": POLICY,
@@ -34,12 +35,11 @@ HEADERS = {
 
 
 class Guard:
-    """Stands before the application.
+    """Checks every request of an application.
 
     Args:
-        app: it.
-        hosts: names by which this machine is called, beside ``localhost`` and addresses.
-        token: what controls runs must bring.
+        hosts: names of this machine, in addition to ``localhost`` and addresses.
+        token: needed to control runs.
         closed: whether reading takes the token, too.
     """
 
@@ -48,52 +48,45 @@ class Guard:
         self._hosts = {*LOCAL, *(host.lower() for host in hosts)}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Let through what is allowed, with headers that tell the browser to be as strict."""
-        if scope["type"] == "lifespan":
-            await self._app(scope, receive, send)
-            return
-        refusal = self._refusal(scope)
-        if scope["type"] == "websocket":
-            await (WebSocketClose(REFUSED, refusal[1]) if refusal else self._app)(scope, receive, send)
-            return
+        """Pass on what is allowed, with headers that make the browser as strict."""
+        app = self._app
+        if refusal := self._refusal(scope):
+            status, why = refusal
+            app = PlainTextResponse(f"{why}\n", status)
+            if scope["type"] == "websocket":
+                app = WebSocketClose(REFUSED, why)
 
         async def send_guarded(message: Message) -> None:
             if message["type"] == "http.response.start":
-                given = {name for name, _ in message["headers"]}
-                new = [(name.encode(), value.encode()) for name, value in HEADERS.items() if name.encode() not in given]
-                message = {**message, "headers": [*message["headers"], *new]}
+                MutableHeaders(scope=message).update(HEADERS)
             await send(message)
 
-        await (PlainTextResponse(f"{refusal[1]}\n", refusal[0]) if refusal else self._app)(scope, receive, send_guarded)
+        await app(scope, receive, send_guarded)
 
     def _refusal(self, scope: Scope) -> tuple[int, str] | None:
-        """Why, with the status; None: it may pass."""
+        """Return status and reason, or None if the request is allowed."""
         headers = Headers(scope=scope)
-        host, origin = headers.get("host", ""), headers.get("origin")
+        host, origin = headers.get("host", "").lower(), headers.get("origin", "").lower()
         if not self._is_ours(host):
             return 400, "this host name is not allowed: start the dashboard with --allow-host NAME"
         websocket = scope["type"] == "websocket"
         reads = not websocket and scope["method"] in READING
-        if not reads and (origin is None or origin.lower() not in (f"http://{host.lower()}", f"https://{host.lower()}")):
+        if not reads and origin not in (f"http://{host}", f"https://{host}"):
             return 403, "refused: this request does not come from the dashboard's own page"
+        given = headers.get("authorization", "").removeprefix("Bearer ")
+        for word in scope["subprotocols"] if websocket else ():  # all that browsers can send
+            given = word.removeprefix(TOKEN) if word.startswith(TOKEN) else given
         private = websocket or scope["path"].startswith("/api/")
-        if (self._closed and private) or not (reads or websocket):
-            given = _subprotocol(scope) if websocket else headers.get("authorization", "").removeprefix("Bearer ")
-            if not hmac.compare_digest(given.encode(), self._token.encode()):
-                return 401, "this takes the token: open the address that the dashboard printed when it started"
+        needed = (self._closed and private) or not (reads or websocket)
+        if needed and not hmac.compare_digest(given.encode(), self._token.encode()):
+            return 401, "this takes the token: open the address that the dashboard printed"
         return None
 
     def _is_ours(self, host: str) -> bool:
-        """A name that a page of somebody else cannot have; an address is nobody's name."""
-        name = host.lower()
-        name = name[1 : name.find("]")] if name.startswith("[") else name.partition(":")[0]
+        """Return whether another site cannot have this name; addresses are no site's name."""
+        name = host[1 : host.find("]")] if host.startswith("[") else host.partition(":")[0]
         try:
             ipaddress.ip_address(name)
         except ValueError:
             return name in self._hosts
         return True
-
-
-def _subprotocol(scope: Scope) -> str:
-    """The token that a WebSocket brings, for which browsers have no other place."""
-    return next((word.removeprefix(TOKEN) for word in scope["subprotocols"] if word.startswith(TOKEN)), "")

@@ -1,1 +1,1 @@
-"""What ``zswarm-ot doctor`` looks at, one function each, and how each fault is mended."""
+"""Checks of ``zswarm-ot doctor``, one function each, with a fix for each fault."""

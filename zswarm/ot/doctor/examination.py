@@ -1,47 +1,49 @@
-"""All checks, in the order in which they are made."""
+"""All checks, in order."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from zswarm.errors import ConfigError
 from zswarm.ot.doctor import machine, network
-from zswarm.ot.doctor.finding import Finding, broken
+from zswarm.ot.doctor.finding import Findings, broken
 from zswarm.security import keyring
 from zswarm.session import Reach
 
 
-def examine(realm: str, out: Path, reach: Reach) -> Iterator[Finding]:
-    """Everything about this machine and its network; takes some seconds.
+def examine(realm: str, out: Path, reach: Reach) -> Findings:
+    """Check this machine and its network, which takes some seconds.
 
     Args:
-        reach: without keys; those that are installed are used.
+        reach: without keys; the installed ones are used.
     """
-    checks: list[Callable[[], Iterator[Finding]]] = [
-        machine.python,
-        machine.packages,
-        machine.extras,
-        machine.cores,
-        machine.limits,
-        lambda: machine.runs(out),
-        machine.temporary,
-        machine.cache,
-        machine.clock,
-        machine.keys,
-        network.port,
-        lambda: network.multicast(reach),
-        network.firewall,
-        lambda: network.servers(realm, with_keys(reach)),
-    ]
-    for check in checks:
+    checks: dict[str, Callable[[], Findings]] = {
+        "python": machine.python,
+        "packages": machine.packages,
+        "extras": machine.extras,
+        "cores": machine.cores,
+        "limits": machine.limits,
+        "runs": partial(machine.runs, out),
+        "temporary": machine.temporary,
+        "cache": machine.cache,
+        "clock": machine.clock,
+        "keys": machine.keys,
+        "port": network.port,
+        "multicast": partial(network.multicast, reach),
+        "firewall": network.firewall,
+        "servers": lambda: network.servers(realm, _with_keys(reach)),
+    }
+    for name, check in checks.items():
         try:
-            yield from check()
-        except (ConfigError, OSError) as error:  # such as a file system that goes away meanwhile
-            name = getattr(check, "__name__", "")
-            yield broken(name if name.isidentifier() else "machine", str(error), "mend what is named, and look again")
+            for finding in check():
+                yield finding._replace(check=name)
+        except (ConfigError, OSError) as error:  # such as a file system that was unmounted
+            fault = broken(str(error), "fix what is named, and run doctor again")
+            yield fault._replace(check=name)
 
 
-def with_keys(reach: Reach) -> Reach:
-    """With the installed keys, where these can be used; ``machine.keys`` says why not."""
+def _with_keys(reach: Reach) -> Reach:
+    """Add the installed keys, if they can be used; ``machine.keys`` reports why not."""
     try:
         return reach._replace(keyring=keyring.installed("ot"))
     except ConfigError:

@@ -1,9 +1,8 @@
-"""The network: who has our port, whether multicast works, what a firewall may stop, and which servers are found."""
+"""Checks of the network: the port, multicast, firewalls and servers."""
 
 import contextlib
 import errno
 import json
-import os
 import secrets
 import shutil
 import socket
@@ -11,111 +10,97 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
+
+import psutil
 
 from zswarm import session
 from zswarm.errors import ConfigError
-from zswarm.ot import discovery
-from zswarm.ot.doctor.finding import Finding, broken, ok, warning
-from zswarm.ot.terminal import plural
-from zswarm.protocol.codec import clean
+from zswarm.ot.cluster import discovery
+from zswarm.ot.doctor.finding import Findings, broken, ok, warning
+from zswarm.plugins.version_hash import version_hash, versions
 from zswarm.protocol.messages import Requirements
 from zswarm.session import Reach
-from zswarm.version_hash import version_hash, versions
+from zswarm.system.format import plural
+from zswarm.system.text import clean
 
 ASK_S = 10.0
 HEARD_S = 1.0
 LOOK_S = 1.5
 UFW = Path("/etc/ufw/ufw.conf")
-LET_IN = f"UDP {session.PORT} and, where zswarm-ss runs, TCP {session.PORT}-{session.PORT + session.PORTS - 1}"
-EXAMPLE = ("emergency-exit", "fully-meshed")  # by which versions are compared
+PORT, LAST_PORT = session.PORT, session.PORT + session.PORTS - 1
+MUST_ADMIT = f"it must admit UDP {PORT} and, where zswarm-ss runs, TCP {PORT}-{LAST_PORT}"
+EXAMPLE = ("emergency-exit", "fully-meshed")  # to compare versions
 DOCUMENT = "docs/network.md"
 
 
-def port(number: int = session.PORT) -> Iterator[Finding]:
-    """Who listens where a server does."""
+def port(number: int = PORT) -> Findings:
+    """Check who listens on a server's port."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind(("0.0.0.0", number))  # noqa: S104  as a server would; nothing listens
-            yield ok("port", f"TCP {number} is free for a server")
+            yield ok(f"TCP {number} is free for a server")
             return
         except OSError as error:
             if error.errno != errno.EADDRINUSE:
-                yield warning("port", f"TCP {number}: {error.strerror}", "start servers with --listen and another port")
+                fix = "start servers with --listen and another port"
+                yield warning(f"TCP {number}: {error.strerror}", fix)
                 return
     for server, listen in _daemons().items():
         if any(end.rpartition(":")[2] == str(number) for end in listen):
-            yield ok("port", f"TCP {number} is used by this machine's server {server}")
+            yield ok(f"TCP {number} is used by this machine's server {server}")
             return
     yield warning(
-        "port",
-        f"TCP {number} is used by {_holder(number) or 'another program'}",
-        "a server here takes the next free port: multicast finds it, but --connect needs that port's number",
+        f"TCP {number} is used by {_listener(number) or 'another program'}",
+        "a server here takes the next free port; multicast finds it, --connect needs its number",
     )
 
 
 def _daemons() -> dict[str, list[str]]:
-    """The servers of this machine that can be asked, and where they listen."""
+    """Return the endpoints of this machine's servers that can be asked."""
     try:
-        done = subprocess.run(
-            [sys.executable, "-m", "zswarm.ss", "status", "--json"], capture_output=True, text=True, timeout=ASK_S, check=False
-        )
-        views = [json.loads(line) for line in done.stdout.splitlines()]
+        views = map(json.loads, _output(sys.executable, "-m", "zswarm.ss", "status", "--json"))
         return {clean(str(view["server"])): [str(end) for end in view["listen"]] for view in views}
-    except (OSError, ValueError, KeyError, TypeError, subprocess.TimeoutExpired):
+    except (ValueError, KeyError, TypeError):
         return {}
 
 
-def _holder(number: int) -> str:
-    """The program that listens on a port, as far as this user may know."""
-    sockets = set()
-    for table in ("/proc/net/tcp", "/proc/net/tcp6"):
-        try:
-            rows = [line.split() for line in Path(table).read_text().splitlines()[1:]]
-        except OSError:
-            continue
-        sockets |= {f"socket:[{row[9]}]" for row in rows if row[3] == "0A" and int(row[1].rpartition(":")[2], 16) == number}
-    for process in Path("/proc").iterdir() if sockets else ():
-        if process.name.isdigit() and _has(process, sockets):
-            with contextlib.suppress(OSError):  # it ended meanwhile
-                name = (process / "comm").read_text(errors="replace").strip()
-                return f"{clean(name)} (process {process.name})"
+def _listener(number: int) -> str:
+    """Return the program that listens on a port, if this user may know it."""
+    with contextlib.suppress(psutil.Error, OSError):
+        for each in psutil.net_connections("tcp"):
+            listens = each.status == psutil.CONN_LISTEN and each.laddr
+            if listens and listens.port == number and each.pid:
+                return f"{clean(psutil.Process(each.pid).name())} (process {each.pid})"
     return ""
 
 
-def _has(process: Path, sockets: set[str]) -> bool:
-    try:
-        return any(os.readlink(file) in sockets for file in (process / "fd").iterdir())
-    except OSError:
-        return False  # of another user, or it ended
-
-
-def multicast(reach: Reach) -> Iterator[Finding]:
-    """Through every interface that Zenoh uses, to the group and back."""
+def multicast(reach: Reach) -> Findings:
+    """Check multicast through every interface that Zenoh uses, to the group and back."""
     if not reach.multicast:
-        yield ok("multicast", "not asked for")
+        yield ok("off")
         return
     if fault := session.multicast_fault():
-        yield warning("multicast", fault, f"name a server or router: --connect tcp/HOST:{session.PORT} ({DOCUMENT})")
+        yield warning(fault, f"name a server or router: --connect tcp/HOST:{PORT} ({DOCUMENT})")
         return
-    faults = {name: _unheard(index) for index, name in session.scouting_interfaces()}
-    deaf = [f"{name} ({fault})" for name, fault in faults.items() if fault]
-    heard = [name for name, fault in faults.items() if not fault]
+    faults = {name: _echo_fault(index) for index, name in session.scouting_interfaces()}
+    deaf = ", ".join(f"{name} ({fault})" for name, fault in faults.items() if fault)
+    heard = ", ".join(name for name, fault in faults.items() if not fault)
+    group = session.SCOUTING_GROUP
     if deaf:
         yield warning(
-            "multicast",
-            f"what is sent to {session.SCOUTING_GROUP} does not come back through {', '.join(deaf)}",
-            f"a firewall of this machine? It must let in {LET_IN}; or use --connect",
+            f"packets to {group} do not come back through {deaf}",
+            f"if this machine has a firewall, {MUST_ADMIT}; or use --connect",
         )
     if heard:
-        yield ok("multicast", f"{session.SCOUTING_GROUP} is sent and heard through {', '.join(heard)}")
+        yield ok(f"{group} is sent and heard through {heard}")
 
 
-def _unheard(index: int) -> str:
-    """Why this machine does not hear itself through an interface; "" when it does."""
+def _echo_fault(index: int) -> str:
+    """Return why this machine does not hear itself through an interface; "" if it does."""
     group, number = session.SCOUTING_GROUP.split(":")
+    address = (group, int(number))
     member = struct.pack("=4s4si", socket.inet_aton(group), bytes(4), index)
     word = secrets.token_bytes(8)
     try:
@@ -125,14 +110,14 @@ def _unheard(index: int) -> str:
         ):
             receiver.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             receiver.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
-            receiver.bind((group, int(number)))
+            receiver.bind(address)
             receiver.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
             sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, member)
-            sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)  # other machines need not hear it
-            sender.sendto(word, (group, int(number)))
+            sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)  # stay on this machine
+            sender.sendto(word, address)
             end = time.monotonic() + HEARD_S  # however much others send to the group
-            while (left := end - time.monotonic()) > 0:
-                receiver.settimeout(left)
+            while (rest := end - time.monotonic()) > 0:
+                receiver.settimeout(rest)
                 if receiver.recv(64) == word:
                     return ""
             return "nothing heard"
@@ -142,77 +127,82 @@ def _unheard(index: int) -> str:
         return error.strerror or str(error)
 
 
-def firewall() -> Iterator[Finding]:
-    """Those that are commonly installed."""
+def firewall() -> Findings:
+    """Check common firewalls."""
     found = [*_ufw(), *_firewalld(), *_nftables()]
-    yield from found or [ok("firewall", "none is seen on this machine")]
+    yield from found or [ok("none was found on this machine")]
 
 
-def _ufw() -> Iterator[Finding]:
-    try:
-        on = "ENABLED=yes" in UFW.read_text()
-    except OSError:
+def _ufw() -> Findings:
+    with contextlib.suppress(OSError):
+        if "ENABLED=yes" in UFW.read_text():
+            fix = f"sudo ufw allow {PORT}/udp; sudo ufw allow {PORT}:{LAST_PORT}/tcp"
+            yield warning(f"ufw is on: {MUST_ADMIT}", fix)
+
+
+def _firewalld() -> Findings:
+    if _output("firewall-cmd", "--state") == ["running"]:
+        yield warning(
+            f"firewalld runs: {MUST_ADMIT}",
+            f"sudo firewall-cmd --permanent --add-port={PORT}/udp --add-port={PORT}-{LAST_PORT}/tcp"
+            "; sudo firewall-cmd --reload",
+        )
+
+
+def _nftables() -> Findings:
+    rules = "\n".join(_output("nft", "list", "ruleset"))  # only root may list them
+    refuses = any(word in rules for word in ("policy drop", " reject", " drop"))
+    if "hook input" not in rules or not refuses:
         return
-    if on:
-        rules = f"sudo ufw allow {session.PORT}/udp"
-        yield warning(
-            "firewall", f"ufw is on: it must let in {LET_IN}", f"{rules}; sudo ufw allow {session.PORT}:{session.PORT + 99}/tcp"
-        )
+    if str(PORT) in rules:
+        yield ok(f"nftables has rules, some for port {PORT}")
+    else:
+        yield warning(f"nftables refuses some packets: {MUST_ADMIT}", "see sudo nft list ruleset")
 
 
-def _firewalld() -> Iterator[Finding]:
-    if _said("firewall-cmd", "--state") == "running":
-        yield warning(
-            "firewall",
-            f"firewalld runs: it must let in {LET_IN}",
-            f"sudo firewall-cmd --permanent --add-port={session.PORT}/udp "
-            f"--add-port={session.PORT}-{session.PORT + 99}/tcp; sudo firewall-cmd --reload",
-        )
-
-
-def _nftables() -> Iterator[Finding]:
-    rules = _said("nft", "list", "ruleset")  # root alone may see them
-    if "hook input" in rules and ("policy drop" in rules or " reject" in rules or " drop" in rules):
-        if f"{session.PORT}" in rules:
-            yield ok("firewall", f"nftables has rules, some for port {session.PORT}")
-        else:
-            yield warning("firewall", f"nftables refuses something: it must let in {LET_IN}", "look at: sudo nft list ruleset")
-
-
-def _said(*command: str) -> str:
+def _output(*command: str) -> list[str]:
+    """Return the lines that a program prints; none if it cannot be run."""
     if shutil.which(command[0]) is None:
-        return ""
+        return []
     try:
-        return subprocess.run(command, capture_output=True, text=True, timeout=ASK_S, check=False).stdout.strip()
+        done = subprocess.run(command, capture_output=True, text=True, timeout=ASK_S, check=False)
     except (OSError, subprocess.TimeoutExpired):
-        return ""
+        return []
+    return done.stdout.strip().splitlines()
 
 
-def servers(realm: str, reach: Reach, simulators: Requirements | None = None) -> Iterator[Finding]:
-    """A session opens; who is found, and whether their code is ours."""
-    wanted = simulators or Requirements(
-        simulator=EXAMPLE[0], representation=EXAMPLE[1], version_hash=version_hash(*EXAMPLE), versions=versions(*EXAMPLE)
+def servers(realm: str, reach: Reach, simulators: Requirements | None = None) -> Findings:
+    """Open a session, list the servers that are found, and compare their code with ours."""
+    requirements = simulators or Requirements(
+        simulator=EXAMPLE[0],
+        representation=EXAMPLE[1],
+        version_hash=version_hash(*EXAMPLE),
+        versions=versions(*EXAMPLE),
     )
     try:
-        survey = discovery.survey(realm, reach, requirements=wanted, wait_s=LOOK_S)
+        survey = discovery.survey(realm, reach, requirements=requirements, wait_s=LOOK_S)
     except ConfigError as error:
-        yield broken("servers", str(error), f"mend what is named ({DOCUMENT})")
+        yield broken(str(error), f"fix what is named ({DOCUMENT})")
         return
     if not survey.servers:
-        text = f"none found in realm {realm}: this machine's slots compute alone"
-        yield warning("servers", text, f"start zswarm-ss on other machines; if it runs there: {DOCUMENT}")
+        yield warning(
+            f"none found in realm {realm}: only this machine's slots compute",
+            f"start zswarm-ss on other machines; if it runs there: {DOCUMENT}",
+        )
         for line in survey.findings:
-            yield warning("servers", clean(line), f'see {DOCUMENT}, "Diagnosis"')
+            yield warning(clean(line), f'see {DOCUMENT}, "Diagnosis"')
         return
-    offers = [found for found in survey.servers if found.offer is not None and not found.offer.mismatch]
+    offers = [each for each in survey.servers if each.offer and not each.offer.mismatch]
     if offers:
-        slots = sum(found.offer.capacity for found in offers if found.offer)
-        yield ok("servers", f"{len(offers)} in realm {realm} with {plural(slots, 'slot')}, of this version: {_names(offers)}")
+        slots = plural(sum(each.offer.capacity for each in offers if each.offer), "slot")
+        count = f"{len(offers)} in realm {realm} with {slots}"
+        yield ok(f"{count}, of this version: {_names(offers)}")
     for found in survey.servers:
-        why = found.reason or (found.offer.mismatch if found.offer else "")
-        if why:
-            text = clean(f"{found.server} is not used: {why}")
-            yield warning("servers", text, "install the same zswarm there; zswarm-ot servers --for EXPERIMENT compares")
+        if why := found.reason or (found.offer.mismatch if found.offer else ""):
+            yield warning(
+                clean(f"{found.server} is not used: {why}"),
+                "install the same zswarm there; zswarm-ot servers --for EXPERIMENT compares",
+            )
 
 
 def _names(found: list[discovery.Found]) -> str:

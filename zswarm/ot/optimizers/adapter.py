@@ -1,40 +1,49 @@
-"""Optimizers of other packages: what asks and tells vectors becomes an optimizer of a run in ten lines.
+"""Adapt optimizers of other packages that ask for vectors and are told their fitness.
 
-A child makes the other package's optimizer in its constructor, gives its vectors in ``_propose`` and tells it in ``_learn``
-how good they were. Vectors are in units of the ranges of the genes, so new genomes of the representation are uniform in -1..1.
+A child creates the package's optimizer in its constructor, returns its vectors in ``_propose`` and
+tells it their fitness in ``_learn``. Vectors are in units of the ranges of the genes, so new
+genomes of the representation are uniform in -1..1.
 
-Nothing of the other package is kept between two programs: its state is made again, by asking and telling it anew all that
-was recorded. So it must propose the same again when it is told the same, which its seed has to see to. Where it does not,
-because another processor or another version computes other bits, it is told what was recorded instead of what it would
-have proposed now, and ``strayed`` says so.
+The other package's state is not stored. ``restore`` repeats all asks and tells instead, so the same
+seed must give the same proposals. If it does not, because the processor or a version differs, the
+recorded genomes are told, and ``diverged`` is set.
 
-Linear algebra adds in another order with another number of threads, so it gets one.
+Linear algebra runs on one thread, for it adds in another order with another number of threads.
 """
 
 import contextlib
+import math
 import threading
 from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cached_property
 from itertools import islice
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
 
+from zswarm.config.meta import about, above
 from zswarm.errors import ConfigError
-from zswarm.extras import need
 from zswarm.nets.representation import Representation
-from zswarm.ot.optimizers.optimizer import Optimizer, Told
+from zswarm.ot.optimizers.base import BaseOptimizer, setting_error
+from zswarm.ot.optimizers.optimizer import Told
 from zswarm.ot.optimizers.space import Space
-from zswarm.ot.optimizers.tally import Tally
+from zswarm.system.extras import need
+
+FAR = 1e9  # ranges: a search that diverges ends here
+
+Sigma = Annotated[float, above(0, 1e3, "first standard deviation, in ranges of new weights")]
+Separable = Annotated[bool, about("without correlations: for more than about 200 genes")]
 
 _limiting = threading.Lock()
-FAR = 1e9  # ranges: where a search that diverges ends
 
 
-class Adapter(Optimizer):
-    """An optimizer of another package; a child writes ``_propose`` and ``_learn``, and sets ``candidates``."""
+class Adapter(BaseOptimizer):
+    """An optimizer of another package.
+
+    A child writes ``_propose`` and ``_learn``, and sets ``candidates``.
+    """
 
     portable = False
 
@@ -43,83 +52,95 @@ class Adapter(Optimizer):
         self._threads = need("threadpoolctl", "cmaes", "an optimizer of another package")
         self._space = Space(representation)
         self.genes = self._space.dimensions
-        self._genomes: list[bytes] = []
-        self._tally = Tally()
 
     @abstractmethod
     def _propose(self) -> np.ndarray:
-        """The next vectors: (n, genes), n at most ``candidates``; finite."""
+        """Return the next vectors: (n, genes), finite, with n at most ``candidates``."""
 
     @abstractmethod
     def _learn(self, solutions: np.ndarray, fitness: np.ndarray, measures: np.ndarray) -> None:
-        """Take what became of the vectors last proposed.
+        """Take the results of the vectors last proposed.
 
         Args:
-            solutions: (n, genes) float64, the vectors as they were evaluated, which is rounded to float32.
-            fitness: (n,) float64, finite, higher is better; a failed candidate has the lowest of the others, 0 where all failed.
-            measures: (n, len(self.measures)) float64; a row of NaN where the candidate failed.
+            solutions: (n, genes) float64, the vectors as evaluated, which is rounded to float32.
+            fitness: (n,) float64, finite, higher is better. A failed candidate has the lowest of
+                the others, or 0 if all failed.
+            measures: (n, len(self.measures)) float64; a row of NaN for a failed candidate.
         """
 
     def _numbers(self) -> dict[str, float]:
-        """What ``statistics`` tells of the generation last told, beside best, mean and evaluations."""
+        """Return the child's statistics of the last evaluated generation."""
         return {}
 
     def _ask(self) -> list[bytes]:
         with self._one_thread():
             vectors = np.asarray(self._propose(), np.float64)
-        if vectors.shape != (len(vectors), self.genes) or not len(vectors) or not np.isfinite(vectors).all():
-            raise ValueError(f"{type(self).__name__}._propose must give (n, {self.genes}) finite numbers, not {vectors!r:.80}")
-        self._genomes = self._space.genomes(np.clip(vectors, -FAR, FAR))
-        return self._genomes
+        valid = len(vectors) and vectors.shape == (len(vectors), self.genes)
+        if not valid or not np.isfinite(vectors).all():
+            text = f"must return (n, {self.genes}) finite numbers, not {vectors!r:.80}"
+            raise ValueError(f"{type(self).__name__}._propose {text}")
+        return self._space.genomes(np.clip(vectors, -FAR, FAR))
 
     def _tell(self, fitness: np.ndarray, measures: np.ndarray) -> None:
         failed = np.isnan(fitness)
-        worst = 0.0 if failed.all() else np.nanmin(fitness)
+        finite = np.where(failed, 0.0 if failed.all() else np.nanmin(fitness), fitness)
+        measures = np.where(failed[:, None], np.nan, measures)
         with self._one_thread():
-            self._learn(
-                self._space.of(self._genomes), np.where(failed, worst, fitness), np.where(failed[:, None], np.nan, measures)
-            )
-        self._tally.add(self._genomes, fitness, self._numbers(), relative=self.relative)
+            self._learn(self._space.points(self._asked), finite, measures)
+        self._count(fitness, **self._numbers())
 
     def state(self) -> dict[str, Any]:
-        """How often it was told; the rest is in what it was told."""
+        """Return the number of generations; ``restore`` repeats them."""
         return {"generation": self.generation}
 
     def restore(self, state: Mapping[str, Any], told: Iterable[Told]) -> None:
-        """Ask and tell all of it again.
+        """Ask and tell all generations again.
 
         Raises:
-            ConfigError: it proposes another number of candidates than were told, or fewer generations were told.
+            ConfigError: it proposes another number of candidates than were told, or fewer
+                generations were told.
         """
-        for generation, (genomes, fitness, measures) in enumerate(islice(told, state["generation"])):
+        recorded = islice(told, state["generation"])
+        for generation, (genomes, fitness, measures) in enumerate(recorded):
             proposed = self.ask()
             if len(proposed) != len(genomes):
                 raise ConfigError(
-                    f"optimizer: generation {generation} was recorded with {len(genomes)} candidates, and this program proposes "
-                    f"{len(proposed)}: go on where the run began, with the same versions of its packages"
+                    f"optimizer: generation {generation} was recorded with {len(genomes)} "
+                    f"candidates, and this program proposes {len(proposed)}: resume with the "
+                    "versions of the packages with which the run began"
                 )
-            if self.strayed is None and proposed != list(genomes):
-                self.strayed = generation
-            self._genomes = list(genomes)
+            if self.diverged is None and proposed != list(genomes):
+                self.diverged = generation
+            self._asked = list(genomes)
             self.tell(fitness, measures)
         if self.generation != state["generation"]:
-            raise ConfigError(f"optimizer: {self.generation} generations are recorded; its state is of {state['generation']}")
-
-    def best(self) -> tuple[bytes, float]:
-        """The first of the best."""
-        return self._tally.best()
-
-    def statistics(self) -> dict[str, float]:
-        """Best and mean fitness, evaluations so far, and what the child tells."""
-        return self._tally.statistics
+            raise ConfigError(
+                f"optimizer: {self.generation} generations are recorded; its state is of "
+                f"{state['generation']}"
+            )
 
     @contextlib.contextmanager
     def _one_thread(self) -> Iterator[None]:
-        """Linear algebra on one thread. The limit is the whole program's: others that want it wait until this one is done."""
+        """Limit linear algebra to one thread.
+
+        The limit is global, so other threads of this program that need it wait.
+        """
         with _limiting, self._libraries.limit(limits=1, user_api="blas"):
             yield
 
     @cached_property
     def _libraries(self) -> Any:
-        """Those of linear algebra that are loaded by the first ask."""
+        """Return the linear algebra libraries that the first ask has loaded."""
         return self._threads.ThreadpoolController()
+
+
+def default_population(given: int, genes: int) -> int:
+    """Return the population of an evolution strategy, given that of its settings.
+
+    Raises:
+        ConfigError: it is too small to learn a covariance.
+    """
+    least = 4
+    if 0 < given < least:
+        raise setting_error("population", f"expected 0, or at least {least}, not {given}")
+    return given or least + math.floor(3 * math.log(genes))

@@ -19,18 +19,20 @@ class Told(NamedTuple):
 
 
 class Optimizer(ABC):
-    """Proposes genomes and learns from their fitness; a child writes ``_ask``, ``_tell``, ``state``, ``restore``.
+    """Proposes genomes and learns from their fitness; a child writes the abstract methods.
 
     Attributes:
         settings_type: the struct of its settings in an experiment file.
-        portable: whether it does the same on every machine, bit for bit (linear algebra does not).
-        competes: whether it also takes fitness that compares within a generation only, as a tournament gives it.
-        relative: whether fitness is such; set before the first ask. Then an ask gives all that shall compete, those that
-            were evaluated before again, and ``best`` is of the last generation.
-        measures: names of the simulator's metrics that a tell wants beside fitness.
-        generation: generations told.
-        candidates: genomes that one ask gives at most; None: it cannot say.
-        strayed: the first generation in which ``restore`` would have asked other genomes than were told; None: in none.
+        portable: whether it gives the same bits on every machine (linear algebra does not).
+        competes: whether it accepts fitness that compares within a generation only, as of a
+            tournament.
+        relative: whether fitness is such; set before the first ask. Then an ask returns all genomes
+            that compete, also those evaluated before, and ``best`` is of the last generation.
+        measures: names of the simulator's metrics that a tell takes in addition to fitness.
+        generation: number of generations told.
+        candidates: most genomes of one ask, or None if that is unknown.
+        diverged: the first generation in which ``restore`` would have asked other genomes than
+            were told, or None.
     """
 
     settings_type: ClassVar[type[msgspec.Struct]]
@@ -39,49 +41,52 @@ class Optimizer(ABC):
     relative: bool = False
     measures: Sequence[str] = ()
     candidates: int | None = None
-    strayed: int | None = None
+    diverged: int | None = None
 
     def __init__(self, settings: msgspec.Struct, representation: Representation, seed: int) -> None:
         self.settings = settings
         self.representation = representation
         self.seed = seed
         self.generation = 0
-        self._asked: int | None = None
+        self._asked: list[bytes] = []  # the last generation asked for
+        self._waiting = False  # for its fitness
 
     def ask(self) -> list[bytes]:
-        """The genomes that want evaluation next.
+        """Return the genomes to evaluate next.
 
         Raises:
             RuntimeError: the last generation was not told yet.
         """
-        if self._asked is not None:
+        if self._waiting:
             raise RuntimeError("tell the fitness of the last generation before asking for the next")
-        genomes = self._ask()
-        self._asked = len(genomes)
-        return genomes
+        self._asked, self._waiting = self._ask(), True
+        return self._asked
 
     def tell(self, fitness: np.ndarray, measures: np.ndarray | None = None) -> None:
         """Take the fitness of the generation last asked for, in the order asked.
 
         Args:
             fitness: (genomes asked,) float64, higher is better; NaN marks a failed evaluation.
-            measures: (genomes asked, len(self.measures)) float64, the mean of each metric over a candidate's trials, NaN as
-                fitness; only where there are any.
+            measures: (genomes asked, len(self.measures)) float64, the mean of each metric over a
+                candidate's trials; NaN where fitness is. Only where there are any.
 
         Raises:
             RuntimeError: no generation is waiting.
             ValueError: wrong shape.
         """
-        if self._asked is None:
+        if not self._waiting:
             raise RuntimeError("no generation is waiting for its fitness: ask first")
-        if fitness.shape != (self._asked,):
-            raise ValueError(f"fitness must have shape ({self._asked},), not {fitness.shape}")
-        measures = np.empty((self._asked, 0)) if measures is None else measures
-        if measures.shape != (self._asked, len(self.measures)):
-            raise ValueError(f"measures must have shape ({self._asked}, {len(self.measures)}), not {measures.shape}")
+        asked = len(self._asked)
+        measures = np.empty((asked, 0)) if measures is None else measures
+        for name, given, shape in (
+            ("fitness", fitness, (asked,)),
+            ("measures", measures, (asked, len(self.measures))),
+        ):
+            if given.shape != shape:
+                raise ValueError(f"{name} must have shape {shape}, not {given.shape}")
         self._tell(fitness, measures)
         self.generation += 1
-        self._asked = None
+        self._waiting = False
 
     @abstractmethod
     def _ask(self) -> list[bytes]: ...
@@ -91,26 +96,28 @@ class Optimizer(ABC):
 
     @abstractmethod
     def state(self) -> dict[str, Any]:
-        """All that ``restore`` needs to go on after the last tell: plain values, bytes, lists, dicts."""
+        """Return the state after the last tell: plain values, bytes, lists, dicts."""
 
     @abstractmethod
     def restore(self, state: Mapping[str, Any], told: Iterable[Told]) -> None:
-        """Go on from a ``state`` of an optimizer with the same settings and seed.
+        """Resume from a ``state`` of an optimizer with the same settings and seed.
 
         Args:
-            told: all that it was told until then, in order, for those whose state is no plain value; read when it is iterated.
+            state: as returned by ``state``.
+            told: all generations told until then, read when iterated, for optimizers whose state is
+                not a plain value.
         """
 
     @abstractmethod
     def best(self) -> tuple[bytes, float]:
-        """The best genome told so far and its fitness; (b"", -inf) before the first. An ask does not change it.
+        """Return the best genome told so far and its fitness; (b"", -inf) before the first tell.
 
-        Where fitness is relative, of the last generation told.
+        If fitness is relative, the best of the last generation. An ask does not change it.
         """
 
     @abstractmethod
     def statistics(self) -> dict[str, float]:
-        """Numbers about the last generation told; ``best`` and ``mean`` at least. An ask does not change them.
+        """Return numbers about the last generation told, at least ``best`` and ``mean``.
 
-        The run calls it when servers have the next generation already.
+        An ask does not change them. A run calls it while servers evaluate the next generation.
         """

@@ -1,15 +1,21 @@
-"""The vectors that genomes are, for optimizers that search such: in units of the ranges in which new genomes lie."""
+"""Genomes as vectors, in units of the ranges of new genomes."""
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
 
-from zswarm.draws import Stream
+from zswarm.config.meta import about
 from zswarm.errors import ConfigError
+from zswarm.kernels.random import Stream
 from zswarm.nets.representation import Representation
-from zswarm.ot.optimizers.tally import mean, total
+from zswarm.ot.optimizers.sums import mean, total
 
 LARGEST = float(np.finfo(np.float32).max)
+
+Positive = Annotated[float, Meta(gt=0, le=1e6)]
+Bound = Annotated[Positive, about("limit of a genome's numbers, in ranges")]
 
 
 class Space:
@@ -17,44 +23,41 @@ class Space:
 
     Attributes:
         dimensions: numbers of a point.
+
+    Raises:
+        ConfigError: genomes of the representation are not vectors.
     """
 
     def __init__(self, representation: Representation) -> None:
-        """The space of a representation's genomes.
-
-        Raises:
-            ConfigError: they are no vectors.
-        """
         if representation.genes is None or representation.ranges is None:
+            name = type(representation).__name__
             raise ConfigError(
-                f"optimizer: it searches vectors of numbers; "
-                f"genomes of this representation ({type(representation).__name__}) are none"
+                "optimizer: it searches vectors of numbers; "
+                f"genomes of this representation ({name}) are not vectors"
             )
         self.dimensions = representation.genes
         self._ranges = representation.ranges
 
     def uniform(self, low: float, high: float, count: int, stream: Stream) -> np.ndarray:
-        """(count, dimensions)."""
+        """Return (count, dimensions)."""
         return stream.uniform(low, high, count * self.dimensions).reshape(count, self.dimensions)
 
     def normal(self, count: int, stream: Stream) -> np.ndarray:
-        """(count, dimensions), standard normal."""
+        """Return (count, dimensions), standard normal."""
         return stream.normal(0.0, 1.0, count * self.dimensions).reshape(count, self.dimensions)
 
     def genomes(self, points: np.ndarray) -> list[bytes]:
-        """What the points stand for, rounded to float32; too large numbers are the largest there are."""
-        return [row.tobytes() for row in np.clip(points * self._ranges, -LARGEST, LARGEST).astype("<f4")]
+        """Return points as genomes, rounded and clipped to float32."""
+        numbers = np.clip(points * self._ranges, -LARGEST, LARGEST).astype("<f4")
+        return [row.tobytes() for row in numbers]
 
-    def of(self, genomes: Sequence[bytes]) -> np.ndarray:
-        """(genomes, dimensions): the points that genomes stand for."""
-        points: np.ndarray = np.frombuffer(b"".join(genomes), "<f4").reshape(-1, self.dimensions) / self._ranges
+    def points(self, genomes: Sequence[bytes]) -> np.ndarray:
+        """Return genomes as points, (genomes, dimensions)."""
+        numbers = np.frombuffer(b"".join(genomes), "<f4").reshape(-1, self.dimensions)
+        points: np.ndarray = numbers / self._ranges
         return points
-
-    def points(self, packed: bytes) -> np.ndarray:
-        """Points that were packed by ``tobytes``."""
-        return np.frombuffer(packed, np.float64).reshape(-1, self.dimensions)
 
 
 def spread(points: np.ndarray) -> float:
-    """How far a number is from the mean of all points, on average."""
+    """Return the mean distance of a number from the mean of all points."""
     return mean(np.abs(points - total(points) / len(points)))

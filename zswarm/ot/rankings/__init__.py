@@ -1,1 +1,1 @@
-"""Rankings: which candidates of a generation play which games, and what that makes of each."""
+"""Rankings: which candidates of a generation play each other, and their scores."""

@@ -2,14 +2,14 @@
 
 from collections.abc import Sequence
 
-import msgspec
 import numpy as np
 
+from zswarm.config.meta import PartSettings
 from zswarm.errors import ConfigError
 from zswarm.ot.rankings.ranking import Ranking, Round
 
 
-class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class AbsoluteSettings(PartSettings, frozen=True):
     """Settings of ``[ranking]`` with ``kind = "absolute"``: none."""
 
 
@@ -20,21 +20,21 @@ class Absolute(Ranking):
     Score: the fitness itself; it compares from generation to generation.
     """
 
-    settings_type = Settings
+    settings_type = AbsoluteSettings
     relative = False
 
-    def __init__(self, settings: Settings, participants: int) -> None:
+    def __init__(self, settings: AbsoluteSettings, participants: int) -> None:
         super().__init__(settings, participants)
         if participants != 1:
             raise ConfigError(
-                f"ranking: absolute judges each candidate by itself, and this problem is a game of {participants}; "
-                "kinds of ranking for games: full-tournament, swiss, multi-swiss"
+                "ranking: absolute judges each candidate by itself, and this problem is a game of "
+                f"{participants}; expected full-tournament, swiss or multi-swiss"
             )
 
     def next_games(self, candidates: int, played: Sequence[Round]) -> np.ndarray | None:
-        """See ``Ranking.next_games``."""
+        """See ``Ranking``."""
         return None if played else np.arange(candidates).reshape(-1, 1)
 
     def scores(self, candidates: int, played: Sequence[Round]) -> np.ndarray:  # noqa: ARG002  one result each
-        """See ``Ranking.scores``."""
+        """See ``Ranking``."""
         return played[0].results[:, 0]

@@ -1,4 +1,4 @@
-"""The contract of a ranking: which candidates of a generation play which games, and what the games make of each."""
+"""The contract of a ranking: which candidates play each other, and the scores that result."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -9,41 +9,43 @@ import numpy as np
 
 
 class Round(NamedTuple):
-    """Games that were played side by side."""
+    """Games that were played in parallel."""
 
     games: np.ndarray  # (games, participants) int64, candidates
-    results: np.ndarray  # (games, participants) float64, the fitness of each, summed over the game's trials; NaN: it failed
+    results: np.ndarray  # (games, participants) float64, fitness summed over trials; NaN: failed
 
 
 class Ranking(ABC):
-    """Says the next games from those that were played, and nothing else: the same games always give the same.
+    """Derives the next games from those played, and nothing else: same games, same answer.
 
     Attributes:
         settings_type: the struct of its settings in an experiment file.
         relative: whether scores compare within a generation only.
+
+    Args:
+        participants: candidates of a game.
+
+    Raises:
+        ConfigError: it supports no such games.
     """
 
     settings_type: ClassVar[type[msgspec.Struct]]
     relative: ClassVar[bool]
 
     def __init__(self, settings: msgspec.Struct, participants: int) -> None:
-        """For games of so many participants.
-
-        Raises:
-            ConfigError: it knows no such games.
-        """
         self.settings = settings
         self.participants = participants
 
     @abstractmethod
     def next_games(self, candidates: int, played: Sequence[Round]) -> np.ndarray | None:
-        """The games of the next round, (games, participants) int64: candidates, each once at most in a game.
+        """Return the games of the next round, or None after the last one.
 
         Args:
+            candidates: how many there are.
             played: the rounds of the generation so far.
 
         Returns:
-            None: the last round was played.
+            (games, participants) int64: candidates, each at most once in a game.
 
         Raises:
             ConfigError: there are too few candidates for a game.
@@ -51,4 +53,7 @@ class Ranking(ABC):
 
     @abstractmethod
     def scores(self, candidates: int, played: Sequence[Round]) -> np.ndarray:
-        """(candidates,) float64, higher is better, once all rounds were played; NaN for one that failed in all its games."""
+        """Return (candidates,) float64 after the last round, higher is better.
+
+        A candidate that failed in all its games has NaN.
+        """

@@ -1,105 +1,140 @@
 // One candidate: its genome, its network, what it did in each trial, and the replay of one.
-import { drawNetwork } from './network.js';
-import { address, api, ask, card, copyButton, download, fill, h, number, query, run, save, setText, showError } from './page.js';
 import { follow } from './live.js';
+import { drawNetwork } from './network.js';
+import { address, api, ask, button, card, copyButton, fill, h, n, note, number, query, request, row,
+  run, save, section, setText, table, two } from './page.js';
+
+const HEX = 8000; // digits of a genome that are shown
 
 export async function show(view) {
-  const about = await ask(api('about'));
-  document.title = `Candidate of ${about.name} · zswarm`;
-  let champions = await ask(api('champions'));
-  let finished = 0;
-  let generation = query.has('generation') ? Number(query.get('generation')) : champions.at(-1)?.generation ?? 0;
-  let candidate = query.has('candidate') ? Number(query.get('candidate')) : null;
-  let player = null;
-  const title = h('h1', { text: about.name });
-  const chosen = h('input', { type: 'number', min: 1, step: 1, 'aria-label': 'generation', onchange: () => go(Math.max(0, Number(chosen.value) - 1), null) });
-  const among = h('select', { 'aria-label': 'candidate', onchange: () => go(generation, Number(among.value)) });
-  const facts = h('p', { class: 'dim' });
-  const network = card('Network');
-  const genome = card('Genome');
-  const trials = card('Trials');
-  const replay = card('Replay');
-  fill(view,
-    h('section', { class: 'card' }, h('div', { class: 'row' }, title),
-      h('div', { class: 'row' }, h('label', { class: 'field' }, 'generation ', chosen), h('label', { class: 'field' }, 'candidate ', among),
-        h('button', { type: 'button', text: 'first champion', onclick: () => champions.length && go(champions[0].generation, champions[0].candidate) }),
-        h('button', { type: 'button', text: 'last champion', onclick: async () => { champions = await ask(api('champions')); if (champions.length) go(champions.at(-1).generation, champions.at(-1).candidate); } })),
-      facts),
-    replay, h('div', { class: 'two' }, network, h('div', { class: 'stack' }, trials, genome)));
-
-  async function go(toGeneration, toCandidate) {
-    try {
-      const all = await ask(api('generation', { generation: toGeneration }));
-      if (!all.length) throw new Error(`generation ${toGeneration + 1} is not in the record${finished ? `, which has ${finished}` : ''}`);
-      generation = toGeneration;
-      candidate = toCandidate ?? all[0].candidate;
-      chosen.value = generation + 1;
-      fill(among, ...all.map((one, place) => h('option', { value: String(one.candidate), text: `${one.candidate}: ${number(one.fitness)}${place === 0 ? ' (best)' : ''}` })));
-      among.value = String(candidate);
-      history.replaceState(null, '', address('/candidate', { generation, candidate }));
-      await showCandidate(await ask(api('candidate', { generation, candidate })), all);
-    } catch (error) {
-      setText(facts, error.message);
-    }
-  }
-
-  async function showCandidate(of, all) {
-    const place = all.findIndex((one) => one.candidate === candidate) + 1;
-    setText(facts, `candidate ${candidate} of generation ${generation + 1}: fitness ${number(of.fitness)}, number ${place} of ${all.length}; ${of.genome.length / 2} bytes${of.genes ? `, ${number(of.genes)} genes` : ''}`);
-    const said = h('p', { class: 'readout', 'aria-live': 'polite', text: '' });
-    fill(network, h('h2', { text: 'Network' }), of.graph ? drawNetwork(of.graph, about.sensors, about.actuators, (text) => setText(said, text || hint(of))) : h('p', { class: 'dim', text: `no drawing: ${of.why}` }), said);
-    if (of.graph) setText(said, hint(of));
-    fill(genome, h('h2', { text: 'Genome' }), h('div', { class: 'row' }, copyButton('copy as hex', of.genome),
-      of.numbers?.length ? copyButton('copy numbers', JSON.stringify(of.numbers)) : null,
-      h('button', { type: 'button', text: 'JSON', onclick: () => save(new Blob([JSON.stringify(of, null, 1)], { type: 'application/json' }), `${run}-${generation}-${candidate}.json`) })),
-    h('p', { class: 'genome mono', tabindex: 0, text: of.numbers?.length ? of.numbers.map((value) => value.toFixed(3)).join('  ') : of.genome.slice(0, 8000) }));
-    const names = [...new Set(of.trials.flatMap((trial) => Object.keys(trial.metrics)))];
-    const game = of.trials.some((trial) => trial.candidates);
-    fill(trials, h('h2', { text: 'Trials' }), of.trials.length ? h('div', { class: 'scroll' }, h('table', {},
-      h('thead', {}, h('tr', {}, ...[...(game ? ['game', 'players'] : []), 'trial', 'fitness', ...names, 'server', ''].map((text) => h('th', { scope: 'col', text })))),
-      h('tbody', {}, ...of.trials.map((trial) => h('tr', {}, ...(game ? [h('td', { class: 'n', text: number(trial.game) }), h('td', { text: trial.candidates.join(', ') })] : []),
-        h('td', { class: 'n', text: String(trial.trial) }), h('td', { class: 'n', text: trial.fitness.map((value) => number(value)).join(', ') }),
-        ...names.map((name) => h('td', { class: 'n', text: number(trial.metrics[name]) })), h('td', { class: 'wrap', text: trial.server }),
-        h('td', {}, h('button', { type: 'button', class: 'small', text: 'replay', onclick: () => play(trial.trial) }))))))) : h('p', { class: 'dim', text: 'the record has no trials of it' }),
-    of.left_out ? h('p', { class: 'dim', text: `${number(of.left_out)} more are not listed` }) : null);
-    player?.destroy();
-    player = null;
-    fill(replay, h('h2', { text: 'Replay' }), h('button', { type: 'button', class: 'main', text: 'Play trial 0', onclick: () => play(of.trials[0]?.trial ?? 0) }));
-    if (query.has('trial')) await play(Number(query.get('trial')));
-  }
-
-  function hint(of) {
-    const cut = of.edges > of.graph.edges.length ? `the strongest ${number(of.graph.edges.length)} of ${number(of.edges)} connections; ` : '';
-    return `${cut}blue: positive, orange and dashed: negative; point at a node or step to it with Tab`;
-  }
-
-  async function play(trial) {
-    player?.destroy();
-    player = null;
-    const place = h('div', { class: 'player' });
-    fill(replay, h('h2', { text: `Replay of trial ${trial}` }), h('p', { class: 'dim', role: 'status', text: 'computing it from the record …' }));
-    try {
-      const bytes = await ask(api('trace', { generation, candidate, trial }), 'bytes');
-      await style('/static/player.css');
-      const { play: start } = await import('/static/player.js');
-      fill(replay, h('h2', { text: `Replay of trial ${trial}` }), place);
-      player = await start(place, bytes);
-    } catch (error) {
-      fill(replay, h('h2', { text: 'Replay' }), h('p', { class: 'note', text: `no replay: ${error.message}` }));
-    }
-  }
-
-  follow(run, (message) => { if (message.state) finished = message.state.generation ?? finished; });
-  try {
-    await go(generation, candidate);
-  } catch (error) {
-    showError(error.message);
-  }
+  const page = new CandidatePage(view, await ask(api('about')), await ask(api('champions')));
+  follow(run, ({ state }) => { if (state) page.finished = state.generation ?? page.finished; });
+  const given = (name, otherwise) => (query.has(name) ? Number(query.get(name)) : otherwise);
+  await page.go(given('generation', page.champions.at(-1)?.generation ?? 0),
+    given('candidate', null));
 }
 
-// Its colours are read when the player begins.
-async function style(href) {
-  if (document.querySelector(`link[href="${href}"]`)) return;
-  const link = h('link', { rel: 'stylesheet', href });
-  await new Promise((done) => { link.onload = done; link.onerror = done; document.head.append(link); });
+class CandidatePage {
+  constructor(view, about, champions) {
+    Object.assign(this, { about, champions, finished: 0, player: null });
+    document.title = `Candidate of ${about.name} · zswarm`;
+    this.generation = h('input', {
+      type: 'number', min: 1, step: 1, 'aria-label': 'generation',
+      onchange: () => this.go(Math.max(0, Number(this.generation.value) - 1), null) });
+    this.among = h('select', {
+      'aria-label': 'candidate',
+      onchange: () => this.go(this.at.generation, Number(this.among.value)) });
+    this.facts = h('p', { class: 'dim' });
+    this.readout = h('p', { class: 'readout', 'aria-live': 'polite' });
+    for (const name of ['network', 'genome', 'trials', 'replay']) this[name] = h('div');
+    fill(view,
+      section(h('h1', { text: about.name }),
+        row(h('label', { class: 'field' }, 'generation ', this.generation),
+          h('label', { class: 'field' }, 'candidate ', this.among),
+          button('first champion', () => this.goTo(this.champions[0])),
+          button('last champion', async () => {
+            this.champions = await ask(api('champions'));
+            this.goTo(this.champions.at(-1));
+          })),
+        this.facts),
+      card('Replay', this.replay),
+      two(card('Network', this.network),
+        h('div', { class: 'stack' }, card('Trials', this.trials), card('Genome', this.genome))));
+  }
+
+  goTo(champion) {
+    if (champion) this.go(champion.generation, champion.candidate);
+  }
+
+  // Show a candidate of a generation; null: the best.
+  async go(generation, candidate) {
+    try {
+      const all = await ask(api('generation', { generation }));
+      const has = this.finished ? `, which has ${this.finished}` : '';
+      if (!all.length) throw new Error(`generation ${generation + 1} is not in the record${has}`);
+      this.generation.value = generation + 1;
+      fill(this.among, ...all.map((one, place) => h('option', {
+        value: String(one.candidate),
+        text: `${one.candidate}: ${number(one.fitness)}${place === 0 ? ' (best)' : ''}` })));
+      this.at = { generation, candidate: candidate ?? all[0].candidate };
+      this.among.value = String(this.at.candidate);
+      history.replaceState(null, '', address('/candidate', this.at));
+      const of = await ask(api('candidate', this.at));
+      const place = all.findIndex((one) => one.candidate === of.candidate) + 1;
+      const genes = of.genes ? `, ${number(of.genes)} genes` : '';
+      const name = `candidate ${of.candidate} of generation ${generation + 1}`;
+      const rank = `fitness ${number(of.fitness)}, number ${place} of ${all.length}`;
+      setText(this.facts, `${name}: ${rank}; ${of.genome.length / 2} bytes${genes}`);
+      this.showNetwork(of);
+      this.showGenome(of);
+      this.showTrials(of);
+      this.stop();
+      fill(this.replay, button(`Play trial ${of.trials[0]?.trial ?? 0}`,
+        () => this.play(of.trials[0]?.trial ?? 0), { class: 'main' }));
+      if (query.has('trial')) await this.play(Number(query.get('trial')));
+    } catch (error) {
+      setText(this.facts, error.message);
+    }
+  }
+
+  showNetwork({ edges, graph, why }) {
+    if (!graph) {
+      fill(this.network, note(`no drawing: ${why}`, 'dim'));
+      return;
+    }
+    const shown = graph.edges.length;
+    const cut = edges > shown ? `the strongest ${number(shown)} of ${number(edges)} connections; `
+      : '';
+    const hint = `${cut}blue: positive, orange and dashed: negative; point at a node or step to it with Tab`;
+    const { sensors, actuators } = this.about;
+    fill(this.network, drawNetwork(graph, sensors, actuators,
+      (text) => setText(this.readout, text || hint)), this.readout);
+    setText(this.readout, hint);
+  }
+
+  showGenome(of) {
+    const { generation, candidate, genome, numbers } = of, known = numbers?.length > 0;
+    const json = () => new Blob([JSON.stringify(of, null, 1)], { type: 'application/json' });
+    const shown = known ? numbers.map((value) => value.toFixed(3)).join('  ') : genome.slice(0, HEX);
+    fill(this.genome,
+      row(copyButton('copy as hex', genome),
+        known && copyButton('copy numbers', JSON.stringify(numbers)),
+        button('JSON', () => save(json(), `${run}-${generation}-${candidate}.json`))),
+      h('p', { class: 'genome mono', tabindex: 0, text: shown }));
+  }
+
+  showTrials({ left_out: left, trials }) {
+    const metrics = [...new Set(trials.flatMap((trial) => Object.keys(trial.metrics)))];
+    const games = trials.some((trial) => trial.candidates);
+    const numbers = ['trial', 'fitness', ...metrics].map((name) => [name, 'n']);
+    const rows = trials.map(({ candidates, fitness, game, metrics: values, server, trial }) => [
+      ...(games ? [n(game), candidates.join(', ')] : []), n(trial),
+      [fitness.map((value) => number(value)).join(', '), 'n'],
+      ...metrics.map((name) => n(values[name])),
+      [server, 'wrap'], button('replay', () => this.play(trial), { class: 'small' })]);
+    fill(this.trials, rows.length
+      ? table([...(games ? [['game', 'n'], 'players'] : []), ...numbers, 'server', ''], rows)
+      : note('the record has no trials of it', 'dim'),
+    left > 0 && note(`${number(left)} more are not listed`, 'dim'));
+  }
+
+  stop() {
+    this.player?.destroy();
+    this.player = null;
+  }
+
+  async play(trial) {
+    this.stop();
+    fill(this.replay, h('p', { class: 'dim', role: 'status',
+      text: `computing trial ${trial} from the record …` }));
+    try {
+      const answer = await request(api('trace', { ...this.at, trial }));
+      const { play } = await import('./player.js');
+      const place = h('div');
+      fill(this.replay, place);
+      this.player = await play(place, await answer.arrayBuffer());
+    } catch (error) {
+      fill(this.replay, note(`no replay: ${error.message}`));
+    }
+  }
 }

@@ -1,82 +1,65 @@
-// Curves on a canvas: lines, bands, a cursor that a pointer or the keyboard moves, and a part to look at closely.
-import { colour, duration, fill, h, number, save, setText } from './page.js';
+// Curves as SVG: lines, bands, a cursor that a pointer or the keyboard moves, and a zoom.
+import { button, duration, fill, h, number, s, save, setText } from './page.js';
 
-const DASHES = [[], [7, 4], [2, 3], [10, 3, 2, 3]];
-const LEFT = 62;
-const BOTTOM = 34;
-const TOP = 8;
-const RIGHT = 12;
+const DASHES = [null, '7 4', '2 3', '10 3 2 3'];
+const LEFT = 62, RIGHT = 12, TOP = 8, BOTTOM = 34; // pixels around the curves
+const DRAGGED = 8; // pixels from which on a drag is a zoom
+const SAVED = 2400; // pixels of a saved picture's width
+const STYLES = ['color', 'fill', 'stroke', 'stroke-width', 'opacity', 'font-size', 'font-family'];
 
 export class Chart {
-  // options: label (what it is), height, time (x is seconds), xLabel, onpick(x)
+  // options: label (what it is), height, time (x is seconds), xLabel, hint, onpick(x)
   constructor(options) {
     this.options = options;
     this.series = [];
     this.hidden = new Set();
-    this.view = null; // [from, to] of x that is looked at; null: all
+    this.view = null; // [from, to] of x; null: all
     this.cursor = null;
-    this.drag = null;
-    this.canvas = h('canvas', { tabindex: 0, role: 'img', 'aria-label': options.label });
+    this.axes = s('g', { class: 'axes' });
+    this.lines = s('g');
+    this.marks = s('g');
+    this.plot = s('svg', { x: LEFT }, this.lines, this.marks); // it clips
+    this.svg = s('svg', {
+      tabindex: 0, role: 'img', 'aria-label': options.label,
+      onpointermove: (event) => this.move(event),
+      onpointerdown: (event) => this.press(event),
+      onpointerup: (event) => this.release(event),
+      onpointerleave: () => { if (this.from === undefined) this.point(null); },
+      ondblclick: () => this.look(null),
+      onkeydown: (event) => this.key(event),
+    }, this.axes, this.plot);
     this.legend = h('div', { class: 'legend' });
     this.readout = h('p', { class: 'readout', 'aria-live': 'polite' });
-    this.whole = h('button', { type: 'button', class: 'small', text: 'show all', hidden: true, onclick: () => this.look(null) });
-    this.element = h('figure', { class: 'chart' }, this.legend, this.canvas, h('div', { class: 'under' }, this.readout, this.whole));
+    this.whole = button('show all', () => this.look(null), { class: 'small', hidden: true });
+    this.element = h('figure', { class: 'chart' }, this.legend, this.svg,
+      h('div', { class: 'under' }, this.readout, this.whole));
     new ResizeObserver(() => this.redraw()).observe(this.element);
-    window.addEventListener('recolour', () => this.redraw());
-    this.canvas.addEventListener('pointermove', (event) => this.point(event));
-    this.canvas.addEventListener('pointerdown', (event) => this.press(event));
-    this.canvas.addEventListener('pointerup', (event) => this.release(event));
-    this.canvas.addEventListener('pointerleave', () => { if (!this.drag) { this.cursor = null; this.redraw(); } });
-    this.canvas.addEventListener('dblclick', () => this.look(null));
-    this.canvas.addEventListener('keydown', (event) => this.key(event));
   }
 
-  // Each: name, x, y, and maybe low and high (a band), colour (a custom property), dash, thin, of (what a band belongs to).
+  // Each: name, x, y, or low and high (a band); maybe steps, thin, dash, and ink (a CSS property).
   set(series, changes = {}) {
     Object.assign(this.options, changes);
+    this.series = series.map((one, i) => ({
+      ink: `--c${(i % 7) + 1}`, dash: DASHES[i % DASHES.length], ...one }));
     const names = series.map((one) => one.name).join('\n');
-    this.series = series;
-    if (names !== this.names) {
-      this.names = names;
-      this.showLegend();
-    }
+    if (names !== this.names) this.showLegend();
+    this.names = names;
     this.redraw();
   }
 
   showLegend() {
-    fill(this.legend, ...this.series.map((one, index) => {
-      const sample = h('canvas', { class: 'sample', width: 28, height: 12, 'aria-hidden': 'true' });
-      const button = h('button', { type: 'button', class: 'key', 'aria-pressed': 'true', onclick: () => {
+    fill(this.legend, ...this.series.map((one) => {
+      const sample = s('svg', { class: 'sample', 'aria-hidden': 'true' },
+        drawn(one, one.y ? 'M0 6H28' : 'M0 1H28V11H0Z'));
+      const key = h('button', { type: 'button', class: 'key', 'aria-pressed': 'true' },
+        sample, h('span', { text: one.name }));
+      key.addEventListener('click', () => {
         if (!this.hidden.delete(one.name)) this.hidden.add(one.name);
-        button.setAttribute('aria-pressed', String(!this.hidden.has(one.name)));
+        key.setAttribute('aria-pressed', String(!this.hidden.has(one.name)));
         this.redraw();
-      } }, sample, h('span', { text: one.name }));
-      const paint = () => {
-        const pen = sample.getContext('2d');
-        pen.clearRect(0, 0, 28, 12);
-        if (one.y) {
-          pen.strokeStyle = colour(this.ink(one, index));
-          pen.lineWidth = 2;
-          pen.setLineDash(one.dash ?? DASHES[index % DASHES.length]);
-          pen.beginPath();
-          pen.moveTo(0, 6);
-          pen.lineTo(28, 6);
-          pen.stroke();
-        } else {
-          pen.globalAlpha = 0.3;
-          pen.fillStyle = colour(this.ink(one, index));
-          pen.fillRect(0, 1, 28, 10);
-          pen.globalAlpha = 1;
-        }
-      };
-      paint();
-      window.addEventListener('recolour', paint);
-      return button;
+      });
+      return key;
     }));
-  }
-
-  ink(one, index) {
-    return one.colour ?? `--c${(index % 7) + 1}`;
   }
 
   look(view) {
@@ -86,261 +69,223 @@ export class Chart {
   }
 
   redraw() {
-    if (this.waiting) return;
-    this.waiting = true;
-    requestAnimationFrame(() => { this.waiting = false; this.draw(); });
+    this.waiting ??= requestAnimationFrame(() => { this.waiting = null; this.draw(); });
   }
 
   shown() {
-    return this.series.map((one, index) => ({ ...one, index })).filter((one) => !this.hidden.has(one.name));
+    return this.series.filter((one) => !this.hidden.has(one.name));
   }
 
-  range(shown) {
-    let [left, right, low, high] = [Infinity, -Infinity, Infinity, -Infinity];
-    for (const one of shown) for (const x of [one.x[0], one.x[one.x.length - 1]]) if (x !== undefined) { left = Math.min(left, x); right = Math.max(right, x); }
-    if (this.view) [left, right] = this.view;
-    for (const one of shown) for (const values of [one.y, one.low, one.high]) {
-      if (!values) continue;
-      for (let i = 0; i < values.length; i += 1) {
-        if (values[i] === null || one.x[i] < left || one.x[i] > right) continue;
-        low = Math.min(low, values[i]);
-        high = Math.max(high, values[i]);
-      }
-    }
-    if (!(left <= right)) [left, right] = [0, 1];
+  // Return the ends of x and y.
+  range() {
+    const shown = this.shown();
+    let [left, right] = this.view ?? ends(shown.flatMap(({ x }) => [x[0], x.at(-1)]));
     if (left === right) right = left + 1;
-    if (!(low <= high)) [low, high] = [0, 1];
-    if (low === high) { const pad = Math.abs(low) * 0.1 || 1; low -= pad; high += pad; }
-    const pad = (high - low) * 0.04;
+    const inside = ({ x, y, low, high }) => [y, low, high].flatMap((values) => (
+      values?.filter((_, i) => x[i] >= left && x[i] <= right) ?? []));
+    let [low, high] = ends(shown.flatMap(inside));
+    const pad = low === high ? Math.abs(low) * 0.1 || 1 : (high - low) * 0.04;
     return [left, right, low - pad, high + pad];
   }
 
   draw() {
-    const width = this.element.clientWidth;
+    const width = this.element.clientWidth, { height } = this.options;
     if (!width) return;
-    const height = this.options.height ?? 260;
-    const scale = window.devicePixelRatio || 1;
-    this.canvas.width = Math.round(width * scale);
-    this.canvas.height = Math.round(height * scale);
-    this.canvas.style.height = `${height}px`;
-    const pen = this.canvas.getContext('2d');
-    pen.scale(scale, scale);
-    this.paint(pen, width, height);
-    window.__zswarm.frames += 1;
-    if (!window.__zswarm.firstCurve && this.series.some((one) => one.x.length > 1)) window.__zswarm.firstCurve = performance.now();
+    const [left, right, low, high] = this.range();
+    const wide = width - LEFT - RIGHT, tall = height - TOP - BOTTOM;
+    this.toX = (x) => (x - left) / (right - left) * wide;
+    this.toY = (y) => TOP + (high - y) / (high - low) * tall;
+    this.toValue = (at) => left + at / wide * (right - left);
+    this.svg.setAttribute('viewBox', `0 0 ${width} ${height}`);
+    this.plot.setAttribute('width', wide);
+    this.plot.setAttribute('height', TOP + tall);
+    this.drawAxes(low, high, left, right, width, height);
+    fill(this.lines, ...this.shown().map((one) => drawn(one,
+      one.y ? this.line(one) : this.band(one))));
+    this.drawMarks();
+    if (this.series.some((one) => one.x.length > 1)) performance.mark('curve');
   }
 
-  paint(pen, width, height) {
-    const shown = this.shown();
-    const [left, right, low, high] = this.range(shown);
-    const toX = (x) => LEFT + (x - left) / (right - left) * (width - LEFT - RIGHT);
-    const toY = (y) => height - BOTTOM - (y - low) / (high - low) * (height - TOP - BOTTOM);
-    this.toValue = (at) => left + (at - LEFT) / (width - LEFT - RIGHT) * (right - left);
-    pen.font = '12px system-ui, sans-serif';
-    pen.lineWidth = 1;
-    pen.textBaseline = 'middle';
-    pen.textAlign = 'right';
-    for (const tick of ticks(low, high, Math.max(2, height / 55))) {
-      pen.strokeStyle = colour('--line');
-      line(pen, LEFT, toY(tick), width - RIGHT, toY(tick));
-      pen.fillStyle = colour('--dim');
-      pen.fillText(number(tick, 4), LEFT - 7, toY(tick));
+  drawAxes(low, high, left, right, width, height) {
+    const { time, xLabel } = this.options, bottom = height - BOTTOM, parts = [];
+    for (const tick of ticks(low, high, height / 55)) {
+      const y = Math.round(this.toY(tick)) + 0.5;
+      parts.push(s('path', { d: `M${LEFT} ${y}H${width - RIGHT}` }),
+        s('text', { x: LEFT - 7, y: y + 4, 'text-anchor': 'end', text: number(tick, 4) }));
     }
-    pen.textBaseline = 'top';
-    pen.textAlign = 'center';
-    const time = this.options.time;
-    for (const tick of ticks(left, right, Math.max(2, width / 110), time ? 0 : 1)) {
-      pen.strokeStyle = colour('--line');
-      line(pen, toX(tick), height - BOTTOM, toX(tick), height - BOTTOM + 4);
-      pen.fillStyle = colour('--dim');
-      const text = time ? duration(tick) : number(tick, 6);
-      const half = pen.measureText(text).width / 2;
-      pen.fillText(text, Math.min(width - half - 2, Math.max(half + 2, toX(tick))), height - BOTTOM + 6);
+    for (const tick of ticks(left, right, width / 110, time ? 0 : 1)) {
+      const x = Math.round(LEFT + this.toX(tick)) + 0.5;
+      const anchor = x > width - 40 ? 'end' : 'middle';
+      parts.push(s('path', { d: `M${x} ${bottom}v4` }), s('text', {
+        x: anchor === 'end' ? width : x, y: bottom + 16, 'text-anchor': anchor,
+        text: time ? duration(tick) : number(tick, 6) }));
     }
-    pen.fillText(this.options.xLabel ?? '', LEFT + (width - LEFT - RIGHT) / 2, height - 14);
-    pen.save();
-    pen.beginPath();
-    pen.rect(LEFT, 0, width - LEFT - RIGHT, height - BOTTOM + 1);
-    pen.clip();
-    for (const one of shown) if (one.low) band(pen, one, toX, toY, colour(this.ink(one, one.index)));
-    for (const one of shown) {
-      if (!one.y) continue;
-      pen.strokeStyle = colour(this.ink(one, one.index));
-      pen.lineWidth = one.thin ? 1.2 : 2;
-      pen.setLineDash(one.dash ?? DASHES[one.index % DASHES.length]);
-      curve(pen, one, toX, toY);
-    }
-    pen.setLineDash([]);
-    if (this.drag && this.drag.to !== undefined) {
-      pen.fillStyle = colour('--accent');
-      pen.globalAlpha = 0.15;
-      pen.fillRect(Math.min(this.drag.from, this.drag.to), 0, Math.abs(this.drag.to - this.drag.from), height - BOTTOM);
-      pen.globalAlpha = 1;
-    }
-    if (this.cursor !== null) {
-      pen.strokeStyle = colour('--dim');
-      pen.lineWidth = 1;
-      line(pen, toX(this.cursor), 0, toX(this.cursor), height - BOTTOM);
-      for (const one of shown) {
-        const at = nearest(one.x, this.cursor);
-        if (!one.y || at < 0 || one.y[at] === null) continue;
-        pen.fillStyle = colour(this.ink(one, one.index));
-        pen.beginPath();
-        pen.arc(toX(one.x[at]), toY(one.y[at]), 4, 0, 2 * Math.PI);
-        pen.fill();
-      }
-    }
-    pen.restore();
-    this.say(shown);
+    fill(this.axes, ...parts, s('text', {
+      x: (LEFT + width) / 2, y: height - 4, 'text-anchor': 'middle', text: xLabel }));
   }
 
-  say(shown) {
-    if (this.cursor === null) {
-      setText(this.readout, this.options.hint ?? '');
-      return;
-    }
-    const x = this.options.time ? duration(this.cursor) : number(this.cursor);
-    const values = shown.filter((one) => one.y).map((one) => {
-      const at = nearest(one.x, this.cursor);
-      return at < 0 ? null : `${one.name} ${number(one.y[at])}`;
+  line({ x, y, steps }) {
+    let path = '', down = false;
+    x.forEach((at, i) => {
+      const known = y[i] !== null && y[i] !== undefined;
+      const [px, py] = [this.toX(at).toFixed(1), known && this.toY(y[i]).toFixed(1)];
+      if (known) path += !down ? `M${px} ${py}h0` : steps ? `H${px}V${py}` : `L${px} ${py}`;
+      down = known;
     });
-    setText(this.readout, `${this.options.xLabel ?? ''} ${x}: ${values.filter(Boolean).slice(0, 8).join(', ')}`);
+    return path;
+  }
+
+  band({ x, low, high }) {
+    const known = x.map((_, i) => i).filter((i) => low[i] !== null && high[i] !== null);
+    const points = (ys) => known.map((i) => (
+      `${this.toX(x[i]).toFixed(1)} ${this.toY(ys[i]).toFixed(1)}`));
+    return known.length > 1 ? `M${[...points(high), ...points(low).reverse()].join('L')}Z` : '';
+  }
+
+  // Draw the cursor and the part that is being chosen, and write what is at the cursor.
+  drawMarks() {
+    if (!this.toX) return;
+    const { cursor, from, to } = this, { hint, height, time, xLabel } = this.options;
+    const chosen = to === undefined ? null : s('rect', {
+      class: 'chosen', x: Math.min(from, to), width: Math.abs(to - from), height });
+    const read = cursor === null ? [] : this.shown().filter((one) => one.y).map((one) => (
+      { ...one, at: nearest(one.x, cursor) })).filter(({ at, y }) => at >= 0
+        && (y[at] ?? null) !== null);
+    fill(this.marks, chosen,
+      cursor === null ? null : s('path',
+        { class: 'cursor', d: `M${this.toX(cursor)} 0V${height}` }),
+      ...read.map((one) => {
+        const dot = s('circle', { class: 'dot', r: 4, cx: this.toX(one.x[one.at]),
+          cy: this.toY(one.y[one.at]) });
+        dot.style.color = `var(${one.ink})`;
+        return dot;
+      }));
+    const words = read.slice(0, 8).map(({ name, y, at }) => `${name} ${number(y[at])}`);
+    setText(this.readout, cursor === null ? hint ?? ''
+      : `${xLabel ?? ''} ${time ? duration(cursor) : number(cursor)}: ${words.join(', ')}`);
   }
 
   // ---- pointer and keyboard
 
-  snap(value) {
-    let found = null;
-    for (const one of this.shown()) {
-      const at = nearest(one.x, value);
-      if (at >= 0 && (found === null || Math.abs(one.x[at] - value) < Math.abs(found - value))) found = one.x[at];
-    }
-    return found;
+  point(cursor) {
+    this.cursor = cursor;
+    this.drawMarks();
   }
 
-  point(event) {
+  place(event) {
+    return event.clientX - this.svg.getBoundingClientRect().left - LEFT;
+  }
+
+  // Return the x of a point that is nearest to a place.
+  snap(place) {
+    const value = this.toValue(place), away = (x) => Math.abs(x - value);
+    const near = this.shown().filter(({ x }) => x.length).map(({ x }) => x[nearest(x, value)]);
+    return near.reduce((best, x) => (best === null || away(x) < away(best) ? x : best), null);
+  }
+
+  move(event) {
     if (!this.toValue) return;
-    if (this.drag) this.drag.to = event.offsetX;
-    this.cursor = this.snap(this.toValue(event.offsetX));
-    this.redraw();
+    if (this.from !== undefined) this.to = this.place(event);
+    this.point(this.snap(this.place(event)));
   }
 
   press(event) {
-    this.drag = { from: event.offsetX };
-    this.canvas.setPointerCapture(event.pointerId);
+    this.from = this.place(event);
+    this.svg.setPointerCapture(event.pointerId);
   }
 
   release(event) {
-    const drag = this.drag;
-    this.drag = null;
-    if (drag && drag.to !== undefined && Math.abs(drag.to - drag.from) > 8) {
-      this.look([drag.from, drag.to].map((at) => this.toValue(at)).sort((a, b) => a - b));
-    } else if (this.options.onpick && this.toValue) {
-      const picked = this.snap(this.toValue(event.offsetX));
-      if (picked !== null) this.options.onpick(picked);
+    const { from, to } = this, picked = this.snap(this.place(event));
+    this.from = this.to = undefined;
+    if (to !== undefined && Math.abs(to - from) > DRAGGED) {
+      this.look([from, to].map((at) => this.toValue(at)).sort((a, b) => a - b));
+    } else if (picked !== null) {
+      this.options.onpick?.(picked);
     }
-    this.redraw();
+    this.drawMarks();
   }
 
   key(event) {
-    const xs = this.shown().reduce((most, one) => (one.x.length > most.length ? one.x : most), []);
+    const xs = this.shown().reduce((most, { x }) => (x.length > most.length ? x : most), []);
     if (!xs.length) return;
-    const at = this.cursor === null ? xs.length - 1 : nearest(xs, this.cursor);
+    const last = xs.length - 1, at = this.cursor === null ? last : nearest(xs, this.cursor);
     const step = event.shiftKey ? Math.max(1, Math.round(xs.length / 20)) : 1;
-    const moved = { ArrowLeft: Math.max(0, at - step), ArrowRight: Math.min(xs.length - 1, at + step), Home: 0, End: xs.length - 1 }[event.key];
-    if (moved !== undefined) this.cursor = xs[moved];
-    else if (event.key === 'Enter' && this.cursor !== null && this.options.onpick) this.options.onpick(this.cursor);
-    else if (event.key === 'Escape') { this.cursor = null; this.look(null); } else return;
+    const moved = { ArrowLeft: Math.max(0, at - step), ArrowRight: Math.min(last, at + step),
+      Home: 0, End: last };
+    if (event.key in moved) this.point(xs[moved[event.key]]);
+    else if (event.key === 'Enter' && this.cursor !== null) this.options.onpick?.(this.cursor);
+    else if (event.key === 'Escape') { this.point(null); this.look(null); } else return;
     event.preventDefault();
-    this.redraw();
   }
 
   async png(name) {
-    const [width, height] = [1200, 600];
-    const canvas = h('canvas', { width: 2 * width, height: 2 * height });
-    const pen = canvas.getContext('2d');
-    pen.scale(2, 2);
-    pen.fillStyle = colour('--card');
-    pen.fillRect(0, 0, width, height);
-    pen.translate(0, 30);
-    const cursor = this.cursor;
-    this.cursor = null;
-    this.paint(pen, width, height - 30);
-    this.cursor = cursor;
-    pen.textAlign = 'left';
-    pen.textBaseline = 'middle';
+    this.point(null);
+    const copy = this.svg.cloneNode(true), originals = this.svg.querySelectorAll('*');
+    copy.querySelectorAll('*').forEach((one, i) => {
+      const style = getComputedStyle(originals[i]);
+      one.removeAttribute('style');
+      for (const key of STYLES) one.setAttribute(key, style[key]);
+    });
+    const { width, height } = this.svg.viewBox.baseVal, scale = SAVED / width;
+    copy.setAttribute('width', width * scale);
+    copy.setAttribute('height', height * scale);
+    const image = new Image();
+    const text = new XMLSerializer().serializeToString(copy);
+    image.src = `data:image/svg+xml,${encodeURIComponent(text)}`;
+    await image.decode();
+    const canvas = h('canvas', { width: SAVED, height: (height + 30) * scale });
+    const pen = canvas.getContext('2d'), body = getComputedStyle(this.element.closest('.card'));
+    pen.fillStyle = body.backgroundColor;
+    pen.fillRect(0, 0, canvas.width, canvas.height);
+    pen.drawImage(image, 0, 30 * scale);
+    pen.scale(scale, scale);
+    pen.font = '12px system-ui, sans-serif';
     let at = LEFT;
-    for (const one of this.shown()) {
-      pen.fillStyle = colour(this.ink(one, one.index));
-      pen.fillRect(at, -18, 22, one.y ? 3 : 8);
-      pen.fillStyle = colour('--fg');
-      pen.fillText(one.name, at + 28, -16);
-      at += 50 + pen.measureText(one.name).width;
+    for (const key of this.legend.querySelectorAll('[aria-pressed=true]')) {
+      const path = key.querySelector('path');
+      pen.fillStyle = getComputedStyle(path).color;
+      pen.fillRect(at, 12, 22, path.classList.contains('line') ? 3 : 8);
+      pen.fillStyle = body.color;
+      pen.fillText(key.textContent, at + 28, 18);
+      at += 50 + pen.measureText(key.textContent).width;
     }
-    this.redraw();
-    save(await new Promise((done) => canvas.toBlob(done)), name);
+    save(await new Promise((done) => { canvas.toBlob(done); }), name);
   }
 }
 
-export function ticks(low, high, wanted, least = 0) {
-  const raw = (high - low) / wanted;
-  const power = 10 ** Math.floor(Math.log10(raw));
-  const step = Math.max(least, [1, 2, 5, 10].map((factor) => factor * power).find((one) => one >= raw) ?? raw);
-  const found = [];
-  for (let tick = Math.ceil(low / step) * step; tick <= high + step * 1e-9; tick += step) found.push(Math.abs(tick) < step * 1e-9 ? 0 : tick);
-  return found;
+// Make the path of a line or a band.
+function drawn({ y, x, ink, dash, thin }, d) {
+  const kind = y ? `line${thin ? ' thin' : ''}${x.length === 1 ? ' single' : ''}` : 'band';
+  const path = s('path', { d, class: kind, 'stroke-dasharray': y ? dash : null });
+  path.style.color = `var(${ink})`;
+  return path;
 }
 
+// Return the least and the greatest number; 0 and 1 without any.
+function ends(values) {
+  let [low, high] = [Infinity, -Infinity];
+  for (const value of values) {
+    if (value === null || value === undefined) continue;
+    low = Math.min(low, value);
+    high = Math.max(high, value);
+  }
+  return low <= high ? [low, high] : [0, 1];
+}
+
+function ticks(low, high, wanted, least = 0) {
+  const raw = (high - low) / Math.max(2, wanted), power = 10 ** Math.floor(Math.log10(raw));
+  const round = [1, 2, 5, 10].map((factor) => factor * power).find((one) => one >= raw) ?? raw;
+  const step = Math.max(least, round), first = Math.ceil(low / step);
+  const count = Math.floor(high / step + 1e-9) - first + 1;
+  return Array.from({ length: Math.max(0, count) }, (_, i) => (first + i) * step);
+}
+
+// Return the index of the nearest of sorted numbers, -1 without any.
 export function nearest(sorted, value) {
-  if (!sorted.length) return -1;
   let [low, high] = [0, sorted.length - 1];
   while (high - low > 1) {
     const middle = (low + high) >> 1;
     if (sorted[middle] < value) low = middle; else high = middle;
   }
   return Math.abs(sorted[low] - value) <= Math.abs(sorted[high] - value) ? low : high;
-}
-
-function line(pen, x1, y1, x2, y2) {
-  pen.beginPath();
-  pen.moveTo(Math.round(x1) + 0.5, Math.round(y1) + 0.5);
-  pen.lineTo(Math.round(x2) + 0.5, Math.round(y2) + 0.5);
-  pen.stroke();
-}
-
-function curve(pen, one, toX, toY) {
-  pen.beginPath();
-  let down = false;
-  let points = 0;
-  for (let i = 0; i < one.x.length; i += 1) {
-    const y = one.y[i];
-    if (y === null || y === undefined || one.x[i] === null) { down = false; continue; }
-    if (down) {
-      if (one.steps) pen.lineTo(toX(one.x[i]), toY(one.y[i - 1] ?? y));
-      pen.lineTo(toX(one.x[i]), toY(y));
-    } else pen.moveTo(toX(one.x[i]), toY(y));
-    down = true;
-    points += 1;
-  }
-  pen.stroke();
-  if (points === 1) { // one point has no line
-    const i = one.y.findIndex((value) => value !== null && value !== undefined);
-    pen.beginPath();
-    pen.arc(toX(one.x[i]), toY(one.y[i]), 3, 0, 2 * Math.PI);
-    pen.fillStyle = pen.strokeStyle;
-    pen.fill();
-  }
-}
-
-function band(pen, one, toX, toY, ink) {
-  const kept = one.x.map((x, i) => i).filter((i) => one.low[i] !== null && one.high[i] !== null);
-  if (kept.length < 2) return;
-  pen.globalAlpha = 0.18;
-  pen.fillStyle = ink;
-  pen.beginPath();
-  for (const i of kept) pen.lineTo(toX(one.x[i]), toY(one.high[i]));
-  for (const i of kept.reverse()) pen.lineTo(toX(one.x[i]), toY(one.low[i]));
-  pen.closePath();
-  pen.fill();
-  pen.globalAlpha = 1;
 }

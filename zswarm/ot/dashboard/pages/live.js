@@ -1,57 +1,54 @@
-// The WebSocket of a page: it comes back by itself, and says how old what is shown has become.
+// The WebSocket of a page: it reconnects, and shows how old the page has become.
 import { duration, setText, token } from './page.js';
 
-const SILENT_MS = 7000; // the dashboard says something every two seconds
+const SILENT_MS = 7000; // the dashboard sends a message every two seconds
+const LOST_MS = 2000; // from which on a connection that is not open counts as lost
 const RETRY_MS = [300, 700, 1500, 3000, 5000];
+const NO_SUCH_RUN = 4404;
 
 export function follow(run, onmessage) {
-  const banner = document.getElementById('banner');
-  const link = document.getElementById('link');
-  let since = '';
-  let heard = performance.now();
-  let tries = 0;
-  let socket = null;
-  let refused = '';
+  const banner = document.getElementById('banner'), link = document.getElementById('link');
+  let since = '', heard = performance.now(), tries = 0, socket = null, refused = '';
 
   function connect() {
-    const values = new URLSearchParams({ ...(run ? { run } : {}), ...(since ? { since } : {}) });
+    const values = new URLSearchParams({ ...(run && { run }), ...(since && { since }) });
     const protocols = ['zswarm', ...(token() ? [`token.${token()}`] : [])];
-    socket = new WebSocket(`${location.protocol === 'https:' ? 'wss' : 'ws'}://${location.host}/ws?${values}`, protocols);
-    const mine = socket;
-    socket.onmessage = (event) => {
+    const mine = new WebSocket(`${location.origin.replace('http', 'ws')}/ws?${values}`, protocols);
+    socket = mine;
+    mine.onmessage = (event) => {
       if (mine !== socket) return;
       const message = JSON.parse(event.data);
-      heard = performance.now();
-      tries = 0;
-      since = message.seq;
-      window.__zswarm.messages += 1;
-      window.__zswarm.seq = since;
+      [heard, tries, since] = [performance.now(), 0, message.seq];
       onmessage(message);
       show();
     };
-    socket.onclose = (event) => {
-      if (mine !== socket) return;
-      socket = null;
-      refused = event.code === 4404 ? 'this run is not there any more' : '';
-      setTimeout(connect, RETRY_MS[Math.min(tries, RETRY_MS.length - 1)]);
-      tries += 1;
-      show();
-    };
+    mine.onclose = (event) => { if (mine === socket) retry(event.code); };
+  }
+
+  function retry(code) {
+    socket = null;
+    refused = code === NO_SUCH_RUN ? 'this run is not there any more' : '';
+    setTimeout(connect, RETRY_MS[Math.min(tries, RETRY_MS.length - 1)]);
+    tries += 1;
+    show();
   }
 
   function show() {
     const open = socket?.readyState === WebSocket.OPEN && tries === 0;
-    const lost = !open && (tries > 0 || performance.now() - heard > 2000);
-    banner.hidden = !lost;
-    if (lost) setText(banner, refused || `connection lost, retrying; what is shown is ${duration((performance.now() - heard) / 1000)} old`);
+    const silent = performance.now() - heard;
+    banner.hidden = open || (tries === 0 && silent <= LOST_MS);
+    const age = duration(silent / 1000);
+    const lost = refused || `connection lost, retrying; what is shown is ${age} old`;
+    if (!banner.hidden) setText(banner, lost);
     setText(link, open ? 'live' : '…');
     link.classList.toggle('on', open);
   }
 
   setInterval(() => {
-    if (socket?.readyState === WebSocket.OPEN && performance.now() - heard > SILENT_MS) {
-      const silent = socket; // such as after a sleep of this machine: nobody will ever say that it ended
-      silent.onclose(new CloseEvent('close', { code: 4000 }));
+    const open = socket?.readyState === WebSocket.OPEN;
+    if (open && performance.now() - heard > SILENT_MS) { // as after a sleep of this machine
+      const silent = socket;
+      retry();
       silent.close();
     }
     show();

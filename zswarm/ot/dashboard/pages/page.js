@@ -1,79 +1,177 @@
-// Elements, numbers and addresses: what the pages share. Texts of a record become text, never markup.
+// Tables, numbers, addresses and requests, which the pages share.
+import { changeTheme, fill, h, setText } from './elements.js';
+
+export * from './elements.js';
 
 const TOKEN = 'zswarm.token';
 const THEME = 'zswarm.theme';
-window.__zswarm = { frames: 0, messages: 0, seq: '', firstCurve: 0 };
+const MOST_ROWS = 1000;
 
 // ---- elements
 
-export function h(tag, properties = {}, ...children) {
-  const made = document.createElement(tag);
-  for (const [name, value] of Object.entries(properties)) {
-    if (value === undefined || value === null || value === false) continue;
-    if (name.startsWith('on')) made.addEventListener(name.slice(2), value);
-    else if (name === 'text') made.textContent = value;
-    else if (name === 'value' || name === 'checked') made[name] = value;
-    else made.setAttribute(name, value === true ? '' : value);
+// Make a table; a cell is a text, an element, or [text, class]. Heads are texts, or [text, class].
+export function table(heads, rows) {
+  const head = heads.map((one) => [one].flat()).map(([text, kind]) => colHead(kind, text));
+  return h('div', { class: 'scroll' }, h('table', {},
+    h('thead', {}, tr(...head)), h('tbody', {}, ...rows.map((row) => tr(...row)))));
+}
+
+export function tr(...cells) {
+  return h('tr', {}, ...cells.map((cell) => {
+    if (cell instanceof Node) return /^T[HD]$/.test(cell.tagName) ? cell : h('td', {}, cell);
+    const [text, kind] = [cell].flat();
+    return h('td', { class: kind, text });
+  }));
+}
+
+// A table that is sorted by its columns and filtered by words. Each row has an id.
+export class SortedTable {
+  // heads: [text, key or '', class]; order: [key, 1 or -1]; make(row): its element; empty: a text
+  constructor(name, heads, order, make, empty) {
+    Object.assign(this, { order, make, empty, rows: [], made: new WeakMap(), body: h('tbody') });
+    this.count = h('p', { class: 'dim small' });
+    this.filter = h('input', {
+      type: 'search', placeholder: 'filter', 'aria-label': `Filter ${name}`,
+      oninput: () => this.show(this.rows),
+    });
+    const head = heads.map(([text, key, kind]) => (
+      colHead(kind, key ? button(text, () => this.sort(key)) : text)));
+    this.element = h('div', { class: 'scroll tall' },
+      h('table', { id: name }, h('thead', {}, tr(...head)), this.body));
   }
-  made.append(...children.filter((child) => child !== null && child !== undefined));
-  return made;
+
+  sort(key) {
+    const [last, direction] = this.order;
+    const first = this.rows.some((row) => typeof row[key] === 'string') ? 1 : -1;
+    this.order = [key, key === last ? -direction : first];
+    this.show(this.rows);
+  }
+
+  // Show rows that pass the filter; a row that is the same object is not made again.
+  show(rows) {
+    this.rows = rows;
+    const [key, direction] = this.order, words = this.filter.value.toLowerCase();
+    const found = rows.filter((row) => Object.values(row).some((value) => (
+      typeof value === 'string' && value.toLowerCase().includes(words))));
+    found.sort((a, b) => compare(a[key], b[key], direction) || compare(a.id, b.id, 1));
+    const shown = found.slice(0, MOST_ROWS).map((row) => {
+      if (!this.made.has(row)) this.made.set(row, this.make(row));
+      return this.made.get(row);
+    });
+    const now = this.body.children;
+    if (now.length !== shown.length || shown.some((element, i) => element !== now[i])) {
+      fill(this.body, ...shown);
+    }
+    setText(this.count, rows.length ? `${found.length} of ${rows.length}` : this.empty);
+  }
 }
 
-export function fill(element, ...children) {
-  element.replaceChildren(...children.filter((child) => child !== null && child !== undefined));
-  return element;
+function missing(value) {
+  return value === null || value === undefined;
 }
 
-export function setText(element, text) {
-  if (element.textContent !== text) element.textContent = text;
+// Numbers before nothing, texts in natural order.
+function compare(a, b, direction) {
+  if (missing(a) || missing(b)) return missing(a) - missing(b);
+  if (typeof a !== 'string') return direction * (a - b);
+  return direction * a.localeCompare(b, 'en', { numeric: true });
+}
+
+function colHead(kind, content) {
+  return h('th', { scope: 'col', class: kind }, content);
+}
+
+export function rowHead(text) {
+  return h('th', { scope: 'row', text });
+}
+
+// Make a cell with a number.
+export function n(value, digits) {
+  return [number(value, digits), 'n'];
+}
+
+export function button(text, onclick, properties = {}) {
+  return h('button', { type: 'button', text, onclick, ...properties });
+}
+
+export function section(...children) {
+  return h('section', { class: 'card' }, ...children);
 }
 
 export function card(title, ...children) {
-  return h('section', { class: 'card' }, h('h2', { text: title }), ...children);
+  return section(h('h2', { text: title }), ...children);
+}
+
+export function row(...children) {
+  return h('div', { class: 'row' }, ...children);
+}
+
+// Make a row whose children stand at both ends.
+export function between(...children) {
+  return h('div', { class: 'row between' }, ...children);
+}
+
+// Make two columns, or one where the page is narrow.
+export function two(...children) {
+  return h('div', { class: 'two' }, ...children);
+}
+
+export function note(text, kind = 'note') {
+  return h('p', { class: kind, text });
 }
 
 export function copyButton(label, text) {
-  const button = h('button', { type: 'button', text: label, onclick: async () => {
-    const given = typeof text === 'function' ? text() : text;
+  const made = button(label, async () => {
     try {
-      await navigator.clipboard.writeText(given);
-    } catch {
-      const area = h('textarea', { value: given, class: 'offscreen' });
+      await navigator.clipboard.writeText(text);
+    } catch { // browsers have no clipboard on pages that come by http from another machine
+      const area = h('textarea', { value: text, class: 'offscreen' });
       document.body.append(area);
       area.select();
       document.execCommand('copy');
       area.remove();
     }
-    button.textContent = 'copied';
-    setTimeout(() => { button.textContent = label; }, 1500);
-  } });
-  return button;
+    made.textContent = 'copied';
+    setTimeout(() => { made.textContent = label; }, 1500);
+  });
+  return made;
 }
 
 export function choice(label, options, chosen, onchange) {
-  const name = `choice-${label.replace(/\W/g, '')}`;
-  return h('fieldset', { class: 'choice' }, h('legend', { text: label }), ...options.map(([value, text]) => h('label', {},
-    h('input', { type: 'radio', name, value, checked: value === chosen, onchange: () => onchange(value) }),
-    h('span', { text }))));
+  return h('fieldset', { class: 'choice' }, h('legend', { text: label }),
+    ...options.map(([value, text]) => h('label', {},
+      h('input', {
+        type: 'radio', name: label, value, checked: value === chosen,
+        onchange: () => onchange(value),
+      }),
+      h('span', { text }))));
 }
 
 export function showError(text) {
-  const view = document.getElementById('view');
-  fill(view, h('section', { class: 'card', role: 'alert' }, h('h1', { text: 'This cannot be shown' }), h('p', { text }),
+  fill(document.getElementById('view'), h('section', { class: 'card', role: 'alert' },
+    h('h1', { text: 'This cannot be shown' }), h('p', { text }),
     h('p', {}, h('a', { href: '/', text: 'All runs' }))));
+}
+
+// The sign of a state, since some users do not see its colour.
+const SIGNS = {
+  running: '▶', paused: '❚❚', stopping: '◼', stopped: '◻', finished: '✓', unreadable: '✕',
+};
+export function badge(status) {
+  return h('span', { class: `badge ${status}`, text: `${SIGNS[status] ?? '…'} ${status}` });
 }
 
 // ---- numbers
 
 export function number(value, digits = 5) {
-  if (value === null || value === undefined || Number.isNaN(value)) return '–';
+  if (missing(value) || Number.isNaN(value)) return '–';
   if (Number.isInteger(value) && Math.abs(value) < 1e7) return value.toLocaleString('en');
-  const text = Number(value.toPrecision(digits));
-  return Math.abs(text) >= 1e7 || (text !== 0 && Math.abs(text) < 1e-4) ? text.toExponential(2) : String(text);
+  const rounded = Number(value.toPrecision(digits)), size = Math.abs(rounded);
+  return size >= 1e7 || (size > 0 && size < 1e-4) ? rounded.toExponential(2) : String(rounded);
 }
 
 export function duration(seconds) {
-  if (seconds === null || seconds === undefined || !Number.isFinite(seconds)) return '–';
+  if (!Number.isFinite(seconds)) return '–';
   const s = Math.max(0, seconds);
   if (s < 1) return `${Math.round(s * 1000)} ms`;
   if (s < 120) return `${s < 10 ? s.toFixed(1) : Math.round(s)} s`;
@@ -85,17 +183,24 @@ export function duration(seconds) {
 export function clock(at) {
   if (!at) return '–';
   const then = new Date(at * 1000);
-  const day = then.toDateString() === new Date().toDateString() ? '' : `${then.toLocaleDateString('en-CA')} `;
-  return day + then.toLocaleTimeString('en-GB');
+  const today = then.toDateString() === new Date().toDateString();
+  return `${today ? '' : `${then.toLocaleDateString('en-CA')} `}${then.toLocaleTimeString('en-GB')}`;
 }
 
+// Make a text such as "5 s ago", which is updated.
 export function ago(at) {
+  return h('time', { 'data-at': at || null, text: age(at) });
+}
+
+function age(at) {
   return at ? `${duration(Date.now() / 1000 - at)} ago` : '–';
 }
 
-export function percent(share) {
-  return `${(100 * share).toFixed(share < 0.0995 ? 1 : 0)} %`;
-}
+setInterval(() => {
+  for (const one of document.querySelectorAll('time[data-at]')) {
+    one.textContent = age(Number(one.dataset.at));
+  }
+}, 2000);
 
 // ---- addresses
 
@@ -104,6 +209,11 @@ export const run = query.get('run') ?? '';
 
 export function address(page, values = {}) {
   return `${page}?${new URLSearchParams({ run, ...values })}`;
+}
+
+export function api(name, values = {}, id = run) {
+  const given = new URLSearchParams(values).toString();
+  return `/api/runs/${encodeURIComponent(id)}/${name}${given ? `?${given}` : ''}`;
 }
 
 export function keepToken() {
@@ -118,14 +228,21 @@ export function token() {
   return sessionStorage.getItem(TOKEN) ?? '';
 }
 
-function headers() {
-  return token() ? { Authorization: `Bearer ${token()}` } : {};
+// ---- requests
+
+// Raise an Error for what the dashboard refused; if it does not answer, fetch raises a TypeError.
+export async function request(path, method = 'GET') {
+  const headers = token() ? { Authorization: `Bearer ${token()}` } : {};
+  const answer = await fetch(path, { method, headers });
+  if (!answer.ok) throw new Error((await answer.text()).trim() || `${answer.status}`);
+  return answer;
 }
 
-// What the dashboard refused; when it is not there fetch raises a TypeError instead.
-export class Refused extends Error {}
+export async function ask(path) {
+  return (await request(path)).json();
+}
 
-// For what is asked for again anyway: that the dashboard is gone is told by the banner.
+// Do what is repeated anyway; the banner says that the dashboard does not answer.
 export async function unlessGone(action) {
   try {
     return await action();
@@ -135,62 +252,45 @@ export async function unlessGone(action) {
   }
 }
 
-export async function ask(path, form = 'json') {
-  const answer = await fetch(path, { headers: headers() });
-  if (!answer.ok) throw new Refused((await answer.text()).trim() || `${answer.status}`);
-  return form === 'bytes' ? new Uint8Array(await answer.arrayBuffer()) : form === 'blob' ? answer.blob() : answer.json();
-}
-
-export function api(name, values = {}) {
-  const given = new URLSearchParams(values).toString();
-  return `/api/runs/${encodeURIComponent(run)}/${name}${given ? `?${given}` : ''}`;
-}
-
-export async function tell(path, value) {
-  const answer = await fetch(path, { method: 'POST', headers: headers(), body: JSON.stringify(value) });
-  if (!answer.ok) throw new Refused((await answer.text()).trim() || `${answer.status}`);
+// Return a function that calls another one at most once in some time, unless forced.
+export function throttled(pause_ms, action) {
+  let busy = false, at = -Infinity;
+  return async (force = false) => {
+    if (busy || (!force && (performance.now() - at < pause_ms || document.hidden))) return;
+    busy = true;
+    try {
+      await action();
+    } finally {
+      [busy, at] = [false, performance.now()];
+    }
+  };
 }
 
 export function save(blob, name) {
   const link = h('a', { href: URL.createObjectURL(blob), download: name });
-  document.body.append(link);
   link.click();
-  link.remove();
   setTimeout(() => URL.revokeObjectURL(link.href), 10000);
 }
 
 export function download(label, path, name) {
-  return h('button', { type: 'button', text: label, onclick: async () => save(await ask(path, 'blob'), name) });
+  return button(label, async () => save(await (await request(path)).blob(), name));
 }
 
 // ---- what stands above every page
 
 export function showNavigation() {
-  const links = [['/', 'Runs', '/']];
-  if (run) links.push(['/run', 'Run', address('/run')], ['/cluster', 'Servers', address('/cluster')], ['/candidate', 'Candidate', address('/candidate')]);
+  const ofRun = [['/run', 'Run'], ['/cluster', 'Servers'], ['/candidate', 'Candidate']];
+  const links = [['/', 'Runs', '/'],
+    ...(run ? ofRun : []).map(([path, text]) => [path, text, address(path)])];
   fill(document.getElementById('nav'), ...links.map(([path, text, href]) => h('a', {
-    href, text, 'aria-current': path === location.pathname ? 'page' : undefined })));
+    href, text, 'aria-current': path === location.pathname ? 'page' : null })));
 }
 
 export function showTheme() {
-  const kept = localStorage.getItem(THEME);
-  if (kept) document.documentElement.dataset.theme = kept;
+  const { dataset } = document.documentElement, chosen = localStorage.getItem(THEME);
+  if (chosen) dataset.theme = chosen;
   document.getElementById('theme').addEventListener('click', () => {
-    const dark = document.documentElement.dataset.theme
-      ? document.documentElement.dataset.theme === 'dark' : matchMedia('(prefers-color-scheme: dark)').matches;
-    document.documentElement.dataset.theme = dark ? 'light' : 'dark';
-    localStorage.setItem(THEME, document.documentElement.dataset.theme);
-    window.dispatchEvent(new Event('recolour'));
+    changeTheme();
+    localStorage.setItem(THEME, dataset.theme);
   });
-  matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => window.dispatchEvent(new Event('recolour')));
-}
-
-export function colour(name) {
-  return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-}
-
-// A word and a sign for a state, for colour alone says nothing to some.
-const SIGNS = { running: '▶', paused: '❚❚', stopping: '◼', stopped: '◻', finished: '✓', unreadable: '✕', reading: '…' };
-export function badge(status) {
-  return h('span', { class: `badge ${status}`, text: `${SIGNS[status] ?? ''} ${status}` });
 }

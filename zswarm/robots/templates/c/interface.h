@@ -1,4 +1,4 @@
-/* From messages to what @{name} observes, and from what it decides to velocities: the functions with which it was evolved. */
+/* From messages to observations of @{name}, and from its decisions to velocities, as in evolution. */
 #ifndef INTERFACE_H
 #define INTERFACE_H
 

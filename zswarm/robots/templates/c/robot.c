@@ -6,7 +6,7 @@
 
 static const double evolved_targets[2 * ROBOT_TARGETS] = {@{places}};
 
-/* Steps of the self-test: scans, poses, and what is decided on them. */
+/* Steps of the self-test: scans, poses, and decisions. */
 #define CHECKS @{check_steps}
 static const float check_ranges[CHECKS][ROBOT_RAYS] = {
 @{check_ranges}
@@ -18,7 +18,6 @@ static const double check_decisions[CHECKS][3] = {
 @{check_decisions}
 };
 
-/* Whether two numbers have the same bits. */
 static int same(double left, double right)
 {
     return memcmp(&left, &right, sizeof left) == 0;

@@ -1,7 +1,4 @@
-"""When a robot decides and when it stops: messages and the time in, velocities out.
-
-Nothing of ROS is here, so it can be tried without a robot.
-"""
+"""When a robot decides and when it stops: messages and the time in, velocities out. Without ROS."""
 
 from __future__ import annotations
 
@@ -12,13 +9,13 @@ class Scan(NamedTuple):
     """A laser scan."""
 
     stamp_ns: int
-    ranges: object  # (rays,) float32, m
+    ranges: object  # (rays,) numbers, m
     angle_min: float  # radians from the robot's front, counter-clockwise
     angle_increment: float
 
 
 class Pose(NamedTuple):
-    """Where the robot is, from its odometry or from what localises it."""
+    """The robot's pose, from its odometry or its localisation."""
 
     stamp_ns: int
     x: float  # m
@@ -28,14 +25,14 @@ class Pose(NamedTuple):
 
 
 class Velocity(NamedTuple):
-    """What the robot is to do."""
+    """A command to the robot."""
 
     linear: float  # m/s ahead
     angular: float  # rad/s counter-clockwise
 
 
 class Blind(Exception):
-    """The scanner does not look where the evolved robot's did."""
+    """The scanner does not cover the view of the evolved robot."""
 
 
 STOP = Velocity(0.0, 0.0)
@@ -44,34 +41,49 @@ STOP = Velocity(0.0, 0.0)
 class Driving:
     """One robot on its way.
 
-    A robot decides each ``step_s`` by the newest scan and pose (``on_step``). In lock-step, for simulations that wait for each
-    decision, it decides whenever scan and pose of one stamp have come, and the simulation says what stops.
+    A robot decides each ``step_s`` by the newest scan and pose (``on_step``). In lock-step, for
+    simulations that wait for each decision, it decides whenever scan and pose of one stamp have
+    come, and the simulation decides when it stops. Each ``on_`` function returns a velocity to
+    send, or None.
 
     Args:
-        robot: what decides, see ``robot.py``.
+        robot: decides, see ``robot.py``.
         watchdog_s: so long after the last new scan, pose or decision the robot stops.
         arrived_m: it stops for good nearer than this to a target.
 
     Attributes:
-        arrived: whether it did.
-        silent: whether its sensors are.
+        arrived: whether it stopped at a target.
+        silent: whether its sensors are silent.
     """
 
     def __init__(self, robot, watchdog_s, arrived_m, lock_step=False):
-        self._robot, self._watchdog_s, self._arrived_m, self._lock_step = robot, watchdog_s, arrived_m, lock_step
+        self._robot, self._lock_step = robot, lock_step
+        self._watchdog_s, self._arrived_m = watchdog_s, arrived_m
         self._decided_s = None
+        self._logged = (False, False)
         self._forget()
 
+    def on_message(self, now_s, message):
+        """Take a LaserScan or an Odometry of ROS 2."""
+        stamp_ns = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+        if hasattr(message, "ranges"):
+            angles = float(message.angle_min), float(message.angle_increment)
+            return self.on_scan(now_s, Scan(stamp_ns, message.ranges, *angles))
+        place = message.pose.pose.position
+        heading = message.pose.pose.orientation
+        return self.on_pose(now_s, Pose(stamp_ns, place.x, place.y, heading.z, heading.w))
+
     def on_scan(self, now_s, scan):
-        """A scan came; gives a velocity in lock-step when its pose was there before."""
+        """Take a scan; decide in lock-step if its pose has come."""
         if self._scan is not None and scan.stamp_ns < self._scan.stamp_ns:
-            self._forget()  # a simulation began anew
-        if self._scan is None or scan.stamp_ns != self._scan.stamp_ns:  # a driver that hangs may repeat its last
+            self._forget()  # a simulation restarted
+        # A driver that hangs may repeat its last message.
+        if self._scan is None or scan.stamp_ns != self._scan.stamp_ns:
             self._scan, self._scan_s = scan, now_s
         return self._together(now_s)
 
     def on_pose(self, now_s, pose):
-        """A pose came; gives a velocity in lock-step when its scan was there before."""
+        """Take a pose; decide in lock-step if its scan has come."""
         if self._pose is not None and pose.stamp_ns < self._pose.stamp_ns:
             self._forget()
         if self._pose is None or pose.stamp_ns != self._pose.stamp_ns:
@@ -79,7 +91,7 @@ class Driving:
         return self._together(now_s)
 
     def on_step(self, now_s):
-        """Another ``step_s`` passed; gives a velocity, or None before the first scan and pose."""
+        """Decide, once every ``step_s``; not before the first scan and pose."""
         if self._lock_step or self._scan is None or self._pose is None:
             return None
         self.silent = now_s - min(self._scan_s, self._pose_s) > self._watchdog_s
@@ -89,25 +101,42 @@ class Driving:
         return self._decide(now_s)
 
     def on_watch(self, now_s):
-        """The watchdog looks: gives a velocity when the robot must stop now, else None."""
+        """Stop the robot if the watchdog is due."""
         if self._lock_step or self._decided_s is None:
             return None
-        both = self._scan is not None and self._pose is not None  # or they began anew, and one of them does not come
-        self.silent = now_s - (min(self._scan_s, self._pose_s) if both else self._decided_s) > self._watchdog_s
+        # After a restart one of them may not come again.
+        both = self._scan is not None and self._pose is not None
+        last_s = min(self._scan_s, self._pose_s) if both else self._decided_s
+        self.silent = now_s - last_s > self._watchdog_s
         return STOP if self.silent or now_s - self._decided_s > self._watchdog_s else None
 
+    def news(self):
+        """Return what to log since the last call."""
+        silent, arrived = self._logged
+        self._logged = (self.silent, self.arrived)
+        if self.silent and not silent:
+            return f"stopped: no new scan or odometry for {self._watchdog_s:g} s"
+        if silent and not self.silent:
+            return "scans and odometry come again: driving"
+        if self.arrived and not arrived:
+            return f"stopped: nearer than {self._arrived_m:g} m to a target"
+        return None
+
     def _together(self, now_s):
-        both = self._lock_step and self._scan is not None and self._pose is not None
-        if not both or self._scan.stamp_ns != self._pose.stamp_ns or self._scan.stamp_ns == self._last_ns:
+        if not self._lock_step or self._scan is None or self._pose is None:
             return None
-        self._last_ns = self._scan.stamp_ns
+        stamp_ns = self._scan.stamp_ns
+        if stamp_ns != self._pose.stamp_ns or stamp_ns == self._last_ns:
+            return None
+        self._last_ns = stamp_ns
         return self._decide(now_s)
 
     def _decide(self, now_s):
         self._decided_s = now_s
         decision = self._robot.step(self._scan, self._pose)
         if decision is None:
-            raise Blind(f"the scanner does not cover the {self._robot.view_degrees:g} degrees that the controller needs")
+            degrees = f"{self._robot.view_degrees:g} degrees"
+            raise Blind(f"the scanner does not cover the {degrees} that the controller needs")
         if not self._lock_step and decision.distance < self._arrived_m:
             self.arrived = True
             return STOP

@@ -1,4 +1,4 @@
-"""Builds the package; its controller is compiled where there is a C compiler, else it is computed in Python."""
+"""Builds the package; the controller is compiled if there is a C compiler, else runs in Python."""
 
 import os
 import subprocess
@@ -8,6 +8,8 @@ from setuptools import setup
 from setuptools.command.build_py import build_py
 
 NAME = "@{name}"
+FLAGS = ["-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared"]
+SOURCES = ["src/robot.c", "src/interface.c", f"src/{NAME}.c", "-lm"]
 
 
 class Compiled(build_py):
@@ -17,11 +19,12 @@ class Compiled(build_py):
         """Build, then compile."""
         super().run()
         library = os.path.join(self.build_lib, NAME, "librobot.so")
-        command = [os.environ.get("CC", "cc"), "-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-o", library]
+        command = [os.environ.get("CC", "cc"), *FLAGS, "-o", library, *SOURCES]
         try:
-            subprocess.run([*command, "src/robot.c", "src/interface.c", f"src/{NAME}.c", "-lm"], check=True)
+            subprocess.run(command, check=True)
         except (OSError, subprocess.CalledProcessError) as error:
-            print(f"not compiled, the controller will be computed in Python: {error}", file=sys.stderr)
+            text = f"not compiled, the controller will be computed in Python: {error}"
+            print(text, file=sys.stderr)
 
 
 setup(
@@ -35,7 +38,7 @@ setup(
     ],
     install_requires=["setuptools"],
     zip_safe=False,
-    maintainer="Whoever evolved it",
+    maintainer="A user of zswarm",
     maintainer_email="robots@example.com",
     description="A robot's controller, evolved with zswarm",
     license="Apache-2.0",

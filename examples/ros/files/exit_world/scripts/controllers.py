@@ -1,4 +1,4 @@
-"""The evolved controller in the three forms in which it may come; each robot has one of its own, for it remembers."""
+"""Load the evolved controller in one of three forms; each robot has an instance with its state."""
 
 import ctypes
 import json
@@ -9,32 +9,37 @@ FLOAT32 = struct.Struct("f")
 
 
 def float32(number):
-    """The nearest float32: what a float32 addition or product gives, for Python computes both more exactly."""
+    """Round to the nearest float32, because Python computes in float64."""
     return FLOAT32.unpack(FLOAT32.pack(number))[0]
 
 
 class FullyMeshed:
-    """The network that docs/representations.md calls fully-meshed, from a list of its numbers; the same bits as in evolution."""
+    """A fully-meshed network (docs/representations.md) from a list of its numbers."""
 
     def __init__(self, numbers, inputs, outputs, settings):
         if settings.get("activation", "clamp") != "clamp":
-            raise ValueError(f"this node knows the activation clamp only, not {settings['activation']}")
+            raise ValueError(
+                f"this node knows the activation clamp only, not {settings['activation']}"
+            )
         self.inputs, self.outputs, self.iterations = inputs, outputs, settings["iterations"]
         neurons = settings["hidden"] + outputs
-        row = inputs + neurons + 1  # per neuron its weights, then its bias
+        row = inputs + neurons + 1  # each neuron's weights, then its bias
         if len(numbers) != neurons * row:
             raise ValueError(f"{len(numbers)} numbers; expected {neurons * row}")
-        self.rows = [[float32(number) for number in numbers[first : first + row]] for first in range(0, neurons * row, row)]
+        self.rows = [
+            [float32(number) for number in numbers[first : first + row]]
+            for first in range(0, neurons * row, row)
+        ]
         self.state = [0.0] * neurons
 
     def act(self, observation):
-        """One decision: each neuron sums over inputs and neurons in their order, and adds its bias."""
+        """Decide: each neuron sums over inputs and neurons in their order, and adds its bias."""
         seen = [float32(number) for number in observation]
         for _ in range(self.iterations):
             sources, state = [*seen, *self.state], []
             for row in self.rows:
                 total = 0.0
-                for weight, source in zip(row, sources):  # noqa: B905  row has the bias, too
+                for weight, source in zip(row, sources):  # noqa: B905  row also has the bias
                     total = float32(total + float32(weight * source))
                 state.append(min(max(float32(row[-1] + total), 0.0), 1.0))
             self.state = state
@@ -51,14 +56,14 @@ class Compiled:
         self.library.controller_reset(self.state)
 
     def act(self, observation):
-        """One decision."""
+        """Decide once."""
         self.observation[:] = observation
         self.library.controller_step(self.state, self.observation, self.action)
         return self.action
 
 
 def load(parameters):
-    """The controller that the node's parameters name."""
+    """Load the controller that the node's parameters name."""
     if "library" in parameters:
         return Compiled(parameters["library"], INPUTS, OUTPUTS)
     if "candidate_file" in parameters:

@@ -3,12 +3,21 @@
 import math
 import random
 
-AROUND = [(1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1)]  # from the east counter-clockwise
+AROUND = [
+    (1, 0),
+    (1, 1),
+    (0, 1),
+    (-1, 1),
+    (-1, 0),
+    (-1, -1),
+    (0, -1),
+    (1, -1),
+]  # from the east counter-clockwise
 APART_M = 0.2  # robots are discs
 
 
 class Room:
-    """It, and where everybody is."""
+    """Walls, exits and the positions of the robots."""
 
     def __init__(self, parameters):
         self.half = parameters["half_width"]
@@ -23,28 +32,41 @@ class Room:
         self.inside = [True] * len(self.places)
 
     def free(self, place, robot):
-        """Whether a robot could stand there."""
+        """Return whether a robot fits there."""
         if max(abs(place[0]), abs(place[1])) > self.half:
             return False
-        others = (other for number, other in enumerate(self.places) if number != robot and (robot < 0 or self.inside[number]))
-        return all((place[0] - x) * (place[0] - x) + (place[1] - y) * (place[1] - y) >= APART_M * APART_M for x, y in others)
+        others = (
+            other
+            for number, other in enumerate(self.places)
+            if number != robot and (robot < 0 or self.inside[number])
+        )
+        return all(
+            (place[0] - x) * (place[0] - x) + (place[1] - y) * (place[1] - y) >= APART_M * APART_M
+            for x, y in others
+        )
 
     def nearest(self, robot):
-        """Distance and place of the exit that is nearest to a robot."""
+        """Return distance and position of the exit nearest to a robot."""
         x, y = self.places[robot]
-        return min((math.sqrt((x - to_x) * (x - to_x) + (y - to_y) * (y - to_y)), (to_x, to_y)) for to_x, to_y in self.exits)
+        return min(
+            (math.sqrt((x - to_x) * (x - to_x) + (y - to_y) * (y - to_y)), (to_x, to_y))
+            for to_x, to_y in self.exits
+        )
 
     def observe(self, robot):
-        """Ten numbers."""
+        """Return the ten inputs of a robot's controller."""
         x, y = self.places[robot]
         _, (to_x, to_y) = self.nearest(robot)
         around = [(x + self.step_m * east, y + self.step_m * north) for east, north in AROUND]
         return [to_x - x, to_y - y, *(1.0 if self.free(place, robot) else 0.0 for place in around)]
 
     def move(self, robot, east, north):
-        """By so many steps, each cut to -1 .. 1; whoever is at an exit then is out."""
+        """Move a robot by steps clipped to -1 .. 1. At an exit it leaves."""
         x, y = self.places[robot]
-        place = x + self.step_m * min(1.0, max(-1.0, east)), y + self.step_m * min(1.0, max(-1.0, north))
+        place = (
+            x + self.step_m * min(1.0, max(-1.0, east)),
+            y + self.step_m * min(1.0, max(-1.0, north)),
+        )
         if self.free(place, robot):
             self.places[robot] = place
         self.inside[robot] = self.nearest(robot)[0] >= self.epsilon

@@ -1,8 +1,9 @@
 #!/usr/bin/python3
-"""Robots leave a room: a ROS node that reads its parameters and a controller, plays one trial, and writes a log per robot.
+"""Robots leave a room: a ROS node that plays one trial of a controller, and writes their logs.
 
-A robot sees where its nearest exit is and which of the eight places around it, a step away, are free; it moves by at most a step
-in x and y, unless a wall or a robot is there. It is out when it is nearer than epsilon to an exit.
+A robot senses its nearest exit, and which of the eight places around it, a step away, are free; it
+moves by at most a step in x and y, unless a wall or a robot is there. It is out when it is nearer
+than epsilon to an exit.
 """
 
 import sys

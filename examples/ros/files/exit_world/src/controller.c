@@ -1,4 +1,4 @@
-/* The evolved controller, which candidate.h is written anew for each candidate, as a library for scripts/controllers.py. */
+/* The evolved controller as a library for scripts/controllers.py. zswarm writes candidate.h for each candidate. */
 
 #include <stddef.h>
 

@@ -19,10 +19,20 @@ ARGUMENTS = {
 
 def generate_launch_description():
     """The node, with its arguments."""
-    declared = [DeclareLaunchArgument(name, default_value=value, description=words) for name, (value, words) in ARGUMENTS.items()]
+    declared = [
+        DeclareLaunchArgument(name, default_value=value, description=words)
+        for name, (value, words) in ARGUMENTS.items()
+    ]
     types = {"speed": float, "turn": float, "targets": List[float], "use_sim_time": bool}
-    parameters = {name: ParameterValue(LaunchConfiguration(name), value_type=kind) for name, kind in types.items()}
+    parameters = {
+        name: ParameterValue(LaunchConfiguration(name), value_type=kind)
+        for name, kind in types.items()
+    }
     node = Node(
-        package="@{name}", executable="drive", namespace=LaunchConfiguration("robot"), parameters=[parameters], output="screen"
+        package="@{name}",
+        executable="drive",
+        namespace=LaunchConfiguration("robot"),
+        parameters=[parameters],
+        output="screen",
     )
     return LaunchDescription([*declared, node])

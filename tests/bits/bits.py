@@ -1,0 +1,229 @@
+"""Print digests of all that decides a result; ``test_bits.py`` runs this per processor setting.
+
+Cover every simulator in each of its variants with one network, and every network in each of its
+variants with one simulator: outcomes of some trials, played in a batch and turn by turn. Add the
+results of the networks' operators, and what short runs of each optimizer variant with each network
+propose, receive and store on the smallest problem. Finally, cover every pair of simulator and
+network. With ``short``, shorten the trials for plain Python; with ``few``, also play only a few of
+them and omit runs and pairs.
+"""
+
+import contextlib
+import hashlib
+import json
+import sys
+from collections.abc import Iterator
+from typing import Any, Literal, get_args, get_origin
+
+import msgspec
+import numpy as np
+
+from zswarm import evaluate
+from zswarm.errors import ConfigError
+from zswarm.kernels import random as draws
+from zswarm.kernels.lanes import LANES
+from zswarm.kernels.random import Stream
+from zswarm.ot.record.history_hash import History
+from zswarm.plugins import registry as plugins
+
+FEW = sys.argv[1:] == ["few"]
+STEPS = 25 if sys.argv[1:] else None  # of a trial, if not as many as the simulator's settings say
+GENOMES = 2 if FEW else 6
+SEEDS = np.array([1] if FEW else [1, 2**63 + 5], np.uint64)
+GENERATIONS = 3
+SIMULATOR, NETWORK, SMALLEST = (
+    "arena",
+    "fully-meshed",
+    "xor",
+)  # partners: whose metrics show every bit of what is decided, lanes
+SIMULATORS = [
+    name
+    for name in plugins.names("simulator")
+    if set(plugins.libraries(plugins.source_files("simulator", name))) <= {"pymunk"}
+    and name != "turtlebot-exit-ros"
+]  # environments of other packages have bits of theirs; what ROS plays has those of turtlebot-exit
+SMALL: dict[
+    str, dict[str, Any]
+] = {  # settings of short trials in which what genomes do makes a difference
+    "box-pushing": {
+        "robots": 2,
+        "rays": 8,
+        "side": 1.7,
+        "box": 0.5,
+        "box_mass": 1.0,
+        "goal": 0.4,
+        "speed": 2.0,
+    },
+    "foraging-physical": {
+        "robots": 2,
+        "rays": 8,
+        "side": 1.6,
+        "nest": 0.4,
+        "pucks": 2,
+        "speed": 2.0,
+    },
+    "turtlebot-exit": {"robots": 2, "rays": 8},
+}
+NEEDED = {
+    ("minisim", "teams"): {"defenders": 0}
+}  # by other settings than the one that names choices
+
+
+def ways(settings: Any) -> Iterator[dict[str, Any]]:
+    """The defaults, and each other choice of a settings struct that names its choices."""
+    yield {}
+    for field in msgspec.structs.fields(settings):
+        kind = field.type
+        while get_origin(kind) is not None and get_origin(kind) is not Literal:
+            kind = get_args(kind)[0]
+        choices = (
+            get_args(kind) if get_origin(kind) is Literal else (True, False) if kind is bool else ()
+        )
+        yield from ({field.name: choice} for choice in choices if choice != field.default)
+
+
+def problems() -> Iterator[tuple[str, Any, Any]]:
+    """Each simulator and each network in all ways, with a partner; then all pairs by default."""
+    for simulator in SIMULATORS:
+        for chosen in ways(plugins.load("simulator", simulator).settings_type):
+            yield problem(simulator, NETWORK, chosen | NEEDED.get((simulator, *chosen), {}), {})
+    for network in plugins.names("representation"):
+        for chosen in ways(plugins.load("representation", network).settings_type):
+            yield problem(SIMULATOR, network, {"robots": LANES}, chosen)
+    if not FEW:
+        for simulator in SIMULATORS:
+            for network in plugins.names("representation"):
+                yield problem(simulator, network, {}, {})
+
+
+def problem(
+    simulator: str, network: str, rules: dict[str, Any], shape: dict[str, Any]
+) -> tuple[str, Any, Any]:
+    """Its name, and both of its parts."""
+    name = " ".join(
+        [simulator, network, *(f"{key}={value}" for key, value in {**rules, **shape}.items())]
+    )
+    if STEPS and hasattr(plugins.load("simulator", simulator).settings_type, "steps"):
+        rules = {"steps": STEPS} | SMALL.get(simulator, {}) | rules
+    return name, *evaluate.build(simulator, rules, network, shape)
+
+
+def played(simulator: Any, network: Any) -> tuple[bytes, int]:
+    """Return outcomes of a batch and of one trial in turns, and how many outcomes are distinct."""
+    genomes = network.random(GENOMES, Stream(3))
+    if network.genes is None:  # new ones are all of one structure
+        stream = Stream(6)
+        for _ in range(40):
+            genomes = network.mutate(genomes, stream, method=1, severity=0.3, probability=0.7)
+    participants = np.array(
+        [
+            [(row + i) % GENOMES for i in range(simulator.participants)]
+            for row in range(GENOMES)
+            for _ in SEEDS
+        ]
+    )
+    outcomes = evaluate.evaluate(simulator, network, genomes, participants, np.tile(SEEDS, GENOMES))
+    fitness, metrics = np.empty(simulator.participants), np.empty(len(simulator.metrics))
+    evaluate.play_in_turns(
+        simulator,
+        network,
+        network.parameters(genomes)[participants[0]],
+        int(SEEDS[0]),
+        fitness,
+        metrics,
+    )
+    numbers = np.concatenate([outcomes.fitness, outcomes.metrics], axis=1)
+    different = {row.tobytes() for row in numbers[:: len(SEEDS)]}
+    return b"".join(array.tobytes() for array in (numbers, fitness, metrics)), len(different)
+
+
+def operated(network: Any) -> bytes:
+    """What the operators that optimizers use make of random genomes."""
+    stream = Stream(4)
+    genomes = network.random(50, stream)
+    for method in (1, 2):
+        genomes += network.mutate(
+            genomes[:20], stream, method=method, severity=0.3, probability=0.7
+        )
+    genomes += [
+        network.crossover(mother, father, stream)
+        for mother, father in zip(genomes[:20], genomes[20:40], strict=True)
+    ]
+    return (
+        b"".join(genomes)
+        + network.parameters(genomes).tobytes()
+        + network.distances(genomes, genomes[::2]).tobytes()
+    )
+
+
+def evolved(optimizer: Any, simulator: Any, network: Any) -> bytes:
+    """The history hash of a short run, with the optimizer's state and statistics at its end."""
+    history = History()
+    for _ in range(GENERATIONS):
+        genomes = optimizer.ask()
+        participants = np.arange(len(genomes)).reshape(-1, 1)
+        outcomes = evaluate.evaluate(
+            simulator, network, genomes, participants, np.full(len(genomes), SEEDS[0])
+        )
+        fitness, measures = outcomes.fitness[:, 0], outcomes.metrics[:, : len(optimizer.measures)]
+        history.add(genomes, fitness, measures if optimizer.measures else None)
+        optimizer.tell(fitness, measures)
+    return history.hex().encode() + msgspec.msgpack.encode(
+        [optimizer.state(), optimizer.statistics()]
+    )
+
+
+def drawn() -> bytes:
+    """Random numbers of every kind."""
+    stream = Stream(draws.derive_seed(1, "bits", 2))
+    numbers = (
+        stream.words(1000),
+        stream.uniform(-2.0, 3.0, 1000),
+        stream.integers(77, 1000),
+        stream.normal(0.0, 1.0, 1000),
+    )
+    return (
+        b"".join(array.tobytes() for array in numbers)
+        + str([stream.integer(1000) for _ in range(100)]).encode()
+    )
+
+
+def results() -> Iterator[tuple[str, bytes | int]]:
+    """Name and bytes of everything, and how many outcomes differ."""
+    yield "draws", drawn()
+    for name, simulator, network in problems():
+        outcomes, different = played(simulator, network)
+        yield f"{name}: outcomes", outcomes
+        yield f"{name}: different", different
+    for representation in plugins.names("representation"):
+        _, simulator, network = problem(SMALLEST, representation, {}, {})
+        yield f"{representation}: operators", operated(network)
+        for kind in [] if FEW else plugins.names("optimizer"):
+            optimizer_class = plugins.load("optimizer", kind)
+            for chosen in (
+                ways(optimizer_class.settings_type) if representation == NETWORK else [{}]
+            ):
+                given = {"population": 12, "measures": simulator.metrics[:2], **chosen}
+                known = {
+                    key: value
+                    for key, value in given.items()
+                    if key in optimizer_class.settings_type.__struct_fields__
+                }
+                if optimizer_class.portable:
+                    with contextlib.suppress(ConfigError):  # it does not take such a network
+                        optimizer = optimizer_class(
+                            msgspec.convert(known, optimizer_class.settings_type), network, 5
+                        )
+                        yield (
+                            f"{representation}: {kind} {chosen}",
+                            evolved(optimizer, simulator, network),
+                        )
+
+
+def digest(value: bytes | int) -> str | int:
+    """Of bytes."""
+    return value if isinstance(value, int) else hashlib.blake2b(value, digest_size=8).hexdigest()
+
+
+if __name__ == "__main__":
+    json.dump({name: digest(value) for name, value in results()}, sys.stdout)

@@ -1,0 +1,136 @@
+"""Check that results have the same bits compiled, in plain Python and on any emulated processor.
+
+``bits.py`` defines what is compared, for all installed simulators, representations and optimizers.
+"""
+
+import functools
+import json
+import os
+import platform
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from numpy._core import (
+    _multiarray_umath as compiled_numpy,
+)  # the only place where numpy says what it chooses from
+
+from tests.places import REPOSITORY
+
+OLDEST = {
+    "NUMBA_CPU_NAME": "generic",
+    "NUMBA_CPU_FEATURES": "",
+}  # of its architecture: no AVX, no FMA
+NUMPY_FEATURES = [
+    name for name in compiled_numpy.__cpu_dispatch__ if compiled_numpy.__cpu_features__[name]
+]
+OLDEST_NUMPY = {"NPY_DISABLE_CPU_FEATURES": " ".join(NUMPY_FEATURES)}
+OLDEST_C_LIBRARY = {
+    "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-AVX512F,-FMA,-FMA4"
+}  # pymunk asks it for sines and powers
+SETTINGS: dict[str, dict[str, str]] = {
+    "plain": {"ZSWARM_PLAIN": "1"},
+    "plain, numba there": {"NUMBA_DISABLE_JIT": "1"},
+    "oldest processor": OLDEST | OLDEST_NUMPY | OLDEST_C_LIBRARY,
+    "compiled without optimization": {"NUMBA_OPT": "0"},
+    "compiled with all vectors": {
+        "NUMBA_OPT": "max",
+        "NUMBA_LOOP_VECTORIZE": "1",
+        "NUMBA_SLP_VECTORIZE": "1",
+    },
+}
+# the pendulums of two genomes may fall in the same step
+FALL_ALIKE = "inverted-pendulum fully-meshed input_model="
+SAID = {"whole": [], "short": ["short"], "few": ["few"]}  # to bits.py, of the trials
+# Whole trials reach what only happens late, which is compared where the instructions differ. Every
+# kernel is compiled anew for each way to compile; a few steps of it show how it was compiled. That
+# numba is there but does not compile runs the same Python as without it.
+TRIALS = {
+    "plain": "short",
+    "plain, numba there": "few",
+    "oldest processor": "whole",
+    "compiled without optimization": "short",
+    "compiled with all vectors": "short",
+}
+
+
+def bits(*arguments: str, **environment: str) -> dict[str, str | int]:
+    """Return a digest per compared item, and per problem the number of distinct outcomes."""
+    cleared = {"ZSWARM_PLAIN": "", "NUMBA_DISABLE_JIT": "0"}
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", Path(__file__).with_name("bits.py"), *arguments],
+        env=os.environ | cleared | environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    found: dict[str, str | int] = json.loads(done.stdout)
+    return found
+
+
+def alike(found: dict[str, str | int]) -> list[str]:
+    """Return the simulator variants in which all genomes get the same outcome.
+
+    Comparing these variants proves little.
+    """
+    return [
+        name
+        for name, different in found.items()
+        if name.endswith(" fully-meshed: different") and different == 1
+    ]
+
+
+@functools.cache
+def here(trials: str) -> dict[str, str | int]:
+    """As this machine computes."""
+    return bits(*SAID[trials])
+
+
+@pytest.mark.long
+def test_plain_python_gives_the_same_bits_as_the_kernels() -> None:
+    """Compare a few trials of every simulator and representation, also with an older C library.
+
+    The long test below covers the rest. Only pendulums may all have equal outcomes here.
+    """
+    compiled = here("few")
+    assert bits("few", **SETTINGS["plain"], **OLDEST_C_LIBRARY) == compiled
+    assert all(name.startswith(FALL_ALIKE) for name in alike(compiled))
+    outcomes = [digest for name, digest in compiled.items() if name.endswith("outcomes")]
+    assert len(set(outcomes)) > 0.9 * len(outcomes) > 5, "the problems differ from one another"
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("setting", SETTINGS)
+def test_the_bits_are_the_same_on_another_processor(setting: str, tmp_path: Path) -> None:
+    """A cache of its own: numba tells processors apart in it, but not how much it optimizes."""
+    trials = TRIALS[setting]
+    expected = here(trials)
+    assert all(trials == "few" and name.startswith(FALL_ALIKE) for name in alike(expected))
+    assert bits(*SAID[trials], ZSWARM_CACHE=str(tmp_path), **SETTINGS[setting]) == expected
+
+
+WITH_WHAT = """
+import json, sys
+from tests.bits.bits import problems
+from numpy._core import _multiarray_umath as compiled_numpy
+assembly = "".join(next(problems())[2].step.dispatcher.inspect_asm().values())
+features = [name for name, used in compiled_numpy.__cpu_features__.items() if used]
+registers = [register for register in ("xmm", "ymm", "zmm") if register in assembly]
+json.dump([features, registers], sys.stdout)
+"""
+
+
+@pytest.mark.long
+@pytest.mark.skipif(
+    platform.machine() != "x86_64", reason="the registers of other processors have other names"
+)
+def test_on_the_oldest_processor_nothing_newer_is_used(tmp_path: Path) -> None:
+    oldest = OLDEST | OLDEST_NUMPY
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", WITH_WHAT], cwd=REPOSITORY,
+        env=os.environ | {"ZSWARM_PLAIN": "", "ZSWARM_CACHE": str(tmp_path)} | oldest,
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    features, registers = json.loads(done.stdout)
+    assert not set(features) & set(NUMPY_FEATURES)
+    assert registers == ["xmm"]

@@ -1,0 +1,332 @@
+"""Check that changing any code involved, or the processor, makes cached kernels recompile."""
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import zswarm
+from tests.small import playable
+from zswarm.kernels import cache, jit
+from zswarm.kernels.cache import cache_folder
+from zswarm.kernels.lanes import load, store
+from zswarm.plugins import registry as plugins
+from zswarm.plugins.version_hash import cache_hash
+
+PACKAGE = Path(zswarm.__file__).parent
+TINY = """
+from zswarm.kernels.jit import array, float64, kernel, void
+from zswarm.kernels.portable import sigmoid
+
+@kernel(void(array(float64), array(float64)))
+def squash(numbers, made):
+    made[0] = sigmoid(numbers[0])
+"""
+SQUASH = """
+import numpy as np
+from zswarm.kernels.cache import cache_folder
+from zswarm.nets.tiny import squash
+
+made = np.empty(1)
+squash(np.zeros(1), made)
+print(made[0], sum(squash.dispatcher.stats.cache_hits.values()), cache_folder())
+"""
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    """A folder with the package, which has one kernel more: little to compile."""
+    shutil.copytree(
+        PACKAGE, tmp_path / "zswarm", ignore=shutil.ignore_patterns("__pycache__", "examples")
+    )
+    (tmp_path / "zswarm" / "nets" / "tiny.py").write_text(TINY)
+    return tmp_path
+
+
+def run(code: str, tree: Path, cache: Path, *arguments: str, **environment: str) -> list[str]:
+    """The words that a program prints, with the package of another tree."""
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments],
+        cwd=tree,
+        env={
+            **os.environ,
+            "PYTHONPATH": str(tree),
+            "ZSWARM_CACHE": str(cache),
+            "ZSWARM_PLAIN": "",
+            "PYTHONDONTWRITEBYTECODE": "1",
+            **environment,
+        },
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split()
+
+
+@pytest.mark.long
+def test_a_change_in_a_called_file_gives_the_new_result_and_a_new_cache_folder(tree: Path) -> None:
+    """The file of the kernel itself stays as it is: numba's own cache would give the old result."""
+    cache = tree / "cache"
+    callee = tree / "zswarm" / "kernels" / "portable.py"
+    original = callee.read_text()
+
+    result, _, folder = run(SQUASH, tree, cache)
+    assert (result, Path(folder).parent) == ("0.5", cache)
+
+    changed = original.replace("return 1.0 / (1.0 + exp(-x))", "return 1.5 / (1.0 + exp(-x))")
+    assert changed != original
+    callee.write_text(changed)
+    other_result, hits, other_folder = run(SQUASH, tree, cache)
+    assert (other_result, hits) == ("0.75", "0")
+    assert other_folder != folder
+
+    callee.write_text(original)
+    assert run(SQUASH, tree, cache) == ["0.5", "1", folder], (
+        "the first folder still serves the first code"
+    )
+    assert {path.name for path in cache.iterdir()} == {Path(folder).name, Path(other_folder).name}
+
+
+@pytest.mark.long
+def test_machines_of_unlike_processors_share_a_cache_and_each_finds_its_own_kernels(
+    tree: Path,
+) -> None:
+    """Share a cache on a network home directory.
+
+    A kernel for a newer processor would crash the program on an older one.
+    """
+    cache, generic = tree / "cache", {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
+    first, second = run(SQUASH, tree, cache), run(SQUASH, tree, cache, **generic)
+    assert (first[:2], second[:2]) == (["0.5", "0"], ["0.5", "0"]), "each compiles"
+    assert Path(first[2]).parent == Path(second[2]).parent == cache
+    assert first[2] != second[2]
+    assert run(SQUASH, tree, cache) == ["0.5", "1", first[2]]
+    assert run(SQUASH, tree, cache, **generic) == ["0.5", "1", second[2]]
+
+
+WARM_UP = """
+import sys
+import numpy as np
+from numba.core import event
+from zswarm.plugins import registry as plugins
+plugins.BUNDLED["simulator"]["lazy"] = "lazy:Lazy"
+from zswarm import evaluate
+from zswarm.kernels.random import Stream
+
+simulators = sys.argv[1].split(",")
+representations = sys.argv[2:] or plugins.names("representation")
+parts = [(simulator, network) for simulator in simulators for network in representations]
+for simulator, representation in parts:
+    with event.install_recorder("numba:compile") as before:
+        built, network = evaluate.build(simulator, {}, representation, {})
+        evaluate.warm_up(built, network)
+    with event.install_recorder("numba:compile") as after:
+        genomes = network.random(built.participants, Stream(1))
+        participants = np.arange(built.participants).reshape(1, -1)
+        evaluate.evaluate(built, network, genomes, participants, np.array([9], np.uint64))
+    print(simulator, representation, len(before.buffer) > 0, len(after.buffer))
+"""
+LAZY = """
+import msgspec, numba
+import numpy as np
+from zswarm.sims.simulator import Outcome, Simulator, Turn
+
+class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    pass
+
+@numba.njit
+def double(x):
+    return 2.0 * x
+
+class Lazy(Simulator):
+    settings_type = Settings
+    inputs, outputs, owners = 1, 1, (0,)
+
+    def reset(self, seed):
+        return Turn([0], np.ones((1, 1), np.float32))
+
+    def step(self, actions):
+        self.fitness = double(float(actions[0, 0]))
+
+    def outcome(self):
+        return Outcome([self.fitness], [])
+"""
+
+
+@pytest.fixture
+def lazy(tmp_path: Path) -> str:
+    """PYTHONPATH with the module of a simulator that has numba compile when it is called."""
+    (tmp_path / "lazy.py").write_text(LAZY)
+    return os.pathsep.join([str(tmp_path), str(PACKAGE.parent)])
+
+
+def test_what_is_compiled_when_it_is_first_called_is_compiled_by_the_warming_up(
+    lazy: str, tmp_path: Path
+) -> None:
+    """So no batch waits for it."""
+    said = run(WARM_UP, tmp_path, cache_folder().parent, "lazy", "fully-meshed", PYTHONPATH=lazy)
+    assert said == ["lazy", "fully-meshed", "True", "0"]
+
+
+@pytest.mark.long
+def test_the_warming_up_compiles_all_that_a_trial_of_any_part_needs(
+    lazy: str, tmp_path: Path
+) -> None:
+    """With nothing in the cache."""
+    names = playable(
+        [*(plugins.BUNDLED["simulator"].keys() - {"pettingzoo"}), "lazy"]
+    )  # whose 18 inputs are too many for mealy
+    said = run(WARM_UP, tmp_path, tmp_path / "cache", ",".join(names), PYTHONPATH=lazy)
+    assert set(said[::4]) == set(names)
+    assert "True" in said[2::4], "there was something to compile"
+    assert set(said[3::4]) == {"0"}
+
+
+def test_what_numba_loads_for_the_first_kernel_is_loaded_with_it() -> None:
+    """So the fork server has it: slots that load it themselves take 20 MB more each."""
+    code = (
+        "import sys, zswarm.evaluate, zswarm.kernels.compiler; before = set(sys.modules);"
+        "from zswarm.nets.fully_meshed import FullyMeshed; FullyMeshed.step.dispatcher;"
+        "print(set(sys.modules) - before)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "numba" not in done.stdout, done.stdout
+
+
+@pytest.mark.parametrize("plain", ["", "1"])
+def test_parts_are_imported_without_numba(tmp_path: Path, plain: str) -> None:
+    code = """
+import sys
+from zswarm.plugins import registry as plugins
+for kind in ("simulator", "representation"):
+    for name in plugins.names(kind):
+        plugins.load(kind, name)
+print("numba" in sys.modules)
+"""
+    assert run(code, PACKAGE.parent, tmp_path, ZSWARM_PLAIN=plain) == ["False"]
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_compiler_uses_the_folder_and_no_vector_library() -> None:
+    done = run(
+        "import zswarm.kernels.compiler; from numba import config as c; "
+        "print(c.CACHE_DIR, c.DISABLE_INTEL_SVML, c.USING_SVML)",
+        PACKAGE.parent,
+        cache_folder().parent,
+    )
+    assert done == [str(cache_folder()), "1", "False"]
+
+
+@pytest.fixture
+def choices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+    """The places that are tried, in order, all of this test."""
+    monkeypatch.setenv("ZSWARM_CACHE", str(tmp_path / "own"))
+    monkeypatch.setenv("CACHE_DIRECTORY", str(tmp_path / "systemd"))
+    monkeypatch.setattr(
+        cache.platformdirs, "user_cache_dir", lambda name: str(tmp_path / "home" / name)
+    )
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    return [
+        tmp_path / "own",
+        tmp_path / "systemd",
+        tmp_path / "home/zswarm",
+        tmp_path / f"zswarm-{os.getuid()}",
+    ]
+
+
+def test_a_place_that_cannot_be_written_makes_way_for_the_next(choices: list[Path]) -> None:
+    for choice in choices:
+        folder = cache_folder()
+        assert folder == choice / cache_hash()
+        assert folder.is_dir()
+        shutil.rmtree(choice)
+        choice.write_text("a file, where no folder can be")
+    last = cache_folder()
+    assert last.is_dir()
+    assert last.parent == choices[0].parent
+
+
+def test_a_folder_without_the_right_to_write_is_passed_over(
+    choices: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    allowed = os.access
+    monkeypatch.setattr(
+        os, "access", lambda path, mode: "own" not in Path(path).parts and allowed(path, mode)
+    )
+    assert cache_folder() == choices[1] / cache_hash()
+
+
+def test_places_that_are_not_named_are_not_tried(
+    choices: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("ZSWARM_CACHE")
+    monkeypatch.setenv("CACHE_DIRECTORY", "")
+    assert cache_folder() == choices[2] / cache_hash()
+
+
+def test_who_is_nowhere_at_home_has_a_temporary_place(
+    choices: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Use a temporary directory for a user without a home, such as one in a container.
+
+    A relative path would depend on the working directory.
+    """
+    monkeypatch.delenv("ZSWARM_CACHE")
+    monkeypatch.delenv("CACHE_DIRECTORY")
+    monkeypatch.setattr(cache.platformdirs, "user_cache_dir", lambda name: f"~/.cache/{name}")
+    assert cache_folder() == choices[3] / cache_hash()
+
+    def refuse(name: str) -> str:
+        raise RuntimeError("could not determine the home directory")
+
+    monkeypatch.setattr(cache.platformdirs, "user_cache_dir", refuse)
+    assert cache_folder() == choices[3] / cache_hash()
+
+
+def test_a_named_place_is_used_where_nothing_temporary_can_be_written(
+    choices: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse() -> str:
+        raise FileNotFoundError("no usable temporary directory")
+
+    monkeypatch.setattr(tempfile, "gettempdir", refuse)
+    assert cache_folder() == choices[0] / cache_hash()
+
+
+def test_the_folder_is_closed_to_other_users(choices: list[Path]) -> None:
+    """What lies there is run as code."""
+    assert cache_folder().stat().st_mode & 0o077 == 0
+
+
+def test_the_cache_is_ours_when_the_program_imported_numba_before(tmp_path: Path) -> None:
+    """A notebook may have; numba's own cache would give old results after a change."""
+    code = (
+        "import numba, zswarm.kernels.compiler; "
+        "print(numba.config.CACHE_DIR, numba.config.DISABLE_INTEL_SVML)"
+    )
+    folder, without_svml = run(code, tmp_path, tmp_path / "cache", PYTHONPATH=str(PACKAGE.parent))
+    assert Path(folder) == tmp_path / "cache" / cache_hash()
+    assert without_svml == "1"
+
+
+@jit.kernel(jit.void(jit.array(jit.float32), jit.array(jit.float32)))
+def roots(numbers, made):  # type: ignore[no-untyped-def]  # compiled
+    """The first eight as lanes, the others one by one."""
+    store(made, 0, jit.sqrt(load(numbers, 0)))
+    for index in range(8, numbers.shape[0]):
+        made[index] = jit.sqrt(numbers[index])
+
+
+def test_square_roots_are_those_of_numpy_in_kernels_and_in_lanes() -> None:
+    numbers = np.concatenate(
+        [np.float32([0, 1, 2, np.inf, 1e-45]), np.arange(1000, dtype=np.float32) / 7]
+    )
+    made = np.empty_like(numbers)
+    roots(numbers, made)
+    assert made.tobytes() == jit.sqrt(numbers).tobytes() == np.sqrt(numbers).tobytes()

@@ -1,0 +1,255 @@
+"""Groups of runs compared with each other, and the tests between them."""
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.ot.written import written
+from zswarm.errors import ConfigError
+from zswarm.ot.analysis import comparison, curves, grouping
+from zswarm.ot.analysis.comparison import Comparison
+from zswarm.ot.analysis.curves import Series
+from zswarm.ot.record.reader import Run
+
+NAN = float("nan")
+
+
+def run(*best: float, per_generation: float = 50.0) -> Series:
+    generations = np.arange(1.0, len(best) + 1)
+    values = np.array(best, np.float64)
+    return Series(values, values - 1, generations * per_generation, generations)
+
+
+def ended(values: Sequence[float]) -> list[Series]:
+    return [run(value) for value in values]
+
+
+def compared(groups: Mapping[str, Sequence[Run]]) -> Comparison:
+    loaded, notes = curves.load(groups)
+    return comparison.of_series(loaded, "generations", notes)
+
+
+def test_a_row_has_median_and_quartiles_of_the_runs() -> None:
+    (row,) = comparison.of_series({"a": ended([4, 1, 2, 3, 5])}, "generations").rows
+    assert row == ("a", 5, 3.0, 2.0, 4.0, 5.0, 1.0, 50.0, 1.0)
+
+
+def test_runs_of_unequal_length_are_compared_where_all_have_been() -> None:
+    """At the largest number of generations that all have; a note reports it."""
+    found = comparison.of_series({"a": [run(1, 2, 3)], "b": [run(1, 5)]}, "generations")
+    assert found.at == 2
+    assert [row.median for row in found.rows] == [2.0, 5.0]
+    assert "runs are of unequal length: compared after 2 generations, which all have" in found.notes
+
+
+def test_groups_can_be_compared_after_equally_many_evaluations() -> None:
+    found = comparison.of_series(
+        {"a": [run(1, 2, 3, 4)], "b": [run(1, 5, per_generation=100)]}, "evaluations"
+    )
+    assert found.at == 200
+    assert [row.median for row in found.rows] == [4.0, 5.0]
+
+
+def test_a_note_names_groups_of_different_cost() -> None:
+    found = comparison.of_series(
+        {"a": [run(1, 2)], "b": [run(1, 5, per_generation=100)]}, "generations"
+    )
+    assert any("different numbers of evaluations" in note for note in found.notes)
+
+
+def test_no_common_number_of_evaluations_is_one_line() -> None:
+    with pytest.raises(ConfigError, match="no number of evaluations is common to all runs"):
+        comparison.of_series({"a": [run(1)], "b": [run(1, per_generation=1000)]}, "evaluations")
+
+
+def test_a_run_in_which_all_failed_is_the_worst() -> None:
+    found = comparison.of_series(
+        {"a": ended([-math.inf, 1, 2]), "b": ended([-math.inf] * 3)}, "generations"
+    )
+    assert found.rows[0][2:7] == (1.0, None, 1.5, 2.0, None)
+    assert found.rows[1][2:7] == (None,) * 5
+    assert "runs in which every candidate failed count as the worst" in found.notes
+
+
+def test_nothing_finished_is_one_line() -> None:
+    with pytest.raises(ConfigError, match="no run finished a generation yet"):
+        comparison.of_series({"a": [run()]}, "generations")
+
+
+def exact_p(a: Sequence[float], b: Sequence[float]) -> float:
+    """Two-sided, by all ways to deal the values out."""
+    pooled = [*a, *b]
+
+    def u(chosen: Sequence[int]) -> float:
+        rest = [pooled[i] for i in range(len(pooled)) if i not in chosen]
+        return sum(
+            (pooled[i] > other) + 0.5 * (pooled[i] == other) for i in chosen for other in rest
+        )
+
+    ways = [u(chosen) for chosen in itertools.combinations(range(len(pooled)), len(a))]
+    seen = ways[0]
+    return min(
+        1.0, 2 * min(sum(way <= seen for way in ways), sum(way >= seen for way in ways)) / len(ways)
+    )
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "method"),
+    [
+        ([1, 2, 3, 4, 9], [5, 6, 7, 8, 10], "exact"),
+        ([1, 2, 2, 3, 3], [3, 4, 4, 5, 5, 5], "permutation"),
+        ([-math.inf, -math.inf, 1, 2, 3], [4, 5, 6, 7], "permutation"),
+    ],
+)
+def test_a_small_sample_is_tested_exactly(a: list[float], b: list[float], method: str) -> None:
+    """The p of all ways to deal the runs out, with ties, too."""
+    (pair,) = comparison.of_series({"a": ended(a), "b": ended(b)}, "generations").pairs
+    assert pair.method == method
+    assert pair.p == pytest.approx(exact_p(a, b))
+
+
+def test_a12_is_how_often_a_run_of_the_first_is_better() -> None:
+    (pair,) = comparison.of_series(
+        {"a": ended([1, 2, 3, 4]), "b": ended([1, 5, 6, 7])}, "generations"
+    ).pairs
+    assert pair.a12 == (0.5 + 1 + 1 + 1) / 16
+    assert comparison.effect(pair.a12) == comparison.effect(1 - pair.a12) == "large"
+
+
+def test_equal_groups_differ_by_chance() -> None:
+    found = comparison.of_series({name: ended([7] * 6) for name in "abc"}, "generations")
+    assert {pair.p_holm for pair in found.pairs} == {1.0}
+    assert found.kruskal_p == 1.0
+
+
+def test_many_pairs_are_corrected_after_holm() -> None:
+    assert comparison._holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert comparison._holm([0.9, 0.6]) == [1.0, 1.0]
+
+
+@pytest.mark.parametrize(("groups", "needed"), [(2, 4), (3, 5), (6, 6)])
+def test_for_too_few_runs_the_needed_number_is_reported(groups: int, needed: int) -> None:
+    """With one more than told enough the test is there, with one less it could show nothing."""
+    few = {str(g): ended(range(10 * g, 10 * g + needed - 1)) for g in range(groups)}
+    assert (
+        f"with {needed} or more runs of each" in comparison.of_series(few, "generations").untested
+    )
+    enough = comparison.of_series(
+        {str(g): ended(range(10 * g, 10 * g + needed)) for g in range(groups)}, "generations"
+    )
+    assert enough.untested == ""
+    assert all(pair.p_holm < comparison.LEVEL for pair in enough.pairs)
+
+
+def test_very_many_groups_are_tested_over_all_only() -> None:
+    """A sweep of a hundred settings has a table at once."""
+    found = comparison.of_series(
+        {str(g): ended(range(g, g + 6)) for g in range(100)}, "generations"
+    )
+    assert len(found.rows) == 100
+    assert (found.pairs, found.untested.partition(":")[0]) == (
+        [],
+        "100 groups make 4950 pairs; at most 1000 are tested",
+    )
+    assert found.kruskal_p is not None
+    assert found.kruskal_p < comparison.LEVEL
+
+
+def test_without_scipy_the_table_is_there_and_a_line_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def missing(module: str, extra: str, what: str) -> None:
+        raise ConfigError(f"{what} needs {module.partition('.')[0]}: pip install 'zswarm[{extra}]'")
+
+    monkeypatch.setattr(comparison, "need", missing)
+    found = comparison.of_series({"a": ended(range(5)), "b": ended(range(5))}, "generations")
+    assert len(found.rows) == 2
+    assert found.untested == "the test between groups needs scipy: pip install 'zswarm[plot]'"
+
+
+# ---- recorded runs
+
+
+def test_a_run_that_is_given_twice_is_one_sample(tmp_path: Path) -> None:
+    """By folder, and by history: a second run of the same seed is no second sample."""
+    first, again = written(tmp_path, [1, 2]), written(tmp_path, [1, 2])
+    other = written(tmp_path, [1, 3], seed=2)
+    runs = [Run(folder) for folder in (first, first, again, other)]
+    found = compared(grouping.groups(runs))
+    assert [row.runs for row in found.rows] == [2]
+    assert found.notes == [f"{again} is omitted: its history is that of {first}, bit by bit"]
+
+
+def test_unfinished_runs_are_named(tmp_path: Path) -> None:
+    folder = written(tmp_path, [1, 2], finished=False)
+    begun = written(tmp_path, [], finished=False, seed=2)
+    found = compared(grouping.groups([Run(folder), Run(begun)]))
+    assert found.notes == [
+        f"{folder.name} is not finished: 2 of 3 generations",
+        f"{begun.name} is not finished: 0 of 1 generation",
+    ]
+
+
+def test_the_summary_needs_no_scipy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(comparison, "need", None)
+    groups = grouping.groups(
+        [Run(written(tmp_path, [1, hidden], hidden=hidden)) for hidden in (1, 2)]
+    )
+    assert [(row.group, row.median) for row in compared(groups).rows] == [
+        ("hidden 1", 1.0),
+        ("hidden 2", 2.0),
+    ]
+
+
+# ---- curves
+
+
+def test_a_curve_is_the_median_where_all_runs_have_been() -> None:
+    drawn = curves.curve("a", [run(1, 2, 3), run(3, 4), run(2, 3, 9)], "generation")
+    assert drawn.x.tolist() == [1, 2]
+    assert drawn.median.tolist() == [2, 3]
+    assert drawn.low.tolist() == [1.5, 2.5]
+
+
+def test_a_curve_over_evaluations_takes_what_each_run_had_by_then() -> None:
+    drawn = curves.curve("a", [run(1, 2, 3), run(5, 6, per_generation=75)], "evaluations")
+    assert drawn.x.tolist() == [75, 100, 150]
+    assert drawn.median.tolist() == [3, 3.5, 4.5]
+
+
+def test_a_long_curve_keeps_its_ends_and_its_extremes() -> None:
+    x = np.arange(100_000.0)
+    assert len(curves.thinned(x)) <= curves.POINTS
+    assert curves.thinned(x)[[0, -1]].tolist() == [0, 99_999]
+    y = np.zeros(100_000)
+    y[[12_345, 54_321]], y[777:2000] = (9, -9), NAN
+    kept_x, kept_y = curves.envelope(x, y)
+    assert len(kept_x) <= curves.POINTS
+    assert {9.0, -9.0} <= set(kept_y.tolist())
+    assert (np.diff(kept_x) > 0).all()
+
+
+def test_a_difference_that_no_pair_shows_is_explained() -> None:
+    """Kruskal-Wallis finds one, Mann-Whitney with Holm's correction does not."""
+    groups = {
+        "a": ended([4, 8, 9, 11, 12]),
+        "b": ended([2, 7, 10, 13, 14]),
+        "c": ended([0, 1, 3, 5, 6]),
+    }
+    found = comparison.of_series(groups, "generations")
+    assert found.kruskal_p is not None
+    assert found.kruskal_p < comparison.LEVEL < min(pair.p_holm for pair in found.pairs)
+    assert comparison.disagreement(found).startswith(
+        "That some group differs is shown, but not which"
+    )
+    clear = {
+        "a": ended([10, 11, 12, 13, 14]),
+        "b": ended([15, 16, 17, 18, 19]),
+        "c": ended([0, 1, 2, 3, 4]),
+    }
+    assert comparison.disagreement(comparison.of_series(clear, "generations")) == ""
+    assert comparison.disagreement(found._replace(pairs=[])) == ""

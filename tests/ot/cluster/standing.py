@@ -1,0 +1,52 @@
+"""A connection whose trials have outcomes at once, in this program, to test a run's loop."""
+
+import contextlib
+from collections.abc import Generator, Iterator
+from typing import Any
+
+from zswarm.config.sections import ClusterConfig
+from zswarm.ot.cluster.events import Counted, Retracted
+from zswarm.ot.cluster.remote_server import Standing
+from zswarm.ot.logger import Generation, Result
+from zswarm.ot.workload import Workload
+
+
+class Servers:
+    """Connection and cluster in one; a child class decides the outcomes."""
+
+    standing = Standing(serving=["lab-1"], slots=2, probe=b"digest")
+    options = ClusterConfig()
+
+    def __init__(self) -> None:
+        self.asked: dict[str, Any] = {}
+        self.handed: list[Workload] = []  # in their order
+
+    @contextlib.contextmanager
+    def lease(self, *_args: object, **asked: Any) -> "Iterator[Servers]":
+        self.asked = asked
+        yield self
+
+    def who_computes(self) -> str:
+        return "nobody"
+
+    def wait(self, *_cluster: object) -> Iterator[None]:
+        return iter(())
+
+    rest = wait
+
+    def evaluate(self, workload: Workload) -> Iterator[Counted | Retracted]:
+        self.handed.append(workload)
+        return self.play(workload)
+
+    def play(self, workload: Workload) -> Iterator[Counted | Retracted]:
+        """Fill in the outcomes of the trials that have none."""
+        raise NotImplementedError
+
+
+def result(evolution: Generator[Generation, None, Result]) -> Result:
+    """Of a run that is left to go to its end."""
+    while True:
+        try:
+            next(evolution)
+        except StopIteration as end:
+            return end.value  # type: ignore[no-any-return]

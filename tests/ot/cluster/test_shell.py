@@ -1,0 +1,221 @@
+"""The optimizer's shell around its state machine, against sessions on loopback."""
+
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+import zenoh
+
+from tests.ot.cluster.dispatching import terms
+from zswarm import session
+from zswarm.ot.cluster import links
+from zswarm.ot.cluster.events import Answered, Event, Gone, Seen, Work
+from zswarm.ot.cluster.shell import Cluster, Item
+from zswarm.ot.workload import Workload
+from zswarm.protocol import codec, keys
+from zswarm.protocol.keys import RunKey
+from zswarm.protocol.messages import Lease, Offer, Reply, Verb
+from zswarm.session import Reach
+
+KEY = RunKey("default", "ada", "run-1")
+
+
+OFFER = Offer(
+    server="",
+    program="",
+    machine="",
+    capacity=1,
+    free=1,
+    leases=0,
+    simulators=[],
+    representations=[],
+)
+LEASE = Lease(lease=bytes(16), state="ready", slots=1, ready=1, probe=b"digest", trial_s=1.0)
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def wait_until(condition: Callable[[], bool], what: str) -> None:
+    end = time.monotonic() + 60.0
+    while not condition():
+        assert time.monotonic() < end, f"not within 60 s: {what}"
+        time.sleep(0.01)
+
+
+def sending_to(server: str) -> bool:
+    return any(thread.name == f"send-{server}" for thread in threading.enumerate())
+
+
+def test_the_sender_to_a_server_ends_with_it() -> None:
+    """A server that starts anew is another one: without this, a long run would gather threads."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    listening, _ = session.open_server([endpoint], Reach([], multicast=False))
+    with Cluster(KEY, terms(slots=1), reach=Reach([endpoint], multicast=False)):
+        token = listening.liveliness().declare_token(keys.alive("default", "lab-1"))
+        wait_until(lambda: sending_to("lab-1"), "a server is asked")
+        token.undeclare()
+        wait_until(lambda: not sending_to("lab-1"), "its sender ends")
+    session.close(listening)
+
+
+def test_an_answer_counts_when_it_comes_not_when_the_query_ends(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Zenoh also asks links that are not quite up; a stuck one must not delay other answers."""
+    monkeypatch.setitem(links.QUERY_S, "offer", 3600.0)
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    listening, _ = session.open_server([endpoint], Reach([], multicast=False))
+    offer = Offer(
+        server="lab-1",
+        program="",
+        machine="",
+        capacity=1,
+        free=1,
+        leases=0,
+        simulators=["none"],
+        representations=["none"],
+    )
+    asked: list[zenoh.Query] = []  # and never dropped: no query ends
+
+    def on_query(query: zenoh.Query) -> None:
+        asked.append(query)
+        if len(asked) == 1:
+            query.reply(query.key_expr, codec.encode(offer))
+
+    callback = zenoh.handlers.Callback(on_query, indirect=False)
+    listening.declare_queryable(keys.offer("default", "lab-1"), callback)
+    listening.declare_queryable(keys.requests("default", "lab-1"), callback)
+    token = listening.liveliness().declare_token(keys.alive("default", "lab-1"))
+    with Cluster(KEY, terms(slots=1), reach=Reach([endpoint], multicast=False)):
+        wait_until(
+            lambda: any(str(query.key_expr).endswith("/reserve") for query in asked),
+            "the server is reserved",
+        )
+        for query in asked:
+            query.drop()
+    token.undeclare()
+    session.close(listening)
+
+
+# ---- batches that go without a server's own thread
+
+
+def interrupted(*_: object, **__: object) -> None:
+    raise KeyboardInterrupt
+
+
+class Asking:
+    """A cluster whose sessions send nothing, and who was asked by which thread."""
+
+    def __init__(self, *, through_router: bool = False) -> None:
+        self.cluster = Cluster(
+            KEY,
+            terms(slots=1),
+            reach=Reach(["tcp/127.0.0.1:1"], multicast=False, through_router=through_router),
+        )
+        self.batches: list[tuple[str, str]] = []  # server and thread
+        self._here = threading.current_thread()
+
+    def get(self, key: str, *_: object, **__: object) -> None:
+        """As of a session."""
+        server, verb = key.split("/")[4], key.split("/")[-1]
+        if verb == "evaluate":
+            thread = threading.current_thread()
+            self.batches.append((server, "this one" if thread is self._here else thread.name))
+
+    def feed(self, event: Event) -> None:
+        self.cluster._happened(event, may_send=True)
+
+    def join(self, server: str) -> None:
+        self.cluster._links.home[server] = self  # type: ignore[assignment]
+        self.feed(Seen(server))
+        self.answer(server, "offer", OFFER)
+        self.answer(server, "reserve", LEASE)
+
+    def answer(self, server: str, verb: Verb, reply: Reply | None) -> None:
+        queries = self.cluster._dispatch.out.queries.items()
+        (number,) = [
+            number for number, query in queries if (query.server, query.verb) == (server, verb)
+        ]
+        self.feed(Answered(number, reply))
+
+    def idle(self) -> None:
+        senders = self.cluster._links.senders.values()
+        wait_until(
+            lambda: not any(sender._calls.unfinished_tasks for sender in senders),
+            "nothing is on the way",
+        )
+
+    def work(self, trials: int) -> None:
+        """Until its batches, one for each trial, are on the way."""
+        self.idle()
+        already = len(self.batches)
+        self.feed(
+            Work(Workload([b"g"], np.zeros((trials, 1), int), np.zeros(trials, np.uint64), 0))
+        )
+        wait_until(lambda: len(self.batches) == already + trials, "batches are sent")
+
+    def ctrl_c(self) -> Iterator[Item | None]:
+        """Asked for work, but for Ctrl-C while it is sent."""
+        self.get = interrupted  # type: ignore[method-assign]
+        return self.cluster.evaluate(
+            Workload([b"g"], np.zeros((1, 1), int), np.zeros(1, np.uint64), 0)
+        )
+
+    def close(self) -> None:
+        for sender in self.cluster._links.senders.values():
+            sender.close()
+
+
+@pytest.mark.parametrize(("through_router", "second"), [(False, "this one"), (True, "send-lab-2")])
+def test_a_batch_goes_at_once_while_nothing_is_unanswered_on_its_link(
+    through_router: bool, second: str
+) -> None:
+    """Behind a router, all servers share a link, on which a large batch may wait."""
+    asking = Asking(through_router=through_router)
+    asking.join("lab-1")
+    asking.join("lab-2")
+    asking.work(2)
+    assert sorted(asking.batches) == [("lab-1", "this one"), ("lab-2", second)]
+    asking.close()
+
+
+def test_a_batch_waits_for_the_servers_thread_while_one_is_unanswered() -> None:
+    asking = Asking()
+    asking.join("lab-1")
+    asking.work(2)
+    assert asking.batches == [("lab-1", "this one"), ("lab-1", "send-lab-1")]
+    asking.close()
+
+
+def test_a_server_that_is_back_is_not_taken_for_one_that_owes_answers_or_has_too_many_given() -> (
+    None
+):
+    asking = Asking()
+    asking.join("lab-1")
+    asking.work(1)
+    asking.work(0)  # what is out is cancelled
+    asking.feed(Gone("lab-1"))
+    asking.answer("lab-1", "evaluate", None)
+    asking.join("lab-1")
+    asking.batches.clear()
+    asking.work(2)
+    assert asking.batches == [("lab-1", "this one"), ("lab-1", "send-lab-1")]
+    asking.close()
+
+
+def test_ctrl_c_during_a_submission_is_raised_at_once_and_releases_the_lock() -> None:
+    asking = Asking()
+    asking.join("lab-1")
+    asking.idle()
+    with pytest.raises(KeyboardInterrupt):
+        asking.ctrl_c()
+    assert not asking.cluster._owner.locked()
+    asking.close()

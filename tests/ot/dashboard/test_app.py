@@ -1,0 +1,78 @@
+"""Routes, pages and tabs that are stuck."""
+
+import asyncio
+import re
+from importlib import resources
+from pathlib import Path
+from typing import cast
+
+import pytest
+from starlette.websockets import WebSocket
+
+from tests.ot.written import written
+from zswarm.ot.dashboard import app, broadcast
+from zswarm.ot.dashboard.broadcast import Broadcaster
+from zswarm.ot.dashboard.run_index import RunIndex
+
+
+def test_pages_make_text_and_never_markup() -> None:
+    """No script or style stands in a page, and no text of a record is ever parsed."""
+    pages = {
+        file.name: file.read_text()
+        for file in (resources.files("zswarm.ot.dashboard") / "pages").iterdir()
+    }
+    for name, text in pages.items():
+        for word in (
+            "innerHTML",
+            "outerHTML",
+            "insertAdjacentHTML",
+            "document.write",
+            "eval(",
+            "new Function",
+            "DOMParser",
+            "http://",
+            "https:",
+        ):
+            allowed = (name, word) in {("live.js", "https:")} or (
+                word == "http://" and "http://www.w3.org/2000/svg" in text
+            )
+            assert word not in text or allowed, f"{name}: {word}"
+    page = pages["index.html"]
+    assert re.findall(r"<script(?![^>]* src=)|<style|style=| on\w+=", page) == []
+
+
+class Stuck:
+    """A tab whose connection takes nothing."""
+
+    def __init__(self) -> None:
+        self.query_params: dict[str, str] = {}
+        self.closed: list[int] = []
+
+    async def send_text(self, _text: str) -> None:
+        await asyncio.Event().wait()
+
+    async def receive(self) -> dict[str, str]:
+        await asyncio.Event().wait()
+        raise AssertionError
+
+    async def close(self, code: int, _reason: str) -> None:
+        self.closed.append(code)
+
+
+def test_a_tab_that_is_stuck_is_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the code that tells it to come again, and nobody is followed for it any more."""
+    monkeypatch.setattr(app, "STUCK_S", 0.01)
+    folder = written(tmp_path, [1.0])
+    watched, tab = Broadcaster(RunIndex([tmp_path])), Stuck()
+    asyncio.run(app._serve(cast(WebSocket, tab), watched, "stadium", folder))
+    assert tab.closed == [1013]
+    assert watched._channels == {}
+
+
+def test_there_are_so_many_tabs_and_no_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(broadcast, "TABS", 0)
+    tab = Stuck()
+    asyncio.run(app._serve(cast(WebSocket, tab), Broadcaster(RunIndex([tmp_path])), "", None))
+    assert tab.closed == [1013]

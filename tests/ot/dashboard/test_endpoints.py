@@ -1,0 +1,32 @@
+"""Answers about a run."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.ot.written import written
+from zswarm.errors import ConfigError
+from zswarm.ot.dashboard import endpoints
+from zswarm.ot.record.reader import Run
+
+
+def test_what_an_address_asks_for_must_be_a_number(tmp_path: Path) -> None:
+    run = Run(written(tmp_path, [1.0]))
+    for text in ("", "-1", "1.5", "x", "1" * 40, "\u0663"):
+        with pytest.raises(ConfigError, match="generation: expected a whole number"):
+            endpoints.BY_NAME["generation"](run, {"generation": text})
+    with pytest.raises(
+        LookupError, match="generation 7 has no candidate 0; the record has 1 generations"
+    ):
+        endpoints.candidate(run, {"generation": "7", "candidate": "0"})
+
+
+def test_a_candidate_has_its_network_and_its_trials(tmp_path: Path) -> None:
+    run = Run(written(tmp_path, [1.0]))
+    found = endpoints.candidate(run, {"generation": "0", "candidate": "2"})
+    assert [node["kind"] for node in found["graph"]["nodes"]] == ["input"] * 10 + ["hidden"] * 2 + [
+        "output"
+    ] * 2
+    assert len(found["graph"]["edges"]) == found["edges"] == 4 * 14
+    assert (found["genes"], len(found["numbers"])) == (60, 60)
+    assert [trial["server"] for trial in found["trials"]] == ["lab-1-0123abcd"]

@@ -1,0 +1,66 @@
+"""A tail finds what was added to a record since its last look."""
+
+from pathlib import Path
+
+from tests.ot.written import written
+from zswarm.ot.dashboard.run_index import RunIndex
+from zswarm.ot.dashboard.tail import RecordTail
+from zswarm.ot.notes import Note
+from zswarm.ot.record import control_file as control
+from zswarm.ot.record.writer import Record
+
+
+def test_a_look_finds_what_was_added_since_the_one_before(tmp_path: Path) -> None:
+    """And tells nothing twice."""
+    folder = written(
+        tmp_path,
+        [1.0, 2.0],
+        finished=False,
+        notes=[Note("server_joined", "lab-1-0123abcd", count=4)],
+    )
+    tail = RecordTail(folder)
+    first = tail.look()
+    assert [row[0] for row in first["generations"]] == [0, 1]
+    assert first["state"]["status"] == "stopped"
+    assert (first["state"]["generation"], first["state"]["best"]) == (2, 2.0)
+    assert [event["event"] for event in first["events"]] == ["server_joined"]
+    assert first["servers"][0]["trials"] == 6
+    assert tail.look() == {}
+    record, _ = Record.open(folder)
+    with record:
+        record.note(Note("requeued", count=3))
+        record.note(Note("server_lost", "lab-1-0123abcd"))
+    later = tail.look()
+    assert [event["level"] for event in later["events"]] == ["warning", "error"]
+    assert later["state"]["requeued"] == 3
+    assert (later["servers"][0]["state"], later["servers"][0]["losses"]) == ("lost", 1)
+
+
+def test_running_and_stopped_runs_are_distinguished(tmp_path: Path) -> None:
+    """And one that was asked to pause from both."""
+    folder = written(tmp_path, [1.0], finished=False)
+    tail = RecordTail(folder)
+    assert tail.look()["state"]["status"] == "stopped"
+    record, _ = Record.open(folder)
+    with record:
+        assert tail.look()["state"]["status"] == "running"
+        control.ask(folder, "pause")
+        assert tail.look()["state"]["status"] == "paused"
+        control.forget(folder)
+        assert tail.look()["state"]["status"] == "running"
+    assert tail.look()["state"]["status"] == "stopped"
+
+
+def test_a_record_that_cannot_be_read_is_explained_and_may_become_whole(tmp_path: Path) -> None:
+    folder = written(tmp_path, [1.0])
+    file = folder / "run.sqlite"
+    whole = file.read_bytes()
+    file.write_bytes(whole[:5000])
+    tail, index = RecordTail(folder), RunIndex([tmp_path])
+    state = tail.look()["state"]
+    assert state["status"] == "unreadable"
+    assert "damaged" in state["error"]
+    assert "damaged" in index.rows()[0]["error"]
+    file.write_bytes(whole)
+    assert tail.look()["state"]["status"] == "finished"
+    assert index.rows()[0]["generation"] == 1

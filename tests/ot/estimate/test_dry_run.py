@@ -1,0 +1,163 @@
+"""``zswarm-ot check``: what it predicts of an experiment is what a run does."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from tests.small import playable
+from zswarm import experiment
+from zswarm.ot.build import build
+from zswarm.ot.cli import command
+from zswarm.ot.estimate.dry_run import Explanation, explain
+from zswarm.sims.minisim import Minisim
+
+EXAMPLES = playable(sorted(path.stem for path in experiment.examples_folder().glob("*.toml")))
+
+
+def complete(name: str, *overrides: str) -> experiment.Experiment:
+    path = experiment.find(name)
+    return experiment.complete(experiment.load(path, overrides), str(path))
+
+
+def explained(name: str, *overrides: str) -> Explanation:
+    whole = complete(name, *overrides)
+    return explain(whole, build(whole))
+
+
+def check(*arguments: str) -> str:
+    done = CliRunner().invoke(
+        command, ["check", *arguments], catch_exceptions=False, env={"COLUMNS": "80"}
+    )
+    assert done.exit_code == 0
+    return done.stdout
+
+
+@pytest.mark.parametrize("islands", [1, 3])
+def test_the_evaluations_are_counted_as_the_optimizer_asks_for_them(islands: int) -> None:
+    overrides = ["generations=6", f"optimizer.islands={islands}", "problem.trials=2"]
+    optimizer = build(complete("minisim", *overrides)).optimizer
+    asked = 0
+    for _ in range(6):
+        count = len(optimizer.ask())
+        asked += count
+        optimizer.tell(np.random.default_rng(1).random(count))
+    told = explained("minisim", *overrides)
+    assert (told.evaluations, told.simulations) == (asked, 2 * asked)
+
+
+def test_more_slots_than_trials_of_a_generation_make_nothing_faster() -> None:
+    told = explained("stadium", "cluster.local_slots=1000")
+    assert told.seconds == pytest.approx(200 * told.trial_s), (
+        "a generation takes as long as a trial"
+    )
+    alone = explained("stadium", "cluster.local_slots=1")
+    assert alone.seconds == pytest.approx(alone.evaluations * alone.trial_s)
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides", "warning"),
+    [
+        ("minisim", ["generations=1"], "generations = 1"),
+        ("minisim", ["problem.trials=1"], "trials = 1"),
+        ("stadium", ["problem.trials=10"], "trials = 10: the trials do not differ"),
+        ("minisim", ["optimizer.population=3"], "only 3 candidates"),
+        ("minisim", ["generations=1000000000"], "the record needs about "),
+    ],
+)
+def test_likely_mistakes_are_reported(name: str, overrides: list[str], warning: str) -> None:
+    (told,) = explained(name, *overrides).warnings
+    assert told.startswith(warning)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_examples_have_no_likely_mistakes(name: str) -> None:
+    """An example has no warning, whatever its genomes; the stadium has one trial for all seeds."""
+    told = check(name)
+    assert f"\nthe experiment is fine: zswarm-ot run {name}\n" in told
+    assert " 1 outputs" not in told
+
+
+def test_a_simulator_that_always_fails_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Minisim, "play_lanes", lambda *_arguments: None)  # the outcomes stay NaN
+    (warning,) = explained("minisim").warnings
+    assert warning.startswith("every trial that was tried failed: Minisim, trial seed ")
+    assert warning.endswith(": fitness must be finite, not [nan]; nothing can evolve")
+
+
+def test_the_record_is_about_as_large_as_predicted() -> None:
+    """The measured sizes of three real runs of 50 generations."""
+    for name, size in (("stadium", 716_800), ("minisim", 1_441_792), ("emergency-exit", 1_277_952)):
+        assert explained(name, "generations=50").record_bytes == pytest.approx(size, rel=0.25)
+
+
+def test_check_explains_in_lines_of_the_terminals_width() -> None:
+    text = check("stadium")
+    assert max(map(len, text.splitlines())) <= 80
+    flat = " ".join(text.split())
+    for words in (
+        "stadium: 200 generations, seed 1", "72, all driven by the same genome",
+        "Robots in a room must leave",
+        "10 inputs (exit_dx, exit_dy,", "2 hidden nodes, 2 outputs (vx, vy)",
+        "60 numbers, 240 bytes",
+        "50 candidates in the first generation, then 37", "7,413 evaluations", "bit for bit",
+        "zswarm-ot run stadium",
+    ):  # fmt: skip
+        assert words in flat
+    again = check("minisim", "--set", "generations=1", "--set", "cluster.connect=[]")
+    assert "warning" in again
+    assert again.endswith("zswarm-ot run minisim --set generations=1 --set 'cluster.connect=[]'\n")
+
+
+def test_check_counts_the_runs_of_a_study(tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    grid = '[study]\nrepeat = 5\n[study.grid]\n"optimizer.population" = [20, 40]\n'
+    path.write_text(experiment.find("minisim").read_text() + grid)
+    assert "2 settings, each run 5 times: 10 runs." in " ".join(check(str(path)).split())
+    assert json.loads(check(str(path), "--json"))["runs"] == 10
+    assert "study" not in check("minisim")
+
+
+def test_check_says_the_same_as_json() -> None:
+    told: dict[str, Any] = json.loads(check("minisim", "--json"))
+    assert list(told) == [*Explanation.__struct_fields__]
+    assert (told["evaluations"], told["genome_numbers"]) == (1863, 56)
+
+
+def test_check_looks_for_servers_where_the_experiment_does(tmp_path: Path) -> None:
+    """Here nowhere."""
+    nowhere = ["--set", "cluster.multicast=false", "--servers"]
+    assert json.loads(check("minisim", "--json", *nowhere))["servers"] == []
+    assert "none found in realm default multicast is off" in " ".join(
+        check("minisim", *nowhere).split()
+    )
+
+
+def test_settings_that_differ_by_trial_are_shown() -> None:
+    wide = (
+        "--set",
+        "problem.settings.agents={ from = 5, to = 15 }",
+        "--set",
+        "problem.settings.exits={ choice = [2, 5] }",
+    )
+    shown = " ".join(check("emergency-exit", *wide).split())
+    assert "ranges agents 5 to 15, exits 2 or 5: drawn for each trial from its seed" in shown
+    assert "robots 5 to 15, all driven by the same genome" in shown
+    told = json.loads(check("emergency-exit", "--json", *wide))
+    assert (told["ranges"], told["agents"], told["most_agents"]) == (
+        {"agents": "5 to 15", "exits": "2 or 5"},
+        5,
+        15,
+    )
+    assert "ranges" not in check("emergency-exit").partition("optimizer")[0]
+    assert json.loads(check("emergency-exit", "--json"))["ranges"] == {}
+
+
+def test_ranges_make_the_trials_of_a_world_without_chance_differ() -> None:
+    """So one trial is few, and several are not too many."""
+    shorter = "problem.settings.steps={ from = 20, to = 50 }"
+    assert explained("stadium", shorter).warnings[0].startswith("trials = 1")
+    assert explained("stadium", shorter, "problem.trials=5").warnings == []

@@ -1,0 +1,29 @@
+"""Folders of runs."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.ot.record.recorded import complete, evolve
+from zswarm.ot.record.writer import Record
+
+
+@pytest.fixture
+def record(tmp_path: Path) -> Iterator[Record]:
+    """The record of an active run."""
+    made = Record.create(
+        tmp_path, complete("lab", "problem.trials=2"), "hash", ["escaped", "rounds"]
+    )
+    evolve(made)
+    made.flush()
+    yield made
+    made.close()  # some tests did so themselves
+
+
+@pytest.fixture
+def folder(record: Record) -> Path:
+    """Of a run that ended."""
+    record.set_meta("history_hash", record.history().hex())
+    record.close()
+    return record.folder

@@ -1,0 +1,496 @@
+"""The record: finished generations are on the disk, whatever happens."""
+
+import errno
+import hashlib
+import os
+import sqlite3
+import struct
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from zswarm import experiment
+from zswarm.controller import Controller, load_controller
+from zswarm.errors import ConfigError
+from zswarm.ot.cluster.events import Counted
+from zswarm.ot.notes import Note
+from zswarm.ot.record import database as database_module
+from zswarm.ot.record.folder import load_experiment
+from zswarm.ot.record.history_hash import History
+from zswarm.ot.record.writer import CANDIDATES_AT_ONCE, Record
+from zswarm.ot.workload import Workload
+
+STATISTICS = {"best": 1.0, "mean": float("-inf")}
+CHAMPION = Controller(
+    simulator="emergency-exit", simulator_settings={"steps": 5}, representation="fully-meshed",
+    representation_settings={}, inputs=10, outputs=2, sensors=["n"], actuators=["vx"],
+    genome=b"\0" * 240,
+    fitness=-1.0, run="emergency-exit-0123abcd",
+)  # fmt: skip
+
+
+@pytest.fixture
+def complete() -> experiment.Experiment:
+    return experiment.complete(experiment.load(experiment.find("emergency-exit")), "test")
+
+
+@pytest.fixture
+def record(tmp_path: Path, complete: experiment.Experiment) -> Iterator[Record]:
+    record = Record.create(tmp_path, complete, "hash")
+    yield record
+    record.close()  # some tests did so themselves
+
+
+def workload(candidates: int = 3) -> Workload:
+    genomes = [bytes([i]) * 8 for i in range(candidates)]
+    return Workload(
+        genomes, np.arange(candidates).reshape(-1, 1), np.zeros(candidates, np.uint64), 2
+    )
+
+
+def count(work: Workload, trials: list[int], fitness: float) -> Counted:
+    indices = np.array(trials)
+    work.fitness[indices], work.metrics[indices], work.counted[indices] = fitness, fitness + 1, True
+    return Counted(indices, "lab-01", 0.5)
+
+
+def query(folder: Path, sql: str) -> list[tuple[object, ...]]:
+    """Rows as another program sees them."""
+    database = sqlite3.connect(f"file:{folder / 'run.sqlite'}?mode=ro", uri=True)
+    try:
+        return database.execute(sql).fetchall()
+    finally:
+        database.close()
+
+
+def test_the_same_name_gets_a_folder_of_its_own(
+    tmp_path: Path, record: Record, complete: experiment.Experiment
+) -> None:
+    with Record.create(tmp_path, complete, "hash") as second:
+        assert (record.folder.name, second.folder.name) == ("emergency-exit", "emergency-exit-2")
+        assert second.meta("run_id") != record.meta("run_id")
+
+
+def test_a_run_in_use_is_refused(record: Record) -> None:
+    with pytest.raises(ConfigError, match="another zswarm-ot is at this run"):
+        Record.open(record.folder)
+
+
+def test_the_folder_holds_the_complete_experiment(
+    record: Record, complete: experiment.Experiment
+) -> None:
+    assert load_experiment(record.folder) == complete
+
+
+def test_every_resume_raises_the_epoch(record: Record) -> None:
+    record.close()
+    for epoch in (1, 2):
+        with Record.open(record.folder)[0] as resumed:
+            assert resumed.meta("epoch") == epoch
+
+
+def test_outcomes_of_an_unfinished_generation_come_back(record: Record) -> None:
+    work = workload()
+    record.begin(0, work)
+    record.add(count(work, [2, 0], -1.5), work)
+    again = workload()
+    assert record.restore(again) == 2
+    assert again.counted.tolist() == [True, False, True]
+    assert again.fitness[:, 0].tolist()[::2] == [-1.5, -1.5]
+    assert again.metrics[2].tolist() == [-0.5, -0.5]
+
+
+def test_outcomes_of_other_candidates_are_refused(record: Record) -> None:
+    work = workload()
+    record.begin(0, work)
+    record.add(count(work, [0], 1.0), work)
+    other = workload()
+    other.genomes[1] = b"changed!"
+    record.begin(0, other)
+    with pytest.raises(ConfigError, match="other candidates"):
+        record.restore(other)
+
+
+def test_outcomes_of_other_candidates_can_be_forgotten(record: Record) -> None:
+    """Only those of the current generation; some optimizers are not portable between machines."""
+    for generation in (0, 1):
+        work = workload()
+        record.begin(generation, work)
+        record.add(count(work, [0, 1], 1.0), work)
+    other = workload()
+    other.genomes[1] = b"changed!"
+    assert record.forget_others() == 0
+    record.begin(1, other)
+    assert record.forget_others() == 2
+    assert record.restore(other) == 0
+    record.begin(0, work)
+    assert record.restore(workload()) == 2
+
+
+def test_a_finished_generation_is_read_back_to_the_same_history(record: Record) -> None:
+    told = History()
+    for generation in range(2):
+        genomes, fitness = [b"a%d" % generation, b"b"], np.array([0.1 + generation, np.nan])
+        told.add(genomes, fitness)
+        record.finish(generation, genomes, fitness, STATISTICS, {"at": generation})
+    assert record.history().hex() == told.hex()
+    assert record.resumed() == (2, {"at": 1})
+    assert record.evaluations() == 4
+
+
+def test_a_large_generation_is_recorded_whole_and_in_order(record: Record) -> None:
+    count = 2 * CANDIDATES_AT_ONCE + 1
+    genomes, fitness = [b"%d" % candidate for candidate in range(count)], np.arange(count) / 7
+    record.finish(0, genomes, fitness, STATISTICS, {})
+    rows = query(
+        record.folder,
+        "SELECT candidate, genome, fitness FROM candidates WHERE generation = 0 ORDER BY candidate",
+    )
+    assert rows == list(zip(range(count), genomes, fitness.tolist(), strict=True))
+
+
+def test_the_history_hash_is_blake2b_of_genomes_and_numbers() -> None:
+    history = History()
+    history.add([b"one", b"two"], np.array([1.5, -2.0]))
+    history.add([b"three"], np.array([0.25]))
+    expected = hashlib.blake2b(
+        b"onetwo" + struct.pack("<2d", 1.5, -2.0) + b"three" + struct.pack("<d", 0.25),
+        digest_size=16,
+    )
+    assert history.hex() == expected.hexdigest()
+
+
+def test_measures_come_after_the_fitness_of_their_generation_in_the_history_hash() -> None:
+    history = History()
+    history.add([b"one", b"two"], np.array([1.5, -2.0]), np.array([[3.0, 4.0], [5.0, np.nan]]))
+    history.add([b"three"], np.array([0.25]), np.empty((1, 0)))
+    told = struct.pack("<6d", 1.5, -2.0, 3.0, 4.0, 5.0, np.nan)
+    expected = hashlib.blake2b(
+        b"onetwo" + told + b"three" + struct.pack("<d", 0.25), digest_size=16
+    )
+    assert history.hex() == expected.hexdigest()
+
+
+def test_measures_are_read_back_as_the_optimizer_received_them(record: Record) -> None:
+    """A generation whose optimizer was told none has none, of the right shape."""
+    told = History()
+    fitness, measures = np.array([0.5, np.nan]), np.array([[1.0, np.nan], [-3.0, 1e300]])
+    for generation, these in enumerate((measures, np.empty((2, 0)), None)):
+        told.add([b"a", b"b"], fitness, these)
+        record.finish(generation, [b"a", b"b"], fitness, STATISTICS, {}, these)
+    first, *others = record.told()
+    assert first.measures.tobytes() == measures.tobytes()
+    assert [other.measures.shape for other in others] == [(2, 0), (2, 0)]
+    assert record.history().hex() == told.hex()
+
+
+def test_half_a_generation_is_never_committed(
+    record: Record, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(state: object) -> bytes:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(msgspec.msgpack, "encode", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        record.finish(0, [b"a"], np.array([1.0]), STATISTICS, {})
+    monkeypatch.undo()
+    record.close()
+    with Record.open(record.folder)[0] as resumed:
+        assert resumed.resumed() == (0, None)
+        resumed.finish(0, [b"a"], np.array([1.0]), STATISTICS, {})
+        assert resumed.resumed() == (1, {})
+
+
+def test_statistics_are_json_that_every_reader_takes(record: Record) -> None:
+    record.finish(0, [b"a"], np.array([1.0]), STATISTICS, {})
+    record.close()
+    database = sqlite3.connect(record.folder / "run.sqlite")
+    rows = database.execute(
+        "SELECT json_extract(statistics, '$.best'), json_extract(statistics, '$.mean') FROM "
+        "generations"
+    )
+    assert rows.fetchall() == [(1.0, None)]
+    database.close()
+
+
+def test_events_do_not_count_as_faults(record: Record) -> None:
+    work = workload()
+    record.begin(0, work)
+    record.add(count(work, [0, 1], 1.0), work)
+    record.note(Note("requeued", count=7))
+    assert record.counts() == {"requeued": 7, "faulted": 0, "doubtful": 0}
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        ("trials = 10\n", None),
+        ("seed = 1\n", "seed"),
+        ("severity = 0.3\n", "optimizer"),
+        ("generations = 200\n", ""),
+    ],
+)
+def test_an_edited_experiment_is_refused_if_it_changes_the_history(
+    record: Record, edit: str, words: str | None
+) -> None:
+    record.close()
+    file = record.folder / "experiment.toml"
+    file.write_text(
+        file.read_text().replace(edit, edit.replace("0", "1").replace("= 1\n", "= 4\n"), 1)
+    )
+    if words == "":
+        with Record.open(record.folder)[0] as resumed:
+            assert resumed.meta("epoch") == 1
+        return
+    with pytest.raises(ConfigError, match=f"{words or 'problem'} changed since the run began"):
+        Record.open(record.folder)
+
+
+@pytest.mark.parametrize("schema", [3, 99])
+def test_another_schema_is_refused_with_the_zswarm_that_is_needed(
+    record: Record, schema: int
+) -> None:
+    record.set_meta("schema_version", schema)
+    record.set_meta("zswarm", "7.0")
+    record.close()
+    words = rf"has schema {schema}, of zswarm 7\.0; .* reads schema 4: use the zswarm that made"
+    with pytest.raises(ConfigError, match=words):
+        Record.open(record.folder)
+
+
+def test_what_a_server_computed_wrong_is_forgotten_or_marked(record: Record) -> None:
+    """Outcomes of the current generation are evaluated again; earlier ones become doubtful."""
+    work = workload()
+    record.begin(0, work)
+    record.add(count(work, [0, 1], 1.0), work)
+    record.add(Counted(np.array([2]), "lab-02", 0.5), work)
+    record.begin(1, work)
+    record.add(count(work, [0], 1.0), work)
+    record.add(Counted(np.array([1]), "lab-02", 0.5), work)
+    record.retract("lab-01")
+    again = workload()
+    assert record.restore(again) == 1
+    assert again.counted.tolist() == [False, True, False]
+    record.close()
+    rows = query(record.folder, "SELECT generation, server, doubtful FROM outcomes ORDER BY id")
+    assert rows == [(0, "lab-01", 1), (0, "lab-02", 0), (1, "lab-02", 0)]
+    with Record.open(record.folder)[0] as resumed:
+        resumed.retract("lab-02")
+        assert resumed.evaluations() == 0, "before any generation is begun again"
+    assert query(record.folder, "SELECT server FROM outcomes WHERE generation = 0") == [("lab-01",)]
+
+
+def test_restored_outcomes_are_known_by_their_server(record: Record) -> None:
+    """A server found to compute wrong after a resume loses those of before it, too."""
+    work = workload()
+    record.begin(0, work)
+    record.add(count(work, [2], 1.0), work)
+    again = workload()
+    record.restore(again)
+    assert again.source.tolist() == ["", "", "lab-01"]
+
+
+def test_more_generations_after_the_end_take_the_hash_away_until_they_are_done(
+    record: Record,
+) -> None:
+    record.set_meta("history_hash", "0" * 32)
+    record.close()
+    file = record.folder / "experiment.toml"
+    file.write_text(file.read_text().replace("generations = 200", "generations = 1", 1))
+    database = sqlite3.connect(record.folder / "run.sqlite")
+    database.execute("INSERT INTO generations VALUES (0, 1.0, 1.0, 1.0, 3, '{}')")
+    database.commit()
+    database.close()
+    with Record.open(record.folder)[0] as told_again:
+        assert told_again.meta("history_hash") == "0" * 32
+    file.write_text(file.read_text().replace("generations = 1", "generations = 2", 1))
+    with Record.open(record.folder)[0] as longer:
+        assert longer.meta("history_hash") is None
+
+
+# ---- the disk
+
+
+class Disk:
+    """Of a record: how many pages the database may have, and what the record says of it."""
+
+    def __init__(self, record: Record, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.lines: list[str] = []
+        self.waits = 0
+        self._connection = record._database._connection
+        self._room_after = 0
+        record.say = self.lines.append
+        monkeypatch.setattr(database_module, "COMMIT_S", 0.0)
+        monkeypatch.setattr(database_module, "RETRY_S", 0.0)
+        monkeypatch.setattr(time, "sleep", self._sleep)
+
+    def fill(self, waits: int = 0) -> None:
+        """SQLite reports a full disk until the program has waited so often."""
+        self._room_after = self.waits + waits
+        self._connection.execute("PRAGMA max_page_count = 1")  # no more than there are
+
+    def make_room(self) -> None:
+        self._connection.execute("PRAGMA max_page_count = 1000000")
+
+    def _sleep(self, _seconds: float) -> None:
+        self.waits += 1
+        assert self.waits < 100, "waited for ever"
+        if self.waits == self._room_after:
+            self.make_room()
+
+
+@pytest.fixture
+def disk(record: Record, monkeypatch: pytest.MonkeyPatch) -> Disk:
+    return Disk(record, monkeypatch)
+
+
+def add_many(record: Record, rows: int) -> None:
+    """More than the pages that are there can take."""
+    work = workload(250)
+    record.begin(0, work)
+    for _ in range(rows):
+        record.add(count(work, list(range(250)), 1.0), work)
+
+
+def test_outcomes_that_a_full_disk_does_not_take_are_written_when_there_is_room(
+    record: Record, disk: Disk
+) -> None:
+    disk.fill()
+    add_many(record, 5)
+    assert disk.lines == [f"the disk of {record.folder} is full: waiting for room; nothing is lost"]
+    assert query(record.folder, "SELECT count(*) FROM outcomes") == [(0,)], (
+        "half of what belongs together was written"
+    )
+    assert disk.waits == 0, "the current generation continues"
+    disk.make_room()
+    record.flush()
+    assert disk.lines[1:] == [f"the disk of {record.folder} takes data again: the run continues"]
+    assert query(record.folder, "SELECT id, count FROM outcomes") == [
+        (id_, 250) for id_ in range(1, 6)
+    ]
+    disk.fill()
+    add_many(record, 5)
+    assert len(disk.lines) == 3, "the next time is told again"
+    disk.make_room()
+    record.close()
+    assert query(record.folder, "SELECT event FROM events") == [("disk_waited",)]
+    assert len(disk.lines) == 3, "no line is printed when everything was written"
+
+
+def test_a_generation_ends_when_it_is_on_the_disk(record: Record, disk: Disk) -> None:
+    disk.fill(waits=3)
+    record.finish(0, [b"genome" * 5000], np.array([1.0]), STATISTICS, {"at": 0})
+    assert disk.waits == 3
+    assert query(record.folder, "SELECT generation FROM generations") == [(0,)]
+    assert [line.rpartition(":")[0].split()[-1] for line in disk.lines] == ["full", "again"]
+
+
+def test_a_run_stopped_on_a_full_disk_says_what_is_evaluated_again(
+    record: Record, disk: Disk
+) -> None:
+    disk.fill()
+    add_many(record, 5)
+    record.close()
+    assert disk.lines[1:] == [
+        f"{record.folder} cannot be written (No space left on device): resume evaluates 1250 "
+        f"trials again"
+    ]
+    with Record.open(record.folder)[0] as resumed:
+        assert resumed.meta("epoch") == 1
+
+
+def test_the_champion_waits_for_the_disk_too(
+    record: Record, disk: Disk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record.champion(CHAMPION)
+    fsync, failures = os.fsync, iter(range(2))
+
+    def failing(file: int) -> None:
+        if next(failures, None) is not None:
+            assert load_controller(record.folder) == CHAMPION, "the one before is whole"
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        fsync(file)
+
+    monkeypatch.setattr(os, "fsync", failing)
+    better = msgspec.structs.replace(CHAMPION, fitness=2.0)
+    record.champion(better)
+    assert load_controller(record.folder) == better
+    assert disk.waits == 2
+
+
+def test_what_a_record_writes_may_be_written_twice(
+    record: Record, disk: Disk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A commit reports a failure after the data are on the disk."""
+    transact = database_module.transact
+
+    def done_and_failed(*arguments: object) -> None:
+        transact(*arguments)  # type: ignore[arg-type]
+        monkeypatch.undo()
+        error = sqlite3.OperationalError("disk I/O error")
+        error.sqlite_errorcode = sqlite3.SQLITE_IOERR_FSYNC
+        raise error
+
+    monkeypatch.setattr(database_module, "transact", done_and_failed)
+    work = workload()
+    record.begin(0, work)
+    record.add(count(work, [0, 1, 2], 1.0), work)
+    record.note(Note("requeued", count=7))
+    record.finish(0, work.genomes, np.ones(3), STATISTICS, {})
+    assert query(record.folder, "SELECT id, count FROM outcomes") == [(1, 3)]
+    assert record.counts()["requeued"] == 7
+    assert record.evaluations() == 3
+    assert len(disk.lines) == 2
+
+
+def test_a_folder_that_is_moved_away_ends_the_run(record: Record, tmp_path: Path) -> None:
+    """SQLite would continue to write to it; a resume at the old place would not find it."""
+    record.folder.rename(tmp_path / "moved")
+    with pytest.raises(ConfigError, match="moved, removed or unmounted while the run went on"):
+        record.set_meta("probe", b"x")
+    with pytest.raises(ConfigError, match="moved, removed"):
+        record.close()
+    Record.open(tmp_path / "moved")[0].close()
+
+
+def test_a_folder_that_cannot_be_filled_is_not_left_behind(
+    tmp_path: Path, complete: experiment.Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(file: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(
+        ConfigError,
+        match="cannot be written: No space left on device; choose another place with --out",
+    ):
+        Record.create(tmp_path, complete, "hash")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_record_is_there_as_a_whole_or_not_at_all(
+    tmp_path: Path, complete: experiment.Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A program killed while it makes the folder leaves no half-made record."""
+    replace, seen = Path.replace, []
+
+    def replacing(self: Path, target: Path) -> Path:
+        if target.name == "run.sqlite":
+            assert not target.exists()
+            seen.append(sqlite3.connect(self).execute("SELECT count(*) FROM meta").fetchone()[0])
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", replacing)
+    with Record.create(tmp_path, complete, "hash") as record:
+        assert seen == [8]
+        assert sorted(path.name for path in record.folder.glob("*.part")) == []
+
+
+def test_a_champion_is_read_back_whole(record: Record) -> None:
+    record.champion(CHAMPION)
+    assert load_controller(record.folder) == CHAMPION
+    assert load_controller(record.folder / "champion.zsc") == CHAMPION

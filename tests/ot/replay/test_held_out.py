@@ -1,0 +1,117 @@
+"""Champions on held-out seeds, also if nothing depends on the seed."""
+
+import json
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from tests.ot.written import written
+from zswarm.controller import load_controller
+from zswarm.errors import ConfigError
+from zswarm.ot.cli import command
+from zswarm.ot.replay.held_out import HeldOutResult
+from zswarm.sims.emergency_exit import EmergencyExit
+
+ALIKE = "every trial was the same: nothing in them depends on the seed"
+
+
+def evaluate(folder: Path, *arguments: str) -> str:
+    done = CliRunner().invoke(
+        command,
+        ["evaluate", str(folder), *arguments],
+        catch_exceptions=False,
+        env={"COLUMNS": "80"},
+    )
+    assert done.exit_code == 0
+    return done.stdout
+
+
+def test_it_is_said_where_nothing_depends_on_the_seed(tmp_path: Path) -> None:
+    """Of the stadium, not of one trial, and not of random fields."""
+    folder = written(tmp_path, [1])
+    told = evaluate(folder, "--trials", "3")
+    assert ALIKE in told
+    assert "3 trials" in told
+    assert "unseen" not in told
+    assert ALIKE not in evaluate(folder, "--trials", "1")
+    random = msgspec.structs.replace(
+        load_controller(folder), simulator_settings={"field": "random"}
+    )
+    (tmp_path / "random.zsc").write_bytes(msgspec.msgpack.encode(random))
+    assert "20 held-out trials" in (told := evaluate(tmp_path / "random.zsc", "--trials", "20"))
+    assert ALIKE not in told
+
+
+def test_a_metric_may_have_any_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In JSON it takes the place of no other number."""
+    folder = written(tmp_path, [1])
+    plain = json.loads(evaluate(folder, "--trials", "2", "--json"))
+    monkeypatch.setattr(EmergencyExit, "metrics", ("mean", "trials"))
+    renamed = json.loads(evaluate(folder, "--trials", "2", "--json"))
+    assert set(plain) == {"trials", "mean", "q25", "median", "q75", "metrics"}
+    assert list(renamed.pop("metrics").values()) == list(plain.pop("metrics").values())
+    assert renamed == plain
+
+
+@pytest.mark.parametrize(
+    ("fitness", "metrics", "same"),
+    [
+        ([1, 1], [[2], [2]], True),
+        ([1, 2], [[2], [2]], False),
+        ([1, 1], [[2], [3]], False),
+        ([np.nan, np.nan], [[], []], True),
+    ],
+)
+def test_trials_are_the_same_if_fitness_and_metrics_are(
+    fitness: list[float], metrics: list[list[float]], same: bool
+) -> None:
+    assert (
+        HeldOutResult(
+            np.array(fitness)[:, None], np.array(metrics, np.float64), ("m",)
+        ).all_the_same()
+        is same
+    )
+
+
+def test_a_champion_is_tried_on_other_settings(tmp_path: Path) -> None:
+    """Ranges are drawn from, set and fixed; the champion fixes the rest of the experiment."""
+    folder = written(tmp_path, [1])
+    assert ALIKE in evaluate(folder, "--trials", "8")
+    drawn = evaluate(
+        folder, "--trials", "8", "--set", "problem.settings.steps={ from = 1, to = 50 }"
+    )
+    assert ALIKE not in drawn
+    assert "rounds          mean 1\n" in evaluate(
+        folder, "--trials", "8", "--set", "problem.settings.steps=1"
+    )
+    varied = written(tmp_path / "varied", [1], settings={"steps": {"from": 1, "to": 50}})
+    assert evaluate(varied, "--trials", "8").splitlines()[1:] == drawn.splitlines()[1:]
+    assert "rounds          mean 7\n" in evaluate(varied, "--set", "problem.settings.steps=7")
+
+
+@pytest.mark.parametrize(
+    ("override", "line"),
+    [
+        (
+            "steps=3",
+            "--set steps=3: expected a simulator's setting, such as problem.settings.agents=20",
+        ),
+        (
+            "problem.trials=3",
+            "--set problem.trials=3: expected a simulator's setting, such as "
+            "problem.settings.agents=20",
+        ),
+        ("problem.settings.agents=0", "problem.settings: agents: expected int >= 1"),
+        (
+            "problem.settings.agnets=3",
+            "problem.settings: unknown key 'agnets' (did you mean 'agents'?)",
+        ),
+    ],
+)
+def test_other_settings_are_checked(override: str, line: str, tmp_path: Path) -> None:
+    done = CliRunner().invoke(command, ["evaluate", str(written(tmp_path, [1])), "--set", override])
+    assert isinstance(done.exception, ConfigError)
+    assert str(done.exception).startswith(line)

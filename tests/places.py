@@ -1,0 +1,5 @@
+"""The place of the repository."""
+
+from pathlib import Path
+
+REPOSITORY = Path(__file__).parents[1]

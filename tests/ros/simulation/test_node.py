@@ -1,0 +1,224 @@
+"""The simulation node as a program: trials, silent robots, free-running, slots."""
+
+import itertools
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.robots.trials import built, by_network, by_policy
+from tests.ros.ros_here import need
+from tests.sims import robot_controllers
+from zswarm.errors import EvaluationError
+from zswarm.robots.profiles import profile as profiles
+from zswarm.ros.link import graph
+from zswarm.ros.link.graph import RosGraph
+from zswarm.ros.link.link import Link
+from zswarm.ros.link.messages import Clock, Odometry, ResetWorld, Scan, Velocity
+from zswarm.ros.simulation import simulation
+from zswarm.sims.simulator import Turn
+
+pytestmark = pytest.mark.robots
+
+ROOM = {"robots": 2, "steps": 30, "map": "open"}
+
+
+@pytest.fixture
+def here() -> Iterator[RosGraph]:
+    need("zenoh")
+    with graph.private("zenoh") as private:
+        yield private
+
+
+@contextmanager
+def node(here: RosGraph, *options: str, **settings: Any) -> Iterator["subprocess.Popen[str]"]:
+    """A node, ended with the block if it has not ended."""
+    command = [
+        sys.executable,
+        "-m",
+        "zswarm.ros.simulation.node",
+        "--link",
+        "zenoh",
+        "--profile",
+        "stage_ros2",
+    ]
+    for endpoint in here.dialled().listen:
+        command += ["--listen", endpoint]
+    with subprocess.Popen(
+        [*command, "--settings", json.dumps({**ROOM, **settings}), *options],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    ) as started:  # fmt: skip
+        try:
+            yield started
+        finally:
+            started.kill()
+
+
+def controllers(here: RosGraph) -> Link:
+    return Link(
+        here,
+        profiles.read("stage_ros2"),
+        robots=2,
+        side="controllers",
+        channels=["velocity", "scan", "odometry"],
+    )
+
+
+def test_one_trial_leaves_its_poses_and_its_outcome(here: RosGraph, tmp_path: Path) -> None:
+    """The velocities are those that drive the world in this process."""
+    world = built("turtlebot-exit", **ROOM)
+    turn: Turn | None = world.reset(5)
+    poses = [world.poses.copy()]
+    options = ["--seed", "5", "--poses", str(tmp_path / "poses.npy"), "--channels", "scan,odometry"]
+    with node(here, *options) as started, controllers(here) as link:
+        link.ready(30.0)
+        while turn is not None:
+            seen: dict[str, set[int]] = {"Scan": set(), "Odometry": set()}
+            while not all(robots == {0, 1} for robots in seen.values()):
+                message = link.receive(20.0)
+                assert isinstance(message, Scan | Odometry)
+                seen[type(message).__name__].add(message.robot)
+            link.send(
+                [
+                    Velocity(robot=robot, stamp_ns=0, linear=0.3, angular=robot - 0.5)
+                    for robot in (0, 1)
+                ]
+            )
+            turn = world.drive(np.array([0.3, 0.3]), np.array([-0.5, 0.5]))
+            poses.append(world.poses.copy())
+        said, errors = started.communicate(timeout=30)
+    assert (started.returncode, errors) == (0, "")
+    assert np.load(tmp_path / "poses.npy").tobytes() == np.stack(poses).tobytes()
+    outcome = json.loads(said)
+    assert (outcome["seed"], outcome["steps"], [outcome["fitness"]]) == (
+        5,
+        30,
+        world.outcome().fitness,
+    )
+
+
+def test_a_robot_that_never_answers_is_named(here: RosGraph) -> None:
+    with (
+        node(here, "--seed", "5", "--channels", "scan,odometry", "--deadline-s", "1") as started,
+        controllers(here) as link,
+    ):
+        link.ready(30.0)
+        assert link.receive(20.0) is not None
+        link.send([Velocity(robot=0, stamp_ns=0, linear=0.1, angular=0.0)])
+        _, errors = started.communicate(timeout=30)
+    assert started.returncode == 1
+    assert (
+        errors
+        == "zswarm.ros.simulation.node: no velocity of robot 1 at 0.2 s within 1 s (deadline_s)\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--settings", "{"], "--settings: expected JSON: "),
+        (["--settings", '{"robots": 0}'], "--settings: robots: expected int >= 1"),
+        (
+            ["--channels", "scan,map"],
+            "--channels: expected some of scan, odometry, ground_truth, not 'map'",
+        ),
+        (["--profile", "stage"], "no profile 'stage'"),
+        (["--profile", "stageros"], "the link zenoh speaks ROS 2"),
+    ],
+)
+def test_impossible_settings_are_reported_in_one_line(options: list[str], said: str) -> None:
+    command = [
+        sys.executable,
+        "-m",
+        "zswarm.ros.simulation.node",
+        "--link",
+        "zenoh",
+        "--profile",
+        "stage_ros2",
+        *options,
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert done.stderr.startswith(f"zswarm.ros.simulation.node: {said}")
+
+
+def test_a_free_running_simulation_stops_a_robot_that_nobody_tells_anything(here: RosGraph) -> None:
+    """After 0.2 s of its time, the profile's watchdog_s; its clock goes on."""
+    with node(
+        here, "--mode", "free-running", "--rate", "5", "--channels", "scan,odometry", turn=1.0
+    ):
+        used = ["velocity", "scan", "odometry", "clock", "reset"]
+        with Link(
+            here, profiles.read("stage_ros2"), robots=2, side="controllers", channels=used
+        ) as link:
+            link.ready(30.0)
+            link.send([ResetWorld(seed=3)])
+            moved, told, clock_ns = [], False, 0
+            while clock_ns < 8_000_000_000:
+                message = link.receive(20.0)
+                if isinstance(message, Clock):
+                    clock_ns = message.stamp_ns
+                if isinstance(message, Odometry) and message.robot == 1:
+                    if not told:
+                        link.send(
+                            [Velocity(robot=1, stamp_ns=message.stamp_ns, linear=0.0, angular=1.0)]
+                        )
+                        told = True
+                    moved.append(message.z)
+    turning = [later != sooner for sooner, later in itertools.pairwise(moved)]
+    assert any(turning), "it did what it was told"
+    assert not any(turning[-5:]), "and then stands"
+
+
+def test_a_free_running_simulation_tells_how_late_the_controllers_are() -> None:
+    """At twice real time few are; at 1,000 times most are, and steps are missed."""
+    need("zenoh")
+    late, turns = [], []
+    for rate in (2.0, 1000.0):
+        simulator = built("turtlebot-exit-ros", mode="free-running", rate=rate, **ROOM)
+        played = by_policy(simulator, robot_controllers.turtlebot_exit, 3)
+        simulator.close()
+        late.append(played.outcome.metrics[-1])
+        assert not simulator.repeatable
+        turns.append(len(played.poses) - 1)
+        out, _, seconds, _ = played.outcome.metrics
+        assert seconds == 6.0 or out == 2, "all seconds have passed, or nobody is there"
+    assert late[0] < late[1] <= 1.0
+    assert turns[1] < turns[0] <= 30
+
+
+def test_a_simulation_that_runs_is_driven_by_one_slot(here: RosGraph) -> None:
+    reach = {"launch": "running", "connect": here.connect}
+    with node(here):
+        simulator, other = (built("turtlebot-exit-ros", **ROOM, **reach) for _ in range(2))
+        expected = by_network(built("turtlebot-exit", **ROOM), 6)
+        for _ in range(2):
+            assert by_network(simulator, 6).bits == expected.bits
+        with pytest.raises(
+            EvaluationError,
+            match="another slot drives this simulation; one server with --capacity 1",
+        ):
+            other.reset(1)
+        simulator.close()
+        assert by_network(other, 6).bits == expected.bits
+        other.close()
+
+
+def test_a_simulation_that_is_not_there_is_named(
+    here: RosGraph, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(simulation, "READY_S", 2.0)
+    simulator = built(
+        "turtlebot-exit-ros", **ROOM, launch="running", connect=here.connect, deadline_s=1.0
+    )
+    lacking = "no node subscribes to .*; no node publishes .* after 2 s"
+    with pytest.raises(
+        EvaluationError, match=f"simulator 'turtlebot-exit-ros', trial seed 1: {lacking}"
+    ):
+        simulator.reset(1)

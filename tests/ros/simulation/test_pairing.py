@@ -1,0 +1,78 @@
+"""What is known of robots by their messages."""
+
+import numpy as np
+import pytest
+
+from zswarm.ros.link.messages import Clock, Odometry, Scan
+from zswarm.ros.simulation.pairing import Readings
+from zswarm.sims.turtlebot_exit import ExitTask, TurtlebotExitSettings
+
+INTERFACE = ExitTask(TurtlebotExitSettings(robots=2)).interface
+
+
+def scan(robot: int, stamp_ns: int, metres: float = 1.0) -> Scan:
+    first, spread = (
+        np.float32(-INTERFACE.view / 2),
+        np.float32(INTERFACE.view / (INTERFACE.rays - 1)),
+    )
+    return Scan(
+        robot=robot,
+        stamp_ns=stamp_ns,
+        ranges=np.full(INTERFACE.rays, metres, np.float32),
+        angle_min=float(first),
+        angle_max=-float(first),
+        angle_increment=float(spread),
+        range_min=0.0,
+        range_max=9.0,
+    )
+
+
+def pose(robot: int, stamp_ns: int, *, truth: bool = True) -> Odometry:
+    return Odometry(robot=robot, stamp_ns=stamp_ns, x=1.0, y=2.0, z=0.6, w=0.8, truth=truth)
+
+
+@pytest.fixture
+def readings() -> Readings:
+    return Readings(INTERFACE, truth=True)
+
+
+def test_scan_and_pose_are_needed_from_a_time_on(readings: Readings) -> None:
+    for message in (scan(0, 400), pose(0, 400), scan(1, 400), pose(1, 200)):
+        readings.take(message)
+    assert readings.missing([0, 1], 400) == [1]
+    readings.take(pose(1, 400))
+    assert readings.missing([0, 1], 400) == []
+    assert readings.missing([0, 1], 401) == [0, 1]
+
+
+def test_poses_are_from_one_source(readings: Readings) -> None:
+    readings.take(scan(0, 400))
+    readings.take(pose(0, 400, truth=False))
+    assert readings.missing([0], 400) == [0]
+
+
+def test_the_newest_are_filled_in(readings: Readings) -> None:
+    for message in (scan(1, 200, 3.0), scan(1, 400, 2.0), pose(1, 400)):
+        readings.take(message)
+    scans, poses = np.zeros((2, INTERFACE.rays), np.float32), np.zeros((2, 4))
+    assert readings.fill([1], scans, poses) == 400
+    assert scans.tolist() == [[0.0] * INTERFACE.rays, [2.0] * INTERFACE.rays]
+    assert poses.tolist() == [[0.0] * 4, [1.0, 2.0, 0.6, 0.8]]
+
+
+def test_nothing_is_known_of_before_a_trial(readings: Readings) -> None:
+    for message in (scan(0, 400), pose(0, 400), Clock(stamp_ns=400)):
+        readings.take(message)
+    readings.forget()
+    assert readings.missing([0], 0) == [0]
+    assert readings.clock_ns == 0
+
+
+def test_the_time_is_the_latest_that_a_clock_or_a_scan_told(readings: Readings) -> None:
+    readings.take(Clock(stamp_ns=600))
+    readings.take(scan(0, 400))
+    assert readings.clock_ns == 600
+    readings.take(scan(0, 800))
+    assert readings.clock_ns == 800
+    readings.take(Clock(stamp_ns=700))
+    assert readings.clock_ns == 800, "that clock was late"

@@ -1,0 +1,377 @@
+"""A slot's process and the server's end of it: real processes."""
+
+import math
+import multiprocessing.connection
+import multiprocessing.forkserver
+import os
+import selectors
+import signal
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from tests.small import playable
+from zswarm.evaluate import build
+from zswarm.kernels.random import Stream
+from zswarm.plugins import registry as plugins
+from zswarm.plugins.version_hash import version_hash
+from zswarm.protocol import codec
+from zswarm.protocol.messages import MIN_MEMORY_MB, Evaluate, Outcomes, Part, Reserve
+from zswarm.ss.slots.events import Died, Finished, Prepared, PrepareSlot, RunChunk, Unprepared
+from zswarm.ss.workers import parent
+from zswarm.ss.workers.child import FromSlot, Here
+from zswarm.ss.workers.parent import LONGEST_PAUSE_S, Worker
+
+ANSWER_S = 120.0  # a compiler may be at work
+
+
+class Owner:
+    """An owner that counts the processes that ended."""
+
+    def __init__(self) -> None:
+        self.ended = 0
+
+    def on_message(self, worker: Worker) -> None: ...
+
+    def on_output(self, worker: Worker) -> None: ...
+
+    def on_exit(self, _: Worker) -> None:
+        self.ended += 1
+
+
+def unstarted(memory_mb: int = 1024) -> Worker:
+    return Worker(0, memory_mb, selectors.PollSelector(), Owner())
+
+
+@pytest.fixture
+def new_worker() -> Iterator[Callable[..., Worker]]:
+    parent.start_fork_server()
+    made: list[Worker] = []
+
+    def new(memory_mb: int = 1024) -> Worker:
+        made.append(unstarted(memory_mb))
+        start(made[-1])
+        return made[-1]
+
+    yield new
+    for one in made:
+        one.close()
+        assert set(one._selector.get_map()) <= {one.leaving.sentinel if one.leaving else -1}
+
+
+def prepare(slot: Worker, setup: Reserve, *, probe: bool = False, known: bool = False) -> None:
+    slot.prepare(PrepareSlot(0, setup, probe, known))
+
+
+def reserve(
+    simulator: str = "minisim", representation: str = "fully-meshed", trial_memory_mb: int = 0
+) -> Reserve:
+    return Reserve(
+        nonce=bytes(16),
+        epoch=0,
+        slots=1,
+        simulator=Part(simulator, {}),
+        representation=Part(representation, {}),
+        version_hash=version_hash(simulator, representation),
+        trial_timeout_s=1.0,
+        trial_memory_mb=trial_memory_mb,
+    )
+
+
+def start(slot: Worker) -> None:
+    """Start a process and wait until it is here."""
+    slot.start()
+    assert not slot.here
+    assert answer(slot) == Here(0)
+    assert slot.here
+
+
+def die(slot: Worker) -> None:
+    os.kill(pid(slot), signal.SIGKILL)
+    while not isinstance(answer(slot), Died):
+        pass
+
+
+def answer(of: Worker) -> FromSlot | None:
+    assert of.pipe is not None
+    assert of.pipe.poll(ANSWER_S)
+    return of.receive()
+
+
+TOO_LARGE = {
+    ("pettingzoo", "mealy")
+}  # a machine's table has a row for each combination of 18 inputs
+
+
+def pairs() -> Iterator[Any]:
+    """Of bundled simulators and representations: each part in one; all others are long."""
+    simulators, representations = (
+        playable(plugins.BUNDLED["simulator"]),
+        list(plugins.BUNDLED["representation"]),
+    )
+    for row, simulator in enumerate(simulators):
+        for column, representation in enumerate(representations):
+            if (simulator, representation) in TOO_LARGE:
+                continue
+            first = row % len(representations) == column or column % len(simulators) == row
+            yield pytest.param(simulator, representation, marks=[] if first else pytest.mark.long)
+
+
+def pid(of: Worker) -> int:
+    """Its number, which the thread that started it may learn after it said that it is here."""
+    assert of._process is not None
+    end = time.monotonic() + ANSWER_S
+    while of._process.pid is None:
+        assert time.monotonic() < end
+        time.sleep(0.001)
+    return of._process.pid
+
+
+def limit(of: Worker, name: str) -> str:
+    lines = Path(f"/proc/{pid(of)}/limits").read_text().splitlines()
+    return next(line for line in lines if line.startswith(name)).removeprefix(name).split()[0]
+
+
+@pytest.mark.parametrize(("simulator", "representation"), [*pairs()])
+def test_bundled_parts_work_with_the_least_memory_that_may_be_asked_for(
+    simulator: str, representation: str, new_worker: Callable[..., Worker]
+) -> None:
+    slot = new_worker()
+    prepare(slot, reserve(simulator, representation, MIN_MEMORY_MB), probe=True)
+    prepared = answer(slot)
+    assert isinstance(prepared, Prepared), prepared
+    assert len(prepared.probe) == 16
+    assert limit(slot, "Max data size") == str(MIN_MEMORY_MB << 20)
+    assert limit(slot, "Max core file size") == "0"
+    assert int(Path(f"/proc/{pid(slot)}/oom_score_adj").read_text()) >= 500
+    network = build(simulator, {}, representation, {})[1]
+    genomes = network.random(3, Stream(1))
+    participants, seeds = np.arange(3, dtype="<u4").tobytes(), bytes(24)
+    batch = Evaluate(
+        lease=bytes(16), batch=5, genomes=genomes, participants=participants, seeds=seeds
+    )
+    fitness = []
+    for first, end in ((0, 3), (0, 1), (1, 2), (2, 3)):
+        slot.run(RunChunk(0, codec.cut(batch, first, end), first))
+        finished = answer(slot)
+        assert isinstance(finished, Finished)
+        assert isinstance(finished.reply, Outcomes)
+        fitness.append(finished.reply.fitness)
+    assert len(fitness[0]) == 3 * 8
+    assert b"".join(fitness[1:]) == fitness[0], "a trial that is played alone decides the same"
+
+
+def test_a_process_gets_the_servers_memory_by_default(
+    new_worker: Callable[..., Worker],
+) -> None:
+    slot = new_worker(700)
+    prepare(slot, reserve(), probe=False)
+    assert isinstance(answer(slot), Prepared)
+    assert limit(slot, "Max data size") == str(700 << 20)
+
+
+def test_a_process_refuses_code_that_changed_since_the_server_started(
+    new_worker: Callable[..., Worker],
+) -> None:
+    slot = new_worker()
+    prepare(slot, msgspec.structs.replace(reserve(), version_hash="0" * 32))
+    refused = answer(slot)
+    assert isinstance(refused, Unprepared)
+    assert refused.reason.startswith(
+        "files of minisim, fully-meshed or zswarm changed after the server was started; "
+    )
+
+
+def test_a_process_is_prepared_once(new_worker: Callable[..., Worker]) -> None:
+    """What a problem left behind takes no memory from the next one."""
+    slot = new_worker()
+    prepare(slot, reserve(), probe=False)
+    answer(slot)
+    first = pid(slot)
+    prepare(slot, reserve("emergency-exit"), probe=False)
+    assert (slot.pipe, slot.start_at) == (None, 0.0)
+    start(slot)
+    assert isinstance(answer(slot), Prepared)
+    assert pid(slot) != first
+
+
+def test_the_same_problem_keeps_the_process(new_worker: Callable[..., Worker]) -> None:
+    """A run that is started again is served at once; the probe is played again."""
+    slot = new_worker()
+    prepare(slot, reserve(), probe=False)
+    answer(slot)
+    first = pid(slot)
+    prepare(slot, reserve(), probe=True, known=True)
+    prepared = answer(slot)
+    assert isinstance(prepared, Prepared)
+    assert prepared.probe
+    assert pid(slot) == first
+
+
+@pytest.mark.parametrize(
+    ("number", "words"),
+    [
+        (
+            signal.SIGKILL,
+            "was killed by signal 9 (SIGKILL; the machine may have run out of memory)",
+        ),
+        (signal.SIGSEGV, "was killed by signal 11 (SIGSEGV)"),
+        (signal.SIGRTMIN + 3, f"was killed by signal {signal.SIGRTMIN + 3}"),
+    ],
+)
+def test_the_reason_says_how_a_process_ended(
+    number: int, words: str, new_worker: Callable[..., Worker]
+) -> None:
+    slot = new_worker()
+    os.kill(pid(slot), number)
+    died = answer(slot)
+    assert isinstance(died, Died)
+    assert died.reason.partition("; it wrote")[0] == f"the slot's process {words}"
+
+
+def test_a_process_that_keeps_dying_early_is_started_after_growing_pauses(
+    new_worker: Callable[..., Worker],
+) -> None:
+    slot = new_worker()
+    pauses = []
+    for _ in range(12):
+        die(slot)
+        pauses.append(slot.start_at - time.monotonic())
+        start(slot)
+    assert pauses[0] <= 0.0, "the first time at once"
+    assert sorted(pauses[:7]) == pauses[:7]
+    assert LONGEST_PAUSE_S / 2 < pauses[-1] <= LONGEST_PAUSE_S
+    prepare(slot, reserve(), probe=False)
+    assert isinstance(answer(slot), Prepared)
+    die(slot)
+    assert slot.start_at <= time.monotonic(), "one that answered is replaced at once"
+
+
+def test_a_message_waits_for_the_next_process_unless_that_is_killed(
+    new_worker: Callable[..., Worker],
+) -> None:
+    slot = new_worker()
+    die(slot)
+    prepare(
+        slot,
+        msgspec.structs.replace(reserve(), simulator=Part("nothing-of-this-name", {})),
+        probe=True,
+    )
+    slot.kill()
+    prepare(slot, reserve(), probe=True)
+    start(slot)
+    assert isinstance(answer(slot), Prepared)
+
+
+def test_a_process_that_cannot_be_started_is_tried_again(
+    new_worker: Callable[..., Worker], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slot = new_worker()
+    slot.kill()
+    with monkeypatch.context() as patch:
+        patch.setattr(parent._context, "Process", Unborn)
+        for _ in range(2):
+            slot.start()
+            assert answer(slot) is None
+            assert slot.missing_from(0.0) == math.inf
+        assert slot.pipe is None
+        assert slot.pauses(time.monotonic())
+    start(slot)
+    prepare(slot, reserve(), probe=False)
+    assert isinstance(answer(slot), Prepared)
+
+
+class Unborn:
+    """A process where there is no room for one."""
+
+    def __init__(self, **_: object) -> None:
+        pass
+
+    def start(self) -> None:
+        raise BlockingIOError("no more processes")
+
+
+def test_a_suspended_fork_server_does_not_block_the_loop(new_worker: Callable[..., Worker]) -> None:
+    """Its sentinel tells when a killed process is gone; a missing process is reported."""
+    slot, fresh = new_worker(), unstarted()
+    process = slot._process
+    forking = multiprocessing.forkserver._forkserver._forkserver_pid  # type: ignore[attr-defined]  # private
+    os.kill(forking, signal.SIGSTOP)
+    try:
+        begin = time.monotonic()
+        slot.kill()
+        fresh.start()
+        prepare(fresh, reserve(), probe=False)
+        assert time.monotonic() - begin < 2.0
+        assert slot.leaving is process
+        assert math.isinf(slot.start_at), "the one before it is not gone"
+        slot.look()
+        now = time.monotonic() + 60.0
+        assert slot.missing_from(30.0) < now < slot.missing_from(90.0)
+        assert fresh.missing_from(30.0) < now < fresh.missing_from(90.0)
+        assert slot.missing_reason() == "its killed process does not go away"
+        assert fresh.missing_reason() == "the fork server does not start its process"
+    finally:
+        os.kill(forking, signal.SIGCONT)
+    assert slot.leaving is not None
+    assert multiprocessing.connection.wait([slot.leaving.sentinel], ANSWER_S)
+    slot.look()
+    start(slot)
+    assert answer(fresh) == Here(0)
+    assert isinstance(answer(fresh), Prepared)
+    assert slot.missing_from(30.0) == fresh.missing_from(30.0) == math.inf
+    fresh.close()
+
+
+def test_a_process_that_is_killed_before_it_started_ends_by_itself(
+    new_worker: Callable[..., Worker],
+) -> None:
+    slot = new_worker()
+    slot.kill()
+    slot.start()
+    early = slot._process
+    assert early is not None
+    slot.kill()
+    start(slot)
+    assert slot._process is not early
+    early.join(ANSWER_S)
+    assert early.exitcode is not None
+
+
+def test_the_output_of_a_process_is_read_but_for_floods(new_worker: Callable[..., Worker]) -> None:
+    """Whole lines, the first twenty; the last one is told when it ends before it answered again."""
+    slot = new_worker()
+
+    def say(text: bytes) -> list[str]:
+        with Path(f"/proc/{pid(slot)}/fd/1").open("wb") as said:
+            said.write(text)
+        return slot.read_output()
+
+    assert say(b"one\n\ntwo, beg") == ["one"]
+    assert say(b"un\n\xff\n") == ["two, begun", "\\xff"]
+    assert say(b"".join(b"%d\n" % number for number in range(100))) == [
+        *(str(number) for number in range(17)),
+        "... further output is not logged",
+    ]
+    assert say(b"x" * 60_000 + b"\n") == []
+    assert slot.read_output() == [], "there is nothing more to hear"
+    assert say(b"last words") == []
+    os.kill(pid(slot), signal.SIGKILL)
+    died = answer(slot)
+    assert isinstance(died, Died)
+    assert died.reason.endswith("; it wrote: last words")
+
+
+def test_a_process_leads_a_session(
+    new_worker: Callable[..., Worker],
+) -> None:
+    """So what it starts is known, and it is over when it ends."""
+    slot = new_worker()
+    assert os.getsid(slot.session) == slot.session == pid(slot)
+    slot.close()
+    assert slot.session == 0

@@ -1,0 +1,232 @@
+"""``[study]`` in an experiment file: its variants in order, and mistakes in it."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.small import SMALL, small, study
+from zswarm import experiment
+from zswarm.config.sections import StudyConfig
+from zswarm.errors import ConfigError, UnknownPlugin
+from zswarm.experiment import complete, load, to_toml, variants
+
+
+def settings(folder: Path, text: str) -> list[dict[str, Any]]:
+    return [variant.settings for variant in variants(study(folder, text), "small.toml")]
+
+
+def refusal(folder: Path, text: str) -> str:
+    with pytest.raises(ConfigError) as refused:
+        study(folder, text)
+    assert "\n" not in str(refused.value)
+    return str(refused.value).removeprefix(f"{folder}/")
+
+
+def test_a_file_without_a_study_has_one_variant(tmp_path: Path) -> None:
+    alone = study(tmp_path, "")
+    (variant,) = variants(alone, "small.toml")
+    assert variant == ({}, alone)
+    assert alone.study == StudyConfig()
+    assert "study" not in to_toml(alone)
+
+
+def test_a_grid_has_every_combination_with_the_last_key_fastest(tmp_path: Path) -> None:
+    text = '[study.grid]\n"optimizer.population" = [50, 100]\n"representation.hidden" = [1, 2]'
+    made = variants(study(tmp_path, text), "small.toml")
+    assert [tuple(variant.settings.values()) for variant in made] == [
+        (50, 1),
+        (50, 2),
+        (100, 1),
+        (100, 2),
+    ]
+    assert [variant.experiment.optimizer.settings["population"] for variant in made] == [
+        50,
+        50,
+        100,
+        100,
+    ]
+    assert [variant.experiment.representation.settings["hidden"] for variant in made] == [
+        1,
+        2,
+        1,
+        2,
+    ]
+    assert all(variant.experiment.study == StudyConfig() for variant in made)
+
+
+def test_a_list_may_contain_the_unchanged_experiment(tmp_path: Path) -> None:
+    text = '[[study.list]]\n[[study.list]]\n"representation.hidden" = 5\n"generations" = 9'
+    made = variants(study(tmp_path, text), "small.toml")
+    assert [variant.settings for variant in made] == [
+        {},
+        {"representation.hidden": 5, "generations": 9},
+    ]
+    assert [variant.experiment.generations for variant in made] == [3, 9]
+
+
+def test_a_nested_table_equals_a_dotted_path(tmp_path: Path) -> None:
+    assert settings(tmp_path, "[study.grid]\noptimizer.population = [5, 6]") == [
+        {"optimizer.population": 5},
+        {"optimizer.population": 6},
+    ]
+    assert settings(tmp_path, "[[study.list]]\n[study.list.problem.settings]\nagents = 3") == [
+        {"problem.settings.agents": 3}
+    ]
+
+
+def test_a_study_round_trips_with_the_same_variants(tmp_path: Path) -> None:
+    for text in (
+        '[study]\nrepeat = 3\n[study.grid]\n"problem.settings.agents" = [1, 2]',
+        "[[study.list]]\n[[study.list]]\ngenerations=9",
+    ):
+        whole = study(tmp_path, text)
+        written = tmp_path / "written.toml"
+        written.write_text(to_toml(whole))
+        again = complete(load(written), "written.toml")
+        assert again == whole
+        assert variants(again, "x") == variants(whole, "x")
+
+
+def test_a_variant_of_another_kind_has_the_defaults_of_that_kind(tmp_path: Path) -> None:
+    """So a file with every default written out has the same variants as the original."""
+    other = '"problem.simulator" = "minisim"\n"problem.settings.robots" = 2'
+    text = f"[problem.settings]\nagents = 3\n[[study.list]]\n{other}\n[[study.list]]"
+    made = variants(study(tmp_path, text), "small.toml")
+    assert made[0].experiment.problem.settings["robots"] == 2
+    assert "agents" not in made[0].experiment.problem.settings
+    assert made[1].experiment.problem.settings["agents"] == 3
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[study]\nrepeat = 0", "study.repeat: expected int >= 1"),
+        ("[study]\nrepeat = 10001", "study.repeat: expected int <= 10000"),
+        ("[study]\nat_once = -1", "study.at_once: expected int >= 0"),
+        (
+            "[study]\nrepeats = 2",
+            "study: unknown key 'repeats' (did you mean 'repeat'?); known are: repeat, at_once, ",
+        ),
+        ("study = 3", ""),
+        ("[study]\nlist = 3", "study.list: expected array, got int"),
+        ("[study]\nlist = [3]", "study.list[0]: expected object, got int"),
+        ("[study]\ngrid = [3]", "study.grid: expected object, got array"),
+        ("[study.grid]\ngenerations = 3", "study.grid[...]: expected array, got int"),
+        (
+            "[study.grid]\ngenerations = []",
+            "study.grid: generations: expected a list of at least one value",
+        ),
+        (
+            "[study.grid]\ngenerations = [3]\n[[study.list]]\ngenerations = 4",
+            "study: expected a grid or a list of settings, not both",
+        ),
+        (
+            "[study.grid]\nseed = [1, 2]",
+            "study.grid: seed: the runs of a setting have the seeds seed, seed + 1, ...; give ",
+        ),
+        (
+            "[[study.list]]\nname = 'x'",
+            "study.list: 'name': expected generations, or a path below problem, ",
+        ),
+        (
+            "[study.grid]\n'cluster.realm' = ['a']",
+            "study.grid: 'cluster.realm': expected generations, or a path ",
+        ),
+        (
+            "[study.grid]\n'study.repeat' = [1]",
+            "study.grid: 'study.repeat': expected generations, or a path ",
+        ),
+        (
+            "[study.grid]\n'optimiser.population' = [1]",
+            "study.grid: 'optimiser.population' (did you mean 'optimizer'?)",
+        ),
+        (
+            "[study.grid]\n'optimizer..x' = [1]",
+            "study.grid: 'optimizer..x': expected generations, or a path ",
+        ),
+        ("[study.grid]\n'' = [1]", "study.grid: '': expected generations, or a path "),
+        (
+            '[study.grid]\n"optimizer.\\u001b[2J." = [1]',
+            "study.grid: 'optimizer.\\x1b[2J.': expected generations, ",
+        ),
+        (
+            "[study.grid]\n'optimizer.population' = [50]\noptimizer.population = [60]",
+            "study.grid: optimizer.population is given twice",
+        ),
+        ("[study.grid]\n" + "a." * 50 + "a = [1]", "study.grid: nested too deep"),
+        (
+            "[study.grid]\n'optimizer.populatoin' = [50, 100]",
+            "study: with optimizer.populatoin = 50: optimizer: unknown key 'populatoin' (did you ",
+        ),
+        (
+            "[study.grid]\n'representation.hidden' = [1, 2, 3, 4, 5, 6, '7']",
+            'study: with representation.hidden = "7": representation: hidden: expected int, got ',
+        ),
+        (
+            "[study.grid]\n'problem.trials' = [1, 0]",
+            "study: with problem.trials = 0: problem.trials: expected int >= 1",
+        ),
+        (
+            "[study.grid]\n'generations' = [1, 1]",
+            "study: the same setting twice: generations = 1, and generations = 1",
+        ),
+        (
+            "[[study.list]]\n[[study.list]]\n'optimizer.population' = 50",
+            "study: the same setting twice: nothing changed, and optimizer.population = 50",
+        ),
+        (
+            "[study]\nrepeat = 5001\n[study.grid]\ngenerations = [1, 2]",
+            "study: 10,002 runs; expected 10,000 at most",
+        ),
+        (
+            "[study.grid]\n'optimizer' = [1]",
+            "study: with optimizer = 1: optimizer: expected object, got int",
+        ),
+        (
+            "[study.grid]\n'problem.trials.x' = [1]",
+            "study: with problem.trials.x = 1: trials is not a table",
+        ),
+    ],
+)
+def test_an_impossible_study_is_refused_in_one_line(
+    tmp_path: Path, text: str, message: str
+) -> None:
+    if text == "study = 3":
+        path = tmp_path / "small.toml"
+        path.write_text(text + SMALL)
+        with pytest.raises(ConfigError, match=r"study: expected object, got int"):
+            load(path)
+        return
+    refused = re.sub(r"^small.toml:(\d+:)? ", "", refusal(tmp_path, text))
+    assert refused.startswith(message)
+
+
+def test_an_unknown_kind_in_a_late_setting_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(
+        UnknownPlugin,
+        match=r"study: with optimizer.kind = \"ngna\": optimizer.kind: unknown optimizer 'ngna'",
+    ):
+        study(tmp_path, '[study.grid]\n"optimizer.kind" = ["nnga", "ngna"]')
+
+
+def test_seeds_beyond_the_last_one_are_refused(tmp_path: Path) -> None:
+    path = small(tmp_path)
+    last = experiment.LAST_SEED
+    assert load(path, [f"seed={last - 2}", "study.repeat=3"]).study.repeat == 3
+    with pytest.raises(
+        ConfigError, match=r"study: repeat: expected seed \+ repeat - 1, the last seed, to be"
+    ):
+        load(path, [f"seed={last - 2}", "study.repeat=4"])
+
+
+def test_long_values_are_shortened_in_errors(tmp_path: Path) -> None:
+    assert len(refusal(tmp_path, f"[study.grid]\n'problem.trials' = ['{'x' * 5000}']")) < 200
+
+
+def test_options_set_a_study(tmp_path: Path) -> None:
+    path = small(tmp_path)
+    assert (
+        load(path, ["study.grid.optimizer.population=[5, 6]", "study.repeat=2"]).study.runs() == 4
+    )

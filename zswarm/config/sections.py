@@ -1,0 +1,206 @@
+"""The tables of an experiment file: keys, types, limits, defaults and meaning (docs/experiment.md).
+
+``zswarm-ot init`` and the tables of the document show the descriptions.
+"""
+
+import itertools
+import math
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from zswarm.config.meta import about, above, within
+from zswarm.protocol.messages import MIN_MEMORY_MB, Megabytes
+
+Positive = Annotated[int, Meta(ge=1, le=1_000_000_000)]
+MAX_RUNS = 10_000  # of a study
+ABSOLUTE = "absolute"  # the default ranking
+KindName = Annotated[
+    str, about("name of one (`zswarm-ot list`); its settings follow in the same table")
+]
+
+
+class ProblemConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[problem]``: how a candidate is judged. Its fitness is the sum over its trials."""
+
+    simulator: Annotated[str, about("name of a simulator (`zswarm-ot list`)")]
+    trials: Annotated[int, within(1, 100_000, "trials that judge each candidate")] = 1
+    seeds: Annotated[
+        Literal["fixed", "fresh"],
+        about("seeds of the trials: the same for the whole run, or new in each generation"),
+    ] = "fixed"
+    settings: Annotated[
+        dict[str, Any], about("settings of the simulator: `[problem.settings]`, below")
+    ] = {}
+
+
+class PartKind(msgspec.Struct, frozen=True, kw_only=True):
+    """``[representation]`` and ``[optimizer]`` without the settings of their kind."""
+
+    kind: KindName
+
+
+class RankingKind(msgspec.Struct, frozen=True, kw_only=True):
+    """``[ranking]`` without the settings of its kind."""
+
+    kind: KindName = ABSOLUTE
+
+
+class PartConfig(msgspec.Struct, frozen=True, kw_only=True):
+    """``[representation]``, ``[optimizer]`` or ``[ranking]``."""
+
+    kind: str
+    settings: dict[str, Any]
+
+
+class ClusterConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[cluster]``: who computes. Nothing in it changes the result."""
+
+    realm: Annotated[
+        str, Meta(description="servers of the same realm are used", extra={"type": "id"})
+    ] = "default"
+    servers: Annotated[
+        Literal["auto", "local"] | Positive,
+        about(
+            '"auto": this machine\'s slots and every server found; "local": this '
+            "machine's slots only; a number: wait for as many servers, 10 s at most, and use no "
+            "slots of this machine"
+        ),
+    ] = "auto"
+    connect: Annotated[
+        list[str],
+        about(
+            "endpoints to dial: servers that multicast does not reach, or a router; "
+            'such as "tcp/192.168.1.5:7467". Protocols: `tcp`, `tls`, `quic`, `ws`, `udp`, '
+            "`unixsock-stream`"
+        ),
+    ] = []
+    multicast: Annotated[bool, about("find servers by multicast")] = True
+    through_router: Annotated[
+        bool,
+        about(
+            "reach the servers only through a router: one of `connect`, or one that "
+            "multicast finds ([network.md](network.md)); does not affect this machine's slots"
+        ),
+    ] = False
+    local_slots: Annotated[
+        int, within(0, 65_535, 'slots of this machine under "auto" and "local"; 0: one per core')
+    ] = 0
+    require: Annotated[
+        list[str],
+        about(
+            "conditions that the labels of servers must meet, including this machine's "
+            'slots, such as `["gpu=yes", "room=b12|b13", "name!=lab-3", "cores>=8"]`; others are '
+            "not used ([mixed.md](mixed.md))"
+        ),
+    ] = []
+    rank: Annotated[
+        list[str],
+        about(
+            "which servers are preferred, most important first: a condition "
+            '(`"gpu=yes"`), or a label whose higher number comes first (`"cores"`; `"-cores"`: '
+            "the lower) ([mixed.md](mixed.md))"
+        ),
+    ] = []
+    max_slots: Annotated[
+        int,
+        within(
+            0,
+            1_000_000_000,
+            "slots that a run holds at the same time, including this machine's; the best by "
+            "`rank`. 0: all",
+        ),
+    ] = 0
+    trial_timeout_s: Annotated[
+        float, above(0, 1e9, "seconds by the wall clock after which a trial is a fault")
+    ] = 300.0
+    trial_memory_mb: Annotated[
+        Megabytes,
+        Meta(
+            description="memory of a slot's process in MB, including about 100 for itself; a trial "
+            "that needs more is a fault, and servers that have less per slot are not used. 0: what "
+            "each server gives",
+            extra={"type": f"int, 0 or {MIN_MEMORY_MB} to 2^40"},
+        ),
+    ] = 0
+    on_fault: Annotated[
+        Literal["pause", "quarantine"],
+        about(
+            "what to do when a trial failed three times by a crash, a timeout or a "
+            'lack of memory: "pause" stops the run (exit code 1; `resume` tries again); '
+            '"quarantine" counts the trial as NaN, continues, and marks the result as faulted'
+        ),
+    ] = "pause"
+    verify: Annotated[
+        float,
+        within(
+            0,
+            1,
+            "share of the trials that a second server evaluates as well; see "
+            '[protocol.md](protocol.md), "Verification"',
+        ),
+    ] = 0.0
+    controller: Annotated[
+        Literal["server", "optimizer"],
+        about(
+            'where candidates decide: "server": servers receive genomes and play whole '
+            'trials; "optimizer": this program decides, and servers ask it in every turn of a '
+            "trial, which takes some hundred times as long "
+            "([protocol.md](protocol.md#the-controller-at-the-optimizer))"
+        ),
+    ] = "server"
+    messages: Annotated[
+        Literal["turn", "agent"],
+        about(
+            'what servers ask with `controller = "optimizer"`: "turn": one question '
+            'for all agents that act; "agent": one for each'
+        ),
+    ] = "turn"
+
+    def __post_init__(self) -> None:
+        if self.messages != "turn" and self.controller != "optimizer":
+            raise ValueError(
+                f'messages: expected "turn" unless controller is "optimizer", not "{self.messages}"'
+            )
+        memory = self.trial_memory_mb
+        if 0 < memory < MIN_MEMORY_MB:
+            raise ValueError(
+                f"trial_memory_mb: expected 0 or at least {MIN_MEMORY_MB}, not {memory}"
+            )
+
+
+class StudyConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[study]``: several runs of one file. It takes no part in the history of any."""
+
+    repeat: Annotated[
+        int, within(1, MAX_RUNS, "runs of each setting, with the seeds `seed`, `seed` + 1, ...")
+    ] = 1
+    at_once: Annotated[
+        int, within(0, 100, "runs at the same time; 0: as many as keep the slots busy")
+    ] = 0
+    grid: Annotated[
+        dict[str, list[Any]],
+        about(
+            'paths and their values, such as `"optimizer.population" = [50, 100]`: '
+            "every combination is a setting"
+        ),
+    ] = {}
+    listed: Annotated[
+        list[dict[str, Any]],
+        about(
+            "instead of a grid, the settings one by one: `[[study.list]]`, each with "
+            "the paths and values that it changes"
+        ),
+    ] = msgspec.field(default_factory=list, name="list")
+
+    def settings(self) -> list[dict[str, Any]]:
+        """Return the changes of each setting, by path; the last key of the grid varies fastest."""
+        if self.listed:
+            return [dict(setting) for setting in self.listed]
+        rows = itertools.product(*self.grid.values())
+        return [dict(zip(self.grid, row, strict=True)) for row in rows]
+
+    def runs(self) -> int:
+        """Return the number of runs."""
+        return self.repeat * (len(self.listed) or math.prod(map(len, self.grid.values())))

@@ -1,0 +1,1 @@
+"""Compiled kernels: what authors of simulators and networks import."""

@@ -1,0 +1,136 @@
+"""Declare kernels, which numba compiles on first call; results are bitwise equal on all machines.
+
+Only ``compiler.py`` imports numba, so a process that evaluates nothing starts without it. With
+``ZSWARM_PLAIN=1`` kernels remain Python functions, which compute the same bits slowly: for tests.
+"""
+
+import contextlib
+import functools
+import os
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from zswarm.kernels.lanes import sqrt
+from zswarm.kernels.signatures import (
+    STEP,
+    STEP_SIGNATURE,
+    Step,
+    array,
+    float32,
+    float64,
+    int32,
+    int64,
+    uint8,
+    uint64,
+    void,
+)
+
+__all__ = [
+    "STEP", "STEP_SIGNATURE", "Compiled", "Step", "array", "compile_all", "float32", "float64",
+    "inline", "int32", "int64", "interpreted", "kernel", "sqrt", "uint8", "uint64", "void",
+]  # fmt: skip
+
+PLAIN = os.environ.get("ZSWARM_PLAIN", "") == "1"
+if PLAIN:
+    np.seterr(over="ignore")  # kernels rely on integers that wrap
+
+
+class Compiled:
+    """A function that is compiled on first call, or when a kernel that calls it is compiled.
+
+    Attributes:
+        py_func: the Python function.
+        signature: as ``void`` returns it; with None, numba compiles once per combination of
+            argument types.
+        options: further options of ``numba.njit``.
+    """
+
+    py_func: Callable[..., Any]
+
+    def __init__(
+        self, function: Callable[..., Any], signature: tuple[Any, ...] | None, **options: Any
+    ) -> None:
+        functools.update_wrapper(self, function)
+        self.py_func, self.signature, self.options = function, signature, options
+        self._takes_step = signature is not None and STEP in signature[:1]
+
+    @functools.cached_property
+    def dispatcher(self) -> Any:
+        """Return numba's dispatcher; compile the function on first access."""
+        from zswarm.kernels import compiler  # imports numba, which takes a third of a second
+
+        return compiler.compiled(self.py_func, self.signature, self.options)
+
+    @property
+    def _numba_type_(self) -> Any:
+        """Return the numba type; numba asks for it when a kernel refers to the function."""
+        return self.dispatcher._numba_type_
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call the compiled function, or the Python function inside ``interpreted``."""
+        if _interpreting:
+            return self.py_func(*arguments)
+        if self._takes_step and isinstance(arguments[0], Compiled):
+            return self.dispatcher(arguments[0].dispatcher, *arguments[1:])
+        return self.dispatcher(*arguments)
+
+
+_interpreting = False
+_kernels: list[Compiled] = []
+
+
+def kernel(signature: tuple[Any, ...]) -> Any:
+    """Declare a function that is called from Python, with its signature.
+
+    It is compiled strictly: no fast-math, no reordering, division by zero as in numpy.
+    """
+
+    def declare(function: Callable[..., Any]) -> Any:
+        if PLAIN:
+            return function
+        # A step makes no arrays, so numba need not count references to its arguments.
+        options = {"_nrt": False} if signature == STEP_SIGNATURE else {}
+        _kernels.append(Compiled(function, signature, **options))
+        return _kernels[-1]
+
+    return declare
+
+
+def inline(function: Any = None, *, counts: bool = True, inner: bool = False) -> Any:
+    """Declare a function that kernels call.
+
+    Args:
+        counts: if False, the function is inlined and numba does not count references to arrays,
+            which takes two atomic additions for each array argument or row. Such a function must
+            neither make nor return arrays, nor call one that does.
+        inner: if True, only compiled functions may call it, which saves a sixth of the compile
+            time; a call from Python crashes.
+    """
+    if function is None:
+        return functools.partial(inline, counts=counts, inner=inner)
+    if PLAIN:
+        return function
+    options: dict[str, Any] = {} if counts else {"_nrt": False, "forceinline": True}
+    if inner:
+        options |= {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    return Compiled(function, None, **options)
+
+
+def compile_all() -> None:
+    """Compile all kernels of the imported modules, so that no trial waits for the compiler."""
+    for declared in _kernels:
+        _ = declared.dispatcher
+
+
+@contextlib.contextmanager
+def interpreted() -> Iterator[None]:
+    """Run kernels as Python functions: a few steps take less time than importing the compiler."""
+    global _interpreting  # kernels are shared by the whole process
+    _interpreting = True
+    try:
+        with np.errstate(over="ignore"):
+            yield
+    finally:
+        _interpreting = False

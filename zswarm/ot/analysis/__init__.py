@@ -1,0 +1,1 @@
+"""Curves, comparisons and figures of runs."""

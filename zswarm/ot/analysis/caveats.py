@@ -1,0 +1,19 @@
+"""Caveats that a reader of a run's results has to know."""
+
+from zswarm.ot.record.folder import EXPERIMENT
+from zswarm.ot.record.reader import Run
+from zswarm.system.format import plural
+
+
+def caveats(run: Run) -> list[str]:
+    """Return why the experiment may have another history when it is run again."""
+    (faulted, doubtful), source, changed = run.marked(), run.meta.get("imported_from"), run.changed
+    wrong = "came from a server that was later proved to compute wrong."
+    found = {
+        f"The run was imported, not evolved here: {source}.": source,
+        f"{plural(faulted, 'trial')} failed by what a machine did, and counted as failed.": faulted,
+        f"{plural(doubtful, 'trial')} {wrong}": doubtful,
+        f"{EXPERIMENT} was changed after the run began ({', '.join(changed)}); this page shows "
+        "what was run.": changed,
+    }
+    return [text for text, applies in found.items() if applies]

@@ -1,0 +1,256 @@
+"""Compare groups of runs: medians and quartiles, and whether a difference may be chance.
+
+Tests: Mann-Whitney U on the best fitness of runs (Mann and Whitney 1947), Kruskal-Wallis over more
+than two groups, Holm's correction for many pairs (Holm 1979). The size of an effect is Vargha and
+Delaney's A12 (2000). Only the tests need scipy.
+"""
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from zswarm.errors import ConfigError
+from zswarm.ot.analysis import curves
+from zswarm.ot.analysis.curves import Groups, Series
+from zswarm.system.extras import need
+from zswarm.system.format import plural
+
+By = Literal["generations", "evaluations"]
+LEVEL = 0.05  # of significance
+PERMUTATIONS = 15_000  # at most, if ties forbid the exact distribution
+MAX_PAIRS = 1000
+EXACT = 100  # runs of a group up to which the exact distribution is computed
+KRUSKAL = 5  # runs of each group from which on its asymptotic distribution is accurate
+UNEQUAL = 1.1  # ratio of evaluations from which on a note warns
+EFFECTS = ((0.56, "negligible"), (0.64, "small"), (0.71, "medium"))  # by A12; above: large
+SCORES = (
+    "candidates of these runs played each other: their fitness is a score, which compares within "
+    "one generation only; zswarm-ot evaluate RUN --against RUN has two champions play each other"
+)
+
+
+class Row(NamedTuple):
+    """A group: the best fitness of each run at the compared point. None: every candidate failed."""
+
+    group: str
+    runs: int
+    median: float | None
+    q25: float | None
+    q75: float | None
+    best: float | None
+    worst: float | None
+    evaluations: float  # per run up to that point, the median
+    seconds: float  # likewise
+
+
+class Pair(NamedTuple):
+    """Two groups, tested."""
+
+    first: str
+    second: str
+    u: float  # Mann-Whitney's U of the first
+    p: float  # two-sided
+    p_holm: float  # corrected for the number of pairs
+    a12: float  # probability that a run of the first beats one of the second, ties count half
+    method: str  # exact, permutation or asymptotic
+
+
+class Comparison(NamedTuple):
+    """All groups and pairs."""
+
+    by: By
+    at: float  # generations or evaluations
+    rows: list[Row]
+    pairs: list[Pair]
+    kruskal_p: float | None  # over all groups, if there are more than two and large enough
+    untested: str  # why there is no test, or ""
+    notes: list[str]  # for the reader of the numbers
+
+
+class _Sample(NamedTuple):
+    best: np.ndarray  # (runs,)
+    evaluations: np.ndarray
+    seconds: np.ndarray
+
+
+def of_series(groups: Groups, by: By, notes: Sequence[str] = ()) -> Comparison:
+    """Compare groups at the largest number of generations (or evaluations) that all runs have.
+
+    Args:
+        notes: of ``curves.load``, which return among those of the comparison.
+
+    Raises:
+        ConfigError: no run finished a generation, there is no such number, or fitness is relative.
+    """
+    started = curves.started(groups)
+    if not started:
+        raise ConfigError("no run finished a generation yet: there is nothing to compare")
+    runs = [run for members in started.values() for run in members]
+    if any(run.relative for run in runs):
+        raise ConfigError(SCORES)
+    axis: curves.Axis = "generation" if by == "generations" else "evaluations"
+    ends = {float(curves.positions(run, axis)[-1]) for run in runs}
+    at = min(ends)
+    samples = {group: _sample(members, axis, at) for group, members in started.items()}
+    rows = [_row(group, sample) for group, sample in samples.items()]
+    pairs, kruskal_p, untested = _test({name: sample.best for name, sample in samples.items()})
+    notes = [*notes, *_notes(samples, rows, by, ends)]
+    return Comparison(by, at, rows, pairs, kruskal_p, untested, notes)
+
+
+def effect(a12: float) -> str:
+    """Name the size of an effect."""
+    size = max(a12, 1.0 - a12)
+    return next((name for bound, name in EFFECTS if size < bound), "large")
+
+
+def describe(pair: Pair) -> str:
+    """Describe the result of a test in plain words."""
+    better, worse, chance = pair.first, pair.second, pair.a12
+    if chance < 0.5:
+        better, worse, chance = pair.second, pair.first, 1.0 - pair.a12
+    if pair.p_holm < LEVEL:
+        return (
+            f"{better} is better than {worse}: a run of it wins with {100 * chance:.0f} % "
+            f"({effect(chance)} effect); were they equal, chance would give this much in "
+            f"{share(pair.p_holm)} of experiments"
+        )
+    return (
+        f"no difference between {pair.first} and {pair.second} is shown: it may be chance, or more "
+        "runs are needed"
+    )
+
+
+def disagreement(found: Comparison) -> str:
+    """Explain a significant test over all groups without a significant pair; else return ""."""
+    pairs_show = any(pair.p_holm < LEVEL for pair in found.pairs)
+    if found.kruskal_p is None or found.kruskal_p >= LEVEL or not found.pairs or pairs_show:
+        return ""
+    return (
+        "That some group differs is shown, but not which: the test of each pair, corrected for "
+        "their number, is stricter. More runs may show it."
+    )
+
+
+def share(p: float) -> str:
+    """Format a probability as a percentage."""
+    return "less than 0.1 %" if p < 0.001 else f"{100 * p:.2g} %"
+
+
+def p_value(p: float) -> str:
+    """Format a probability as papers print it: ``p = 0.012``, ``p < 0.001``."""
+    return "p < 0.001" if p < 0.001 else f"p = {p:.2g}" if p >= 0.1 else f"p = {p:.3f}"
+
+
+def runs_needed(pairs: int = 1) -> int:
+    """Return how many runs per group a significant difference takes at least."""
+    return next(n for n in itertools.count(2) if pairs * _least_p(n, n) < LEVEL)
+
+
+def _sample(runs: Sequence[Series], axis: curves.Axis, at: float) -> _Sample:
+    found = []
+    for run in runs:
+        last = curves.last_before(run, axis, at)
+        if last < 0:
+            raise ConfigError(
+                f"no number of evaluations is common to all runs: one has {at:.0f} in all, "
+                "another's first generation more"
+            )
+        found.append((run.best[last], run.evaluations[last], run.seconds[last]))
+    return _Sample(*np.array(found).T)
+
+
+def _row(group: str, sample: _Sample) -> Row:
+    spent = float(np.median(sample.evaluations)), float(np.median(sample.seconds))
+    return Row(group, len(sample.best), *curves.spread(sample.best), *spent)
+
+
+def _notes(
+    samples: Mapping[str, _Sample], rows: Sequence[Row], by: By, ends: set[float]
+) -> list[str]:
+    notes, spent = [], [row.evaluations for row in rows]
+    if by == "generations" and len(ends) > 1:
+        least = plural(int(min(ends)), "generation")
+        notes.append(f"runs are of unequal length: compared after {least}, which all have")
+    if by == "generations" and max(spent) > UNEQUAL * min(spent):
+        notes.append(
+            "groups took different numbers of evaluations; zswarm-ot compare --by evaluations "
+            "compares them after equally many"
+        )
+    if any(np.isneginf(sample.best).any() for sample in samples.values()):
+        notes.append("runs in which every candidate failed count as the worst")
+    return notes
+
+
+def _test(samples: Mapping[str, np.ndarray]) -> tuple[list[Pair], float | None, str]:
+    """Return the pairs, p over all groups, and why there is no test."""
+    if len(samples) < 2:
+        return [], None, ""
+    pairs = list(itertools.combinations(samples, 2))
+    sizes = {group: len(sample) for group, sample in samples.items()}
+    smallest, count = min(sizes.values()), len(pairs)
+    untested = ""
+    if count > MAX_PAIRS:
+        untested = (
+            f"{len(samples)} groups make {count} pairs; at most {MAX_PAIRS} are tested: "
+            "compare fewer groups"
+        )
+    elif all(count * _least_p(sizes[a], sizes[b]) >= LEVEL for a, b in pairs):
+        untested = (
+            f"a difference between two groups can be shown with {runs_needed(count)} or more runs "
+            f"of each; the smallest here has {smallest}"
+        )
+    overall = len(samples) > 2 and smallest >= KRUSKAL
+    if untested and not overall:
+        return [], None, untested
+    try:
+        stats = need("scipy.stats", "plot", "the test between groups")
+    except ConfigError as error:
+        return [], None, str(error)
+    tested = []
+    if not untested:
+        tested = [_mann_whitney(stats, a, samples[a], b, samples[b]) for a, b in pairs]
+    corrected = _holm([pair.p for pair in tested])
+    tested = [pair._replace(p_holm=p) for pair, p in zip(tested, corrected, strict=True)]
+    return tested, _kruskal(stats, list(samples.values())) if overall else None, untested
+
+
+def _mann_whitney(stats: Any, first: str, a: np.ndarray, second: str, b: np.ndarray) -> Pair:
+    ranks = stats.rankdata(np.concatenate([a, b]))  # scipy's test does not take -inf
+    a, b = ranks[: len(a)], ranks[len(a) :]
+    distinct = len(np.unique(ranks))
+    if distinct == 1:
+        return Pair(first, second, len(a) * len(b) / 2, 1.0, 1.0, 0.5, "exact")
+    name = method = "asymptotic"
+    if distinct == len(ranks) and max(len(a), len(b)) <= EXACT:
+        name = method = "exact"
+    elif distinct < len(ranks) and math.comb(len(ranks), len(a)) <= PERMUTATIONS:
+        name, method = "permutation", stats.PermutationMethod(n_resamples=PERMUTATIONS)
+    result = stats.mannwhitneyu(a, b, alternative="two-sided", method=method)
+    u = float(result.statistic)
+    return Pair(first, second, u, min(1.0, float(result.pvalue)), 1.0, u / (len(a) * len(b)), name)
+
+
+def _kruskal(stats: Any, samples: Sequence[np.ndarray]) -> float:
+    ranks = stats.rankdata(np.concatenate(samples))
+    if len(np.unique(ranks)) == 1:
+        return 1.0
+    parts = np.split(ranks, np.cumsum([len(sample) for sample in samples])[:-1])
+    return float(stats.kruskal(*parts).pvalue)
+
+
+def _holm(p: Sequence[float]) -> list[float]:
+    """Multiply the k-th smallest of m by m - k + 1; the results never decrease."""
+    corrected, least = [0.0] * len(p), 0.0
+    for place, index in enumerate(sorted(range(len(p)), key=lambda index: p[index])):
+        least = max(least, min(1.0, (len(p) - place) * p[index]))
+        corrected[index] = least
+    return corrected
+
+
+def _least_p(m: int, n: int) -> float:
+    """Return the smallest two-sided p: all runs of one group beat all of the other."""
+    return 2 / math.comb(m + n, m)

@@ -1,0 +1,182 @@
+"""Learning curves as figures for papers, without pyplot: threads and notebooks are not affected.
+
+The same runs and the same matplotlib give the same bytes.
+"""
+
+import contextlib
+import importlib.util
+import io
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, get_args
+
+from zswarm.errors import ConfigError
+from zswarm.ot.analysis import comparison, curves, drawing
+from zswarm.ot.analysis.comparison import Comparison
+from zswarm.ot.analysis.curves import Axis, Curve, Groups, Series
+from zswarm.ot.analysis.drawing import MAX_GROUPS, SIZES, CurveLine, Plot, Size
+from zswarm.system.extras import need
+from zswarm.system.files import write_for_user
+from zswarm.system.format import plural
+from zswarm.system.text import clean
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FORMATS = ("pdf", "svg", "png")
+PICTURE = "fitness.png"  # in a run's folder
+BAND = 3  # runs from which on quartiles are drawn
+DPI = 300
+
+
+def of_series(
+    groups: Groups,
+    axis: Axis = "generation",
+    size: Size = "column",
+    title: str = "",
+    lowest: float | None = None,
+) -> "Figure":
+    """Draw learning curves: of one run best and mean, of repeats median and quartiles of the best.
+
+    Args:
+        lowest: fitness at the bottom of the vertical axis; None: all are shown.
+
+    Raises:
+        ConfigError: no run finished a generation, there are too many groups, none reaches
+            ``lowest``, or matplotlib is missing.
+        ValueError: there is no such axis or size.
+    """
+    for name, value, known in (("x", axis, get_args(Axis)), ("size", size, tuple(SIZES))):
+        if value not in known:
+            raise ValueError(f"{name}: expected {_either(known)}, not {value!r}")
+    if len(groups) > MAX_GROUPS:
+        raise ConfigError(
+            f"{len(groups)} groups of runs are too many for one figure; at most {MAX_GROUPS} can "
+            "be distinguished"
+        )
+    drawn = curves.curves(groups, axis)
+    runs = [run for members in groups.values() for run in members if len(run.best)]
+    if len(runs) == 1:
+        lines, note, height = _of_one(runs[0], drawn[0], axis), "", "fitness"
+    else:
+        lines = [_line(curve, alone=len(drawn) == 1) for curve in drawn]
+        note, height = _note(groups, drawn, axis), "best fitness"
+    if any(run.relative for run in runs):
+        height = "score in its generation"
+    return drawing.draw(Plot(lines, axis, height, title, note, lowest), SIZES[size])
+
+
+def save(figure: "Figure", path: Path) -> None:
+    """Write a figure into a file in the format that its ending names.
+
+    Raises:
+        ConfigError: another ending, or it cannot be written.
+    """
+    write_for_user(path, render(figure, format_of(path)))
+
+
+def for_notebooks(figure: "Figure") -> "Figure":
+    """Return the figure, which notebooks can now show without pyplot."""
+    figure._repr_svg_ = lambda: render(figure, "svg").decode()  # type: ignore[attr-defined]
+    return figure
+
+
+def format_of(path: Path) -> str:
+    """Return the format that a file's ending names; raise ConfigError if it names none."""
+    ending = path.suffix.lower().removeprefix(".")
+    if ending not in FORMATS:
+        endings = _either([f".{known}" for known in FORMATS])
+        raise ConfigError(f"{path}: expected a name that ends in {endings}")
+    return ending
+
+
+def render(figure: "Figure", as_format: str) -> bytes:
+    """Return a file: fonts as TrueType in PDF, letters as paths in SVG, no dates."""
+    matplotlib = need("matplotlib", "plot", "plot")
+    content = io.BytesIO()
+    dates = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": None}
+    settings = {"pdf.fonttype": 42, "svg.fonttype": "path", "svg.hashsalt": "zswarm"}
+    with drawing.LOCK, matplotlib.rc_context(settings):
+        figure.savefig(content, format=as_format, dpi=DPI, metadata=dates[as_format])
+    return content.getvalue()
+
+
+def plain_style() -> None:
+    """Ignore the user's own style of matplotlib; for programs of ours only."""
+    need("matplotlib", "plot", "plot").rcdefaults()
+
+
+def save_picture(folder: Path, say: Callable[[str], None]) -> None:
+    """Write ``fitness.png`` into the folder of a run or study.
+
+    Before the first generation, or without the extra ``plot``, no picture is written.
+
+    Args:
+        say: called with a line if it cannot be drawn, which is not an error.
+    """
+    from zswarm.ot.analysis import grouping
+    from zswarm.ot.record.run_index import runs_below
+
+    if importlib.util.find_spec("matplotlib") is None:
+        return
+    try:
+        groups, _ = curves.load(grouping.groups(runs_below([folder], [])))
+        if curves.started(groups):
+            save(of_series(groups, title=folder.resolve().name), folder / PICTURE)
+    except Exception as error:  # the run is over and safe: nothing that drawing raises may end it
+        what = str(error) if isinstance(error, ConfigError) else f"{type(error).__name__}: {error}"
+        say(f"no {PICTURE}: {clean(what)}")
+
+
+def table(groups: Groups, axis: Axis) -> tuple[list[str], list[list[object]]]:
+    """Return the numbers that a figure shows: names of the columns, and rows."""
+    header = ["group", "runs", axis if axis != "time" else "seconds", "median", "q25", "q75"]
+    rows: list[list[object]] = []
+    for curve in curves.curves(groups, axis):
+        columns = (curve.x, curve.median, curve.low, curve.high)
+        for x, *values in zip(*(column.tolist() for column in columns), strict=True):
+            # The record counts generations from 0.
+            place = x if axis == "time" else int(x) - (axis == "generation")
+            rows.append([curve.group, curve.runs, place, *values])
+    return header, rows
+
+
+def tested(found: Comparison) -> str:
+    """Return the result of the test as a note below a figure, or ""."""
+    when = f"after {found.at:,.0f} {found.by if found.at != 1 else found.by.removesuffix('s')}"
+    if found.kruskal_p is not None:
+        return f"Kruskal-Wallis {when}: {comparison.p_value(found.kruskal_p)}"
+    if len(found.pairs) != 1:
+        return ""
+    pair = found.pairs[0]
+    p, a12 = comparison.p_value(pair.p), max(pair.a12, 1 - pair.a12)
+    return f"Mann-Whitney U {when}: {p}, A12 = {a12:.2f}"
+
+
+def _either(words: Sequence[str]) -> str:
+    return f"{', '.join(words[:-1])} or {words[-1]}"
+
+
+def _of_one(run: Series, best: Curve, axis: Axis) -> list[CurveLine]:
+    x, mean = curves.envelope(curves.positions(run, axis), run.mean)
+    top = "best of the generation" if run.relative else "best so far"
+    return [CurveLine(top, best.x, best.median), CurveLine("population mean", x, mean, noisy=True)]
+
+
+def _line(curve: Curve, *, alone: bool) -> CurveLine:
+    label = f"median of {plural(curve.runs, 'run')}" if alone else curve.group
+    band = (curve.low, curve.high) if curve.runs >= BAND else None
+    return CurveLine(label, curve.x, curve.median, band)
+
+
+def _note(groups: Groups, drawn: Sequence[Curve], axis: Axis) -> str:
+    """Return what the bands are, and the result of the test."""
+    parts = []
+    if counts := [curve.runs for curve in drawn if curve.runs >= BAND]:
+        least, most = min(counts), max(counts)
+        many = f"{least}" if least == most else f"{least} to {most}"
+        parts.append(f"bands: quartiles of {many} runs{' each' if len(drawn) > 1 else ''}")
+    by: comparison.By = "generations" if axis == "generation" else "evaluations"
+    with contextlib.suppress(ConfigError):  # no number of evaluations in common: no test
+        parts.append(tested(comparison.of_series(groups, by)))
+    return "\n".join(filter(None, parts))

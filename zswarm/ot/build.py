@@ -1,0 +1,61 @@
+"""Build the parts that an experiment names."""
+
+import contextlib
+from typing import NamedTuple
+
+from zswarm.config.decode import convert
+from zswarm.errors import ConfigError, ZswarmError
+from zswarm.experiment import Experiment
+from zswarm.kernels.random import derive_seed
+from zswarm.ot.optimizers.optimizer import Optimizer
+from zswarm.ot.problem import Problem
+from zswarm.plugins import registry
+
+
+class Parts(NamedTuple):
+    """The problem and the optimizer of a run."""
+
+    problem: Problem
+    optimizer: Optimizer
+
+
+def build(complete: Experiment) -> Parts:
+    """Build the parts of a complete experiment.
+
+    Raises:
+        ConfigError: a part refuses its settings, or they do not fit together.
+    """
+    problem = Problem(complete)
+    kind, name, simulator = complete.optimizer.kind, complete.problem.simulator, problem.simulator
+    loaded = registry.load("optimizer", kind)
+    settings = convert(complete.optimizer.settings, loaded.settings_type, "optimizer")
+    seed = derive_seed(complete.seed, "optimizer")
+    optimizer: Optimizer = loaded(settings, problem.representation, seed)
+    for measure in optimizer.measures:
+        if measure not in simulator.metrics:
+            known = ", ".join(simulator.metrics) or "none"
+            raise ConfigError(
+                f"optimizer: measures: {name} has no metric {measure!r}; it has: {known}"
+            )
+    if problem.ranking.relative and not optimizer.competes:
+        raise ConfigError(
+            f"optimizer: {kind} compares fitness between generations, but scores of "
+            f"{complete.ranking.kind} compare only within one; optimizers that take them: "
+            f"{', '.join(_competing())}"
+        )
+    optimizer.relative = problem.ranking.relative
+    if optimizer.candidates is not None and optimizer.candidates < simulator.participants:
+        raise ConfigError(
+            f"optimizer: {kind} asks for {optimizer.candidates} candidates, but a game of {name} "
+            f"takes {simulator.participants}"
+        )
+    return Parts(problem, optimizer)
+
+
+def _competing() -> list[str]:
+    """Return the installed optimizers that take scores, which compare within a generation only."""
+    found = []
+    for name in registry.names("optimizer"):
+        with contextlib.suppress(ZswarmError):
+            found += [name] * registry.load("optimizer", name).competes
+    return found

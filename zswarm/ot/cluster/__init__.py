@@ -1,0 +1,1 @@
+"""Dispatching trials to servers."""

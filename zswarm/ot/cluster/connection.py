@@ -1,0 +1,265 @@
+"""The servers that a user's runs and evaluations share.
+
+This machine's slots start first, and load while this program does; so heavy modules are imported
+when they are needed.
+"""
+
+import atexit
+import contextlib
+import functools
+import getpass
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, Self
+
+from zswarm.config.sections import ClusterConfig
+from zswarm.errors import Stopped
+from zswarm.experiment import slots_of_this_machine
+from zswarm.ot.cluster.local import LocalServer
+from zswarm.protocol import keys
+from zswarm.protocol.keys import RunKey
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from zswarm.ot.cluster.shell import Cluster, Item
+    from zswarm.ot.evaluator import CandidateEvaluator, CandidateOutcomes
+    from zswarm.ot.problem import Problem
+    from zswarm.session import Reach
+
+
+WAIT_FOR_SERVERS_S = 10.0  # for the number of servers that is asked for
+
+
+class Connection:
+    """Servers for any number of runs and evaluations, from entering to leaving.
+
+    Attributes:
+        options: which servers.
+        local: this machine's slots; None where none are asked for.
+        runs: the threads of the runs that hold slots now.
+        using: the clusters that hold leases now.
+        closed: for good; what still runs ends within a moment.
+    """
+
+    def __init__(self, options: ClusterConfig) -> None:
+        self.options = options
+        self.local: LocalServer | None = None
+        self.runs: list[int] = []
+        self.using: set[Cluster] = set()
+        self.closed = False
+        self._hinted = threading.Event()  # the user knows that no server is found
+        self._evaluator: CandidateEvaluator | None = None
+        self._lock = threading.Lock()  # opening and closing, by any thread
+
+    def __repr__(self) -> str:
+        who = self.who_computes().removeprefix("waiting for ").removeprefix(", and ")
+        return f"<zswarm.Connection: {'closed' if self.closed else who or 'not open'}>"
+
+    def __enter__(self) -> Self:
+        self.open()
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self.close()
+
+    def open(self) -> None:
+        """Start this machine's slots, if they are asked for and not started yet."""
+        with self._lock:
+            self._refuse_closed()
+            if self.local is None and not isinstance(self.options.servers, int):
+                self.local = LocalServer(slots_of_this_machine(self.options), self.options.realm)
+                atexit.register(self.close)  # a program may end without closing it
+
+    def close(self) -> None:
+        """End runs, evaluations and this machine's slots; do nothing if called again."""
+        with self._lock:
+            self.closed = True
+        atexit.unregister(self.close)
+        if self._evaluator is not None:
+            self._evaluator.close()
+        if self.local is not None:
+            local, self.local = self.local, None
+            local.close()
+
+    def evaluate(
+        self,
+        problem: "Problem",
+        candidates: "Sequence[bytes] | np.ndarray | Sequence[Any]",
+        *,
+        generation: int = 0,
+    ) -> "np.ndarray":
+        """Evaluate candidates, for any optimizer that asks and tells; several threads may call.
+
+        All servers share the trials; their slots stay this program's for some seconds. In a
+        problem for several participants, candidates play each other, and the result is their
+        scores, which compare within this call only.
+
+        Args:
+            problem: as ``zswarm.problem`` returns it.
+            candidates: genomes, or (n, problem.genes) numbers.
+            generation: decides the trials' seeds if they are fresh in each generation.
+
+        Returns:
+            (n,) float64, higher is better: the sum over the problem's trials, or the score; NaN
+            where the simulator failed.
+
+        Raises:
+            ValueError: candidates or a generation that do not fit the problem.
+            TypeError: arguments that are not a problem, or not candidates.
+            ConfigError: too few candidates for a game.
+            EvaluationError: machines or programs failed.
+            NoServers: the number of servers asked for was not there in time.
+            RuntimeError: a run of this thread holds the slots, or the connection is closed.
+
+        Example::
+
+            with zswarm.connect() as cluster:
+                fitness = cluster.evaluate(problem, problem.random(50))
+        """
+        return self._evaluates().evaluate(problem, candidates, generation)
+
+    def outcomes(
+        self,
+        problem: "Problem",
+        candidates: "Sequence[bytes] | np.ndarray | Sequence[Any]",
+        *,
+        generation: int = 0,
+        seeds: Sequence[int] | None = None,
+    ) -> "CandidateOutcomes":
+        """Return what candidates did in each trial, with metrics; otherwise like ``evaluate``.
+
+        Args:
+            seeds: of the trials, 0 to 2^64 - 1, instead of the problem's own.
+
+        Raises:
+            ValueError: the problem is a game: no candidate has trials of its own.
+        """
+        return self._evaluates().outcomes(problem, candidates, generation, seeds)
+
+    @contextlib.contextmanager
+    def run(self) -> Iterator[None]:
+        """Hold slots for a run of this thread; RuntimeError if another of its runs does."""
+        self._refuse_waiting_for_itself()
+        self.open()
+        thread = threading.get_ident()
+        self.runs.append(thread)
+        try:
+            if self._evaluator is not None:
+                self._evaluator.release()
+            yield
+        finally:
+            self.runs.remove(thread)
+
+    @contextlib.contextmanager
+    def lease(
+        self,
+        problem: "Problem",
+        *,
+        run: str,
+        slots: int,
+        say: Callable[[str], None],
+        stop: threading.Event,
+        epoch: int = 0,
+        probe: bytes = b"",
+    ) -> "Iterator[Cluster]":
+        """Lease slots of servers for a problem.
+
+        Args:
+            run, epoch: how servers know the holder of the leases.
+            slots: wanted at most, on every server.
+            say: takes lines for the user.
+            stop: ends an evaluation when it is set.
+            probe: digest of the probe's outcomes, if it is known.
+        """
+        from zswarm.ot.cluster.matching import terms
+        from zswarm.ot.cluster.remote_controllers import RemoteControllers
+        from zswarm.ot.cluster.shell import Cluster
+        from zswarm.ot.cluster.watch import Watch
+        from zswarm.ot.evaluator import arbitrate
+
+        def check() -> None:
+            if stop.is_set():
+                raise Stopped("stopped")
+            if self.closed:
+                raise Stopped("the connection was closed")
+
+        options, reach, local = self.options, self.reach, self.local
+        experiment, simulator = problem.experiment, problem.simulator
+        user = reach.keyring.name if reach.keyring else keys.fold(getpass.getuser())
+        asked = terms(experiment, options, simulator, epoch=epoch, slots=slots, probe=probe)
+        controllers = None
+        if asked.reserve.asks:
+            controllers = RemoteControllers(problem.representation, simulator.participants)
+        name = experiment.problem.simulator
+        watch = Watch(options, name, local, hinted=self._hinted, say=say, check=check)
+        cluster = Cluster(
+            RunKey(options.realm, user, run),
+            asked,
+            reach=reach,
+            local=local.endpoint if local is not None else "",
+            controllers=controllers,
+            arbitrate=functools.partial(arbitrate, problem),
+            watch=watch,
+        )
+        with cluster:
+            self.using.add(cluster)
+            try:
+                yield cluster
+            finally:
+                self.using.discard(cluster)
+
+    def wait(self, cluster: "Cluster") -> "Iterator[Item | None]":
+        """Wait for the number of servers that is asked for; see ``Cluster.wait``."""
+        servers = self.options.servers
+        return cluster.wait(servers, WAIT_FOR_SERVERS_S) if isinstance(servers, int) else iter(())
+
+    @property
+    def slots(self) -> int:
+        """Slots that are ready, of all leases together."""
+        return sum(cluster.standing.slots for cluster in list(self.using))
+
+    @functools.cached_property
+    def reach(self) -> "Reach":
+        """Return how other machines are reached; ConfigError if installed keys cannot be used."""
+        from zswarm.security import keyring
+        from zswarm.session import Reach
+
+        options = self.options
+        if options.servers == "local":
+            return Reach((), multicast=False)
+        ring = keyring.installed("ot")
+        return Reach(options.connect, options.multicast, options.through_router, ring)
+
+    def who_computes(self) -> str:
+        """Return who evaluates, for the user."""
+        servers, realm = self.options.servers, self.options.realm
+        slots = self.local.slots if self.local else 0
+        here = f"{slots} slot{'s' if slots != 1 else ''} of this machine" if self.local else ""
+        if servers == "local":
+            return here
+        if servers == "auto":
+            return f"{here}, and every server found in realm {realm}"
+        return f"waiting for {servers} servers in realm {realm}"
+
+    def _evaluates(self) -> "CandidateEvaluator":
+        from zswarm.ot.evaluator import CandidateEvaluator
+
+        self._refuse_waiting_for_itself()
+        self.open()
+        with self._lock:
+            self._refuse_closed()
+            if self._evaluator is None:
+                self._evaluator = CandidateEvaluator(self.lease, self.wait, lambda: bool(self.runs))
+        return self._evaluator
+
+    def _refuse_closed(self) -> None:
+        if self.closed:
+            raise RuntimeError("this connection is closed: connect again")
+
+    def _refuse_waiting_for_itself(self) -> None:
+        if threading.get_ident() in self.runs:
+            raise RuntimeError(
+                "a run that this thread began holds the slots of this connection: leave its block"
+                " first, or use another connection, such as zswarm.connect('local')"
+            )

@@ -1,0 +1,157 @@
+"""Which server evaluates what: a pure state machine. Events and the time go in, commands come out.
+
+``servers`` is the life of a server, from its first sign to the release of its lease; ``batches``
+is the workload, from waiting trials to counted ones. What follows from their state is derived once
+at the end of each event.
+"""
+
+from zswarm.errors import RemoteProtocolError
+from zswarm.ot.cluster import events
+from zswarm.ot.cluster.batches import Batches
+from zswarm.ot.cluster.events import Answered, Command, Event, OpenQuery, Outbox
+from zswarm.ot.cluster.matching import Terms
+from zswarm.ot.cluster.remote_server import Phase, RemoteServer, SentBatch
+from zswarm.ot.cluster.servers import RETRY_S, Servers, not_an_answer
+from zswarm.ot.cluster.verification import Checks
+from zswarm.ot.notes import RunEvent
+from zswarm.protocol.messages import Fault, Outcomes, Refused, Reply, Running
+
+
+class Dispatch:
+    """The state machine: ``handle`` takes an event, ``next_time`` is when TimePassed is due."""
+
+    def __init__(self, terms: Terms) -> None:
+        self.out = Outbox()
+        self.servers = Servers(terms, self.out, probe=terms.probe)
+        self.batches = Batches(terms, self.out, self.servers, Checks(terms.verify))
+        self._idle: RemoteServer | None = None  # has just answered a batch
+
+    def next_time(self) -> float:
+        """Return when TimePassed is due."""
+        return min(self.servers.next_time(), self.out.next_time())
+
+    def handle(self, event: Event, now: float) -> list[Command]:
+        """Take an event at a time (seconds, monotonic); return the commands, in order."""
+        out, servers, batches = self.out, self.servers, self.batches
+        out.now, out.commands, out.failure, self._idle = now, [], "", None
+        match event:
+            case Answered():
+                self._answered(event)
+            case events.Seen():
+                servers.seen(event.server)
+            case events.Gone():
+                servers.gone(event.server)
+            case events.Work():
+                batches.begin(event.workload)
+            case events.Arbitrated():
+                for name in batches.checks.arbitrate(event.trial, event.fitness, event.metrics):
+                    servers.ban_wrong(name, event.trial)
+            case events.ProbeArbitrated():
+                servers.arbitrate_probe(event.digest)
+            case events.TimePassed():
+                self._repeat()
+                servers.renew_due()
+            case events.Leave():
+                batches.end()
+                servers.leave()
+        self._derive()
+        return out.commands
+
+    def _derive(self) -> None:
+        """Do what follows from the state."""
+        out, servers, batches = self.out, self.servers, self.batches
+        if out.failure:
+            batches.end()
+        while batches.blamed:
+            servers.blame(batches.blamed.pop(0))
+        servers.allot()
+        self._follow()
+        for server in [server for server in servers.leaving.values() if not server.batches]:
+            servers.lose(server)
+        self._follow()
+        batches.fill(self._idle)
+        if out.failure:
+            out.commands.append(events.Failed(out.failure))
+        elif batches.complete():
+            out.commands.append(events.Complete())
+
+    def _follow(self) -> None:
+        while self.servers.moved:
+            self.batches.follow(self.servers.moved.pop(0))
+
+    def _repeat(self) -> None:
+        for query in self.out.due():
+            if not query.batch:
+                self.servers.repeat(query)
+            elif (batch := self._sent(query)) is not None:
+                self.batches.ask(batch)
+
+    def _answered(self, event: Answered) -> None:
+        query, reply = self.out.queries.pop(event.question, None), event.reply
+        if query is None:
+            return
+        if isinstance(reply, str):
+            self.out.note(RunEvent.MALFORMED, query.server, reply)
+            reply = None
+        if not query.batch:
+            self.servers.answered(query, reply)
+        elif (batch := self._sent(query)) is not None:
+            self._idle = batch.server
+            self._batch_answered(query, batch, reply)
+
+    def _sent(self, query: OpenQuery) -> SentBatch | None:
+        """Return the batch of a query, or None if another server has it or its workload ended."""
+        batch = self.servers.by_id[query.server].batches.get(query.batch)
+        wanted = self.batches.workload is not None
+        return batch if wanted and batch and batch.question == query.question else None
+
+    def _batch_answered(self, query: OpenQuery, batch: SentBatch, reply: Reply | None) -> None:
+        batches, servers, server = self.batches, self.servers, batch.server
+        if reply is None:
+            if server.phase == Phase.LEAVING:
+                batches.strand(batch)
+            elif batch.empties < len(RETRY_S):
+                self.out.later(RETRY_S[batch.empties], query)
+                batch.empties += 1
+            else:
+                servers.back_off(server, "evaluate")
+            return
+        if not isinstance(reply, Running):
+            del server.batches[batch.id]
+        try:
+            match reply:
+                case Running():
+                    batch.empties, batch.given = 0, batch.given or reply.given
+                    batches.count(batch, reply)
+                    if batch.missing:
+                        batches.ask(batch)
+                    else:
+                        del server.batches[batch.id]
+                case Outcomes():
+                    batches.count(batch, reply)
+                    batches.give_back(batch)
+                case Fault():
+                    batches.count(batch, reply)
+                    batches.fault(batch, reply.trial, f"{reply.kind}: {reply.reason}")
+                case Refused(code="malformed"):
+                    batches.fault(batch, 0, f"refused: {reply.reason}")
+                case Refused():
+                    batches.give_back(batch)
+                    self._refused(server, reply)
+                case _:
+                    raise RemoteProtocolError(not_an_answer(reply, "evaluate"))
+        except RemoteProtocolError as error:
+            server.batches.pop(batch.id, None)
+            batches.give_back(batch)
+            servers.drop(server, RunEvent.MALFORMED, str(error))
+
+    def _refused(self, server: RemoteServer, refused: Refused) -> None:
+        match refused.code:
+            case "busy":
+                self.servers.pause(server)
+            case "draining":
+                self.servers.gone(server.id)  # its token will vanish, too
+            case "lease-lost":
+                self.servers.lease_lost(server, refused.reason)
+            case "mismatch":
+                self.servers.drop(server, RunEvent.SERVER_REFUSED, refused.reason)

@@ -1,0 +1,158 @@
+"""Events that go into the dispatch, and commands that come out."""
+
+import math
+
+import msgspec
+import numpy as np
+
+from zswarm.ot.notes import Note, RunEvent
+from zswarm.ot.workload import Workload
+from zswarm.protocol.messages import Reply, Request, Verb, verb
+
+
+class Seen(msgspec.Struct, frozen=True):
+    """A server's liveliness token appeared."""
+
+    server: str
+
+
+class Gone(msgspec.Struct, frozen=True):
+    """A server's liveliness token vanished."""
+
+    server: str
+
+
+class Answered(msgspec.Struct, frozen=True):
+    """A query ended: with a reply, without one (None), or with why the reply could not be read."""
+
+    question: int
+    reply: Reply | str | None
+
+
+class Work(msgspec.Struct, frozen=True):
+    """Evaluate a workload, instead of the present one."""
+
+    workload: Workload
+
+
+class Arbitrated(msgspec.Struct, frozen=True):
+    """This machine computed the outcome of a disputed trial."""
+
+    trial: int
+    fitness: np.ndarray  # (participants,) float64
+    metrics: np.ndarray  # (metrics,) float64
+
+
+class ProbeArbitrated(msgspec.Struct, frozen=True):
+    """This machine computed the digest of the probe's outcomes."""
+
+    digest: bytes
+
+
+class TimePassed(msgspec.Struct, frozen=True):
+    """The time that was asked for has come."""
+
+
+class Leave(msgspec.Struct, frozen=True):
+    """Release all leases."""
+
+
+Event = Seen | Gone | Answered | Work | Arbitrated | ProbeArbitrated | TimePassed | Leave
+
+
+class Ask(msgspec.Struct, frozen=True):
+    """Send a message to a server; the answer comes as Answered with the same number."""
+
+    question: int
+    server: str
+    message: Request
+    trials: np.ndarray | None = None  # of an Evaluate: indices into the workload
+
+
+class Counted(msgspec.Struct, frozen=True):
+    """Trials were evaluated for the first time; the workload holds their outcomes."""
+
+    trials: np.ndarray
+    server: str
+    seconds: float
+
+
+class Disputed(msgspec.Struct, frozen=True):
+    """Two servers computed different outcomes of a trial: to be answered with Arbitrated."""
+
+    trial: int
+
+
+class ProbeDisputed(msgspec.Struct, frozen=True):
+    """Two servers have different digests of the probe: to be answered with ProbeArbitrated."""
+
+
+class Retracted(msgspec.Struct, frozen=True):
+    """Trials that were counted for a server do not count: it computes wrong outcomes."""
+
+    server: str
+
+
+class Complete(msgspec.Struct, frozen=True):
+    """All trials of the workload are counted."""
+
+
+class Failed(msgspec.Struct, frozen=True):
+    """The workload cannot be evaluated."""
+
+    reason: str
+
+
+Command = Ask | Counted | Disputed | ProbeDisputed | Retracted | Complete | Failed | Note
+
+
+class OpenQuery(msgspec.Struct, frozen=True):
+    """A query that was sent and not answered yet, or that is to be sent again."""
+
+    server: str
+    verb: Verb
+    lease: bytes = b""
+    batch: int = 0
+    question: int = 0
+
+
+class Outbox(msgspec.Struct, eq=False):
+    """Collect the commands of one event; remember open queries and those to repeat later."""
+
+    now: float = 0.0  # time of the event
+    failure: str = ""  # why the workload cannot be evaluated; "" if it can
+    commands: list[Command] = []
+    queries: dict[int, OpenQuery] = {}
+    _later: list[tuple[float, OpenQuery]] = []
+    _numbers: int = 0
+
+    def number(self) -> int:
+        """Return a new number, for a question or a batch."""
+        self._numbers += 1
+        return self._numbers
+
+    def ask(self, server: str, message: Request, trials: np.ndarray | None = None) -> int:
+        """Send a query; return its number."""
+        number = self.number()
+        lease, batch = getattr(message, "lease", b""), getattr(message, "batch", 0)
+        self.queries[number] = OpenQuery(server, verb(message), lease, batch, number)
+        self.commands.append(Ask(number, server, message, trials))
+        return number
+
+    def note(self, event: RunEvent, server: str = "", text: str = "", count: int = 0) -> None:
+        """Add a note."""
+        self.commands.append(Note(event, server, text, count))
+
+    def later(self, delay_s: float, query: OpenQuery) -> None:
+        """Repeat a query after a delay."""
+        self._later.append((self.now + delay_s, query))
+
+    def due(self) -> list[OpenQuery]:
+        """Return the queries to repeat now."""
+        due = [query for time, query in self._later if time <= self.now]
+        self._later = [(time, query) for time, query in self._later if time > self.now]
+        return due
+
+    def next_time(self) -> float:
+        """Return when the next query is to be repeated."""
+        return min((time for time, _ in self._later), default=math.inf)

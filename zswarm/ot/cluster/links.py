@@ -1,0 +1,207 @@
+"""The sessions of a run: send queries, receive answers, and watch for servers.
+
+Zenoh's callbacks never wait, neither for a lock nor for a link. Each server has a thread that sends
+to it, because a send into a dying link blocks.
+"""
+
+import contextlib
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING
+
+import msgspec
+import zenoh
+
+from zswarm import session
+from zswarm.errors import NoRouter, RemoteProtocolError
+from zswarm.ot.cluster import diagnosis, discovery
+from zswarm.ot.cluster.events import Answered, Ask, Event, Gone, Seen
+from zswarm.ot.notes import Note, RunEvent
+from zswarm.protocol import codec, keys, messages
+from zswarm.protocol.messages import Evaluate, Fault, Outcomes, Verb
+from zswarm.security import refusals
+from zswarm.security.keyring import Keyring
+from zswarm.session import Reach
+
+if TYPE_CHECKING:
+    from zswarm.ot.cluster.remote_controllers import RemoteControllers  # which loads the compiler
+
+RETRY_S = 0.1  # between two attempts to reach a router
+QUERY_S: dict[Verb, float] = {
+    "offer": discovery.OFFER_S,
+    "reserve": 10.0,
+    "renew": 25.0,
+    "evaluate": 60.0,
+    "cancel": 3.0,
+    "release": 3.0,
+}
+CONTROL = zenoh.Priority.INTERACTIVE_HIGH  # overtakes batches on the way
+RELEASE_S = 2.0  # for the last messages, at most
+# Bytes of a message that zenoh takes without waiting, on a link on which nothing is unanswered.
+AT_ONCE = 12_000
+
+
+class Links(msgspec.Struct, eq=False):
+    """The sessions of a run."""
+
+    key: keys.RunKey
+    reach: Reach
+    controllers: "RemoteControllers | None"  # those that servers ask; None: candidates are sent
+    post: Callable[[Event | Note], None]
+    answered: Callable[[Answered], None]  # takes the answers to batches
+    failed: Callable[[BaseException], None]  # takes bugs
+    slots: Callable[[str], int]  # returns how many slots of a server the run holds
+    sessions: list[zenoh.Session] = []
+    # The session that saw a server; written before the server is Seen.
+    home: dict[str, zenoh.Session] = {}
+    senders: dict[str, session.Sender] = {}
+    _tokens: list[zenoh.LivelinessToken] = []
+    _leaving: threading.Event = msgspec.field(default_factory=threading.Event)
+    _unanswered: dict[int, str] = {}  # questions that carry batches, with the server
+    _waited_for: Counter[str] = msgspec.field(default_factory=Counter)  # these, by server
+
+    def open(self, local: str) -> None:
+        """Open sessions; one through a router opens once the router is there.
+
+        Args:
+            local: endpoint of this machine's slots; "": there are none.
+        """
+        reach, here = self.reach, [local] if local else []
+        # This machine's slots are reached neither through a router nor with keys.
+        if reach.through_router or reach.keyring is not None:
+            if local:
+                self._join(session.open_optimizer(Reach(here, multicast=False)))
+            if not reach.through_router:
+                self._join(session.open_optimizer(reach), reach.keyring)
+        else:
+            everything = reach._replace(connect=[*reach.connect, *here])
+            self._join(session.open_optimizer(everything))
+        if reach.through_router:
+            threading.Thread(target=self._open_through_router, name="router", daemon=True).start()
+
+    def close(self) -> None:
+        """Send what waits, for some seconds at most, and close the sessions."""
+        deadline = time.monotonic() + RELEASE_S
+        for sender in list(self.senders.values()):
+            sender.close(max(0.0, deadline - time.monotonic()))
+        self._leaving.set()
+        for opened in self.sessions:
+            session.close(opened)
+
+    def hang_up(self, server: str) -> None:
+        """End the sender to a server that left: one that is restarted is another server."""
+        self.senders.pop(server).close()
+
+    def was_answered(self, question: int) -> None:
+        """Take note that a question which carried a batch has ended."""
+        if server := self._unanswered.pop(question, ""):
+            self._waited_for[server] -= 1
+
+    def ask(self, ask: Ask, *, may_send: bool) -> None:
+        """Send a query.
+
+        Args:
+            may_send: this thread may wait for one of zenoh's locks.
+        """
+        key, server, message, controllers = self.key, ask.server, ask.message, self.controllers
+        verb = messages.verb(message)
+        if isinstance(message, Evaluate) and controllers is not None and ask.trials is not None:
+            controllers.give(server, message.lease, message.batch, ask.trials)
+        body = codec.encode(message)
+
+        def on_answer(answer: bytes | None, _replier: str = "") -> None:
+            if answer is None:
+                self.post(Answered(ask.question, None))
+                return
+            event = Answered(ask.question, discovery.read_reply(answer))
+            if controllers is not None and isinstance(event.reply, Outcomes | Fault):
+                controllers.take_back(server, event.reply.batch)
+            (self.answered if verb == "evaluate" else self.post)(event)
+
+        def send() -> None:
+            session.ask(
+                self.home[server],
+                keys.request(key.realm, server, key.user, key.run, verb),
+                body,
+                on_answer,
+                timeout_s=QUERY_S[verb],
+                priority=zenoh.Priority.DATA if verb == "evaluate" else CONTROL,
+            )
+
+        if server not in self.senders:
+            self.senders[server] = session.Sender(server)
+        at_once = False
+        if verb == "evaluate":
+            link_busy = self._unanswered if self.reach.through_router else self._waited_for[server]
+            at_once = may_send and len(body) < AT_ONCE and not link_busy
+            self._unanswered[ask.question] = server
+            self._waited_for[server] += 1
+        if not self.senders[server].send(send, at_once=at_once):
+            on_answer(None)
+
+    def _open_through_router(self) -> None:
+        while not self._leaving.wait(RETRY_S):
+            try:
+                opened = session.open_through_router(self.reach)
+            except NoRouter:
+                continue
+            if self._leaving.is_set():
+                session.close(opened)
+            else:
+                self._join(opened, self.reach.keyring)
+            return
+
+    def _join(self, opened: zenoh.Session, ring: Keyring | None = None) -> None:
+        """Show the run on a session, and watch for servers there."""
+        self.sessions.append(opened)
+        if self.controllers is not None:
+            on_sensors = partial(self._on_sensors, self.controllers)
+            callback = zenoh.handlers.Callback(on_sensors, indirect=False)
+            opened.declare_queryable(keys.control(*self.key, "*"), callback)
+        liveliness = opened.liveliness()
+        self._tokens.append(liveliness.declare_token(keys.run_alive(*self.key)))
+        if ring is not None:
+            refusals.watch_members(opened, ring, self._on_refusal)
+        on_token = zenoh.handlers.Callback(partial(self._on_token, opened), indirect=False)
+        alive = keys.any_version_alive(self.key.realm)
+        liveliness.declare_subscriber(alive, on_token, history=True)
+
+    def _on_refusal(self, name: str, at: str, reason: str) -> None:
+        self.post(Note(RunEvent.DIAGNOSIS, "", f"{name} at {at} is {reason}"))
+
+    def _on_token(self, opened: zenoh.Session, sample: zenoh.Sample) -> None:
+        seen = sample.kind == zenoh.SampleKind.PUT
+        key = diagnosis.parsed(sample)
+        if key is None:
+            return
+        if key.version == diagnosis.VERSION:
+            self.home[key.server] = opened
+            self.post(Seen(key.server) if seen else Gone(key.server))
+        elif seen:
+            text = diagnosis.other_version(key)
+            self.post(Note(RunEvent.SERVER_MISMATCH, key.server, text))
+
+    def _on_sensors(self, controllers: "RemoteControllers", query: zenoh.Query) -> None:
+        try:
+            server = keys.parse_control_key(str(query.key_expr))
+            payload = query.payload.to_bytes() if query.payload is not None else b""
+            body = controllers.react(server, payload)
+        except RemoteProtocolError:  # not such a key
+            query.drop()
+            return
+        except BaseException as error:
+            query.drop()
+            self.failed(error)
+            return
+
+        def answer() -> None:
+            with query, contextlib.suppress(zenoh.ZError):  # the session is closing
+                query.reply(query.key_expr, body)
+
+        if self.slots(server) * len(body) < AT_ONCE:  # each slot waits for one answer
+            answer()
+        elif (sender := self.senders.get(server)) is None or not sender.send(answer):
+            query.drop()

@@ -1,0 +1,47 @@
+"""This machine's slots: a private ``zswarm-ss`` child that listens in a private folder."""
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+LOG_TAIL = 1000  # characters shown if it ended by itself
+
+
+class LocalServer:
+    """A server of this machine as a child process; it ends when this program does."""
+
+    def __init__(self, slots: int, realm: str) -> None:
+        self.slots = slots
+        self._folder = tempfile.TemporaryDirectory(prefix="zswarm-")  # mode 0700
+        self.endpoint = f"unixsock-stream/{Path(self._folder.name) / 'ss.sock'}"
+        self._log = Path(self._folder.name) / "log"
+        server = ["--name", "local", "--capacity", str(slots), "--realm", realm]
+        private = ["--listen", self.endpoint, "--no-multicast", "--until-stdin-closes"]
+        with self._log.open("wb") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "zswarm.ss", *server, *private, "--log-level", "warning"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=log,
+                # Ctrl-C is for this program, which decides what ends: a notebook continues.
+                process_group=0,
+            )
+
+    def close(self) -> None:
+        """End the child."""
+        assert self._process.stdin is not None  # noqa: S101  it was asked for above
+        self._process.stdin.close()
+        try:
+            self._process.wait(5.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._folder.cleanup()
+
+    def ended(self) -> str:
+        """Return its last words if it ended by itself, which it should not; "" while it runs."""
+        code = self._process.poll()
+        if code is None:
+            return ""
+        return f"exit code {code}: {self._log.read_text(errors='replace')[-LOG_TAIL:].strip()}"

@@ -1,0 +1,68 @@
+"""The trials of a workload that wait for a server, in the order in which they are sent."""
+
+from collections import deque
+from collections.abc import Iterable
+
+import msgspec
+import numpy as np
+
+from zswarm.ot.cluster.remote_server import RemoteServer, SentBatch
+
+
+class QueuedTrials(msgspec.Struct, eq=False):
+    """Trials that wait."""
+
+    trials: np.ndarray
+    avoid: frozenset[str] = frozenset()  # servers on which one of them ended in a fault
+    # Their batch, which a server may still have: they are sent as a whole, for a batch can only be
+    # cancelled as a whole.
+    stranded: SentBatch | None = None
+
+
+class TrialQueue(msgspec.Struct, eq=False):
+    """A queue of trials; those that come back go to its front."""
+
+    trials: int = 0
+    entries: deque[QueuedTrials] = msgspec.field(default_factory=deque)
+
+    def put(self, entry: QueuedTrials) -> None:
+        """Add trials, at least one."""
+        self.trials += len(entry.trials)
+        self.entries.appendleft(entry)
+
+    def take(self, server: str, size: int, serving: Iterable[str]) -> QueuedTrials | None:
+        """Take at most ``size`` trials for a server, or a whole batch that is stranded elsewhere.
+
+        A server gets trials that should avoid it only if they should avoid all that serve. Return
+        None if there is nothing for this server.
+        """
+        for entry in self.entries:
+            if server not in entry.avoid or entry.avoid.issuperset(serving):
+                break
+        else:
+            return None
+        if entry.stranded or size >= len(entry.trials):
+            self.remove(entry)
+            return entry
+        taken = QueuedTrials(entry.trials[:size], entry.avoid)
+        entry.trials = entry.trials[size:]
+        self.trials -= size
+        return taken
+
+    def stranded(self, server: RemoteServer) -> list[QueuedTrials]:
+        """Return all trials that are still stranded on a server."""
+        return [
+            entry for entry in self.entries if entry.stranded and entry.stranded.server is server
+        ]
+
+    def remove(self, entry: QueuedTrials) -> None:
+        """Remove an entry."""
+        self.entries.remove(entry)
+        self.trials -= len(entry.trials)
+
+    def clear(self) -> list[SentBatch]:
+        """Remove all trials; return the batches that some were stranded in."""
+        stranded = [entry.stranded for entry in self.entries if entry.stranded]
+        self.entries.clear()
+        self.trials = 0
+        return stranded

@@ -1,0 +1,99 @@
+"""The run's view of a server: its phase, its lease, and the batches that it has.
+
+A server is IDLE until its liveliness token appears; then it is SEEN and asked for its offer. If it
+matches, it is SPARE until its slots are wanted, RESERVING until it grants a lease, and LEASED from
+then on; answers to renewals report how many slots the lease has, and how many are ready. If its
+token vanishes, it is LEAVING until all its queries have ended: it may drain, or the link may
+return. A server that does not answer, or that ended the lease, is BACKED_OFF and asked again later.
+One that does not match, refuses or fails is IDLE until its token appears again. One that computes
+wrong outcomes is BANNED for good.
+"""
+
+from enum import Enum, auto
+
+import msgspec
+import numpy as np
+
+
+class Phase(Enum):
+    """How far a server is."""
+
+    IDLE = auto()
+    SEEN = auto()
+    SPARE = auto()
+    RESERVING = auto()
+    LEASED = auto()
+    LEAVING = auto()
+    BACKED_OFF = auto()
+    BANNED = auto()
+
+
+_ENDS = {Phase.IDLE, Phase.BACKED_OFF, Phase.BANNED}
+MOVES = {
+    Phase.IDLE: {Phase.SEEN, Phase.BANNED},
+    Phase.SEEN: {Phase.SPARE, *_ENDS},
+    Phase.SPARE: {Phase.SEEN, Phase.RESERVING, *_ENDS},
+    Phase.RESERVING: {Phase.LEASED, *_ENDS},
+    Phase.LEASED: {Phase.LEAVING, Phase.SPARE, *_ENDS},
+    Phase.LEAVING: {Phase.LEASED, *_ENDS},
+    Phase.BACKED_OFF: {Phase.SEEN, Phase.IDLE, Phase.BANNED},
+    Phase.BANNED: set[Phase](),
+}
+
+
+class SentBatch(msgspec.Struct, eq=False):
+    """Trials that were sent to a server."""
+
+    server: "RemoteServer"
+    id: int
+    trials: np.ndarray
+    done: np.ndarray  # (trials,) bool: the outcome came
+    missing: int  # trials whose outcome did not come
+    avoid: frozenset[str] = frozenset()  # servers on which one of them ended in a fault
+    check: bool = False  # they are counted already, and evaluated again for comparison
+    question: int = 0  # the query that asked for it last
+    empties: int = 0  # queries in a row that ended without an answer
+    given: bool = False  # none of it waits for a slot any more
+
+    def rest(self) -> np.ndarray:
+        """Return the trials whose outcome did not come."""
+        rest: np.ndarray = self.trials[~self.done]
+        return rest
+
+
+class RemoteServer(msgspec.Struct, eq=False):
+    """What a run knows of a server."""
+
+    id: str
+    phase: Phase = Phase.IDLE
+    lease: bytes = b""  # while LEASED or LEAVING
+    previous: bytes = b""  # a lease given up for silence, which may still be valid at the server
+    probe: bytes = b""  # digest of its outcomes of the probe
+    capacity: int = 0
+    place: tuple[float, ...] = ()  # its rank; the lowest comes first
+    mismatch: str = ""  # as last reported to the user
+    wanted: int = 0  # slots it was asked for
+    slots: int = 0
+    ready: int = 0  # slots that can evaluate
+    trial_s: float = 0.0  # measured; 0.0: not yet
+    renew_at: float = 0.0  # when its lease is to be asked for again
+    renewing: bool = False
+    paused_until: float = 0.0  # it had no room for a batch
+    batches: dict[int, SentBatch] = {}
+    unwanted: list[int] = []  # batches to cancel that the server may still have
+    counted: int = 0  # trials
+    blamed: int = 0  # trials that failed here and were evaluated elsewhere
+    faulty: bool = False  # backed off for that
+    empties: int = 0  # queries in a row, but for batches, that ended without an answer
+    silent: bool = False  # and the user knows
+
+
+class Standing(msgspec.Struct, frozen=True):
+    """How a run stands with its servers."""
+
+    serving: list[str] = []  # servers with a slot ready
+    preparing: list[str] = []  # servers that prepare their first slot
+    leased: int = 0  # servers that granted a lease
+    spare: int = 0  # servers that match and whose slots are not wanted
+    slots: int = 0  # that are ready
+    probe: bytes = b""  # digest of the probe's outcomes, once known

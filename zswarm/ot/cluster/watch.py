@@ -1,0 +1,96 @@
+"""Report to a user why nothing is evaluated, and end what cannot be evaluated."""
+
+import threading
+import time
+from collections.abc import Callable
+
+import msgspec
+
+from zswarm.config.sections import ClusterConfig
+from zswarm.errors import EvaluationError
+from zswarm.ot.cluster.local import LocalServer
+from zswarm.ot.cluster.remote_server import Standing
+from zswarm.ot.notes import Note, RunEvent
+
+PREPARING_S = 1.0  # of a server, before it is reported
+PAUSE_S = 3.0  # without any server, before it is reported
+HINT = "zswarm-ot doctor says why, docs/network.md what to do"
+NOBODY_YET = "no slot is ready yet: waiting for one (Ctrl-C stops; nothing is lost)"
+NOBODY = "no server computes now: waiting for one (Ctrl-C stops; nothing is lost)"
+
+
+class Watch(msgspec.Struct, eq=False):
+    """Follows one run's servers, in the caller's thread."""
+
+    options: ClusterConfig
+    simulator: str  # its name, for the user
+    local: LocalServer | None  # this machine's slots
+    hinted: threading.Event  # set once the user knows that no server is found
+    say: Callable[[str], None]  # takes a line for the user
+    check: Callable[[], None]  # raises Stopped when the run is to end
+    _begun: float = msgspec.field(default_factory=time.monotonic)
+    _met: bool = False  # a server of the network
+    _served_at: float = msgspec.field(default_factory=time.monotonic)  # or when the workload began
+    _served: bool = False
+    _said: str = ""
+
+    def begin(self) -> None:
+        """Begin with another workload."""
+        self._served_at, self._served, self._said = time.monotonic(), False, ""
+
+    def hint(self, item: object, standing: Standing) -> None:
+        """Report once that no server is found, if other machines are asked for.
+
+        Raises:
+            EvaluationError: this machine's slots refused, and no others can be expected.
+            Stopped: the run is to end.
+        """
+        self.check()
+        options, local = self.options, self.local
+        if isinstance(item, Note):
+            self._met = self._met or (bool(item.server) and not is_local(item.server))
+            others = bool(options.require) and options.servers != "local"
+            refused = item.event in (
+                RunEvent.SERVER_REFUSED,
+                RunEvent.SERVER_MISMATCH,
+            ) and is_local(item.server)
+            if refused and not others and local is not None and not standing.serving:
+                raise EvaluationError(item.text)
+        silent = self._met or self.hinted.is_set() or options.servers == "local"
+        if not silent and time.monotonic() >= self._begun + PAUSE_S:
+            self.hinted.set()
+            alone = ": this machine's slots compute alone" if local is not None else ""
+            self.say(f"no server found in realm {options.realm}{alone}; {HINT}")
+
+    def look(self, item: object, standing: Standing) -> bool:
+        """Report what a run waits for; return whether to find out why.
+
+        Raises:
+            EvaluationError: this machine's slots refused or ended.
+            Stopped: the run is to end.
+        """
+        self.hint(item, standing)
+        local, idle_s = self.local, time.monotonic() - self._served_at
+        if standing.serving:
+            self.begin()
+            self._served = True
+        elif local is not None and (words := local.ended()):
+            raise EvaluationError(f"the slots of this machine ended: {words}")
+        elif standing.preparing:
+            if idle_s > PREPARING_S and not self._said:
+                names = ", ".join(standing.preparing)
+                once = "it is compiled once for each version of zswarm"
+                self._tell(f"{names}: getting {self.simulator} ready; {once}")
+        elif idle_s > PAUSE_S and self._said not in (NOBODY, NOBODY_YET):
+            self._tell(NOBODY if self._served or local is None else NOBODY_YET)
+            return local is None
+        return False
+
+    def _tell(self, line: str) -> None:
+        self._said = line
+        self.say(line)
+
+
+def is_local(server: str) -> bool:
+    """Return whether a server is this machine's own."""
+    return server.startswith("local-")

@@ -1,0 +1,62 @@
+"""``zswarm-ot resume``: continue a run or a study."""
+
+import contextlib
+from pathlib import Path
+from typing import Any
+
+import click
+
+from zswarm.ot.commands.shared import options, suggestions
+from zswarm.system.text import clean
+
+MENU = ("Evolve", 2)
+
+
+@click.command("resume")
+@click.argument("folder", type=options.PATH, metavar="RUN|STUDY", shell_complete=suggestions.runs)
+@options.cluster_options
+@options.dashboard_option
+@options.json_lines_option
+def command(folder: Path, with_dashboard: bool, as_json: bool, **cluster: Any) -> None:
+    """Resume a run or a study that was stopped.
+
+    It continues from the last thing that was recorded, and ends with the same history as if it had
+    not been stopped.
+
+    \b
+      zswarm-ot resume runs/stadium
+    """
+    from zswarm.ot import evolution
+    from zswarm.ot.cluster.connection import Connection
+    from zswarm.ot.commands.shared import playing
+    from zswarm.ot.display.progress import display, summary
+    from zswarm.ot.record.folder import DATABASE, load_experiment
+    from zswarm.ot.record.results import finished_result
+    from zswarm.ot.study.study import Study, is_study
+
+    if not (folder / DATABASE).exists() and is_study(folder):
+        with playing.figures() as folders, Study.open(folder) as study:
+            settings = options.with_cluster(study.experiment, cluster).cluster
+            opened: Any = Connection(settings) if study.left else contextlib.nullcontext()
+            with opened as connection:
+                playing.play(
+                    study, connection, folders, as_json=as_json, with_dashboard=with_dashboard
+                )
+        return
+    complete = options.with_cluster(load_experiment(folder), cluster)
+    shown = display(as_json=as_json)
+    if (result := finished_result(folder, complete)) is not None:
+        more = "to evolve further, raise generations in its experiment.toml"
+        click.echo(f"{clean(str(folder))} is finished; {more}", err=True)
+        if as_json:
+            shown.on_end(result)
+        else:
+            click.echo(summary(result))
+        return
+    with (
+        playing.figures() as folders,
+        Connection(complete.cluster) as connection,
+        evolution.resume(folder, connection, shown) as run,
+    ):
+        folders.append(run.folder)
+        playing.finish(run, shown, with_dashboard=with_dashboard)

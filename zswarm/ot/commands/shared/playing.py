@@ -1,0 +1,102 @@
+"""Play runs and studies in the foreground, until they end or are stopped."""
+
+import contextlib
+import logging
+import os
+import signal
+import sqlite3
+from collections.abc import Iterator
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING
+
+import click
+
+from zswarm.errors import ZswarmError
+from zswarm.ot.commands.shared.dashboard_process import dashboard
+from zswarm.ot.commands.shared.exits import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_TERMINATED
+
+if TYPE_CHECKING:
+    from zswarm.ot.cluster.connection import Connection
+    from zswarm.ot.evolution import Evolution
+    from zswarm.ot.logger import Logger
+    from zswarm.ot.study.study import Study
+
+ENDINGS = (KeyboardInterrupt, SystemExit, ZswarmError, sqlite3.Error, OSError)
+
+
+def finish(run: "Evolution", shown: "Logger", *, with_dashboard: bool) -> None:
+    """Evolve a run to its end; if it is stopped, close it and say how to resume it."""
+    signal.signal(signal.SIGTERM, _terminate)
+    try:
+        with dashboard(run.folder, shown.on_say, wanted=with_dashboard):
+            run.finish()
+    except ENDINGS as error:
+        run.close()
+        _say_how_to_resume(run.folder, error)
+        raise
+
+
+def play(
+    study: "Study",
+    connection: "Connection | None",
+    folders: list[Path],
+    *,
+    as_json: bool,
+    with_dashboard: bool,
+) -> None:
+    """Play a study to its end, and then add it to ``folders``; if it is stopped, say how to resume.
+
+    Raises:
+        SystemExit: some of its runs failed.
+    """
+    from zswarm.ot.study.display import display
+
+    signal.signal(signal.SIGTERM, _terminate)
+    shown = display(study, as_json=as_json)
+    try:
+        with dashboard(study.folder, shown.on_say, wanted=with_dashboard):
+            outcome = study.play(connection, shown)
+    except ENDINGS as error:
+        _say_how_to_resume(study.folder, error)
+        # A second Ctrl-C, or a disk that takes nothing: do not wait for the threads of the runs.
+        if study.going_on:
+            if connection is not None:
+                connection.close()
+            for line in getattr(error, "__notes__", []):
+                click.echo(f"zswarm-ot: {error}\n{line}", err=True)
+            codes = {KeyboardInterrupt: EXIT_INTERRUPTED, SystemExit: EXIT_TERMINATED}
+            os._exit(codes.get(type(error), EXIT_FAILED))
+        raise
+    folders.append(study.folder)
+    if outcome.failed:
+        raise SystemExit(EXIT_FAILED)
+
+
+@contextlib.contextmanager
+def figures() -> Iterator[list[Path]]:
+    """Collect folders, and draw their figures when everything else is done."""
+    folders: list[Path] = []
+    try:
+        yield folders
+    finally:
+        if folders:
+            from zswarm.ot.analysis import figures
+
+            # Where it caches its fonts does not concern a run.
+            logging.getLogger("matplotlib").setLevel(logging.ERROR)
+            for folder in folders:
+                figures.save_picture(folder, lambda line: click.echo(line, err=True))
+
+
+def _say_how_to_resume(folder: Path, error: BaseException) -> None:
+    """Print it, or, if the program ends with an error message, have it printed after that."""
+    line = f"stopped; nothing is lost. Resume with: zswarm-ot resume {folder}"
+    if isinstance(error, (KeyboardInterrupt, SystemExit)):
+        click.echo(line, err=True)
+    else:
+        error.add_note(line)
+
+
+def _terminate(_number: int, _frame: FrameType | None) -> None:
+    raise SystemExit(EXIT_TERMINATED)

@@ -1,0 +1,145 @@
+"""Show a run as a live line on a terminal, as plain lines elsewhere, or as JSON for programs."""
+
+import sys
+import time
+from typing import Any
+
+from zswarm.ot.display.tables import echo, print_json, wrapped
+from zswarm.ot.logger import Generation, Logger, Result, Started
+from zswarm.system.format import duration, plural
+from zswarm.system.terminal import console, moves
+
+BAR, WITH_BAR = 8, 60  # columns of the bar, and of the narrowest terminal that shows it
+TIME = 12  # columns of the remaining time and the gaps
+
+
+class PlainDisplay(Logger):
+    """Print a line on stderr for each generation."""
+
+    def __init__(self) -> None:
+        self._generations = 0
+
+    def on_start(self, run: Started) -> None:
+        self._generations = run.experiment.generations
+
+    def on_say(self, line: str) -> None:
+        echo(line, sys.stderr)
+
+    def on_generation(self, generation: Generation) -> None:
+        self.on_say(progress(generation, self._generations))
+
+    def on_end(self, result: Result | None) -> None:
+        if result is not None:
+            echo(summary(result), sys.stdout)
+
+
+class JsonDisplay(PlainDisplay):
+    """Print a JSON object on stdout for each generation; lines for people go to stderr."""
+
+    def on_generation(self, generation: Generation) -> None:
+        print_json(generation_event(generation))
+
+    def on_end(self, result: Result | None) -> None:
+        if result is not None:
+            print_json({"event": "done", **result._asdict()})
+
+
+class LiveDisplay(PlainDisplay):
+    """Update a line on a terminal."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+        made = console(stderr=True, live=True)
+        bar = [BarColumn(bar_width=BAR)] if made.width >= WITH_BAR else []
+        self._progress = Progress(
+            TextColumn("{task.completed:.0f}/{task.total:.0f}"),
+            *bar,
+            TextColumn("{task.fields[text]}"),
+            TimeRemainingColumn(compact=True, elapsed_when_finished=True),
+            console=made,
+            refresh_per_second=8,
+        )
+        self._taken = TIME + BAR * len(bar)  # columns
+        self._first: tuple[float, int] | None = None  # time and evaluations
+
+    def on_start(self, run: Started) -> None:
+        super().on_start(run)
+        self._task = self._progress.add_task("run", total=self._generations, text="getting ready")
+        self._progress.start()
+
+    def on_say(self, line: str) -> None:
+        say(self._progress.console, line)
+
+    def on_generation(self, generation: Generation) -> None:
+        g, now = generation, time.monotonic()
+        self._first = self._first or (now, g.evaluations)
+        rate = (g.evaluations - self._first[1]) / max(1e-9, now - self._first[0])
+        parts = [f"best {g.best:.5g}", f"mean {g.mean:.5g}", f"{rate:.0f}/s", _servers(g)]
+        room = self._progress.console.width - 2 * len(str(self._generations)) - self._taken
+        text = fitting(parts, room)
+        self._progress.update(self._task, completed=g.generation + 1, text=text)
+
+    def on_end(self, result: Result | None) -> None:
+        self._progress.stop()
+        super().on_end(result)
+
+
+def say(live: Any, line: str) -> None:
+    """Print a line above what a live console shows."""
+    from rich.text import Text
+
+    live.print(Text(wrapped(line, live.width)), soft_wrap=True)
+
+
+def fitting(parts: list[str], room: int) -> str:
+    """Return the parts that fit: always the first one, and rather the last ones than the middle."""
+    while len("  ".join(parts)) > room and len(parts) > 1:
+        parts = [parts[0], *parts[2:]]
+    return "  ".join(parts)
+
+
+def display(*, as_json: bool) -> Logger:
+    """Choose the display for where the output goes."""
+    if as_json:
+        return JsonDisplay()
+    return LiveDisplay() if moves(sys.stderr) else PlainDisplay()
+
+
+def progress(generation: Generation, generations: int) -> str:
+    """Describe a generation in one line."""
+    g = generation
+    return (
+        f"generation {g.generation + 1}/{generations}  best {g.best:.6g}  mean {g.mean:.6g}  "
+        f"{plural(g.evaluations, 'evaluation')}  {_servers(g)}"
+    )
+
+
+def generation_event(generation: Generation, **more: Any) -> dict[str, Any]:
+    """Return the JSON object of a generation."""
+    values = {"event": "generation", **more, **generation._asdict()}
+    del values["statistics"]
+    return values
+
+
+def summary(result: Result) -> str:
+    """Describe the result of a run in three lines."""
+    best = "the last generation's best score is" if result.relative else "best fitness"
+    return (
+        f"{best} {result.best:.6g} after {plural(result.generations, 'generation')}, "
+        f"{plural(result.evaluations, 'evaluation')} "
+        f"({plural(result.requeued, 'trial')} sent again), {duration(result.seconds)}\n"
+        f"history {', '.join([*flaws(result), result.history_hash])}\n"
+        f"run     {result.run}"
+    )
+
+
+def flaws(result: Result) -> list[str]:
+    """Return why another run may have another history: faulted and doubtful trials."""
+    counts = {"faulted": result.faulted, "doubtful": result.doubtful}
+    return [f"{word}: {plural(count, 'trial')}" for word, count in counts.items() if count]
+
+
+def _servers(generation: Generation) -> str:
+    return f"{plural(generation.slots, 'slot')} on {plural(generation.servers, 'server')}"

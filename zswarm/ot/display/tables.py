@@ -1,0 +1,148 @@
+"""Print tables and paragraphs for people, and JSON for programs."""
+
+import contextlib
+import errno
+import os
+import sys
+import textwrap
+from collections.abc import Iterator
+from typing import IO, TYPE_CHECKING, Any
+
+from zswarm.config.decode import to_json
+from zswarm.system.terminal import console, stdout
+
+if TYPE_CHECKING:
+    from rich.table import Table
+    from rich.text import Text
+
+LABEL = 12  # columns
+NARROW = 60  # columns: tables need more
+UNFOLDED = 10_000  # columns, where output goes into a file or another program
+NARROWEST = 10  # columns of a text next to numbers
+LEAST = 20  # columns of a hanging paragraph
+UNBROKEN: dict[str, Any] = {"break_on_hyphens": False, "break_long_words": False}
+STATES = {"ok": "green", "warning": "yellow", "broken": "bold red"}
+
+
+def table(*columns: str, **style: Any) -> "Table":
+    """Make an empty table, whose long cells are folded.
+
+    Args:
+        columns: their headers; ``>`` before one aligns its column to the right, for numbers.
+        style: of a rich table, in place of ours.
+    """
+    # Here and in _text: what commands import at their top must not load rich, which takes 40 ms.
+    from rich import box
+    from rich.table import Table
+
+    made = Table(**{"box": box.SIMPLE, "padding": (0, 1), "pad_edge": False, **style})
+    for column in columns:
+        justify = "right" if column.startswith(">") else "left"
+        made.add_column(column.removeprefix(">"), overflow="fold", justify=justify)  # type: ignore[arg-type]
+    return made
+
+
+def row(table: "Table", *cells: object) -> None:
+    """Add a row of texts, in which brackets are not markup."""
+    table.add_row(*(_text(str(cell)) for cell in cells))
+
+
+def show(table: "Table") -> None:
+    """Print a table, as a block of lines for each row where the terminal is too narrow.
+
+    Numbers are broken only where nothing else helps. In a file or a pipe nothing is folded.
+    """
+    made = console()
+    if not sys.stdout.isatty() and "COLUMNS" not in os.environ:
+        made.width = UNFOLDED
+    unfolded = made.measure(table, options=made.options.update(max_width=UNFOLDED)).maximum
+    if made.width < min(NARROW, unfolded):
+        _show_blocks(table)
+        return
+    numbers = [column for column in table.columns if column.justify == "right"]
+    needed = NARROWEST * (len(table.columns) - len(numbers)) + 2 * len(table.columns)
+    for column in numbers:
+        needed += max(len(str(cell)) for cell in (column.header, *column.cells))
+    for column in numbers:
+        column.no_wrap = needed <= made.width
+    made.print(table)
+
+
+def _show_blocks(table: "Table") -> None:
+    headers = [f"  {column.header}" for column in table.columns]
+    for cells in zip(*(column.cells for column in table.columns), strict=True):
+        first, *others = (" ".join(str(cell).split()) for cell in cells)
+        line(first)
+        for header, text in zip(headers[1:], others, strict=True):
+            if text:
+                entry(header, text, label=2 + max(map(len, headers)))
+
+
+def line(text: "str | Text", *, stderr: bool = False) -> None:
+    """Print a text as it is, however wide the terminal."""
+    console(stderr=stderr).print(text, soft_wrap=True)
+
+
+def paragraph(text: str, *, stderr: bool = False) -> None:
+    """Print lines of the terminal's width, indented from the second on; names are not broken."""
+    line(wrapped(text, console(stderr=stderr).width), stderr=stderr)
+
+
+def wrapped(text: str, width: int) -> str:
+    """Break a text between words; its later lines are indented by 2 columns."""
+    return "\n".join(textwrap.wrap(text, width, subsequent_indent="  ", **UNBROKEN))
+
+
+def entry(about: str, text: str, *, colour: str = "", label: int = LABEL) -> None:
+    """Print a label of so many columns, and next to it a text within the terminal's width."""
+    _hanging(_text(f"{about:{label}}", colour), text, label)
+
+
+def item(name: str, *texts: str) -> None:
+    """Print the name of a list's item, and below it texts within the terminal's width."""
+    line(_text(f"  {name}", "bold"))
+    for text in texts:
+        _hanging(_text("    "), text, 4)
+
+
+def fact(state: str, about: str, text: str, remedy: str) -> None:
+    """Print a state, what it is about, a text, and below it what to do."""
+    lead = _text(f"{state:8}", STATES.get(state, "")) + f"{about:12}"
+    _hanging(lead, text, 20)
+    if remedy:
+        _hanging(_text(f"{'':20}> "), remedy, 22)
+
+
+def _hanging(lead: "Text", text: str, indent: int) -> None:
+    """Print a text after its lead, with all lines beginning in the same column."""
+    made = console()
+    lines = textwrap.wrap(text, max(LEAST, made.width - indent), **UNBROKEN)
+    made.print(lead + f"\n{' ' * indent}".join(lines), soft_wrap=True)
+
+
+def _text(text: str, style: str = "") -> "Text":
+    """Return a text in which brackets are not markup."""
+    from rich.text import Text
+
+    return Text(text, style)
+
+
+def print_json(value: dict[str, Any]) -> None:
+    """Print an object on one line of stdout."""
+    echo(to_json(value), stdout())
+
+
+def echo(text: str, stream: IO[str]) -> None:
+    """Print a text into a stream at once, also if the disk behind it is full."""
+    with patience():
+        print(text, file=stream, flush=True)
+
+
+@contextlib.contextmanager
+def patience() -> Iterator[None]:
+    """Ignore a full disk: the stream writes the rest with its next line."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise

@@ -1,0 +1,92 @@
+"""The folder of a run: its files, its name and its lock."""
+
+import contextlib
+import fcntl
+import os
+import time
+from pathlib import Path
+
+from zswarm import experiment
+from zswarm.errors import ConfigError
+from zswarm.experiment import Experiment
+from zswarm.system.text import clean
+
+DATABASE, EXPERIMENT = "run.sqlite", "experiment.toml"
+RUNS = Path("runs")  # the default of --out
+LOCK_TRIES, LOCK_PAUSE_S = 20, 0.005  # `is_running` holds the lock for an instant
+
+
+def load_experiment(folder: Path) -> Experiment:
+    """Return the complete experiment of a run; raise ConfigError if the folder holds no run."""
+    check_run(folder)
+    return experiment.complete(experiment.load(folder / EXPERIMENT), str(folder / EXPERIMENT))
+
+
+def check_run(folder: Path) -> None:
+    """Raise ConfigError unless the folder has the files of a run."""
+    if not all(os.path.isfile(folder / name) for name in (EXPERIMENT, DATABASE)):
+        raise ConfigError(f"{no_run(folder)} with {EXPERIMENT} and {DATABASE}")
+
+
+def no_run(folder: Path) -> str:
+    """Return the beginning of an error message; it suggests the folder of that name in ``runs``."""
+    below, hint = RUNS / folder, ""
+    if folder != below and not folder.exists() and os.path.isfile(below / EXPERIMENT):
+        hint = f" (did you mean {clean(str(below))}?)"
+    return f"{clean(str(folder))}: no run{hint}; expected a folder"
+
+
+def new_folder(parent: Path, name: str) -> Path:
+    """Make a folder ``parent/name``; if that exists ``name-2``, and so on.
+
+    Raises:
+        ConfigError: it cannot be made.
+    """
+    for number in range(1, 100_000):
+        folder = parent / (name if number == 1 else f"{name}-{number}")
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        except OSError as error:
+            why = f"cannot be made: {error.strerror}"
+            raise ConfigError(f"{folder}: {why}; choose another place with --out") from None
+        return folder
+    raise ConfigError(f"{parent}: too many runs are called {name}")
+
+
+def lock_folder(folder: Path, what: str = "run") -> int:
+    """Return a file descriptor that locks the folder until it is closed.
+
+    Raises:
+        ConfigError: another program has the lock, or the folder cannot be written.
+    """
+    try:
+        lock = os.open(folder / "lock", os.O_CREAT | os.O_RDWR, 0o644)
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot be written: {error.strerror}") from None
+    for attempt in range(LOCK_TRIES):
+        if attempt:
+            time.sleep(LOCK_PAUSE_S)
+        with contextlib.suppress(OSError):
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return lock
+    os.close(lock)
+    raise ConfigError(f"{folder}: another zswarm-ot is at this {what}; stop it first")
+
+
+def is_running(folder: Path) -> bool:
+    """Return whether a program has locked the folder."""
+    try:
+        lock = os.open(folder / "lock", os.O_RDONLY | os.O_NONBLOCK)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:  # a file system without locks
+        return False
+    finally:
+        os.close(lock)
+    return False

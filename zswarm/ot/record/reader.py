@@ -1,0 +1,398 @@
+"""Read a run's record, also while the run evolves; nothing is written (docs/record.md).
+
+A record may come from somewhere else: its types are checked, and its texts made safe to show.
+"""
+
+import html
+import json
+from collections.abc import Iterable, Sequence
+from functools import cached_property
+from operator import itemgetter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import msgspec
+import numpy as np
+
+from zswarm import experiment
+from zswarm.config.sections import ABSOLUTE
+from zswarm.controller import CHAMPION, Controller, load_controller
+from zswarm.errors import ConfigError
+from zswarm.experiment import Experiment
+from zswarm.ot.record.database import UNREADABLE, describe, outage, read_only
+from zswarm.ot.record.folder import DATABASE, EXPERIMENT, check_run, is_running
+from zswarm.ot.record.schema import check_version
+from zswarm.system.extras import need
+from zswarm.system.text import clean
+
+if TYPE_CHECKING:
+    import pandas
+    import polars
+
+NESTED = 32  # levels of tables and lists in a text
+NAMES = ("run", "simulator", "representation", "sensors", "actuators")  # of a controller
+
+T = TypeVar("T")
+Row = dict[str, Any]
+
+
+class Run:
+    """A run's folder, read-only: finished, stopped or active; the folder need not be writable.
+
+    Attributes:
+        folder: as given.
+        name: of the folder, safe to show.
+        shown: the folder, safe to show.
+        meta: the table of that name, texts safe to show.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Check that the record can be read.
+
+        Raises:
+            ConfigError: no run, damaged, truncated, or of another schema.
+        """
+        self.folder, self.name = folder, clean(folder.name or folder.resolve().name)
+        self.shown = clean(str(folder))
+        check_run(folder)
+        self._meta = dict(self.rows("SELECT key, value FROM meta", tuple[str, Any]))
+        self.meta = {
+            clean(key): clean(value) if isinstance(value, str) and not _plain(value) else value
+            for key, value in self._meta.items()
+        }
+        check_version(self._meta, folder / DATABASE)
+
+    def __repr__(self) -> str:
+        return f"Run({self.shown!r})"
+
+    # ---- the run
+
+    @cached_property
+    def experiment(self) -> Experiment:
+        """The experiment with every default; no plug-in is imported, and texts are safe to show.
+
+        It is as the run began, except for ``generations`` and ``[cluster]``, which are read from
+        the file.
+
+        Raises:
+            ConfigError: the file or the record is damaged.
+        """
+        file, began = experiment.load(self.folder / EXPERIMENT), self._began
+        parts = {name: began[name] for name in experiment.PARTS}
+        mapping = {
+            **began,
+            **{name: {**part["settings"], "kind": part["kind"]} for name, part in parts.items()},
+            "generations": file.generations,
+            "cluster": _cleaned(msgspec.to_builtins(file.cluster)),
+        }
+        return experiment.check(mapping, f"{self.shown}/{DATABASE}")
+
+    @property
+    def changed(self) -> list[str]:
+        """Keys of ``experiment.toml`` that were changed since the run began.
+
+        Raises:
+            ConfigError: as ``experiment``.
+        """
+        file = experiment.load(self.folder / EXPERIMENT)
+        try:
+            now = _cleaned(msgspec.to_builtins(file))
+        except RecursionError as error:
+            raise ConfigError(f"{self.shown}/{EXPERIMENT}: {error}") from None
+        return sorted(key for key, value in self._began.items() if now.get(key) != value)
+
+    @property
+    def history_hash(self) -> str | None:
+        """Hash of all that the optimizer learned; None while the run is not finished."""
+        value = self.meta.get("history_hash")
+        return value if isinstance(value, str) else None
+
+    @property
+    def finished(self) -> bool:
+        """Return whether the run has all its generations."""
+        return self.history_hash is not None
+
+    @property
+    def relative(self) -> bool:
+        """Return whether fitness is a score, which compares candidates of one generation only."""
+        return bool(self.meta.get("relative"))
+
+    @property
+    def going_on(self) -> bool:
+        """Return whether a program is running it now."""
+        return is_running(self.folder)
+
+    # ---- its record
+
+    def history(self) -> list[Row]:
+        """Return generation, finished_at, seconds, best, mean, evaluations and statistics of each.
+
+        ``seconds`` counts from the end of the previous generation; ``best`` and ``evaluations``
+        include earlier generations, except ``best`` of ``relative`` fitness.
+        """
+        previous, evaluations, history = self.meta.get("created_at"), 0, []
+        for generation, at, best, mean, count, statistics in self.rows(
+            "SELECT generation, finished_at, best, mean, evaluations, statistics "
+            "FROM generations ORDER BY generation",
+            tuple[int, float, float | None, float | None, int, str],
+        ):
+            evaluations += count
+            history.append(
+                {
+                    "generation": generation,
+                    "finished_at": at,
+                    "seconds": at - previous if isinstance(previous, int | float) else None,
+                    "best": best,
+                    "mean": mean,
+                    "evaluations": evaluations,
+                    "statistics": self._statistics(statistics),
+                }
+            )
+            previous = at
+        return history
+
+    def generations(self) -> int:
+        """Return the number of finished generations."""
+        return self.rows("SELECT count(*) FROM generations", tuple[int])[0][0]
+
+    def best(self) -> float | None:
+        """Return the best fitness; if it is ``relative``, that of the last generation."""
+        sql = "SELECT max(best) FROM generations"
+        if self.relative:
+            sql += " WHERE generation = (SELECT max(generation) FROM generations)"
+        return self.rows(sql, tuple[float | None])[0][0]
+
+    def events(self) -> list[Row]:
+        """Return the rows of the table ``events``, in order."""
+        rows = self.rows(
+            "SELECT at, generation, event, server, text, count FROM events ORDER BY rowid",
+            tuple[float, int | None, str, str | None, str | None, int | None],
+        )
+        return _named("at generation event server text count", rows)
+
+    def servers(self) -> list[Row]:
+        """Return the rows of the view ``servers``, the busiest first."""
+        rows = self.rows(
+            "SELECT server, sum(count), sum(seconds), min(at), max(at) FROM outcomes "
+            "WHERE server <> '' GROUP BY server ORDER BY 2 DESC, 1",
+            tuple[str, int, float, float, float],
+        )
+        return _named("server trials seconds first_at last_at", rows)
+
+    def marked(self) -> tuple[int, int]:
+        """Return the numbers of faulted trials and of doubtful ones, whose server was faulty."""
+        sums = "coalesce(sum(faulted), 0), coalesce(sum(count * (doubtful <> 0)), 0)"
+        return self.rows(f"SELECT {sums} FROM outcomes", tuple[int, int])[0]  # noqa: S608  ours
+
+    def candidates(self, generation: int) -> list[Row]:
+        """Return candidate, genome (bytes), fitness and measures (a list) of each, as asked.
+
+        Fitness and measures are as the optimizer was told, NaN as None. Without measures the list
+        is empty.
+        """
+        rows = self.rows(
+            "SELECT candidate, genome, fitness, measures FROM candidates WHERE generation = ? "
+            "ORDER BY candidate",
+            tuple[int, bytes, float | None, bytes | None],
+            generation,
+        )
+        try:
+            found = [(*row[:3], _numbers(row[3] or b"", -1)) for row in rows]
+        except ValueError:
+            what = f"measures of generation {generation} are not float64 numbers"
+            raise self._damaged(what) from None
+        return _named("candidate genome fitness measures", found)
+
+    def trials(self, generation: int) -> list[Row]:
+        """Return candidate, trial, fitness (by participant), metrics (by name) and server of each.
+
+        The generation may be unfinished; NaN is None. If candidates play each other a trial has
+        instead of ``candidate`` its ``game`` and its ``candidates``, in the order of fitness.
+        """
+        each, found = self.experiment.problem.trials, []
+        for count, trials, fitness, metrics, server, participants in self.rows(
+            "SELECT count, trials, fitness, metrics, server, participants FROM outcomes "
+            "WHERE generation = ? ORDER BY id",
+            tuple[int, bytes, bytes, bytes, str, bytes | None],
+            generation,
+        ):
+            try:
+                indices = np.frombuffer(trials, "<u4").reshape(count).tolist()
+                scores, measured = _numbers(fitness, count, -1), _numbers(metrics, count, -1)
+                players = None
+                if participants is not None:
+                    shape = (count, len(scores[0]))
+                    players = np.frombuffer(participants, "<u4").reshape(shape).tolist()
+            except ValueError:
+                what = f"outcomes of generation {generation} do not fit together"
+                raise self._damaged(what) from None
+            names = self._metric_names(len(measured[0]))
+            for row, index in enumerate(indices):
+                judged, number = divmod(index, each)
+                trial = {
+                    "trial": number,
+                    "fitness": scores[row],
+                    "metrics": dict(zip(names, measured[row], strict=True)),
+                    "server": clean(server),
+                }
+                if players is None:
+                    trial = {"candidate": judged, **trial}
+                else:
+                    trial = {"game": judged, "candidates": players[row], **trial}
+                found.append((index, trial))
+        return [trial for _, trial in sorted(found, key=itemgetter(0))]
+
+    def champion(self) -> Controller | None:
+        """Return the best controller, its texts safe to show; None before there is one.
+
+        Raises:
+            ConfigError: its file is damaged.
+        """
+        if not (self.folder / CHAMPION).is_file():
+            return None
+        settings = ("simulator_settings", "representation_settings")
+        try:
+            return cleaned(load_controller(self.folder), *NAMES, *settings)
+        except RecursionError as error:
+            raise ConfigError(f"{self.shown}/{CHAMPION}: damaged: {error}") from None
+
+    # ---- for notebooks
+
+    def to_pandas(self) -> "pandas.DataFrame":
+        """Return the history, a row per generation; the optimizer's statistics are columns, too.
+
+        Raises:
+            ConfigError: pandas is missing.
+        """
+        frame: pandas.DataFrame = need("pandas", "data", "to_pandas").DataFrame(self.table())
+        return frame
+
+    def to_polars(self) -> "polars.DataFrame":
+        """Return the same as ``to_pandas``; raise ConfigError if polars is missing."""
+        library = need("polars", "data", "to_polars")
+        frame: polars.DataFrame = library.DataFrame(self.table(), infer_schema_length=None)
+        return frame
+
+    def table(self) -> list[Row]:
+        """Return the history with a key for each of the optimizer's statistics."""
+        history = self.history()
+        statistics = [row.pop("statistics") for row in history]
+        names = dict.fromkeys(name for values in statistics for name in values)
+        return [
+            row | {name: values.get(name) for name in names if name not in row}
+            for row, values in zip(history, statistics, strict=True)
+        ]
+
+    def _repr_html_(self) -> str:
+        best = self.best()
+        label = "best score of the last generation" if self.relative else "best fitness"
+        state = "running" if self.going_on else "stopped: zswarm.resume continues it"
+        state = "finished" if self.finished else state
+        rows = {
+            "folder": self.shown,
+            "simulator": self.experiment.problem.simulator,
+            "generations": f"{self.generations()} of {self.experiment.generations}, {state}",
+            label: "" if best is None else f"{best:.6g}",
+            "history": self.history_hash or "",
+        }
+        left = "style='text-align:left'"
+        cells = "".join(
+            f"<tr><th {left}>{html.escape(key)}</th><td {left}>{html.escape(value)}</td></tr>"
+            for key, value in rows.items()
+            if value
+        )
+        return f"<table>{cells}</table>"
+
+    # ---- reading the database
+
+    def rows(self, sql: str, kind: type[T], *parameters: Any) -> list[T]:
+        """Return the rows of a query, converted to a type.
+
+        Raises:
+            ConfigError: the record is damaged, or cannot be read now.
+        """
+        try:
+            with read_only(self.folder / DATABASE) as database:
+                rows = database.execute(sql, parameters).fetchall()
+            return msgspec.convert(rows, list[kind])  # type: ignore[valid-type]
+        except msgspec.ValidationError as error:
+            table = sql.partition("FROM ")[2].split()[0]
+            raise self._damaged(f"table {table}: {clean(str(error))}") from None
+        except UNREADABLE as error:
+            if outage(error, self.folder) or isinstance(error, OSError):
+                why = f"cannot be read: {describe(error, self.folder)}"
+                raise ConfigError(f"{self.shown}/{DATABASE}: {why}") from None
+            raise self._damaged(clean(str(error))) from None
+
+    @property
+    def _began(self) -> Row:
+        """The parts of the experiment that the history depends on, as the run began."""
+        try:
+            absolute = {"kind": ABSOLUTE, "settings": {}}
+            began = {"ranking": absolute, **_cleaned(json.loads(self._meta["experiment"]))}
+            for part in experiment.PARTS:
+                _ = {**began[part]["settings"]}, began[part]["kind"]
+        except (KeyError, TypeError, ValueError, RecursionError):
+            raise self._damaged("its experiment is not valid") from None
+        return began
+
+    def _metric_names(self, count: int) -> list[str]:
+        try:
+            names = msgspec.json.decode(self._meta.get("metrics", "[]"), type=list[str])
+        except (msgspec.DecodeError, TypeError):
+            raise self._damaged("names of its metrics are not a list of texts") from None
+        if len(names) == count:
+            return list(map(clean, names))
+        return [f"metric {number}" for number in range(1, count + 1)]
+
+    def _statistics(self, text: str) -> Row:
+        try:
+            found: Row = _cleaned(msgspec.json.decode(text, type=dict[str, Any]))
+        except (msgspec.DecodeError, RecursionError):
+            raise self._damaged("the statistics of a generation are not a JSON object") from None
+        return found
+
+    def _damaged(self, why: str) -> ConfigError:
+        return ConfigError(f"{self.shown}/{DATABASE}: damaged: {why}")
+
+
+def cleaned(controller: Controller, *fields: str) -> Controller:
+    """Return a controller with the texts of these fields safe to show."""
+    texts = {field: _cleaned(getattr(controller, field)) for field in fields}
+    return msgspec.structs.replace(controller, **texts)
+
+
+def _plain(text: str) -> bool:
+    return text.isascii() and text.isprintable()
+
+
+def _named(names: str, rows: Iterable[Sequence[Any]]) -> list[Row]:
+    """Return rows by the names of their columns, with texts that are safe to show."""
+    return [dict(zip(names.split(), map(_clean, row), strict=True)) for row in rows]
+
+
+def _clean(value: Any) -> Any:
+    return clean(value) if isinstance(value, str) else value
+
+
+def _cleaned(value: Any, levels: int = NESTED) -> Any:
+    """Return a table or list with its texts made safe to show.
+
+    Raises:
+        RecursionError: it is nested deeper than anything that zswarm writes.
+    """
+    if not isinstance(value, dict | list):
+        return _clean(value)
+    if not levels:
+        raise RecursionError(f"nested deeper than {NESTED} levels")
+    if isinstance(value, dict):
+        return {clean(str(key)): _cleaned(item, levels - 1) for key, item in value.items()}
+    return [_cleaned(item, levels - 1) for item in value]
+
+
+def _numbers(raw: bytes, *shape: int) -> list[Any]:
+    """Return float64 numbers as nested lists of a shape; NaN is None."""
+    numbers = np.frombuffer(raw, "<f8").reshape(shape).astype(object)
+    numbers[numbers != numbers] = None
+    found: list[Any] = numbers.tolist()
+    return found

@@ -1,0 +1,45 @@
+"""The results of finished runs, from their records."""
+
+import math
+from pathlib import Path
+
+from zswarm.errors import ConfigError
+from zswarm.experiment import Experiment
+from zswarm.ot.logger import Result
+from zswarm.ot.record.reader import Run
+
+
+def finished_result(folder: Path, complete: Experiment) -> Result | None:
+    """Return the result of a run that has all its generations and whose experiment is unchanged."""
+    run = Run(folder)
+    if run.generations() != complete.generations or run.changed:
+        return None
+    return result_after(folder, complete.generations)
+
+
+def result_after(folder: Path, generations: int) -> Result | None:
+    """Return a finished run's result after a number of generations, for runs of one length.
+
+    It is None also for a run that cannot be read: resuming it reports why.
+    """
+    try:
+        run = Run(folder)
+        if not run.finished or run.generations() < generations:
+            return None
+        history, (faulted, doubtful) = run.history(), run.marked()
+        counts = [event["count"] for event in run.events() if event["event"] == "requeued"]
+    except ConfigError:
+        return None
+    last = history[generations - 1]
+    return Result(
+        str(folder),
+        generations,
+        math.nan if last["best"] is None else last["best"],
+        last["evaluations"],
+        sum(count or 0 for count in counts),
+        run.history_hash or "" if last is history[-1] else "",
+        0.0,
+        faulted,
+        doubtful,
+        run.relative,
+    )

@@ -1,0 +1,91 @@
+"""Select a recorded candidate by its generation and its number, or the champion."""
+
+import math
+from pathlib import Path
+
+import msgspec
+
+from zswarm.controller import CHAMPION, Controller, load_controller
+from zswarm.errors import ConfigError
+from zswarm.ot.record.reader import NAMES, Row, Run, cleaned
+from zswarm.system.text import clean
+
+
+def generation_of(run: Run, generation: int | None) -> int:
+    """Return a finished generation, counted from 0; by default the one that found the best.
+
+    Raises:
+        ConfigError: the run has no such generation.
+    """
+    count = run.generations()
+    if not count:
+        raise ConfigError(f"{run.shown}: no generation is finished")
+    if generation is None:
+        best = run.best()
+        found = [int(row["generation"]) for row in run.history() if row["best"] == best]
+        return count - 1 if run.relative or not found else found[0]
+    if not 0 <= generation < count:
+        raise ConfigError(
+            f"{run.shown}: no generation {generation}; {available('generation', count)}"
+        )
+    return generation
+
+
+def candidate_of(
+    run: Run, generation: int, candidates: dict[int, Row], candidate: int | None
+) -> int:
+    """Return the number of a candidate, counted from 0 as asked; by default of the best.
+
+    Args:
+        candidates: rows of ``Run.candidates`` by their number.
+
+    Raises:
+        ConfigError: the generation has no such candidate.
+    """
+
+    def rank(number: int) -> tuple[float, int]:
+        fitness = candidates[number]["fitness"]
+        return -math.inf if fitness is None else fitness, -number
+
+    if candidate is None and candidates:
+        return max(candidates, key=rank)
+    if candidate not in candidates:
+        what = f"no candidate {candidate} in generation {generation}"
+        raise ConfigError(f"{run.shown}: {what}; {available('candidate', len(candidates))}")
+    return candidate
+
+
+def available(what: str, count: int) -> str:
+    """Return, in words, the valid numbers of things that are counted from 0."""
+    if count < 2:
+        return f"it has {what} 0 only" if count else f"it has no {what}s"
+    return f"it has {what}s 0 to {count - 1}"
+
+
+def controller(
+    path: Path, generation: int | None = None, candidate: int | None = None
+) -> Controller:
+    """Return a recorded controller, its names safe to show.
+
+    Args:
+        path: a run's folder, or a champion's file.
+        generation: a finished one, from 0; None: the one that found the best.
+        candidate: from 0, in the order asked; None: the best. Without both: the run's champion.
+
+    Raises:
+        ConfigError: there is no such controller, or its file or record is damaged.
+    """
+    found = load_controller(path)
+    if generation is not None or candidate is not None:
+        if not path.is_dir():
+            raise ConfigError(
+                f"{clean(str(path))}: --generation and --candidate take a run's folder, "
+                f"not its {CHAMPION} alone"
+            )
+        run = Run(path)
+        generation = generation_of(run, generation)
+        rows = {row["candidate"]: row for row in run.candidates(generation)}
+        row = rows[candidate_of(run, generation, rows, candidate)]
+        fitness = math.nan if row["fitness"] is None else row["fitness"]
+        found = msgspec.structs.replace(found, genome=row["genome"], fitness=fitness)
+    return cleaned(found, *NAMES)

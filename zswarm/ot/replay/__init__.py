@@ -1,0 +1,1 @@
+"""Traces of a trial, and the page that plays them."""

@@ -1,0 +1,62 @@
+"""The settings of an experiment as rows of a report, and which differ from their defaults."""
+
+from typing import Any, NamedTuple
+
+import msgspec
+
+from zswarm import experiment
+from zswarm.config import ranges, sections
+from zswarm.errors import UnknownPlugin
+from zswarm.plugins import registry as plugins
+
+
+class SettingRow(NamedTuple):
+    """A key of the experiment."""
+
+    key: str
+    value: str
+    default: str | None = None  # if it differs
+
+
+def settings_rows(complete: experiment.Experiment) -> list[SettingRow]:
+    """Return every setting."""
+    tables = experiment.to_mapping(complete)
+    problem, network, optimizer = (
+        tables[key] for key in ("problem", "representation", "optimizer")
+    )
+    settings = problem.pop("settings")
+    rows = [SettingRow(key, str(tables[key])) for key in ("name", "seed", "generations")]
+    for table, values, defaults in (
+        ("problem", problem, _defaults(sections.ProblemConfig)),
+        ("problem.settings", settings, _part_defaults("simulator", problem["simulator"])),
+        ("representation", network, _part_defaults("representation", network["kind"])),
+        ("optimizer", optimizer, _part_defaults("optimizer", optimizer["kind"])),
+        ("cluster", tables["cluster"], _defaults(sections.ClusterConfig)),
+    ):
+        for key, value in values.items():
+            default = defaults.get(key, value)
+            shown = _value(default) if default != value else None
+            rows.append(SettingRow(f"{table}.{key}", _value(value), shown))
+    return rows
+
+
+def _value(value: Any) -> str:
+    return f"{ranges.words(value)}, by trial" if ranges.is_range(value) else ranges.shown(value)
+
+
+def _defaults(struct: type[msgspec.Struct]) -> dict[str, Any]:
+    return {
+        field.name: msgspec.to_builtins(
+            field.default_factory() if field.default is msgspec.NODEFAULT else field.default
+        )
+        for field in msgspec.structs.fields(struct)
+        if not field.required
+    }
+
+
+def _part_defaults(kind: plugins.Kind, name: str) -> dict[str, Any]:
+    """Return the defaults of a part; none if it is not installed."""
+    try:
+        return _defaults(plugins.load(kind, name).settings_type)
+    except UnknownPlugin:
+        return {}

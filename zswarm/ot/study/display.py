@@ -1,0 +1,215 @@
+"""Show a study as a live table on a terminal, as plain lines elsewhere, or as JSON for programs."""
+
+import sys
+import time
+from typing import Any
+
+from zswarm.ot.analysis.comparison import SCORES
+from zswarm.ot.display import tables
+from zswarm.ot.display.progress import flaws, generation_event, say
+from zswarm.ot.logger import Generation, Logger, Started
+from zswarm.ot.study.outcome import RunEnded, StudyLogger, StudyOutcome
+from zswarm.ot.study.plan import Planned
+from zswarm.ot.study.study import Study
+from zswarm.system.format import duration, plural
+from zswarm.system.terminal import console, moves
+
+REFRESHES = 4  # a second
+
+
+class _RunLogger(Logger):
+    """Print the lines of a run with its name."""
+
+    def __init__(self, display: Any, planned: Planned) -> None:
+        self._display, self._planned = display, planned
+
+    def on_say(self, line: str) -> None:
+        self._display.on_say(f"{self._planned.name}: {line}")
+
+
+class _JsonRunLogger(_RunLogger):
+    """Print the generations of a run."""
+
+    def on_generation(self, generation: Generation) -> None:
+        run = str(self._display.folder / self._planned.name)
+        tables.print_json(generation_event(generation, run=run))
+
+
+class _LiveRunLogger(_RunLogger):
+    """Show a run as a row of the table."""
+
+    _evaluations: int | None = None
+
+    def on_start(self, run: Started) -> None:
+        self._display.skip(run.generation)
+        self._task = self._display.progress.add_task(
+            f"  {self._planned.name}",
+            completed=run.generation,
+            total=self._planned.experiment.generations,
+            text="waiting for a slot",
+        )
+
+    def on_generation(self, generation: Generation) -> None:
+        done, text = generation.generation + 1, f"best {generation.best:.5g}"
+        self._display.progress.update(self._task, completed=done, text=text)
+        evaluations = generation.evaluations
+        self._display.advance(evaluations - (self._evaluations or evaluations))
+        self._evaluations = evaluations
+
+
+class PlainStudyDisplay(StudyLogger):
+    """Print a line for each run that ended, and a table at the end."""
+
+    logs_runs: type[_RunLogger] = _RunLogger
+
+    def __init__(self, study: Study) -> None:
+        self._ended, self._planned = 0, len(study.planned)
+
+    def run_logger(self, planned: Planned) -> Logger:
+        return self.logs_runs(self, planned)
+
+    def on_say(self, line: str) -> None:
+        tables.echo(line, sys.stderr)
+
+    def on_run(self, ended: RunEnded) -> None:
+        self._ended += 1
+        if not ended.earlier:
+            self.on_say(f"{_described(ended)}  ({self._ended} of {self._planned})")
+
+    def on_outcome(self, outcome: StudyOutcome | None) -> None:
+        if outcome is not None:
+            with tables.patience():
+                _show(outcome)
+
+
+class JsonStudyDisplay(PlainStudyDisplay):
+    """Print a JSON object a line on stdout; lines for people go to stderr."""
+
+    logs_runs = _JsonRunLogger
+
+    def __init__(self, study: Study) -> None:
+        super().__init__(study)
+        self.folder = study.folder
+
+    def on_run(self, ended: RunEnded) -> None:
+        planned = ended.planned
+        values: dict[str, Any] = {
+            "run": str(self.folder / planned.name),
+            "seed": planned.seed,
+            "settings": planned.settings,
+        }
+        if ended.result is None:
+            tables.print_json({"event": "failed", **values, "error": ended.error})
+        else:
+            tables.print_json({"event": "run", **values, **ended.result._asdict()})
+
+    def on_outcome(self, outcome: StudyOutcome | None) -> None:
+        if outcome is None:
+            return
+        tables.print_json(
+            {
+                "event": "done",
+                **{key: getattr(outcome, key) for key in ("study", "runs", "finished", "seconds")},
+                "failed": len(outcome.failed),
+                **outcome.whole.numbers(),
+                "settings": [
+                    {"settings": summary.settings, "runs": summary.runs, **summary.numbers()}
+                    for summary in outcome.settings
+                ],
+            }
+        )
+
+
+class LiveStudyDisplay(PlainStudyDisplay):
+    """Update a table on a terminal: the progress of all runs, and of each run in progress."""
+
+    logs_runs = _LiveRunLogger
+
+    def __init__(self, study: Study) -> None:
+        super().__init__(study)
+        from rich.progress import Progress, TextColumn, TimeRemainingColumn
+
+        self.progress = Progress(
+            TextColumn("{task.description}"),
+            TextColumn("{task.completed:.0f}/{task.total:.0f}"),
+            TextColumn("{task.fields[text]}"),
+            TimeRemainingColumn(compact=True),
+            console=console(stderr=True, live=True),
+            refresh_per_second=REFRESHES,
+            transient=True,
+        )
+        self._generations = sum(one.experiment.generations for one in study.left)  # to play
+        self._all = self.progress.add_task(
+            f"0/{self._planned} runs", total=self._generations, text=""
+        )
+        self._evaluations, self._begin = 0, 0.0
+        if study.left:
+            self.progress.start()
+
+    def on_say(self, line: str) -> None:
+        say(self.progress.console, line)
+
+    def on_run(self, ended: RunEnded) -> None:
+        super().on_run(ended)
+        self.progress.update(self._all, description=f"{self._ended}/{self._planned} runs")
+        for task in self.progress.tasks[1:]:
+            if task.description == f"  {ended.planned.name}":
+                self.skip(int(task.remaining or 0))  # of one that failed
+                self.progress.remove_task(task.id)
+
+    def on_outcome(self, outcome: StudyOutcome | None) -> None:
+        self.progress.stop()
+        super().on_outcome(outcome)
+
+    def skip(self, generations: int) -> None:
+        """Take generations that need not be played out of the total."""
+        self._generations -= generations
+        self.progress.update(self._all, total=self._generations)
+
+    def advance(self, evaluations: int) -> None:
+        """Count a generation of a run, with its evaluations."""
+        self._begin = self._begin or time.monotonic()
+        self._evaluations += evaluations
+        rate = self._evaluations / max(1.0, time.monotonic() - self._begin)
+        self.progress.update(self._all, advance=1, text=f"{rate:.0f}/s")
+
+
+def display(study: Study, *, as_json: bool) -> StudyLogger:
+    """Choose the display for where the output goes."""
+    if as_json:
+        return JsonStudyDisplay(study)
+    return LiveStudyDisplay(study) if moves(sys.stderr) else PlainStudyDisplay(study)
+
+
+def _described(ended: RunEnded) -> str:
+    name, result = ended.planned.name, ended.result
+    if result is None:
+        return f"{name}  failed: {ended.error}"
+    work = f"{plural(result.evaluations, 'evaluation')}, {duration(result.seconds)}"
+    parts = (name, f"best {result.best:.6g}", work, ", ".join(flaws(result)))
+    return "  ".join(filter(None, parts))
+
+
+def _show(outcome: StudyOutcome) -> None:
+    """Print the table of settings, the failed runs, and what can be done next."""
+    table = tables.table("setting", ">runs", ">q25", ">median", ">q75", ">best", ">evaluated")
+    for summary in outcome.settings:
+        label = summary.label or ("unchanged" if len(outcome.settings) > 1 else "all runs")
+        spread = summary.fitness
+        values = (spread.q25, spread.median, spread.q75, spread.best)
+        numbers = ("" if value is None else f"{value:.6g}" for value in values)
+        tables.row(table, label, summary.runs, *numbers, summary.evaluations)
+    tables.show(table)
+    for ended in outcome.failed:
+        tables.line(f"failed  {ended.planned.name}: {ended.error}")
+    runs = f"{outcome.finished} of {plural(outcome.runs, 'run')} finished"
+    tables.line(f"{runs}, {duration(outcome.seconds)}")
+    tables.line(f"study   {outcome.study}")
+    if outcome.failed:
+        tables.line(f"again   zswarm-ot resume {outcome.study}")
+    if outcome.relative:
+        tables.paragraph(f"{SCORES[0].upper()}{SCORES[1:]}.")
+    if outcome.finished:
+        tables.line(f"next    zswarm-ot plot {outcome.study}")
+    if outcome.finished and not outcome.relative:
+        tables.line(f"        zswarm-ot compare {outcome.study}")

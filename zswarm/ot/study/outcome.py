@@ -1,0 +1,95 @@
+"""The outcome of a study, and the logger that follows one."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from zswarm.ot.analysis.curves import Spread, spread
+from zswarm.ot.logger import Logger, Result
+from zswarm.ot.study.plan import Planned, first_of_each, label
+
+
+class RunEnded(NamedTuple):
+    """A run of a study that ended."""
+
+    planned: Planned
+    result: Result | None  # None: it failed
+    error: str = ""
+    earlier: bool = False  # it had finished before the study was resumed
+
+
+class Summary(NamedTuple):
+    """The finished runs of a setting."""
+
+    settings: dict[str, Any]
+    label: str
+    runs: int
+    fitness: Spread
+    evaluations: int
+
+    def numbers(self) -> dict[str, Any]:
+        """Return what is reported to programs."""
+        found = {name: getattr(self.fitness, name) for name in ("median", "q25", "q75", "best")}
+        return {**found, "evaluations": self.evaluations}
+
+
+class StudyOutcome(NamedTuple):
+    """A study that ended."""
+
+    study: str
+    runs: int
+    finished: int
+    failed: list[RunEnded]
+    settings: list[Summary]
+    whole: Summary  # over all settings
+    seconds: float  # of this program
+    relative: bool  # fitness of some runs is a score, which compares only within one generation
+
+
+class StudyLogger(Logger):
+    """Follow a study: ``on_say`` takes lines about it, and each of its runs has a logger.
+
+    All calls come from the thread that plays the study.
+    """
+
+    def run_logger(self, planned: Planned) -> Logger:  # noqa: ARG002
+        """Return the logger of a run before it begins."""
+        return Logger()
+
+    def on_run(self, ended: RunEnded) -> None:
+        """Called when a run ended; first for those that had finished earlier."""
+
+    def on_outcome(self, outcome: StudyOutcome | None) -> None:
+        """Called last, when the study ended or was stopped (None)."""
+
+
+def summarize(
+    study: str, planned: Sequence[Planned], ended: Sequence[RunEnded], seconds: float
+) -> StudyOutcome:
+    """Summarize the runs of a study by setting."""
+    finished = [one for one in ended if one.result is not None]
+    settings = [one.settings for one in first_of_each(planned)]
+    by_setting: dict[str, list[RunEnded]] = {}
+    for one in finished:
+        by_setting.setdefault(repr(one.planned.settings), []).append(one)  # 1 is not 1.0
+    summaries = [
+        _summary(each, label(each, settings), by_setting.get(repr(each), [])) for each in settings
+    ]
+    return StudyOutcome(
+        study,
+        len(planned),
+        len(finished),
+        [one for one in ended if one.result is None],
+        summaries,
+        _summary({}, "", finished),
+        round(seconds, 3),
+        any(one.result.relative for one in finished if one.result),
+    )
+
+
+def _summary(settings: dict[str, Any], words: str, ended: Sequence[RunEnded]) -> Summary:
+    results = [one.result for one in ended if one.result is not None]
+    best = np.array([-np.inf if np.isnan(result.best) else result.best for result in results])
+    evaluations = sum(result.evaluations for result in results)
+    return Summary(settings, words, len(results), spread(best), evaluations)

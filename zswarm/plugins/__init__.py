@@ -1,0 +1,1 @@
+"""Find parts by name, and hash the code behind them."""

@@ -1,0 +1,195 @@
+"""The version hash: two machines compute the same results only with the same code.
+
+It covers the shared files, the simulator, the representation, and the versions of the libraries
+that compile them; if a library itself plays trials (``LIBRARIES`` of a module), also its version
+and the processor's architecture. Servers with another hash than the optimizer's are reported and
+not used.
+
+The cache hash names the folder of compiled kernels. It covers all code that may be compiled, and
+the processor, since machines with different processors may share a home folder: numba distinguishes
+them in one folder, but two that compile at the same time choose the same file name, and then one
+runs the other's machine code.
+"""
+
+import hashlib
+import os
+import platform
+import re
+from collections.abc import Iterable, Mapping
+from functools import cache
+from importlib.metadata import PackageNotFoundError, entry_points, version
+from itertools import takewhile
+from pathlib import Path
+from typing import Any
+
+from zswarm.plugins import registry as plugins
+
+LIBRARIES = ("llvmlite", "numba", "numpy", "pymunk")
+CODE, NONE = "code of ", "none"
+PACKAGE_VERSION = re.compile(r"\w[\w.!+-]*")
+CPUINFO = Path("/proc/cpuinfo")
+# On x86-64 and aarch64. Compiled code depends on these; others differ between equal machines.
+KEYS = (
+    "vendor_id|cpu family|model|flags|"
+    "CPU implementer|CPU architecture|CPU variant|CPU part|Features"
+)
+PACKAGE = Path(__file__).parents[1]
+SHARED = [
+    "evaluate.py",
+    "config/ranges.py",
+    "sims/randomized.py",
+    "sims/turns.py",
+    "sims/simulator.py",
+]
+SHARED += ["kernels/jit.py", "kernels/compiler.py", "kernels/lanes.py", "kernels/vectors.py"]
+SHARED += ["kernels/signatures.py", "kernels/portable.py", "kernels/random.py"]
+SHARED += ["nets/meshed.py", "nets/networks.py", "nets/neurons.py"]
+SHARED += ["nets/representation.py", "nets/vector.py"]
+
+
+@cache
+def version_hash(simulator: str, representation: str) -> str:
+    """Return 32 hex digits for the code of a simulator and a representation."""
+    files = [*_files("simulator", simulator), *_files("representation", representation)]
+    further = _further(_libraries(simulator, representation))
+    return digest(files, "".join(f"{name} {found}\n" for name, found in further.items()))
+
+
+@cache  # a server asks for each part as often as there are parts of the other kind
+def _files(kind: plugins.Kind, name: str) -> tuple[Path, ...]:
+    return tuple(plugins.source_files(kind, name))
+
+
+@cache
+def _named(kind: plugins.Kind, name: str) -> tuple[str, ...]:
+    return tuple(plugins.libraries(_files(kind, name)))
+
+
+def _libraries(simulator: str, representation: str) -> tuple[str, ...]:
+    named = {*_named("simulator", simulator), *_named("representation", representation)}
+    return tuple(sorted(named))
+
+
+def versions(simulator: str, representation: str) -> dict[str, str]:
+    """Return what the version hash covers: versions of libraries, short digests of code."""
+    return {
+        **_common(),
+        **_further(_libraries(simulator, representation)),
+        f"{CODE}simulator {simulator}": _code("simulator", simulator),
+        f"{CODE}representation {representation}": _code("representation", representation),
+    }
+
+
+def differing(here: Mapping[str, str], asked: Mapping[str, str]) -> list[str]:
+    """Describe how this machine's versions differ from those that are asked for."""
+    found = []
+    for name, theirs in asked.items():
+        if here.get(name) == theirs:
+            continue
+        if name.startswith(CODE):
+            found.append(f"other {name}")
+        elif name in here:
+            found.append(f"{name} {here[name]}, not {theirs}")
+        else:
+            found.append(f"no {name}")
+    return found
+
+
+def lacking(here: Mapping[str, str], asked: Mapping[str, str]) -> list[str]:
+    """Return the packages to install here, as arguments of pip."""
+    missing = {
+        name: asked[name] for name, found in here.items() if found == NONE != asked.get(name, NONE)
+    }
+    return [
+        f"{name}=={theirs}" if PACKAGE_VERSION.fullmatch(theirs) else name
+        for name, theirs in missing.items()
+    ]
+
+
+@cache
+def cache_hash() -> str:
+    """Return 32 hex digits for all code that may be compiled here, and for the processor."""
+    folders = [PACKAGE / "nets", PACKAGE / "sims"]
+    bundled = [file for folder in folders for file in sorted(folder.rglob("*.py"))]
+    return digest([*bundled, *plugins.plugin_files()], _processor())
+
+
+def digest(files: Iterable[Path], text: str = "") -> str:
+    """Return 32 hex digits for the shared and given files, the libraries' versions, and a text."""
+    total = _shared().copy()
+    total.update(text.encode())
+    return _hashed(total, files).hexdigest()
+
+
+@cache
+def _shared() -> "hashlib.blake2b":
+    total = hashlib.blake2b(digest_size=16)
+    for library in LIBRARIES:
+        total.update(f"{library} {version(library)}\n".encode())
+    return _hashed(total, _shared_files())
+
+
+def _shared_files() -> list[Path]:
+    return [PACKAGE / name for name in SHARED]
+
+
+@cache
+def _common() -> dict[str, str]:
+    libraries = {library: version(library) for library in LIBRARIES}
+    return libraries | {f"{CODE}zswarm": _short(_shared_files())}
+
+
+@cache
+def _code(kind: plugins.Kind, name: str) -> str:
+    return _short(_files(kind, name))
+
+
+def _short(files: Iterable[Path]) -> str:
+    return _hashed(hashlib.blake2b(digest_size=4), files).hexdigest()
+
+
+@cache
+def _further(libraries: tuple[str, ...]) -> dict[str, str]:
+    """Return the versions of libraries that parts name, and the processor's architecture.
+
+    zswarm cannot promise their bits. The name of an entry-point group stands for all packages that
+    add to it.
+    """
+    if not libraries:
+        return {}
+    adding = [point.dist for name in libraries for point in _entry_points().select(group=name)]
+    found = {library: _version(library) for library in libraries}
+    found |= {package.name: package.version for package in adding if package is not None}
+    return dict(sorted(found.items())) | {"architecture": platform.machine()}
+
+
+@cache
+def _entry_points() -> Any:  # which type depends on the version of Python
+    return entry_points()
+
+
+def _version(library: str) -> str:
+    try:
+        return version(library)
+    except PackageNotFoundError:
+        return NONE
+
+
+def _hashed(total: "hashlib.blake2b", files: Iterable[Path]) -> "hashlib.blake2b":
+    for file in files:
+        content = hashlib.blake2b(file.read_bytes(), digest_size=16)
+        total.update(file.name.encode() + content.digest())
+    return total
+
+
+def _processor() -> str:
+    """Return the processor's kind, and the one for which numba is told to compile instead."""
+    target = [os.environ.get(name, "") for name in ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES")]
+    try:
+        # The first processor's entry: a large machine has hundreds.
+        with CPUINFO.open() as lines:
+            first = "".join(takewhile(str.strip, lines))
+    except OSError:  # macOS
+        first = ""
+    kind = re.findall(rf"^(?:{KEYS})\t*:.*", first, re.M)
+    return "\n".join([platform.machine(), *kind, *target])

@@ -1,0 +1,1 @@
+"""The translator from kernels to C99."""

@@ -1,0 +1,1 @@
+"""Profiles of robots: their topics, frames and limits."""

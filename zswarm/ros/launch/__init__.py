@@ -1,0 +1,1 @@
+"""Simulators that are launch files."""

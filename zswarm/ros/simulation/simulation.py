@@ -1,0 +1,186 @@
+"""A ROS simulation as a slot drives it: its own node, or one that already runs."""
+
+import contextlib
+import fcntl
+import hashlib
+import sys
+import tempfile
+import time
+import weakref
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from zswarm.errors import EvaluationError
+from zswarm.robots.profiles.profile import Channel, Profile
+from zswarm.ros.link import graph
+from zswarm.ros.link.child import Child
+from zswarm.ros.link.graph import RosGraph
+from zswarm.ros.link.link import Link
+from zswarm.ros.link.messages import ResetWorld, Velocity
+from zswarm.ros.simulation.pairing import Readings
+from zswarm.ros.simulation.settings import RosSettings
+from zswarm.sims import turtlebot_exit
+from zswarm.sims.simulator import RobotInterface
+
+NS = 1_000_000_000
+READY_S = 30.0  # for both sides to find each other
+LISTEN_S = 0.2  # to a simulation that may be running, before the first trial
+FLOOD_S = 0.5  # spent at most on messages that come faster than they are taken
+LOOK_S = 0.2  # between checks of the node
+SOON = 0.75  # of a step: a scan so much later is the next one; free-running ones are not exact
+
+
+class Simulation:
+    """A simulation at work, until it is closed or garbage-collected."""
+
+    def __init__(self, settings: RosSettings, profile: Profile, interface: RobotInterface) -> None:
+        """Start the link, and the node if it is the slot's own."""
+        self._settings, self._profile = settings, profile
+        self._robots, self._lock_step = settings.robots, settings.mode == "lock-step"
+        self._step_ns = round(settings.step_s * NS)
+        self._node: Child | None = None
+        self.stamp_ns = 0
+        pose: Channel = "odometry" if profile.ground_truth is None else "ground_truth"
+        self._readings = Readings(interface, truth=pose == "ground_truth")
+        used: list[Channel] = ["velocity", "scan", pose, "reset"]
+        if not self._lock_step:
+            used.append("clock")
+        with contextlib.ExitStack() as opened:
+            if settings.launch == "own":
+                here = opened.enter_context(graph.private(settings.link))
+                command = _node(settings, here.dialled(), f"scan,{pose}")
+                environment = here.environment(profile.distribution)
+                self._node = Child("the simulation node", command, environment, {})
+                opened.callback(self._node.close)
+            else:
+                names = ("link", "master", "domain", "connect")
+                here = RosGraph(local=False, **{name: getattr(settings, name) for name in names})
+                opened.enter_context(_alone_with(here))
+            link = Link(here, profile, robots=self._robots, side="controllers", channels=used)
+            self._link = opened.enter_context(link)
+            self._link.ready(READY_S)
+            self.close = weakref.finalize(self, opened.pop_all().close)
+
+    def begin(self, seed: int, scans: np.ndarray, poses: np.ndarray) -> None:
+        """Begin a trial, and fill all robots' scans and poses; see ``Readings.fill``."""
+        if not self._lock_step:
+            self._listen(LISTEN_S)
+        before_ns = self._readings.clock_ns
+        self._readings.forget()
+        self._link.send([ResetWorld(seed=seed)])
+        due_ns = self._step_ns
+        if self._profile.reset.service:  # its clock is not reset
+            due_ns = before_ns + 2 * self._step_ns
+        elif not self._lock_step:
+            self._await_reset(before_ns)
+        self._look(range(self._robots), due_ns, scans, poses)
+
+    def drive(self, robots: Iterable[int], linear: np.ndarray, angular: np.ndarray) -> bool:
+        """Publish velocities; return whether the clock was past the scans they are based on."""
+        late = False
+        if not self._lock_step:
+            self._listen(0.0)
+            late = self._readings.clock_ns > self.stamp_ns
+        stamp_ns = self.stamp_ns
+        self._link.send(
+            [
+                Velocity(robot=at, stamp_ns=stamp_ns, linear=linear[at], angular=angular[at])
+                for at in robots
+            ]
+        )
+        return late
+
+    def look(self, robots: Sequence[int], scans: np.ndarray, poses: np.ndarray) -> int:
+        """Wait for the next readings of robots, and fill them; return how many steps passed."""
+        before_ns = self.stamp_ns
+        wait_ns = self._step_ns if self._lock_step else round(SOON * self._step_ns)
+        self._look(robots, before_ns + wait_ns, scans, poses)
+        return max(1, round((self.stamp_ns - before_ns) / self._step_ns))
+
+    def halt(self, robots: Iterable[int]) -> None:
+        """Stop robots in a simulation that does not wait."""
+        if not self._lock_step:
+            still = Velocity(robot=0, stamp_ns=self.stamp_ns, linear=0.0, angular=0.0)
+            self._link.send([msgspec.structs.replace(still, robot=robot) for robot in robots])
+
+    def _look(
+        self, robots: Sequence[int], due_ns: int, scans: np.ndarray, poses: np.ndarray
+    ) -> None:
+        limit_s = self._settings.deadline_s
+        deadline = time.monotonic() + limit_s
+        silent_at = time.monotonic() + self._profile.watchdog_s
+        while missing := self._readings.missing(robots, due_ns):
+            now = time.monotonic()
+            if now > deadline:
+                raise EvaluationError(
+                    f"no scan and pose of robot {', '.join(map(str, missing))} "
+                    f"at {due_ns / NS:g} s within {limit_s:g} s (deadline_s)"
+                )
+            if now > silent_at:
+                self.halt(robots)
+                silent_at = deadline
+            self._take(max(0.0, min(deadline, silent_at) - now))
+        self.stamp_ns = self._readings.fill(robots, scans, poses)
+
+    def _await_reset(self, before_ns: int) -> None:
+        """Wait until the clock restarted."""
+        limit_s = self._settings.deadline_s
+        deadline = time.monotonic() + limit_s
+        while self._readings.clock_ns == 0 or 0 < before_ns <= self._readings.clock_ns:
+            if time.monotonic() > deadline:
+                raise EvaluationError(f"no trial began within {limit_s:g} s (deadline_s)")
+            self._readings.forget()
+            self._take(limit_s)
+
+    def _listen(self, for_s: float) -> None:
+        """Take messages that are there, and that come for a while."""
+        until = time.monotonic() + for_s
+        while self._take(max(0.0, until - time.monotonic())):
+            if time.monotonic() >= until + FLOOD_S:
+                break
+
+    def _take(self, timeout_s: float) -> bool:
+        """Take the next message; return early without one, so that the node is checked often."""
+        message = self._link.receive(min(timeout_s, LOOK_S))
+        if message is not None:
+            self._readings.take(message)
+        elif self._node is not None:
+            self._node.next(0.0)  # raises if it ended
+        return message is not None
+
+
+def _node(settings: RosSettings, here: RosGraph, channels: str) -> list[str]:
+    """Return the command of a slot's own node."""
+    fields = turtlebot_exit.TurtlebotExitSettings.__struct_fields__
+    world = {field: getattr(settings, field) for field in fields}
+    options = {
+        "--link": here.link,
+        "--master": here.master,
+        "--domain": here.domain,
+        "--profile": settings.profile_or_default,
+        "--channels": channels,
+        "--mode": settings.mode,
+        "--rate": settings.rate,
+        "--deadline-s": settings.deadline_s,
+        "--settings": msgspec.json.encode(world).decode(),
+    }
+    command = [sys.executable, "-m", "zswarm.ros.simulation.node", "--child"]
+    command += [str(word) for option in options.items() for word in option]
+    return command + [word for endpoint in here.listen for word in ("--listen", endpoint)]
+
+
+@contextlib.contextmanager
+def _alone_with(here: RosGraph) -> Iterator[None]:
+    """Reserve a running simulation against other slots of this machine."""
+    name = hashlib.blake2b(msgspec.json.encode(here), digest_size=8).hexdigest()
+    with Path(tempfile.gettempdir(), f"zswarm-ros-{name}.lock").open("w") as held:
+        try:
+            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise EvaluationError(
+                "another slot drives this simulation; one server with --capacity 1 was expected"
+            ) from None
+        yield

@@ -1,0 +1,98 @@
+"""``turtlebot-exit-ros``: turtlebot-exit with a ROS simulation as its world, driven by messages.
+
+The slot's process receives scans and poses, asks the controllers, and publishes velocities: nothing
+is started or compiled for a candidate. In lock-step the simulation waits for all velocities of a
+step, and a trial has the bits of ``turtlebot-exit``. ROS is needed only when a trial is played.
+"""
+
+import contextlib
+from collections.abc import Iterator
+
+import numpy as np
+
+from zswarm.errors import ConfigError, EvaluationError
+from zswarm.kernels.portable import atan2
+from zswarm.robots.profiles import profile as profiles
+from zswarm.ros.simulation.settings import RosSettings
+from zswarm.ros.simulation.simulation import Simulation
+from zswarm.sims.simulator import Frame, Outcome, Simulator, Turn
+from zswarm.sims.turtlebot_exit import ExitTask, TurtlebotExit
+
+NAME = "turtlebot-exit-ros"
+
+
+class TurtlebotExitRos(Simulator):
+    """turtlebot-exit, played by a ROS simulation; observations and decisions are ROS messages.
+
+    Observation, action, start, end and fitness: as turtlebot-exit; in lock-step with the same bits.
+    Turns: all robots that are still inside, at once, every ``step_s`` of the simulation's clock.
+    Metrics: those of turtlebot-exit, and ``late_fraction``: the share of velocities that were sent
+        when the clock was past their scan's stamp; 0 in lock-step.
+    """
+
+    settings_type = RosSettings
+    metrics = (*TurtlebotExit.metrics, "late_fraction")
+    sensors, actuators = TurtlebotExit.sensors, TurtlebotExit.actuators
+    inputs, outputs = TurtlebotExit.inputs, TurtlebotExit.outputs
+    settings: RosSettings
+
+    def __init__(self, settings: RosSettings) -> None:
+        super().__init__(settings)
+        # Checks the settings, and draws pictures; it plays no trial.
+        self._inside = TurtlebotExit(settings)
+        self.task = ExitTask(settings)
+        self.owners, self.robot = self._inside.owners, self.task.interface
+        self.repeatable = settings.mode == "lock-step"
+        self._profile = profiles.read(settings.profile_or_default)
+        if not self.repeatable and self._profile.clock is None:
+            raise ConfigError(f"{NAME}: mode: free-running needs a profile with a clock")
+        self._scans = np.zeros((settings.robots, settings.rays), np.float32)
+        # x, y, and z, w of the quaternion; a robot that is out keeps its last pose.
+        self.poses = np.zeros((settings.robots, 4))
+        self._simulation: Simulation | None = None
+
+    def reset(self, seed: int) -> Turn:
+        """Have the simulation begin a trial."""
+        self._seed, self._late, self._sent = seed, 0, 0
+        with self._running() as simulation:
+            simulation.begin(seed, self._scans, self.poses)
+        return self.task.begin(self._scans, self.poses)
+
+    def step(self, actions: np.ndarray) -> Turn | None:
+        """Publish the robots' decisions, and wait for their next readings."""
+        self.task.decide(actions)
+        agents = self.task.agents.tolist()
+        with self._running() as simulation:
+            late = simulation.drive(agents, self.task.linear, self.task.angular)
+            passed = simulation.look(agents, self._scans, self.poses)
+            self._sent, self._late = self._sent + len(agents), self._late + late * len(agents)
+            turn, out = self.task.go_on(self._scans, self.poses, passed)
+            simulation.halt(agents if turn is None else out)
+        return turn
+
+    def outcome(self) -> Outcome:
+        """Return fitness and metrics of the trial that ended."""
+        decided = self.task.outcome()
+        return Outcome(decided.fitness, [*decided.metrics, self._late / self._sent])
+
+    def frame(self) -> Frame:
+        """Return the picture of turtlebot-exit."""
+        angles = [2 * atan2(z, w) for _, _, z, w in self.poses.tolist()]
+        return self._inside.picture(np.column_stack([self.poses[:, :2], angles]), self.task.agents)
+
+    def close(self) -> None:
+        """End the simulation; the next trial starts it again."""
+        if self._simulation is not None:
+            self._simulation.close()
+        self._simulation = None
+
+    @contextlib.contextmanager
+    def _running(self) -> Iterator[Simulation]:
+        """Provide the simulation; its errors are the machine's, and end it."""
+        try:
+            if self._simulation is None:
+                self._simulation = Simulation(self.settings, self._profile, self.task.interface)
+            yield self._simulation
+        except (ConfigError, EvaluationError) as error:
+            self.close()
+            raise EvaluationError(f"simulator {NAME!r}, trial seed {self._seed}: {error}") from None

@@ -1,0 +1,1 @@
+"""Simulators that play environments of other packages."""

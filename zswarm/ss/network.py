@@ -1,0 +1,227 @@
+"""A server as the network sees it: a session, its queryables, and a liveliness token.
+
+It can be opened again with other keys or endpoints: the server stays the same, and runs that lost
+their link return to their leases. Zenoh's callbacks only put items into the inbox.
+"""
+
+import contextlib
+import os
+from collections import deque
+from collections.abc import Callable, Iterator
+
+import msgspec
+import structlog
+import zenoh
+
+from zswarm import session
+from zswarm.errors import RemoteProtocolError
+from zswarm.protocol import codec, keys
+from zswarm.protocol.messages import MAX_TEXT, Refused
+from zswarm.security import refusals
+from zswarm.session import Reach
+from zswarm.ss.local.control import LocalQuery
+from zswarm.ss.slots import events
+from zswarm.ss.workers.remote import Unheard
+from zswarm.system.text import clean
+
+ANSWER_S = 2.0  # for the optimizer to answer; zenoh keeps a kilobyte per query as long
+MAX_SENDERS = 256  # runs that have a thread for answers
+MAX_INBOX = 10_000  # items; further queries are dropped unanswered
+
+log = structlog.get_logger()
+
+
+class PeerQuery:
+    """A query that waits for its answer."""
+
+    def __init__(self, query: zenoh.Query) -> None:
+        self._query = query
+        self.key = str(query.key_expr)
+        self.body = query.payload.to_bytes() if query.payload is not None else b""
+        self.run = "malformed"  # user and run, once it is decoded
+
+    def answer(self, body: bytes) -> None:
+        """Answer, in a thread that may block; the peer may be gone."""
+        try:
+            self._query.reply(self._query.key_expr, body)
+        except zenoh.ZError as error:
+            log.debug("answer_failed", reason=str(error)[:MAX_TEXT])
+        finally:
+            self._query.drop()
+
+    def drop(self) -> None:
+        """Leave it unanswered."""
+        self._query.drop()
+
+
+Item = PeerQuery | LocalQuery | Unheard | events.Event | int  # an int: the number of a signal
+
+
+class Inbox:
+    """A queue from other threads and signals to the server's loop; readable when it has items."""
+
+    def __init__(self) -> None:
+        self._items: deque[Item] = deque()
+        self._wake, self.woken = os.pipe()
+        os.set_blocking(self._wake, False)
+        os.set_blocking(self.woken, False)
+
+    def fileno(self) -> int:
+        """Return the descriptor to wait for."""
+        return self._wake
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+    def put(self, item: Item) -> None:
+        """Append an item, and wake the loop."""
+        self._items.append(item)
+        with contextlib.suppress(BlockingIOError):
+            os.write(self.woken, b"!")
+
+    def clear_wake(self) -> None:
+        """Read the descriptor until the next item comes."""
+        with contextlib.suppress(BlockingIOError):
+            os.read(self._wake, 4096)
+
+    def take(self) -> Iterator[Item]:
+        """Remove and yield the items that are there."""
+        for _ in range(len(self._items)):
+            yield self._items.popleft()
+
+
+class Presence(msgspec.Struct, eq=False):
+    """A server on the network."""
+
+    realm: str
+    server: str
+    inbox: Inbox
+    private: bool  # it is reached only by the program that started it
+    endpoints: list[str] = []  # that it listens on
+    malformed: int = 0  # number of messages
+    _session: zenoh.Session | None = None
+    _token: zenoh.LivelinessToken | None = None
+    _senders: dict[str, session.Sender] = {}
+
+    def open(self, listen: list[str], reach: Reach, *, visible: bool) -> None:
+        """Open the session; declare the liveliness token if the server is to be visible."""
+        self._session, self.endpoints = session.open_server(listen, reach)
+        if not self.private:
+            session.watch(self._session, self.endpoints, reach, "server")
+        refusals.watch_routers(reach.connect, reach.keyring)
+        on_query = zenoh.handlers.Callback(self._on_query, indirect=False)
+        on_run = zenoh.handlers.Callback(self._on_run, indirect=False)
+        self._session.declare_queryable(keys.offer(self.realm, self.server), on_query)
+        self._session.declare_queryable(keys.requests(self.realm, self.server), on_query)
+        liveliness = self._session.liveliness()
+        runs = keys.run_alive(self.realm, "*", "*")
+        liveliness.declare_subscriber(runs, on_run, history=True)
+        if visible:
+            self._token = liveliness.declare_token(keys.alive(self.realm, self.server))
+
+    def leave(self) -> None:
+        """Undeclare the liveliness token; queries are still answered."""
+        if self._token is not None:
+            self._token.undeclare()
+            self._token = None
+
+    def close(self, *, or_exit: bool = True) -> None:
+        """Close the session."""
+        if self._session is not None:
+            session.close(self._session, or_exit=or_exit)
+        self._session = self._token = None
+
+    def _on_query(self, query: zenoh.Query) -> None:
+        if len(self.inbox) < MAX_INBOX:
+            self.inbox.put(PeerQuery(query))
+        else:
+            query.drop()
+
+    def _on_run(self, sample: zenoh.Sample) -> None:
+        try:
+            user, run = keys.parse_run_key(str(sample.key_expr))
+        except RemoteProtocolError:
+            return
+        alive = sample.kind == zenoh.SampleKind.PUT
+        self.inbox.put(events.HolderAlive(user, run, alive))
+
+    # ---- queries and their answers
+
+    def decode(self, query: PeerQuery) -> events.Asked | None:
+        """Return the event of a query; answer one that is malformed."""
+        try:
+            key, message = codec.decode_query(query.key, query.body)
+        except RemoteProtocolError as error:
+            self.malformed += 1
+            if self.malformed & (self.malformed - 1) == 0:  # a flood must not fill the disk
+                fields = {"key": clean(query.key), "reason": str(error)}
+                log.warning("malformed", **fields, count=self.malformed)
+            self.answer(query, codec.encode(Refused(code="malformed", reason=str(error))))
+            return None
+        query.run = f"{key.user}/{key.run}"
+        return events.Asked(id(query), key.user, key.run, message)
+
+    def answer(self, query: PeerQuery, body: bytes) -> None:
+        """Answer in the thread of the run: a send into a dying link blocks."""
+        if not self._sender(query.run).send(lambda: query.answer(body)):
+            log.warning("answer_dropped", run=query.run)
+            query.drop()
+
+    def _sender(self, run: str) -> session.Sender:
+        if run not in self._senders:
+            if len(self._senders) >= MAX_SENDERS:
+                oldest = next(iter(self._senders))
+                self._senders.pop(oldest).close()
+            self._senders[run] = session.Sender(run)
+        return self._senders[run]
+
+    def forget(self, run: str) -> None:
+        """End the thread of a run that is gone."""
+        if (sender := self._senders.pop(run, None)) is not None:
+            sender.close()
+
+    def finish(self, timeout_s: float) -> None:
+        """Give the answers that are on their way so long."""
+        for sender in self._senders.values():
+            sender.close(timeout_s)
+
+    # ---- questions
+
+    def ask(
+        self,
+        run: tuple[str, str],
+        number: int,
+        body: bytes,
+        take: Callable[[int, bytes], None],
+        at_once: bool,
+    ) -> None:
+        """Ask a run's optimizer; put ``Unheard`` into the inbox if no answer comes.
+
+        Args:
+            run: user and run.
+            take: called with the number and the answer, in zenoh's threads.
+            at_once: send in this thread, because it does not block.
+        """
+
+        def on_answer(answer: bytes | None, _replier: str = "") -> None:
+            if answer is None:
+                self.inbox.put(Unheard(number))
+            else:
+                take(number, answer)
+
+        def send() -> None:
+            if (opened := self._session) is None:  # during a reload
+                on_answer(None)
+                return
+            session.ask(
+                opened,
+                keys.control(self.realm, *run, self.server),
+                body,
+                on_answer,
+                timeout_s=ANSWER_S,
+                priority=zenoh.Priority.INTERACTIVE_LOW,
+                express=True,
+            )
+
+        if not self._sender("/".join(run)).send(send, at_once=at_once):
+            on_answer(None)

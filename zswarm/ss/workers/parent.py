@@ -1,0 +1,301 @@
+"""The server's end of a slot's process (``child.py``): starts it, watches it, replaces it.
+
+The fork server starts processes and reports how they ended; while it hangs it does neither.
+So a thread asks it for processes, and a killed one is waited for no longer than a moment: the
+server's loop never hangs.
+"""
+
+import contextlib
+import functools
+import math
+import multiprocessing
+import multiprocessing.forkserver
+import os
+import queue
+import selectors
+import threading
+import time
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from multiprocessing.context import ForkServerProcess
+from typing import Protocol
+
+import numpy as np
+import structlog
+
+from zswarm.ss.slots.events import Died, PrepareSlot, RunChunk
+from zswarm.ss.workers import child
+from zswarm.ss.workers.child import FromSlot, Here, encode, from_slot
+from zswarm.ss.workers.output import Output
+from zswarm.system.processes import exit_reason
+
+# A slot is one thread; a BLAS takes 40 MB for each.
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.2, 10.0  # before a process that died early again is replaced
+KILLED_S = 0.2  # for a killed process to go, before the loop continues
+EXIT_S = 1.0  # for the fork server to report how a process ended
+
+_context = multiprocessing.get_context("forkserver")
+log = structlog.get_logger()
+
+
+def start_fork_server() -> None:
+    """Start the process that slots are forked from.
+
+    It loads numba, so it is to be started before slow imports; and before zenoh is opened.
+    """
+    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
+    _context.set_forkserver_preload(child.PRELOADED)
+    multiprocessing.forkserver.ensure_running()
+
+
+class Owner(Protocol):
+    """The owner of workers: what they call."""
+
+    def on_message(self, worker: "Worker") -> None:
+        """Call ``receive``: a message came."""
+
+    def on_output(self, worker: "Worker") -> None:
+        """Call ``read_output``: the process wrote something."""
+
+    def on_exit(self, worker: "Worker") -> None:
+        """Look for orphans: a process is gone."""
+
+
+class Worker:
+    """The server's end of a slot's process.
+
+    Attributes:
+        pipe: to the process; None while none was asked for.
+        here: the process is there and warm.
+        leaving: the previous process, which was killed and is not gone yet.
+    """
+
+    def __init__(
+        self, slot: int, memory_mb: int, selector: selectors.BaseSelector, owner: Owner
+    ) -> None:
+        self.slot, self.memory_mb = slot, memory_mb
+        self.pipe: Connection | None = None
+        self.here = False
+        self.leaving: ForkServerProcess | None = None
+        self._selector, self._owner = selector, owner
+        self._shared = _context.RawArray("q", 2)
+        self._progress = np.frombuffer(self._shared, np.int64)
+        self._process: ForkServerProcess | None = None
+        self._start_faults: list[str] = []  # from the thread that asked for the process
+        self._output: Output | None = None
+        self._prepared = False
+        self._held = b""  # a message for the process that is to come
+        self._early_deaths = 0  # in a row: before any answer
+        self._start_at = 0.0
+        self._missing_since = math.inf
+
+    # ---- life
+
+    @property
+    def session(self) -> int:
+        """The session of the process and of all that it starts; 0 while there is none."""
+        return (self._process is not None and self.pipe is not None and self._process.pid) or 0
+
+    @property
+    def start_at(self) -> float:
+        """When to call ``start``, by the monotonic clock; infinite if a process is there."""
+        return math.inf if self.leaving is not None else self._start_at
+
+    def start(self) -> None:
+        """Ask for the process; ``receive`` returns Here, or logs why it could not be started."""
+        self._progress[:] = 0
+        self.pipe, child_end = _context.Pipe()
+        output, write_end = _context.Pipe(duplex=False)
+        self._output = Output(output)
+        self._register(self.pipe, functools.partial(self._owner.on_message, self))
+        self._register(self._output, functools.partial(self._owner.on_output, self))
+        arguments = (child_end, self.slot, self._shared, self.memory_mb, write_end)
+        self._process = _context.Process(target=child.main, args=arguments, daemon=True)
+        self._start_faults = []
+        self._start_at = math.inf
+        self._missing_since = min(self._missing_since, time.monotonic())
+        ends = child_end, write_end
+        _starter().put(functools.partial(_start, self._process, ends, self._start_faults))
+
+    def kill(self) -> None:
+        """Kill the process; a new one is due at once, unless there was a pause already."""
+        self._held = b""
+        if self.pipe is not None:
+            self.close()
+            self._start_at = 0.0
+
+    def close(self) -> None:
+        """Kill the process for good; one that did not start yet finds its pipe closed."""
+        if self.pipe is None or self._process is None:
+            return
+        self._close_pipes()
+        self.here = self._prepared = False
+        if self._process.pid is not None:
+            self._process.kill()
+            self._process.join(KILLED_S)
+            if self._process.exitcode is not None:
+                self._owner.on_exit(self)
+                return
+            self.leaving = self._process
+            self._register(self.leaving.sentinel, self.look)
+            self._missing_since = min(self._missing_since, time.monotonic())
+
+    def look(self) -> None:
+        """Check whether the killed process is gone."""
+        if self.leaving is not None and self.leaving.exitcode is not None:
+            self._selector.unregister(self.leaving.sentinel)
+            self.leaving = None
+            if self._start_at > time.monotonic():
+                self._missing_since = math.inf
+            self._owner.on_exit(self)
+
+    def pauses(self, now: float) -> bool:
+        """Return whether no process is asked for yet, because several died early."""
+        return self.pipe is None and self.leaving is None and self._start_at > now
+
+    def missing_from(self, for_s: float) -> float:
+        """Return when the process will have been missing for so long; infinite if it is there."""
+        return self._missing_since + for_s
+
+    def missing_reason(self) -> str:
+        """Return why the process is missing."""
+        if self.leaving is not None:
+            return "its killed process does not go away"
+        if self._process is None or self._process.pid is None:
+            return "the fork server does not start its process"
+        return "its process started and does not answer"
+
+    # ---- work
+
+    def prepare(self, command: PrepareSlot) -> None:
+        """Prepare a problem, in a new process unless it is known to this one."""
+        if self._prepared and not command.known:
+            self.kill()
+        self._prepared = True
+        self._send(encode(command))
+
+    def run(self, command: RunChunk) -> None:
+        """Evaluate a chunk."""
+        self._progress[:] = 0
+        self._send(encode(command))
+
+    def answer(self, body: bytes) -> None:
+        """Pass on the optimizer's answer to ``Sensors``; from any thread."""
+        if (pipe := self.pipe) is not None:
+            with contextlib.suppress(OSError):  # as in _send
+                pipe.send_bytes(body)
+
+    def stop(self) -> None:
+        """Stop the chunk before its next trial."""
+        self._progress[child.STOP] = 1
+
+    @property
+    def stopping(self) -> bool:
+        """Return whether the chunk is to stop."""
+        return bool(self._progress[child.STOP])
+
+    def trial(self) -> int:
+        """Return the trial of the chunk that the process is at."""
+        return max(0, int(self._progress[child.TRIAL]))
+
+    def receive(self) -> FromSlot | None:
+        """Return the next message; Died if the process ended, None if it could not be started."""
+        if self.pipe is None:  # killed by what another descriptor of the same turn brought
+            return None
+        try:
+            message = from_slot.decode(self.pipe.recv_bytes())
+        except (EOFError, OSError):
+            return self._ended()
+        if isinstance(message, Here):
+            self.here, self._missing_since = True, math.inf
+            if self._held:
+                self._send(self._held)
+            return message
+        self._early_deaths = 0
+        if self._output is not None:
+            self._output.forget()
+        if isinstance(message, Died):
+            self.kill()
+        return message
+
+    def read_output(self) -> list[str]:
+        """Return the lines to log of what the process wrote."""
+        if self._output is None:
+            return []
+        lines = self._output.read()
+        if self._output.ended:
+            self._selector.unregister(self._output)
+            self._output.close()
+            self._output = None
+        return lines
+
+    def _ended(self) -> Died | None:
+        if self._start_faults:
+            self._close_pipes()
+            self._pause(self._start_faults[0])
+            return None
+        assert self._process is not None  # noqa: S101  it was there to end
+        self._held = b""
+        self._process.join(EXIT_S)
+        reason = exit_reason(self._process.exitcode, "closed its pipe")
+        if words := self._output.last_words() if self._output is not None else "":
+            reason += f"; it wrote: {words}"
+        trial = self.trial()
+        self._pause(reason)
+        self.close()
+        return Died(self.slot, trial, f"the slot's process {reason}")
+
+    def _pause(self, reason: str) -> None:
+        """Have a new process started: at once, but after growing pauses if it dies early again."""
+        self._early_deaths += 1
+        self._start_at, self._missing_since = time.monotonic(), math.inf
+        if self._early_deaths > 1:
+            pause = min(FIRST_PAUSE_S * 2.0 ** (self._early_deaths - 2), LONGEST_PAUSE_S)
+            self._start_at += pause
+            log.warning("slot_pauses", slot=self.slot, reason=reason, seconds=round(pause, 1))
+
+    # ---- pipes
+
+    def _send(self, message: bytes) -> None:
+        if self.pipe is None or not self.here:
+            self._held = message
+            return
+        self._held = b""
+        with contextlib.suppress(OSError):  # it ended, and its closed pipe wakes the loop
+            self.pipe.send_bytes(message)
+
+    def _register(self, file: Connection | Output | int, call: Callable[[], None]) -> None:
+        self._selector.register(file, selectors.EVENT_READ, call)
+
+    def _close_pipes(self) -> None:
+        for file in (self.pipe, self._output):
+            if file is not None:
+                self._selector.unregister(file)
+                file.close()
+        self.pipe = self._output = None
+
+
+@functools.cache
+def _starter() -> queue.SimpleQueue[Callable[[], None]]:
+    """Return the queue of a thread that asks for processes, one after the other."""
+    calls: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+
+    def work() -> None:
+        while True:
+            calls.get()()
+
+    threading.Thread(target=work, name="starter", daemon=True).start()
+    return calls
+
+
+def _start(process: ForkServerProcess, its_ends: tuple[Connection, ...], faults: list[str]) -> None:
+    try:
+        process.start()
+        # Python would look at all that it gathers here whenever a process starts, and at its end.
+        multiprocessing.process._children.discard(process)  # type: ignore[attr-defined]  # private
+    except (OSError, EOFError) as error:  # no process or memory, or the fork server ended
+        faults.append(f"could not be started: {type(error).__name__}: {error}")
+    finally:
+        for end in its_ends:
+            end.close()  # which wakes the loop if there is no process

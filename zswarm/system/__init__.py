@@ -1,0 +1,1 @@
+"""Files, terminals, logs, systemd and processes."""

@@ -1,0 +1,3 @@
+"""The version of zswarm."""
+
+VERSION = "0.1.0"

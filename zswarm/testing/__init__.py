@@ -1,0 +1,19 @@
+"""Checks that a simulator, representation or optimizer keeps its contract, and a clock for tests.
+
+Run them in the tests of your own part::
+
+    from zswarm.testing import check_simulator
+
+    def test_my_simulator_keeps_the_contract():
+        check_simulator(MySimulator)
+
+A check raises ``AssertionError`` with a text that names the broken rule. Errors that the part
+itself raises pass through.
+"""
+
+from zswarm.testing.clock import FakeClock
+from zswarm.testing.optimizers import check_optimizer
+from zswarm.testing.representations import check_representation
+from zswarm.testing.simulators import Speed, check_simulator
+
+__all__ = ["FakeClock", "Speed", "check_optimizer", "check_representation", "check_simulator"]
