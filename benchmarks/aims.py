@@ -42,7 +42,9 @@ class Aim(NamedTuple):
     @property
     def row(self) -> list[str]:
         """Return a row of the table: quantity, target, measured value, verdict."""
-        wanted = f"{'at least' if self.at_least else 'at most'} {self.written(self.wanted)}"
+        wanted = (
+            f"{'at least' if self.at_least else 'at most'} {self.written(self.wanted)}"
+        )
         if self.value is None:
             return [self.what, wanted, "", "not measured"]
         by = self.wanted / self.value if self.at_least else self.value / self.wanted
@@ -88,7 +90,9 @@ def of_dispatch(found: Found | None) -> Iterator[Aim]:
         )
     for slots, wanted in ((2, 0.95), (4, 0.95), (8, 0.95), (16, 0.92)):
         what = f"efficiency, sleep 5 ms, 400 candidates, {slots} slots"
-        yield Aim(f"sleep-{slots}", what, wanted, True, value("zswarm", "sleep", slots), share)
+        yield Aim(
+            f"sleep-{slots}", what, wanted, True, value("zswarm", "sleep", slots), share
+        )
     cores = found["machine"]["cores"] if found else 2
     what = "efficiency, 5 ms of a core, 400 candidates, a slot per core"
     yield Aim("cpu", what, 0.95, True, value("zswarm", "cpu", cores), share)
@@ -98,9 +102,13 @@ def of_scale(found: Found | None) -> Iterator[Aim]:
     """Yield the targets with many simulated servers."""
     rows = found["rows"] if found else []
     used = [
-        row["efficiency"] for row in rows if (row.get("slots"), row.get("trial_s")) == (4096, 1.0)
+        row["efficiency"]
+        for row in rows
+        if (row.get("slots"), row.get("trial_s")) == (4096, 1.0)
     ]
-    ready = [row["ready_s"] for row in rows if row.get("servers") == 256 and "ready_s" in row]
+    ready = [
+        row["ready_s"] for row in rows if row.get("servers") == 256 and "ready_s" in row
+    ]
     yield Aim(
         "scale",
         "efficiency, 4,096 simulated slots, trials of 1 s",
@@ -124,23 +132,37 @@ def of_scale(found: Found | None) -> Iterator[Aim]:
 def of_startup(found: Found | None) -> Iterator[Aim]:
     """Yield the time to the first result, and the memory of a slot."""
     rows = found["rows"] if found else []
-    warm = [row["s"] for row in rows if (row["of"], row.get("how")) == ("zswarm-ot run", "warm")]
-    slot = [
-        tables.mib(row["own_mb"]) for row in rows if (row["what"], row["of"]) == ("memory", "slot")
+    warm = [
+        row["s"]
+        for row in rows
+        if (row["of"], row.get("how")) == ("zswarm-ot run", "warm")
     ]
-    what = "first result, this machine's slots, warm cache: s from the start of the program"
+    slot = [
+        tables.mib(row["own_mb"])
+        for row in rows
+        if (row["what"], row["of"]) == ("memory", "slot")
+    ]
+    what = (
+        "first result, this machine's slots, warm cache: s from the start of the program"
+    )
     yield Aim("first", what, 1.0, False, next(iter(warm), None), "{:.2f}".format)
-    yield Aim("memory", "private memory of a slot: MiB", 40, False, next(iter(slot), None))
+    yield Aim(
+        "memory", "private memory of a slot: MiB", 40, False, next(iter(slot), None)
+    )
 
 
 def of_kernels(found: Found | None) -> Iterator[Aim]:
     """Yield the speed of kernels compared with C, pymunk and VMAS, per core."""
     rows = [row for row in found["rows"] if "agent_steps_per_s" in row] if found else []
     rate = {
-        (row["kernel"], row["variant"], row["agents"]): row["agent_steps_per_s"] for row in rows
+        (row["kernel"], row["variant"], row["agents"]): row["agent_steps_per_s"]
+        for row in rows
     }
     for kernel, agents in BESIDE_C:
-        theirs, ours = rate.get((kernel, "C", agents)), rate.get((kernel, "numba", agents))
+        theirs, ours = (
+            rate.get((kernel, "C", agents)),
+            rate.get((kernel, "numba", agents)),
+        )
         value = theirs / ours if theirs and ours else None
         what = f"{kernel}, {agents} agents: time relative to tuned C"
         yield Aim(f"C-{kernel}-{agents}", what, 1.25, False, value, "{:.2f}".format)
@@ -161,7 +183,9 @@ def of_runs(found: Found | None) -> Iterator[Aim]:
     per_s = {row["field"]: row["per_s"] for row in found["rows"]} if found else {}
     for field, times in (("stadium", 20), ("random", 10)):
         theirs = f"{FREVO[field]:,.0f} simulations/s"
-        what = f"EmergencyExit, NNGA 50 x 200, {field}: speed relative to FREVO's {theirs}"
+        what = (
+            f"EmergencyExit, NNGA 50 x 200, {field}: speed relative to FREVO's {theirs}"
+        )
         yield Aim(
             f"run-{field}",
             what,

@@ -15,7 +15,9 @@ from zswarm.ot.build import build
 def simulations_per_s(field: str, generations: int) -> float:
     """Of the same candidates in the same order."""
     example = experiment.find(FIELDS[field])
-    problem, optimizer = build(experiment.complete(experiment.load(example), str(example)))
+    problem, optimizer = build(
+        experiment.complete(experiment.load(example), str(example))
+    )
     simulator, representation = problem.simulator, problem.representation
     simulations = 0
     begin = time.perf_counter()
@@ -24,7 +26,11 @@ def simulations_per_s(field: str, generations: int) -> float:
             simulations, begin = 0, time.perf_counter()  # kernels are there
         workload = problem.workload(optimizer.ask(), generation)
         played = evaluate.evaluate(
-            simulator, representation, workload.genomes, workload.participants, workload.seeds
+            simulator,
+            representation,
+            workload.genomes,
+            workload.participants,
+            workload.seeds,
         )
         workload.fitness[:] = played.fitness
         optimizer.tell(problem.total(workload))

@@ -21,7 +21,8 @@ HERE = Path(__file__).resolve().parent
 BUILD = HERE.parent / "build"
 PYTHON = BUILD / "peers" / "bin" / "python"  # without it, peers are reported as missing
 COMMANDS = {
-    script: [f"{script}.py"] for script in ("runs", "startup", "scaling", "kernels", "dispatch")
+    script: [f"{script}.py"]
+    for script in ("runs", "startup", "scaling", "kernels", "dispatch")
 }
 COMMANDS["scale"] = ["-m", "scale"]
 COMMANDS["methods"] = ["methods.py"]
@@ -30,17 +31,24 @@ ALONE = ("scale", "methods")  # without peers: in the environment of this
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    usual = [name for name in COMMANDS if name != "methods"]  # which takes no time of anything
+    usual = [
+        name for name in COMMANDS if name != "methods"
+    ]  # which takes no time of anything
     parser.add_argument(
-        "--only", help=f"parts, with commas between: methods, or [default] {', '.join(usual)}"
+        "--only",
+        help=f"parts, with commas between: methods, or [default] {', '.join(usual)}",
     )
     parser.add_argument(
-        "--quick", action="store_true", help="small rounds, some minutes: whether it works"
+        "--quick",
+        action="store_true",
+        help="small rounds, some minutes: whether it works",
     )
     options = parser.parse_args()
     names = options.only.split(",") if options.only else usual
     if unknown := set(names) - set(COMMANDS):
-        parser.error(f"no such part: {', '.join(sorted(unknown))}; there are {', '.join(COMMANDS)}")
+        parser.error(
+            f"no such part: {', '.join(sorted(unknown))}; there are {', '.join(COMMANDS)}"
+        )
     to = BUILD / "bench-quick" if options.quick else HERE.parent
     folder = to if options.quick else machine.RESULTS
     begin, failed = time.monotonic(), []
@@ -53,14 +61,19 @@ def main() -> None:
             folder,
         ]
         if options.quick:
-            command += ["--quick", *(["--chart", to / "scale.png"] if name == "scale" else [])]
+            command += [
+                "--quick",
+                *(["--chart", to / "scale.png"] if name == "scale" else []),
+            ]
         if subprocess.run(command, cwd=HERE, check=False).returncode:
             failed.append(name)
     file = merged(names, folder, to / "results.json" if options.quick else page.RESULTS)
     if options.quick:
         (to / "docs").mkdir(exist_ok=True)
         shutil.copy(HERE.parent / "README.md", to)
-    print(f"\n# the page, after {(time.monotonic() - begin) / 60:.0f} minutes\n", flush=True)
+    print(
+        f"\n# the page, after {(time.monotonic() - begin) / 60:.0f} minutes\n", flush=True
+    )
     command = [
         sys.executable,
         HERE / "page.py",
@@ -72,7 +85,9 @@ def main() -> None:
     ]
     made = subprocess.run(command, check=False).returncode
     if failed:
-        sys.exit(f"failed: {', '.join(failed)}; what they left before is still in the page")
+        sys.exit(
+            f"failed: {', '.join(failed)}; what they left before is still in the page"
+        )
     sys.exit(made)
 
 

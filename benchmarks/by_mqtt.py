@@ -39,7 +39,9 @@ WORK = {work: number for number, work in enumerate(WORKS)}
 def mosquitto() -> str:
     """The broker's program."""
     if (found := program_of("mosquitto")) is None:
-        raise FileNotFoundError("mosquitto is not installed (Debian: apt install mosquitto)")
+        raise FileNotFoundError(
+            "mosquitto is not installed (Debian: apt install mosquitto)"
+        )
     return found
 
 
@@ -79,7 +81,13 @@ class Broker(AbstractContextManager["Broker"]):
             for number in range(self.slots):
                 started(
                     stack,
-                    [sys.executable, __file__, str(port), str(number), str(int(self.nodelay))],
+                    [
+                        sys.executable,
+                        __file__,
+                        str(port),
+                        str(number),
+                        str(int(self.nodelay)),
+                    ],
                 )
             for _ in range(self.slots):
                 assert ready.acquire(timeout=WAIT_S), "a server did not start"
@@ -101,7 +109,9 @@ class Broker(AbstractContextManager["Broker"]):
 
     def in_parts(self, genomes: list[bytes], work: str, chunk: int) -> list[float]:
         """Send whole evaluations, ``chunk`` in a message, two messages in flight per slot."""
-        parts = [genomes[begin : begin + chunk] for begin in range(0, len(genomes), chunk)]
+        parts = [
+            genomes[begin : begin + chunk] for begin in range(0, len(genomes), chunk)
+        ]
         bodies = [
             HEAD.pack(number, len(part), WORK[work]) + b"".join(part)
             for number, part in enumerate(parts)
@@ -114,7 +124,9 @@ class Broker(AbstractContextManager["Broker"]):
         def on_message(client: Any, _data: object, message: Any) -> None:
             nonlocal left
             server, number = struct.unpack_from("<II", message.payload)
-            results[number] = struct.unpack_from(f"<{len(parts[number])}d", message.payload, 8)
+            results[number] = struct.unpack_from(
+                f"<{len(parts[number])}d", message.payload, 8
+            )
             left -= 1
             if (body := next(waiting, None)) is not None:
                 client.publish(f"ss/{server}/evaluate", body)
@@ -129,7 +141,9 @@ class Broker(AbstractContextManager["Broker"]):
         assert done.wait(WAIT_S), "MQTT: an answer did not come"
         return [fitness for part in results for fitness in part]
 
-    def in_steps(self, genomes: list[bytes], work: str, _chunk: int, *, steps: int) -> list[float]:
+    def in_steps(
+        self, genomes: list[bytes], work: str, _chunk: int, *, steps: int
+    ) -> list[float]:
         """Send the paper's messages, one simulation at a time per server."""
         results = [0.0] * len(genomes)
         looking: set[int] = set()  # candidates that look for a server
@@ -147,7 +161,9 @@ class Broker(AbstractContextManager["Broker"]):
             nonlocal left
             server, candidate = struct.unpack_from("<II", message.payload)
             if message.topic == "sensor":
-                client.publish(f"ss/{server}/actuator", HEAD.pack(candidate, 0, 0) + ACTUATOR)
+                client.publish(
+                    f"ss/{server}/actuator", HEAD.pack(candidate, 0, 0) + ACTUATOR
+                )
             elif message.topic == "server":
                 if candidate in looking and server not in used:
                     looking.discard(candidate)
@@ -156,7 +172,9 @@ class Broker(AbstractContextManager["Broker"]):
                         f"ss/{server}/parameters",
                         HEAD.pack(candidate, steps, WORK[work]) + genomes[candidate],
                     )
-                    client.publish(f"ss/{server}/control", HEAD.pack(candidate, steps, WORK[work]))
+                    client.publish(
+                        f"ss/{server}/control", HEAD.pack(candidate, steps, WORK[work])
+                    )
             elif message.topic == "fitness":
                 (results[candidate],) = struct.unpack_from("<d", message.payload, 8)
                 del used[server]
@@ -233,7 +251,9 @@ def serve(port: int, number: int, nodelay: bool) -> None:
         match message.topic.rpartition("/")[2]:
             case "evaluate":
                 size = len(body) // count
-                fitness = [judge(body[at : at + size]) for at in range(0, len(body), size)]
+                fitness = [
+                    judge(body[at : at + size]) for at in range(0, len(body), size)
+                ]
                 client.publish("result", who + struct.pack(f"<{count}d", *fitness))
             case "discovery":
                 if not busy:

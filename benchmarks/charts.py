@@ -73,7 +73,9 @@ def draw(results: Results, folder: Path) -> None:
         if script in results:
             figure = plt.figure(figsize=(11, 4.8), layout="constrained")
             drawn[name](results[script], figure)
-            figure.savefig(folder / f"bench-{name}.png", dpi=110, metadata={"Software": None})
+            figure.savefig(
+                folder / f"bench-{name}.png", dpi=110, metadata={"Software": None}
+            )
             plt.close(figure)
 
 
@@ -89,10 +91,16 @@ def dispatch(found: Found, figure: Any) -> None:
             if points:
                 line(axes, points, number, peer)
     noop.set(
-        title="A candidate that does nothing", ylabel="us per candidate", xscale="log", yscale="log"
+        title="A candidate that does nothing",
+        ylabel="us per candidate",
+        xscale="log",
+        yscale="log",
     )
     sleep.set(
-        title="Candidates that sleep 5 ms", ylabel="ideal time / time", xscale="log", ylim=(0, 1.02)
+        title="Candidates that sleep 5 ms",
+        ylabel="ideal time / time",
+        xscale="log",
+        ylim=(0, 1.02),
     )
     for axes in (noop, sleep):
         axes.set_xticks(slots, [str(size) for size in slots])
@@ -104,12 +112,19 @@ def dispatch(found: Found, figure: Any) -> None:
     figure.suptitle("400 distinct candidates in a generation", fontsize=11)
 
 
-def line(axes: "Axes", points: list[tuple[float, float]], number: int, label: str) -> None:
+def line(
+    axes: "Axes", points: list[tuple[float, float]], number: int, label: str
+) -> None:
     """Ours, the first, is the thick one."""
     x, y = zip(*points, strict=True)
     width = 2.5 if number == 0 else 1.3
     axes.plot(
-        x, y, color=COLOURS[number % 9], marker=MARKERS[number % 9], linewidth=width, label=label
+        x,
+        y,
+        color=COLOURS[number % 9],
+        marker=MARKERS[number % 9],
+        linewidth=width,
+        label=label,
     )
 
 
@@ -117,12 +132,17 @@ def kernels(found: Found, figure: Any) -> None:
     """Draw the flagship kernel by number of agents, and emergency-exit by field."""
     rows = [row for row in found["rows"] if "agent_steps_per_s" in row]
     rate = {
-        (row["kernel"], row["agents"], row["variant"]): row["agent_steps_per_s"] for row in rows
+        (row["kernel"], row["agents"], row["variant"]): row["agent_steps_per_s"]
+        for row in rows
     }
-    flagship = sorted({(kernel, agents) for kernel, agents, _ in rate if kernel == tables.FLAGSHIP})
+    flagship = sorted(
+        {(kernel, agents) for kernel, agents, _ in rate if kernel == tables.FLAGSHIP}
+    )
     exits = list(
         dict.fromkeys(
-            (kernel, agents) for kernel, agents, _ in rate if kernel.startswith("emergency-exit")
+            (kernel, agents)
+            for kernel, agents, _ in rate
+            if kernel.startswith("emergency-exit")
         )
     )
     shown = [key for key in rate if key[:2] in flagship + exits]
@@ -139,22 +159,33 @@ def kernels(found: Found, figure: Any) -> None:
     parts = [part for part in parts if part[1]]
     ratios = [len(groups) for _, groups, _ in parts]
     for axes, (title, groups, labels) in zip(
-        figure.subplots(1, len(parts), sharey=True, squeeze=False, width_ratios=ratios)[0],
+        figure.subplots(1, len(parts), sharey=True, squeeze=False, width_ratios=ratios)[
+            0
+        ],
         parts,
         strict=True,
     ):
         here = [
-            variant for variant in variants if any((*group, variant) in rate for group in groups)
+            variant
+            for variant in variants
+            if any((*group, variant) in rate for group in groups)
         ]
         width = 0.9 / len(here)
         for number, variant in enumerate(here):
-            places = [place for place, group in enumerate(groups) if (*group, variant) in rate]
+            places = [
+                place for place, group in enumerate(groups) if (*group, variant) in rate
+            ]
             values = [rate[(*groups[place], variant)] for place in places]
             middles = [place + (number - len(here) / 2 + 0.5) * width for place in places]
-            label = "zswarm (numba)" if variant == "numba" else tables.named(variant, rows)
-            bars = axes.bar(middles, values, width * 0.95, label=label, color=colours[variant])
+            label = (
+                "zswarm (numba)" if variant == "numba" else tables.named(variant, rows)
+            )
+            bars = axes.bar(
+                middles, values, width * 0.95, label=label, color=colours[variant]
+            )
             said = [
-                f"{value / 1e3:,.0f}k" if value < 1e6 else f"{value / 1e6:.1f}M" for value in values
+                f"{value / 1e3:,.0f}k" if value < 1e6 else f"{value / 1e6:.1f}M"
+                for value in values
             ]
             axes.bar_label(bars, said, fontsize=6.5)
         axes.set(
@@ -170,7 +201,9 @@ def kernels(found: Found, figure: Any) -> None:
         for axes in figure.axes
         for bars, label in zip(*axes.get_legend_handles_labels(), strict=True)
     }
-    figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=5, fontsize=9)
+    figure.legend(
+        entries.values(), entries.keys(), loc="outside lower center", ncols=5, fontsize=9
+    )
 
 
 def scaling(found: Found, figure: Any) -> None:
@@ -181,7 +214,9 @@ def scaling(found: Found, figure: Any) -> None:
         (sleep, "sleep", "Evaluations that sleep 20 ms"),
         (real, "real", f"Real ones, on {cores} cores"),
     ):
-        points = [(row["servers"], row["s"]) for row in found["rows"] if row["work"] == work]
+        points = [
+            (row["servers"], row["s"]) for row in found["rows"] if row["work"] == work
+        ]
         line(axes, points, 0, "measured")
         first = points[0][1]
         limit = max(x for x, _ in points) if work == "sleep" else cores
@@ -217,12 +252,21 @@ def methods(found: Found, figure: Any, task: str) -> None:
     rows = [row for row in found["rows"] if row["task"] == task]
     down = -(-len(rows) // ACROSS)
     figure.set_size_inches(11, 1.0 + 1.9 * down)
-    panels = figure.subplots(down, ACROSS, sharex=True, sharey=True, squeeze=False).flatten()
+    panels = figure.subplots(
+        down, ACROSS, sharex=True, sharey=True, squeeze=False
+    ).flatten()
     for axes, row in zip(panels, rows, strict=False):
         for other in rows:
-            axes.plot(other["evaluations"], other["median"], color="#C4C4C4", linewidth=0.8)
+            axes.plot(
+                other["evaluations"], other["median"], color="#C4C4C4", linewidth=0.8
+            )
         axes.fill_between(
-            row["evaluations"], row["q25"], row["q75"], color=COLOURS[1], alpha=0.3, linewidth=0
+            row["evaluations"],
+            row["q25"],
+            row["q75"],
+            color=COLOURS[1],
+            alpha=0.3,
+            linewidth=0,
         )
         axes.plot(row["evaluations"], row["median"], color=COLOURS[1], linewidth=2)
         axes.set_title(row["method"], fontsize=10)

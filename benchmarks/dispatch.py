@@ -32,8 +32,14 @@ HERE = Path(__file__).resolve().parent
 PEERS_FOLDER = HERE.parent / "build" / "peers"
 POPULATIONS, SLOTS, ROUNDS = (50, 400), (1, 2, 4, 8, 16), 3
 WHOLE = 4, 400  # the slots and the population that all ways are measured with
-WARM, WARM_S = 3, 0.5  # generations before anything is measured: so many at least, and for so long
-GENERATIONS, GENERATIONS_S = 5, 0.5  # measured in one round: so many, or as many as that takes
+WARM, WARM_S = (
+    3,
+    0.5,
+)  # generations before anything is measured: so many at least, and for so long
+GENERATIONS, GENERATIONS_S = (
+    5,
+    0.5,
+)  # measured in one round: so many, or as many as that takes
 PEER_S = 180.0  # in one round, before it is ended
 
 
@@ -41,10 +47,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--rounds", type=int, default=ROUNDS, help=f"[default: {ROUNDS}]")
     parser.add_argument(
-        "--populations", type=numbers, default=POPULATIONS, help=f"[default: {shown(POPULATIONS)}]"
+        "--populations",
+        type=numbers,
+        default=POPULATIONS,
+        help=f"[default: {shown(POPULATIONS)}]",
     )
     parser.add_argument(
-        "--slots", type=numbers, default=SLOTS, help=f"worker processes [default: {shown(SLOTS)}]"
+        "--slots",
+        type=numbers,
+        default=SLOTS,
+        help=f"worker processes [default: {shown(SLOTS)}]",
     )
     parser.add_argument(
         "--warm-s",
@@ -58,8 +70,12 @@ def main() -> None:
     parser.add_argument(
         "--quick", action="store_true", help="one round, 2 and 4 slots: whether it works"
     )
-    parser.add_argument("--folder", type=Path, help="where the results go [default: build/bench]")
-    parser.add_argument("--one", help=argparse.SUPPRESS)  # measures one peer once, and prints JSON
+    parser.add_argument(
+        "--folder", type=Path, help="where the results go [default: build/bench]"
+    )
+    parser.add_argument(
+        "--one", help=argparse.SUPPRESS
+    )  # measures one peer once, and prints JSON
     parser.add_argument("--works", default=",".join(WORKS), help=argparse.SUPPRESS)
     parser.add_argument(
         "--begun", type=float, help=argparse.SUPPRESS
@@ -72,7 +88,9 @@ def main() -> None:
         options.rounds, options.slots, options.warm_s = 1, (2, 4), 0.2
     names = options.only.split(",") if options.only else list(PEERS)
     if unknown := set(names) - set(PEERS):
-        parser.error(f"no such peer: {', '.join(sorted(unknown))}; there are {', '.join(PEERS)}")
+        parser.error(
+            f"no such peer: {', '.join(sorted(unknown))}; there are {', '.join(PEERS)}"
+        )
     machine.warn_if_busy()
     begin = time.monotonic()
     rounds = [one_round(number, names, options) for number in range(options.rounds)]
@@ -102,11 +120,16 @@ def shown(values: tuple[int, ...]) -> str:
     return ",".join(map(str, values))
 
 
-def one_round(number: int, names: list[str], options: argparse.Namespace) -> list[dict[str, Any]]:
+def one_round(
+    number: int, names: list[str], options: argparse.Namespace
+) -> list[dict[str, Any]]:
     """Every peer once with each number of slots."""
     turn = number * len(names) // max(1, options.rounds)
     found = []
-    print(f"round {number + 1} of {options.rounds}, load {os.getloadavg()[0]:.1f}", flush=True)
+    print(
+        f"round {number + 1} of {options.rounds}, load {os.getloadavg()[0]:.1f}",
+        flush=True,
+    )
     for slots in options.slots:
         if slots == 1 and number:
             continue  # once: it takes longest and says least
@@ -116,7 +139,9 @@ def one_round(number: int, names: list[str], options: argparse.Namespace) -> lis
             begin = time.monotonic()
             rows = in_own_process(name, slots, options.populations, options.warm_s)
             found += rows
-            words = f"  not measured: {rows[0]['missing']}" if "missing" in rows[0] else ""
+            words = (
+                f"  not measured: {rows[0]['missing']}" if "missing" in rows[0] else ""
+            )
             print(
                 f"  {slots:>2} slots  {name:<22} {time.monotonic() - begin:5.1f} s{words}",
                 flush=True,
@@ -167,7 +192,9 @@ def in_own_process(
         os.killpg(process.pid, signal.SIGKILL)
         process.wait()
         if isinstance(error, subprocess.TimeoutExpired):
-            return [{"peer": name, "slots": slots, "missing": f"took more than {PEER_S:g} s"}]
+            return [
+                {"peer": name, "slots": slots, "missing": f"took more than {PEER_S:g} s"}
+            ]
         raise
     if process.returncode:
         last = (errors.strip().splitlines() or [f"exit code {process.returncode}"])[-1]
@@ -175,7 +202,9 @@ def in_own_process(
             {
                 "peer": name,
                 "slots": slots,
-                "missing": why_not_installed(name) or last.partition("Error: ")[2] or last,
+                "missing": why_not_installed(name)
+                or last.partition("Error: ")[2]
+                or last,
             }
         ]
     return json.loads(said.splitlines()[-1])
@@ -183,8 +212,12 @@ def in_own_process(
 
 def why_not_installed(name: str, folder: Path = PEERS_FOLDER) -> str:
     """What pip said, where it could not install the peer."""
-    refused = [folder / f"{distribution}.refused" for distribution in PEERS[name].distributions]
-    return " ".join(file.read_text(errors="replace").strip() for file in refused if file.exists())
+    refused = [
+        folder / f"{distribution}.refused" for distribution in PEERS[name].distributions
+    ]
+    return " ".join(
+        file.read_text(errors="replace").strip() for file in refused if file.exists()
+    )
 
 
 def measured(options: argparse.Namespace) -> list[dict[str, Any]]:
@@ -192,17 +225,25 @@ def measured(options: argparse.Namespace) -> list[dict[str, Any]]:
     name, slots, populations = options.one, options.slots[0], options.populations
     with PEERS[name].peer(slots) as ways:
         checked(ways[0], leased.random_genomes(1), "noop", slots)
-        started = {"peer": name, "slots": slots, "first_s": time.monotonic() - options.begun}
+        started = {
+            "peer": name,
+            "slots": slots,
+            "first_s": time.monotonic() - options.begun,
+        }
         warm: list[float] = []
         while len(warm) < WARM or sum(warm) < options.warm_s:
             warm.append(
-                checked(ways[0], leased.random_genomes(max(populations, default=50)), "noop", slots)
+                checked(
+                    ways[0],
+                    leased.random_genomes(max(populations, default=50)),
+                    "noop",
+                    slots,
+                )
             )
         started["tree_mb"] = tree_mb(os.getpid())
         rows = [started]
-        for way in (
-            ways
-        ):  # one after another: what a way has started may hold what the one before it needs
+        # One after another: what a way has started may hold what the one before it needs.
+        for way in ways:
             rows += [
                 {"peer": name, "slots": slots, **cost(way, work, population, slots)}
                 for work in options.works.split(",")
@@ -226,7 +267,12 @@ def worth(way: Way, work: str, population: int, slots: int) -> bool:
 def cost(way: Way, work: str, population: int, slots: int) -> dict[str, Any]:
     """Microseconds per no-op, or efficiency, after a generation that does not count."""
     size = min(population, way.most)
-    checked(way, leased.random_genomes(size if work == "noop" else max(1, size // 4)), work, slots)
+    checked(
+        way,
+        leased.random_genomes(size if work == "noop" else max(1, size // 4)),
+        work,
+        slots,
+    )
     times: list[float] = []
     while len(times) < GENERATIONS and sum(times) < GENERATIONS_S:
         times.append(checked(way, leased.random_genomes(size), work, slots))
@@ -236,7 +282,12 @@ def cost(way: Way, work: str, population: int, slots: int) -> dict[str, Any]:
         if work == "noop"
         else {"efficiency": ideal_s(work, size, slots) / seconds}
     )
-    return {"form": way.form, "cut": way.cut, "work": work, "population": population} | value
+    return {
+        "form": way.form,
+        "cut": way.cut,
+        "work": work,
+        "population": population,
+    } | value
 
 
 def checked(way: Way, genomes: list[bytes], work: str, slots: int) -> float:

@@ -39,7 +39,9 @@ class Way:
     """One way to play the trials of a field."""
 
     def __init__(self, simulator: str, in_turns: bool, field: str) -> None:
-        self.simulator, self.network = build(simulator, {"field": field}, "fully-meshed", {})
+        self.simulator, self.network = build(
+            simulator, {"field": field}, "fully-meshed", {}
+        )
         if in_turns:
             self.simulator.hosted = None
         self.genomes = self.network.random(16, Stream(1))
@@ -48,8 +50,13 @@ class Way:
 
     def play(self, trials: int) -> bytes:
         """Fitness of so many trials, as bytes."""
-        rows, seeds = np.arange(trials).reshape(-1, 1) % 16, np.arange(trials, dtype=np.uint64)
-        return evaluate(self.simulator, self.network, self.genomes, rows, seeds).fitness.tobytes()
+        rows, seeds = (
+            np.arange(trials).reshape(-1, 1) % 16,
+            np.arange(trials, dtype=np.uint64),
+        )
+        return evaluate(
+            self.simulator, self.network, self.genomes, rows, seeds
+        ).fitness.tobytes()
 
     def microseconds(self) -> float:
         """Of CPU time per trial."""
@@ -66,7 +73,12 @@ class Way:
         spare: Any = getattr(self.simulator, "spare", None)
         if spare is None:
             return time.process_time()
-        fields = Path(f"/proc/{spare[0]._process.pid}/stat").read_text().rpartition(") ")[2].split()
+        fields = (
+            Path(f"/proc/{spare[0]._process.pid}/stat")
+            .read_text()
+            .rpartition(") ")[2]
+            .split()
+        )
         return time.process_time() + (int(fields[11]) + int(fields[12])) / TICK
 
 
@@ -74,7 +86,8 @@ def main() -> None:
     columns = {}
     for field in FIELDS:
         ways = {
-            name: Way(simulator, in_turns, field) for name, (simulator, in_turns) in WAYS.items()
+            name: Way(simulator, in_turns, field)
+            for name, (simulator, in_turns) in WAYS.items()
         }
         assert len({way.play(16) for way in ways.values()}) == 1, "not the same bits"
         found: dict[str, list[float]] = {name: [] for name in ways}

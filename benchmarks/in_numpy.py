@@ -37,9 +37,13 @@ class Arena:
         weights = rows[:, HEADER:].reshape(candidates, INPUTS + NEURONS + 1, NEURONS)
         self.weights = np.ascontiguousarray(weights.transpose(0, 2, 1))
         starts = [start(Stream(seed), robots, self.world) for seed in seeds.tolist()]
-        self.starts = np.array(starts, np.float32).transpose(2, 0, 1)  # x, y, heading x, heading y
+        self.starts = np.array(starts, np.float32).transpose(
+            2, 0, 1
+        )  # x, y, heading x, heading y
         together = max(1, BLOCK // robots**2)
-        self._blocks = [slice(first, first + together) for first in range(0, candidates, together)]
+        self._blocks = [
+            slice(first, first + together) for first in range(0, candidates, together)
+        ]
         self._dx, self._dy, self._square, self._part = (
             np.empty((together, robots, robots), np.float32) for _ in range(4)
         )
@@ -61,7 +65,10 @@ class Arena:
             self.heard[INPUTS:-1] = outputs.transpose(1, 0, 2).reshape(NEURONS, -1)
             if 2 * step > self.steps:
                 x, y = self.x.reshape(self.shape), self.y.reshape(self.shape)
-                dx, dy = x - x.mean(axis=1, keepdims=True), y - y.mean(axis=1, keepdims=True)
+                dx, dy = (
+                    x - x.mean(axis=1, keepdims=True),
+                    y - y.mean(axis=1, keepdims=True),
+                )
                 spread += np.sqrt(dx * dx + dy * dy).mean(axis=1)
                 near_by += neighbours.reshape(self.shape).mean(axis=1)
             self._drive(self.heard[-3], self.heard[-2], push_x, push_y)
@@ -108,9 +115,16 @@ class Arena:
             np.bincount(robot, -share * way[touching], columns).astype(np.float32)
             for way in (dx, dy)
         )
-        return neighbours, np.bincount(robot // robots, minlength=candidates), push_x, push_y
+        return (
+            neighbours,
+            np.bincount(robot // robots, minlength=candidates),
+            push_x,
+            push_y,
+        )
 
-    def _neighbours(self, block: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def _neighbours(
+        self, block: slice
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return pairs that see each other: column, x and y to the other, squared distance."""
         x, y = self.x.reshape(self.shape)[block], self.y.reshape(self.shape)[block]
         count, robots = x.shape
@@ -125,7 +139,9 @@ class Arena:
         np.multiply(dx, dx, out=square)
         np.multiply(dy, dy, out=part)
         np.add(square, part, out=square)
-        square.reshape(count, -1)[:, :: robots + 1] = FAR  # nobody is a neighbour of itself
+        square.reshape(count, -1)[:, :: robots + 1] = (
+            FAR  # nobody is a neighbour of itself
+        )
         pairs = np.flatnonzero(square < self.world.sight * self.world.sight)
         return (
             block.start * robots + pairs // robots,
@@ -142,8 +158,13 @@ class Arena:
             (self.x, self.heading_x * RAY_X - self.heading_y * RAY_Y),
             (self.y, self.heading_y * RAY_X + self.heading_x * RAY_Y),
         ):
-            per_size, beyond = 1 / np.maximum(np.abs(way), TINY), np.sign(way) * (place - half)
-            reaches.append(np.concatenate([(half - beyond) * per_size, (half + beyond) * per_size]))
+            per_size, beyond = (
+                1 / np.maximum(np.abs(way), TINY),
+                np.sign(way) * (place - half),
+            )
+            reaches.append(
+                np.concatenate([(half - beyond) * per_size, (half + beyond) * per_size])
+            )
         return np.minimum(*reaches)
 
     def _drive(

@@ -41,7 +41,10 @@ class NotThereError(Exception):
 
 
 def timed(
-    work: Callable[[], object], simulations: float, agent_steps: int, least_s: float = LEAST_S
+    work: Callable[[], object],
+    simulations: float,
+    agent_steps: int,
+    least_s: float = LEAST_S,
 ) -> Row:
     """A row: so many simulations and agent-steps are in one call, which is repeated for a while."""
     work()
@@ -73,7 +76,10 @@ def problem(kernel: str, agents: int) -> tuple[Any, Any]:
     if kernel == "minisim":
         return build("minisim", {}, "fully-meshed", {})
     return build(
-        "emergency-exit", {"field": kernel.split()[1], "steps": ROUNDS_OF_EXIT}, "fully-meshed", {}
+        "emergency-exit",
+        {"field": kernel.split()[1], "steps": ROUNDS_OF_EXIT},
+        "fully-meshed",
+        {},
     )
 
 
@@ -114,7 +120,9 @@ def with_numba(kernel: str, agents: int) -> Row:
 
     prepared = trials(kernel, agents, candidates(kernel, agents))
     fitness, metrics, _ = evaluate(*prepared)
-    return timed(lambda: evaluate(*prepared), len(fitness), steps_of(prepared[0], fitness, metrics))
+    return timed(
+        lambda: evaluate(*prepared), len(fitness), steps_of(prepared[0], fitness, metrics)
+    )
 
 
 def in_plain_python(kernel: str, agents: int) -> Row:
@@ -139,12 +147,16 @@ def with_c(kernel: str, agents: int, *, side_by_side: bool = True) -> Row:
         raise NotThereError("no C compiler")
     arena = kernel.startswith("arena-")
     in_that = (
-        in_c.Arena(in_c.FAST) if arena else in_c.EmergencyExit(in_c.FAST, side_by_side=side_by_side)
+        in_c.Arena(in_c.FAST)
+        if arena
+        else in_c.EmergencyExit(in_c.FAST, side_by_side=side_by_side)
     )
     prepared = trials(kernel, agents, candidates(kernel, agents))
     fitness, metrics = in_that.evaluate(*prepared)
     return timed(
-        lambda: in_that.evaluate(*prepared), len(fitness), steps_of(prepared[0], fitness, metrics)
+        lambda: in_that.evaluate(*prepared),
+        len(fitness),
+        steps_of(prepared[0], fitness, metrics),
     )
 
 
@@ -170,7 +182,10 @@ def with_pymunk(_: str, agents: int) -> Row:
     import pymunk
 
     side, sight, radius, random = agents**0.5, 1.2, 0.1, np.random.default_rng(1)
-    ways = [(math.cos(angle), math.sin(angle)) for angle in (ray * math.pi / 4 for ray in range(8))]
+    ways = [
+        (math.cos(angle), math.sin(angle))
+        for angle in (ray * math.pi / 4 for ray in range(8))
+    ]
     weights, biases = (
         random.uniform(-2, 2, (8, 18)).astype(np.float32),
         random.uniform(-2, 2, 8).astype(np.float32),
@@ -181,7 +196,10 @@ def with_pymunk(_: str, agents: int) -> Row:
         space, bodies = pymunk.Space(), []
         corners = [(0, 0), (side, 0), (side, side), (0, side), (0, 0)]
         space.add(
-            *(pymunk.Segment(space.static_body, corners[i], corners[i + 1], 0.01) for i in range(4))
+            *(
+                pymunk.Segment(space.static_body, corners[i], corners[i + 1], 0.01)
+                for i in range(4)
+            )
         )
         for _ in range(agents):
             body = pymunk.Body(1, 1)
@@ -224,7 +242,10 @@ def with_pymunk(_: str, agents: int) -> Row:
                 bodies, headings, seen[:, 16:].tolist(), strict=True
             ):
                 left, right = 2 * min(max(left, 0), 1) - 1, 2 * min(max(right, 0), 1) - 1
-                body.velocity = 0.15 * (left + right) * cosine, 0.15 * (left + right) * sine
+                body.velocity = (
+                    0.15 * (left + right) * cosine,
+                    0.15 * (left + right) * sine,
+                )
                 body.angular_velocity = 1.5 * (right - left)
             space.step(0.1)
 
@@ -297,7 +318,13 @@ def quoted() -> list[Row]:
             "seconds_per_simulation": 2 / per_s,
         }
         rows.append(
-            {"kernel": kernel, "variant": "FREVO", "agents": OTHERS[kernel], **rate, "quoted": True}
+            {
+                "kernel": kernel,
+                "variant": "FREVO",
+                "agents": OTHERS[kernel],
+                **rate,
+                "quoted": True,
+            }
         )
     return rows
 
@@ -305,14 +332,20 @@ def quoted() -> list[Row]:
 def wanted(*, quick: bool) -> list[tuple[str, str, int]]:
     """Kernel, variant, agents."""
     exits = [
-        (kernel, agents) for kernel, agents in OTHERS.items() if kernel.startswith("emergency-exit")
+        (kernel, agents)
+        for kernel, agents in OTHERS.items()
+        if kernel.startswith("emergency-exit")
     ]
     fast = [(FLAGSHIP, agents) for agents in AGENTS] + exits
-    beside_c = [(kernel, variant, agents) for kernel, agents in fast for variant in ("numba", "C")]
+    beside_c = [
+        (kernel, variant, agents) for kernel, agents in fast for variant in ("numba", "C")
+    ]
     if quick:
         return [each for each in beside_c if each[2] != AGENTS[1]]
     others = [
-        (FLAGSHIP, variant, agents) for agents in AGENTS for variant in ("numpy batch", "pymunk")
+        (FLAGSHIP, variant, agents)
+        for agents in AGENTS
+        for variant in ("numpy batch", "pymunk")
     ]
     others += [(FLAGSHIP, variant, AGENTS[0]) for variant in ("plain", "vmas flocking")]
     others += [(kernel, "C, one by one", agents) for kernel, agents in exits]
@@ -332,9 +365,15 @@ def measured(kernel: str, variant: str, agents: int) -> Row:
         "OPENBLAS_NUM_THREADS": "1",
     }
     command = [python, HERE / "kernels.py", "--one", kernel, variant, str(agents)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, env=environment, capture_output=True, text=True, check=False
+    )
     if done.returncode:
-        return {"missing": (done.stderr.strip().splitlines() or ["it ended without a word"])[-1]}
+        return {
+            "missing": (done.stderr.strip().splitlines() or ["it ended without a word"])[
+                -1
+            ]
+        }
     row: Row = json.loads(done.stdout.splitlines()[-1])
     return row
 
@@ -353,7 +392,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--quick", action="store_true", help="zswarm and C only, half a minute")
+    parser.add_argument(
+        "--quick", action="store_true", help="zswarm and C only, half a minute"
+    )
     parser.add_argument("--folder", type=Path, help="of the results")
     parser.add_argument(
         "--one", nargs=3, metavar=("KERNEL", "VARIANT", "AGENTS"), help=argparse.SUPPRESS
@@ -376,13 +417,18 @@ def main() -> None:
             row["missing"] = some[0]["missing"]
         else:
             row |= {
-                key: statistics.median(each[key] for each in some if key in each) for key in some[0]
+                key: statistics.median(each[key] for each in some if key in each)
+                for key in some[0]
             }
         rows.append(row)
-        said = row.get("missing") or f"{row['agent_steps_per_s'] / 1e3:,.0f} k agent-steps/s"
+        said = (
+            row.get("missing") or f"{row['agent_steps_per_s'] / 1e3:,.0f} k agent-steps/s"
+        )
         print(f"{kernel:24} {variant:14} {agents:4} agents  {said}", flush=True)
     rows += [] if arguments.quick else quoted()
-    machine.write("kernels", rows, ["pymunk", "vmas", "torch", "gcc"], folder=arguments.folder)
+    machine.write(
+        "kernels", rows, ["pymunk", "vmas", "torch", "gcc"], folder=arguments.folder
+    )
 
 
 if __name__ == "__main__":

@@ -73,7 +73,9 @@ def bench_simulator() -> Iterator[None]:
             "[zswarm.simulators]\nbench = zswarm_bench:Bench\n"
         )
         sys.path.insert(0, name)
-        os.environ["PYTHONPATH"] = os.pathsep.join([name, os.environ.get("PYTHONPATH", "")])
+        os.environ["PYTHONPATH"] = os.pathsep.join(
+            [name, os.environ.get("PYTHONPATH", "")]
+        )
         os.environ["ZSWARM_KEYS"] = "none"  # in the clear, as others are
         yield
 
@@ -100,7 +102,9 @@ def daemon(slots: int, endpoint: str, *more: str) -> Iterator["subprocess.Popen[
 
 
 @contextlib.contextmanager
-def leased(endpoints: Sequence[str], slots: int, settings: dict[str, Any]) -> Iterator[object]:
+def leased(
+    endpoints: Sequence[str], slots: int, settings: dict[str, Any]
+) -> Iterator[object]:
     """Connect with all slots of some servers ready, with a run's default options."""
     from zswarm.config import sections
     from zswarm.ot.cluster.matching import Terms
@@ -173,7 +177,9 @@ def random_genomes(size: int) -> list[bytes]:
     numbers = (HIDDEN + 1) * (HIDDEN + 3)
     return [
         genome.tobytes()
-        for genome in np.random.default_rng().uniform(-2, 2, (size, numbers)).astype("<f4")
+        for genome in np.random.default_rng()
+        .uniform(-2, 2, (size, numbers))
+        .astype("<f4")
     ]
 
 
@@ -184,7 +190,10 @@ def evaluated(opened: Any, genomes: list[bytes]) -> list[float]:
     from zswarm.ot.workload import Workload
 
     workload = Workload(
-        genomes, np.arange(len(genomes)).reshape(-1, 1), np.zeros(len(genomes), np.uint64), 0
+        genomes,
+        np.arange(len(genomes)).reshape(-1, 1),
+        np.zeros(len(genomes), np.uint64),
+        0,
     )
     for _ in opened.evaluate(workload):
         pass

@@ -55,7 +55,8 @@ def main() -> None:
             print(
                 f"| `{link}` | "
                 + " | ".join(
-                    f"{1000 * step_s(link, robots, options.steps):.2f} ms" for robots in ROBOTS
+                    f"{1000 * step_s(link, robots, options.steps):.2f} ms"
+                    for robots in ROBOTS
                 )
                 + " |"
             )
@@ -80,12 +81,17 @@ def step_s(link: graph.LinkKind, robots: int, steps: int) -> float:
             str(robots),
         ]
         side = stack.enter_context(
-            Link(here, profile(link), robots=robots, side="controllers", channels=CHANNELS)
+            Link(
+                here, profile(link), robots=robots, side="controllers", channels=CHANNELS
+            )
         )
         simulation = stack.enter_context(subprocess.Popen(command))
         side.ready(TIMEOUT_S)
         side.send(
-            [Velocity(robot=robot, stamp_ns=0, linear=0.1, angular=0.1) for robot in range(robots)]
+            [
+                Velocity(robot=robot, stamp_ns=0, linear=0.1, angular=0.1)
+                for robot in range(robots)
+            ]
         )
         times = []
         for _ in range(steps):

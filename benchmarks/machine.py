@@ -59,7 +59,9 @@ PROGRAMS = {"mosquitto": "-h", "gcc": "--version"}  # and how each says its vers
 
 def program_of(name: str) -> str | None:
     """Return a program's path, also from folders of root."""
-    return shutil.which(name) or shutil.which(name, path="/usr/local/sbin:/usr/sbin:/sbin")
+    return shutil.which(name) or shutil.which(
+        name, path="/usr/local/sbin:/usr/sbin:/sbin"
+    )
 
 
 def warn_if_busy() -> None:

@@ -27,7 +27,12 @@ POINTS = 60  # of a curve
 def measures(**told: tuple[float, float, int]) -> dict[str, Any]:
     """Return settings of methods with measures: metrics, each with low, high and cells."""
     lows, highs, cells = zip(*told.values(), strict=True)
-    return {"measures": list(told), "lows": list(lows), "highs": list(highs), "cells": list(cells)}
+    return {
+        "measures": list(told),
+        "lows": list(lows),
+        "highs": list(highs),
+        "cells": list(cells),
+    }
 
 
 class Task(NamedTuple):
@@ -72,7 +77,9 @@ def main() -> None:
         action="store_true",
         help="two seeds of some hundred evaluations: whether it works",
     )
-    parser.add_argument("--folder", type=Path, help="where the results go [default: build/bench]")
+    parser.add_argument(
+        "--folder", type=Path, help="where the results go [default: build/bench]"
+    )
     options = parser.parse_args()
     os.environ["OPENBLAS_NUM_THREADS"] = "1"  # of the processes: as many as cores
     begin = time.monotonic()
@@ -94,7 +101,9 @@ def main() -> None:
                     f"{time.monotonic() - begin:.0f} s",
                     flush=True,
                 )
-    rows = [row(task, method, np.array(curves)) for (task, method), curves in found.items()]
+    rows = [
+        row(task, method, np.array(curves)) for (task, method), curves in found.items()
+    ]
     packages = ("cmaes", "ribs")
     seconds = round(time.monotonic() - begin)
     file = machine.write(
@@ -127,7 +136,9 @@ def row(task: str, method: str, curves: np.ndarray) -> dict[str, Any]:
 
 def learn(run: Run) -> tuple[Run, np.ndarray]:
     """Return the best fitness after each evaluation: (evaluations,) float64."""
-    return run, np.maximum.accumulate(np.fromiter(fitness_of(run), float, run.evaluations))
+    return run, np.maximum.accumulate(
+        np.fromiter(fitness_of(run), float, run.evaluations)
+    )
 
 
 def fitness_of(run: Run) -> Iterator[float]:
@@ -166,7 +177,9 @@ def of(run: Run) -> Any:
     settings = plugins.load("optimizer", run.method).settings_type.__struct_fields__
     mapping = dict(strict.read(file))
     mapping["seed"], mapping["optimizer"] = run.seed, {"kind": run.method}
-    mapping["optimizer"] |= {key: value for key, value in task.measures.items() if key in settings}
+    mapping["optimizer"] |= {
+        key: value for key, value in task.measures.items() if key in settings
+    }
     mapping["representation"] = NETWORKS.get(run.method, mapping["representation"])
     return experiment.complete(experiment.check(mapping, str(file)), str(file))
 

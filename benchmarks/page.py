@@ -62,7 +62,9 @@ def main() -> None:
     charts.draw(results, pictures)
     (options.to / "docs" / "benchmarks.md").write_text(page, encoding="utf-8")
     (options.to / "README.md").write_text(beside(results, readme), encoding="utf-8")
-    print(f"{options.to / 'docs' / 'benchmarks.md'}, README.md, docs/pictures/bench-*.png")
+    print(
+        f"{options.to / 'docs' / 'benchmarks.md'}, README.md, docs/pictures/bench-*.png"
+    )
 
 
 def verdicts(results: Results) -> str:
@@ -86,7 +88,9 @@ def document(results: Results, *, draft: bool = False) -> str:
         else reasons
     )
     if unsaid := [
-        f"{aim.key!r} ({', '.join(aim.row[:3])})" for aim in missed if aim.key not in reasons
+        f"{aim.key!r} ({', '.join(aim.row[:3])})"
+        for aim in missed
+        if aim.key not in reasons
     ]:
         raise SystemExit(
             "benchmarks/missed.toml must give a reason for these missed targets: "
@@ -94,7 +98,9 @@ def document(results: Results, *, draft: bool = False) -> str:
         )
     parts = {
         "aims": verdicts(results),
-        "missed": "".join(f"- **{aim.what}**: {reasons[aim.key].strip()}\n" for aim in missed),
+        "missed": "".join(
+            f"- **{aim.what}**: {reasons[aim.key].strip()}\n" for aim in missed
+        ),
     }
     for script, table in SCRIPTS.items():
         parts[script] = (
@@ -116,7 +122,9 @@ def measured(results: Results, script: str) -> str:
     """Return when, where and with which versions something was measured."""
     found = results[script]
     machine = found["machine"]
-    versions = ", ".join(f"{name} {version}" for name, version in found["versions"].items())
+    versions = ", ".join(
+        f"{name} {version}" for name, version in found["versions"].items()
+    )
     times = [
         f"{found[what]} {unit}"
         for what, unit in (("rounds", "rounds"), ("seconds", "s in all"))
@@ -137,14 +145,18 @@ def beside(results: Results, readme: str) -> str:
 
     def row(match: re.Match[str]) -> str:
         peer = BESIDE[match["name"]]
-        noop, sleep = (tables.main_way(found, peer, work, 4, 400) for work in ("noop", "sleep"))
+        noop, sleep = (
+            tables.main_way(found, peer, work, 4, 400) for work in ("noop", "sleep")
+        )
         if noop is None or sleep is None:
             return match[0]
         cost, efficiency = tables.figure(noop["us"]), tables.share(sleep["efficiency"])
         return f"| {match['name']} | {cost} | {efficiency} |"
 
     names = "|".join(map(re.escape, BESIDE))
-    readme = re.sub(rf"^\| (?P<name>{names}) \| [\d.,]+ \| \.\d+ \|", row, readme, flags=re.M)
+    readme = re.sub(
+        rf"^\| (?P<name>{names}) \| [\d.,]+ \| \.\d+ \|", row, readme, flags=re.M
+    )
     for one in found["rows"]:
         if one["peer"] == "MQTT (stock)" and "steps" in one.get("form", ""):
             readme = re.sub(

@@ -88,7 +88,11 @@ def zswarm_by_tcp(slots: int) -> Iterator[list[Way]]:
 def loop(_slots: int) -> Iterator[list[Way]]:
     """Evaluate in one process without dispatch."""
     yield [
-        Way("a loop in one process", ONE, lambda genomes, work, _chunk: each(WORKS[work], genomes))
+        Way(
+            "a loop in one process",
+            ONE,
+            lambda genomes, work, _chunk: each(WORKS[work], genomes),
+        )
     ]
 
 
@@ -128,7 +132,9 @@ def joblib_loky(slots: int) -> Iterator[list[Way]]:
                 how: Any = (
                     {"batch_size": chunk, "pre_dispatch": "all"} if chunk else {}
                 )  # by itself it learns as it sends
-                opened[chunk] = stack.enter_context(Parallel(slots, backend="loky", **how))
+                opened[chunk] = stack.enter_context(
+                    Parallel(slots, backend="loky", **how)
+                )
             return opened[chunk](delayed(WORKS[work])(genome) for genome in genomes)
 
         yield [Way("Parallel", cut, evaluate) for cut in (BY_ITSELF, *CUTS)]
@@ -139,7 +145,9 @@ def dask_distributed(slots: int) -> Iterator[list[Way]]:
     from distributed import Client, LocalCluster
 
     with (
-        LocalCluster(n_workers=slots, threads_per_worker=1, dashboard_address=None) as cluster,
+        LocalCluster(
+            n_workers=slots, threads_per_worker=1, dashboard_address=None
+        ) as cluster,
         Client(cluster) as client,
     ):
         client.wait_for_workers(slots)
@@ -158,15 +166,24 @@ def dask_distributed(slots: int) -> Iterator[list[Way]]:
 @contextmanager
 def ray_local(slots: int) -> Iterator[list[Way]]:
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
-    os.environ["RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO"] = "0"  # it would warn of a change to come
+    os.environ["RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO"] = (
+        "0"  # it would warn of a change to come
+    )
     import ray
 
-    ray.init(num_cpus=slots, include_dashboard=False, log_to_driver=False, logging_level="error")
+    ray.init(
+        num_cpus=slots,
+        include_dashboard=False,
+        log_to_driver=False,
+        logging_level="error",
+    )
     try:
         task = ray.remote(each)
 
         class Worker:
-            def each(self, judge: Callable[[bytes], float], genomes: list[bytes]) -> list[float]:
+            def each(
+                self, judge: Callable[[bytes], float], genomes: list[bytes]
+            ) -> list[float]:
                 return each(judge, genomes)
 
         single = {work: ray.remote(judge) for work, judge in WORKS.items()}
@@ -175,12 +192,16 @@ def ray_local(slots: int) -> Iterator[list[Way]]:
         def by_tasks(genomes: list[bytes], work: str, chunk: int) -> list[float]:
             if chunk == 1:
                 return ray.get([single[work].remote(genome) for genome in genomes])
-            found = ray.get([task.remote(WORKS[work], part) for part in parts(genomes, chunk)])
+            found = ray.get(
+                [task.remote(WORKS[work], part) for part in parts(genomes, chunk)]
+            )
             return [fitness for part in found for fitness in part]
 
         def by_actors(genomes: list[bytes], work: str, chunk: int) -> list[float]:
             if not workers:  # after the tasks: they hold the cores
-                workers.extend(ray.remote(num_cpus=1)(Worker).remote() for _ in range(slots))
+                workers.extend(
+                    ray.remote(num_cpus=1)(Worker).remote() for _ in range(slots)
+                )
             calls = [
                 workers[n % slots].each.remote(WORKS[work], part)
                 for n, part in enumerate(parts(genomes, chunk))
@@ -216,7 +237,10 @@ def mqtt(slots: int, nodelay: bool) -> Iterator[list[Way]]:
     paper = functools.partial(Way, cut=ONE, aside=True)
     with Broker(slots, nodelay) as broker:
         yield [
-            *(Way("two messages in flight per slot", cut, broker.in_parts) for cut in CUTS),
+            *(
+                Way("two messages in flight per slot", cut, broker.in_parts)
+                for cut in CUTS
+            ),
             paper(
                 "the paper's messages, no step",
                 evaluate=functools.partial(broker.in_steps, steps=0),
@@ -237,7 +261,9 @@ class Known(NamedTuple):
 
     peer: Peer
     distributions: tuple[str, ...] = ()  # none: Python's own
-    slots: tuple[int, ...] = ()  # numbers of workers that it is measured with, where not all
+    slots: tuple[
+        int, ...
+    ] = ()  # numbers of workers that it is measured with, where not all
 
 
 PEERS = {
@@ -250,6 +276,10 @@ PEERS = {
     "Dask distributed": Known(dask_distributed, ("distributed",)),
     "Ray": Known(ray_local, ("ray",)),
     "mpi4py.futures": Known(mpi_futures, ("mpi4py", "mpich", "openmpi")),
-    "MQTT (stock)": Known(functools.partial(mqtt, nodelay=False), ("paho-mqtt", "mosquitto")),
-    "MQTT (TCP_NODELAY)": Known(functools.partial(mqtt, nodelay=True), ("paho-mqtt", "mosquitto")),
+    "MQTT (stock)": Known(
+        functools.partial(mqtt, nodelay=False), ("paho-mqtt", "mosquitto")
+    ),
+    "MQTT (TCP_NODELAY)": Known(
+        functools.partial(mqtt, nodelay=True), ("paho-mqtt", "mosquitto")
+    ),
 }

@@ -66,11 +66,17 @@ class Ratio(NamedTuple):
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--keep", action="store_true", help="write what is found to ratios.json")
     parser.add_argument(
-        "--once", action="store_true", help="one small round, and no verdict: whether it works"
+        "--keep", action="store_true", help="write what is found to ratios.json"
     )
-    parser.add_argument("--kept", type=Path, default=KEPT, help="[default: benchmarks/ratios.json]")
+    parser.add_argument(
+        "--once",
+        action="store_true",
+        help="one small round, and no verdict: whether it works",
+    )
+    parser.add_argument(
+        "--kept", type=Path, default=KEPT, help="[default: benchmarks/ratios.json]"
+    )
     options = parser.parse_args()
     machine.warn_if_busy()
     begin = time.monotonic()
@@ -159,7 +165,9 @@ def kernel(_: Size) -> dict[str, float]:
     }
     found = {}
     for (name, variant, agents), ours in rate.items():
-        other = next((each for each in ("C", "numpy batch") if (name, each, agents) in rate), None)
+        other = next(
+            (each for each in ("C", "numpy batch") if (name, each, agents) in rate), None
+        )
         if variant == "numba" and other:
             found[f"{name}, {agents} agents: speed beside {other}"] = (
                 ours / rate[name, other, agents]
@@ -181,7 +189,9 @@ def whole_runs(size: Size) -> dict[str, float]:
 def alone_per_s(field: str, generations: int) -> float:
     """Return simulations per second of a loop in its own process."""
     command = [sys.executable, HERE / "alone.py", field, str(generations)]
-    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, timeout=KERNEL_S)
+    done = subprocess.run(
+        command, check=True, stdout=subprocess.PIPE, text=True, timeout=KERNEL_S
+    )
     return float(done.stdout)
 
 

@@ -15,12 +15,19 @@ def write(file: Path, results: Any) -> None:
 def text(value: Any, indent: str = "") -> str:
     """Return JSON with a line for each entry of a mapping and each row of a list."""
     inner = indent + " "
-    if isinstance(value, dict) and any(isinstance(each, dict | list) for each in value.values()):
-        lines = (f"{inner}{json.dumps(key)}: {text(each, inner)}" for key, each in value.items())
+    if isinstance(value, dict) and any(
+        isinstance(each, dict | list) for each in value.values()
+    ):
+        lines = (
+            f"{inner}{json.dumps(key)}: {text(each, inner)}"
+            for key, each in value.items()
+        )
         return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
     if isinstance(value, list) and any(isinstance(each, dict) for each in value):
         return (
-            "[\n" + ",\n".join(inner + json.dumps(rounded(row)) for row in value) + f"\n{indent}]"
+            "[\n"
+            + ",\n".join(inner + json.dumps(rounded(row)) for row in value)
+            + f"\n{indent}]"
         )
     return json.dumps(rounded(value))
 

@@ -24,12 +24,17 @@ def main() -> None:
     os.environ["ZSWARM_SIMULATORS"] = str(EXAMPLE)
     print(f"{'s per candidate':16}" + "".join(f"{step:>18}" for step in STEPS))
     for form in ("yaml", "json", "c99"):
-        print(f"{form:16}" + "".join(f"{seconds:18.4f}" for seconds in measure(f"exit-{form}")))
+        print(
+            f"{form:16}"
+            + "".join(f"{seconds:18.4f}" for seconds in measure(f"exit-{form}"))
+        )
 
 
 def measure(name: str) -> list[float]:
     """Return the seconds of each step."""
-    simulator, network = evaluate.build(name, {"robots": 10, "steps": 50}, "fully-meshed", {})
+    simulator, network = evaluate.build(
+        name, {"robots": 10, "steps": 50}, "fully-meshed", {}
+    )
     supervisor, package = simulator._copied()
     told = roslaunch.environment(supervisor.folder, package.parent)
     controller, results = simulator.manifest.controller, package / simulator.manifest.logs
@@ -43,7 +48,11 @@ def measure(name: str) -> list[float]:
             else 0.0
         )
         _, launch_s = timed(
-            roslaunch.launch, supervisor, package / simulator.manifest.launch, arguments, told
+            roslaunch.launch,
+            supervisor,
+            package / simulator.manifest.launch,
+            arguments,
+            told,
         )
         _, read_s = timed(lambda: logs.fitness("cpswarm-log", logs.read(results, 10)))
         rows.append((export_s, compile_s, launch_s, read_s))

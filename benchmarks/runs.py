@@ -23,9 +23,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=ROUNDS, help=f"[default: {ROUNDS}]")
     parser.add_argument(
-        "--quick", action="store_true", help="one round of 20 generations: whether it works"
+        "--quick",
+        action="store_true",
+        help="one round of 20 generations: whether it works",
     )
-    parser.add_argument("--folder", type=Path, help="where the results go [default: build/bench]")
+    parser.add_argument(
+        "--folder", type=Path, help="where the results go [default: build/bench]"
+    )
     options = parser.parse_args()
     machine.warn_if_busy()
     begin = time.monotonic()
@@ -40,13 +44,23 @@ def main() -> None:
         for under_way, whole in [zip(*all_, strict=True)]
     ]
     file = machine.write(
-        "runs", rows, folder=options.folder, rounds=rounds, seconds=round(time.monotonic() - begin)
+        "runs",
+        rows,
+        folder=options.folder,
+        rounds=rounds,
+        seconds=round(time.monotonic() - begin),
     )
-    print(f"{tables.runs(json.loads(file.read_text()))}\n{file}, {time.monotonic() - begin:.0f} s")
+    print(
+        f"{tables.runs(json.loads(file.read_text()))}\n{file}, {time.monotonic() - begin:.0f} s"
+    )
 
 
 def spread(key: str, rates: tuple[float, ...]) -> dict[str, Any]:
-    return {key: statistics.median(rates), f"{key}_least": min(rates), f"{key}_most": max(rates)}
+    return {
+        key: statistics.median(rates),
+        f"{key}_least": min(rates),
+        f"{key}_most": max(rates),
+    }
 
 
 def simulations_per_s(field: str, generations: int) -> tuple[float, float]:
@@ -57,7 +71,8 @@ def simulations_per_s(field: str, generations: int) -> tuple[float, float]:
     from zswarm.ot.logger import Logger
 
     loaded = experiment.load(
-        experiment.find(FIELDS[field]), ["cluster.servers=local", f"generations={generations}"]
+        experiment.find(FIELDS[field]),
+        ["cluster.servers=local", f"generations={generations}"],
     )
     with (
         tempfile.TemporaryDirectory() as out,
@@ -68,7 +83,9 @@ def simulations_per_s(field: str, generations: int) -> tuple[float, float]:
         result = begun.finish()
     (first, early), (last, all_) = ends[0], ends[-1]
     trials = loaded.problem.trials
-    return (all_ - early) * trials / (last - first), result.evaluations * trials / result.seconds
+    return (all_ - early) * trials / (
+        last - first
+    ), result.evaluations * trials / result.seconds
 
 
 if __name__ == "__main__":

@@ -41,9 +41,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--rounds", type=int, default=ROUNDS, help=f"[default: {ROUNDS}]")
     parser.add_argument(
-        "--quick", action="store_true", help="one round, up to two servers: whether it works"
+        "--quick",
+        action="store_true",
+        help="one round, up to two servers: whether it works",
     )
-    parser.add_argument("--folder", type=Path, help="where the results go [default: build/bench]")
+    parser.add_argument(
+        "--folder", type=Path, help="where the results go [default: build/bench]"
+    )
     options = parser.parse_args()
     rounds, sizes = (1, SERVERS[:2]) if options.quick else (options.rounds, SERVERS)
     machine.warn_if_busy()
@@ -60,13 +64,22 @@ def main() -> None:
         for number in range(rounds):
             for work in WORKS:
                 for size in sizes:
-                    found.setdefault((work, size), []).append(optimize(work, endpoints[:size]))
-            print(f"round {number + 1} of {rounds}: {time.monotonic() - begin:.0f} s", flush=True)
+                    found.setdefault((work, size), []).append(
+                        optimize(work, endpoints[:size])
+                    )
+            print(
+                f"round {number + 1} of {rounds}: {time.monotonic() - begin:.0f} s",
+                flush=True,
+            )
     rows: list[dict[str, Any]] = []
     for (work, size), measured in found.items():
         seconds = sorted(each["s"] for each in measured)
         row = {"work": work, "servers": size, "evaluations": measured[0]["evaluations"]}
-        row |= {"s": statistics.median(seconds), "s_least": seconds[0], "s_most": seconds[-1]}
+        row |= {
+            "s": statistics.median(seconds),
+            "s_least": seconds[0],
+            "s_most": seconds[-1],
+        }
         if work == "sleep":
             row["efficiency"] = row["evaluations"] * SLEEP_S / size / row["s"]
         rows.append(row)

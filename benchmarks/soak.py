@@ -30,9 +30,8 @@ import numpy as np
 from usage import Usage, children, usage
 
 SAMPLE_S = 2.0
-WARM_UP_S = (
-    90.0  # zenoh keeps something of each query until its timeout, 60 s: until then memory grows
-)
+# Zenoh keeps something of each query until its timeout, 60 s: until then memory grows.
+WARM_UP_S = 90.0
 WATCHED_S = 300.0
 EVALUATIONS = 1_000_000
 SLOPE_MB = 0.5  # a minute
@@ -82,7 +81,8 @@ def judge(name: str, samples: list[tuple[float, Usage]]) -> Grown:
     third = max(1, len(samples) // 3)
     # The lower quartile: connections come and go, and a leak stays.
     first, last = (
-        Usage(*np.quantile(part, 0.25, axis=0)) for part in (values[:third], values[-third:])
+        Usage(*np.quantile(part, 0.25, axis=0))
+        for part in (values[:third], values[-third:])
     )
     complaints = [f"memory grows by {slope:.2f} MB a minute"] if slope > SLOPE_MB else []
     for what, allowed in GROWTH.items():
@@ -114,7 +114,9 @@ class Programs:
 
     def start(self, *arguments: str) -> tuple["subprocess.Popen[bytes]", Path, Path]:
         """Start one of our programs, with files for output and errors."""
-        out, err = (self.folder / f"{next(self._count)}.{what}" for what in ("out", "err"))
+        out, err = (
+            self.folder / f"{next(self._count)}.{what}" for what in ("out", "err")
+        )
         with out.open("wb") as stdout, err.open("wb") as stderr:
             process = subprocess.Popen(
                 [sys.executable, *arguments],
@@ -124,7 +126,9 @@ class Programs:
                 cwd=self.folder,
                 env=os.environ | {"TMPDIR": str(self.temporary)},
             )
-        self._running = [running for running in self._running if running.poll() is None] + [process]
+        self._running = [
+            running for running in self._running if running.poll() is None
+        ] + [process]
         return process, out, err
 
     def server(self, index: int) -> tuple["subprocess.Popen[bytes]", Callable[[], bool]]:
@@ -143,7 +147,9 @@ class Programs:
 
         def ready() -> bool:
             if process.poll() not in (None, -signal.SIGKILL):
-                raise SystemExit(f"a server ended with {process.poll()}: {err.read_text()[-2000:]}")
+                raise SystemExit(
+                    f"a server ended with {process.poll()}: {err.read_text()[-2000:]}"
+                )
             return "server_ready" in err.read_text()
 
         return process, ready
@@ -151,7 +157,8 @@ class Programs:
     def logs(self, count: int) -> str:
         """Return the ends of the first programs' logs."""
         return "\n".join(
-            (self.folder / f"{2 * number + 1}.err").read_text()[-2000:] for number in range(count)
+            (self.folder / f"{2 * number + 1}.err").read_text()[-2000:]
+            for number in range(count)
         )
 
     def close(self) -> None:
@@ -239,14 +246,21 @@ def evaluations(out: Path) -> int:
 
 
 def soak(
-    programs: Programs, *, warm_up_s: float, watched_s: float, wanted: int, with_leak: bool
+    programs: Programs,
+    *,
+    warm_up_s: float,
+    watched_s: float,
+    wanted: int,
+    with_leak: bool,
 ) -> bool:
     """Run everything, print what grew, return whether all is well."""
     counts = {"killed": 0, "drained": 0, "short runs": 0}
     staying = [programs.server(index) for index in range(3)]
     while not all(ready() for _, ready in staying):
         time.sleep(0.1)
-    connect = [programs.endpoint(index) for index in (0, 1, *range(3, 3 + COMING_AND_GOING))]
+    connect = [
+        programs.endpoint(index) for index in (0, 1, *range(3, 3 + COMING_AND_GOING))
+    ]
     optimizer, out, err = programs.start(
         "-m",
         "zswarm.ot",
@@ -277,14 +291,20 @@ def soak(
     for index, (process, _) in enumerate(staying):
         pids |= family(f"server {index}", process.pid)
     draw = random.Random(1)
-    actors = [coming_and_going(programs, 3 + i, counts, draw) for i in range(COMING_AND_GOING)]
-    actors.append(short_runs(programs, [programs.endpoint(index) for index in range(3)], counts))
+    actors = [
+        coming_and_going(programs, 3 + i, counts, draw) for i in range(COMING_AND_GOING)
+    ]
+    actors.append(
+        short_runs(programs, [programs.endpoint(index) for index in range(3)], counts)
+    )
     begin = time.monotonic()
     order = itertools.count()
     agenda = [(begin, next(order), actor) for actor in actors]
     samples: dict[str, list[tuple[float, Usage]]] = {name: [] for name in pids}
     next_sample, counted = begin, 0
-    while (elapsed := time.monotonic() - begin) < warm_up_s + watched_s or counted < wanted:
+    while (
+        elapsed := time.monotonic() - begin
+    ) < warm_up_s + watched_s or counted < wanted:
         if elapsed > LIMIT_S:
             raise SystemExit(f"{counted:,} of {wanted:,} evaluations in {LIMIT_S:g} s")
         if time.monotonic() >= next_sample:
@@ -382,7 +402,9 @@ def main() -> None:
     ):
         programs = Programs(Path(folder))
         stack.callback(programs.close)
-        times = (15.0, 45.0, 10_000) if options.quick else (WARM_UP_S, WATCHED_S, EVALUATIONS)
+        times = (
+            (15.0, 45.0, 10_000) if options.quick else (WARM_UP_S, WATCHED_S, EVALUATIONS)
+        )
         well = soak(
             programs,
             warm_up_s=times[0],

@@ -42,7 +42,9 @@ def main() -> None:
     parser.add_argument(
         "--quick", action="store_true", help="one round, without others: whether it works"
     )
-    parser.add_argument("--folder", type=Path, help="where the results go [default: build/bench]")
+    parser.add_argument(
+        "--folder", type=Path, help="where the results go [default: build/bench]"
+    )
     options = parser.parse_args()
     rounds = 1 if options.quick else options.rounds
     machine.warn_if_busy()
@@ -76,7 +78,8 @@ def main() -> None:
         for (of, how), all_ in times.items()
     ]
     rows += [
-        {"what": "first result", "of": name, "missing": reason} for name, reason in missing.items()
+        {"what": "first result", "of": name, "missing": reason}
+        for name, reason in missing.items()
     ]
     rows += memory()
     packages = [package for known in PEERS.values() for package in known.distributions]
@@ -94,7 +97,9 @@ def main() -> None:
 
 
 @contextlib.contextmanager
-def run(*more: str, environment: dict[str, str] | None = None) -> Iterator["subprocess.Popen[str]"]:
+def run(
+    *more: str, environment: dict[str, str] | None = None
+) -> Iterator["subprocess.Popen[str]"]:
     """Start a run and read its lines; end it with the context."""
     with (
         tempfile.TemporaryDirectory() as folder,
@@ -139,7 +144,12 @@ def memory() -> list[dict[str, Any]]:
     with leased.daemon(CAPACITY, endpoint) as server, run(*options) as process:
         while generation(process)["generation"] < WARM_GENERATIONS:
             pass
-        found = {"optimizer": [process.pid], "server": [server.pid], "fork server": [], "slot": []}
+        found = {
+            "optimizer": [process.pid],
+            "server": [server.pid],
+            "fork server": [],
+            "slot": [],
+        }
         for child in children(server.pid):
             if slots := children(child):
                 found["fork server"].append(child)

@@ -33,15 +33,16 @@ def share(value: float) -> str:
 
 def spread(row: Row, what: str, written: Callable[[float], str]) -> str:
     """Format a median with its range."""
-    return (
-        f"{written(row[what])} ({written(row[what + '_least'])} to {written(row[what + '_most'])})"
-    )
+    least, most = written(row[what + "_least"]), written(row[what + "_most"])
+    return f"{written(row[what])} ({least} to {most})"
 
 
 def missing(rows: Iterable[Row], name: str) -> str:
     """Return a line for each thing not measured, with the reason."""
     reasons = dict.fromkeys(
-        f"- {row[name]}: not measured: {row['missing']}\n" for row in rows if "missing" in row
+        f"- {row[name]}: not measured: {row['missing']}\n"
+        for row in rows
+        if "missing" in row
     )
     return "".join(["\n", *reasons]) if reasons else ""
 
@@ -64,11 +65,15 @@ def peers(found: Found) -> list[str]:
     return list(dict.fromkeys(row["peer"] for row in found["rows"]))
 
 
-def main_way(found: Found, peer: str, work: str, slots: int, population: int) -> Row | None:
+def main_way(
+    found: Found, peer: str, work: str, slots: int, population: int
+) -> Row | None:
     """Return the row of a user who does not chunk by hand; None if not measured."""
     asked = {"peer": peer, "work": work, "slots": slots, "population": population}
     rows = [
-        row for row in found["rows"] if asked.items() <= row.items() and row["cut"] in ONE_BY_ONE
+        row
+        for row in found["rows"]
+        if asked.items() <= row.items() and row["cut"] in ONE_BY_ONE
     ]
     return min(rows, key=lambda row: ONE_BY_ONE.index(row["cut"]), default=None)
 
@@ -87,7 +92,8 @@ def by_slots(found: Found, work: str) -> str:
     lines = []
     for peer in peers(found):
         cells = [
-            cell(main_way(found, peer, work, slots, population)) for population, slots in columns
+            cell(main_way(found, peer, work, slots, population))
+            for population, slots in columns
         ]
         if any(cells):
             lines.append([peer, *cells])
@@ -107,7 +113,9 @@ def ways(found: Found, slots: int = 4, population: int = 400) -> str:
     ]
     ours = main_way(found, "zswarm", "noop", slots, population)
     lines, before = [], ""
-    for peer, form, cut in dict.fromkeys((row["peer"], row["form"], row["cut"]) for row in here):
+    for peer, form, cut in dict.fromkeys(
+        (row["peer"], row["form"], row["cut"]) for row in here
+    ):
         values = {
             row["work"]: row
             for row in here
@@ -128,8 +136,16 @@ def ways(found: Found, slots: int = 4, population: int = 400) -> str:
             ]
         )
         before = peer
-    head = ["", "form", "candidates per message", "no-op, us per candidate", "relative to zswarm"]
-    return markdown([*head, "sleep 5 ms, efficiency", "5 ms of a core, efficiency"], lines)
+    head = [
+        "",
+        "form",
+        "candidates per message",
+        "no-op, us per candidate",
+        "relative to zswarm",
+    ]
+    return markdown(
+        [*head, "sleep 5 ms, efficiency", "5 ms of a core, efficiency"], lines
+    )
 
 
 def dispatch(found: Found) -> str:
@@ -163,11 +179,19 @@ def kernels(found: Found) -> str:
             for agents in sizes:
                 mine, ours = rate.get((variant, agents)), rate.get(("numba", agents))
                 times = (
-                    f", zswarm {ours / mine:,.2f}x" if mine and ours and variant != "numba" else ""
+                    f", zswarm {ours / mine:,.2f}x"
+                    if mine and ours and variant != "numba"
+                    else ""
                 )
                 cells.append(f"{agents}: {mine / 1e3:,.0f} k{times}" if mine else "")
-            each = figure(1 / seconds[variant]) if len(sizes) == 1 and seconds[variant] else ""
-            lines.append([kernel, named(variant, rows), "; ".join(filter(None, cells)), each])
+            each = (
+                figure(1 / seconds[variant])
+                if len(sizes) == 1 and seconds[variant]
+                else ""
+            )
+            lines.append(
+                [kernel, named(variant, rows), "; ".join(filter(None, cells)), each]
+            )
     head = [
         "model",
         "variant",
@@ -175,7 +199,8 @@ def kernels(found: Found) -> str:
         "simulations/s",
     ]
     return markdown(head, lines) + missing(
-        ({**row, "of": f"{row['kernel']}, {row['variant']}"} for row in found["rows"]), "of"
+        ({**row, "of": f"{row['kernel']}, {row['variant']}"} for row in found["rows"]),
+        "of",
     )
 
 
@@ -200,8 +225,15 @@ def startup(found: Found) -> str:
         + missing((row for row in found["rows"] if row["what"] == "first result"), "of")
         + "\n"
         + markdown(
-            ["memory of a", "private, MiB", "including its share of shared memory (PSS), MiB"],
-            [[row["of"], f"{mib(row['own_mb']):.1f}", f"{mib(row['pss_mb']):.1f}"] for row in used],
+            [
+                "memory of a",
+                "private, MiB",
+                "including its share of shared memory (PSS), MiB",
+            ],
+            [
+                [row["of"], f"{mib(row['own_mb']):.1f}", f"{mib(row['pss_mb']):.1f}"]
+                for row in used
+            ],
         )
     )
 
@@ -226,7 +258,13 @@ def scaling(found: Found) -> str:
             ]
         )
     return markdown(
-        ["servers", "evaluations that sleep 20 ms, s", "efficiency", "real evaluations, s"], lines
+        [
+            "servers",
+            "evaluations that sleep 20 ms, s",
+            "efficiency",
+            "real evaluations, s",
+        ],
+        lines,
     )
 
 
@@ -270,7 +308,9 @@ def scale(found: Found) -> str:
                     f"{row['ready_s']:.2f}",
                     f"{row['cpu_s']:.2f}",
                     f"{row['mb']:.0f}",
-                    ", ".join(f"{row['messages'][side]:.1f}" for side in ("received", "sent")),
+                    ", ".join(
+                        f"{row['messages'][side]:.1f}" for side in ("received", "sent")
+                    ),
                 ]
                 for row in servers
             ],
@@ -321,7 +361,10 @@ def methods(found: Found) -> str:
     head = [
         cell
         for task in tasks
-        for cell in (f"{task}, {rows[task, names[0]]['evaluations'][-1]:,}", "random's after")
+        for cell in (
+            f"{task}, {rows[task, names[0]]['evaluations'][-1]:,}",
+            "random's after",
+        )
     ]
     return markdown(["method", *head], lines)
 

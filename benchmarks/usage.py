@@ -33,7 +33,10 @@ def usage(pid: int) -> Usage | None:
         }
         shm = mapped | {target for target in descriptors if target.startswith(SHM)}
         return Usage(
-            pages * PAGE / 1e6, len(descriptors), len(list((proc / "task").iterdir())), len(shm)
+            pages * PAGE / 1e6,
+            len(descriptors),
+            len(list((proc / "task").iterdir())),
+            len(shm),
         )
     except (FileNotFoundError, ProcessLookupError):
         return None

@@ -17,7 +17,12 @@ author = "The zswarm developers"
 copyright = "The zswarm developers, Apache-2.0"  # noqa: A001  the name that Sphinx reads
 release = version = zswarm.__version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx_copybutton",
+]
 exclude_patterns = ["pictures"]
 nitpicky = True
 smartquotes = False  # "fixed" is what is typed
@@ -61,14 +66,22 @@ FROM_THE_REPOSITORY = {
 REPOSITORY = Path(__file__).parent.parent
 # A link that has the name of its file for a text: on the site it has the title of the page or
 # heading.
-BY_FILE = re.compile(r"\[(?:docs/)?(?P<page>[\w-]+)\.md\]\((?P<target>(?P=page)\.md(?:#[\w-]+)?)\)")
+BY_FILE = re.compile(
+    r"\[(?:docs/)?(?P<page>[\w-]+)\.md\]\((?P<target>(?P=page)\.md(?:#[\w-]+)?)\)"
+)
 
 
 def within_the_site(app: Sphinx, page: str, source: list[str]) -> None:  # noqa: ARG001  Sphinx calls it so
     """Let links to files that became pages lead to these, and those of such a file to pages."""
-    name = next((name for name, made in FROM_THE_REPOSITORY.items() if made == page), None)
+    name = next(
+        (name for name, made in FROM_THE_REPOSITORY.items() if made == page), None
+    )
     if name:
-        source[0] = (REPOSITORY / f"{name}.md").read_text(encoding="utf-8").replace("](docs/", "](")
+        source[0] = (
+            (REPOSITORY / f"{name}.md")
+            .read_text(encoding="utf-8")
+            .replace("](docs/", "](")
+        )
         for file in (
             ".ci/",
             "examples/",

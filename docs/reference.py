@@ -65,7 +65,9 @@ def help_page() -> str:
     for program, command in PROGRAMS.items():
         for name, said in helps(command, program):
             lines = "\n".join(line.rstrip() for line in said.splitlines())
-            parts.append(f"{'##' if name == program else '###'} {name}\n\n```text\n{lines}\n```\n")
+            parts.append(
+                f"{'##' if name == program else '###'} {name}\n\n```text\n{lines}\n```\n"
+            )
     return "\n".join(parts)
 
 
@@ -88,7 +90,9 @@ def experiment_page() -> str:
             if not found:
                 sys.exit(f"docs/experiment.md has no section {' / '.join(headings)!r}")
             before += passed + found
-        text = before + TABLE.sub(lambda _, keys=keys: settings_docs.markdown(keys), after, count=1)
+        text = before + TABLE.sub(
+            lambda _, keys=keys: settings_docs.markdown(keys), after, count=1
+        )
     return text
 
 
@@ -96,7 +100,9 @@ def profiles_page() -> str:
     """docs/profiles.md, its tables made anew."""
     sheets = {
         "## Keys": [
-            key for key in settings_docs.keys(profiles.Profile) if key.type_text != "value"
+            key
+            for key in settings_docs.keys(profiles.Profile)
+            if key.type_text != "value"
         ],  # but for tables
         "### Topics": settings_docs.keys(profiles.Topic),
         "### `[velocity]`": settings_docs.keys(profiles.VelocityTopic)[-1:],
@@ -122,9 +128,12 @@ def profile_table() -> str:
     for name in profiles.names():
         profile = profiles.read(name)
         kind = "TwistStamped" if profile.velocity.stamped else "Twist"
-        topics = {channel: f"`{profile.topic(channel, 0, 2)}`" for channel in profile.channels}
+        topics = {
+            channel: f"`{profile.topic(channel, 0, 2)}`" for channel in profile.channels
+        }
         shown = [
-            topics.get(channel, "") for channel in ("scan", "odometry", "ground_truth", "clock")
+            topics.get(channel, "")
+            for channel in ("scan", "odometry", "ground_truth", "clock")
         ]
         limits = f"{profile.speed:g}, {profile.turn:g}"
         cells = [

@@ -60,7 +60,9 @@ def evolve(folder: Path) -> None:
         for seed in (1, 2):
             for port in ports:
                 wait_for(port)
-            options = f"--seed {seed} --set optimizer.population=400 --servers 3 --no-multicast"
+            options = (
+                f"--seed {seed} --set optimizer.population=400 --servers 3 --no-multicast"
+            )
             words = f"{options} {reach} --out {folder}".split()
             run = subprocess.Popen(
                 [sys.executable, "-m", "zswarm.ot", "run", "stadium", *words],
@@ -86,7 +88,9 @@ def evolve(folder: Path) -> None:
 def take(browser: Browser, url: str) -> None:
     """Take all pictures."""
     for name, (path, size, scheme) in VIEWS.items():
-        page = browser.new_page(viewport=size, color_scheme=scheme, reduced_motion="reduce")
+        page = browser.new_page(
+            viewport=size, color_scheme=scheme, reduced_motion="reduce"
+        )
         page.goto(url + path, wait_until="networkidle")
         page.wait_for_timeout(SETTLED_MS)
         page.screenshot(path=PICTURES / f"{name}.png")

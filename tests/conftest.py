@@ -62,7 +62,9 @@ LONGEST = [
 ]
 
 
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(
+    config: pytest.Config, items: list[pytest.Item]
+) -> None:
     """Give each worker its part of the longest tests first, and then neighbours.
 
     xdist gives each worker an equal share of the list, and one that has nothing left to do takes
@@ -83,8 +85,14 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 def pytest_configure(config: pytest.Config) -> None:
     """Compile kernels once on all cores, before several workers each compile all of them."""
-    whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS  # not some files of it
-    if whole and not hasattr(config, "workerinput") and config.getoption("numprocesses", None):
+    whole = (
+        config.args_source is pytest.Config.ArgsSource.TESTPATHS
+    )  # not some files of it
+    if (
+        whole
+        and not hasattr(config, "workerinput")
+        and config.getoption("numprocesses", None)
+    ):
         subprocess.run(
             [sys.executable, "-c", EVERY_KERNEL], capture_output=True, check=False
         )  # what fails fails in its test

@@ -32,7 +32,9 @@ def issued(
 ) -> list[certificates.Bundle]:
     """Keys of the authority in a folder, which is made where there is none."""
     opened = (
-        Authority(folder, now=now) if (folder / "key.pem").exists() else authority(folder, now=now)
+        Authority(folder, now=now)
+        if (folder / "key.pem").exists()
+        else authority(folder, now=now)
     )
     with opened:
         return opened.issue({holder: [] for holder in holders}, days)
@@ -85,9 +87,14 @@ class Machine:
     def run(self, *arguments: str | Path, answer: str = "") -> Result:
         """``zswarm-keys`` with these; no traceback is ever its answer."""
         done = CliRunner().invoke(
-            cli.command, [str(part) for part in arguments], input=answer, env=self.environment
+            cli.command,
+            [str(part) for part in arguments],
+            input=answer,
+            env=self.environment,
         )
-        assert done.exception is None or isinstance(done.exception, SystemExit), done.exc_info
+        assert done.exception is None or isinstance(done.exception, SystemExit), (
+            done.exc_info
+        )
         self.said += done.output
         return done
 

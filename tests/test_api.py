@@ -65,7 +65,9 @@ def same_bits(left: np.ndarray, right: np.ndarray) -> bool:
 def test_importing_zswarm_loads_nothing_until_a_name_is_used() -> None:
     code = "import sys, zswarm; loaded = {'numpy', 'msgspec', 'zswarm.api'} & set(sys.modules); "
     code += "zswarm.load; print(loaded)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
     assert (done.stdout, done.stderr) == ("set()\n", "")
 
 
@@ -134,7 +136,10 @@ def test_an_experiment_of_parts_that_are_not_installed_can_be_loaded() -> None:
 @pytest.mark.parametrize(
     ("call", "line"),
     [
-        (lambda: zswarm.load(None), "experiment: expected a file, the name of an example"),
+        (
+            lambda: zswarm.load(None),
+            "experiment: expected a file, the name of an example",
+        ),
         (lambda: zswarm.load(3), "dict or an experiment, not 3"),
         (
             lambda: zswarm.load("stadium", ["a"]),
@@ -153,7 +158,9 @@ def test_an_experiment_of_parts_that_are_not_installed_can_be_loaded() -> None:
         (lambda: list(zswarm.start("stadium")), "with zswarm.start"),
     ],
 )
-def test_arguments_of_a_wrong_type_are_refused_with_what_was_expected(call: Any, line: str) -> None:
+def test_arguments_of_a_wrong_type_are_refused_with_what_was_expected(
+    call: Any, line: str
+) -> None:
     with pytest.raises(TypeError, match=line):
         call()
 
@@ -197,7 +204,10 @@ def test_a_problem_is_made_of_parts() -> None:
         settings={"teams": 2, "defenders": 0},
         ranking={"kind": "swiss", "rounds": 3},
     )
-    assert (type(game.ranking).__name__, msgspec.to_builtins(game.ranking.settings)["rounds"]) == (
+    assert (
+        type(game.ranking).__name__,
+        msgspec.to_builtins(game.ranking.settings)["rounds"],
+    ) == (
         "Swiss",
         3,
     )
@@ -210,7 +220,8 @@ def test_a_problem_is_made_of_parts() -> None:
 def test_problems_and_connections_have_a_readable_repr() -> None:
     few = zswarm.problem("emergency-exit", trials=2)
     assert (
-        repr(few) == f"<zswarm.Problem: emergency-exit, 2 trials; fully-meshed, {few.genes} genes>"
+        repr(few)
+        == f"<zswarm.Problem: emergency-exit, 2 trials; fully-meshed, {few.genes} genes>"
     )
     with zswarm.connect(2, realm="lab", multicast=False) as cluster:
         assert repr(cluster) == "<zswarm.Connection: 2 servers in realm lab>"
@@ -235,7 +246,10 @@ def test_vectors_and_genomes_are_the_same_candidates() -> None:
 @pytest.mark.parametrize(
     ("make", "line"),
     [
-        (lambda genes: np.zeros((2, genes + 1)), r"expected shape \(n, 60\), not \(2, 61\)"),
+        (
+            lambda genes: np.zeros((2, genes + 1)),
+            r"expected shape \(n, 60\), not \(2, 61\)",
+        ),
         (lambda genes: np.zeros(genes), r"expected shape \(n, 60\), not \(60,\)"),
         (lambda genes: np.full((2, genes), np.nan), "not finite"),
         (lambda genes: np.full((2, genes), 1e300), "not finite"),
@@ -249,13 +263,17 @@ def test_vectors_and_genomes_are_the_same_candidates() -> None:
         (lambda genes: [b"\0" * 4 * genes, [0.0] * genes], "not both"),
     ],
 )
-def test_candidates_that_do_not_fit_are_refused_before_they_travel(make: Any, line: str) -> None:
+def test_candidates_that_do_not_fit_are_refused_before_they_travel(
+    make: Any, line: str
+) -> None:
     problem = zswarm.problem("stadium")
     assert problem.genes == 60
     with pytest.raises(ValueError, match=line):
         problem.genomes(make(problem.genes))
     for what in (None, 3, b"genome", "genome", {"a": 1}):
-        with pytest.raises(TypeError, match="candidates: expected a list of genomes or an array"):
+        with pytest.raises(
+            TypeError, match="candidates: expected a list of genomes or an array"
+        ):
             problem.genomes(what)  # type: ignore[arg-type]
 
 
@@ -290,7 +308,11 @@ def test_candidates_of_a_game_play_each_other(cluster: zswarm.Connection) -> Non
     while True:
         work = assessment.workload
         played = evaluate.evaluate(
-            problem.simulator, problem.representation, genomes, work.participants, work.seeds
+            problem.simulator,
+            problem.representation,
+            genomes,
+            work.participants,
+            work.seeds,
         )
         work.fitness[:] = played.fitness
         if not assessment.advance():
@@ -324,7 +346,8 @@ def test_outcomes_are_returned_by_trial_for_any_seeds(cluster: zswarm.Connection
     assert cluster.outcomes(problem, []).fitness.shape == (0, 3)
     for seeds in ([], [-1], [1, 2**64]):
         with pytest.raises(
-            ValueError, match=r"seeds: expected a list of whole numbers, one at least, .* not "
+            ValueError,
+            match=r"seeds: expected a list of whole numbers, one at least, .* not ",
         ):
             cluster.outcomes(problem, genomes, seeds=seeds)
     wrong: Any
@@ -332,12 +355,15 @@ def test_outcomes_are_returned_by_trial_for_any_seeds(cluster: zswarm.Connection
         with pytest.raises(TypeError, match="seeds: expected a list of whole numbers"):
             cluster.outcomes(problem, genomes, seeds=wrong)
     assert same_bits(
-        cluster.outcomes(problem, genomes, seeds=np.array([2**63 + 1, 8], np.uint64)).fitness,
+        cluster.outcomes(
+            problem, genomes, seeds=np.array([2**63 + 1, 8], np.uint64)
+        ).fitness,
         unseen.fitness,
     )
     for first, second in (("stadium", genomes), (genomes, problem)):
         with pytest.raises(
-            TypeError, match=r"problem: expected what zswarm\.problem gives, before the candidates"
+            TypeError,
+            match=r"problem: expected what zswarm\.problem gives, before the candidates",
         ):
             cluster.evaluate(first, second)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="generation: expected a whole number from 0"):
@@ -345,7 +371,9 @@ def test_outcomes_are_returned_by_trial_for_any_seeds(cluster: zswarm.Connection
 
 
 def test_fresh_trials_are_those_of_the_generation(cluster: zswarm.Connection) -> None:
-    problem = zswarm.problem("emergency-exit", settings={"steps": 40}, trials=3, seeds="fresh")
+    problem = zswarm.problem(
+        "emergency-exit", settings={"steps": 40}, trials=3, seeds="fresh"
+    )
     genomes = problem.random(4)
     first, second = (
         cluster.evaluate(problem, genomes, generation=generation) for generation in (0, 1)
@@ -358,9 +386,12 @@ def test_threads_that_evaluate_in_parallel_get_their_own_results(
     cluster: zswarm.Connection,
 ) -> None:
     """Of two problems, with different numbers of candidates."""
-    problems = [zswarm.problem("stadium", settings={"steps": steps}) for steps in (20, 30)]
+    problems = [
+        zswarm.problem("stadium", settings={"steps": steps}) for steps in (20, 30)
+    ]
     calls = [
-        (problems[number % 2], problems[0].random(1 + number, seed=number)) for number in range(6)
+        (problems[number % 2], problems[0].random(1 + number, seed=number))
+        for number in range(6)
     ]
     with ThreadPoolExecutor(6) as threads:
         found = list(threads.map(lambda call: cluster.evaluate(*call), calls))
@@ -393,7 +424,8 @@ def test_waiting_calls_are_evaluated_together(
         found = [float(call.result()[0]) for call in waiting]
     assert together == [5]
     assert found == [
-        float(in_this_process(problem, problem.random(1, seed))[0, 0]) for seed in range(5)
+        float(in_this_process(problem, problem.random(1, seed))[0, 0])
+        for seed in range(5)
     ]
 
 
@@ -414,7 +446,9 @@ def test_results_of_an_interrupted_call_do_not_reach_the_next(
         with pytest.raises(KeyboardInterrupt):
             cluster.evaluate(problem, problem.random(7))
     genomes = problem.random(7, seed=2)
-    assert same_bits(cluster.evaluate(problem, genomes), in_this_process(problem, genomes)[:, 0])
+    assert same_bits(
+        cluster.evaluate(problem, genomes), in_this_process(problem, genomes)[:, 0]
+    )
 
 
 def test_idle_slots_are_released(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -453,7 +487,9 @@ def test_closing_ends_evaluations_of_other_threads() -> None:
     with ThreadPoolExecutor(1) as threads:
         call = threads.submit(cluster.evaluate, problem, problem.random(500))
         wait_until(
-            lambda: cluster._evaluator is not None and cluster._evaluator._cluster is not None
+            lambda: (
+                cluster._evaluator is not None and cluster._evaluator._cluster is not None
+            )
         )
         cluster.close()
         with pytest.raises(zswarm.Stopped):
@@ -487,7 +523,9 @@ def test_a_resumed_run_has_the_history_of_an_uninterrupted_one(
         assert [generation.generation for generation in evolution] == [2, 3]
     assert evolution.result is not None
     assert (
-        evolution.result.history_hash == zswarm.read(left.folder).history_hash == whole.history_hash
+        evolution.result.history_hash
+        == zswarm.read(left.folder).history_hash
+        == whole.history_hash
     )
     assert zswarm.load(left.folder, {"name": "other"}).problem == whole.experiment.problem
 
@@ -519,7 +557,9 @@ def test_an_error_in_the_loop_says_how_to_resume(
     ]
 
 
-def test_a_run_is_stopped_from_another_thread(cluster: zswarm.Connection, tmp_path: Path) -> None:
+def test_a_run_is_stopped_from_another_thread(
+    cluster: zswarm.Connection, tmp_path: Path
+) -> None:
     """It stops in the middle of a generation."""
     endless = zswarm.load("stadium", {"generations": 1_000_000})
     with zswarm.start(endless, connection=cluster, out=tmp_path) as evolution:
@@ -558,10 +598,14 @@ def test_a_stopped_run_is_not_finished(
             evolution.finish()
 
 
-def test_a_run_in_a_thread_does_not_touch_signals(tmp_path: Path, small: zswarm.Experiment) -> None:
+def test_a_run_in_a_thread_does_not_touch_signals(
+    tmp_path: Path, small: zswarm.Experiment
+) -> None:
     """By itself: it brings its own slots."""
     with ThreadPoolExecutor(1) as threads:
-        run = threads.submit(zswarm.run, zswarm.load(small, ONE_SLOT), out=tmp_path).result()
+        run = threads.submit(
+            zswarm.run, zswarm.load(small, ONE_SLOT), out=tmp_path
+        ).result()
     assert run.finished
 
 
@@ -624,7 +668,11 @@ def test_runs_of_a_study_share_a_connection_and_can_be_resumed(
         out=tmp_path,
     )
     shown = [
-        (run.experiment.optimizer.settings["population"], run.experiment.seed, run.finished)
+        (
+            run.experiment.optimizer.settings["population"],
+            run.experiment.seed,
+            run.finished,
+        )
         for run in runs
     ]
     assert shown == [(10, 1, True), (12, 1, True), (10, 2, True), (12, 2, True)]
@@ -634,7 +682,9 @@ def test_runs_of_a_study_share_a_connection_and_can_be_resumed(
     with pytest.raises(zswarm.ConfigError, match="a study is resumed as it is"):
         zswarm.study(runs[0].folder.parent, repeat=3, connection=cluster)
     with pytest.raises(zswarm.ConfigError, match="populaton"):
-        zswarm.study(small, grid={"optimizer.populaton": [1, 2]}, connection=cluster, out=tmp_path)
+        zswarm.study(
+            small, grid={"optimizer.populaton": [1, 2]}, connection=cluster, out=tmp_path
+        )
     assert len(zswarm.plot(*runs).axes[0].lines) >= 2
 
 
@@ -662,5 +712,7 @@ def test_a_driver_repeats_the_decisions_of_evolution(
             ]
             turn = simulator.step(np.stack(decided))
         assert simulator.outcome().fitness[0] == run.best()
-    with pytest.raises(ValueError, match=r"observation: expected shape \(\d+,\), not \(1,\)"):
+    with pytest.raises(
+        ValueError, match=r"observation: expected shape \(\d+,\), not \(1,\)"
+    ):
         drivers[0].act([0.0])

@@ -20,7 +20,14 @@ from zswarm.testing import check_simulator
 
 CANONICAL = np.array([np.nan]).tobytes()
 OTHER_NAN = np.array([0xFFF8000000000123], np.uint64).view(np.float64)[0]
-RAISES, INFINITE, ODD_NAN, BAD_SHAPE, RAISES_EMPTY, LAST_TRIAL = 900, 901, 902, 903, 904, 905
+RAISES, INFINITE, ODD_NAN, BAD_SHAPE, RAISES_EMPTY, LAST_TRIAL = (
+    900,
+    901,
+    902,
+    903,
+    904,
+    905,
+)
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -95,7 +102,11 @@ def network() -> FullyMeshed:
 
 
 def play(
-    duel: Duel, network: FullyMeshed, pairs: list[list[int]], seeds: list[int], **more: Any
+    duel: Duel,
+    network: FullyMeshed,
+    pairs: list[list[int]],
+    seeds: list[int],
+    **more: Any,
 ) -> TrialOutcomes:
     return evaluate(
         duel,
@@ -118,7 +129,9 @@ def test_each_participant_gets_the_fitness_of_its_own_robot(
     assert outcomes.fitness.dtype == np.float64
     assert (outcomes.fitness[:, 0] == -outcomes.fitness[:, 1]).all()
     assert abs(outcomes.fitness[0, 0]) > 0.1, "the first two differ"
-    assert not np.array_equal(outcomes.fitness[0], outcomes.fitness[1]), "who begins matters"
+    assert not np.array_equal(outcomes.fitness[0], outcomes.fitness[1]), (
+        "who begins matters"
+    )
     assert outcomes.metrics.tolist() == [[6, 5]] * 3
     assert outcomes.error == ""
 
@@ -133,7 +146,10 @@ def test_the_state_of_a_robot_lasts_a_trial_and_no_longer(network: FullyMeshed) 
     after_others = play(long, network, [[2, 0], [1, 2], [0, 1]], [1, 2, 3])
     assert after_others.fitness[2].tobytes() == alone.fitness[0].tobytes()
     by_hand = np.zeros(2)
-    states, seen = np.zeros((2, network.state_size), np.float32), np.full(1, 3 / 7, np.float32)
+    states, seen = (
+        np.zeros((2, network.state_size), np.float32),
+        np.full(1, 3 / 7, np.float32),
+    )
     parameters = network.parameters(network.random(3, Stream(1)))
     for turn in range(8):
         action = np.empty(1, np.float32)
@@ -143,14 +159,18 @@ def test_the_state_of_a_robot_lasts_a_trial_and_no_longer(network: FullyMeshed) 
     assert alone.fitness[0, 0] == by_hand[0] - by_hand[1]
 
 
-def test_seeds_of_64_bits_reach_the_simulator_whole(duel: Duel, network: FullyMeshed) -> None:
+def test_seeds_of_64_bits_reach_the_simulator_whole(
+    duel: Duel, network: FullyMeshed
+) -> None:
     play(duel, network, [[0, 1], [0, 1]], [2**64 - 1, 2**63])
     assert duel.played == [2**64 - 1, 2**63]
     assert all(type(seed) is int for seed in duel.played)
 
 
 def test_no_trials_have_no_outcomes(duel: Duel, network: FullyMeshed) -> None:
-    outcomes = evaluate(duel, network, [], np.zeros((0, 2), np.int64), np.zeros(0, np.uint64))
+    outcomes = evaluate(
+        duel, network, [], np.zeros((0, 2), np.int64), np.zeros(0, np.uint64)
+    )
     assert outcomes.fitness.shape == (0, 2)
     assert outcomes.metrics.shape == (0, 2)
 
@@ -158,10 +178,17 @@ def test_no_trials_have_no_outcomes(duel: Duel, network: FullyMeshed) -> None:
 @pytest.mark.parametrize("settings", [{"field": "random"}, {"field": "stadium"}])
 def test_an_empty_batch_leaves_no_state_in_a_kernel(settings: dict[str, Any]) -> None:
     """Trials that come later find the fields that they need."""
-    simulator, network = build("emergency-exit", settings | {"steps": 3}, "fully-meshed", {})
-    none = evaluate(simulator, network, [], np.zeros((0, 1), np.int64), np.zeros(0, np.uint64))
+    simulator, network = build(
+        "emergency-exit", settings | {"steps": 3}, "fully-meshed", {}
+    )
+    none = evaluate(
+        simulator, network, [], np.zeros((0, 1), np.int64), np.zeros(0, np.uint64)
+    )
     assert (none.fitness.shape, none.metrics.shape) == ((0, 1), (0, 2))
-    genomes, one = network.random(1, Stream(1)), (np.zeros((1, 1), np.int64), np.ones(1, np.uint64))
+    genomes, one = (
+        network.random(1, Stream(1)),
+        (np.zeros((1, 1), np.int64), np.ones(1, np.uint64)),
+    )
     fresh, _ = build("emergency-exit", settings | {"steps": 3}, "fully-meshed", {})
     assert (
         evaluate(simulator, network, genomes, *one).fitness
@@ -179,7 +206,9 @@ def test_a_trial_that_raises_is_nan_and_the_others_continue(
     assert outcomes.fitness[1].tobytes() == CANONICAL * 2
     assert outcomes.metrics[1].tobytes() == CANONICAL * 2
     assert np.isfinite(outcomes.fitness[[0, 2]]).all()
-    assert outcomes.error.startswith("Duel, trial seed 900: RuntimeError: the wall fell down!")
+    assert outcomes.error.startswith(
+        "Duel, trial seed 900: RuntimeError: the wall fell down!"
+    )
     assert len(outcomes.error) == MAX_ERROR_TEXT
 
 
@@ -198,7 +227,10 @@ def test_a_number_that_is_not_finite_becomes_the_one_nan(
     assert outcomes.fitness.tobytes() == CANONICAL + np.float64(1).tobytes()
     assert outcomes.metrics.tobytes() == CANONICAL + np.float64(2).tobytes()
     number = "inf" if seed == INFINITE else "nan"
-    assert outcomes.error == f"Duel, trial seed {seed}: fitness must be finite, not [{number}, 1.0]"
+    assert (
+        outcomes.error
+        == f"Duel, trial seed {seed}: fitness must be finite, not [{number}, 1.0]"
+    )
 
 
 def test_observations_of_a_wrong_shape_are_the_trials_error(
@@ -206,7 +238,9 @@ def test_observations_of_a_wrong_shape_are_the_trials_error(
 ) -> None:
     outcomes = play(duel, network, [[0, 1]], [BAD_SHAPE])
     assert np.isnan(outcomes.fitness).all()
-    assert outcomes.error == "Duel, trial seed 903: observations must be (1, 1), not (1, 2)"
+    assert (
+        outcomes.error == "Duel, trial seed 903: observations must be (1, 1), not (1, 2)"
+    )
 
 
 class Wrong(Duel):
@@ -242,14 +276,26 @@ def raising(error: BaseException) -> Callable[[], Any]:
             lambda: ((0,), np.zeros((1, 1))),
             "reset and step must return a Turn, and step None at the end; not ((0,), arr",
         ),
-        ("step", lambda: 1, "reset and step must return a Turn, and step None at the end; not 1"),
+        (
+            "step",
+            lambda: 1,
+            "reset and step must return a Turn, and step None at the end; not 1",
+        ),
         (
             "step",
             lambda: Turn((), np.zeros((0, 1))),
             "a turn must name an agent; a trial that is over returns None",
         ),
-        ("step", lambda: Turn((2,), np.zeros((1, 1))), "agents must be in range(0, 2), not [2]"),
-        ("step", lambda: Turn((-1,), np.zeros((1, 1))), "agents must be in range(0, 2), not [-1]"),
+        (
+            "step",
+            lambda: Turn((2,), np.zeros((1, 1))),
+            "agents must be in range(0, 2), not [2]",
+        ),
+        (
+            "step",
+            lambda: Turn((-1,), np.zeros((1, 1))),
+            "agents must be in range(0, 2), not [-1]",
+        ),
         (
             "step",
             lambda: Turn((1,), np.full((1, 1), np.nan)),
@@ -312,7 +358,9 @@ def test_a_broken_contract_is_the_trials_outcome_and_named(
     )
 
 
-def test_a_keyboard_interrupt_is_an_outcome_only_if_sigint_is_ignored(network: FullyMeshed) -> None:
+def test_a_keyboard_interrupt_is_an_outcome_only_if_sigint_is_ignored(
+    network: FullyMeshed,
+) -> None:
     wrong = Wrong(Settings())
     wrong.wrong = {"step": raising(KeyboardInterrupt())}
     with pytest.raises(KeyboardInterrupt):
@@ -368,7 +416,9 @@ def test_a_participant_that_is_not_among_the_genomes_is_refused(
     assert duel.played == []
 
 
-def test_participants_of_a_wrong_shape_are_refused(duel: Duel, network: FullyMeshed) -> None:
+def test_participants_of_a_wrong_shape_are_refused(
+    duel: Duel, network: FullyMeshed
+) -> None:
     for pairs in ([[0]], [[0, 1, 2]], [[0, 1], [0, 1]]):
         with pytest.raises(ValueError, match=r"participants must be \(1, 2\), not"):
             play(duel, network, pairs, [1])
@@ -376,7 +426,9 @@ def test_participants_of_a_wrong_shape_are_refused(duel: Duel, network: FullyMes
 
 def test_a_genome_that_does_not_fit_is_refused(duel: Duel, network: FullyMeshed) -> None:
     with pytest.raises(ValueError, match="a genome has 3 bytes"):
-        evaluate(duel, network, [b"abc"], np.zeros((1, 2), np.int64), np.zeros(1, np.uint64))
+        evaluate(
+            duel, network, [b"abc"], np.zeros((1, 2), np.int64), np.zeros(1, np.uint64)
+        )
 
 
 # ---- progress
@@ -386,14 +438,18 @@ def test_progress_shows_the_trial_that_runs_and_a_stop_ends_before_the_next(
     duel: Duel, network: FullyMeshed
 ) -> None:
     duel.progress = np.array([77, 0])
-    outcomes = play(duel, network, [[0, 1]] * 4, [1, LAST_TRIAL, 2, 3], progress=duel.progress)
+    outcomes = play(
+        duel, network, [[0, 1]] * 4, [1, LAST_TRIAL, 2, 3], progress=duel.progress
+    )
     assert duel.played == [1, LAST_TRIAL]
     assert np.isfinite(outcomes.fitness[:2]).all()
     assert np.isnan(outcomes.fitness[2:]).all()
     assert duel.progress.tolist() == [2, 1]
 
 
-def test_a_batch_that_is_stopped_already_plays_nothing(duel: Duel, network: FullyMeshed) -> None:
+def test_a_batch_that_is_stopped_already_plays_nothing(
+    duel: Duel, network: FullyMeshed
+) -> None:
     play(duel, network, [[0, 1]], [1], progress=np.array([0, 1]))
     assert duel.played == []
 
@@ -439,7 +495,10 @@ def test_parts_are_built_to_fit_each_other() -> None:
     [
         (("minisin", {}, "fully-meshed", {}), "unknown simulator 'minisin'"),
         (("minisim", {}, "fully-mesh", {}), "unknown representation 'fully-mesh'"),
-        (("minisim", {"robot": 1}, "fully-meshed", {}), "problem.settings: unknown key 'robot'"),
+        (
+            ("minisim", {"robot": 1}, "fully-meshed", {}),
+            "problem.settings: unknown key 'robot'",
+        ),
         (
             ("minisim", {}, "fully-meshed", {"hidden": "2"}),
             "representation: hidden: expected int, got str",
@@ -454,17 +513,22 @@ def test_parts_that_cannot_be_built_are_a_config_error(
     assert isinstance(refusal.value, UnknownPlugin) == text.startswith("unknown ")
 
 
-def test_a_simulator_that_cannot_be_set_up_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_simulator_that_cannot_be_set_up_is_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     class Broken(Duel):
         def __init__(self, settings: Settings) -> None:
             raise OSError(f"no map for {settings.rounds} rounds")
 
     installed = plugins.load
     monkeypatch.setattr(
-        plugins, "load", lambda kind, name: Broken if kind == "simulator" else installed(kind, name)
+        plugins,
+        "load",
+        lambda kind, name: Broken if kind == "simulator" else installed(kind, name),
     )
     with pytest.raises(
-        ConfigError, match="simulator 'broken' cannot be set up: OSError: no map for 3 rounds"
+        ConfigError,
+        match="simulator 'broken' cannot be set up: OSError: no map for 3 rounds",
     ):
         build("broken", {}, "fully-meshed", {})
 
@@ -583,7 +647,10 @@ def test_a_sound_simulator_passes_the_check() -> None:
             type("Drifting", (Minisim,), {"play": drawing_elsewhere}),
             "the turns and the compiled form differ",
         ),
-        (type("Deaf", (Minisim,), {"play": deaf}), "Deaf.play must end before the next trial"),
+        (
+            type("Deaf", (Minisim,), {"play": deaf}),
+            "Deaf.play must end before the next trial",
+        ),
         (
             type("Drifting", (Minisim,), {"play_lanes": drifting_aside}),
             "play_lanes: seed 0 has another outcome than in play",

@@ -112,7 +112,9 @@ def test_an_override_wins_over_the_file_and_creates_tables(file: Path) -> None:
 def test_an_override_that_is_not_toml_is_a_string(file: Path) -> None:
     assert load(file, ["name=other-name"]).name == "other-name"
     assert load(file, ['name="other"']).name == "other"
-    assert load(file, ['cluster.connect=["tcp/host:7467"]']).cluster.connect == ["tcp/host:7467"]
+    assert load(file, ['cluster.connect=["tcp/host:7467"]']).cluster.connect == [
+        "tcp/host:7467"
+    ]
 
 
 @pytest.mark.parametrize("order", [1, -1])
@@ -120,9 +122,14 @@ def test_another_kind_starts_from_its_own_defaults(tmp_path: Path, order: int) -
     """The file's settings of the previous kind are dropped, those of overrides stay."""
     file = small(tmp_path, "mutation = 0.5\n[problem.settings]\nagents = 3\n")
     changed = load(file, ["optimizer.kind=pso", "optimizer.population=7"][::order])
-    assert (changed.optimizer.kind, changed.optimizer.settings) == ("pso", {"population": 7})
+    assert (changed.optimizer.kind, changed.optimizer.settings) == (
+        "pso",
+        {"population": 7},
+    )
     assert load(file, ["problem.simulator=xor"]).problem.settings == {}
-    assert load(file, ["optimizer.kind=nnga", "problem.simulator=emergency-exit"]) == load(file)
+    assert load(
+        file, ["optimizer.kind=nnga", "problem.simulator=emergency-exit"]
+    ) == load(file)
     assert load(file).optimizer.settings == {"mutation": 0.5}
     assert load(file).problem.settings == {"agents": 3}
 
@@ -141,7 +148,10 @@ def test_another_kind_starts_from_its_own_defaults(tmp_path: Path, order: int) -
             "problem.trialz=3",
             "{file}: problem: unknown key 'trialz' (did you mean 'trials'?); known are: ",
         ),
-        ("sed=3", "{file}: unknown key 'sed' (did you mean 'seed'?); known are: name, seed, "),
+        (
+            "sed=3",
+            "{file}: unknown key 'sed' (did you mean 'seed'?); known are: name, seed, ",
+        ),
     ],
 )
 def test_an_impossible_override_is_refused(file: Path, override: str, text: str) -> None:
@@ -164,7 +174,10 @@ def test_an_impossible_override_is_refused(file: Path, override: str, text: str)
             "name=../escape",
             "name: expected 1 to 63 of a-z, 0-9 and -, not starting with -, not '../escape'",
         ),
-        ("name=", "name: expected 1 to 63 of a-z, 0-9 and -, not starting with -, not ''"),
+        (
+            "name=",
+            "name: expected 1 to 63 of a-z, 0-9 and -, not starting with -, not ''",
+        ),
         (
             "cluster.realm=a/**",
             "cluster.realm: expected 1 to 63 of a-z, 0-9 and -, not starting with -, not 'a/**'",
@@ -173,16 +186,25 @@ def test_an_impossible_override_is_refused(file: Path, override: str, text: str)
         ("problem.seeds=random", "problem.seeds: expected fixed or fresh, not 'random'"),
         ("problem.settings=5", "problem.settings: expected object, got int"),
         ("cluster.servers=0", "cluster.servers: expected int >= 1"),
-        ("cluster.servers=all", "cluster.servers: expected auto, local or a number, not 'all'"),
+        (
+            "cluster.servers=all",
+            "cluster.servers: expected auto, local or a number, not 'all'",
+        ),
         ("cluster.trial_timeout_s=nan", "cluster.trial_timeout_s: expected float > 0.0"),
-        ("cluster.trial_timeout_s=inf", "cluster.trial_timeout_s: expected float <= 1000000000.0"),
+        (
+            "cluster.trial_timeout_s=inf",
+            "cluster.trial_timeout_s: expected float <= 1000000000.0",
+        ),
         ("cluster.connect=tcp/a:1", "cluster.connect: expected array, got str"),
         (
             "cluster.connect=['tcp/a']",
             "cluster.connect: expected endpoints such as tcp/192.168.1.5:7467, not 'tcp/a': "
             "HOST:PORT must follow the protocol, an IPv6 address in brackets",
         ),
-        ("cluster.on_fault=ignore", "cluster.on_fault: expected pause or quarantine, not 'ignore'"),
+        (
+            "cluster.on_fault=ignore",
+            "cluster.on_fault: expected pause or quarantine, not 'ignore'",
+        ),
         (
             "representation.kind=3",
             'representation: kind: expected the name of one, such as kind = "..."',
@@ -210,14 +232,19 @@ def test_an_impossible_value_is_refused_with_file_and_key(
             "representation.weight_range=inf",
             "representation: weight_range: expected float <= 1000000.0",
         ),
-        ("problem.settings.steps=1979-05-27", "problem.settings: steps: expected int, got date"),
+        (
+            "problem.settings.steps=1979-05-27",
+            "problem.settings: steps: expected int, got date",
+        ),
         (
             "problem.settings.agent.x=3",
             "problem.settings: unknown key 'agent' (did you mean 'agents'?); known are: ",
         ),
     ],
 )
-def test_an_impossible_setting_of_a_part_is_refused(file: Path, override: str, text: str) -> None:
+def test_an_impossible_setting_of_a_part_is_refused(
+    file: Path, override: str, text: str
+) -> None:
     assert refusal(completed, file, override).startswith(f"small.toml: {text}")
 
 
@@ -285,7 +312,9 @@ def test_an_unknown_part_is_refused_with_what_is_known(
         ),
     ],
 )
-def test_a_bad_file_is_refused_in_one_clear_line(tmp_path: Path, content: bytes, text: str) -> None:
+def test_a_bad_file_is_refused_in_one_clear_line(
+    tmp_path: Path, content: bytes, text: str
+) -> None:
     path = tmp_path / "bad.toml"
     path.write_bytes(content)
     assert refusal(load, path).startswith(f"{path}{text}")
@@ -298,8 +327,14 @@ def test_a_bad_file_is_refused_in_one_clear_line(tmp_path: Path, content: bytes,
             "[problem.settings]\nagents = 5\nstep = 3",
             ":13: problem.settings: unknown key 'step' (did you mean 'steps'?)",
         ),
-        ("[problem.settings]\nsteps = 0", ":12: problem.settings: steps: expected int >= 1"),
-        ("populaton = 3", ":11: optimizer: unknown key 'populaton' (did you mean 'population'?)"),
+        (
+            "[problem.settings]\nsteps = 0",
+            ":12: problem.settings: steps: expected int >= 1",
+        ),
+        (
+            "populaton = 3",
+            ":11: optimizer: unknown key 'populaton' (did you mean 'population'?)",
+        ),
     ],
 )
 def test_a_mistake_in_the_settings_of_a_part_is_reported_with_its_line(
@@ -345,7 +380,10 @@ def test_with_cluster_changes_nothing_else(file: Path) -> None:
     assert refusal(with_cluster, whole, {"realm": "a/b"}).startswith(
         "cluster.realm: expected 1 to 63 of a-z"
     )
-    assert refusal(with_cluster, whole, {"servers": 0}) == "cluster: servers: expected int >= 1"
+    assert (
+        refusal(with_cluster, whole, {"servers": 0})
+        == "cluster: servers: expected int >= 1"
+    )
     assert refusal(with_cluster, whole, {"connect": ["lab"]}).startswith(
         "cluster.connect: expected endpoints such as"
     )
@@ -357,7 +395,9 @@ def test_a_router_must_be_named_if_multicast_is_off(file: Path) -> None:
     assert with_cluster(
         whole, {"multicast": False, "connect": ["tcp/lab:7466"]}
     ).cluster.through_router
-    assert "--connect tcp/ROUTER:7466" in refusal(with_cluster, whole, {"multicast": False})
+    assert "--connect tcp/ROUTER:7466" in refusal(
+        with_cluster, whole, {"multicast": False}
+    )
 
 
 def test_the_default_number_of_slots_is_one_per_core(
@@ -365,4 +405,7 @@ def test_the_default_number_of_slots_is_one_per_core(
 ) -> None:
     monkeypatch.setattr(experiment.os, "cpu_count", lambda: 6)
     assert experiment.slots_of_this_machine(load(file).cluster) == 6
-    assert experiment.slots_of_this_machine(load(file, ["cluster.local_slots=2"]).cluster) == 2
+    assert (
+        experiment.slots_of_this_machine(load(file, ["cluster.local_slots=2"]).cluster)
+        == 2
+    )

@@ -57,7 +57,9 @@ def test_a_grid_has_every_combination_with_the_last_key_fastest(tmp_path: Path) 
 
 
 def test_a_list_may_contain_the_unchanged_experiment(tmp_path: Path) -> None:
-    text = '[[study.list]]\n[[study.list]]\n"representation.hidden" = 5\n"generations" = 9'
+    text = (
+        '[[study.list]]\n[[study.list]]\n"representation.hidden" = 5\n"generations" = 9'
+    )
     made = variants(study(tmp_path, text), "small.toml")
     assert [variant.settings for variant in made] == [
         {},
@@ -71,9 +73,9 @@ def test_a_nested_table_equals_a_dotted_path(tmp_path: Path) -> None:
         {"optimizer.population": 5},
         {"optimizer.population": 6},
     ]
-    assert settings(tmp_path, "[[study.list]]\n[study.list.problem.settings]\nagents = 3") == [
-        {"problem.settings.agents": 3}
-    ]
+    assert settings(
+        tmp_path, "[[study.list]]\n[study.list.problem.settings]\nagents = 3"
+    ) == [{"problem.settings.agents": 3}]
 
 
 def test_a_study_round_trips_with_the_same_variants(tmp_path: Path) -> None:
@@ -216,17 +218,23 @@ def test_seeds_beyond_the_last_one_are_refused(tmp_path: Path) -> None:
     last = experiment.LAST_SEED
     assert load(path, [f"seed={last - 2}", "study.repeat=3"]).study.repeat == 3
     with pytest.raises(
-        ConfigError, match=r"study: repeat: expected seed \+ repeat - 1, the last seed, to be"
+        ConfigError,
+        match=r"study: repeat: expected seed \+ repeat - 1, the last seed, to be",
     ):
         load(path, [f"seed={last - 2}", "study.repeat=4"])
 
 
 def test_long_values_are_shortened_in_errors(tmp_path: Path) -> None:
-    assert len(refusal(tmp_path, f"[study.grid]\n'problem.trials' = ['{'x' * 5000}']")) < 200
+    assert (
+        len(refusal(tmp_path, f"[study.grid]\n'problem.trials' = ['{'x' * 5000}']")) < 200
+    )
 
 
 def test_options_set_a_study(tmp_path: Path) -> None:
     path = small(tmp_path)
     assert (
-        load(path, ["study.grid.optimizer.population=[5, 6]", "study.repeat=2"]).study.runs() == 4
+        load(
+            path, ["study.grid.optimizer.population=[5, 6]", "study.repeat=2"]
+        ).study.runs()
+        == 4
     )

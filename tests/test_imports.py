@@ -17,7 +17,8 @@ PACKAGE = Path(zswarm.__file__).parent
 MODULES = {
     ".".join(path.relative_to(PACKAGE).with_suffix("").parts): path
     for path in sorted(PACKAGE.rglob("*.py"))
-    if path.stem != "__init__" and not {"examples", "templates"} & set(path.parts)  # programs
+    if path.stem != "__init__"
+    and not {"examples", "templates"} & set(path.parts)  # programs
 }
 # What each room may import besides itself: rooms, or single modules. A module that is not in a
 # folder is a room. BASE: errors, config, system.
@@ -80,7 +81,9 @@ testing:            config evaluate kernels nets ot.optimizers plugins sims
 """
 BASE = {"errors", "config", "system"}
 MAY_IMPORT = {
-    room: {name for word in words.split() for name in (BASE if word == "BASE" else {word})}
+    room: {
+        name for word in words.split() for name in (BASE if word == "BASE" else {word})
+    }
     for room, words in re.findall(r"^([\w.]+):(.*(?:\n +.*)*)", WALLS, re.M)
 }
 ONLY_IN = {
@@ -143,7 +146,10 @@ def imported(path: Path) -> tuple[str, ...]:
             names += (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path.name}: imports are absolute"
-            names += [str(node.module), *(f"{node.module}.{alias.name}" for alias in node.names)]
+            names += [
+                str(node.module),
+                *(f"{node.module}.{alias.name}" for alias in node.names),
+            ]
     return tuple(names)
 
 
@@ -153,7 +159,11 @@ def room(module: str) -> str:
 
 def own(path: Path) -> set[str]:
     """Return the modules of the package that a file imports."""
-    names = {name.removeprefix("zswarm.") for name in imported(path) if name.startswith("zswarm.")}
+    names = {
+        name.removeprefix("zswarm.")
+        for name in imported(path)
+        if name.startswith("zswarm.")
+    }
     return names & set(MODULES)
 
 
@@ -178,8 +188,12 @@ def test_walls_are_as_narrow_as_the_code_allows() -> None:
 def test_no_module_is_imported_in_a_circle() -> None:
     """Imports inside of functions and under TYPE_CHECKING count, too."""
     waiting = {module: own(path) - {module} for module, path in MODULES.items()}
-    while free := {module for module, targets in waiting.items() if not targets & set(waiting)}:
-        waiting = {module: targets for module, targets in waiting.items() if module not in free}
+    while free := {
+        module for module, targets in waiting.items() if not targets & set(waiting)
+    }:
+        waiting = {
+            module: targets for module, targets in waiting.items() if module not in free
+        }
     assert not waiting
 
 
@@ -207,7 +221,13 @@ def test_files_and_functions_are_short() -> None:
 
 
 def test_modules_are_found() -> None:
-    expected = {"errors", "evaluate", "nets.fully_meshed", "ot.optimizers.nnga", "ss.server"}
+    expected = {
+        "errors",
+        "evaluate",
+        "nets.fully_meshed",
+        "ot.optimizers.nnga",
+        "ss.server",
+    }
     assert expected <= set(MODULES)
     assert "sims.simulator" in own(MODULES["evaluate"])
     assert "protocol.keys" in own(MODULES["experiment"])
@@ -228,7 +248,9 @@ def test_a_library_is_imported_only_where_it_belongs(library: str) -> None:
 
 
 def test_the_document_names_the_files_that_import_zenoh() -> None:
-    prose = " ".join((REPOSITORY / "docs" / "architecture.md").read_text(encoding="utf-8").split())
+    prose = " ".join(
+        (REPOSITORY / "docs" / "architecture.md").read_text(encoding="utf-8").split()
+    )
     (sentence,) = re.findall(r"`zenoh` is imported in (.*?) only", prose)
     named = re.findall(r"`(.*?)\.py`", sentence)
     assert {name.replace("/", ".") for name in named} == set(ONLY_IN["zenoh"].split())
@@ -240,12 +262,18 @@ def test_pure_modules_know_no_clock_thread_or_network(module: str) -> None:
 
 
 def test_only_tests_import_the_checks() -> None:
-    users = {module for module, path in MODULES.items() if "testing" in map(room, own(path))}
+    users = {
+        module for module, path in MODULES.items() if "testing" in map(room, own(path))
+    }
     assert {room(module) for module in users} <= {"testing"}
 
 
 def test_the_tables_of_parts_name_modules_and_import_none() -> None:
-    assert own(MODULES["plugins.registry"]) == {"errors", "plugins.manifests", "config.suggest"}
+    assert own(MODULES["plugins.registry"]) == {
+        "errors",
+        "plugins.manifests",
+        "config.suggest",
+    }
 
 
 def printed(code: str) -> str:
@@ -262,12 +290,17 @@ def printed(code: str) -> str:
 )
 def test_programs_that_evaluate_nothing_do_not_load_the_compiler(module: str) -> None:
     """It takes a second and 80 MB."""
-    assert printed(f"import sys, zswarm.{module}; print('numba' in sys.modules)") == "False\n"
+    assert (
+        printed(f"import sys, zswarm.{module}; print('numba' in sys.modules)")
+        == "False\n"
+    )
 
 
 def test_a_run_does_not_load_log_libraries_before_it_needs_them() -> None:
     """They load all of rich."""
-    code = "import sys, zswarm.ot.evolution; print({'structlog', 'rich'} & set(sys.modules))"
+    code = (
+        "import sys, zswarm.ot.evolution; print({'structlog', 'rich'} & set(sys.modules))"
+    )
     assert printed(code) == "set()\n"
 
 
@@ -304,7 +337,9 @@ def is_kernel(function: ast.FunctionDef) -> bool:
         decorator.func if isinstance(decorator, ast.Call) else decorator
         for decorator in function.decorator_list
     )
-    return any(isinstance(name, ast.Name) and name.id in ("kernel", "inline") for name in names)
+    return any(
+        isinstance(name, ast.Name) and name.id in ("kernel", "inline") for name in names
+    )
 
 
 def differing_in_kernel(function: ast.FunctionDef) -> list[str]:
@@ -335,7 +370,9 @@ COMPUTING = [
 
 @pytest.mark.parametrize("module", COMPUTING)
 def test_networks_and_simulators_compute_the_same_bits_everywhere(module: str) -> None:
-    assert differing(MODULES[module].read_text()) == (["np.random"] if module in SEEDING else [])
+    assert differing(MODULES[module].read_text()) == (
+        ["np.random"] if module in SEEDING else []
+    )
 
 
 def test_there_are_kernels_to_look_at() -> None:
@@ -378,7 +415,9 @@ def test_the_check_finds_what_differs(line: str, found: bool) -> None:
 
 
 def test_the_compiler_is_asked_for_nothing_loose() -> None:
-    source = "".join(MODULES[module].read_text() for module in ("kernels.jit", "kernels.compiler"))
+    source = "".join(
+        MODULES[module].read_text() for module in ("kernels.jit", "kernels.compiler")
+    )
     assert "fastmath" not in source.replace("no fast-math", "")
     assert "parallel" not in source
     assert source.count("numba.njit(") == 1

@@ -44,7 +44,9 @@ def sees(one: zenoh.Session) -> bool:
     """Whether a session comes to see the token."""
     end = time.monotonic() + 60.0
     while time.monotonic() < end:
-        if any(reply.ok is not None for reply in one.liveliness().get(ALIVE, timeout=2.0)):
+        if any(
+            reply.ok is not None for reply in one.liveliness().get(ALIVE, timeout=2.0)
+        ):
             return True
         time.sleep(0.02)
     return False
@@ -76,7 +78,9 @@ def test_a_server_listens_on_a_socket_file(
     [
         (lambda: session.open_server(["nonsense"], OFF), "listen: expected endpoints"),
         (
-            lambda: session.open_server(["tcp/127.0.0.1:0"], Reach(["nonsense"], multicast=False)),
+            lambda: session.open_server(
+                ["tcp/127.0.0.1:0"], Reach(["nonsense"], multicast=False)
+            ),
             "connect: expected endpoints",
         ),
         (

@@ -38,7 +38,17 @@ if TYPE_CHECKING:
     from zswarm.ot.record.reader import Run
     from zswarm.sims.randomized import drawn
 
-__all__ = ["connect", "load", "plot", "problem", "read", "resume", "run", "start", "study"]
+__all__ = [
+    "connect",
+    "load",
+    "plot",
+    "problem",
+    "read",
+    "resume",
+    "run",
+    "start",
+    "study",
+]
 __all__ += ["ConfigError", "EvaluationError", "KeysError", "NoServers", "Stopped"]
 __all__ += ["UnknownPlugin", "ZswarmError"]
 __all__ += [

@@ -95,7 +95,10 @@ def problem(
             raise ConfigError(
                 "problem: expected an experiment or a simulator, such as zswarm.problem('stadium')"
             )
-        parts = {"representation": {"kind": "fully-meshed"}, "optimizer": {"kind": "nnga"}}
+        parts = {
+            "representation": {"kind": "fully-meshed"},
+            "optimizer": {"kind": "nnga"},
+        }
         named = {"name": "problem", "seed": 0, "generations": 1}
         source = {**named, "problem": {"simulator": simulator}, **parts}
     settings = {} if settings is None else settings
@@ -193,7 +196,9 @@ def run(
         run = zswarm.run(zswarm.load("stadium", {"seed": 2}), progress=True)
         print(run.best(), run.folder)
     """
-    started = start(experiment, connection=connection, out=out, loggers=loggers, progress=progress)
+    started = start(
+        experiment, connection=connection, out=out, loggers=loggers, progress=progress
+    )
     with started as running:
         running.finish()
     return running.run
@@ -234,17 +239,25 @@ def study(
 
     changes = _without_none({"study.repeat": repeat, "study.grid": _grid(grid)})
     with embedding.open_study(experiment, changes, connection, Path(out)) as begun:
-        servers = embedding.connected(connection, begun.experiment) if begun.left else None
+        servers = (
+            embedding.connected(connection, begun.experiment) if begun.left else None
+        )
         with servers or contextlib.nullcontext() as used:
             try:
                 logger = display(begun, as_json=False) if progress else StudyLogger()
                 outcome = begun.play(used, logger)
             except (Exception, KeyboardInterrupt) as error:
-                error.add_note(f"nothing is lost; to resume: zswarm.study({str(begun.folder)!r})")
+                error.add_note(
+                    f"nothing is lost; to resume: zswarm.study({str(begun.folder)!r})"
+                )
                 raise
     if outcome.failed:
-        failed = "; ".join(f"{ended.planned.name}: {ended.error}" for ended in outcome.failed)
-        raise EvaluationError(f"{len(outcome.failed)} of {outcome.runs} runs failed: {failed}")
+        failed = "; ".join(
+            f"{ended.planned.name}: {ended.error}" for ended in outcome.failed
+        )
+        raise EvaluationError(
+            f"{len(outcome.failed)} of {outcome.runs} runs failed: {failed}"
+        )
     return [Run(begun.folder / planned.name) for planned in begun.planned]
 
 
@@ -302,7 +315,9 @@ def resume(
     loaded = load_experiment(folder)
     logger = embedding.followers(loggers, progress=progress)
     return embedding.Block(
-        embedding.evolving(connection, loaded, lambda used: evolution.resume(folder, used, logger))
+        embedding.evolving(
+            connection, loaded, lambda used: evolution.resume(folder, used, logger)
+        )
     )
 
 
@@ -374,7 +389,9 @@ def _grid(grid: Mapping[str, Sequence[Any]] | None) -> dict[str, list[Any]] | No
         return None
     if not isinstance(grid, Mapping):
         example = "{'optimizer.population': [50, 100]}"
-        raise TypeError(f"grid: expected a dict of lists, such as {example}, not {grid!r}")
+        raise TypeError(
+            f"grid: expected a dict of lists, such as {example}, not {grid!r}"
+        )
     for key, values in grid.items():
         if isinstance(values, str | bytes | Mapping) or not isinstance(values, Iterable):
             raise TypeError(

@@ -43,11 +43,16 @@ class Controller(
             ConfigError: its kind of network is not installed, or the genome does not fit it.
         """
         kind = plugins.load("representation", self.representation)
-        settings = convert(self.representation_settings, kind.settings_type, "representation")
+        settings = convert(
+            self.representation_settings, kind.settings_type, "representation"
+        )
         try:
             built: Representation = kind(settings, self.inputs, self.outputs)
             return built, built.parameters([self.genome])[0]
-        except (ValueError, MemoryError) as error:  # MemoryError: the file has absurd sizes
+        except (
+            ValueError,
+            MemoryError,
+        ) as error:  # MemoryError: the file has absurd sizes
             raise ConfigError(f"the champion does not fit its network: {error}") from None
 
     def driver(self) -> "Driver":
@@ -92,7 +97,9 @@ class Driver:
         """
         seen = np.ascontiguousarray(observation, np.float32)
         if seen.shape != (self.inputs,):
-            raise ValueError(f"observation: expected shape ({self.inputs},), not {seen.shape}")
+            raise ValueError(
+                f"observation: expected shape ({self.inputs},), not {seen.shape}"
+            )
         action = np.empty(self.outputs, np.float32)
         self.network.step(self.parameters, self._state, seen, action)
         return action
@@ -109,7 +116,9 @@ def load_controller(path: Path) -> Controller:
     if file != path and not file.exists():
         if below := sorted(path.glob(f"*/{CHAMPION}")):
             run = clean(str(below[0].parent))
-            raise ConfigError(f"{shown}: a folder of runs; expected one of them, such as {run}")
+            raise ConfigError(
+                f"{shown}: a folder of runs; expected one of them, such as {run}"
+            )
         raise ConfigError(
             f"{shown}: cannot be read: no {CHAMPION} in it; expected a run that finished a "
             "generation"
@@ -126,4 +135,6 @@ def load_controller(path: Path) -> Controller:
             f"{file}: cannot be read: {error.strerror}; expected a run's folder or its {CHAMPION}"
         ) from None
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ConfigError(f"{file}: damaged, or no controller: {clean(str(error))}") from None
+        raise ConfigError(
+            f"{file}: damaged, or no controller: {clean(str(error))}"
+        ) from None

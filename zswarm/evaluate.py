@@ -32,7 +32,13 @@ from zswarm.sims.simulator import (
     Simulator,
     Turn,
 )
-from zswarm.sims.turns import BrokenContractError, Controllers, fill, play_turns, take_turns
+from zswarm.sims.turns import (
+    BrokenContractError,
+    Controllers,
+    fill,
+    play_turns,
+    take_turns,
+)
 
 MAX_ERROR_TEXT = 300
 
@@ -76,15 +82,23 @@ def build(
     """
     simulator_class = plugins.load("simulator", simulator)
     representation_class = plugins.load("representation", representation)
-    network: Representation | None = None  # until the first simulator says how many inputs it has
+    network: Representation | None = (
+        None  # until the first simulator says how many inputs it has
+    )
 
     def simulator_with(plain: Mapping[str, Any]) -> Simulator:
         what = f"simulator {simulator!r}"
         made: Simulator = _construct(what, simulator_class, plain, "problem.settings")
-        return made if network is None or not hosting else _hosting(made, network, representation)
+        return (
+            made
+            if network is None or not hosting
+            else _hosting(made, network, representation)
+        )
 
     if ranges.found(settings):
-        settings = ranges.complete(settings, simulator_class.settings_type, "problem.settings")
+        settings = ranges.complete(
+            settings, simulator_class.settings_type, "problem.settings"
+        )
         built: Simulator = Varied(settings, simulator_with)
     else:
         built = simulator_with(settings)
@@ -108,14 +122,18 @@ def _hosting(simulator: Simulator, network: Representation, kind: str) -> Simula
     return simulator
 
 
-def _construct(what: str, loaded: Any, settings: Mapping[str, Any], where: str, *sizes: int) -> Any:
+def _construct(
+    what: str, loaded: Any, settings: Mapping[str, Any], where: str, *sizes: int
+) -> Any:
     configured = convert(settings, loaded.settings_type, where)
     try:
         return loaded(configured, *sizes)
     except (ConfigError, EvaluationError, MemoryError):
         raise
     except (Exception, SystemExit) as error:  # a plug-in's constructor may raise anything
-        raise ConfigError(f"{what} cannot be set up: {type(error).__name__}: {error}") from error
+        raise ConfigError(
+            f"{what} cannot be set up: {type(error).__name__}: {error}"
+        ) from error
 
 
 class _Assignment(NamedTuple):
@@ -167,7 +185,9 @@ def evaluate(
     expected = len(seeds), simulator.participants
     if participants.shape != expected:
         raise ValueError(f"participants must be {expected}, not {participants.shape}")
-    if participants.size and not 0 <= participants.min() <= participants.max() < len(genomes):
+    if participants.size and not 0 <= participants.min() <= participants.max() < len(
+        genomes
+    ):
         raise ValueError(f"a participant is not among the {len(genomes)} genomes")
     if remote is None and len(seeds):
         parameters = representation.parameters(genomes)
@@ -199,7 +219,9 @@ def _play_alike(trials: _Assignment) -> str:
     failed = np.flatnonzero(~np.isfinite(fitness).all(axis=1))
     if not error and len(failed) and not batch.progress[1]:
         first = int(failed[0])
-        broken = BrokenContractError(f"fitness must be finite, not {fitness[first].tolist()}")
+        broken = BrokenContractError(
+            f"fitness must be finite, not {fitness[first].tolist()}"
+        )
         error = _error_text(trials.simulator, batch.seeds[first], broken)
     fitness[~np.isfinite(fitness)] = np.nan
     metrics[~np.isfinite(metrics)] = np.nan
@@ -279,7 +301,10 @@ def _play_varied(varied: Varied, trials: _Assignment) -> str:
             begin = time.process_time()
             failed = _play_alike(part)
             varied.took(time.process_time() - begin)
-            batch.fitness[some], batch.metrics[some] = part.batch.fitness, part.batch.metrics
+            batch.fitness[some], batch.metrics[some] = (
+                part.batch.fitness,
+                part.batch.metrics,
+            )
             error = error or failed
             played += len(some)
     return error
@@ -289,7 +314,9 @@ def _of_trial(remote: ControllersOf, trial: int) -> ControllersOf:
     return lambda _: remote(trial)
 
 
-def _call_kernel(simulator: CompiledSimulator, network: Representation, batch: KernelBatch) -> None:
+def _call_kernel(
+    simulator: CompiledSimulator, network: Representation, batch: KernelBatch
+) -> None:
     if network.step_lanes is None:
         simulator.play(network.step, batch)
     else:
@@ -326,7 +353,9 @@ def warm_up(
     return _play_probe(simulator, representation, slice(1), in_turns=in_turns)
 
 
-def probe(simulator: Simulator, representation: Representation, *, in_turns: bool = False) -> Probe:
+def probe(
+    simulator: Simulator, representation: Representation, *, in_turns: bool = False
+) -> Probe:
     """Play the trials by which machines are compared, after warming up.
 
     They are four random genomes, each on two seeds. If the simulator is not repeatable, the digest
@@ -353,7 +382,9 @@ def _play_probe(
     seeds = np.array(each * PROBE_GENOMES, np.uint64)[some]
     parameters = network.parameters(genomes)
     remote = (
-        (lambda trial: Networks(network, parameters[participants[trial]])) if in_turns else None
+        (lambda trial: Networks(network, parameters[participants[trial]]))
+        if in_turns
+        else None
     )
     return evaluate(simulator, network, genomes, participants, seeds, remote=remote)
 
@@ -377,7 +408,10 @@ def play_in_turns(
 
 
 def turns(
-    simulator: Simulator, representation: Representation, parameters: np.ndarray, seed: int
+    simulator: Simulator,
+    representation: Representation,
+    parameters: np.ndarray,
+    seed: int,
 ) -> Iterator[Turn]:
     """Play a trial, and yield each turn before its agents act.
 

@@ -75,7 +75,9 @@ class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     name: Annotated[
         str, Meta(description="name of the run and of its folder", extra={"type": "id"})
     ]
-    seed: Annotated[int, Meta(ge=0, le=LAST_SEED, description="determines everything random")]
+    seed: Annotated[
+        int, Meta(ge=0, le=LAST_SEED, description="determines everything random")
+    ]
     generations: Annotated[Positive, Meta(description="generations to evolve")]
     problem: ProblemConfig
     representation: dict[str, Any]
@@ -160,7 +162,9 @@ def check(mapping: Mapping[str, Any], where: str) -> Experiment:
     return Experiment(**asdict(file) | parts)
 
 
-def settings_with(settings: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
+def settings_with(
+    settings: Mapping[str, Any], overrides: Sequence[str]
+) -> dict[str, Any]:
     """Return a simulator's settings with overrides such as ``problem.settings.agents=20``."""
     changed: dict[str, Any] = changes.plain(settings)
     for override in overrides:
@@ -169,7 +173,9 @@ def settings_with(settings: Mapping[str, Any], overrides: Sequence[str]) -> dict
             raise ConfigError(
                 f"--set {override}: expected a simulator's setting, such as {SETTINGS}agents=20"
             )
-        changes.set_value(changed, path.removeprefix(SETTINGS), value, f"--set {override}")
+        changes.set_value(
+            changed, path.removeprefix(SETTINGS), value, f"--set {override}"
+        )
     return changed
 
 
@@ -202,7 +208,9 @@ def variants(complete: Experiment, where: str) -> list[Variant]:
         variant = _complete_one(check(mapping, at), at)
         whole = msgspec.json.encode(variant, order="sorted")
         if whole in seen:
-            raise ConfigError(f"{where}: study: the same setting twice: {seen[whole]}, and {words}")
+            raise ConfigError(
+                f"{where}: study: the same setting twice: {seen[whole]}, and {words}"
+            )
         seen[whole] = words
         made.append(Variant(settings, variant))
     return made
@@ -242,7 +250,9 @@ def to_mapping(experiment: Experiment) -> dict[str, Any]:
         mapping[part] = {"kind": mapping[part]["kind"], **mapping[part]["settings"]}
     study = mapping.pop("study")
     if experiment.study != StudyConfig():
-        mapping["study"] = {key: value for key, value in study.items() if value not in ({}, [])}
+        mapping["study"] = {
+            key: value for key, value in study.items() if value not in ({}, [])
+        }
     return mapping
 
 
@@ -262,7 +272,10 @@ def _complete_one(experiment: Experiment, where: str) -> Experiment:
                 raise UnknownPlugin(f"{where}: {'.'.join(path)}: {error}") from error
 
     simulator = imported("simulator", problem.simulator, "problem", "simulator")
-    kinds = {part: imported(part, getattr(experiment, part).kind, part, "kind") for part in PARTS}
+    kinds = {
+        part: imported(part, getattr(experiment, part).kind, part, "kind")
+        for part in PARTS
+    }
     with located(where, used, "problem", "settings"):
         settings = ranges.complete(
             problem.settings, simulator.settings_type, f"{where}: problem.settings"
@@ -273,7 +286,9 @@ def _complete_one(experiment: Experiment, where: str) -> Experiment:
         with located(where, used, part):
             typed = convert(given.settings, kind.settings_type, f"{where}: {part}")
         parts[part] = replace(given, settings=_without_none(msgspec.to_builtins(typed)))
-    return replace(experiment, problem=replace(problem, settings=_without_none(settings)), **parts)
+    return replace(
+        experiment, problem=replace(problem, settings=_without_none(settings)), **parts
+    )
 
 
 def _without_none(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -292,7 +307,9 @@ def _check_cluster(options: ClusterConfig, where: str) -> None:
 
 def _check_id(path: tuple[str, ...], text: str, where: str) -> None:
     if not keys.is_id(text):
-        raise ConfigError(f"{where}{'.'.join(path)}: expected {keys.ID_RULE}, not {text!r}", path)
+        raise ConfigError(
+            f"{where}{'.'.join(path)}: expected {keys.ID_RULE}, not {text!r}", path
+        )
 
 
 def _part(table: Mapping[str, Any], part: str, where: str) -> PartConfig:
@@ -310,7 +327,9 @@ def _check_study(study: StudyConfig, seed: int, where: str) -> None:
     for path, values in study.grid.items():
         _check_path(path, f"{where}.grid")
         if not values:
-            raise ConfigError(f"{where}.grid: {path}: expected a list of at least one value")
+            raise ConfigError(
+                f"{where}.grid: {path}: expected a list of at least one value"
+            )
     for path in itertools.chain.from_iterable(study.listed):
         _check_path(path, f"{where}.list")
     if (runs := study.runs()) > MAX_RUNS:

@@ -23,7 +23,9 @@ RETRY_S = 5.0
 POLL_S = 0.5
 
 
-class RouterOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class RouterOptions(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
+):
     """Options of the command line or of the ``--config`` file."""
 
     listen: list[str] = []  # empty: port 7466 of all addresses
@@ -40,7 +42,9 @@ class RouterOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     f"[default: tcp/{session.ROUTER}]",
 )
 @click.option(
-    "--multicast/--no-multicast", default=None, help="Be found by multicast.  [default: multicast]"
+    "--multicast/--no-multicast",
+    default=None,
+    help="Be found by multicast.  [default: multicast]",
 )
 @click.option(
     "--require-keys/--no-require-keys",
@@ -52,7 +56,9 @@ class RouterOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="TOML file with these options; the command line wins.",
 )
-@click.option("--log-level", type=click.Choice(log.LEVELS), default="info", show_default=True)
+@click.option(
+    "--log-level", type=click.Choice(log.LEVELS), default="info", show_default=True
+)
 @click.version_option(package_name="zswarm", prog_name="zswarm-router")
 def command(config: Path | None, log_level: str, **options: Any) -> None:
     """Bring servers and optimizers together where multicast does not reach.
@@ -85,7 +91,9 @@ def serve(read_options: Callable[[], RouterOptions]) -> int:
     logger = structlog.get_logger()
     notify = systemd.Notify()
     signals = {signal.SIGTERM, signal.SIGINT, signal.SIGHUP}
-    signal.pthread_sigmask(signal.SIG_BLOCK, signals)  # before zenoh's threads, which inherit it
+    signal.pthread_sigmask(
+        signal.SIG_BLOCK, signals
+    )  # before zenoh's threads, which inherit it
     # After a failed opening zenoh has threads that do not block signals, and may get them.
     received: list[int] = []
     for each in signals:
@@ -150,7 +158,9 @@ def _reopen(options: RouterOptions, reach: Reach) -> session.Session:
         try:
             return _open(options, reach)[0]
         except ConfigError as error:
-            structlog.get_logger().error("off_the_network", reason=str(error), again_s=RETRY_S)
+            structlog.get_logger().error(
+                "off_the_network", reason=str(error), again_s=RETRY_S
+            )
             if number := signal.sigtimedwait({signal.SIGTERM, signal.SIGINT}, RETRY_S):
                 sys.exit(128 + number.si_signo)
 

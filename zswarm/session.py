@@ -47,7 +47,9 @@ class Reach(NamedTuple):
 
     connect: Sequence[str] = ()  # endpoints to dial
     multicast: bool = True
-    through_router: bool = False  # one of ``connect``, or one that multicast finds, carries all
+    through_router: bool = (
+        False  # one of ``connect``, or one that multicast finds, carries all
+    )
     keyring: Keyring | None = None  # None: in the clear
 
 
@@ -64,7 +66,9 @@ def daemon_reach(
     """
     ring = keyring.installed(role)
     if ring is None and require_keys:
-        raise ConfigError("require_keys is set, and no keys are installed: zswarm-keys join BUNDLE")
+        raise ConfigError(
+            "require_keys is set, and no keys are installed: zswarm-keys join BUNDLE"
+        )
     return Reach(connect, multicast, keyring=ring)
 
 
@@ -135,7 +139,9 @@ def multicast_fault() -> str:
     """
     try:
         interfaces = scouting_interfaces()
-    except OSError as error:  # such as netlink forbidden by systemd's RestrictAddressFamilies
+    except (
+        OSError
+    ) as error:  # such as netlink forbidden by systemd's RestrictAddressFamilies
         return f"the network interfaces cannot be listed ({error.strerror})"
     group = socket.inet_aton(SCOUTING_GROUP.partition(":")[0])
     fault = "no network interface is up that has an IPv4 address and multicast"
@@ -145,7 +151,9 @@ def multicast_fault() -> str:
             try:
                 probe.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
             except OSError as error:
-                fault = f"{name} cannot join the group {SCOUTING_GROUP} ({error.strerror})"
+                fault = (
+                    f"{name} cannot join the group {SCOUTING_GROUP} ({error.strerror})"
+                )
             else:
                 return ""
     return fault
@@ -167,7 +175,12 @@ def scouting_interfaces() -> list[tuple[int, str]]:
 
 
 def _open(
-    mode: Mode, listen: Sequence[str], reach: Reach, *, dial: bool = False, timeout_ms: int = -1
+    mode: Mode,
+    listen: Sequence[str],
+    reach: Reach,
+    *,
+    dial: bool = False,
+    timeout_ms: int = -1,
 ) -> Session:
     for where, endpoints in (("listen", listen), ("connect", reach.connect)):
         endpoint.check(endpoints, where)
@@ -185,7 +198,9 @@ def _open(
         text = str(error).split(" at /")[0]  # without places in zenoh's source
         if "in use" in text:
             ports = ", ".join(listen)
-            raise ConfigError(f"{ports}: the port is in use; give another with --listen") from None
+            raise ConfigError(
+                f"{ports}: the port is in use; give another with --listen"
+            ) from None
         where = ", ".join([*listen, *reach.connect]) or "this machine"
         raise ConfigError(f"cannot open a session on {where}: {text[:200]}") from None
 
@@ -234,7 +249,11 @@ def _config(
             "endpoints": {mode: list(reach.connect)},
             "timeout_ms": {mode: timeout_ms},
             "exit_on_failure": {mode: False},
-            "retry": {"period_init_ms": 20, "period_max_ms": 2000, "period_increase_factor": 1.5},
+            "retry": {
+                "period_init_ms": 20,
+                "period_max_ms": 2000,
+                "period_increase_factor": 1.5,
+            },
         },
         "scouting": {
             "delay": 500,
@@ -252,7 +271,11 @@ def _config(
         },
         "open": {"return_conditions": {"connect_scouted": False}},
         "transport": {
-            "unicast": {"open_timeout": 4000, "accept_timeout": 4000, "max_sessions": 4096},
+            "unicast": {
+                "open_timeout": 4000,
+                "accept_timeout": 4000,
+                "max_sessions": 4096,
+            },
             "shared_memory": {"enabled": False},
             "link": link,
         },
@@ -369,7 +392,9 @@ class Sender:
 
     def __init__(self, name: str) -> None:
         self._calls: queue.Queue[Callable[[], None] | None] = queue.Queue(QUEUE)
-        self._thread = threading.Thread(target=self._work, name=f"send-{name}", daemon=True)
+        self._thread = threading.Thread(
+            target=self._work, name=f"send-{name}", daemon=True
+        )
         self._thread.start()
 
     def send(self, call: Callable[[], None], *, at_once: bool = False) -> bool:

@@ -22,7 +22,9 @@ def main() -> None:
     """Measure, write, draw."""
     parser = argparse.ArgumentParser(description=str(__doc__).partition("\n")[0])
     parser.add_argument(
-        "--quick", action="store_true", help="small sizes: whether it works; changes nothing else"
+        "--quick",
+        action="store_true",
+        help="small sizes: whether it works; changes nothing else",
     )
     parser.add_argument(
         "--to",
@@ -30,7 +32,9 @@ def main() -> None:
         help="a folder for all of it [default: the repository; with --quick build/paper]",
     )
     parser.add_argument(
-        "--page", action="store_true", help="measure nothing: make the page of results.json"
+        "--page",
+        action="store_true",
+        help="measure nothing: make the page of results.json",
     )
     options = parser.parse_args()
     to = options.to or (REPOSITORY / "build" / "paper" if options.quick else None)

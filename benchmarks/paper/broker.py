@@ -95,7 +95,11 @@ class Controllers:
     """Those of all agents of one simulation."""
 
     def __init__(
-        self, number: int, parameters: np.ndarray, agents: int, representation: Representation
+        self,
+        number: int,
+        parameters: np.ndarray,
+        agents: int,
+        representation: Representation,
     ) -> None:
         self.number = number  # of its trial
         self.server = ""  # until one is chosen
@@ -198,7 +202,10 @@ class Broker(contextlib.AbstractContextManager["Broker"]):
         if simulation := next(self._waiting, ""):
             problem = self._problem
             wanted = Discovery(
-                "", simulation, problem.experiment.problem.simulator, len(problem.simulator.owners)
+                "",
+                simulation,
+                problem.experiment.problem.simulator,
+                len(problem.simulator.owners),
             )
             self._publish("discovery", wanted)
 
@@ -285,7 +292,9 @@ class SimulationServer:
 
         key = msgspec.msgpack.encode([simulator, settings])
         if key not in self._simulators:
-            self._simulators[key] = evaluate.build(simulator, settings, "fully-meshed", {})[0]
+            self._simulators[key] = evaluate.build(
+                simulator, settings, "fully-meshed", {}
+            )[0]
         return self._simulators[key]
 
     def _sense(self, turn: Turn | None) -> None:
@@ -294,7 +303,11 @@ class SimulationServer:
             self._busy = False
             self._publish(
                 "fitness",
-                Fitness(self._name, self._simulation, float(self._simulator.outcome().fitness[0])),
+                Fitness(
+                    self._name,
+                    self._simulation,
+                    float(self._simulator.outcome().fitness[0]),
+                ),
             )
             return
         self._rows = {agent: row for row, agent in enumerate(turn.agents)}
@@ -304,7 +317,10 @@ class SimulationServer:
             self._publish(
                 "sensor",
                 Sensor(
-                    self._name, self._simulation, int(agent), readings.astype(np.float32).tobytes()
+                    self._name,
+                    self._simulation,
+                    int(agent),
+                    readings.astype(np.float32).tobytes(),
                 ),
             )
 
@@ -326,7 +342,9 @@ def serve(port: int, name: str, nodelay: bool) -> None:
     simulator = server.built(part.kind, part.settings)
     turn: Turn | None = simulator.reset(0)
     while turn is not None:
-        turn = simulator.step(np.full((len(turn.agents), simulator.outputs), 0.5, np.float32))
+        turn = simulator.step(
+            np.full((len(turn.agents), simulator.outputs), 0.5, np.float32)
+        )
     client.on_message = server.on_message
     client.on_subscribe = lambda *_: client.publish("ready", b"")
     client.subscribe([("discovery", 0), (f"{name}/#", 0)])

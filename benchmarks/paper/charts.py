@@ -65,7 +65,9 @@ def figure_3(results: Results, figure: Any) -> None:
         for number, agents in enumerate(AGENTS):
             plan = table_i(agents)
             r = [
-                ratio(msgspec.structs.replace(plan, steps=steps), constants, against=against)
+                ratio(
+                    msgspec.structs.replace(plan, steps=steps), constants, against=against
+                )
                 for steps in STEPS
             ]
             axes.plot(
@@ -78,9 +80,14 @@ def figure_3(results: Results, figure: Any) -> None:
             )
         axes.axhline(1, color="#000000", linestyle="--", linewidth=1)
         axes.set(title=title, xlabel="steps of a simulation", yscale="log")
-    figure.axes[0].set_ylabel("r = time with the controller in the\noptimizer / without it")
+    figure.axes[0].set_ylabel(
+        "r = time with the controller in the\noptimizer / without it"
+    )
     figure.legend(
-        *figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize=9
+        *figure.axes[0].get_legend_handles_labels(),
+        loc="outside lower center",
+        ncols=5,
+        fontsize=9,
     )
 
 
@@ -91,7 +98,9 @@ def figure_4(results: Results, figure: Any) -> None:
     for axes, design in zip(figure.subplots(1, 3, sharey=True), named, strict=True):
         found = findings.rows(results, part="scaling", design=design)
         for number, servers in enumerate(sorted({row["servers"] for row in found})):
-            points = sorted((row["steps"], row["s"]) for row in found if row["servers"] == servers)
+            points = sorted(
+                (row["steps"], row["s"]) for row in found if row["servers"] == servers
+            )
             label = f"{servers} server{'s' if servers > 1 else ''}"
             axes.plot(
                 *zip(*points, strict=True),
@@ -102,7 +111,10 @@ def figure_4(results: Results, figure: Any) -> None:
         axes.set(title=design, xlabel="steps of a simulation", xlim=(0, None))
     figure.axes[0].set(ylabel="s for the optimization", ylim=(0, 1.05 * longest))
     figure.legend(
-        *figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize=9
+        *figure.axes[0].get_legend_handles_labels(),
+        loc="outside lower center",
+        ncols=5,
+        fontsize=9,
     )
 
 
@@ -112,7 +124,9 @@ def crowded(results: Results, figure: Any) -> None:
     found = findings.rows(results, part="crowded")
     named = (ZENOH["blob"], STOCK, NODELAY, ZENOH["turn"], ZENOH["agent"])
     for number, design in enumerate(named):
-        points = sorted((row["servers"], row["s"]) for row in found if row["design"] == design)
+        points = sorted(
+            (row["servers"], row["s"]) for row in found if row["design"] == design
+        )
         width = 2.5 if number == 0 else 1.3
         axes.plot(
             *zip(*points, strict=True),
@@ -125,7 +139,10 @@ def crowded(results: Results, figure: Any) -> None:
     ideal = [findings.ideal_s(found[0], count) for count in servers]
     axes.plot(servers, ideal, color=COLOURS[7], linestyle="--", label="steps only")
     axes.set(
-        xscale="log", yscale="log", xlabel="servers of one slot", ylabel="s for the optimization"
+        xscale="log",
+        yscale="log",
+        xlabel="servers of one slot",
+        ylabel="s for the optimization",
     )
     axes.set_xticks(servers, [str(count) for count in servers])
     axes.minorticks_off()

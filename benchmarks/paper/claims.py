@@ -73,7 +73,8 @@ def _message_time(results: Results) -> Iterator[Claim]:
     )
     crowd = max(row["agents"] for row in rows(results, part="messages"))
     (one, stock), (_, quick) = (
-        [message_s(results, design, agents) for agents in (1, crowd)] for design in (STOCK, NODELAY)
+        [message_s(results, design, agents) for agents in (1, crowd)]
+        for design in (STOCK, NODELAY)
     )
     held = (
         f" If {crowd} agents send at once, a message takes {us(stock)}, and {us(quick)} with "
@@ -126,7 +127,9 @@ def _crossing(results: Results) -> Iterator[Claim]:
         wanted == 19,
         "the model is wrong.",
     )
-    here, nodelay = (crossing(table_i(), constants(results, design)) for design in (STOCK, NODELAY))
+    here, nodelay = (
+        crossing(table_i(), constants(results, design)) for design in (STOCK, NODELAY)
+    )
     there, ratio_here = (
         each.compile_s / each.message_s for each in (TABLE_I, constants(results, STOCK))
     )
@@ -134,7 +137,9 @@ def _crossing(results: Results) -> Iterator[Claim]:
         "The same with the times measured here",
         "with more than 18 steps",
         f"{_since(here)}; with TCP_NODELAY {_since(nodelay)}",
-        here is not None and wanted is not None and wanted / ALIKE <= here <= wanted * ALIKE,
+        here is not None
+        and wanted is not None
+        and wanted / ALIKE <= here <= wanted * ALIKE,
         "at the crossing a simulation's messages take as long as compiling, so it depends on "
         f"t_compile / t_msg: {there:.0f} in the paper, {ratio_here:.0f} here.",
     )
@@ -192,7 +197,8 @@ def _ceiling(results: Results) -> Iterator[Claim]:
 
 def _discovery(results: Results) -> Iterator[Claim]:
     row = max(
-        rows(results, part="scaling", design=STOCK), key=lambda row: (row["servers"], -row["steps"])
+        rows(results, part="scaling", design=STOCK),
+        key=lambda row: (row["servers"], -row["steps"]),
     )
     # Parameters, control, fitness; sensors, actuators.
     others = row["simulations"] * (3 + 2 * row["steps"] * row["agents"])
@@ -240,7 +246,10 @@ def _parameters(results: Results) -> Iterator[Claim]:
 def _scales(results: Results) -> Iterator[Claim]:
     found = _crowded(results, ZENOH["blob"])
     most = max(found)
-    gain, possible = found[1]["s"] / found[most]["s"], rounds(found[1], 1) / rounds(found[1], most)
+    gain, possible = (
+        found[1]["s"] / found[most]["s"],
+        rounds(found[1], 1) / rounds(found[1], most),
+    )
     yield Claim(
         "With one discovery, more than two servers are useful (its section VI)",
         "expected",

@@ -5,7 +5,9 @@ import msgspec
 from zswarm.ot.estimate.cost_model import Constants, Plan, Way, external, internal
 
 
-def optimization_s(way: Way, plan: Plan, constants: Constants, threads: float = 1) -> float:
+def optimization_s(
+    way: Way, plan: Plan, constants: Constants, threads: float = 1
+) -> float:
     """Return the paper's t_opt (eq. 2, 3, 7 and 8).
 
     Raises:
@@ -13,7 +15,9 @@ def optimization_s(way: Way, plan: Plan, constants: Constants, threads: float = 
     """
     most = plan.population * plan.evaluations
     if not 1 <= threads <= most:
-        raise ValueError(f"threads: expected 1 to {most} (population x evaluations), got {threads}")
+        raise ValueError(
+            f"threads: expected 1 to {most} (population x evaluations), got {threads}"
+        )
     one = plan.steps * constants.step_s + way(plan, constants, 1).overhead_s
     return plan.generations * constants.evolve_s + plan.simulations / threads * one
 
@@ -31,10 +35,15 @@ def crossing(plan: Plan, constants: Constants, *, against: Way = external) -> in
     """Return the first number of steps at which ``ratio`` is above 1; None: it never is."""
 
     def above(steps: int) -> bool:
-        return ratio(msgspec.structs.replace(plan, steps=steps), constants, against=against) > 1
+        return (
+            ratio(msgspec.structs.replace(plan, steps=steps), constants, against=against)
+            > 1
+        )
 
     low, high = 0, 1
-    while not above(high):  # both times are linear in steps: the ratio passes 1 once at most
+    while not above(
+        high
+    ):  # both times are linear in steps: the ratio passes 1 once at most
         low, high = high, 2 * high
         if high > 1 << 40:
             return None

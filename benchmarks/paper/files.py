@@ -68,12 +68,24 @@ class Files:
         self._package.mkdir(parents=True)
         shutil.copy(HERE / "exit_world.c", self._package)
         catkin = build == "catkin"
-        self._program = folder / ("devel/lib/exit_world/exit_world" if catkin else "exit_world")
+        self._program = folder / (
+            "devel/lib/exit_world/exit_world" if catkin else "exit_world"
+        )
         if catkin:
             (self._package / "package.xml").write_text(PACKAGE)
             (self._package / "CMakeLists.txt").write_text(LISTS)
-        compiled = [str(self._package / name) for name in ("exit_world.c", "zs_candidate.c")]
-        compiler = ["gcc", *FLAGS, f"-I{EXAMPLE}", *compiled, "-o", str(self._program), "-lm"]
+        compiled = [
+            str(self._package / name) for name in ("exit_world.c", "zs_candidate.c")
+        ]
+        compiler = [
+            "gcc",
+            *FLAGS,
+            f"-I{EXAMPLE}",
+            *compiled,
+            "-o",
+            str(self._program),
+            "-lm",
+        ]
         self._build = ["catkin_make", "-C", str(folder)] if catkin else compiler
 
     def play(self, problem: Problem, workload: Workload) -> None:
@@ -102,7 +114,9 @@ class Files:
         times.append(time.perf_counter())
         fitness = judged(self._logs, settings["agents"], settings["steps"])
         times.append(time.perf_counter())
-        self.spent.append(Spent(*(after - before for before, after in itertools.pairwise(times))))
+        self.spent.append(
+            Spent(*(after - before for before, after in itertools.pairwise(times)))
+        )
         return fitness
 
 
@@ -116,7 +130,11 @@ def judged(folder: Path, agents: int, steps: int) -> float:
         for agent in range(agents)
     ]
     out = next(
-        (step for step, distances in enumerate(zip(*logs, strict=True)) if not any(distances)),
+        (
+            step
+            for step, distances in enumerate(zip(*logs, strict=True))
+            if not any(distances)
+        ),
         steps,
     )
     distance = 0.0

@@ -53,11 +53,16 @@ def median(results: Results, what: str, **wanted: object) -> float | None:
 def message_s(results: Results, design: str, agents: int) -> float:
     """Return t_msg of minisim: extra time of longer simulations, by their extra messages."""
     here, alone = (
-        {row["steps"]: row for row in rows(results, part="messages", design=each, agents=agents)}
+        {
+            row["steps"]: row
+            for row in rows(results, part="messages", design=each, agents=agents)
+        }
         for each in (design, LOCAL)
     )
     short, long = min(here), max(here)
-    seconds = (here[long]["s"] - here[short]["s"]) - (alone[long]["s"] - alone[short]["s"])
+    seconds = (here[long]["s"] - here[short]["s"]) - (
+        alone[long]["s"] - alone[short]["s"]
+    )
     counted = "turns" if design == ZENOH["turn"] else "decisions"
     return float(seconds / (2 * (alone[long][counted] - alone[short][counted])))
 
@@ -78,7 +83,9 @@ def constants(results: Results, design: str) -> Constants:
     }
     grid = rows(results, part="grid", design=design)
     messages = np.array([5 + 2 * row["steps"] * row["agents"] for row in grid], float)
-    rest = np.array([row["s"] / row["simulations"] - row["steps"] * row["step_s"] for row in grid])
+    rest = np.array(
+        [row["s"] / row["simulations"] - row["steps"] * row["step_s"] for row in grid]
+    )
     each = float((messages * rest).sum() / (messages * messages).sum())
     (evolve,) = rows(results, part="evolve")
     return Constants(
@@ -90,7 +97,9 @@ def fit(results: Results, design: str) -> Fit:
     """Fit equations 9 and 10 to simulations in real time."""
     grid = rows(results, part="grid", design=design)
     seconds = np.array([row["s"] / row["simulations"] for row in grid])
-    columns = np.array([[1.0, row["steps"], row["steps"] * row["agents"]] for row in grid])
+    columns = np.array(
+        [[1.0, row["steps"], row["steps"] * row["agents"]] for row in grid]
+    )
     solved, *_ = np.linalg.lstsq(columns, seconds, rcond=None)
     left = seconds - columns @ solved
     r2 = 1 - float((left**2).sum()) / float(((seconds - seconds.mean()) ** 2).sum())
@@ -100,7 +109,10 @@ def fit(results: Results, design: str) -> Fit:
 def table_i(agents: int = 8, steps: int = 1) -> Plan:
     """Return the plan of an optimization of Table I."""
     return Plan(
-        generations=TABLE_I_GENERATIONS, population=TABLE_I_POPULATION, steps=steps, agents=agents
+        generations=TABLE_I_GENERATIONS,
+        population=TABLE_I_POPULATION,
+        steps=steps,
+        agents=agents,
     )
 
 

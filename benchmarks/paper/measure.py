@@ -104,7 +104,11 @@ def measure(plan: Plan, say: Callable[[str], None]) -> Row:
         for way in WAYS:
             say(f"{ZENOH[way]}, more servers")
             rows += _scaling(
-                ZENOH[way], _over_zenoh(servers, way), plan, plan.servers, paced=way == "blob"
+                ZENOH[way],
+                _over_zenoh(servers, way),
+                plan,
+                plan.servers,
+                paced=way == "blob",
             )
     return {"rows": rows, "missing": missing}
 
@@ -122,10 +126,14 @@ def evolve_s(size: Size) -> float:
 # ---- parts -------------------------------------------------------------------------------------
 
 
-def _parts(name: str, optimize: Optimize, plan: Plan, *, servers: tuple[int, ...]) -> list[Row]:
+def _parts(
+    name: str, optimize: Optimize, plan: Plan, *, servers: tuple[int, ...]
+) -> list[Row]:
     """Return the parts by which designs that simulate minisim are measured."""
     optimize(World(), ONE, 1)
-    rows = _designs(name, optimize, plan, rounds=plan.rounds) + _messages(name, optimize, plan)
+    rows = _designs(name, optimize, plan, rounds=plan.rounds) + _messages(
+        name, optimize, plan
+    )
     if name != LOCAL:
         rows += _grid(name, optimize, plan, "minisim") + _scaling(
             name, optimize, plan, servers, paced=True
@@ -141,7 +149,14 @@ def _designs(name: str, optimize: Optimize, plan: Plan, *, rounds: int) -> list[
     ]
     if not name.startswith("files"):
         rows += [
-            _row("designs", name, optimize, World("minisim", steps=plan.crowd_steps), Size(), 1)
+            _row(
+                "designs",
+                name,
+                optimize,
+                World("minisim", steps=plan.crowd_steps),
+                Size(),
+                1,
+            )
             for _ in range(rounds)
         ]
     return rows
@@ -196,9 +211,17 @@ def _scaling(
     return rows
 
 
-def _row(part: str, name: str, optimize: Optimize, on: World, size: Size, servers: int) -> Row:
+def _row(
+    part: str, name: str, optimize: Optimize, on: World, size: Size, servers: int
+) -> Row:
     found, more = optimize(on, size, servers)
-    about = {"part": part, "design": name, **on._asdict(), **size._asdict(), "servers": servers}
+    about = {
+        "part": part,
+        "design": name,
+        **on._asdict(),
+        **size._asdict(),
+        "servers": servers,
+    }
     return (
         about
         | {"s": found.seconds, "simulations": found.simulations, "history": found.history}

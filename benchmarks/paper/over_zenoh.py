@@ -60,11 +60,15 @@ class Servers(contextlib.AbstractContextManager["Servers"]):
         for number in range(before, servers):
             port = leased.free_port()
             self._endpoints.append(f"tcp/127.0.0.1:{port}")
-            self._stack.enter_context(leased.daemon(1, self._endpoints[-1], "--name", f"s{number}"))
+            self._stack.enter_context(
+                leased.daemon(1, self._endpoints[-1], "--name", f"s{number}")
+            )
         for endpoint in self._endpoints[before:]:
             by_mqtt.wait_for_port(int(endpoint.rpartition(":")[2]), START_S)
 
-    def optimize(self, size: Size, on: World, servers: int, way: str = "blob") -> Optimized:
+    def optimize(
+        self, size: Size, on: World, servers: int, way: str = "blob"
+    ) -> Optimized:
         """Run on the first of them."""
         where = [
             f"cluster.servers={servers}",
@@ -76,7 +80,9 @@ class Servers(contextlib.AbstractContextManager["Servers"]):
             joined = Joined()
             with (
                 Connection(loaded.cluster) as connection,
-                evolution.start(loaded, "paper", Path(folder), connection, joined) as begun,
+                evolution.start(
+                    loaded, "paper", Path(folder), connection, joined
+                ) as begun,
             ):
                 result = begun.finish()
             seconds = time.perf_counter() - joined.at

@@ -33,7 +33,9 @@ FIGURE_4 = Plan(generations=4, population=4, steps=50, agents=8)
 def document(results: Results) -> str:
     """Return docs/paper.md."""
     claims = all_claims(results)
-    table = [(claim.says, claim.paper, claim.here, VERDICTS[claim.agrees]) for claim in claims]
+    table = [
+        (claim.says, claim.paper, claim.here, VERDICTS[claim.agrees]) for claim in claims
+    ]
     parts = {
         "where": _where(results),
         "claims": tables.markdown(["claim", "paper", "here", ""], table),
@@ -76,15 +78,21 @@ def _words(results: Results) -> dict[str, str]:
         world: findings.median(results, "steps", part="designs", world=world)
         for world in ("emergency-exit", "minisim")
     }
-    histories = {(row["world"], row["history"]) for row in findings.rows(results, part="designs")}
+    histories = {
+        (row["world"], row["history"]) for row in findings.rows(results, part="designs")
+    }
     two = useful_slots(broker, FIGURE_4, TABLE_I)
-    never = all(crossing(table_i(agents), TABLE_I, against=blob) == 1 for agents in AGENTS)
+    never = all(
+        crossing(table_i(agents), TABLE_I, against=blob) == 1 for agents in AGENTS
+    )
     return {
         "alike": f"{findings.ALIKE:g}",
         "two": f"{findings.TWO:g}",
         "enough": f"{findings.ENOUGH:g}",
         "drastic": f"{findings.DRASTIC:g}",
-        "same": "All designs give" if len(histories) == len(steps) else "Not all designs give",
+        "same": "All designs give"
+        if len(histories) == len(steps)
+        else "Not all designs give",
         "model_servers": f"{two} server{'s' if two > 1 else ''}",
         "never": "is never faster" if never else "is sometimes faster",
         "designs_steps": f"{steps['emergency-exit']:g}",
@@ -101,7 +109,9 @@ def _words(results: Results) -> dict[str, str]:
 
 def _where(results: Results) -> str:
     machine = results["machine"]
-    versions = ", ".join(f"{name} {version}" for name, version in results["versions"].items())
+    versions = ", ".join(
+        f"{name} {version}" for name, version in results["versions"].items()
+    )
     missing = "".join(
         f" {name} was not measured: {why}." for name, why in results["missing"].items()
     )
@@ -128,7 +138,9 @@ def _designs(results: Results) -> str:
             counted = _counted(results, name, world, alone)
             cells += ["" if seconds != seconds else _seconds(seconds), counted]
         lines.append((name, *cells))
-    return tables.markdown(["", "emergency exit, s", "messages", "minisim, s", "messages"], lines)
+    return tables.markdown(
+        ["", "emergency exit, s", "messages", "minisim, s", "messages"], lines
+    )
 
 
 def _counted(results: Results, name: str, world: str, alone: dict[str, Any]) -> str:
@@ -146,11 +158,16 @@ def _counted(results: Results, name: str, world: str, alone: dict[str, Any]) -> 
 
 
 def _table(results: Results) -> str:
-    here, nodelay = findings.constants(results, STOCK), findings.constants(results, NODELAY)
+    here, nodelay = (
+        findings.constants(results, STOCK),
+        findings.constants(results, NODELAY),
+    )
     gcc = findings.median(results, "compile_s", part="designs", design=FILES["cc"])
     size = findings.rows(results, part="designs")[0]
     gcc_words = (
-        "" if gcc is None or findings.build(results) == FILES["cc"] else f"; gcc alone {ms(gcc)}"
+        ""
+        if gcc is None or findings.build(results) == FILES["cc"]
+        else f"; gcc alone {ms(gcc)}"
     )
     lines = [
         (
@@ -196,7 +213,13 @@ def _fits(results: Results) -> str:
     for design in (STOCK, NODELAY, FILES["cc"]):
         found = findings.fit(results, design)
         lines.append(
-            (design, ms(found.a), ms(found.b), f"{1e3 * found.c:.3f} ms", f"{found.r2:.4f}")
+            (
+                design,
+                ms(found.a),
+                ms(found.b),
+                f"{1e3 * found.c:.3f} ms",
+                f"{found.r2:.4f}",
+            )
         )
     return tables.markdown(
         ["", "each simulation", "each step", "each step and agent", "R^2"], lines
@@ -222,15 +245,21 @@ def _equations(results: Results) -> str:
 def _crossings(results: Results) -> str:
     named: dict[str, Constants] = {"Table I": TABLE_I}
     named |= {
-        f"measured, {design}": findings.constants(results, design) for design in (STOCK, NODELAY)
+        f"measured, {design}": findings.constants(results, design)
+        for design in (STOCK, NODELAY)
     }
     lines = []
     for name, constants in named.items():
         found = [crossing(table_i(agents), constants) for agents in AGENTS]
-        lines.append((name, *("never" if each is None else f"{each:,}" for each in found)))
+        lines.append(
+            (name, *("never" if each is None else f"{each:,}" for each in found))
+        )
     parameters = [crossing(table_i(agents), TABLE_I, against=blob) for agents in AGENTS]
     lines.append(
-        ("Table I, compared with parameters in a message", *(str(each) for each in parameters))
+        (
+            "Table I, compared with parameters in a message",
+            *(str(each) for each in parameters),
+        )
     )
     return tables.markdown(["", *(charts.counted(each) for each in AGENTS)], lines)
 
@@ -243,7 +272,11 @@ def _servers(results: Results, part: str) -> str:
         for design in dict.fromkeys(row["design"] for row in found):
             by_servers = findings.times(results, part, design, steps)
             lines.append(
-                (f"{steps}", design, *(f"{by_servers[count]['s']:.2f}" for count in servers))
+                (
+                    f"{steps}",
+                    design,
+                    *(f"{by_servers[count]['s']:.2f}" for count in servers),
+                )
             )
         one = next(row for row in found if row["steps"] == steps)
         lines.append(
@@ -253,14 +286,17 @@ def _servers(results: Results, part: str) -> str:
                 *(f"{findings.ideal_s(one, count):.2f}" for count in servers),
             )
         )
-    return tables.markdown(["steps", "s, by servers", *(str(count) for count in servers)], lines)
+    return tables.markdown(
+        ["steps", "s, by servers", *(str(count) for count in servers)], lines
+    )
 
 
 def _slower(results: Results) -> str:
     """Explain why a message over Zenoh takes longer than through the broker, if it does."""
     agents = max(row["agents"] for row in findings.rows(results, part="messages"))
     broker_s, zenoh_s = (
-        findings.message_s(results, design, agents) for design in (NODELAY, ZENOH["agent"])
+        findings.message_s(results, design, agents)
+        for design in (NODELAY, ZENOH["agent"])
     )
     if zenoh_s <= findings.TWO * broker_s:
         return ""
@@ -281,10 +317,15 @@ def _late(results: Results) -> str:
         results, "scaling", ZENOH["blob"], findings.longest(results, "scaling")
     )
     taken = {
-        servers: row["s"] / (row["steps"] * row["step_s"]) for servers, row in by_servers.items()
+        servers: row["s"] / (row["steps"] * row["step_s"])
+        for servers, row in by_servers.items()
     }
-    needs = {servers: findings.rounds(row, servers) for servers, row in by_servers.items()}
-    servers = next((servers for servers, took in taken.items() if took > needs[servers] + 0.5), 0)
+    needs = {
+        servers: findings.rounds(row, servers) for servers, row in by_servers.items()
+    }
+    servers = next(
+        (servers for servers, took in taken.items() if took > needs[servers] + 0.5), 0
+    )
     if not servers:
         return ""
     took, needed = taken[servers], needs[servers]
@@ -333,7 +374,11 @@ def _model() -> str:
         )
     ]
     return tables.markdown(
-        ["Table I, 8 agents, 50 steps: s", *(str(count) for count in servers), "useful servers"],
+        [
+            "Table I, 8 agents, 50 steps: s",
+            *(str(count) for count in servers),
+            "useful servers",
+        ],
         lines,
     )
 

@@ -81,7 +81,9 @@ def installed() -> Iterator[None]:
         )
         before = {key: os.environ.get(key) for key in ("PYTHONPATH", "ZSWARM_KEYS")}
         sys.path[:0] = paths = [name, str(BENCHMARKS)]
-        os.environ["PYTHONPATH"] = os.pathsep.join([*paths, os.environ.get("PYTHONPATH", "")])
+        os.environ["PYTHONPATH"] = os.pathsep.join(
+            [*paths, os.environ.get("PYTHONPATH", "")]
+        )
         os.environ["ZSWARM_KEYS"] = "none"
         plugins._installed.cache_clear()  # it was asked for while modules were imported
         try:

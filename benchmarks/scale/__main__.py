@@ -63,7 +63,12 @@ def measure(*, quick: bool) -> Results:
                     ]
                     results.tails[name] = (
                         run,
-                        Schedule(*(statistics.mean(each) for each in zip(*schedules, strict=True))),
+                        Schedule(
+                            *(
+                                statistics.mean(each)
+                                for each in zip(*schedules, strict=True)
+                            )
+                        ),
                     )
     return results
 
@@ -72,7 +77,9 @@ def main() -> None:
     """Measure, print, draw."""
     parser = argparse.ArgumentParser(description="How zswarm scales, on this machine.")
     parser.add_argument(
-        "--quick", action="store_true", help="a small version, for looking whether it works"
+        "--quick",
+        action="store_true",
+        help="a small version, for looking whether it works",
     )
     parser.add_argument(
         "--chart",
@@ -80,12 +87,17 @@ def main() -> None:
         default=Path(__file__).parent.with_suffix(".png"),
         help="where the charts go",
     )
-    parser.add_argument("--folder", type=Path, help="where the results go [default: build/bench]")
+    parser.add_argument(
+        "--folder", type=Path, help="where the results go [default: build/bench]"
+    )
     options = parser.parse_args()
     begin = time.monotonic()
     results = measure(quick=options.quick)
     machine.write(
-        "scale", rows(results), folder=options.folder, seconds=round(time.monotonic() - begin)
+        "scale",
+        rows(results),
+        folder=options.folder,
+        seconds=round(time.monotonic() - begin),
     )
     print_tables(results)
     draw(results, options.chart)

@@ -46,7 +46,9 @@ class Server:
         self.index = index
         self.id = keys.new_server_id(f"s{index}")
         self.queries: dict[int, zenoh.Query] = {}
-        self.turns = [0] * CAPACITY  # a slot's timer counts when it is of the slot's last turn
+        self.turns = [
+            0
+        ] * CAPACITY  # a slot's timer counts when it is of the slot's last turn
         self.running = [(0.0, 0.0)] * CAPACITY  # since when, and seconds of work
         self.tick_at = float("inf")  # before the next one of the clock
         self.clear()
@@ -61,13 +63,19 @@ class Server:
             representations=["none"],
         )
         self.slots = Slots(CAPACITY, offer, lambda _: "", lambda: secrets.token_bytes(16))
-        self.session, _ = session.open_server([endpoint], session.Reach([], multicast=False))
-        on_query = zenoh.handlers.Callback(lambda query: farm.put(self, query), indirect=False)
+        self.session, _ = session.open_server(
+            [endpoint], session.Reach([], multicast=False)
+        )
+        on_query = zenoh.handlers.Callback(
+            lambda query: farm.put(self, query), indirect=False
+        )
         self.session.declare_queryable(keys.offer(REALM, self.id), on_query)
         self.session.declare_queryable(keys.requests(REALM, self.id), on_query)
         self.session.liveliness().declare_subscriber(
             keys.run_alive(REALM, "*", "*"),
-            zenoh.handlers.Callback(lambda sample: farm.put(self, _holder(sample)), indirect=False),
+            zenoh.handlers.Callback(
+                lambda sample: farm.put(self, _holder(sample)), indirect=False
+            ),
             history=True,
         )
         self.token = self.session.liveliness().declare_token(keys.alive(REALM, self.id))
@@ -78,7 +86,9 @@ class Server:
         self.sent: Counter[str] = Counter()
         self.bytes = [0, 0]  # received, sent; of payload
         self.when: dict[str, float] = {}  # the first offered, leased, all ready
-        self.ran: list[tuple[int, float, float, float]] = []  # slot, from, to, seconds of work
+        self.ran: list[
+            tuple[int, float, float, float]
+        ] = []  # slot, from, to, seconds of work
 
 
 def _holder(sample: zenoh.Sample) -> events.Event:
@@ -111,7 +121,8 @@ class Farm:
         before = usage(os.getpid()).rss_mb
         begin = time.monotonic()
         self.servers = [
-            Server(first + index, endpoint, self) for index, endpoint in enumerate(endpoints)
+            Server(first + index, endpoint, self)
+            for index, endpoint in enumerate(endpoints)
         ]
         self.pipe.send((time.monotonic() - begin, usage(os.getpid()).rss_mb - before))
         poll = select.poll()
@@ -121,7 +132,8 @@ class Farm:
         while True:
             until = min(next_tick, self._timers[0][0] if self._timers else next_tick)
             ready = {
-                descriptor for descriptor, _ in poll.poll(max(0.0, until - time.monotonic()) * 1000)
+                descriptor
+                for descriptor, _ in poll.poll(max(0.0, until - time.monotonic()) * 1000)
             }
             if self.pipe.fileno() in ready and not self._told(self.pipe.recv()):
                 break
@@ -181,7 +193,9 @@ class Farm:
         server.received[key.verb] += 1
         server.bytes[0] += len(body)
         server.queries[id(query)] = query
-        self._handle(server, events.Asked(id(query), key.user, key.run, codec.decode_request(body)))
+        self._handle(
+            server, events.Asked(id(query), key.user, key.run, codec.decode_request(body))
+        )
 
     def _handle(self, server: Server, event: events.Event) -> None:
         now = time.monotonic()
@@ -194,7 +208,9 @@ class Farm:
                         server,
                         command.slot,
                         now,
-                        events.Prepared(command.slot, b"scale" if command.probe else b"", 0.0),
+                        events.Prepared(
+                            command.slot, b"scale" if command.probe else b"", 0.0
+                        ),
                     )
                 case events.RunChunk():
                     self._run(server, command, now)
@@ -203,7 +219,10 @@ class Farm:
                     if isinstance(command, events.StopSlot):
                         refused = messages.Refused(code="cancelled", reason="cancelled")
                         self._later(
-                            server, command.slot, now, events.Finished(command.slot, refused)
+                            server,
+                            command.slot,
+                            now,
+                            events.Finished(command.slot, refused),
                         )
         if (tick_at := server.slots.next_time()) < server.tick_at:
             server.tick_at = tick_at
@@ -212,7 +231,9 @@ class Farm:
     def _run(self, server: Server, command: events.RunChunk, now: float) -> None:
         batch = command.work
         participants, seeds = codec.trials(batch, 1)
-        times = msgspec.convert(server.slots.slots[command.slot].setup.simulator.settings, Times)
+        times = msgspec.convert(
+            server.slots.slots[command.slot].setup.simulator.settings, Times
+        )
         taken = durations(
             times, draws(batch.genomes, participants, seeds, salt(times, server.index))
         )
@@ -233,7 +254,8 @@ class Farm:
 
     def _later(self, server: Server, slot: int, when: float, event: events.Event) -> None:
         heapq.heappush(
-            self._timers, (when, next(self._count), server, slot, server.turns[slot], event)
+            self._timers,
+            (when, next(self._count), server, slot, server.turns[slot], event),
         )
 
     def _slot_done(self, server: Server, slot: int, event: events.Event) -> None:
@@ -269,20 +291,26 @@ class Servers:
 
     def __init__(self, count: int) -> None:
         net = f"127.{secrets.randbelow(253) + 1}"  # two benchmarks at a time do not meet
-        self.endpoints = [f"tcp/{net}.{i // 128}.1:{20000 + i % 128}" for i in range(count)]
+        self.endpoints = [
+            f"tcp/{net}.{i // 128}.1:{20000 + i % 128}" for i in range(count)
+        ]
         self.pipes: list[Connection] = []
         self.processes = []
         for first in range(0, count, SERVERS_PER_PROCESS):
             pipe, end = spawn.Pipe()
             process = spawn.Process(
-                target=farm, args=(end, first, self.endpoints[first : first + SERVERS_PER_PROCESS])
+                target=farm,
+                args=(end, first, self.endpoints[first : first + SERVERS_PER_PROCESS]),
             )
             process.start()
             end.close()
             self.pipes.append(pipe)
             self.processes.append(process)
         opened = [pipe.recv() for pipe in self.pipes]
-        self.open_s, self.mb = max(s for s, _ in opened), sum(mb for _, mb in opened) / count
+        self.open_s, self.mb = (
+            max(s for s, _ in opened),
+            sum(mb for _, mb in opened) / count,
+        )
 
     def ask(self, word: str) -> list[Any]:
         """Return every process's answer."""

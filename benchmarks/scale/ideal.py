@@ -15,9 +15,8 @@ class Schedule(NamedTuple):
 
     bound: float  # as dispatch does: what waits at a server stays there
     free: float  # every slot takes the next trial that nobody started
-    twice: (
-        float  # and then, when none is left, one that another slot would finish later: by an oracle
-    )
+    # When none is left, one that another slot would finish later: by an oracle.
+    twice: float
 
 
 def schedule(times: Times, workload: Workload, servers: int) -> Schedule:
@@ -25,7 +24,12 @@ def schedule(times: Times, workload: Workload, servers: int) -> Schedule:
     by_server = [
         durations(
             times,
-            draws(workload.genomes, workload.participants, workload.seeds, salt(times, server)),
+            draws(
+                workload.genomes,
+                workload.participants,
+                workload.seeds,
+                salt(times, server),
+            ),
         )
         / speed(times, server)
         for server in (range(servers) if times.of == "execution" else (0, 1))
@@ -54,7 +58,9 @@ def _bound(count: int, servers: int, takes: Any) -> float:
             waiting[server].extend(itertools.islice(order, 1))
         end = max(end, now)
         if waiting[server]:
-            heapq.heappush(slots_free, (now + takes(waiting[server].popleft(), server), slot))
+            heapq.heappush(
+                slots_free, (now + takes(waiting[server].popleft(), server), slot)
+            )
     return end
 
 

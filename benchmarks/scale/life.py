@@ -24,7 +24,9 @@ from zswarm.protocol.keys import RunKey
 from zswarm.session import Reach
 
 DEADLINE_S = 120.0
-SETTLE_S = 20.0  # without another server or slot, before the optimizer goes on with those it has
+SETTLE_S = (
+    20.0  # without another server or slot, before the optimizer goes on with those it has
+)
 
 
 class Use(NamedTuple):
@@ -67,7 +69,11 @@ class Run(NamedTuple):
 
 
 def optimizer(
-    pipe: Connection, endpoints: list[str], times: Times, generations: int, trials_per_slot: int
+    pipe: Connection,
+    endpoints: list[str],
+    times: Times,
+    generations: int,
+    trials_per_slot: int,
 ) -> None:
     """Run the optimizer in this process and send its measurements."""
     count = len(endpoints) * CAPACITY
@@ -86,7 +92,11 @@ def optimizer(
     key = RunKey(REALM, "scale", f"scale-{secrets.token_hex(4)}")
     notes: Counter[str] = Counter()
     ran = []
-    base_mb, base_s, begin = usage(os.getpid()).rss_mb, time.process_time(), time.monotonic()
+    base_mb, base_s, begin = (
+        usage(os.getpid()).rss_mb,
+        time.process_time(),
+        time.monotonic(),
+    )
     with Cluster(key, terms, reach=Reach(endpoints, multicast=False)) as cluster:
         leased = ready = time.monotonic()
         state = (0, 0)
@@ -136,7 +146,9 @@ def optimizer(
     )
 
 
-def live(servers: Servers, times: Times, generations: int, trials_per_slot: int = TRIALS) -> Run:
+def live(
+    servers: Servers, times: Times, generations: int, trials_per_slot: int = TRIALS
+) -> Run:
     """Find the servers, evaluate some generations, leave."""
     deadline = time.monotonic() + DEADLINE_S
     while sum(servers.ask("clear")):  # leases of the one before
@@ -144,7 +156,8 @@ def live(servers: Servers, times: Times, generations: int, trials_per_slot: int 
         time.sleep(0.2)
     pipe, end = spawn.Pipe()
     process = spawn.Process(
-        target=optimizer, args=(end, servers.endpoints, times, generations, trials_per_slot)
+        target=optimizer,
+        args=(end, servers.endpoints, times, generations, trials_per_slot),
     )
     process.start()
     end.close()
@@ -168,12 +181,17 @@ def live(servers: Servers, times: Times, generations: int, trials_per_slot: int 
     for report in reports:
         for side in ("received", "sent"):
             for counter in report[side]:
-                totals.update({f"{side} {kind}": number for kind, number in counter.items()})
+                totals.update(
+                    {f"{side} {kind}": number for kind, number in counter.items()}
+                )
     ran = np.array([row for report in reports for row in report["ran"]]).reshape(-1, 4)
 
     def farm_cpu_s(begin: float, end: float) -> float:
         samples = [np.array(report["cpu"]).T for report in reports]
-        return sum(float(np.diff(np.interp([begin, end], when, used))[0]) for when, used in samples)
+        return sum(
+            float(np.diff(np.interp([begin, end], when, used))[0])
+            for when, used in samples
+        )
 
     uses = [
         _use(
@@ -191,7 +209,10 @@ def live(servers: Servers, times: Times, generations: int, trials_per_slot: int 
         found,
         uses,
         {kind: number / count for kind, number in sorted(totals.items())},
-        (sum(b[0] for b in exchanged) / count / 1e3, sum(b[1] for b in exchanged) / count / 1e3),
+        (
+            sum(b[0] for b in exchanged) / count / 1e3,
+            sum(b[1] for b in exchanged) / count / 1e3,
+        ),
         told["rss_mb"],
         told["leave_s"],
         told["notes"],
@@ -223,7 +244,9 @@ def _use(
     np.add.at(busy, slot, mine[:, 3])
     tail_s = float(end - last.min())
     total = count * wall
-    nominal = durations(times, draws(workload.genomes, workload.participants, workload.seeds))
+    nominal = durations(
+        times, draws(workload.genomes, workload.participants, workload.seeds)
+    )
     capacity = sum(speed(times, slot // CAPACITY) for slot in used)
     return Use(
         efficiency=float(nominal.sum()) / (capacity * wall),

@@ -27,7 +27,9 @@ def draws(
     genomes: list[bytes], participants: np.ndarray, seeds: np.ndarray, salt: int = 0
 ) -> np.ndarray:
     """Return (trials,) float64 in [0, 1), fixed by genome, seed and salt."""
-    x = np.array([zlib.crc32(genome) for genome in genomes], np.uint64)[participants[:, 0]]
+    x = np.array([zlib.crc32(genome) for genome in genomes], np.uint64)[
+        participants[:, 0]
+    ]
     for more in (seeds, np.uint64(salt)):
         x = (x ^ more) * np.uint64(0x9E3779B97F4A7C15)
         x = (x ^ (x >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -59,7 +61,9 @@ def speed(times: Times, server: int) -> float:
 def work(generation: int, trials: int) -> Workload:
     """Return distinct genomes, each on 10 seeds."""
     population = trials // TRIALS
-    bits = np.random.default_rng(generation).integers(0, 256, (population, GENOME), np.uint8)
+    bits = np.random.default_rng(generation).integers(
+        0, 256, (population, GENOME), np.uint8
+    )
     participants = np.repeat(np.arange(population), TRIALS).reshape(-1, 1)
     return Workload(
         [row.tobytes() for row in bits],

@@ -73,14 +73,19 @@ def print_tables(results: Results) -> None:
                     f"{median(runs, what):.2f}"
                     for what in ("offered_s", "leased_s", "ready_s", "cpu_s")
                 ),
-                *(f"{median(runs, what):.0f}" for what in ("mb", "threads", "descriptors")),
+                *(
+                    f"{median(runs, what):.0f}"
+                    for what in ("mb", "threads", "descriptors")
+                ),
                 f"{statistics.median(run.leave_s for run in runs):.2f}",
                 f"{results.opened[size]:.2f}",
             ]
             for size, runs in results.found.items()
         ],
     )
-    print("Messages per server of a run that evaluates nothing; received and sent by the server\n")
+    print(
+        "Messages per server of a run that evaluates nothing; received and sent by the server\n"
+    )
     kinds = sorted(
         {kind for runs in results.found.values() for run in runs for kind in run.messages}
     )
@@ -133,7 +138,9 @@ def print_tables(results: Results) -> None:
             for (size, mean_s), run in results.used.items()
         ],
     )
-    print("Tails: from the first slot that gets no more work to the end of the generation\n")
+    print(
+        "Tails: from the first slot that gets no more work to the end of the generation\n"
+    )
     table(
         [
             "trial times",
@@ -166,7 +173,9 @@ def handshake(run: Run) -> dict[str, float]:
     told = run.messages
     received = told.get("received offer", 0.0) + told.get("received reserve", 0.0)
     sent = (
-        told.get("sent offer", 0.0) + told.get("sent lease", 0.0) - told.get("received renew", 0.0)
+        told.get("sent offer", 0.0)
+        + told.get("sent lease", 0.0)
+        - told.get("received renew", 0.0)
     )
     return {"received": received, "sent": sent}
 
@@ -222,7 +231,10 @@ def draw(results: Results, file: Path) -> None:
         ("ready_s", "all slots ready"),
     ):
         found.loglog(
-            sizes, [median(results.found[size], what) for size in sizes], "o-", label=label
+            sizes,
+            [median(results.found[size], what) for size in sizes],
+            "o-",
+            label=label,
         )
     found.plot(
         [GOAL_FOUND_SERVERS],
@@ -231,12 +243,18 @@ def draw(results: Results, file: Path) -> None:
         markersize=10,
         label="goal: below 1 s for 256 servers",
     )
-    found.set(title="Finding servers", xlabel="servers", ylabel="s from opening the session")
+    found.set(
+        title="Finding servers", xlabel="servers", ylabel="s from opening the session"
+    )
     found.set_xticks(sizes, [f"{size:,}" for size in sizes])
     found.minorticks_off()
 
     for mean_s in dict.fromkeys(mean_s for _, mean_s in results.used):
-        points = [(size * CAPACITY, run) for (size, s), run in results.used.items() if s == mean_s]
+        points = [
+            (size * CAPACITY, run)
+            for (size, s), run in results.used.items()
+            if s == mean_s
+        ]
         slots_ = [size for size, _ in points]
         use.semilogx(
             slots_,

@@ -26,11 +26,14 @@ def main() -> None:
     panels = []
     for where in ("generation = 0", "1"):
         genome, generation = database.execute(pick.format(where)).fetchone()
-        frames = trace.record(problem.simulator, problem.representation, [genome], 0).frames
+        frames = trace.record(
+            problem.simulator, problem.representation, [genome], 0
+        ).frames
         out = sum(body.kind == "robot outside" for body in frames[-1].bodies)
         panels.append(
             film.Panel(
-                f"generation {generation}: {out} of {len(frames[-1].bodies)} robots leave", frames
+                f"generation {generation}: {out} of {len(frames[-1].bodies)} robots leave",
+                frames,
             )
         )
     Path(__file__).with_name("stadium.svg").write_text(film.svg(panels))

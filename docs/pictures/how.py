@@ -26,7 +26,13 @@ def text(
 
 
 def box(
-    x: float, y: float, width: float, height: float, *, fill: str = "#fff", stroke: str = "#9ca3af"
+    x: float,
+    y: float,
+    width: float,
+    height: float,
+    *,
+    fill: str = "#fff",
+    stroke: str = "#9ca3af",
 ) -> None:
     """A rectangle with round corners."""
     PARTS.append(

@@ -17,7 +17,9 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """Settings of ``[problem.settings]``."""
 
     robots: Annotated[int, Meta(ge=2, le=1000, description="robots on the line")] = 5
-    steps: Annotated[int, Meta(ge=1, le=100_000, description="steps of a trial, 0.1 s each")] = 60
+    steps: Annotated[
+        int, Meta(ge=1, le=100_000, description="steps of a trial, 0.1 s each")
+    ] = 60
 
 
 class MySimulator(Simulator):
@@ -40,7 +42,9 @@ class MySimulator(Simulator):
 
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings)
-        self.owners = (0,) * settings.robots  # the trial's only genome, 0, drives every robot
+        self.owners = (
+            0,
+        ) * settings.robots  # the trial's only genome, 0, drives every robot
 
     def reset(self, seed: int) -> Turn:
         """Place the robots. All random numbers come from the seed."""
@@ -50,10 +54,14 @@ class MySimulator(Simulator):
 
     def step(self, actions: np.ndarray) -> Turn | None:
         """Drive for 0.1 s. Return None at the end of the trial."""
-        speed = np.clip(2.0 * actions[:, 0].astype(np.float64) - 1.0, -1.0, 1.0) * MAX_SPEED
+        speed = (
+            np.clip(2.0 * actions[:, 0].astype(np.float64) - 1.0, -1.0, 1.0) * MAX_SPEED
+        )
         moves = speed * STEP_S
         self._x += moves
-        for move in np.abs(moves).tolist():  # a fixed order gives the same bits on every machine
+        for move in np.abs(
+            moves
+        ).tolist():  # a fixed order gives the same bits on every machine
             self._way += move / self.settings.robots
         self._steps += 1
         return self._turn() if self._steps < self.settings.steps else None
@@ -64,7 +72,9 @@ class MySimulator(Simulator):
 
     def frame(self) -> Frame:
         """Return what a picture shows, in m."""
-        return Frame(START_M, 1.0, [], [Body("robot", x, 0.5, RADIUS_M) for x in self._x.tolist()])
+        return Frame(
+            START_M, 1.0, [], [Body("robot", x, 0.5, RADIUS_M) for x in self._x.tolist()]
+        )
 
     def _turn(self) -> Turn:
         """Return the robots that act next, and a row of observations for each."""

@@ -19,8 +19,12 @@ class TensorBoard(zswarm.Logger):
 
     def on_start(self, run: zswarm.Started) -> None:
         """Open the event file when the run starts or resumes."""
-        self.writer = SummaryWriter(str(run.folder / "tensorboard"), purge_step=run.generation)
-        self.writer.add_text("experiment", f"{run.experiment.name}, seed {run.experiment.seed}")
+        self.writer = SummaryWriter(
+            str(run.folder / "tensorboard"), purge_step=run.generation
+        )
+        self.writer.add_text(
+            "experiment", f"{run.experiment.name}, seed {run.experiment.seed}"
+        )
 
     def on_generation(self, generation: zswarm.Generation) -> None:
         """Write the numbers of a generation."""
@@ -44,7 +48,9 @@ class TensorBoard(zswarm.Logger):
 
 def evolve(generations: int, out: str = "runs", servers: Any = "auto") -> zswarm.Run:
     """Run the experiment with the logger."""
-    experiment = zswarm.load("stadium", {"generations": generations, "cluster.servers": servers})
+    experiment = zswarm.load(
+        "stadium", {"generations": generations, "cluster.servers": servers}
+    )
     return zswarm.run(experiment, out=out, loggers=[TensorBoard()], progress=True)
 
 

@@ -52,7 +52,14 @@ def ratios() -> ModuleType:
 
 def row(peer: str, work: str, slots: int, value: float, cut: str = "1") -> dict[str, Any]:
     what = "us" if work == "noop" else "efficiency"
-    of = {"peer": peer, "slots": slots, "form": "map", "cut": cut, "work": work, "population": 400}
+    of = {
+        "peer": peer,
+        "slots": slots,
+        "form": "map",
+        "cut": cut,
+        "work": work,
+        "population": 400,
+    }
     return of | {what: value, f"{what}_least": value, f"{what}_most": value}
 
 
@@ -63,12 +70,21 @@ def results() -> dict[str, Any]:
         row("zswarm", "noop", 4, 10.0, "automatic"),
         row("Ray", "noop", 4, 600.0),
         row("Ray", "noop", 4, 30.0, "1 per worker"),
-        {"peer": "Dask distributed", "slots": 4, "missing": "No module named 'distributed'"},
+        {
+            "peer": "Dask distributed",
+            "slots": 4,
+            "missing": "No module named 'distributed'",
+        },
         *(row("zswarm", "sleep", slots, 0.96, "automatic") for slots in (2, 4, 8, 16)),
         row("Ray", "sleep", 4, 0.7),
     ]
     kernels = [
-        {"kernel": "arena-aggregation", "variant": variant, "agents": 8, "agent_steps_per_s": rate}
+        {
+            "kernel": "arena-aggregation",
+            "variant": variant,
+            "agents": 8,
+            "agent_steps_per_s": rate,
+        }
         for variant, rate in (("numba", 6e6), ("C", 7e6), ("pymunk", 4e4))
     ]
     kernels.append(
@@ -89,7 +105,9 @@ def results() -> dict[str, Any]:
             "s_most": 0.9,
         }
     ]
-    startup += [{"what": "memory", "of": "slot", "own_mb": 30.0, "pss_mb": 40.0, "processes": 4}]
+    startup += [
+        {"what": "memory", "of": "slot", "own_mb": 30.0, "pss_mb": 40.0, "processes": 4}
+    ]
     return {
         "dispatch": ABOUT | {"rows": dispatch, "rounds": 3},
         "kernels": ABOUT | {"rows": kernels},
@@ -100,7 +118,9 @@ def results() -> dict[str, Any]:
 def test_the_page_and_the_readme_show_the_results(page: ModuleType) -> None:
     results = json.loads(RESULTS.read_text())
     advice = "run: python benchmarks/page.py"
-    assert (REPOSITORY / "docs" / "benchmarks.md").read_text() == page.document(results), advice
+    assert (REPOSITORY / "docs" / "benchmarks.md").read_text() == page.document(
+        results
+    ), advice
     readme = (REPOSITORY / "README.md").read_text()
     assert readme == page.beside(results, readme), advice
 
@@ -110,11 +130,13 @@ def test_the_page_reports_met_targets_missing_tools_and_the_machine(
 ) -> None:
     text = page.document(results)
     assert (
-        "| no-op, 400 candidates, 4 slots: us per candidate | at most 20.0 | 10.0 | met |" in text
+        "| no-op, 400 candidates, 4 slots: us per candidate | at most 20.0 | 10.0 | met |"
+        in text
     )
     assert "| the same, times faster than Ray | at least 25.0 | 60.0 | met |" in text
     assert (
-        "| the same, times faster than Dask distributed | at least 40.0 |  | not measured |" in text
+        "| the same, times faster than Dask distributed | at least 40.0 |  | not measured |"
+        in text
     )
     assert "- Dask distributed: not measured: No module named 'distributed'\n" in text
     assert (
@@ -127,7 +149,10 @@ def test_the_page_reports_met_targets_missing_tools_and_the_machine(
 
 
 def test_a_missed_target_without_a_reason_makes_no_page(
-    page: ModuleType, results: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    page: ModuleType,
+    results: dict[str, Any],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """With one, the page says by how much and why."""
     results["dispatch"]["rows"][0]["us"] = 25.0
@@ -141,7 +166,10 @@ def test_a_missed_target_without_a_reason_makes_no_page(
     )
     text = page.document(results)
     assert "| at most 20.0 | 25.0 | missed by a factor of 1.25 |" in text
-    assert "- **no-op, 400 candidates, 4 slots: us per candidate**: The machine was busy.\n" in text
+    assert (
+        "- **no-op, 400 candidates, 4 slots: us per candidate**: The machine was busy.\n"
+        in text
+    )
 
 
 def test_the_readme_has_the_medians_of_the_measured_tools(
@@ -169,7 +197,9 @@ def test_charts_are_drawn_for_measured_parts_only(
     assert all(file.read_bytes().startswith(b"\x89PNG") for file in tmp_path.iterdir())
 
 
-def test_a_learning_curve_is_the_best_after_each_evaluation_and_depends_on_the_seed_alone() -> None:
+def test_a_learning_curve_is_the_best_after_each_evaluation_and_depends_on_the_seed_alone() -> (
+    None
+):
     methods = load("methods")
     (_, curve), (_, again), (_, other) = (
         methods.learn(methods.Run("xor", "nnga", seed, 120)) for seed in (1, 1, 2)
@@ -216,7 +246,9 @@ def test_parts_measured_again_replace_old_ones_and_others_stay(
     }
 
 
-def test_a_ratio_that_got_worse_by_more_than_its_tolerance_is_found(ratios: ModuleType) -> None:
+def test_a_ratio_that_got_worse_by_more_than_its_tolerance_is_found(
+    ratios: ModuleType,
+) -> None:
     kept = {
         "a": {"ratio": 10.0, "tolerance": 0.2},
         "b": {"ratio": 1.0, "tolerance": 0.1},

@@ -40,10 +40,14 @@ def results() -> dict[str, Any]:
 
 def agrees(results: dict[str, Any], says: str) -> bool:
     """Return the verdict of the claim that begins so."""
-    (found,) = [claim for claim in load("claims").claims(results) if claim.says.startswith(says)]
+    (found,) = [
+        claim for claim in load("claims").claims(results) if claim.says.startswith(says)
+    ]
     verdict: bool = found.agrees
     line = next(
-        line for line in load("page").document(results).splitlines() if line.startswith(f"| {says}")
+        line
+        for line in load("page").document(results).splitlines()
+        if line.startswith(f"| {says}")
     )
     assert ("does not agree" in line) == (not verdict)
     return verdict
@@ -87,7 +91,9 @@ def change(
 ) -> None:
     """Change a key of all rows with these values."""
     changed = [
-        row for row in results["rows"] if all(row.get(key) == value for key, value in of.items())
+        row
+        for row in results["rows"]
+        if all(row.get(key) == value for key, value in of.items())
     ]
     assert changed, f"no row has {of}"
     for row in changed:
@@ -106,7 +112,9 @@ def test_a_different_history_is_reported(results: dict[str, Any]) -> None:
     assert agrees(results, "The place of the controller") is False
 
 
-def test_a_message_more_than_the_equation_gives_is_reported(results: dict[str, Any]) -> None:
+def test_a_message_more_than_the_equation_gives_is_reported(
+    results: dict[str, Any],
+) -> None:
     assert agrees(results, "Messages of a simulation") is True
     change(
         results,
@@ -122,7 +130,9 @@ def test_a_message_more_than_the_equation_gives_is_reported(results: dict[str, A
 
 def test_whether_two_servers_beat_one_is_measured(results: dict[str, Any]) -> None:
     for seconds, verdict in ((10.0, False), (5.0, True)):
-        change(results, "s", lambda _row: 10.0, part="scaling", design="broker", servers=1)
+        change(
+            results, "s", lambda _row: 10.0, part="scaling", design="broker", servers=1
+        )
         change(
             results,
             "s",
@@ -134,7 +144,9 @@ def test_whether_two_servers_beat_one_is_measured(results: dict[str, Any]) -> No
         assert agrees(results, "Two servers are much faster than one (broker)") is verdict
 
 
-def test_whether_more_than_two_servers_are_useful_is_measured(results: dict[str, Any]) -> None:
+def test_whether_more_than_two_servers_are_useful_is_measured(
+    results: dict[str, Any],
+) -> None:
     change(results, "s", lambda _row: 5.0, part="scaling", design="broker")
     assert agrees(results, "More than two servers are not useful (broker)") is True
     change(results, "s", lambda _row: 4.0, part="scaling", design="broker", servers=4)
@@ -195,7 +207,9 @@ def test_tcp_is_blamed_only_where_messages_of_a_crowd_are_slow_without_nodelay(
         for row in results["rows"]:
             if row["part"] == "messages" and row["design"] in slow:
                 alone = row["design"] == "broker" and row["agents"] == 1
-                row["s"] = row["steps"] * row["agents"] * (one if alone else slow[row["design"]])
+                row["s"] = (
+                    row["steps"] * row["agents"] * (one if alone else slow[row["design"]])
+                )
         (claim,) = [
             claim
             for claim in load("claims").claims(results)
@@ -240,7 +254,8 @@ def test_an_extra_round_is_explained(results: dict[str, Any]) -> None:
             if row["part"] == "scaling" and row["design"] == "parameters over Zenoh":
                 row["s"] = rounds * row["steps"] * row["step_s"]
         assert (
-            "rounds of simulations, although 4 are enough" in load("page").document(results)
+            "rounds of simulations, although 4 are enough"
+            in load("page").document(results)
         ) is told
 
 
@@ -250,7 +265,8 @@ def test_fitted_constants_are_those_of_generated_times(results: dict[str, Any]) 
     for row in results["rows"]:
         if row["part"] == "grid":
             row["s"] = row["simulations"] * (
-                row["steps"] * row["step_s"] + 0.002 * (5 + 2 * row["steps"] * row["agents"])
+                row["steps"] * row["step_s"]
+                + 0.002 * (5 + 2 * row["steps"] * row["agents"])
             )
     assert findings.constants(results, "broker").message_s == pytest.approx(0.002)
     fit = findings.fit(results, "broker")
@@ -271,13 +287,18 @@ def test_rounds_are_counted_per_generation() -> None:
 
 
 def test_the_table_of_the_papers_parts_names_existing_files() -> None:
-    table = DOCUMENT.read_text(encoding="utf-8").partition("## Where the paper's parts are")[2]
-    named = re.findall(r"`((?:zswarm|ot|ss|sims|nets|benchmarks|examples)/[\w/.]*)`", table)
+    table = DOCUMENT.read_text(encoding="utf-8").partition(
+        "## Where the paper's parts are"
+    )[2]
+    named = re.findall(
+        r"`((?:zswarm|ot|ss|sims|nets|benchmarks|examples)/[\w/.]*)`", table
+    )
     assert len(named) > 10
     missing = [
         name
         for name in named
-        if not (REPOSITORY / name).exists() and not (REPOSITORY / "zswarm" / name).exists()
+        if not (REPOSITORY / name).exists()
+        and not (REPOSITORY / "zswarm" / name).exists()
     ]
     assert missing == []
 
@@ -285,7 +306,9 @@ def test_the_table_of_the_papers_parts_names_existing_files() -> None:
 def have(*programs: str) -> None:
     """Skip the test if a program is missing."""
     if lacking := [
-        name for name in programs if not shutil.which(name, path=os.environ["PATH"] + ":/usr/sbin")
+        name
+        for name in programs
+        if not shutil.which(name, path=os.environ["PATH"] + ":/usr/sbin")
     ]:
         pytest.skip(f"not installed: {', '.join(lacking)}")
 
@@ -300,7 +323,10 @@ def test_the_messages_behind_the_broker_are_the_papers_seven_in_its_order() -> N
         loaded = world.load(world.World(agents=2, steps=3), world.Size(generations=1))
         problem = build(loaded).problem
         opened.grow(2, problem)
-        subscribed, listener = threading.Event(), broker.by_mqtt.connected(opened._port, True)
+        subscribed, listener = (
+            threading.Event(),
+            broker.by_mqtt.connected(opened._port, True),
+        )
         listener.on_subscribe = lambda *_: subscribed.set()
         listener.on_message = lambda _client, _data, message: seen.append(
             broker.decode(message.payload)
@@ -321,7 +347,9 @@ def test_the_messages_behind_the_broker_are_the_papers_seven_in_its_order() -> N
     assert len(simulations) == 4
     for simulation in simulations:
         own = [message for message in seen if message.simulation == simulation]
-        (server,) = {message.server for message in own if isinstance(message, broker.Parameters)}
+        (server,) = {
+            message.server for message in own if isinstance(message, broker.Parameters)
+        }
         assert own[0].server == ""
         order = [type(message) for message in own if message.server in ("", server)]
         begin = [broker.Discovery, broker.Server, broker.Parameters, broker.Control]
@@ -331,9 +359,9 @@ def test_the_messages_behind_the_broker_are_the_papers_seven_in_its_order() -> N
             broker.Fitness,
         ]
         assert len(order) <= 5 + 2 * 3 * 2
-        assert {type(message) for message in own if message.server not in ("", server)} <= {
-            broker.Server
-        }
+        assert {
+            type(message) for message in own if message.server not in ("", server)
+        } <= {broker.Server}
 
 
 @pytest.mark.robots

@@ -36,14 +36,26 @@ def test_zswarm_and_a_process_pool_are_measured_side_by_side(tmp_path: Path) -> 
         tmp_path,
     ]
     subprocess.run(
-        [*command, "--rounds", "1", "--populations", "8", "--slots", "2", "--warm-s", "0"],
+        [
+            *command,
+            "--rounds",
+            "1",
+            "--populations",
+            "8",
+            "--slots",
+            "2",
+            "--warm-s",
+            "0",
+        ],
         check=True,
         timeout=120,
     )
     found = json.loads((tmp_path / "dispatch.json").read_text())
     assert {"machine", "versions", "when"} <= set(found)
     for name in names:
-        rows = {row.get("work", "start"): row for row in found["rows"] if row["peer"] == name}
+        rows = {
+            row.get("work", "start"): row for row in found["rows"] if row["peer"] == name
+        }
         assert set(rows) == {"start", "noop", "sleep", "cpu"}, rows
         assert rows["start"]["first_s"] > 0
         assert rows["start"]["tree_mb"] > 1
@@ -56,7 +68,9 @@ def test_an_answer_that_belongs_to_another_candidate_ends_the_measurement(
 ) -> None:
     genomes = [struct.pack("<2f", number, 0.5) for number in range(8)]
     right = dispatch.Way(
-        "", "1", lambda genomes, *_: [struct.unpack_from("<f", genome)[0] for genome in genomes]
+        "",
+        "1",
+        lambda genomes, *_: [struct.unpack_from("<f", genome)[0] for genome in genomes],
     )
     swapped = dispatch.Way("", "1", lambda *asked: right.evaluate(*asked)[::-1])
     assert dispatch.checked(right, genomes, "noop", 2) > 0
@@ -67,7 +81,9 @@ def test_an_answer_that_belongs_to_another_candidate_ends_the_measurement(
 def test_a_peer_that_could_not_be_installed_is_named_with_the_reason(
     dispatch: ModuleType, tmp_path: Path
 ) -> None:
-    (tmp_path / "ray.refused").write_text("ERROR: No matching distribution found for ray>=2.40\n")
+    (tmp_path / "ray.refused").write_text(
+        "ERROR: No matching distribution found for ray>=2.40\n"
+    )
     assert (
         dispatch.why_not_installed("Ray", tmp_path)
         == "ERROR: No matching distribution found for ray>=2.40"

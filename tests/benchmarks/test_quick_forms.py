@@ -45,5 +45,7 @@ def test_each_target_of_the_makefile_is_run_by_a_check() -> None:
     (phony,) = re.findall(r"^\.PHONY: (.*)$", makefile, re.M)
     (marks,) = re.findall(r'-m "([\w ]+ or [\w ]+)"', makefile)  # of make rest
     checked = set(re.findall(r"make ([\w-]+)", (REPOSITORY / ".ci" / "run").read_text()))
-    checked |= {"docs-commands" if mark == "docs" else mark for mark in marks.split(" or ")}
+    checked |= {
+        "docs-commands" if mark == "docs" else mark for mark in marks.split(" or ")
+    }
     assert set(phony.split()) <= checked | set(QUICK) | set(ELSEWHERE) | NOT_CHECKS

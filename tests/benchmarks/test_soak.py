@@ -43,7 +43,11 @@ def samples(soak: ModuleType, rss_mb: np.ndarray, **others: np.ndarray) -> list:
 
 def noisy(slope_mb: float, seed: int) -> np.ndarray:
     """Five minutes, a sample every 2 s, with noise of 1 MB."""
-    return 60.0 + slope_mb * np.arange(150) / 30 + np.random.default_rng(seed).normal(0.0, 1.0, 150)
+    return (
+        60.0
+        + slope_mb * np.arange(150) / 30
+        + np.random.default_rng(seed).normal(0.0, 1.0, 150)
+    )
 
 
 def test_the_slope_of_a_line_is_exact_whatever_a_few_points_do(soak: ModuleType) -> None:
@@ -54,9 +58,13 @@ def test_the_slope_of_a_line_is_exact_whatever_a_few_points_do(soak: ModuleType)
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_a_leak_of_one_mb_a_minute_is_found_and_noise_is_none(soak: ModuleType, seed: int) -> None:
+def test_a_leak_of_one_mb_a_minute_is_found_and_noise_is_none(
+    soak: ModuleType, seed: int
+) -> None:
     """The limit is 0.5; noise of 1 MB moves the slope by 0.1 or so."""
-    leaking, steady = (soak.judge("x", samples(soak, noisy(slope, seed))) for slope in (1.0, 0.0))
+    leaking, steady = (
+        soak.judge("x", samples(soak, noisy(slope, seed))) for slope in (1.0, 0.0)
+    )
     assert abs(steady.slope) < 0.3
     assert abs(leaking.slope - 1.0) < 0.3
     assert steady.complaints == []
@@ -64,10 +72,14 @@ def test_a_leak_of_one_mb_a_minute_is_found_and_noise_is_none(soak: ModuleType, 
     assert "memory" in leaking.complaints[0]
 
 
-def test_threads_files_and_shared_memory_that_come_and_go_are_no_leak(soak: ModuleType) -> None:
+def test_threads_files_and_shared_memory_that_come_and_go_are_no_leak(
+    soak: ModuleType,
+) -> None:
     busy = 20 + np.random.default_rng(1).integers(0, 5, 150)
     assert (
-        soak.judge("x", samples(soak, noisy(0.0, 1), descriptors=busy, threads=busy)).complaints
+        soak.judge(
+            "x", samples(soak, noisy(0.0, 1), descriptors=busy, threads=busy)
+        ).complaints
         == []
     )
 
@@ -76,6 +88,8 @@ def test_threads_files_and_shared_memory_that_come_and_go_are_no_leak(soak: Modu
 def test_what_stays_each_time_is_a_leak(soak: ModuleType, what: str) -> None:
     busy = np.random.default_rng(1).integers(0, 5, 150)
     growing = 20 + busy + np.arange(150) // 10
-    complaints = soak.judge("x", samples(soak, noisy(0.0, 1), **{what: growing})).complaints
+    complaints = soak.judge(
+        "x", samples(soak, noisy(0.0, 1), **{what: growing})
+    ).complaints
     assert len(complaints) == 1
     assert what in complaints[0]

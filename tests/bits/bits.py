@@ -27,7 +27,9 @@ from zswarm.ot.record.history_hash import History
 from zswarm.plugins import registry as plugins
 
 FEW = sys.argv[1:] == ["few"]
-STEPS = 25 if sys.argv[1:] else None  # of a trial, if not as many as the simulator's settings say
+STEPS = (
+    25 if sys.argv[1:] else None
+)  # of a trial, if not as many as the simulator's settings say
 GENOMES = 2 if FEW else 6
 SEEDS = np.array([1] if FEW else [1, 2**63 + 5], np.uint64)
 GENERATIONS = 3
@@ -77,7 +79,11 @@ def ways(settings: Any) -> Iterator[dict[str, Any]]:
         while get_origin(kind) is not None and get_origin(kind) is not Literal:
             kind = get_args(kind)[0]
         choices = (
-            get_args(kind) if get_origin(kind) is Literal else (True, False) if kind is bool else ()
+            get_args(kind)
+            if get_origin(kind) is Literal
+            else (True, False)
+            if kind is bool
+            else ()
         )
         yield from ({field.name: choice} for choice in choices if choice != field.default)
 
@@ -86,7 +92,9 @@ def problems() -> Iterator[tuple[str, Any, Any]]:
     """Each simulator and each network in all ways, with a partner; then all pairs by default."""
     for simulator in SIMULATORS:
         for chosen in ways(plugins.load("simulator", simulator).settings_type):
-            yield problem(simulator, NETWORK, chosen | NEEDED.get((simulator, *chosen), {}), {})
+            yield problem(
+                simulator, NETWORK, chosen | NEEDED.get((simulator, *chosen), {}), {}
+            )
     for network in plugins.names("representation"):
         for chosen in ways(plugins.load("representation", network).settings_type):
             yield problem(SIMULATOR, network, {"robots": LANES}, chosen)
@@ -101,7 +109,11 @@ def problem(
 ) -> tuple[str, Any, Any]:
     """Its name, and both of its parts."""
     name = " ".join(
-        [simulator, network, *(f"{key}={value}" for key, value in {**rules, **shape}.items())]
+        [
+            simulator,
+            network,
+            *(f"{key}={value}" for key, value in {**rules, **shape}.items()),
+        ]
     )
     if STEPS and hasattr(plugins.load("simulator", simulator).settings_type, "steps"):
         rules = {"steps": STEPS} | SMALL.get(simulator, {}) | rules
@@ -114,7 +126,9 @@ def played(simulator: Any, network: Any) -> tuple[bytes, int]:
     if network.genes is None:  # new ones are all of one structure
         stream = Stream(6)
         for _ in range(40):
-            genomes = network.mutate(genomes, stream, method=1, severity=0.3, probability=0.7)
+            genomes = network.mutate(
+                genomes, stream, method=1, severity=0.3, probability=0.7
+            )
     participants = np.array(
         [
             [(row + i) % GENOMES for i in range(simulator.participants)]
@@ -122,7 +136,9 @@ def played(simulator: Any, network: Any) -> tuple[bytes, int]:
             for _ in SEEDS
         ]
     )
-    outcomes = evaluate.evaluate(simulator, network, genomes, participants, np.tile(SEEDS, GENOMES))
+    outcomes = evaluate.evaluate(
+        simulator, network, genomes, participants, np.tile(SEEDS, GENOMES)
+    )
     fitness, metrics = np.empty(simulator.participants), np.empty(len(simulator.metrics))
     evaluate.play_in_turns(
         simulator,
@@ -134,7 +150,9 @@ def played(simulator: Any, network: Any) -> tuple[bytes, int]:
     )
     numbers = np.concatenate([outcomes.fitness, outcomes.metrics], axis=1)
     different = {row.tobytes() for row in numbers[:: len(SEEDS)]}
-    return b"".join(array.tobytes() for array in (numbers, fitness, metrics)), len(different)
+    return b"".join(array.tobytes() for array in (numbers, fitness, metrics)), len(
+        different
+    )
 
 
 def operated(network: Any) -> bytes:
@@ -165,7 +183,10 @@ def evolved(optimizer: Any, simulator: Any, network: Any) -> bytes:
         outcomes = evaluate.evaluate(
             simulator, network, genomes, participants, np.full(len(genomes), SEEDS[0])
         )
-        fitness, measures = outcomes.fitness[:, 0], outcomes.metrics[:, : len(optimizer.measures)]
+        fitness, measures = (
+            outcomes.fitness[:, 0],
+            outcomes.metrics[:, : len(optimizer.measures)],
+        )
         history.add(genomes, fitness, measures if optimizer.measures else None)
         optimizer.tell(fitness, measures)
     return history.hex().encode() + msgspec.msgpack.encode(
@@ -210,9 +231,13 @@ def results() -> Iterator[tuple[str, bytes | int]]:
                     if key in optimizer_class.settings_type.__struct_fields__
                 }
                 if optimizer_class.portable:
-                    with contextlib.suppress(ConfigError):  # it does not take such a network
+                    with contextlib.suppress(
+                        ConfigError
+                    ):  # it does not take such a network
                         optimizer = optimizer_class(
-                            msgspec.convert(known, optimizer_class.settings_type), network, 5
+                            msgspec.convert(known, optimizer_class.settings_type),
+                            network,
+                            5,
                         )
                         yield (
                             f"{representation}: {kind} {chosen}",
@@ -222,7 +247,11 @@ def results() -> Iterator[tuple[str, bytes | int]]:
 
 def digest(value: bytes | int) -> str | int:
     """Of bytes."""
-    return value if isinstance(value, int) else hashlib.blake2b(value, digest_size=8).hexdigest()
+    return (
+        value
+        if isinstance(value, int)
+        else hashlib.blake2b(value, digest_size=8).hexdigest()
+    )
 
 
 if __name__ == "__main__":

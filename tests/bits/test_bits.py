@@ -23,7 +23,9 @@ OLDEST = {
     "NUMBA_CPU_FEATURES": "",
 }  # of its architecture: no AVX, no FMA
 NUMPY_FEATURES = [
-    name for name in compiled_numpy.__cpu_dispatch__ if compiled_numpy.__cpu_features__[name]
+    name
+    for name in compiled_numpy.__cpu_dispatch__
+    if compiled_numpy.__cpu_features__[name]
 ]
 OLDEST_NUMPY = {"NPY_DISABLE_CPU_FEATURES": " ".join(NUMPY_FEATURES)}
 OLDEST_C_LIBRARY = {
@@ -60,8 +62,11 @@ def bits(*arguments: str, **environment: str) -> dict[str, str | int]:
     cleared = {"ZSWARM_PLAIN": "", "NUMBA_DISABLE_JIT": "0"}
     done = subprocess.run(
         [sys.executable, "-W", "ignore", Path(__file__).with_name("bits.py"), *arguments],
-        env=os.environ | cleared | environment, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        env=os.environ | cleared | environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     found: dict[str, str | int] = json.loads(done.stdout)
     return found
@@ -95,7 +100,9 @@ def test_plain_python_gives_the_same_bits_as_the_kernels() -> None:
     assert bits("few", **SETTINGS["plain"], **OLDEST_C_LIBRARY) == compiled
     assert all(name.startswith(FALL_ALIKE) for name in alike(compiled))
     outcomes = [digest for name, digest in compiled.items() if name.endswith("outcomes")]
-    assert len(set(outcomes)) > 0.9 * len(outcomes) > 5, "the problems differ from one another"
+    assert len(set(outcomes)) > 0.9 * len(outcomes) > 5, (
+        "the problems differ from one another"
+    )
 
 
 @pytest.mark.long
@@ -104,8 +111,12 @@ def test_the_bits_are_the_same_on_another_processor(setting: str, tmp_path: Path
     """A cache of its own: numba tells processors apart in it, but not how much it optimizes."""
     trials = TRIALS[setting]
     expected = here(trials)
-    assert all(trials == "few" and name.startswith(FALL_ALIKE) for name in alike(expected))
-    assert bits(*SAID[trials], ZSWARM_CACHE=str(tmp_path), **SETTINGS[setting]) == expected
+    assert all(
+        trials == "few" and name.startswith(FALL_ALIKE) for name in alike(expected)
+    )
+    assert (
+        bits(*SAID[trials], ZSWARM_CACHE=str(tmp_path), **SETTINGS[setting]) == expected
+    )
 
 
 WITH_WHAT = """
@@ -121,15 +132,19 @@ json.dump([features, registers], sys.stdout)
 
 @pytest.mark.long
 @pytest.mark.skipif(
-    platform.machine() != "x86_64", reason="the registers of other processors have other names"
+    platform.machine() != "x86_64",
+    reason="the registers of other processors have other names",
 )
 def test_on_the_oldest_processor_nothing_newer_is_used(tmp_path: Path) -> None:
     oldest = OLDEST | OLDEST_NUMPY
     done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", WITH_WHAT], cwd=REPOSITORY,
+        [sys.executable, "-W", "ignore", "-c", WITH_WHAT],
+        cwd=REPOSITORY,
         env=os.environ | {"ZSWARM_PLAIN": "", "ZSWARM_CACHE": str(tmp_path)} | oldest,
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     features, registers = json.loads(done.stdout)
     assert not set(features) & set(NUMPY_FEATURES)

@@ -39,7 +39,9 @@ class Watched(NamedTuple):
         page.on(
             "console",
             lambda said: (
-                self.errors.append(said.text) if said.type in ("error", "warning") else None
+                self.errors.append(said.text)
+                if said.type in ("error", "warning")
+                else None
             ),
         )
         page.on("pageerror", lambda error: self.errors.append(str(error)))
@@ -89,8 +91,10 @@ class Dashboard:
         """Begin, or begin again."""
         self._program = subprocess.Popen(
             [sys.executable, "-m", "zswarm.ot", "dashboard", *self._arguments],
-            stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-        )  # fmt: skip
+            stdin=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
         assert self._program.stderr is not None
         line = self._program.stderr.readline()
         found = re.fullmatch(r"dashboard: (http://\S+)/#token=(\S+)\n", line)

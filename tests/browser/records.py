@@ -44,27 +44,40 @@ def write(
         folder = record.folder
         record.champion(
             Controller(
-                simulator="emergency-exit", simulator_settings=complete.problem.settings,
+                simulator="emergency-exit",
+                simulator_settings=complete.problem.settings,
                 representation="fully-meshed",
-                representation_settings=complete.representation.settings, inputs=10, outputs=2,
-                sensors=[f"sensor {number}" for number in range(10)], actuators=["vx", "vy"],
+                representation_settings=complete.representation.settings,
+                inputs=10,
+                outputs=2,
+                sensors=[f"sensor {number}" for number in range(10)],
+                actuators=["vx", "vy"],
                 genome=genomes[0],
-                fitness=1.0, run="run",
+                fitness=1.0,
+                run="run",
             )
-        )  # fmt: skip
+        )
     trials = np.arange(CANDIDATES * complete.problem.trials, dtype="<u4")
     kinds, told, outcomes, history = [], [], [], []
     for generation in range(generations):
         at = BEGUN + generation + 1
         best = 1 - math.exp(-(generation + 1) / max(10, generations / 5))
-        fitness = [best * (1 - candidate / (2 * CANDIDATES)) for candidate in range(CANDIDATES)]
+        fitness = [
+            best * (1 - candidate / (2 * CANDIDATES)) for candidate in range(CANDIDATES)
+        ]
         mean = sum(fitness) / CANDIDATES
         history.append(
-            (generation, at, best, mean, CANDIDATES,
-            f'{{"best": {best}, "mean": {mean}, "diversity_mean": {1 - best}, '
-             f'"effectivity_mutation": {draws.random()}, '
-             f'"effectivity_crossover": {draws.random()}}}')
-        )  # fmt: skip
+            (
+                generation,
+                at,
+                best,
+                mean,
+                CANDIDATES,
+                f'{{"best": {best}, "mean": {mean}, "diversity_mean": {1 - best}, '
+                f'"effectivity_mutation": {draws.random()}, '
+                f'"effectivity_crossover": {draws.random()}}}',
+            )
+        )
         told += [
             (generation, candidate, genomes[candidate], fitness[candidate])
             for candidate in range(CANDIDATES)
@@ -74,10 +87,19 @@ def write(
             server = servers[(2 * generation + place) % len(servers)]
             values = np.repeat(np.array(fitness), complete.problem.trials)[part]
             outcomes.append(
-                (generation, b"", len(part), part.tobytes(), values.astype("<f8").tobytes(),
-                np.ones((len(part), 2)).tobytes(), 0,
-                 server, 0.9, at - 0.1 * place)
-            )  # fmt: skip
+                (
+                    generation,
+                    b"",
+                    len(part),
+                    part.tobytes(),
+                    values.astype("<f8").tobytes(),
+                    np.ones((len(part), 2)).tobytes(),
+                    0,
+                    server,
+                    0.9,
+                    at - 0.1 * place,
+                )
+            )
     kinds = [
         (BEGUN, None, "began", "", "", 0),
         *((BEGUN, 0, "server_joined", server, "", 2) for server in servers),
@@ -120,6 +142,7 @@ def from_the_future(folder: Path) -> None:
     """A record of a newer zswarm."""
     with sqlite3.connect(folder / "run.sqlite") as database:
         database.execute(
-            "UPDATE meta SET value = ? WHERE key = 'schema_version'", (SCHEMA_VERSION + 1,)
+            "UPDATE meta SET value = ? WHERE key = 'schema_version'",
+            (SCHEMA_VERSION + 1,),
         )
     database.close()

@@ -73,7 +73,9 @@ def test_the_page_of_a_run_shows_progress_events_and_settings(
     page.get_by_text("wall time").click()
     page.locator(".chart svg[role=img]").first.focus()
     page.keyboard.press("Home")
-    expect(page.locator(".readout").first).to_contain_text("since the run began 1.0 s: best")
+    expect(page.locator(".readout").first).to_contain_text(
+        "since the run began 1.0 s: best"
+    )
     page.keyboard.press("ArrowRight")
     expect(page.locator(".readout").first).to_contain_text("2.0 s")
     page.keyboard.press("Enter")
@@ -82,7 +84,9 @@ def test_the_page_of_a_run_shows_progress_events_and_settings(
     )
 
 
-def test_the_data_of_a_page_can_be_downloaded(page: Page, dashboard: Start, tmp_path: Path) -> None:
+def test_the_data_of_a_page_can_be_downloaded(
+    page: Page, dashboard: Start, tmp_path: Path
+) -> None:
     write(tmp_path)
     page.context.grant_permissions(["clipboard-read", "clipboard-write"])
     page.goto(f"{dashboard(tmp_path).url}/run?run=long")
@@ -95,7 +99,9 @@ def test_the_data_of_a_page_can_be_downloaded(page: Page, dashboard: Start, tmp_
     assert page.evaluate("() => navigator.clipboard.readText()") == "1"
     page.get_by_role("button", name="copy experiment").click()
     expect(page.get_by_role("button", name="copied")).to_have_count(2)
-    assert 'simulator = "emergency-exit"' in page.evaluate("() => navigator.clipboard.readText()")
+    assert 'simulator = "emergency-exit"' in page.evaluate(
+        "() => navigator.clipboard.readText()"
+    )
 
 
 def test_a_table_shows_200_servers_and_their_work(
@@ -129,17 +135,21 @@ def test_a_candidate_is_shown_with_genome_network_and_trials(
     page.locator("svg.network .node").last.focus()
     expect(page.locator(".readout", has_text="vy (bias")).to_contain_text("hears")
     page.get_by_label("candidate").select_option("3")
-    expect(page.locator("main")).to_contain_text("candidate 3 of generation 100: fitness 0.844")
+    expect(page.locator("main")).to_contain_text(
+        "candidate 3 of generation 100: fitness 0.844"
+    )
     assert page.url.endswith("generation=99&candidate=3")
     page.get_by_label("generation").fill("7")
     page.get_by_label("generation").press("Enter")
     expect(page.locator("main")).to_contain_text("candidate 0 of generation 7")
-    expect(page.locator("section", has_text="Trials").locator("tbody tr").first).to_contain_text(
-        "lab-"
-    )
+    expect(
+        page.locator("section", has_text="Trials").locator("tbody tr").first
+    ).to_contain_text("lab-")
 
 
-def test_a_missing_generation_is_explained(page: Page, dashboard: Start, tmp_path: Path) -> None:
+def test_a_missing_generation_is_explained(
+    page: Page, dashboard: Start, tmp_path: Path
+) -> None:
     write(tmp_path)
     page.goto(f"{dashboard(tmp_path).url}/candidate?run=long&generation=700")
     expect(page.locator("main")).to_contain_text("generation 701 is not in the record")
@@ -173,7 +183,9 @@ def test_a_page_reconnects_to_a_restarted_dashboard(
     page.goto(f"{shown.url}/run?run=long")
     expect(page.locator(".tile", has_text="generation")).to_contain_text("100 / 105")
     shown.stop()
-    expect(page.locator("#banner")).to_contain_text("connection lost, retrying; what is shown is")
+    expect(page.locator("#banner")).to_contain_text(
+        "connection lost, retrying; what is shown is"
+    )
     expect(page.locator(".tile", has_text="generation")).to_contain_text("100 / 105")
     grow(folder, 100, 2.5)
     shown.start()
@@ -182,7 +194,9 @@ def test_a_page_reconnects_to_a_restarted_dashboard(
     watched.forgive(page)  # the browser tells of each connection that failed
 
 
-def test_a_reopened_page_shows_the_same(page: Page, dashboard: Start, tmp_path: Path) -> None:
+def test_a_reopened_page_shows_the_same(
+    page: Page, dashboard: Start, tmp_path: Path
+) -> None:
     write(tmp_path)
     shown = dashboard(tmp_path)
     page.goto(f"{shown.url}/#token={shown.token}")
@@ -307,14 +321,19 @@ def test_a_page_of_another_origin_can_neither_read_nor_send(
         headers: token ? {Authorization: 'Bearer ' + token} : {},
     }).then((answer) => answer.type, () => 'refused')"""
     for token in ("", shown.token):
-        assert page.evaluate(told, [f"{shown.url}/api/runs/long/control/stop", token]) in (
+        assert page.evaluate(
+            told, [f"{shown.url}/api/runs/long/control/stop", token]
+        ) in (
             "refused",
             "opaque",
         )
     assert control.asked(folder) == ""
     listen = """([url]) => new Promise((done) => { const socket = new WebSocket(url);
         socket.onmessage = () => done('heard'); socket.onerror = () => done('refused'); })"""
-    assert page.evaluate(listen, [f"{shown.url.replace('http', 'ws')}/ws?run=long"]) == "refused"
+    assert (
+        page.evaluate(listen, [f"{shown.url.replace('http', 'ws')}/ws?run=long"])
+        == "refused"
+    )
     page.evaluate(
         "([url]) => { const frame = document.createElement('iframe'); frame.src = url; "
         "document.body.append(frame); }",
@@ -357,8 +376,12 @@ def test_a_long_run_is_shown_as_soon_as_a_short_one(
     expect(page.locator(".tile", has_text="generation")).to_contain_text(
         f"{generations:,} / {generations:,}"
     )
-    expect(page.locator(".legend").first.get_by_text("median", exact=True)).to_be_visible()
-    print(f"{generations} generations: first curve after {page.evaluate(FIRST_CURVE):.0f} ms")
+    expect(
+        page.locator(".legend").first.get_by_text("median", exact=True)
+    ).to_be_visible()
+    print(
+        f"{generations} generations: first curve after {page.evaluate(FIRST_CURVE):.0f} ms"
+    )
     points = page.evaluate(
         "() => fetch('/api/runs/long/curve').then((answer) => answer.json()).then((found) => "
         "found.best.length)"

@@ -109,7 +109,9 @@ def test_a_killed_server_disappears_and_the_run_continues(
     expect(page.locator(".badge")).to_contain_text("running", timeout=SLOW_MS)
     page.get_by_role("link", name="Servers").click()
     rows = {
-        name: page.locator("#servers tbody tr", has_text=re.compile(f"{name}-[0-9a-f]{{8}}"))
+        name: page.locator(
+            "#servers tbody tr", has_text=re.compile(f"{name}-[0-9a-f]{{8}}")
+        )
         for name in ("near", "far")
     }
     for row in rows.values():

@@ -23,7 +23,10 @@ def of(simulator: str, **settings: object) -> Trace:
     built, network = evaluate.build(simulator, settings, "fully-meshed", {})
     found = record(built, network, network.random(built.participants, Stream(1)), 5)
     return Trace(
-        **{**found.__dict__, "about": {"run": "a-run", "generation": 3, "candidate": 1, "trial": 0}}
+        **{
+            **found.__dict__,
+            "about": {"run": "a-run", "generation": 3, "candidate": 1, "trial": 0},
+        }
     )
 
 
@@ -76,7 +79,9 @@ def test_it_is_played_by_the_keyboard(page: Page, tmp_path: Path) -> None:
     expect(page.get_by_role("button", name="play", exact=True)).to_be_visible()
 
 
-def test_every_control_has_a_name_and_is_reached_by_tab(page: Page, tmp_path: Path) -> None:
+def test_every_control_has_a_name_and_is_reached_by_tab(
+    page: Page, tmp_path: Path
+) -> None:
     paused(page, of("maze", steps=50), tmp_path)
     names = []
     for _ in range(14):
@@ -106,7 +111,8 @@ def test_the_player_shows_the_trace(page: Page, tmp_path: Path) -> None:
     shown = [float(text) for text in page.locator(".zp-value").all_inner_texts()]
     numbers = [*trace.inputs[7, 2], *trace.hidden[7, 2], *trace.outputs[7, 2]]
     spread = max(
-        float(part.max() - part.min()) for part in (trace.inputs, trace.hidden, trace.outputs)
+        float(part.max() - part.min())
+        for part in (trace.inputs, trace.hidden, trace.outputs)
     )
     assert shown == pytest.approx(numbers, abs=spread / 254 + 0.006)
     expect(page.get_by_role("img", name="picture of the trial: robot: 3")).to_be_visible()
@@ -152,13 +158,17 @@ def test_the_colours_change_by_a_button(page: Page, tmp_path: Path) -> None:
     picture = "document.querySelector('.zp-canvas').toDataURL()"
     before = page.evaluate(picture)
     page.get_by_role("button", name="light or dark").click()
-    page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    page.evaluate(
+        "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
+    )
     assert page.evaluate(picture) != before
 
 
 def test_reduced_motion_is_respected(page: Page, tmp_path: Path) -> None:
     paused(page, of("minisim", steps=20), tmp_path)
-    page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    page.evaluate(
+        "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
+    )
     assert said(page) == "0 / 20"
 
 
@@ -170,11 +180,15 @@ def test_names_are_text(page: Page, tmp_path: Path) -> None:
     ]
     hostile = Trace(
         **{
-            **trace.__dict__, "frames": frames, "note": HOSTILE, "error": HOSTILE,
+            **trace.__dict__,
+            "frames": frames,
+            "note": HOSTILE,
+            "error": HOSTILE,
             "sensors": [HOSTILE] * 9,
-            "metrics": {HOSTILE: 1.0}, "about": {"run": HOSTILE, HOSTILE: HOSTILE},
+            "metrics": {HOSTILE: 1.0},
+            "about": {"run": HOSTILE, HOSTILE: HOSTILE},
         }
-    )  # fmt: skip
+    )
     paused(page, hostile, tmp_path)
     expect(page.get_by_role("alert").first).to_have_text(HOSTILE)
     expect(page.locator(".zp-legend")).to_contain_text(HOSTILE)
@@ -211,7 +225,9 @@ def test_a_hundred_agents_are_drawn_fluently(page: Page, tmp_path: Path) -> None
     )
     begin = time.monotonic()
     page.evaluate(hundred)
-    sys.stdout.write(f"\nplayer: {100 / (time.monotonic() - begin):.1f} pictures/s of 100 agents\n")
+    sys.stdout.write(
+        f"\nplayer: {100 / (time.monotonic() - begin):.1f} pictures/s of 100 agents\n"
+    )
     assert page.evaluate("player.frames") >= 100
 
 

@@ -31,7 +31,9 @@ def main() -> int:
     options = parser.parse_args()
     if options.seed is not None:
         world = play(options.seed).world
-        print(f"seed {options.seed}: every rule held, {world.now:.0f} s of simulated time")
+        print(
+            f"seed {options.seed}: every rule held, {world.now:.0f} s of simulated time"
+        )
         return 0
     base, begin, played = secrets.randbits(48), time.monotonic(), 0
     print(f"schedules from {base} on, for {options.seconds:g} s")

@@ -36,7 +36,9 @@ class Link:
         self.state: State = "up"
         self.breaks = 0  # what is on the way then is lost
         self.open: dict[int, str] = {}  # questions
-        server.links[f"{optimizer.run} {optimizer.epoch}"] = optimizer.links[server.id] = self
+        server.links[f"{optimizer.run} {optimizer.epoch}"] = optimizer.links[
+            server.id
+        ] = self
         self._meet()
 
     def _meet(self) -> None:
@@ -106,7 +108,9 @@ class Link:
         if self.state in ("up", "slow"):
             self._travel(lambda: self._arrive(question, reply))
         if world.chance(world.failing):
-            world.at(1.0, lambda: self.optimizer.handle(Answered(question, reply)))  # once more
+            world.at(
+                1.0, lambda: self.optimizer.handle(Answered(question, reply))
+            )  # once more
 
     def _arrive(self, question: int, reply: messages.Reply | str | None) -> None:
         if self.open.pop(question, None) is not None:

@@ -28,7 +28,9 @@ class Journal:
         self.doubtful = (
             False  # a server may have computed wrong that could not be found out in time
         )
-        self.counted: list[tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray, str]] = []
+        self.counted: list[
+            tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray, str]
+        ] = []
 
     def survives(self, now: float) -> "Journal":
         """What is on the disk after a crash: all but the last tenth of a second."""
@@ -108,7 +110,10 @@ class Optimizer(Node[events.Event]):
         before = self.journal.finished[-1][1] if self.journal.finished else None
         self.workload = self.experiment.workload(before)
         for _, trials, fitness, metrics, faulted, server in self.journal.counted:
-            self.workload.fitness[trials], self.workload.metrics[trials] = fitness, metrics
+            self.workload.fitness[trials], self.workload.metrics[trials] = (
+                fitness,
+                metrics,
+            )
             self.workload.counted[trials], self.workload.faulted[trials] = True, faulted
             self.workload.source[trials] = server
         self._once = [1] * len(self.workload.seeds)
@@ -119,14 +124,18 @@ class Optimizer(Node[events.Event]):
         phases = {Phase.LEASED: "slots", Phase.RESERVING: "wanted"}
         servers = self.dispatch.servers.by_id.values()
         return sum(
-            getattr(server, phases[server.phase]) for server in servers if server.phase in phases
+            getattr(server, phases[server.phase])
+            for server in servers
+            if server.phase in phases
         )
 
     def react(self, event: events.Event) -> None:
         """Give the dispatch an event, and carry out what it says."""
         world = self.world
         if not isinstance(event, events.TimePassed):
-            world.tell(self.run, self.epoch, "Work" if isinstance(event, events.Work) else event)
+            world.tell(
+                self.run, self.epoch, "Work" if isinstance(event, events.Work) else event
+            )
         commands = self.dispatch.handle(event, self.clock())
         if (held := self._slots_held()) > self.max_slots:
             world.fail(f"{self.run} holds or asks for {held} slots of {self.max_slots}")
@@ -137,9 +146,19 @@ class Optimizer(Node[events.Event]):
                 case events.Counted():
                     self._record(command)
                 case events.Disputed():
-                    trial, (index,) = command.trial, self.workload.participants[command.trial]
+                    trial, (index,) = (
+                        command.trial,
+                        self.workload.participants[command.trial],
+                    )
                     truth = np.array(
-                        [outcome((self.workload.genomes[index], int(self.workload.seeds[trial])))]
+                        [
+                            outcome(
+                                (
+                                    self.workload.genomes[index],
+                                    int(self.workload.seeds[trial]),
+                                )
+                            )
+                        ]
                     )
                     world.at(
                         0.5,
@@ -164,12 +183,16 @@ class Optimizer(Node[events.Event]):
                     self.end()
                 case Note():
                     self._missed |= (
-                        command.event == "unverified" or "when it was verified" in command.text
+                        command.event == "unverified"
+                        or "when it was verified" in command.text
                     )
         if not self.dispatch.servers.standing().slots:
             self.unserved_at = world.now
         if self.dispatch.batches.checks.verified > self._verified:
-            self._verified, self.progressed_at = self.dispatch.batches.checks.verified, world.now
+            self._verified, self.progressed_at = (
+                self.dispatch.batches.checks.verified,
+                world.now,
+            )
         self._check()
         self._set_alarm()
 
@@ -188,7 +211,11 @@ class Optimizer(Node[events.Event]):
         if rows and np.isin(counted.trials, np.concatenate(rows)).any():
             self.world.fail("a trial was counted twice")
         load, trials = self.workload, counted.trials
-        row = load.fitness[trials].copy(), load.metrics[trials].copy(), load.faulted[trials].copy()
+        row = (
+            load.fitness[trials].copy(),
+            load.metrics[trials].copy(),
+            load.faulted[trials].copy(),
+        )
         self.journal.counted.append((self.world.now, trials, *row, counted.server))
         self.progressed_at = self.world.now
 
@@ -202,7 +229,9 @@ class Optimizer(Node[events.Event]):
             world.fail("the record does not have every trial once")
         wrong = {server for server in set(load.source) if server.endswith(WRONG)}
         if self.dispatch.servers._probe_arbitrated and any(
-            server.probe for server in self.dispatch.servers.by_id.values() if server.id in wrong
+            server.probe
+            for server in self.dispatch.servers.by_id.values()
+            if server.id in wrong
         ):
             world.fail(f"{wrong}: computes wrong, is known to, and was counted for")
         lied = self._missed and any(server.endswith(LIAR) for server in load.source)
@@ -213,7 +242,9 @@ class Optimizer(Node[events.Event]):
                     world.fail(f"a {name} is wrong")
         if not np.array_equal(load.faulted, poison):
             world.fail("a trial is blamed for another's fault, or not for its own")
-        self.journal.finished.append((load.genomes, self.experiment.fitness(load.fitness[:, 0])))
+        self.journal.finished.append(
+            (load.genomes, self.experiment.fitness(load.fitness[:, 0]))
+        )
         self.journal.counted = []
         world.at(0.0, lambda: self.when_awake(self._next_generation))
 
@@ -233,7 +264,11 @@ class Optimizer(Node[events.Event]):
         self.superseded = True
         journal = self.journal.survives(self.world.now)
         return Optimizer(
-            self.world, self.experiment, verify=self.verify, epoch=self.epoch + 1, journal=journal
+            self.world,
+            self.experiment,
+            verify=self.verify,
+            epoch=self.epoch + 1,
+            journal=journal,
         )
 
     def _check(self) -> None:

@@ -14,7 +14,9 @@ Trial = tuple[bytes, int]  # genome and seed
 @functools.cache
 def outcome(trial: Trial) -> float:
     """Fitness and metric of a trial; sometimes NaN."""
-    number = hashlib.blake2b(trial[0] + trial[1].to_bytes(8, "little"), digest_size=4).digest()
+    number = hashlib.blake2b(
+        trial[0] + trial[1].to_bytes(8, "little"), digest_size=4
+    ).digest()
     return float("nan") if number[0] == 0 else int.from_bytes(number, "little") / 2**16
 
 
@@ -34,14 +36,18 @@ class Experiment:
 
     def workload(self, before: np.ndarray | None) -> Workload:
         """The generation after the one with this fitness."""
-        root = (b"" if before is None else before.tobytes()) + self._seed.to_bytes(8, "little")
+        root = (b"" if before is None else before.tobytes()) + self._seed.to_bytes(
+            8, "little"
+        )
         genomes = [
             hashlib.blake2b(root + bytes([index]), digest_size=8).digest()
             for index in range(self._population)
         ]
         seeds = np.arange(self._trials, dtype=np.uint64) + np.uint64(self._seed)
         participants = np.repeat(np.arange(self._population), self._trials).reshape(-1, 1)
-        return Workload(genomes, participants, np.tile(seeds, self._population), metrics=1)
+        return Workload(
+            genomes, participants, np.tile(seeds, self._population), metrics=1
+        )
 
     def expected(self, workload: Workload) -> tuple[np.ndarray, np.ndarray]:
         """Fitness of each trial, NaN where it is poisonous, and which are."""

@@ -26,7 +26,9 @@ class End(NamedTuple):
     world: World
     runs: list[str]
     done: list[str]
-    histories: dict[str, str]  # hash by run, of those that no server could have lied to unnoticed
+    histories: dict[
+        str, str
+    ]  # hash by run, of those that no server could have lied to unnoticed
     undisturbed: dict[str, str]  # what these should be
     slots_taken: int
     leases: int
@@ -64,7 +66,9 @@ class Lab:
 
     def add_server(self, *, sound: bool = False, lies: float = 0.0) -> Server:
         """A server starts."""
-        server = Server(self.world, next(self._numbers), self._deaths, sound=sound, lies=lies)
+        server = Server(
+            self.world, next(self._numbers), self._deaths, sound=sound, lies=lies
+        )
         self.servers.append(server)
         for optimizer in self.optimizers:
             if not optimizer.ended:
@@ -102,13 +106,16 @@ class Lab:
             [server for server in self.servers if not server.ended] or self.servers
         )
         optimizer = draw.choice(
-            [optimizer for optimizer in self.optimizers if not optimizer.ended] or self.optimizers
+            [optimizer for optimizer in self.optimizers if not optimizer.ended]
+            or self.optimizers
         )
         fault, lasts_s = draw.choice(FAULTS), draw.choice(LASTS_S)
         if self.alone and fault in ("crash", "drain", "end", "takeover", "jump"):
             return
         world.faults += 1
-        world.tell("FAULT", fault, server.id, optimizer.run, optimizer.epoch, f"{lasts_s} s")
+        world.tell(
+            "FAULT", fault, server.id, optimizer.run, optimizer.epoch, f"{lasts_s} s"
+        )
         if fault in ("end", "takeover", "stop", "leap"):
             self._fail_optimizer(fault, optimizer, lasts_s)
         elif not server.ended:
@@ -151,7 +158,8 @@ class Lab:
             case "end" if not optimizer.superseded:
                 optimizer.end()
                 world.at(
-                    world.random.uniform(0.1, 40.0), lambda: self.add_optimizer(optimizer.resume())
+                    world.random.uniform(0.1, 40.0),
+                    lambda: self.add_optimizer(optimizer.resume()),
                 )
             case "takeover" if not optimizer.superseded:
                 self.add_optimizer(optimizer.resume())
@@ -160,7 +168,9 @@ class Lab:
             case "leap":
                 optimizer.offset += world.random.choice([1.0, 30.0, 3600.0])
 
-    def _freeze(self, node: Server | Optimizer, links: list[Link], lasts_s: float) -> None:
+    def _freeze(
+        self, node: Server | Optimizer, links: list[Link], lasts_s: float
+    ) -> None:
         """SIGSTOP, and later SIGCONT: after the link timeout the others take it for gone."""
         node.frozen = True
         if lasts_s > LINK_TIMEOUT_S:
@@ -192,12 +202,15 @@ class Lab:
         world.run(world.now + BOUND_S, self._done)
         standing = self._standing()
         undone = not all(optimizer.left for optimizer in standing)
-        if undone and all(optimizer.progressed_at < world.now - BOUND_S for optimizer in standing):
+        if undone and all(
+            optimizer.progressed_at < world.now - BOUND_S for optimizer in standing
+        ):
             world.fail("no run goes on")
         for optimizer in self._standing():
             if (
                 not optimizer.left
-                and max(optimizer.progressed_at, optimizer.unserved_at) < world.now - BOUND_S
+                and max(optimizer.progressed_at, optimizer.unserved_at)
+                < world.now - BOUND_S
             ):
                 world.fail(f"{optimizer.run} has slots and does not go on")
         world.run(END_S, self._done)
@@ -221,13 +234,19 @@ class Lab:
 
     def end(self) -> End:
         """What is left when it is over."""
-        trusted = [optimizer for optimizer in self._standing() if not optimizer.journal.doubtful]
+        trusted = [
+            optimizer for optimizer in self._standing() if not optimizer.journal.doubtful
+        ]
         up = [server for server in self.servers if not server.ended]
         return End(
             world=self.world,
             runs=sorted({optimizer.run for optimizer in self.optimizers}),
-            done=sorted(optimizer.run for optimizer in self._standing() if optimizer.left),
-            histories={optimizer.run: optimizer.journal.history() for optimizer in trusted},
+            done=sorted(
+                optimizer.run for optimizer in self._standing() if optimizer.left
+            ),
+            histories={
+                optimizer.run: optimizer.journal.history() for optimizer in trusted
+            },
             undisturbed={
                 optimizer.run: optimizer.experiment.undisturbed() for optimizer in trusted
             },

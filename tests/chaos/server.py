@@ -16,14 +16,22 @@ TICK_S = 0.25
 TRIAL_TIMEOUT_S = 20.0
 PROBE, WRONG_PROBE = b"p" * 16, b"w" * 16
 WRONG, LIAR = "-wrong", "-liar"  # ends of the ids of servers that are
-DEATHS = 2  # of a worker by chance at one trial: one fewer than would put it in quarantine
+DEATHS = (
+    2  # of a worker by chance at one trial: one fewer than would put it in quarantine
+)
 
 
 class Server(Node[events.Event]):
     """A server of the simulated world."""
 
     def __init__(
-        self, world: World, number: int, deaths: dict[Trial, int], *, sound: bool, lies: float
+        self,
+        world: World,
+        number: int,
+        deaths: dict[Trial, int],
+        *,
+        sound: bool,
+        lies: float,
     ) -> None:
         super().__init__(world)
         self.links: dict[str, Link] = {}  # by optimizer
@@ -41,7 +49,9 @@ class Server(Node[events.Event]):
         self.trial_s = world.random.choice([0.001, 0.03, 0.2, 0.8, 16.0])
         self.prepare_deaths = 0
         self.pending: dict[int, tuple[Link, int]] = {}  # queries to answer
-        self.ran: set[tuple[bytes, int, tuple[Trial, ...]]] = set()  # lease, batch, trials
+        self.ran: set[tuple[bytes, int, tuple[Trial, ...]]] = (
+            set()
+        )  # lease, batch, trials
         self.alone = False  # the only server of the world, for one run
         self.finished: set[tuple[bytes, Trial]] = set()  # trials by lease
         capacity = world.random.randint(1, 3)
@@ -121,7 +131,9 @@ class Server(Node[events.Event]):
 
     def _tick(self) -> None:
         if self.frozen:
-            self.when_awake(lambda: self.world.at(0.0, self._tick))  # after all that came meanwhile
+            self.when_awake(
+                lambda: self.world.at(0.0, self._tick)
+            )  # after all that came meanwhile
             return
         self._ticking = False
         if self.slots.busy() or self.slots.draining:
@@ -138,9 +150,13 @@ class Server(Node[events.Event]):
         for slot, worker in zip(self.slots.slots, self.workers, strict=True):
             state = slot.state
             if (slot.index in held) == (state in ("free", "stopping")):
-                self.world.fail(f"{self.id}: slot {slot.index} is {state} with a wrong lease")
+                self.world.fail(
+                    f"{self.id}: slot {slot.index} is {state} with a wrong lease"
+                )
             if (state in ("busy", "preparing", "stopping")) != (worker.since is not None):
-                self.world.fail(f"{self.id}: slot {slot.index} is {state}, its worker not")
+                self.world.fail(
+                    f"{self.id}: slot {slot.index} is {state}, its worker not"
+                )
 
     def disappear(self) -> None:
         """Its links are gone, for good."""
@@ -220,7 +236,9 @@ class Worker:
         if chunk in server.ran:
             world.fail(f"{server.id}: trials of batch {batch.batch} are run twice")
         server.ran.add(chunk)
-        if server.alone and any((batch.lease, trial) in server.finished for trial in self.trials):
+        if server.alone and any(
+            (batch.lease, trial) in server.finished for trial in self.trials
+        ):
             world.fail(f"{server.id}: a trial that it has the outcome of is run again")
         if len(self.trials) > 1 and world.chance(10 * world.failing):
             at = world.random.randrange(len(self.trials))
@@ -229,14 +247,21 @@ class Worker:
         for index, trial in enumerate(self.trials):
             if poisonous(trial) or self._dies_at(trial):
                 if world.random.random() < 0.3:
-                    self.trials = self.trials[: index + 1]  # it hangs there, until it is killed
+                    self.trials = self.trials[
+                        : index + 1
+                    ]  # it hangs there, until it is killed
                 else:
-                    self._later(index * self.trial_s, events.Died(self.index, index, "crash"))
+                    self._later(
+                        index * self.trial_s, events.Died(self.index, index, "crash")
+                    )
                 return
         fitness = np.array([outcome(trial) + self._lie(trial) for trial in self.trials])
         seconds = len(self.trials) * self.trial_s
         reply = messages.Outcomes(
-            batch=batch.batch, fitness=fitness.tobytes(), metrics=fitness.tobytes(), seconds=seconds
+            batch=batch.batch,
+            fitness=fitness.tobytes(),
+            metrics=fitness.tobytes(),
+            seconds=seconds,
         )
         recycled = world.chance(10 * world.failing)
         self._later(seconds, events.Finished(self.index, reply, recycled))
@@ -261,7 +286,9 @@ class Worker:
         if self.since is not None and self.server.world.random.random() < 0.7:
             self._later(
                 self.trial_s,
-                events.Finished(self.index, messages.Refused(code="cancelled", reason="")),
+                events.Finished(
+                    self.index, messages.Refused(code="cancelled", reason="")
+                ),
             )
 
     def progress(self) -> int:

@@ -27,7 +27,10 @@ FOUND_WITHIN = 100  # schedules, a planted bug
     "first",
     [
         *range(0, SOME, CHUNK),
-        *(pytest.param(first, marks=pytest.mark.long) for first in range(SOME, SCHEDULES, CHUNK)),
+        *(
+            pytest.param(first, marks=pytest.mark.long)
+            for first in range(SOME, SCHEDULES, CHUNK)
+        ),
     ],
 )
 def test_faults_do_not_change_the_history_and_nothing_leaks(first: int) -> None:
@@ -36,11 +39,16 @@ def test_faults_do_not_change_the_history_and_nothing_leaks(first: int) -> None:
     for seed, end in enumerate(ends, first):
         assert end.done == end.runs, f"seed {seed}"
         assert end.histories == end.undisturbed, f"seed {seed}"
-        assert (end.slots_taken, end.leases, end.unanswered, end.kept_bytes) == (0, 0, 0, 0), (
-            f"seed {seed}"
-        )
+        assert (end.slots_taken, end.leases, end.unanswered, end.kept_bytes) == (
+            0,
+            0,
+            0,
+            0,
+        ), f"seed {seed}"
     assert sum(end.world.faults > 0 for end in ends) > 0.7 * CHUNK
-    assert sum(len(end.histories) for end in ends) > 0.7 * sum(len(end.runs) for end in ends)
+    assert sum(len(end.histories) for end in ends) > 0.7 * sum(
+        len(end.runs) for end in ends
+    )
 
 
 def test_the_same_seed_is_the_same_schedule() -> None:
@@ -48,7 +56,9 @@ def test_the_same_seed_is_the_same_schedule() -> None:
     first, second = play(3).world, play(3).world
     assert first.now == second.now
     assert [repr(what) for what in first.trace] == [repr(what) for what in second.trace]
-    assert [repr(what) for what in first.trace] != [repr(what) for what in play(4).world.trace]
+    assert [repr(what) for what in first.trace] != [
+        repr(what) for what in play(4).world.trace
+    ]
 
 
 # ---- planted bugs -----------------------------------------------------------------------
@@ -68,7 +78,12 @@ def no_dedupe(patch: pytest.MonkeyPatch) -> None:
             self.out.queries.get(event.question),
             sent.get((id(self.batches), event.question)),
         )
-        if query and batch and self.batches.workload and isinstance(event.reply, Outcomes):
+        if (
+            query
+            and batch
+            and self.batches.workload
+            and isinstance(event.reply, Outcomes)
+        ):
             self.servers.by_id[query.server].batches[batch.id] = batch
             batch.question = event.question
             batch.done[:] = False

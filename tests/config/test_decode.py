@@ -46,17 +46,32 @@ def test_what_fits_is_taken_with_its_defaults() -> None:
         ({"count": 2.0}, "file: count: expected int, got float"),
         ({"count": True}, "file: count: expected int, got bool"),
         ({"count": None}, "file: count: expected int, got null"),
-        ({"count": 2, "colour": "blue"}, "file: colour: expected red or green, not 'blue'"),
+        (
+            {"count": 2, "colour": "blue"},
+            "file: colour: expected red or green, not 'blue'",
+        ),
         (
             {"count": 2, "colour": "gren"},
             "file: colour: expected red or green, not 'gren' (did you mean 'green'?)",
         ),
-        ({"count": 2, "colour": "a\x1b\n"}, "file: colour: expected red or green, not 'a\\x1b\\n'"),
+        (
+            {"count": 2, "colour": "a\x1b\n"},
+            "file: colour: expected red or green, not 'a\\x1b\\n'",
+        ),
         ({"count": 2, "inner": 3}, "file: inner: expected object, got int"),
         ({"count": 2, "inner": {"depth": 0}}, "file: inner.depth: expected float > 0.0"),
-        ({"count": 2, "inner": {"depth": float("nan")}}, "file: inner.depth: expected float > 0.0"),
-        ({"count": 2, "inner": {"names": ["a", 3]}}, "file: inner.names[1]: expected str, got int"),
-        ({"count": 2, "either": "some"}, "file: either: expected all or a number, not 'some'"),
+        (
+            {"count": 2, "inner": {"depth": float("nan")}},
+            "file: inner.depth: expected float > 0.0",
+        ),
+        (
+            {"count": 2, "inner": {"names": ["a", 3]}},
+            "file: inner.names[1]: expected str, got int",
+        ),
+        (
+            {"count": 2, "either": "some"},
+            "file: either: expected all or a number, not 'some'",
+        ),
         (
             {"count": 2, "color": "red"},
             "file: unknown key 'color' (did you mean 'colour'?); known are: count, colour, "
@@ -73,7 +88,9 @@ def test_what_fits_is_taken_with_its_defaults() -> None:
         ({"count": 2, "bare": {"x": 1}}, "file: bare: unknown key 'x'; there are none"),
     ],
 )
-def test_what_does_not_fit_is_refused_in_one_clear_line(mapping: dict[str, Any], text: str) -> None:
+def test_what_does_not_fit_is_refused_in_one_clear_line(
+    mapping: dict[str, Any], text: str
+) -> None:
     with pytest.raises(ConfigError) as refusal:
         convert(mapping, Outer, "file")
     assert str(refusal.value) == text

@@ -35,7 +35,11 @@ def test_numbers_in_ranges_get_the_type_of_the_setting() -> None:
     }
     whole = ranges.complete(given, Settings, "it")
     assert msgspec.json.encode(whole, order="sorted") == msgspec.json.encode(
-        {**given, "mass": {"from": 1.0, "to": 2.0}, "wind": {"speed": {"from": 0.0, "to": 10.0}}},
+        {
+            **given,
+            "mass": {"from": 1.0, "to": 2.0},
+            "wind": {"speed": {"from": 0.0, "to": 10.0}},
+        },
         order="sorted",
     )
     assert ranges.complete(whole, Settings, "it") == whole
@@ -46,8 +50,14 @@ def test_numbers_in_ranges_get_the_type_of_the_setting() -> None:
     ("written", "line"),
     [
         ("robots = { from = 0, to = 3 }", "robots: expected int >= 1 (in its range: 0)"),
-        ("robots = { from = 3, to = 10 }", "robots: expected int <= 9 (in its range: 10)"),
-        ("robots = { from = 1.5, to = 3 }", "robots: expected int, got float (in its range: 1.5)"),
+        (
+            "robots = { from = 3, to = 10 }",
+            "robots: expected int <= 9 (in its range: 10)",
+        ),
+        (
+            "robots = { from = 1.5, to = 3 }",
+            "robots: expected int, got float (in its range: 1.5)",
+        ),
         ("robots = { from = 3, to = 2 }", "robots: from 3 must not be above to 2"),
         (
             "robots = { from = 3, too = 4 }",
@@ -65,7 +75,10 @@ def test_numbers_in_ranges_get_the_type_of_the_setting() -> None:
             "robots = { choice = 3 }",
             "robots: choice: expected a list of 1 to 100 values, such as [5, 10]",
         ),
-        ("robots = { choice = [3, '4'] }", "robots: expected int, got str (in its range: 4)"),
+        (
+            "robots = { choice = [3, '4'] }",
+            "robots: expected int, got str (in its range: 4)",
+        ),
         (
             "robots = { choice = [3, { from = 1, to = 2 }] }",
             'robots: expected int, got object (in its range: {"from":1,"to":2})',
@@ -128,7 +141,9 @@ def test_a_range_in_a_file_is_refused_with_its_line(tmp_path: Any) -> None:
 
 
 def test_ranges_outside_of_the_problem_are_refused() -> None:
-    with pytest.raises(ConfigError, match="representation: hidden: expected int, got object"):
+    with pytest.raises(
+        ConfigError, match="representation: hidden: expected int, got object"
+    ):
         loaded("representation.hidden={ from = 1, to = 3 }")
 
 
@@ -164,7 +179,9 @@ def test_a_study_may_vary_ranges_and_values() -> None:
         {"list": [{"problem.settings.agents": value} for value in values]},
         {"list": [{"problem": {"settings": {"agents": value}}} for value in values]},
     ):
-        whole = experiment.complete(experiment.check({**mapping, "study": study}, "it"), "it")
+        whole = experiment.complete(
+            experiment.check({**mapping, "study": study}, "it"), "it"
+        )
         told = [
             variant.experiment.problem.settings["agents"]
             for variant in experiment.variants(whole, "it")

@@ -67,7 +67,14 @@ def test_the_line_of_a_key_is_found_in_every_notation(path: str, line: int) -> N
 
 @pytest.mark.parametrize(
     "path",
-    [[], ["seed"], ["problem", "agents"], ["name", "agents"], ["cluster", "realm", "x"], ['k"ey']],
+    [
+        [],
+        ["seed"],
+        ["problem", "agents"],
+        ["name", "agents"],
+        ["cluster", "realm", "x"],
+        ['k"ey'],
+    ],
 )
 def test_a_missing_key_has_no_line(path: list[str]) -> None:
     assert find(TEXT, path) is None
@@ -82,7 +89,10 @@ def test_a_very_long_text_is_not_searched() -> None:
     assert find("a = 1\n" + "#\n" * LONGEST + "b = 1\n", ["b"]) is None
 
 
-@given(st.lists(st.sampled_from("abc"), min_size=1, max_size=8, unique=True), st.integers(0, 3))
+@given(
+    st.lists(st.sampled_from("abc"), min_size=1, max_size=8, unique=True),
+    st.integers(0, 3),
+)
 def test_plain_keys_are_found_on_their_lines(names: list[str], blank: int) -> None:
     text = "".join("\n" * blank + f"{name} = 1\n" for name in names)
     assert [find(text, [name]) for name in names] == [

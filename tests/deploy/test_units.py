@@ -54,29 +54,43 @@ def test_the_example_of_a_configuration_shows_the_defaults(
     ("what", "heading"),
     [("install", "Install"), ("upgrade", "Upgrade"), ("uninstall", "Uninstall")],
 )
-def test_the_script_for_many_machines_does_what_the_document_says(what: str, heading: str) -> None:
-    script = re.search(rf"^{what}='\n(.*?)^'$", (DEPLOY / "fleet.sh").read_text(), re.S | re.M)
+def test_the_script_for_many_machines_does_what_the_document_says(
+    what: str, heading: str
+) -> None:
+    script = re.search(
+        rf"^{what}='\n(.*?)^'$", (DEPLOY / "fleet.sh").read_text(), re.S | re.M
+    )
     assert script
     lines = script[1].replace("--quiet ", "").replace('"$PACKAGE"', "'zswarm[keys]'")
     lines = lines.replace('[ ! "$keys" ] || ', "").replace(
         'join --yes "$keys"', "join ~/lab-01.zkeys"
     )
-    lines = re.sub(r" \|\| \{.*\}$", "", lines, flags=re.M)  # what it does where pip fails
+    lines = re.sub(
+        r" \|\| \{.*\}$", "", lines, flags=re.M
+    )  # what it does where pip fails
     assert (
         lines
-        == re.findall(r"^```sh\n(.*?)^```$", DOCUMENT.split(f"# {heading}\n", 1)[1], re.S | re.M)[0]
+        == re.findall(
+            r"^```sh\n(.*?)^```$", DOCUMENT.split(f"# {heading}\n", 1)[1], re.S | re.M
+        )[0]
     )
 
 
 @pytest.mark.parametrize("arguments", [[], ["install"], ["instal", "lab-01"]])
 def test_the_script_for_many_machines_prints_its_usage(arguments: list[str]) -> None:
-    done = subprocess.run([str(DEPLOY / "fleet.sh"), *arguments], capture_output=True, text=True)
+    done = subprocess.run(
+        [str(DEPLOY / "fleet.sh"), *arguments], capture_output=True, text=True
+    )
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.startswith("usage: fleet.sh install|upgrade|join|uninstall|status HOST...")
+    assert done.stderr.startswith(
+        "usage: fleet.sh install|upgrade|join|uninstall|status HOST..."
+    )
 
 
 @pytest.mark.parametrize("what", ["install", "join"])
-def test_the_script_for_many_machines_names_missing_keys(tmp_path: Path, what: str) -> None:
+def test_the_script_for_many_machines_names_missing_keys(
+    tmp_path: Path, what: str
+) -> None:
     command = [str(DEPLOY / "fleet.sh"), what, "root@lab-01.example.org"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
     assert (done.returncode, done.stdout) == (1, "")

@@ -64,7 +64,9 @@ class Block(NamedTuple):
         if self.language == "sh" or self.transcript:
             return True
         return self.language in ("", "console", "bash", "shell") and any(
-            line.split(maxsplit=1)[0] in PROGRAMS for line in self.text.splitlines() if line.strip()
+            line.split(maxsplit=1)[0] in PROGRAMS
+            for line in self.text.splitlines()
+            if line.strip()
         )
 
 

@@ -100,7 +100,9 @@ def test_every_command_of_the_optimizer_is_documented_with_its_options(name: str
     documented = section("commands.md", f"### {name}")
     for option in options(COMMANDS[name]):
         for spelling in [*option.opts, *option.secondary_opts]:
-            assert f"`{spelling}`" in documented, f"docs/commands.md, {name}: {spelling} is missing"
+            assert f"`{spelling}`" in documented, (
+                f"docs/commands.md, {name}: {spelling} is missing"
+            )
 
 
 @pytest.mark.parametrize("name", sorted(security.command.commands))
@@ -116,9 +118,9 @@ def test_every_command_of_keys_is_documented_with_its_options(name: str) -> None
 
 def test_every_documented_command_exists() -> None:
     """The sections below zswarm-ot and zswarm-keys are their commands."""
-    assert set(re.findall(r"^### (.*)$", section("commands.md", "## zswarm-ot"), re.M)) == set(
-        COMMANDS
-    )
+    assert set(
+        re.findall(r"^### (.*)$", section("commands.md", "## zswarm-ot"), re.M)
+    ) == set(COMMANDS)
     documented = re.findall(
         r"^### zswarm-keys (.*)$", section("commands.md", "## zswarm-keys"), re.M
     )
@@ -127,7 +129,10 @@ def test_every_documented_command_exists() -> None:
 
 @pytest.mark.parametrize(
     ("program", "command", "keys"),
-    [("zswarm-ss", ss.command, Options), ("zswarm-router", router.command, router.RouterOptions)],
+    [
+        ("zswarm-ss", ss.command, Options),
+        ("zswarm-router", router.command, router.RouterOptions),
+    ],
     ids=["zswarm-ss", "zswarm-router"],
 )
 def test_every_option_of_a_daemon_is_documented(
@@ -199,8 +204,12 @@ def test_every_exit_code_of_the_optimizer_is_documented(code: int) -> None:
 # ---- the wire
 
 
-@pytest.mark.parametrize("message", MESSAGES, ids=lambda message: message.__struct_config__.tag)
-def test_every_field_of_every_message_is_documented(message: type[msgspec.Struct]) -> None:
+@pytest.mark.parametrize(
+    "message", MESSAGES, ids=lambda message: message.__struct_config__.tag
+)
+def test_every_field_of_every_message_is_documented(
+    message: type[msgspec.Struct],
+) -> None:
     """The table of a message has its fields, no others, in their order."""
     documented = list(rows("protocol.md", f"### {message.__struct_config__.tag}"))
     assert documented == [field.name for field in fields(message) if field.name != "v"]
@@ -208,9 +217,13 @@ def test_every_field_of_every_message_is_documented(message: type[msgspec.Struct
 
 def test_every_request_and_refusal_code_is_in_its_table() -> None:
     """So are the states of a lease."""
-    requests = {message.__struct_config__.tag for message in typing.get_args(messages.Request)}
+    requests = {
+        message.__struct_config__.tag for message in typing.get_args(messages.Request)
+    }
     assert requests <= set(rows("protocol.md", "## Messages"))
-    assert set(rows("protocol.md", "## Refusals")) == set(typing.get_args(messages.Refusal))
+    assert set(rows("protocol.md", "## Refusals")) == set(
+        typing.get_args(messages.Refusal)
+    )
     states = rows("protocol.md", "### lease")["state"]
     assert set(re.findall(r"`([a-z]+)`", states)) == set(typing.get_args(messages.State))
 
@@ -233,16 +246,26 @@ EXAMPLES = re.findall(r"```hex\n(.*?)```\s*```json\n(.*?)```", text("protocol.md
 
 
 @pytest.mark.parametrize(
-    ("hex_", "meaning"), EXAMPLES, ids=[json.loads(meaning)["type"] for _, meaning in EXAMPLES]
+    ("hex_", "meaning"),
+    EXAMPLES,
+    ids=[json.loads(meaning)["type"] for _, meaning in EXAMPLES],
 )
-def test_an_example_of_the_wire_decodes_to_what_the_text_says(hex_: str, meaning: str) -> None:
+def test_an_example_of_the_wire_decodes_to_what_the_text_says(
+    hex_: str, meaning: str
+) -> None:
     """And the codec makes the same bytes of it; its length stands in the text before."""
     body, stated = bytes.fromhex(hex_), json.loads(meaning)
     assert plain(msgspec.msgpack.decode(body)) == stated
-    requests = {message.__struct_config__.tag for message in typing.get_args(messages.Request)}
-    message = (codec.decode_request if stated["type"] in requests else codec.decode_reply)(body)
+    requests = {
+        message.__struct_config__.tag for message in typing.get_args(messages.Request)
+    }
+    message = (
+        codec.decode_request if stated["type"] in requests else codec.decode_reply
+    )(body)
     assert codec.encode(message) == body
-    assert f"`{stated['type']}`, {len(body)} bytes" in section("protocol.md", "## An example")
+    assert f"`{stated['type']}`, {len(body)} bytes" in section(
+        "protocol.md", "## An example"
+    )
 
 
 def test_there_are_examples_of_the_wire() -> None:
@@ -290,7 +313,9 @@ def test_every_key_of_an_experiment_is_documented(
 ) -> None:
     """The table in experiment.md is what the struct says: type and range, default, meaning."""
     keys = settings_docs.keys(struct)
-    assert (settings_docs.markdown(keys) if keys else "") in section("experiment.md", *headings)
+    assert (settings_docs.markdown(keys) if keys else "") in section(
+        "experiment.md", *headings
+    )
 
 
 @pytest.mark.parametrize(
@@ -302,14 +327,18 @@ def test_every_key_of_an_experiment_is_documented(
         *(settings(kind, name) for kind, name in PARTS),
     ],
 )
-def test_every_key_of_an_experiment_says_what_it_means(struct: type[msgspec.Struct]) -> None:
+def test_every_key_of_an_experiment_says_what_it_means(
+    struct: type[msgspec.Struct],
+) -> None:
     assert [key.name for key in settings_docs.keys(struct) if not key.meaning] == []
 
 
 def test_the_top_level_keys_of_an_experiment_are_documented() -> None:
     """The plain ones in a table, the tables each in a section."""
     tables = {"problem", "representation", "optimizer", "ranking", "cluster", "study"}
-    plain_keys = [field.name for field in fields(experiment.Experiment) if field.name not in tables]
+    plain_keys = [
+        field.name for field in fields(experiment.Experiment) if field.name not in tables
+    ]
     assert [key.name for key in experiment.top_level()] == plain_keys
     assert settings_docs.markdown(experiment.top_level()) in section(
         "experiment.md", "## Top level"
@@ -335,7 +364,8 @@ def tables() -> dict[str, list[str]]:
         )
     ]
     found = {
-        name: [row[1] for row in database.execute(f"PRAGMA table_info({name})")] for name in names
+        name: [row[1] for row in database.execute(f"PRAGMA table_info({name})")]
+        for name in names
     }
     database.close()
     return found
@@ -378,7 +408,9 @@ def test_links_between_documents_exist(document: str) -> None:
 
 def test_the_simulator_that_is_shown_is_the_one_that_new_writes() -> None:
     """The whole module; its tests are in test_new.py."""
-    blocks = dict(re.findall(r"`([\w.]+)`:\n\n```\w+\n(.*?)```", text("own-simulator.md"), re.S))
+    blocks = dict(
+        re.findall(r"`([\w.]+)`:\n\n```\w+\n(.*?)```", text("own-simulator.md"), re.S)
+    )
     assert blocks == {"lost_robots.py": new.skeleton("lost-robots")["lost_robots.py"]}
 
 
@@ -387,7 +419,9 @@ def test_the_example_optimizer_keeps_the_contract(
 ) -> None:
     """The code in optimizers.md is a whole optimizer."""
     blocks = dict(
-        re.findall(r"`(\w+climber\.py)`:\n\n```python\n(.*?)```", text("optimizers.md"), re.S)
+        re.findall(
+            r"`(\w+climber\.py)`:\n\n```python\n(.*?)```", text("optimizers.md"), re.S
+        )
     )
     assert set(blocks) == {"zswarm_climber.py", "test_climber.py"}
     for name, content in blocks.items():
@@ -398,12 +432,18 @@ def test_the_example_optimizer_keeps_the_contract(
     namespace["test_climber_keeps_the_contract"]()
 
 
-def test_the_example_ranking_ranks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_example_ranking_ranks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The code in co-evolution.md is a complete ranking."""
     blocks = dict(
-        re.findall(r"`(\w+rivals\.py)`:\n\n```python\n(.*?)```", text("co-evolution.md"), re.S)
+        re.findall(
+            r"`(\w+rivals\.py)`:\n\n```python\n(.*?)```", text("co-evolution.md"), re.S
+        )
     )
-    (tmp_path / "zswarm_rivals.py").write_text(blocks["zswarm_rivals.py"], encoding="utf-8")
+    (tmp_path / "zswarm_rivals.py").write_text(
+        blocks["zswarm_rivals.py"], encoding="utf-8"
+    )
     monkeypatch.syspath_prepend(tmp_path)
     rivals = importlib.import_module("zswarm_rivals")
     ranking = rivals.Rivals(rivals.Settings(games=2), 2)
@@ -423,19 +463,29 @@ def test_the_example_ranking_ranks(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 def test_every_optimizer_and_its_statistics_are_documented(name: str) -> None:
     """A row says what it is for, and what it takes; every statistic has its meaning."""
     loaded = plugins.load("optimizer", name)
-    given = {"measures": ["one", "other"], "lows": [0, 0], "highs": [1, 1], "cells": [3, 3]}
+    given = {
+        "measures": ["one", "other"],
+        "lows": [0, 0],
+        "highs": [1, 1],
+        "cells": [3, 3],
+    }
     wanted = {
-        key: value for key, value in given.items() if key in loaded.settings_type.__struct_fields__
+        key: value
+        for key, value in given.items()
+        if key in loaded.settings_type.__struct_fields__
     }
     network_class = plugins.load(
-        "representation", name if name in plugins.BUNDLED["representation"] else "fully-meshed"
+        "representation",
+        name if name in plugins.BUNDLED["representation"] else "fully-meshed",
     )
     network = network_class(network_class.settings_type(), 2, 1)
     optimizer = loaded(msgspec.convert(wanted, loaded.settings_type), network, 1)
     genomes = optimizer.ask()
     optimizer.tell(
         np.arange(float(len(genomes))),
-        np.arange(float(len(genomes) * len(optimizer.measures))).reshape(len(genomes), -1),
+        np.arange(float(len(genomes) * len(optimizer.measures))).reshape(
+            len(genomes), -1
+        ),
     )
     row = rows("optimizers.md", "## Which one")[name]
     assert [cell.strip() for cell in row.strip(" |").split("|")][2:] == [
@@ -443,7 +493,9 @@ def test_every_optimizer_and_its_statistics_are_documented(name: str) -> None:
         "yes" if optimizer.measures else "no",
     ]
     page = text("optimizers.md")
-    assert [statistic for statistic in optimizer.statistics() if f"`{statistic}`" not in page] == []
+    assert [
+        statistic for statistic in optimizer.statistics() if f"`{statistic}`" not in page
+    ] == []
 
 
 def faults() -> list[list[str]]:

@@ -24,7 +24,10 @@ from zswarm import experiment
 from zswarm.plugins import registry as plugins
 
 INSTALLS = "installs from the outside"
-DEPLOY, KEYS = "tests/integration/test_machines.py", "tests/security/test_keys_document.py"
+DEPLOY, KEYS = (
+    "tests/integration/test_machines.py",
+    "tests/security/test_keys_document.py",
+)
 # (document, first line of the block, or * for all): why it is not run here, and where it is.
 NOT_RUN: dict[tuple[str, str], tuple[str, str]] = {
     ("README.md", "make run     # sets everything up and evolves the built-in example"): (
@@ -48,8 +51,14 @@ NOT_RUN: dict[tuple[str, str], tuple[str, str]] = {
         "tests/ot/commands/shared/test_frevo.py",
     ),
     ("tutorial.md", "python3 -m venv ~/zswarm"): (INSTALLS, ".ci/run"),
-    ("dashboard.md", "*"): ("is looked at in a browser", "tests/browser/test_dashboard.py"),
-    ("deploy.md", "*"): ("needs machines with systemd, of which root is the user", DEPLOY),
+    ("dashboard.md", "*"): (
+        "is looked at in a browser",
+        "tests/browser/test_dashboard.py",
+    ),
+    ("deploy.md", "*"): (
+        "needs machines with systemd, of which root is the user",
+        DEPLOY,
+    ),
     (
         "faults.md",
         "make test                # 200 schedules among the rest, make long 1,800 more",
@@ -164,7 +173,9 @@ NAMESPACES = [
 
 def reason(block: Block) -> tuple[str, str] | None:
     """Return why a block is not run here, if so."""
-    return NOT_RUN.get((block.document, "*")) or NOT_RUN.get((block.document, block.first))
+    return NOT_RUN.get((block.document, "*")) or NOT_RUN.get(
+        (block.document, block.first)
+    )
 
 
 def typed(block: Block) -> Iterator[tuple[str, list[str] | None]]:
@@ -194,12 +205,15 @@ def says(expected: list[str], output: str) -> bool:
     )
     return bool(
         re.fullmatch(
-            pattern, "".join(f"{same(line)}\n" for line in output.rstrip("\n").split("\n"))
+            pattern,
+            "".join(f"{same(line)}\n" for line in output.rstrip("\n").split("\n")),
         )
     )
 
 
-def script(page: Path, steps: Path) -> tuple[str, list[tuple[Block, str, list[str] | None]]]:
+def script(
+    page: Path, steps: Path
+) -> tuple[str, list[tuple[Block, str, list[str] | None]]]:
     """The shell script that does what a page says, and its steps."""
     lines, done = [SHELL], []
     if page.name in GIVEN:
@@ -249,7 +263,9 @@ def to_run(page: Path) -> bool:
 )
 def test_the_commands_of_a_page_work(page: Path, tmp_path: Path) -> None:
     """Each command ends well, and says what the page says."""
-    if subprocess.run([*NAMESPACES, "ip", "link"], capture_output=True, check=False).returncode:
+    if subprocess.run(
+        [*NAMESPACES, "ip", "link"], capture_output=True, check=False
+    ).returncode:
         pytest.skip(
             "no namespaces: this needs root, or users who may make them, and the programs unshare "
             "and ip"

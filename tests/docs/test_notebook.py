@@ -29,7 +29,10 @@ def processes_with(text: str) -> list[str]:
     found = []
     for folder in Path("/proc").iterdir():
         try:
-            if folder.name.isdigit() and text.encode() in (folder / "environ").read_bytes():
+            if (
+                folder.name.isdigit()
+                and text.encode() in (folder / "environ").read_bytes()
+            ):
                 found.append((folder / "cmdline").read_text())
         except OSError:
             continue
@@ -39,7 +42,11 @@ def processes_with(text: str) -> list[str]:
 def test_the_stored_notebook_has_no_outputs() -> None:
     """So that a change of it can be read."""
     for cell in code(json.loads(NOTEBOOK.read_text(encoding="utf-8"))):
-        assert (cell["outputs"], cell["execution_count"], cell["metadata"]) == ([], None, {})
+        assert (cell["outputs"], cell["execution_count"], cell["metadata"]) == (
+            [],
+            None,
+            {},
+        )
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +55,12 @@ def executed(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
     folder = tmp_path_factory.mktemp("notebook")
     private = {
         name: str(folder / name)
-        for name in ("IPYTHONDIR", "JUPYTER_RUNTIME_DIR", "JUPYTER_CONFIG_DIR", "JUPYTER_DATA_DIR")
+        for name in (
+            "IPYTHONDIR",
+            "JUPYTER_RUNTIME_DIR",
+            "JUPYTER_CONFIG_DIR",
+            "JUPYTER_DATA_DIR",
+        )
     }
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", EXECUTE, str(NOTEBOOK)],
@@ -76,7 +88,9 @@ def test_every_cell_runs_without_a_warning(executed: list[dict[str, Any]]) -> No
 
 
 @pytest.mark.docs
-def test_the_notebook_shows_curves_tables_and_progress(executed: list[dict[str, Any]]) -> None:
+def test_the_notebook_shows_curves_tables_and_progress(
+    executed: list[dict[str, Any]],
+) -> None:
     shown = [
         (number, kind, "".join(content))
         for number, cell in enumerate(executed)
@@ -84,13 +98,16 @@ def test_the_notebook_shows_curves_tables_and_progress(executed: list[dict[str, 
         for kind, content in output.get("data", {}).items()
     ]
     curves = [
-        number for number, kind, content in shown if kind == "image/svg+xml" and "<svg" in content
+        number
+        for number, kind, content in shown
+        if kind == "image/svg+xml" and "<svg" in content
     ]
     assert curves == [1, 4]
     summaries = [content for _, kind, content in shown if kind == "text/html"]
     assert "30 of 60, stopped" in summaries[0]
     assert "60 of 60, finished" in summaries[1]
     assert any(
-        "best fitness" in content and "after 60 generations" in content for _, _, content in shown
+        "best fitness" in content and "after 60 generations" in content
+        for _, _, content in shown
     ), "progress"
     assert any("diversity_mean" in content for content in summaries)

@@ -37,10 +37,12 @@ def test_every_public_function_logger_call_and_error_is_in_the_document() -> Non
     calls = [name for name in vars(zswarm.Logger) if name.startswith("on_")]
     for name in (*functions, *calls):
         assert re.search(rf"\b{name}\b", TEXT), name
-    public = {name for name in zswarm.__all__ if issubclass_of_error(getattr(zswarm, name))}
-    assert public == set(re.findall(r"`(?:zswarm\.)?(\w+)`", TEXT)) & set(vars(errors)) | {
-        "ZswarmError"
+    public = {
+        name for name in zswarm.__all__ if issubclass_of_error(getattr(zswarm, name))
     }
+    assert public == set(re.findall(r"`(?:zswarm\.)?(\w+)`", TEXT)) & set(
+        vars(errors)
+    ) | {"ZswarmError"}
 
 
 def issubclass_of_error(value: Any) -> bool:

@@ -12,7 +12,9 @@ EXAMPLES = REPOSITORY / "examples" / "python"
 
 
 def example(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(f"example_{name}", EXAMPLES / f"{name}.py")
+    spec = importlib.util.spec_from_file_location(
+        f"example_{name}", EXAMPLES / f"{name}.py"
+    )
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -46,5 +48,11 @@ def test_a_run_is_shown_in_tensorboard(tmp_path: Path) -> None:
         for value in event.summary.value
         if value.tag == "best"
     }
-    assert best == {row["generation"]: pytest.approx(row["best"]) for row in run.history()}
-    assert any(value.tag.startswith("events") for event in events for value in event.summary.value)
+    assert best == {
+        row["generation"]: pytest.approx(row["best"]) for row in run.history()
+    }
+    assert any(
+        value.tag.startswith("events")
+        for event in events
+        for value in event.summary.value
+    )

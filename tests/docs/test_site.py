@@ -36,10 +36,15 @@ reference = module("reference")
 def toctrees() -> list[str]:
     """The pages that index.md names, in their order."""
     blocks = re.findall(
-        r"^```\{toctree\}\n(.*?)^```$", (DOCS / "index.md").read_text(encoding="utf-8"), re.S | re.M
+        r"^```\{toctree\}\n(.*?)^```$",
+        (DOCS / "index.md").read_text(encoding="utf-8"),
+        re.S | re.M,
     )
     lines = [
-        line for block in blocks for line in block.splitlines() if line and not line.startswith(":")
+        line
+        for block in blocks
+        for line in block.splitlines()
+        if line and not line.startswith(":")
     ]
     return [re.sub(r"^.* <(.*)>$", r"\1", line) for line in lines]
 
@@ -49,7 +54,9 @@ def anchors(document: Path) -> set[str]:
     found: set[str] = set()
     for heading in re.findall(
         r"^#+ (.*)$",
-        re.sub(r"^```.*?^```$", "", document.read_text(encoding="utf-8"), flags=re.S | re.M),
+        re.sub(
+            r"^```.*?^```$", "", document.read_text(encoding="utf-8"), flags=re.S | re.M
+        ),
         re.M,
     ):
         words = re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
@@ -124,7 +131,9 @@ def commands() -> list[tuple[str, str]]:
     """Return our commands named within a line, such as `zswarm-ot resume RUN`, by document."""
     found = []
     for document in DOCUMENTS:
-        text = re.sub(r"^```.*?^```$", "", document.read_text(encoding="utf-8"), flags=re.S | re.M)
+        text = re.sub(
+            r"^```.*?^```$", "", document.read_text(encoding="utf-8"), flags=re.S | re.M
+        )
         found += [
             (document.name, " ".join(said.split()))
             for said in re.findall(r"`(zswarm-(?:ot|ss|router|keys) [^`]*)`", text)
@@ -142,7 +151,9 @@ def test_commands_within_sentences_exist(document: str, said: str) -> None:
         assert found is not None, f"{document}: {said}"
         command = found
     known = {
-        spelling for option in command.params for spelling in [*option.opts, *option.secondary_opts]
+        spelling
+        for option in command.params
+        for spelling in [*option.opts, *option.secondary_opts]
     }
     for word in words:
         if word.startswith("-"):
@@ -186,7 +197,9 @@ def table_rows(text: str, heading: str, option: str) -> list[list[str]]:
 
 
 @pytest.mark.parametrize(("command", "option", "default"), defaults())
-def test_a_default_is_what_the_document_says(command: str, option: str, default: str) -> None:
+def test_a_default_is_what_the_document_says(
+    command: str, option: str, default: str
+) -> None:
     """In the table of commands.md that has the option, or in the one above that it refers to."""
     text = (DOCS / "commands.md").read_text(encoding="utf-8")
     program, _, name = command.partition(" ")

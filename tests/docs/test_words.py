@@ -29,11 +29,17 @@ def docstrings() -> Iterator[tuple[str, ast.AST, str]]:
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
                 name = getattr(node, "name", "module")
-                yield f"{path.relative_to(PACKAGE)}: {name}", node, ast.get_docstring(node) or ""
+                yield (
+                    f"{path.relative_to(PACKAGE)}: {name}",
+                    node,
+                    ast.get_docstring(node) or "",
+                )
 
 
 def test_docstrings_of_functions_begin_with_a_verb() -> None:
-    functions = [(at, text) for at, node, text in docstrings() if isinstance(node, ast.FunctionDef)]
+    functions = [
+        (at, text) for at, node, text in docstrings() if isinstance(node, ast.FunctionDef)
+    ]
     assert [at for at, text in functions if text.partition(" ")[0] in FRAGMENTS] == []
 
 

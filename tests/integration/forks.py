@@ -50,10 +50,20 @@ class Forks:
         self._program.communicate()  # the end of its input ends it
 
     def run(
-        self, experiment: dict[str, Any], out: Path, servers: Sequence[str], *, killed: bool = False
+        self,
+        experiment: dict[str, Any],
+        out: Path,
+        servers: Sequence[str],
+        *,
+        killed: bool = False,
     ) -> None:
         """Evolve on these servers only, to the end or until SIGKILL in generation ``KILLED_IN``."""
-        task = {"experiment": experiment, "out": str(out), "servers": servers, "killed": killed}
+        task = {
+            "experiment": experiment,
+            "out": str(out),
+            "servers": servers,
+            "killed": killed,
+        }
         self._play(task, -signal.SIGKILL if killed else 0)
 
     def resume(self, run: Path, servers: Sequence[str]) -> None:
@@ -155,7 +165,9 @@ def play(task: dict[str, Any]) -> None:
                         os.getpid(), signal.SIGKILL
                     )  # results came in one message; the next generation is on its way
                 if generation.generation == 0:
-                    wait_until(lambda: connection.slots == len(servers), "all servers are ready")
+                    wait_until(
+                        lambda: connection.slots == len(servers), "all servers are ready"
+                    )
 
 
 if __name__ == "__main__":

@@ -15,12 +15,23 @@ import time
 from typing import Any, NamedTuple
 
 from tests.integration.paced import Pace, Scene, Size
-from tests.integration.programs import Optimizer, Server, children, query, status, wait_until
+from tests.integration.programs import (
+    Optimizer,
+    Server,
+    children,
+    query,
+    status,
+    wait_until,
+)
 
 SERVERS = 3  # of one slot
 LOOK_S = 0.03  # between two looks at a process: three ticks of its processor time
 BUSY_S, SLOW_S = 0.03, 0.3  # of a trial; the second while the run is ahead of the killer
-STOPPED_S = (0.5, 2.0, 10.0)  # of a stopped server; the last is longer than the link timeout
+STOPPED_S = (
+    0.5,
+    2.0,
+    10.0,
+)  # of a stopped server; the last is longer than the link timeout
 TARGETS = {
     "slot": 45,
     "server": 20,
@@ -60,7 +71,9 @@ class Campaign:
         self._scene, self._trials, self._wanted = scene, trials, kills
         self._random = random.Random(seed)
         self._begin = time.monotonic()
-        self._servers: list[tuple[Server, Pace]] = [scene.server(f"ss-{i}") for i in range(SERVERS)]
+        self._servers: list[tuple[Server, Pace]] = [
+            scene.server(f"ss-{i}") for i in range(SERVERS)
+        ]
         self._go_on_at: dict[int, float] = {}  # stopped servers
         self._counted = 0
         self._start_optimizer(resume=False)
@@ -99,7 +112,9 @@ class Campaign:
             return None
         number = signal.SIGSTOP if target == "stopped server" else signal.SIGKILL
         slot, fork_server, evidence = busy
-        process = {"slot": slot, "fork server": fork_server}.get(target, server.process.pid)
+        process = {"slot": slot, "fork server": fork_server}.get(
+            target, server.process.pid
+        )
         if number == signal.SIGSTOP:
             self._scene.stop(process)
             self._go_on_at[index] = time.monotonic() + self._random.choice(STOPPED_S)
@@ -116,7 +131,9 @@ class Campaign:
     def _busy(self, server: Server, pace: Pace) -> tuple[int, int, str] | None:
         """Return a server's busy slot, its fork server, and the evidence."""
         fork_server = server.fork_server()
-        slots = children(fork_server) if fork_server and server.events("server_ready") else []
+        slots = (
+            children(fork_server) if fork_server and server.events("server_ready") else []
+        )
         if not slots:
             return None
         trials = sum(played.process == slots[0] for played in pace.played())
@@ -165,13 +182,15 @@ class Campaign:
         for index, (server, pace) in enumerate(self._servers):
             if server.process.poll() is not None:
                 port = int(server.endpoint.rpartition(":")[2])
-                again = self._scene.start_server(f"ss-{index}-{len(self.strikes)}", pace, port=port)
+                again = self._scene.start_server(
+                    f"ss-{index}-{len(self.strikes)}", pace, port=port
+                )
                 self._servers[index] = (again, pace)
         if (code := self._optimizer.process.poll()) is not None:
             if code != -signal.SIGKILL:
-                assert "a trial ended in a fault 3 times" in self._optimizer.err.read_text(), (
-                    self._optimizer.err.read_text()
-                )
+                assert (
+                    "a trial ended in a fault 3 times" in self._optimizer.err.read_text()
+                ), self._optimizer.err.read_text()
                 self.paused += 1
             self._start_optimizer(resume=True)
         return self._optimizer.process.poll() is None

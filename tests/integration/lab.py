@@ -63,7 +63,9 @@ class Host:
     def succeeds(self, *command: str) -> bool:
         """Return whether a short command succeeds here."""
         return (
-            subprocess.run([*self.inside, *command], check=False, capture_output=True).returncode
+            subprocess.run(
+                [*self.inside, *command], check=False, capture_output=True
+            ).returncode
             == 0
         )
 
@@ -113,7 +115,12 @@ class Network:
         """Switch a host's port up or down."""
         assert interface.startswith("eth")
         _ip(
-            "-n", self._namespace, "link", "set", f"p{self._hosts.index(host.namespace) + 1}", state
+            "-n",
+            self._namespace,
+            "link",
+            "set",
+            f"p{self._hosts.index(host.namespace) + 1}",
+            state,
         )
 
 
@@ -129,7 +136,9 @@ class Lab:
         if reason := _forbidden():
             pytest.skip(reason)
         for namespace in sorted(NAMESPACES.glob(f"{PREFIX}-*-*-*")):
-            owner = re.fullmatch(rf"{PREFIX}-([0-9]+)-[0-9a-f]{{6}}-[0-9]+", namespace.name)
+            owner = re.fullmatch(
+                rf"{PREFIX}-([0-9]+)-[0-9a-f]{{6}}-[0-9]+", namespace.name
+            )
             if owner and not Path(f"/proc/{owner[1]}").exists():
                 _delete(namespace.name)
         return self
@@ -174,7 +183,11 @@ def _forbidden() -> str:
         text=True,
     )
     _delete(name)
-    return f"no bridge can be made here: {tried.stderr.strip()}" if tried.returncode != 0 else ""
+    return (
+        f"no bridge can be made here: {tried.stderr.strip()}"
+        if tried.returncode != 0
+        else ""
+    )
 
 
 def _delete(namespace: str) -> None:
@@ -192,7 +205,9 @@ def _delete(namespace: str) -> None:
 
 def _pids(namespace: str) -> list[int]:
     """Return a namespace's processes; unreaped ones have already left it."""
-    told = subprocess.run(["ip", "netns", "pids", namespace], capture_output=True, text=True)
+    told = subprocess.run(
+        ["ip", "netns", "pids", namespace], capture_output=True, text=True
+    )
     return [int(pid) for pid in told.stdout.split()]
 
 

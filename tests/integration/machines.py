@@ -85,7 +85,11 @@ class Machine:
         self._lab = lab
         self._nspawn: subprocess.Popen[bytes] | None = None
         self._init = 0  # its process 1, as it is numbered outside
-        lab.run(DISK.format(folder=shlex.quote(str(lab.folder)), name=name, address=self.address))
+        lab.run(
+            DISK.format(
+                folder=shlex.quote(str(lab.folder)), name=name, address=self.address
+            )
+        )
 
     def __enter__(self) -> Self:
         self.switch_on()
@@ -122,22 +126,32 @@ class Machine:
             "--link-journal=no",
             "--console=pipe",
         ]
-        command += ["--resolv-conf=off", "--timezone=off", f"--bind={self._lab.shared}:/srv"]
+        command += [
+            "--resolv-conf=off",
+            "--timezone=off",
+            f"--bind={self._lab.shared}:/srv",
+        ]
         # In a group of its own, of version 2: there systemd is told when the last process of a
         # service ended.
         groups = [shlex.quote(str(folder / self.name)) for folder in self._lab.groups]
-        enter = "".join(f"mkdir -p {group}; echo 0 > {group}/cgroup.procs; " for group in groups)
+        enter = "".join(
+            f"mkdir -p {group}; echo 0 > {group}/cgroup.procs; " for group in groups
+        )
         environment = "export SYSTEMD_NSPAWN_UNIFIED_HIERARCHY=1; "
         with log.open("ab") as out:
             self._nspawn = self._lab.popen(
-                ["sh", "-eu", "-c", f"{enter}{environment}exec {shlex.join(command)}"], out
+                ["sh", "-eu", "-c", f"{enter}{environment}exec {shlex.join(command)}"],
+                out,
             )
         self._init = wait_until(self._find_init, f"{self.name} boots: {log}")
 
     def wait_up(self) -> None:
         """Wait until systemd has started everything."""
         wait_until(
-            lambda: self.run("systemctl is-system-running || :").strip() in ("running", "degraded"),
+            lambda: (
+                self.run("systemctl is-system-running || :").strip()
+                in ("running", "degraded")
+            ),
             "it is up",
             BOOT_S,
         )
@@ -145,7 +159,9 @@ class Machine:
     def run(self, script: str, answers: str = "") -> str:
         """Run a shell script as root on its console, answer its prompts, return its output."""
         command = self.inside("sh", "-eu", "-c", script)
-        done = subprocess.run(command, input=answers, capture_output=True, text=True, timeout=RUN_S)
+        done = subprocess.run(
+            command, input=answers, capture_output=True, text=True, timeout=RUN_S
+        )
         assert done.returncode == 0, f"{self.name}: {script}\n{done.stdout}{done.stderr}"
         return done.stdout
 
@@ -219,12 +235,18 @@ class Machines:
     def __enter__(self) -> Self:
         if reason := _forbidden():
             pytest.skip(reason)
-        for group in [group for folder in HIERARCHIES for group in folder.glob(f"{PREFIX}-*-*")]:
+        for group in [
+            group for folder in HIERARCHIES for group in folder.glob(f"{PREFIX}-*-*")
+        ]:
             owner = re.fullmatch(rf"{PREFIX}-([0-9]+)-[0-9a-f]{{6}}", group.name)
             if owner and not Path(f"/proc/{owner[1]}").exists():
                 _remove(group)
-        script = "set -eu" + PLACE.format(space=SPACE, folder=shlex.quote(str(self.folder)))
-        self._holder = subprocess.Popen([*_HOLD, "sh", "-c", script], stdin=subprocess.DEVNULL)
+        script = "set -eu" + PLACE.format(
+            space=SPACE, folder=shlex.quote(str(self.folder))
+        )
+        self._holder = subprocess.Popen(
+            [*_HOLD, "sh", "-c", script], stdin=subprocess.DEVNULL
+        )
         self._first = wait_until(self._find_first, "the lab is made")
         self.depth = len(_numbers(self._first))
         return self
@@ -318,7 +340,10 @@ def _forbidden() -> str:
     if tried.returncode != 0:
         return f"namespaces, overlays or bridges are not permitted here: {tried.stderr.strip()}"
     fit = "import ensurepip, sys; sys.exit(sys.version_info < (3, 11))"
-    if subprocess.run([*CLEAN, "python3", "-c", fit], capture_output=True).returncode != 0:
+    if (
+        subprocess.run([*CLEAN, "python3", "-c", fit], capture_output=True).returncode
+        != 0
+    ):
         return "the system's python3 is not 3.11 with venv (Debian: apt install python3-venv)"
     return ""
 

@@ -148,7 +148,9 @@ class Pace:
         return wait_until(self._held, f"a trial of {self.folder.name} is held")
 
     def _held(self) -> int:
-        return next((int(path.name.partition("-")[2]) for path in self.folder.glob("held-*")), 0)
+        return next(
+            (int(path.name.partition("-")[2]) for path in self.folder.glob("held-*")), 0
+        )
 
     def let_go(self) -> None:
         """Release the held trial."""
@@ -185,7 +187,9 @@ class Size(NamedTuple):
         """Install the plug-in into a new folder."""
         folder.mkdir()
         return {
-            "PYTHONPATH": install(folder, "zswarm_paced", SOURCE, "paced = zswarm_paced:Paced"),
+            "PYTHONPATH": install(
+                folder, "zswarm_paced", SOURCE, "paced = zswarm_paced:Paced"
+            ),
             "ZSWARM_PLAIN": "" if self.compiled else "1",
         }
 
@@ -298,7 +302,11 @@ class Scene:
         return server
 
     def optimizer(
-        self, *endpoints: str, resume: Path | None = None, inside: Sequence[str] = (), wait: int = 0
+        self,
+        *endpoints: str,
+        resume: Path | None = None,
+        inside: Sequence[str] = (),
+        wait: int = 0,
     ) -> Optimizer:
         """Start an optimizer that begins with all servers, or a given number."""
         what = (
@@ -307,9 +315,19 @@ class Scene:
             else ["run", self.size.write(self.folder / "paced.toml")]
         )
         connect = [f"--connect={endpoint}" for endpoint in endpoints]
-        options = ["--json", "--no-multicast", "--servers", str(wait or len(endpoints)), *connect]
+        options = [
+            "--json",
+            "--no-multicast",
+            "--servers",
+            str(wait or len(endpoints)),
+            *connect,
+        ]
         optimizer = Optimizer(
-            self.folder, f"ot-{len(self._programs)}", [*what, *options], inside, **self.environment
+            self.folder,
+            f"ot-{len(self._programs)}",
+            [*what, *options],
+            inside,
+            **self.environment,
         )
         self._programs.append(optimizer)
         return optimizer
@@ -343,7 +361,11 @@ class Scene:
     def events(self, event: str, server: str = "") -> list[str]:
         """Return texts of the record's events of servers whose names begin with a prefix."""
         rows = query(self.run, "SELECT event, server, text FROM events ORDER BY at")
-        return [text for found, name, text in rows if found == event and name.startswith(server)]
+        return [
+            text
+            for found, name, text in rows
+            if found == event and name.startswith(server)
+        ]
 
     def check(
         self, done: dict[str, Any], undisturbed: Undisturbed, run: Path | None = None

@@ -102,7 +102,10 @@ trial_memory_mb = 512
 def install(folder: Path) -> str:
     """Install the plug-in into a folder and return the PYTHONPATH to use."""
     return programs.install(
-        folder, "zswarm_rough", SOURCE, "rough = zswarm_rough:Rough\nbroken = zswarm_nowhere:X"
+        folder,
+        "zswarm_rough",
+        SOURCE,
+        "rough = zswarm_rough:Rough\nbroken = zswarm_nowhere:X",
     )
 
 

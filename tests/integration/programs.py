@@ -22,7 +22,9 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def wait_until(condition: Callable[[], Any], what: str, deadline_s: float = DEADLINE_S) -> Any:
+def wait_until(
+    condition: Callable[[], Any], what: str, deadline_s: float = DEADLINE_S
+) -> Any:
     """Return the condition's first true value, polled often."""
     end = time.monotonic() + deadline_s
     while time.monotonic() < end:
@@ -123,7 +125,11 @@ class Server(Program):
     def fork_server(self) -> int:
         """Return the process its slots are forked from; 0 before there is one."""
         return next(
-            (child for child in children(self.process.pid) if "forkserver" in command_line(child)),
+            (
+                child
+                for child in children(self.process.pid)
+                if "forkserver" in command_line(child)
+            ),
             0,
         )
 
@@ -154,11 +160,15 @@ class Optimizer(Program):
             (hidden / "sitecustomize.py").write_text(NO_PICTURES)
             path = environment.get("PYTHONPATH", os.environ.get("PYTHONPATH", ""))
             environment["PYTHONPATH"] = os.pathsep.join(filter(None, [str(hidden), path]))
-        super().__init__(folder, name, ["-m", "zswarm.ot", *arguments], inside, **environment)
+        super().__init__(
+            folder, name, ["-m", "zswarm.ot", *arguments], inside, **environment
+        )
 
     def lines(self) -> list[dict[str, Any]]:
         return [
-            json.loads(line) for line in self.out.read_text().splitlines() if line.endswith("}")
+            json.loads(line)
+            for line in self.out.read_text().splitlines()
+            if line.endswith("}")
         ]
 
     def done(self) -> dict[str, Any]:
@@ -235,6 +245,8 @@ def install(folder: Path, module: str, source: str, simulators: str) -> str:
     metadata = folder / f"{module}-1.0.dist-info"
     metadata.mkdir()
     name = module.replace("_", "-")
-    (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+    (metadata / "METADATA").write_text(
+        f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n"
+    )
     (metadata / "entry_points.txt").write_text(f"[zswarm.simulators]\n{simulators}\n")
     return os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])

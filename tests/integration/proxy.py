@@ -9,9 +9,7 @@ from types import TracebackType
 from typing import Self
 
 CHUNK = 1024  # bytes: at 20 kB/s, a chunk every 0.05 s
-BUFFER = (
-    8192  # bytes the kernel keeps for it: what a sender wrote is soon on the way, not in a buffer
-)
+BUFFER = 8192  # bytes the kernel keeps for it: what a sender wrote is soon on the way
 RESET = struct.pack("ii", 1, 0)  # closing sends RST
 
 
@@ -77,7 +75,9 @@ class Proxy:
                 target=self._forward, args=(far, near), kwargs={"back": True}, daemon=True
             ).start()
 
-    def _forward(self, source: socket.socket, sink: socket.socket, *, back: bool = False) -> None:
+    def _forward(
+        self, source: socket.socket, sink: socket.socket, *, back: bool = False
+    ) -> None:
         due = time.monotonic()
         with contextlib.suppress(OSError):
             while data := source.recv(CHUNK):

@@ -62,7 +62,10 @@ def test_an_interrupted_program_keeps_its_servers_and_its_run(tmp_path: Path) ->
     try:
         wait_until(lambda: (folder / "champion.zsc").exists(), "a generation is over")
         os.killpg(program.pid, signal.SIGINT)
-        wait_until(lambda: "evaluating" in log.read_text(), "the run is stopped, and it evaluates")
+        wait_until(
+            lambda: "evaluating" in log.read_text(),
+            "the run is stopped, and it evaluates",
+        )
         os.killpg(program.pid, signal.SIGINT)
         assert program.wait(programs.DEADLINE_S) == 0
     finally:
@@ -80,9 +83,14 @@ def test_an_interrupted_program_keeps_its_servers_and_its_run(tmp_path: Path) ->
     assert left.generations() > 0
 
 
-def test_failing_simulators_are_reported_and_the_connection_continues(tmp_path: Path) -> None:
+def test_failing_simulators_are_reported_and_the_connection_continues(
+    tmp_path: Path,
+) -> None:
     """What raises is a candidate's NaN; what ends the process is an error."""
-    environment = os.environ | {"PYTHONPATH": plugin.install(tmp_path), "ZSWARM_PLAIN": "1"}
+    environment = os.environ | {
+        "PYTHONPATH": plugin.install(tmp_path),
+        "ZSWARM_PLAIN": "1",
+    }
     done = subprocess.run(
         [sys.executable, "-c", FAILING],
         cwd=tmp_path,

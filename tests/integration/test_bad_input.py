@@ -19,7 +19,14 @@ from zswarm import session
 from zswarm.ot import cli
 
 NOBODY = ["--servers", "1", "--no-multicast"]  # no slots of this machine are started
-SMALL = ["--set", "generations=2", "--set", "optimizer.population=10", "--set", "problem.trials=2"]
+SMALL = [
+    "--set",
+    "generations=2",
+    "--set",
+    "optimizer.population=10",
+    "--set",
+    "problem.trials=2",
+]
 
 
 def only_line(text: str) -> str:
@@ -71,11 +78,27 @@ def evolve_rough(tmp_path: Path, rough: str, how: str, *options: str) -> Optimiz
         (["check", "damaged-run"], 2, "resume it with zswarm-ot resume"),
         (["evaluate", "nothing.toml"], 2, "an experiment has no champion"),
         (["evaluate", "damaged-run"], 2, "no champion.zsc in it"),
-        (["evaluate", "study"], 2, "a folder of runs; expected one of them, such as study/a"),
+        (
+            ["evaluate", "study"],
+            2,
+            "a folder of runs; expected one of them, such as study/a",
+        ),
         (["list", "nofolder"], 2, "nofolder: no such folder"),
-        (["run", *NOBODY, "--set", "problem.simulator=stage"], 2, "unknown simulator 'stage'"),
-        (["run", *NOBODY, "--set", "representation.kind=lstm"], 2, "unknown representation 'lstm'"),
-        (["run", *NOBODY, "--set", "problem.settings.width=30"], 2, "width must not exceed height"),
+        (
+            ["run", *NOBODY, "--set", "problem.simulator=stage"],
+            2,
+            "unknown simulator 'stage'",
+        ),
+        (
+            ["run", *NOBODY, "--set", "representation.kind=lstm"],
+            2,
+            "unknown representation 'lstm'",
+        ),
+        (
+            ["run", *NOBODY, "--set", "problem.settings.width=30"],
+            2,
+            "width must not exceed height",
+        ),
         (
             ["run", *NOBODY, "--set", "problem.settings.agents=ten"],
             2,
@@ -97,9 +120,21 @@ def evolve_rough(tmp_path: Path, rough: str, how: str, *options: str) -> Optimiz
             2,
             "cluster.require: no server can meet gpu=yes and gpu=no",
         ),
-        (["run", *NOBODY, "--rank", "--cores"], 2, "cluster.rank: expected the name of a label"),
-        (["run", *NOBODY, "--max-slots", "-1"], 2, "cluster: max_slots: expected int >= 0"),
-        (["run", "--through-router", "--no-multicast"], 2, "name the router in cluster.connect"),
+        (
+            ["run", *NOBODY, "--rank", "--cores"],
+            2,
+            "cluster.rank: expected the name of a label",
+        ),
+        (
+            ["run", *NOBODY, "--max-slots", "-1"],
+            2,
+            "cluster: max_slots: expected int >= 0",
+        ),
+        (
+            ["run", "--through-router", "--no-multicast"],
+            2,
+            "name the router in cluster.connect",
+        ),
         (["servers", "--connect", "tcp/lab:http"], 2, "the port must be a number"),
         (["run", "--out", "damaged.toml/runs"], 2, "choose another place with --out"),
         (["resume", "."], 2, "no run"),
@@ -170,7 +205,8 @@ def test_a_damaged_daemon_configuration_exits_with_78(
 
 
 @pytest.mark.parametrize(
-    ("name", "words"), [("none.toml", "No such file or directory"), (".", "Is a directory")]
+    ("name", "words"),
+    [("none.toml", "No such file or directory"), (".", "Is a directory")],
 )
 def test_a_daemon_configuration_that_cannot_be_read_is_named(
     tmp_path: Path, name: str, words: str
@@ -182,7 +218,9 @@ def test_a_daemon_configuration_that_cannot_be_read_is_named(
 
 @pytest.mark.faults
 def test_a_server_whose_slots_have_too_little_memory_is_named(tmp_path: Path) -> None:
-    server = Server(tmp_path, "ss", options=("--slot-memory", "512"), ZSWARM_PLAIN="1").ready()
+    server = Server(
+        tmp_path, "ss", options=("--slot-memory", "512"), ZSWARM_PLAIN="1"
+    ).ready()
     options = [
         "--no-multicast",
         "--connect",
@@ -209,16 +247,23 @@ def test_more_memory_than_this_machine_has_is_named(tmp_path: Path) -> None:
 
 
 def test_servers_that_do_not_match_are_named_with_the_reason(tmp_path: Path) -> None:
-    server = Server(tmp_path, "ss", options=("--simulators", "minisim"), ZSWARM_PLAIN="1").ready()
+    server = Server(
+        tmp_path, "ss", options=("--simulators", "minisim"), ZSWARM_PLAIN="1"
+    ).ready()
     options = ["--no-multicast", "--connect", server.endpoint]
     try:
         optimizer = Optimizer(tmp_path, "ot", ["run", "--servers", "1", *options])
         assert optimizer.wait() == 4
-        assert "no simulator 'emergency-exit' here; there are minisim" in optimizer.err.read_text()
-        assert "0 of 1 matching servers" in only_line(optimizer.err.read_text())
-        assert optimizer.err.read_text().splitlines()[-1].startswith("stopped; nothing is lost."), (
-            "after the reason"
+        assert (
+            "no simulator 'emergency-exit' here; there are minisim"
+            in optimizer.err.read_text()
         )
+        assert "0 of 1 matching servers" in only_line(optimizer.err.read_text())
+        assert (
+            optimizer.err.read_text()
+            .splitlines()[-1]
+            .startswith("stopped; nothing is lost.")
+        ), "after the reason"
         seen = Optimizer(
             tmp_path,
             "seen",
@@ -235,9 +280,13 @@ def test_a_server_of_another_protocol_version_is_named(tmp_path: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     opened, _ = session.open_server([endpoint], session.Reach([], multicast=False))
     try:
-        _token = opened.liveliness().declare_token("zswarm/v9/default/ss/future-0123abcd/alive")
+        _token = opened.liveliness().declare_token(
+            "zswarm/v9/default/ss/future-0123abcd/alive"
+        )
         optimizer = Optimizer(
-            tmp_path, "ot", ["run", "--servers", "1", "--no-multicast", "--connect", endpoint]
+            tmp_path,
+            "ot",
+            ["run", "--servers", "1", "--no-multicast", "--connect", endpoint],
         )
         assert optimizer.wait() == 4
         assert (
@@ -249,7 +298,9 @@ def test_a_server_of_another_protocol_version_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.programs
-def test_a_simulator_that_raises_is_an_outcome_and_named(tmp_path: Path, rough: str) -> None:
+def test_a_simulator_that_raises_is_an_outcome_and_named(
+    tmp_path: Path, rough: str
+) -> None:
     optimizer = evolve_rough(tmp_path, rough, "raises")
     optimizer.done()
     text = optimizer.err.read_text()
@@ -283,7 +334,10 @@ def test_a_simulator_that_ends_its_process_pauses_the_run_and_names_the_cause(
 @pytest.mark.programs
 @pytest.mark.parametrize(
     "how",
-    ["exits", *(pytest.param(how, marks=pytest.mark.faults) for how in ("segfault", "hoards"))],
+    [
+        "exits",
+        *(pytest.param(how, marks=pytest.mark.faults) for how in ("segfault", "hoards")),
+    ],
 )
 def test_quarantine_counts_the_guilty_trials_and_no_other(
     tmp_path: Path, rough: str, how: str
@@ -302,7 +356,9 @@ def test_quarantine_counts_the_guilty_trials_and_no_other(
     for trials, fitness, faulted in query(
         tmp_path / "runs" / "rough", "SELECT trials, fitness, faulted FROM outcomes"
     ):
-        rows = list(zip(np.frombuffer(trials, "<u4"), np.frombuffer(fitness, "<f8"), strict=True))
+        rows = list(
+            zip(np.frombuffer(trials, "<u4"), np.frombuffer(fitness, "<f8"), strict=True)
+        )
         (guilty if faulted else innocent).extend(rows)
     assert sorted(trial for trial, _ in guilty) == list(range(1, 12, 3))
     assert all(np.isnan(value) for _, value in guilty)
@@ -414,13 +470,18 @@ def slots_of(server: int) -> list[int]:
     """Return the slots' processes: children of the server's fork server."""
 
     def children(of: int) -> list[int]:
-        return [int(child) for child in Path(f"/proc/{of}/task/{of}/children").read_text().split()]
+        return [
+            int(child)
+            for child in Path(f"/proc/{of}/task/{of}/children").read_text().split()
+        ]
 
     return [slot for child in children(server) for slot in children(child)]
 
 
 @pytest.mark.parametrize("seconds", [2, pytest.param(30, marks=pytest.mark.faults)])
-def test_a_daemon_survives_random_bytes_on_every_key(tmp_path: Path, seconds: int) -> None:
+def test_a_daemon_survives_random_bytes_on_every_key(
+    tmp_path: Path, seconds: int
+) -> None:
     server = Server(tmp_path, "ss").ready()
     name = server.events("server_ready")[0]["server"]
     draw = random.Random(7)
@@ -428,7 +489,15 @@ def test_a_daemon_survives_random_bytes_on_every_key(tmp_path: Path, seconds: in
         "offer",
         *(
             f"ot/someone/some-run/{verb}"
-            for verb in ("reserve", "renew", "evaluate", "cancel", "release", "x", "reserve/y")
+            for verb in (
+                "reserve",
+                "renew",
+                "evaluate",
+                "cancel",
+                "release",
+                "x",
+                "reserve/y",
+            )
         ),
     ]
     answers = 0
@@ -457,8 +526,17 @@ def test_a_daemon_survives_random_bytes_on_every_key(tmp_path: Path, seconds: in
         session.close(opened)
     try:
         assert answers > 100, "malformed requests are answered with a refusal"
-        assert 1 < len(server.events("malformed")) < 40, "they are logged, and do not flood the log"
-        options = ["--json", "--no-multicast", "--servers", "1", "--connect", server.endpoint]
+        assert 1 < len(server.events("malformed")) < 40, (
+            "they are logged, and do not flood the log"
+        )
+        options = [
+            "--json",
+            "--no-multicast",
+            "--servers",
+            "1",
+            "--connect",
+            server.endpoint,
+        ]
         Optimizer(tmp_path, "next", ["run", *SMALL, *options]).done()
         assert server.process.poll() is None
     finally:

@@ -237,12 +237,23 @@ def test_a_misbehaving_simulator_affects_only_its_own_trials(tmp_path: Path) -> 
     environment = {"PYTHONPATH": installed, "ZSWARM_PLAIN": "1"}
     server = Server(tmp_path, "ss", **environment).ready()
     try:
-        options = ["--json", "--no-multicast", "--servers", "1", "--connect", server.endpoint]
-        optimizer = Optimizer(tmp_path, "ot", ["run", str(experiment), *options], **environment)
+        options = [
+            "--json",
+            "--no-multicast",
+            "--servers",
+            "1",
+            "--connect",
+            server.endpoint,
+        ]
+        optimizer = Optimizer(
+            tmp_path, "ot", ["run", str(experiment), *options], **environment
+        )
         done = optimizer.done()
         check_outcomes(tmp_path / "runs" / "bad")
         assert done["faulted"] % len(FAULTS) == 0
-        assert len(optimizer.lines()) == len(optimizer.out.read_text().splitlines()), "JSON alone"
+        assert len(optimizer.lines()) == len(optimizer.out.read_text().splitlines()), (
+            "JSON alone"
+        )
         assert re.findall("^a word of .*", optimizer.err.read_text(), re.M) == [
             *("a word of the module", "a word of the constructor", "a word of a program"),
         ]
@@ -254,7 +265,9 @@ def test_a_misbehaving_simulator_affects_only_its_own_trials(tmp_path: Path) -> 
             json.loads(line)
         said = server.events("slot_said")
         assert {"bad"} == {
-            event["simulator"] for event in said if event["text"] == "a word of the module"
+            event["simulator"]
+            for event in said
+            if event["text"] == "a word of the module"
         }
         assert len(said) <= 21 * (2 + 3 * done["faulted"]), "not the forty thousand lines"
     finally:
@@ -272,12 +285,16 @@ def check_outcomes(run: Path) -> None:
                 assert value == candidate[WHAT.index("fine")], what
             else:
                 assert np.isnan(value), what
-    told = [text for (text,) in query(run, "SELECT text FROM events WHERE event = 'fault'")]
+    told = [
+        text for (text,) in query(run, "SELECT text FROM events WHERE event = 'fault'")
+    ]
     for what, words in FAULTS.items():
         mine = [text for text in told if f"its seed {WHAT.index(what)}, " in text]
         assert len(mine) == 3 * len(fitness) // len(WHAT), (what, told)
         said = words.partition("; it wrote")[0]
         assert all(said in text for text in mine), mine
-        assert any(words in text for text in mine), "but where an earlier trial closed stderr"
+        assert any(words in text for text in mine), (
+            "but where an earlier trial closed stderr"
+        )
     raised = query(run, "SELECT text FROM events WHERE event = 'simulator_raised'")
     assert all(re.search(r"Bad, trial seed \d+: ", text) for (text,) in raised), raised

@@ -75,7 +75,12 @@ def ended() -> Iterator[None]:
 
 def run(folder: Path, *options: str, name: str = "run") -> Optimizer:
     return start(
-        folder, name, "run", evacuation.write(folder, "on-disk", STEPS, CLUSTER), "--json", *options
+        folder,
+        name,
+        "run",
+        evacuation.write(folder, "on-disk", STEPS, CLUSTER),
+        "--json",
+        *options,
     )
 
 
@@ -132,12 +137,17 @@ def test_a_run_waits_for_disk_space_and_continues(
     """Twice; nothing is evaluated again, and the server keeps the lease."""
     disk, whole = tmpfs(mount), check_run(undisturbed)
     server = Server(tmp_path, "ss")
-    optimizer = run(tmp_path, "--out", "disk", "--servers", "1", f"--connect={server.endpoint}")
+    optimizer = run(
+        tmp_path, "--out", "disk", "--servers", "1", f"--connect={server.endpoint}"
+    )
     at = disk / "on-disk"
     try:
         for episode in (1, 2):
             before = counted(at)
-            wait_until(lambda before=before: counted(at) > before + 100, "some trials are counted")
+            wait_until(
+                lambda before=before: counted(at) > before + 100,
+                "some trials are counted",
+            )
             ballast = fill(disk)
             wait_until_said(
                 optimizer,
@@ -147,7 +157,9 @@ def test_a_run_waits_for_disk_space_and_continues(
             stuck = counted(at)
             ballast.unlink()
             wait_until_said(
-                optimizer, "the disk of disk/on-disk takes data again: the run continues", episode
+                optimizer,
+                "the disk of disk/on-disk takes data again: the run continues",
+                episode,
             )
             wait_until(lambda stuck=stuck: counted(at) > stuck, "what waited is recorded")
         done = optimizer.done()
@@ -156,7 +168,9 @@ def test_a_run_waits_for_disk_space_and_continues(
         server.close()
     facts = check_run(at)
     assert done["history_hash"] == whole.history_hash == facts.history_hash
-    assert (done["requeued"], len(leases)) == (0, 1), "the run lost its server while it waited"
+    assert (done["requeued"], len(leases)) == (0, 1), (
+        "the run lost its server while it waited"
+    )
     assert query(at, "SELECT count(*) FROM events WHERE event = 'disk_waited'") == [(2,)]
     assert said(optimizer, "is full") == 2, "one line for each time"
 
@@ -203,7 +217,9 @@ def test_a_run_that_waits_for_disk_space_can_be_stopped_and_resumed(
     )
     ballast.unlink()
     rows = query(at, ROWS)
-    assert resume(tmp_path, at).done()["history_hash"] == check_run(undisturbed).history_hash
+    assert (
+        resume(tmp_path, at).done()["history_hash"] == check_run(undisturbed).history_hash
+    )
     assert query(at, ROWS)[: len(rows)] == rows
     check_run(at)
 
@@ -246,7 +262,9 @@ def test_a_disk_that_becomes_read_only_loses_nothing_recorded(
     optimizer = run(tmp_path, "--out", "disk")
     at = disk / "on-disk"
     wait_until(lambda: counted(at) > 100, "some trials are counted")
-    subprocess.run(["mount", "-o", "remount,abort", str(disk)], check=True, capture_output=True)
+    subprocess.run(
+        ["mount", "-o", "remount,abort", str(disk)], check=True, capture_output=True
+    )
     wait_until_said(
         optimizer, "the disk of disk/on-disk "
     )  # newer kernels do not call it read-only
@@ -259,14 +277,18 @@ def test_a_disk_that_becomes_read_only_loses_nothing_recorded(
     repaired = shutil.copy(
         image, tmp_path / "repaired"
     )  # programs in other mount namespaces may hold the broken one
-    assert subprocess.run(["e2fsck", "-fy", str(repaired)], capture_output=True).returncode in (
+    assert subprocess.run(
+        ["e2fsck", "-fy", str(repaired)], capture_output=True
+    ).returncode in (
         0,
         1,
     ), "it is repaired"
     mount("disk", "-o", "loop", str(repaired))
     assert len(rows) > 0
     assert query(at, ROWS)[: len(rows)] == rows, "recorded outcomes are gone"
-    assert resume(tmp_path, at).done()["history_hash"] == check_run(undisturbed).history_hash
+    assert (
+        resume(tmp_path, at).done()["history_hash"] == check_run(undisturbed).history_hash
+    )
     check_run(at)
 
 
@@ -281,11 +303,14 @@ def test_a_read_only_folder_is_read_and_not_written(
     shutil.copytree(undisturbed, disk / "finished")
     killed = run(tmp_path, "--out", "disk")
     wait_until(
-        lambda: query(disk / "on-disk", "SELECT 1 FROM generations"), "a generation is finished"
+        lambda: query(disk / "on-disk", "SELECT 1 FROM generations"),
+        "a generation is finished",
     )
     killed.kill()
     killed.wait()
-    shutil.copytree(disk / "on-disk", disk / "copied", ignore=shutil.ignore_patterns("*-shm"))
+    shutil.copytree(
+        disk / "on-disk", disk / "copied", ignore=shutil.ignore_patterns("*-shm")
+    )
     generations = len(query(disk / "on-disk", "SELECT 1 FROM generations"))
     subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
 
@@ -293,12 +318,16 @@ def test_a_read_only_folder_is_read_and_not_written(
     assert listed.wait() == 0, listed.err.read_text()
     rows = {Path(row["run"]).name: row for row in listed.lines()[0]["runs"]}
     assert rows["finished"]["history_hash"] == check_run(undisturbed).history_hash
-    assert [rows[name].get("generations") for name in ("on-disk", "copied", "finished")] == [
+    assert [
+        rows[name].get("generations") for name in ("on-disk", "copied", "finished")
+    ] == [
         generations,
         generations,
         4,
     ], rows
-    evaluated = start(tmp_path, "evaluate", "evaluate", "disk/finished", "--trials", "2", "--json")
+    evaluated = start(
+        tmp_path, "evaluate", "evaluate", "disk/finished", "--trials", "2", "--json"
+    )
     assert evaluated.wait() == 0, evaluated.err.read_text()
     assert evaluated.lines()[0]["trials"] == 2
 
@@ -329,13 +358,17 @@ def wait_for_a_moment(optimizer: Optimizer, at: Path, until: int, seconds: float
     end = time.monotonic() + seconds
     wait_until(
         lambda: (
-            counted(at) > until or time.monotonic() > end or optimizer.process.poll() is not None
+            counted(at) > until
+            or time.monotonic() > end
+            or optimizer.process.poll() is not None
         ),
         "a moment to kill at",
     )
 
 
-def test_a_repeatedly_killed_run_has_the_same_result(tmp_path: Path, undisturbed: Path) -> None:
+def test_a_repeatedly_killed_run_has_the_same_result(
+    tmp_path: Path, undisturbed: Path
+) -> None:
     """At seeded random moments, from before the folder is there to the last generation."""
     draw, at = random.Random(11), tmp_path / "runs" / "on-disk"
     total = counted(undisturbed)
@@ -351,11 +384,12 @@ def test_a_repeatedly_killed_run_has_the_same_result(tmp_path: Path, undisturbed
                 if first
                 else resume(tmp_path, at, *remote, name=f"{kill}")
             )
-            if (
-                first
-            ):  # a folder that is not there yet is no run, and the next one gets a name of its own
+            # A folder that is not there yet is no run, and the next one gets a name of its own.
+            if first:
                 shutil.rmtree(at, ignore_errors=True)
-            until = min(total - 1, len(kept) and counted(at)) + draw.randrange(total // KILLS)
+            until = min(total - 1, len(kept) and counted(at)) + draw.randrange(
+                total // KILLS
+            )
             wait_for_a_moment(optimizer, at, until, draw.uniform(0.2, 2.5))
             optimizer.kill()
             assert optimizer.wait() in (0, -signal.SIGKILL), optimizer.err.read_text()
@@ -369,18 +403,24 @@ def test_a_repeatedly_killed_run_has_the_same_result(tmp_path: Path, undisturbed
     facts = check_run(at)
     assert query(at, ROWS)[: len(kept)] == kept
     assert counted(at) == total, "a recorded trial was evaluated again"
-    assert done["history_hash"] == facts.history_hash == check_run(undisturbed).history_hash
+    assert (
+        done["history_hash"] == facts.history_hash == check_run(undisturbed).history_hash
+    )
     assert query(at, "SELECT value > 3 FROM meta WHERE key = 'epoch'") == [(1,)]
 
 
-def test_a_log_cut_anywhere_is_the_beginning_of_the_run(tmp_path: Path, undisturbed: Path) -> None:
+def test_a_log_cut_anywhere_is_the_beginning_of_the_run(
+    tmp_path: Path, undisturbed: Path
+) -> None:
     """Copies taken during writing, with the WAL cut at a random length, as after a power cut."""
     draw, at = random.Random(12), tmp_path / "runs" / "on-disk"
     optimizer = run(tmp_path)
     copies: list[Path] = []
     size = 0
     for number in range(SNAPSHOTS):
-        wait_until(lambda number=number: counted(at) > number * 250, "more trials are counted")
+        wait_until(
+            lambda number=number: counted(at) > number * 250, "more trials are counted"
+        )
         optimizer.kill(signal.SIGSTOP)
         content = {
             name: (at / name).read_bytes()
@@ -398,11 +438,15 @@ def test_a_log_cut_anywhere_is_the_beginning_of_the_run(tmp_path: Path, undistur
             copy = tmp_path / "copies" / str(len(copies))
             copy.mkdir(parents=True)
             for name, held in content.items():
-                (copy / name).write_bytes(held[:cut] if name == "run.sqlite-wal" else held)
+                (copy / name).write_bytes(
+                    held[:cut] if name == "run.sqlite-wal" else held
+                )
             copies.append(copy)
     done = optimizer.done()
     whole = check_run(at)
-    assert done["history_hash"] == whole.history_hash == check_run(undisturbed).history_hash
+    assert (
+        done["history_hash"] == whole.history_hash == check_run(undisturbed).history_hash
+    )
     assert len(copies) >= 4 * 3
     lengths = []
     for copy in copies:

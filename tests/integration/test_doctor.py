@@ -84,7 +84,9 @@ def test_a_folder_that_cannot_be_written_is_broken() -> None:
     """That of the kernel's processes takes no file of anybody, root included."""
     finding = only(machine.runs(Path("/proc/none/runs")))
     assert finding.state == "broken"
-    assert finding.text.startswith("/proc/none/runs (to be made in /proc) cannot be written: ")
+    assert finding.text.startswith(
+        "/proc/none/runs (to be made in /proc) cannot be written: "
+    )
     assert "--out DIR" in finding.mend
 
 
@@ -93,11 +95,16 @@ def test_the_check_of_the_folder_of_runs_leaves_no_files(tmp_path: Path) -> None
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_cache_that_cannot_be_written_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cache_that_cannot_be_written_is_a_warning(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     made = Path(tempfile.mkdtemp(prefix="zswarm-"))
     monkeypatch.setattr(cache, "cache_folder", lambda: made)
     finding = only(machine.cache())
-    assert (finding.state, finding.mend) == ("warning", "set ZSWARM_CACHE to a folder of your own")
+    assert (finding.state, finding.mend) == (
+        "warning",
+        "set ZSWARM_CACHE to a folder of your own",
+    )
     assert not made.exists()
 
 
@@ -140,7 +147,10 @@ def test_few_open_files_and_a_small_disk_are_reported(tmp_path: Path) -> None:
     found = [json.loads(line) for line in done.stdout.splitlines()]
     assert all(list(line) == ["check", "state", "text", "mend"] for line in found)
     by_check = {line["check"]: line for line in found}
-    assert (by_check["limits"]["state"], by_check["runs"]["state"]) == ("warning", "broken")
+    assert (by_check["limits"]["state"], by_check["runs"]["state"]) == (
+        "warning",
+        "broken",
+    )
     assert "only " in by_check["runs"]["text"]
     assert all(line["mend"] for line in found if line["state"] != "ok")
     assert done.returncode == 1, done.stderr
@@ -158,7 +168,9 @@ class Unheard(bytes):
     __hash__ = bytes.__hash__
 
 
-def test_other_traffic_does_not_hide_a_missing_echo(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_traffic_does_not_hide_a_missing_echo(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """However much they send, it ends."""
     group, port = session.SCOUTING_GROUP.split(":")
     monkeypatch.setattr(network.secrets, "token_bytes", Unheard)
@@ -201,7 +213,9 @@ def test_a_server_of_this_machine_may_have_the_port(
 ) -> None:
     """And one whose code is another is a warning."""
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
-    server = Server(tmp_path, "mine", capacity=1, address="0.0.0.0", ZSWARM_PLAIN="1").ready()  # noqa: S104
+    everywhere = "0.0.0.0"  # noqa: S104
+    server = Server(tmp_path, "mine", capacity=1, address=everywhere, ZSWARM_PLAIN="1")
+    server.ready()
     try:
         number = int(server.endpoint.rpartition(":")[2])
         finding = only(network.port(number))
@@ -249,7 +263,9 @@ def test_a_check_that_fails_does_not_end_the_others(
     monkeypatch.setattr(machine, "packages", fails)
     monkeypatch.setattr(network, "LOOK_S", 0.1)
     found = list(examine("default", tmp_path, NOBODY))
-    assert [finding.check for finding in found if finding.state == "broken"] == ["packages"]
+    assert [finding.check for finding in found if finding.state == "broken"] == [
+        "packages"
+    ]
     assert found[-1].check == "servers"
 
 
@@ -303,7 +319,14 @@ def test_a_run_that_finds_no_server_says_what_to_do(
     options: list[str], words: str, tmp_path: Path
 ) -> None:
     """Once."""
-    long = ["run", "minisim", "--no-multicast", "--realm", "lab7", "--set=generations=100000"]
+    long = [
+        "run",
+        "minisim",
+        "--no-multicast",
+        "--realm",
+        "lab7",
+        "--set=generations=100000",
+    ]
     started = Optimizer(tmp_path, "ot", [*long, *options])
     try:
         hint = words + "zswarm-ot doctor says why, docs/network.md what to do\n"
@@ -318,10 +341,17 @@ def test_a_run_that_finds_no_server_says_what_to_do(
 
 
 def test_a_local_run_does_not_wait_for_servers(tmp_path: Path) -> None:
-    options = ["--servers", "local", "--set=cluster.local_slots=1", "--set=generations=100000"]
+    options = [
+        "--servers",
+        "local",
+        "--set=cluster.local_slots=1",
+        "--set=generations=100000",
+    ]
     started = Optimizer(tmp_path, "ot", ["run", "minisim", *options])
     try:
-        wait_until(lambda: len(started.err.read_text().splitlines()) > 20, "some generations")
+        wait_until(
+            lambda: len(started.err.read_text().splitlines()) > 20, "some generations"
+        )
         assert "doctor" not in started.err.read_text()
     finally:
         started.kill(signal.SIGINT)

@@ -50,13 +50,24 @@ PROBLEMS = {
     "maze": Problem("maze", 8, "reached", {"steps": 1000}),
     "minisim": Problem("minisim", 8, "steals", {"steps": 600}),
     "pettingzoo": Problem("pettingzoo", 2, "steps", {"environment": "simple_v3"}),
-    "simplified-emergency-exit": Problem("simplified-emergency-exit", 8, "x", {"steps": 7500}),
-    "turtlebot-exit": Problem("turtlebot-exit", 2, "distance", {"steps": 100, "robots": 2}),
+    "simplified-emergency-exit": Problem(
+        "simplified-emergency-exit", 8, "x", {"steps": 7500}
+    ),
+    "turtlebot-exit": Problem(
+        "turtlebot-exit", 2, "distance", {"steps": 100, "robots": 2}
+    ),
     "xor": Problem("xor", 2000, "correct", {}),
 }
 NETWORKS = {"mealy": {"states": 2}}  # or a genome has up to a megabyte
 GAMES = {"duel"}
-SOME = {"box-pushing", "crowds", "foraging-physical", "gymnasium", "pettingzoo", "turtlebot-exit"}
+SOME = {
+    "box-pushing",
+    "crowds",
+    "foraging-physical",
+    "gymnasium",
+    "pettingzoo",
+    "turtlebot-exit",
+}
 LARGE = {
     "vmas",
     "turtlebot-exit-ros",
@@ -159,7 +170,10 @@ class Lab:
     def check(self, parts: Parts) -> None:
         """Play a combination in both ways."""
         folder, complete = self._folder / "-".join(parts), parts.experiment()
-        killed, undisturbed = folder / "killed" / "small", folder / "undisturbed" / "small"
+        killed, undisturbed = (
+            folder / "killed" / "small",
+            folder / "undisturbed" / "small",
+        )
         self._forks.run(complete, killed.parent, self._servers[:1], killed=True)
         before = check_run(killed, sample=0)
         assert not before.finished, parts
@@ -190,7 +204,9 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
     folder = tmp_path_factory.mktemp("lab")
     with contextlib.ExitStack() as stack:
         servers = [
-            stack.enter_context(contextlib.closing(Server(folder, f"ss-{number}", capacity=1)))
+            stack.enter_context(
+                contextlib.closing(Server(folder, f"ss-{number}", capacity=1))
+            )
             for number in range(4)
         ]
         forks = stack.enter_context(Forks(folder))
@@ -213,7 +229,9 @@ def test_every_part_survives_a_kill_and_is_the_same_on_four_servers(lab: Lab) ->
 
 @pytest.mark.product
 @pytest.mark.parametrize(("problem", "representation"), pairs())
-def test_all_parts_that_fit_together_do(problem: str, representation: str, lab: Lab) -> None:
+def test_all_parts_that_fit_together_do(
+    problem: str, representation: str, lab: Lab
+) -> None:
     """With every optimizer and every ranking; those that do not fit are refused in one line."""
     for optimizer, ranking in itertools.product(
         plugins.BUNDLED["optimizer"], plugins.BUNDLED["ranking"]

@@ -14,7 +14,14 @@ import numpy as np
 import pytest
 from msgspec.structs import asdict
 
-from tests.integration.programs import Optimizer, Server, children, command_line, query, wait_until
+from tests.integration.programs import (
+    Optimizer,
+    Server,
+    children,
+    command_line,
+    query,
+    wait_until,
+)
 from tests.places import REPOSITORY
 from zswarm import evaluate, experiment
 from zswarm.kernels.random import Stream
@@ -47,7 +54,12 @@ STADIUM = {
     "population": 20,
     "settings": 'field = "stadium"\nsteps = 2000',
 }
-RANDOM = {"generations": 10, "trials": 2, "population": 10, "settings": "agents = 4\nsteps = 40"}
+RANDOM = {
+    "generations": 10,
+    "trials": 2,
+    "population": 10,
+    "settings": "agents = 4\nsteps = 40",
+}
 NETWORKS = [
     {"activation": "clamp"},
     {"activation": "sigmoid", "hidden": 0, "iterations": 1},
@@ -117,7 +129,8 @@ def in_java(folder: Path) -> Path:
         pytest.skip("no Java compiler")
     sources = sorted((folder / "java").glob("*.java"))
     subprocess.run(
-        ["javac", "-Xlint:all", "-Werror", "-d", folder / "java" / "classes", *sources], check=True
+        ["javac", "-Xlint:all", "-Werror", "-d", folder / "java" / "classes", *sources],
+        check=True,
     )
     return folder / "java"
 
@@ -137,7 +150,11 @@ def history(to: Path, size: dict[str, Any]) -> str:
         genomes = optimizer.ask()
         work = problem.workload(genomes, generation)
         outcomes = evaluate.evaluate(
-            problem.simulator, problem.representation, genomes, work.participants, work.seeds
+            problem.simulator,
+            problem.representation,
+            genomes,
+            work.participants,
+            work.seeds,
         )
         fitness = np.zeros(len(genomes))
         for trial in range(size["trials"]):  # added in their order
@@ -147,7 +164,9 @@ def history(to: Path, size: dict[str, Any]) -> str:
     return told.hex()
 
 
-def evolve_and_kill(to: Path, programs: Path, simulator: str, size: dict[str, Any]) -> str:
+def evolve_and_kill(
+    to: Path, programs: Path, simulator: str, size: dict[str, Any]
+) -> str:
     """Return the history hash of a run in which a slot's program is killed."""
     environment = {"ZSWARM_SIMULATORS": str(programs)}
     server = Server(to, "ss", capacity=2, **environment)
@@ -171,7 +190,10 @@ def evolve_and_kill(to: Path, programs: Path, simulator: str, size: dict[str, An
 
     try:
         wait_until(
-            lambda: query(record, "SELECT 1 FROM outcomes") or optimizer.process.poll() is not None,
+            lambda: (
+                query(record, "SELECT 1 FROM outcomes")
+                or optimizer.process.poll() is not None
+            ),
             "some trials are counted",
         )
         while not server.events(
@@ -264,7 +286,9 @@ def test_a_program_whose_controllers_stay_at_the_optimizer_has_the_same_history(
         "local",
     ]
     asked = ["--set", "cluster.controller='optimizer'", "--set", "cluster.local_slots=2"]
-    done = Optimizer(tmp_path, "ot", [*arguments, *asked], ZSWARM_SIMULATORS=str(in_c)).done()
+    done = Optimizer(
+        tmp_path, "ot", [*arguments, *asked], ZSWARM_SIMULATORS=str(in_c)
+    ).done()
     assert done["history_hash"] == history(tmp_path, size)
 
 
@@ -306,7 +330,11 @@ def test_a_misbehaving_program_affects_only_its_own_trials(tmp_path: Path) -> No
     def start(name: str, *more: str) -> Optimizer:
         optimizers.append(
             Optimizer(
-                tmp_path, name, [*arguments, *more], ZSWARM_SIMULATORS=str(mine), ZSWARM_PLAIN="1"
+                tmp_path,
+                name,
+                [*arguments, *more],
+                ZSWARM_SIMULATORS=str(mine),
+                ZSWARM_PLAIN="1",
             )
         )
         return optimizers[-1]
@@ -317,7 +345,11 @@ def test_a_misbehaving_program_affects_only_its_own_trials(tmp_path: Path) -> No
             changed.write("# a version later\n")
         later = start("later", "--set", "problem.settings.steps=4")
         refused = wait_until(
-            lambda: [line for line in later.err.read_text().splitlines() if " refused: " in line],
+            lambda: [
+                line
+                for line in later.err.read_text().splitlines()
+                if " refused: " in line
+            ],
             "it is told",
         )
     finally:
@@ -329,7 +361,9 @@ def test_a_misbehaving_program_affects_only_its_own_trials(tmp_path: Path) -> No
     ):
         fitness[np.frombuffer(trials, "<u4")] = np.frombuffer(values, "<f8")
     for candidate in np.isfinite(fitness).reshape(2, -1):
-        assert {what for what, fine in zip(each, candidate, strict=True) if fine} == set(HARMLESS)
+        assert {what for what, fine in zip(each, candidate, strict=True) if fine} == set(
+            HARMLESS
+        )
     assert done["faulted"] == 2 * len(FAULTS)
     told = [
         text
@@ -347,7 +381,9 @@ def test_a_misbehaving_program_affects_only_its_own_trials(tmp_path: Path) -> No
     )
 
 
-@pytest.mark.parametrize("network", NETWORKS, ids=lambda network: str(network["activation"]))
+@pytest.mark.parametrize(
+    "network", NETWORKS, ids=lambda network: str(network["activation"])
+)
 def test_the_network_in_c_has_the_bits_of_the_kernel(
     network: dict[str, Any], in_c: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -370,7 +406,10 @@ def outcomes(simulator: str, network: dict[str, Any], **settings: Any) -> bytes:
 
 @pytest.mark.parametrize(("theirs", "compiled"), BOTH)
 def test_a_program_plays_turns_with_unknown_networks(
-    theirs: str, compiled: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+    theirs: str,
+    compiled: str,
+    request: pytest.FixtureRequest,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """And plays the same."""
     monkeypatch.setenv("ZSWARM_SIMULATORS", str(request.getfixturevalue(compiled)))
@@ -392,7 +431,10 @@ def test_a_program_plays_turns_with_unknown_networks(
 
 @pytest.mark.parametrize(("simulator", "compiled"), BOTH)
 def test_the_settings_are_those_of_the_bundled_simulator(
-    simulator: str, compiled: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+    simulator: str,
+    compiled: str,
+    request: pytest.FixtureRequest,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Names, defaults, and what is refused."""
     monkeypatch.setenv("ZSWARM_SIMULATORS", str(request.getfixturevalue(compiled)))

@@ -26,7 +26,9 @@ def test_a_run_with_repeated_kills_of_all_programs_has_the_same_result(
         campaign = kills.Campaign(scene, undisturbed.trials, KILLS, seed=KILLS)
         scene.check(campaign.run(), undisturbed)
         times = [0.0, *(strike.at_s for strike in campaign.strikes)]
-        between = statistics.median(after - before for before, after in itertools.pairwise(times))
+        between = statistics.median(
+            after - before for before, after in itertools.pairwise(times)
+        )
         hits = Counter(strike.target for strike in campaign.strikes)
         sys.stdout.write(
             f"\n{campaign.kills()} kills in {times[-1]:.0f} s, median {between:.2f} s apart: "

@@ -13,7 +13,9 @@ from zswarm.session import LINK_TIMEOUT_S
 
 pytestmark = pytest.mark.faults
 
-LARGE = Size(generations=1, population=10, trials=4, hidden=200)  # a genome has 164,000 bytes
+LARGE = Size(
+    generations=1, population=10, trials=4, hidden=200
+)  # a genome has 164,000 bytes
 HUGE = Size(
     generations=1, population=60, trials=1, hidden=500, compiled=True
 )  # a genome has 1 MB, a batch 4 MB
@@ -39,7 +41,9 @@ def test_a_link_that_is_cut_for_less_than_the_link_timeout_costs_nothing(
         ]
         _, pace = paced[0]
         pace.arm()
-        optimizer = scene.optimizer(*(server.endpoint for server, _ in paced), inside=desk.inside)
+        optimizer = scene.optimizer(
+            *(server.endpoint for server, _ in paced), inside=desk.inside
+        )
         pace.held()
         hosts[0].cut()
         pace.let_go()
@@ -61,7 +65,9 @@ def test_work_moves_to_another_server_after_the_link_timeout(
         network = lab.network()
         near, far, desk = (lab.host(network) for _ in range(3))
         victim, pace = scene.server("victim", address=far.address, inside=far.inside)
-        other, others_pace = scene.server("other", address=near.address, inside=near.inside)
+        other, others_pace = scene.server(
+            "other", address=near.address, inside=near.inside
+        )
         pace.arm()
         others_pace.arm()  # so that work is left for when the victim is back
         others_pace.set(0.1)
@@ -69,7 +75,9 @@ def test_work_moves_to_another_server_after_the_link_timeout(
         pace.held()
         others_pace.held()
         far.cut()
-        wait_until(lambda: scene.events("server_left", "victim"), "the server is taken for gone")
+        wait_until(
+            lambda: scene.events("server_left", "victim"), "the server is taken for gone"
+        )
         pace.let_go()
         others_pace.let_go()
         scene.wait_for_more("other")
@@ -97,7 +105,9 @@ def test_trials_of_the_only_server_are_neither_lost_nor_repeated_after_a_link_cu
         out = int(scene.events("server_left")[0].split()[0])
         if when_back == "finished":
             pace.let_go()
-            wait_until(lambda: len(pace.played()) == out, "the server has played what it had")
+            wait_until(
+                lambda: len(pace.played()) == out, "the server has played what it had"
+            )
         host.mend()
         wait_until(
             lambda: scene.events("server_back") or scene.events("lease_ready"),

@@ -32,7 +32,9 @@ def test_reading_a_running_record_does_not_disturb_the_run(tmp_path: Path) -> No
         assert run.going_on
         while watched.process.poll() is None:
             with contextlib.suppress(subprocess.TimeoutExpired):
-                watched.process.wait(0.03)  # reading all the time would take the time of the run
+                watched.process.wait(
+                    0.03
+                )  # reading all the time would take the time of the run
             now = Run(folder)
             seen.append(now.history())
             assert len(now.trials(len(seen[-1]))) <= 50 * 20
@@ -43,6 +45,10 @@ def test_reading_a_running_record_does_not_disturb_the_run(tmp_path: Path) -> No
     last = Run(folder)
     assert all(history == last.history()[: len(history)] for history in seen)
     assert len({len(history) for history in seen}) > 1, "it was read at several times"
-    assert (last.going_on, last.finished, last.history_hash) == (False, True, done["history_hash"])
+    assert (last.going_on, last.finished, last.history_hash) == (
+        False,
+        True,
+        done["history_hash"],
+    )
     assert len(last.history()) == 4
     check_run(folder)

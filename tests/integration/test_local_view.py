@@ -108,7 +108,9 @@ def metrics(port: int) -> dict[str, float]:
 
 
 @pytest.mark.faults
-def test_the_watchdog_is_fed_unless_a_slot_is_unresponsive(scene: Scene, systemd: Systemd) -> None:
+def test_the_watchdog_is_fed_unless_a_slot_is_unresponsive(
+    scene: Scene, systemd: Systemd
+) -> None:
     """A server is ready when its slots are warm, and names what it lacks."""
     scene.environment |= systemd.environment
     server, pace = scene.server("ss", capacity=2)
@@ -143,7 +145,8 @@ def test_the_watchdog_is_fed_unless_a_slot_is_unresponsive(scene: Scene, systemd
     systemd.forget()
     assert not systemd.heard("WATCHDOG=1", WATCHDOG_S), "systemd is to end it"
     assert any(
-        f"slot {missed['slots'][0]}: its killed process" in word for _, word in systemd.words
+        f"slot {missed['slots'][0]}: its killed process" in word
+        for _, word in systemd.words
     )
     shown = view(scene.folder)
     assert [(slot["slot"], slot["reason"]) for slot in shown["missed"]] == [
@@ -184,7 +187,9 @@ def test_a_daemon_notifies_systemd_that_it_stops_and_extends_the_timeout(
     assert systemd.heard("STOPPING=1")
     assert systemd.heard("EXTEND_TIMEOUT_USEC=")
     assert systemd.heard("STATUS=draining, 1 of 1 slots busy, 1 leases, ")
-    assert systemd.heard("EXTEND_TIMEOUT_USEC="), "again and again, for as long as it goes on"
+    assert systemd.heard("EXTEND_TIMEOUT_USEC="), (
+        "again and again, for as long as it goes on"
+    )
     assert server.process.poll() is None
     pace.let_go()
     assert server.wait() == 143
@@ -195,7 +200,9 @@ def test_a_router_notifies_systemd_when_ready_and_stopping(
     tmp_path: Path, systemd: Systemd
 ) -> None:
     options = ["--no-multicast", "--listen", f"tcp/127.0.0.1:{free_port()}"]
-    router = Program(tmp_path, "router", ["-m", "zswarm.router", *options], **systemd.environment)
+    router = Program(
+        tmp_path, "router", ["-m", "zswarm.router", *options], **systemd.environment
+    )
     try:
         assert systemd.heard("READY=1")
         router.kill(signal.SIGTERM)
@@ -260,7 +267,8 @@ def test_status_shows_what_a_daemon_does(scene: Scene) -> None:
 @pytest.mark.faults
 def test_status_lists_several_daemons_and_drain_needs_a_name(tmp_path: Path) -> None:
     one, other = (
-        Server(tmp_path, name, capacity=1, ZSWARM_PLAIN="1").ready() for name in ("one", "other")
+        Server(tmp_path, name, capacity=1, ZSWARM_PLAIN="1").ready()
+        for name in ("one", "other")
     )
     try:
         names = [
@@ -268,7 +276,11 @@ def test_status_lists_several_daemons_and_drain_needs_a_name(tmp_path: Path) -> 
             for line in control(tmp_path, "status", "--json").stdout.splitlines()
         ]
         assert [name.rpartition("-")[0] for name in names] == ["one", "other"]
-        assert view(tmp_path, "other")["server"] == view(tmp_path, names[1])["server"] == names[1]
+        assert (
+            view(tmp_path, "other")["server"]
+            == view(tmp_path, names[1])["server"]
+            == names[1]
+        )
         refused = control(tmp_path, "drain")
         assert (refused.exit_code, refused.stderr) == (
             1,
@@ -296,7 +308,9 @@ def test_a_daemon_that_hangs_is_named_and_the_others_are_shown(scene: Scene) -> 
     scene.stop(hanging.process.pid)
     done = control(scene.folder, "status", "--json")
     assert done.exit_code == 1
-    assert re.fullmatch(r"zswarm-ss: hanging-\w{8} does not answer: timed out\n", done.stderr)
+    assert re.fullmatch(
+        r"zswarm-ss: hanging-\w{8} does not answer: timed out\n", done.stderr
+    )
     (shown,) = done.stdout.splitlines()
     assert json.loads(shown)["pid"] == other.process.pid
 
@@ -334,7 +348,10 @@ def test_local_slots_of_a_run_are_not_listed_as_a_daemon(tmp_path: Path) -> None
         f"unixsock-stream/{tmp_path}/s",
     ]
     local = Program(
-        tmp_path, "local", ["-m", "zswarm.ss", "--name", "local", *options], ZSWARM_PLAIN="1"
+        tmp_path,
+        "local",
+        ["-m", "zswarm.ss", "--name", "local", *options],
+        ZSWARM_PLAIN="1",
     )
     assert local.wait() == 0
     assert not list(tmp_path.glob("local-*.sock"))
@@ -357,7 +374,8 @@ def test_metrics_agree_with_the_run(scene: Scene) -> None:
         f"all {trials} trials are counted",
     )
     numbers = wait_until(
-        lambda: (found := metrics(port))["zswarm_ss_leases"] == 0 and found, "the lease is released"
+        lambda: (found := metrics(port))["zswarm_ss_leases"] == 0 and found,
+        "the lease is released",
     )
     assert numbers['zswarm_ss_faults_total{kind="crashed"}'] == 1
     assert numbers['zswarm_ss_slots{state="free"}'] == 2
@@ -399,7 +417,11 @@ def test_hanging_clients_of_socket_and_port_do_not_affect_runs(scene: Scene) -> 
             b'{"ask": "drain"',
         ) * 10:
             hang(socket.AF_UNIX, str(path), words)
-        for words in (b"", b"GET /metrics HTTP/1.1\r\n", b"GET /metrics HTTP/1.0\r\n\r\n") * 10:
+        for words in (
+            b"",
+            b"GET /metrics HTTP/1.1\r\n",
+            b"GET /metrics HTTP/1.0\r\n\r\n",
+        ) * 10:
             hang(socket.AF_INET, ("127.0.0.1", port), words)
         begin = time.monotonic()
         assert view(scene.folder)["leases"]
@@ -426,7 +448,9 @@ def test_a_port_in_use_is_named(tmp_path: Path) -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        server = Server(tmp_path, "ss", options=("--metrics", str(port)), ZSWARM_PLAIN="1")
+        server = Server(
+            tmp_path, "ss", options=("--metrics", str(port)), ZSWARM_PLAIN="1"
+        )
         assert server.wait() == 2
     assert (
         server.err.read_text()
@@ -435,13 +459,19 @@ def test_a_port_in_use_is_named(tmp_path: Path) -> None:
     )
 
 
-def test_a_missing_package_is_named_with_the_command_that_installs_it(tmp_path: Path) -> None:
+def test_a_missing_package_is_named_with_the_command_that_installs_it(
+    tmp_path: Path,
+) -> None:
     (tmp_path / "prometheus_client.py").write_text(
         "raise ModuleNotFoundError(name='prometheus_client')\n"
     )
     path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
     server = Server(
-        tmp_path, "ss", options=("--metrics", str(free_port())), PYTHONPATH=path, ZSWARM_PLAIN="1"
+        tmp_path,
+        "ss",
+        options=("--metrics", str(free_port())),
+        PYTHONPATH=path,
+        ZSWARM_PLAIN="1",
     )
     assert server.wait() == 2
     assert server.err.read_text().startswith(

@@ -17,7 +17,11 @@ def test_batches_blocked_on_the_way_to_a_stopped_server_move_to_another(
     undisturbed = play_undisturbed(tmp_path_factory.mktemp("undisturbed"), HUGE)
     with Scene(tmp_path, HUGE) as scene:
         optimizer = hang_a_batch(scene)
-        wait_until(lambda: scene.events("server_left", "victim"), "zenoh gives the link up", 120.0)
+        wait_until(
+            lambda: scene.events("server_left", "victim"),
+            "zenoh gives the link up",
+            120.0,
+        )
         scene.check(optimizer.done(), undisturbed)
         assert not scene.counted("victim")
 

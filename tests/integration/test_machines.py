@@ -68,7 +68,9 @@ class Site:
         self.runs: list[Run] = []
         self.ssh = lab.shared.parent / "ssh"
         self.ssh.mkdir()
-        (self.ssh / "ssh").write_text('#!/bin/sh\nexec $(cat "$(dirname "$0")/$1") "$2"\n')
+        (self.ssh / "ssh").write_text(
+            '#!/bin/sh\nexec $(cat "$(dirname "$0")/$1") "$2"\n'
+        )
         (self.ssh / "ssh").chmod(0o755)
         (lab.shared / "experiment.toml").write_text(EXPERIMENT)
         for machine in self.servers:
@@ -78,7 +80,8 @@ class Site:
             machine.run(f"mkdir /etc/zswarm && {CONFIGURE}")
         with ThreadPoolExecutor() as side_by_side:
             for done in [
-                side_by_side.submit(self.fleet, "install", machine) for machine in self.servers
+                side_by_side.submit(self.fleet, "install", machine)
+                for machine in self.servers
             ]:
                 done.result()
 
@@ -101,7 +104,9 @@ class Site:
         return done.stdout
 
     def run(self, *options: str, servers: str = "2") -> "Run":
-        self.runs.append(Run(self, f"run-{len(self.runs)}", ["--servers", servers, *options]))
+        self.runs.append(
+            Run(self, f"run-{len(self.runs)}", ["--servers", servers, *options])
+        )
         return self.runs[-1]
 
     def run_on(self, machine: Machine) -> "Run":
@@ -130,7 +135,14 @@ class Run(Installed):
     """A run of the workstation."""
 
     def __init__(self, site: Site, name: str, options: list[str]) -> None:
-        arguments = ["run", "/srv/experiment.toml", "--json", "--out", f"/srv/{name}", *options]
+        arguments = [
+            "run",
+            "/srv/experiment.toml",
+            "--json",
+            "--out",
+            f"/srv/{name}",
+            *options,
+        ]
         self.record = site.lab.shared / name / "served"
         super().__init__(site.lab.shared, name, arguments, site.workstation.inside())
 
@@ -171,7 +183,9 @@ def workstation(lab: Machines) -> Machine:
     machine = lab.machine("desk")
     machine.switch_on()
     machine.wait_up()
-    machine.run("python3 -m venv /opt/zswarm && /opt/zswarm/bin/pip install 'zswarm[keys]'")
+    machine.run(
+        "python3 -m venv /opt/zswarm && /opt/zswarm/bin/pip install 'zswarm[keys]'"
+    )
     machine.run(
         f"PATH=/opt/zswarm/bin:$PATH; cd /srv; {documented('Keys')}zswarm-keys join --yes "
         "alice.zkeys"
@@ -233,7 +247,9 @@ def show(machine: Machine, *names: str) -> list[str]:
 
 
 def wait_active(machine: Machine) -> None:
-    wait_until(lambda: show(machine, "ActiveState") == ["active"], f"{machine.name} serves")
+    wait_until(
+        lambda: show(machine, "ActiveState") == ["active"], f"{machine.name} serves"
+    )
 
 
 def restart_counted(machine: Machine, restarts: int) -> None:
@@ -246,14 +262,20 @@ def restart_counted(machine: Machine, restarts: int) -> None:
 # ---- the document
 
 
-def test_the_document_is_followed_word_by_word(lab: Machines, workstation: Machine) -> None:
+def test_the_document_is_followed_word_by_word(
+    lab: Machines, workstation: Machine
+) -> None:
     """Installed, looked at, upgraded and uninstalled, as it says; then nothing is left of it."""
     with lab.machine("lab-01") as machine:
         machine.wait_up()
         before = machine.run(LEFT)
         machine.run("cp -p /srv/lab-01.zkeys /srv/gate.zkeys ~")
         assert "Authority: " in machine.run(documented("Install"), "y\n")
-        assert show(machine, "ActiveState", "SubState", "User") == ["active", "running", "zswarm"]
+        assert show(machine, "ActiveState", "SubState", "User") == [
+            "active",
+            "running",
+            "zswarm",
+        ]
         looked_at = machine.run(documented("Install", 1))
         assert "slots" in looked_at
         assert "server_ready" in looked_at
@@ -322,7 +344,9 @@ def ports(machine: Machine) -> set[str]:
     """Return sockets that listen beyond loopback, other than those for answers."""
     lines = [
         line.split()
-        for line in machine.run("ss --no-header --listening --tcp --udp --numeric").splitlines()
+        for line in machine.run(
+            "ss --no-header --listening --tcp --udp --numeric"
+        ).splitlines()
     ]
     ends = [(line[0], *line[4].rsplit(":", 1)) for line in lines]
     return {
@@ -397,7 +421,11 @@ def test_a_stopped_server_finishes_running_work(site: Site, alone: str) -> None:
     run = site.run_on(first)
     run.wait_counted(100)
     first.run("systemctl stop zswarm-ss")
-    assert show(first, "Result", "ActiveState", "ExecMainStatus") == ["success", "inactive", "143"]
+    assert show(first, "Result", "ActiveState", "ExecMainStatus") == [
+        "success",
+        "inactive",
+        "143",
+    ]
     log = first.run("journalctl --boot --unit zswarm-ss --lines 20 --output cat")
     assert "server_stopped" in log
     assert "drain_cut_short" not in log
@@ -432,8 +460,14 @@ def test_users_without_keys_are_refused(site: Site) -> None:
 
 def test_a_mistake_in_the_configuration_is_shown_and_not_tried_again(site: Site) -> None:
     first = site.servers[0]
-    first.run("""echo 'capacity = "many"' > /etc/zswarm/ss.toml; ! systemctl restart zswarm-ss""")
-    assert show(first, "ActiveState", "ExecMainStatus", "NRestarts") == ["failed", "78", "0"]
+    first.run(
+        """echo 'capacity = "many"' > /etc/zswarm/ss.toml; ! systemctl restart zswarm-ss"""
+    )
+    assert show(first, "ActiveState", "ExecMainStatus", "NRestarts") == [
+        "failed",
+        "78",
+        "0",
+    ]
     assert "capacity" in first.run("systemctl status zswarm-ss || :")
 
 
@@ -444,7 +478,9 @@ def test_without_its_keys_a_server_does_not_start(site: Site) -> None:
     try:
         first.run("! systemctl restart zswarm-ss")
         assert show(first, "ActiveState", "ExecMainStatus") == ["failed", "78"]
-        assert "keys" in first.run("journalctl --boot --unit zswarm-ss --lines 10 --output cat")
+        assert "keys" in first.run(
+            "journalctl --boot --unit zswarm-ss --lines 10 --output cat"
+        )
     finally:
         first.run("mv /etc/zswarm/away /etc/zswarm/keys")
 
@@ -468,7 +504,9 @@ def test_servers_are_upgraded_during_a_run(site: Site, alone: str) -> None:
     wheels.append(rebuilt(wheels[0], "0.2.0", "# computes otherwise"))
     run = site.run_on(first)
     run.wait_counted(100)
-    assert site.fleet("upgrade", first, PACKAGE="zswarm[keys]==0.1.1") == "lab-03: upgrade\n"
+    assert (
+        site.fleet("upgrade", first, PACKAGE="zswarm[keys]==0.1.1") == "lab-03: upgrade\n"
+    )
     counted = run.counted()
     run.wait_counted(counted + 100)
     site.fleet("upgrade", first)
@@ -486,7 +524,10 @@ def test_servers_are_upgraded_during_a_run(site: Site, alone: str) -> None:
 def rebuilt(wheel: Path, version: str, line: str) -> Path:
     """Rebuild the wheel as another version, with one more line in a file that computes."""
     made = wheel.with_name(wheel.name.replace("0.1.0", version))
-    with zipfile.ZipFile(wheel) as old, zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as new:
+    with (
+        zipfile.ZipFile(wheel) as old,
+        zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as new,
+    ):
         for entry in old.infolist():
             body = old.read(entry)
             if entry.filename.endswith(".dist-info/METADATA"):

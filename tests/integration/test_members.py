@@ -14,7 +14,14 @@ import pytest
 import zenoh
 
 from tests.integration.evacuation import COUNTED, write
-from tests.integration.programs import Optimizer, Program, Server, free_port, query, wait_until
+from tests.integration.programs import (
+    Optimizer,
+    Program,
+    Server,
+    free_port,
+    query,
+    wait_until,
+)
 from tests.issuing import issued, of, unpacked
 from zswarm import session
 from zswarm.plugins.version_hash import version_hash
@@ -71,7 +78,9 @@ class Lab(NamedTuple):
 
 def make(folder: Path, *holders: tuple[Role, str], now: datetime | None = None) -> Lab:
     """Make a lab whose certificates were issued at a given time."""
-    contents = issued(folder / "authority", *(of(role, name) for role, name in holders), now=now)
+    contents = issued(
+        folder / "authority", *(of(role, name) for role, name in holders), now=now
+    )
     for (_, name), content in zip(holders, contents, strict=True):
         unpacked(folder / name, content)
     return Lab(folder)
@@ -118,7 +127,9 @@ def serve(lab: Lab, folder: Path, name: str, *options: str, plain: str = "1") ->
     )
 
 
-def evolve(folder: Path, name: str, keys_folder: str, *options: str, steps: int = 50) -> Optimizer:
+def evolve(
+    folder: Path, name: str, keys_folder: str, *options: str, steps: int = 50
+) -> Optimizer:
     file = write(folder, "keyed", steps)
     plain = "1" if options[-len(SMALL) :] == SMALL else ""  # of this machine's slots
     arguments = ["run", file, "--json", "--no-multicast", *options]
@@ -199,7 +210,9 @@ def reserve() -> Reserve:
 def test_a_member_evolves_through_tls_and_its_name_is_the_users(
     lab: Lab, server: Server, tmp_path: Path
 ) -> None:
-    plain = evolve(tmp_path, "alone", "none", "--servers", "local", "--out", "alone", *SMALL).done()
+    plain = evolve(
+        tmp_path, "alone", "none", "--servers", "local", "--out", "alone", *SMALL
+    ).done()
     done = evolve(
         tmp_path,
         "alice",
@@ -219,7 +232,9 @@ def test_a_member_evolves_through_tls_and_its_name_is_the_users(
 
 
 @pytest.mark.faults
-def test_members_meet_through_a_router_that_holds_their_rules(lab: Lab, tmp_path: Path) -> None:
+def test_members_meet_through_a_router_that_holds_their_rules(
+    lab: Lab, tmp_path: Path
+) -> None:
     at = f"tls/127.0.0.1:{free_port()}"
     router = Program(
         tmp_path,
@@ -235,7 +250,8 @@ def test_members_meet_through_a_router_that_holds_their_rules(lab: Lab, tmp_path
         assert done["evaluations"] > 0
         with opened(at, as_=ring(lab.keys("bob"), "ot", "bob")) as bob:
             wait_until(
-                lambda: tokens(bob, keys.ANY_ALIVE), "bob sees the server through the router"
+                lambda: tokens(bob, keys.ANY_ALIVE),
+                "bob sees the server through the router",
             )
             alices = keys.request("default", server_id(server), "alice", "run", "reserve")
             assert ask(bob, alices, reserve()) is None
@@ -251,7 +267,9 @@ def test_servers_ask_the_controllers_of_users_each_server_as_itself(
     lab: Lab, server: Server, tmp_path: Path
 ) -> None:
     """A remote controller passes the rules; a question in another server's name does not."""
-    plain = evolve(tmp_path, "alone", "none", "--servers", "local", "--out", "alone", *SMALL).done()
+    plain = evolve(
+        tmp_path, "alone", "none", "--servers", "local", "--out", "alone", *SMALL
+    ).done()
     asked = (
         "--set=cluster.controller='optimizer'",
         "--servers",
@@ -259,11 +277,15 @@ def test_servers_ask_the_controllers_of_users_each_server_as_itself(
         f"--connect={server.endpoint}",
     )
     assert (
-        evolve(tmp_path, "alice", lab.keys("alice"), *asked, *SMALL).done()["history_hash"]
+        evolve(tmp_path, "alice", lab.keys("alice"), *asked, *SMALL).done()[
+            "history_hash"
+        ]
         == plain["history_hash"]
     )
     place = f"tls/127.0.0.1:{free_port()}"
-    listening = Reach((), multicast=False, keyring=ring(lab.keys("lab-02"), "ss", "lab-02"))
+    listening = Reach(
+        (), multicast=False, keyring=ring(lab.keys("lab-02"), "ss", "lab-02")
+    )
     asker, _ = session.open_server([place], listening)
     with (
         contextlib.closing(asker),
@@ -274,7 +296,9 @@ def test_servers_ask_the_controllers_of_users_each_server_as_itself(
         def answer(query: zenoh.Query) -> None:
             with query:
                 heard.append(str(query.key_expr))
-                query.reply(query.key_expr, codec.encode(Refused(code="cancelled", reason="")))
+                query.reply(
+                    query.key_expr, codec.encode(Refused(code="cancelled", reason=""))
+                )
 
         alice.declare_queryable(keys.control("default", "alice", "run", "*"), answer)
         alice.declare_queryable(keys.control("default", "bob", "run", "*"), answer)
@@ -343,10 +367,12 @@ def test_invalid_keys_are_refused_with_a_reason_on_both_sides(
         case _:
             folder, used, to = "none", None, to.replace("tls/", "tcp/")
     with opened(to, as_=used):
-        wait_until(lambda: server.events("link_refused"), "the server says whom it refused")
-    assert any(at_the_server in event["reason"] for event in server.events("link_refused")), (
-        server.events("link_refused")
-    )
+        wait_until(
+            lambda: server.events("link_refused"), "the server says whom it refused"
+        )
+    assert any(
+        at_the_server in event["reason"] for event in server.events("link_refused")
+    ), server.events("link_refused")
     said = look(tmp_path, "look", folder, "--connect", to)
     if at_the_optimizer is None:  # the program knows before it dials
         assert (
@@ -406,7 +432,9 @@ def test_keys_of_another_role_are_named(
     lab: Lab, tmp_path: Path, module: str, arguments: list[str], who: str, words: str
 ) -> None:
     command = ["-m", module, *arguments, "--no-multicast"]
-    program = Program(tmp_path, "wrong", command, ZSWARM_KEYS=lab.keys(who), ZSWARM_PLAIN="1")
+    program = Program(
+        tmp_path, "wrong", command, ZSWARM_KEYS=lab.keys(who), ZSWARM_PLAIN="1"
+    )
     assert program.wait() == 2
     assert words in program.err.read_text().splitlines()[-1]
     assert not (tmp_path / "runs").exists()
@@ -417,11 +445,18 @@ def test_a_server_that_came_later_than_the_list_is_named_to_the_user(
     lab: Lab, server: Server, tmp_path: Path
 ) -> None:
     """Though another one serves the run."""
-    unpacked(lab.folder / "lab-03", issued(lab.folder / "authority", of("ss", "lab-03"))[0])
+    unpacked(
+        lab.folder / "lab-03", issued(lab.folder / "authority", of("ss", "lab-03"))[0]
+    )
     later = serve(lab, tmp_path, "lab-03")
     try:
         later.ready()
-        both = ("--servers", "1", f"--connect={server.endpoint}", f"--connect={later.endpoint}")
+        both = (
+            "--servers",
+            "1",
+            f"--connect={server.endpoint}",
+            f"--connect={later.endpoint}",
+        )
         optimizer = evolve(tmp_path, "alice", lab.keys("alice"), *both, *SMALL)
         optimizer.done()
         assert "ss.lab-03 at " in optimizer.err.read_text()
@@ -439,7 +474,10 @@ def test_a_certificate_of_a_nonmember_gives_no_access(
 ) -> None:
     """Of a server, of a router that is not one of theirs, of a user that the list does not have."""
     if who == "mallory":
-        unpacked(lab.folder / "mallory", issued(lab.folder / "authority", of("ot", "mallory"))[0])
+        unpacked(
+            lab.folder / "mallory",
+            issued(lab.folder / "authority", of("ot", "mallory"))[0],
+        )
     if who == "gate":  # the router's rules let it carry; so it is revoked first
         lab.revoke("gate")
         lab.bring_members("lab-01")
@@ -449,7 +487,10 @@ def test_a_certificate_of_a_nonmember_gives_no_access(
         linked(stranger)
         assert tokens(stranger, keys.ANY_ALIVE) == []
         for user in ("alice", who):
-            for verb, message in (("reserve", reserve()), ("release", Release(lease=bytes(16)))):
+            for verb, message in (
+                ("reserve", reserve()),
+                ("release", Release(lease=bytes(16))),
+            ):
                 assert (
                     ask(
                         stranger,
@@ -458,7 +499,10 @@ def test_a_certificate_of_a_nonmember_gives_no_access(
                     )
                     is None
                 )
-        assert ask(stranger, keys.offer("default", server_id(server)), Requirements()) is None
+        assert (
+            ask(stranger, keys.offer("default", server_id(server)), Requirements())
+            is None
+        )
     assert not server.events("lease_granted")
     unknown = wait_until(lambda: server.events("member_unknown"), "the server names it")
     assert unknown[0]["certificate"].endswith(f".{who}")
@@ -473,8 +517,12 @@ def test_a_user_cannot_use_see_or_cancel_work_of_others(server: Server, lab: Lab
     ):
         for one in (alice, bob):
             wait_until(lambda one=one: tokens(one, keys.ANY_ALIVE), "it sees the server")
-        token = alice.liveliness().declare_token(keys.run_alive("default", "alice", "run"))
-        lease = ask(alice, keys.request("default", name, "alice", "run", "reserve"), reserve())
+        token = alice.liveliness().declare_token(
+            keys.run_alive("default", "alice", "run")
+        )
+        lease = ask(
+            alice, keys.request("default", name, "alice", "run", "reserve"), reserve()
+        )
         assert isinstance(lease, Lease)
         for verb, message in (
             ("renew", Renew(lease=lease.lease)),
@@ -492,11 +540,13 @@ def test_a_user_cannot_use_see_or_cancel_work_of_others(server: Server, lab: Lab
         assert not server.events("member_refused")[0]["key"].startswith(
             f"{keys.ROOT}/default/ss/{name}/ot/bob/"
         )
-        assert {event["certificate"] for event in server.events("member_refused")} == {"ot.bob"}, (
-            "alice did nothing wrong"
-        )
+        assert {event["certificate"] for event in server.events("member_refused")} == {
+            "ot.bob"
+        }, "alice did nothing wrong"
         assert tokens(bob, f"{keys.ROOT}/default/ot/*/*/alive") == []
-        false = bob.liveliness().declare_token(keys.run_alive("default", "alice", "false"))
+        false = bob.liveliness().declare_token(
+            keys.run_alive("default", "alice", "false")
+        )
         assert isinstance(
             ask(
                 alice,
@@ -517,7 +567,9 @@ def test_a_users_keys_are_refused_for_a_server(lab: Lab, tmp_path: Path) -> None
             [at], Reach(multicast=False, keyring=ring(lab.keys(who), "ss", who))
         )
         try:
-            token = false.liveliness().declare_token(keys.alive("default", "lab-01-01234567"))
+            token = false.liveliness().declare_token(
+                keys.alive("default", "lab-01-01234567")
+            )
             said = look(tmp_path, f"look-{who}", lab.keys("alice"), "--connect", at)
             assert "no server found" in said
             if role == "ot":
@@ -551,39 +603,60 @@ def test_a_run_outlives_reloads_of_its_server(lab: Lab, tmp_path: Path) -> None:
         for reload in (1, 2):
             before = int((query(record, COUNTED) or [(0,)])[0][0])
             wait_until(
-                lambda before=before: (query(record, COUNTED) or [(0,)])[0][0] > before + 200,
+                lambda before=before: (
+                    (query(record, COUNTED) or [(0,)])[0][0] > before + 200
+                ),
                 "trials are counted",
             )
             server.kill(signal.SIGHUP)
             wait_until(
-                lambda reload=reload: len(server.events("reloaded")) == reload, "it reloaded"
+                lambda reload=reload: len(server.events("reloaded")) == reload,
+                "it reloaded",
             )
         done = running.done()
         assert done["history_hash"] == plain["history_hash"]
-        assert len(server.events("lease_granted")) == 1, "the lease did not outlive the reload"
+        assert len(server.events("lease_granted")) == 1, (
+            "the lease did not outlive the reload"
+        )
     finally:
         server.close()
 
 
-def test_a_revoked_user_is_refused_after_a_reload(lab: Lab, server: Server, tmp_path: Path) -> None:
-    assert "lab-01" in look(tmp_path, "before", lab.keys("bob"), "--connect", server.endpoint)
+def test_a_revoked_user_is_refused_after_a_reload(
+    lab: Lab, server: Server, tmp_path: Path
+) -> None:
+    assert "lab-01" in look(
+        tmp_path, "before", lab.keys("bob"), "--connect", server.endpoint
+    )
     lab.revoke("bob")
     lab.bring_members("lab-01")
     server.kill(signal.SIGHUP)
     wait_until(lambda: server.events("reloaded"), "it reloaded")
     said = look(tmp_path, "after", lab.keys("bob"), "--connect", server.endpoint)
-    assert "shows no server to bob, who may not be, or no longer be, in its list of members" in said
-    assert "lab-01" in look(tmp_path, "alice", lab.keys("alice"), "--connect", server.endpoint)
+    assert (
+        "shows no server to bob, who may not be, or no longer be, in its list of members"
+        in said
+    )
+    assert "lab-01" in look(
+        tmp_path, "alice", lab.keys("alice"), "--connect", server.endpoint
+    )
     assert server.events("member_unknown")[0]["certificate"] == "ot.bob"
 
 
-def test_a_reload_of_bad_keys_changes_nothing(lab: Lab, server: Server, tmp_path: Path) -> None:
+def test_a_reload_of_bad_keys_changes_nothing(
+    lab: Lab, server: Server, tmp_path: Path
+) -> None:
     key = Path(lab.keys("lab-01")) / "key.pem"
     key.chmod(0o644)
     server.kill(signal.SIGHUP)
     wait_until(lambda: server.events("reload_refused"), "it says so")
-    assert "others than its owner may read this key" in server.events("reload_refused")[0]["reason"]
-    assert "lab-01" in look(tmp_path, "look", lab.keys("alice"), "--connect", server.endpoint)
+    assert (
+        "others than its owner may read this key"
+        in server.events("reload_refused")[0]["reason"]
+    )
+    assert "lab-01" in look(
+        tmp_path, "look", lab.keys("alice"), "--connect", server.endpoint
+    )
     assert not server.events("reloaded")
 
 
@@ -647,7 +720,11 @@ def test_a_server_that_requires_keys_does_not_start_without(tmp_path: Path) -> N
     file = tmp_path / "ss.toml"
     file.write_text("require_keys = true\n")
     server = Server(
-        tmp_path, "open", options=("--config", str(file)), ZSWARM_KEYS="none", ZSWARM_PLAIN="1"
+        tmp_path,
+        "open",
+        options=("--config", str(file)),
+        ZSWARM_KEYS="none",
+        ZSWARM_PLAIN="1",
     )
     assert server.wait() == 78
     assert server.err.read_text().splitlines()[-1] == (
@@ -672,13 +749,19 @@ def test_unencrypted_endpoints_are_refused_with_keys(
     at = f"tcp/127.0.0.1:{free_port()}"
     options = ["--no-multicast", "--listen", at]
     started = Program(
-        tmp_path, "clear", ["-m", program, *options], ZSWARM_KEYS=lab.keys(who), ZSWARM_PLAIN="1"
+        tmp_path,
+        "clear",
+        ["-m", program, *options],
+        ZSWARM_KEYS=lab.keys(who),
+        ZSWARM_PLAIN="1",
     )
     assert started.wait() == 2
     assert "an endpoint must begin with tls/" in started.err.read_text().splitlines()[-1]
 
 
-def test_a_router_keeps_its_endpoint_when_a_reload_fails(lab: Lab, tmp_path: Path) -> None:
+def test_a_router_keeps_its_endpoint_when_a_reload_fails(
+    lab: Lab, tmp_path: Path
+) -> None:
     """A server keeps its old keys on a damaged file, and reloads the repaired one."""
     file, at, wanted = tmp_path / "router.toml", free_port(), free_port()
     file.write_text(f"listen = ['tls/127.0.0.1:{at}']\nmulticast = false\n")
@@ -694,20 +777,28 @@ def test_a_router_keeps_its_endpoint_when_a_reload_fails(lab: Lab, tmp_path: Pat
             file.write_text(f"listen = ['tls/127.0.0.1:{wanted}']\nmulticast = false\n")
             router.kill(signal.SIGHUP)
             wait_until(lambda: router.events("reload_refused"), "it cannot listen there")
-            with opened(f"tls/127.0.0.1:{at}", as_=ring(lab.keys("alice"), "ot", "alice")) as alice:
+            with opened(
+                f"tls/127.0.0.1:{at}", as_=ring(lab.keys("alice"), "ot", "alice")
+            ) as alice:
                 linked(alice)
         file.write_text("listen = 3\n")
         router.kill(signal.SIGHUP)
         wait_until(
-            lambda: len(router.events("reload_refused")) == 2 or router.process.poll() is not None,
+            lambda: (
+                len(router.events("reload_refused")) == 2
+                or router.process.poll() is not None
+            ),
             "the file is wrong",
         )
-        assert router.process.poll() is None, (router.process.poll(), router.err.read_text()[-300:])
+        assert router.process.poll() is None, (
+            router.process.poll(),
+            router.err.read_text()[-300:],
+        )
         file.write_text(f"listen = ['tls/127.0.0.1:{wanted}']\nmulticast = false\n")
         router.kill(signal.SIGHUP)
-        assert wait_until(lambda: router.events("reloaded"), "it listens there")[0]["listen"] == [
-            f"tls/127.0.0.1:{wanted}"
-        ]
+        assert wait_until(lambda: router.events("reloaded"), "it listens there")[0][
+            "listen"
+        ] == [f"tls/127.0.0.1:{wanted}"]
         router.kill(signal.SIGTERM)
         assert router.wait() == 143
     finally:

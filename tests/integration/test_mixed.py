@@ -44,14 +44,19 @@ require = ["gpu=yes", "os={os}", "slots>=1"]
 rank = ["cores", "slots"]
 max_slots = 3
 """
-MISMATCHES = "SELECT text FROM events WHERE event = 'server_mismatch' AND server LIKE '{}-%'"
+MISMATCHES = (
+    "SELECT text FROM events WHERE event = 'server_mismatch' AND server LIKE '{}-%'"
+)
 TRIALS = "SELECT sum(trials) FROM servers WHERE server LIKE '{}-%'"
 
 
 def write(folder: Path, name: str, generations: int, settings: str) -> Path:
     folder.mkdir()
     text = EXPERIMENT.format(
-        name=name, generations=generations, settings=settings, os=os.uname().sysname.lower()
+        name=name,
+        generations=generations,
+        settings=settings,
+        os=os.uname().sysname.lower(),
     )
     (folder / "experiment.toml").write_text(text)
     return folder
@@ -79,7 +84,9 @@ def altered(folder: Path) -> str:
     """Return a PYTHONPATH with this zswarm, one line of minisim changed."""
     package = folder / "zswarm"
     shutil.copytree(
-        Path(zswarm.__file__).parent, package, ignore=shutil.ignore_patterns("__pycache__")
+        Path(zswarm.__file__).parent,
+        package,
+        ignore=shutil.ignore_patterns("__pycache__"),
     )
     with (package / "sims" / "minisim.py").open("a") as code:
         code.write("# a version later\n")
@@ -88,7 +95,9 @@ def altered(folder: Path) -> str:
 
 def python_without(folder: Path, *packages: str) -> str:
     """Return an environment's Python without some of this one's packages."""
-    hidden = {file.parts[0] for package in packages for file in metadata.files(package) or []}
+    hidden = {
+        file.parts[0] for package in packages for file in metadata.files(package) or []
+    }
     site = (
         folder
         / "lib"
@@ -108,7 +117,9 @@ def python_without(folder: Path, *packages: str) -> str:
     return str(folder / "bin" / "python")
 
 
-def ask(server: Server, message: messages.Requirements | messages.Reserve) -> messages.Reply:
+def ask(
+    server: Server, message: messages.Requirements | messages.Reserve
+) -> messages.Reply:
     """Return a server's answer to a request."""
     opened = session.open_optimizer(session.Reach([server.endpoint], multicast=False))
     name = str(server.events("server_ready")[0]["server"])
@@ -217,13 +228,22 @@ def test_each_of_two_runs_uses_the_servers_that_match_it_and_names_the_others_on
         looks = Optimizer(
             tmp_path,
             "look",
-            ["servers", "--wait", "1", "--json", "--for", "minisim/experiment.toml", *connect],
+            [
+                "servers",
+                "--wait",
+                "1",
+                "--json",
+                "--for",
+                "minisim/experiment.toml",
+                *connect,
+            ],
             ZSWARM_PLAIN="1",
         )
         programs.append(looks)
         refused_by_tanks = refusal(servers["tanks"], "xor", {})
         refused_by_limited = [
-            refusal(servers["limited"], "minisim", settings) for settings in ({"robots": 2}, {})
+            refusal(servers["limited"], "minisim", settings)
+            for settings in ({"robots": 2}, {})
         ]
         hashes = {name: run.done()["history_hash"] for name, run in runs_.items()}
         assert looks.wait() == 0, looks.err.read_text()
@@ -231,7 +251,9 @@ def test_each_of_two_runs_uses_the_servers_that_match_it_and_names_the_others_on
             '[limits]\n"minisim.steps" = { max = 9 }\n[labels]\nroom = "b12"\n'
         )
         servers["limited"].kill(signal.SIGHUP)
-        wait_until(lambda: servers["limited"].events("reloaded"), "its file is read again")
+        wait_until(
+            lambda: servers["limited"].events("reloaded"), "its file is read again"
+        )
         refused_by_limited.append(refusal(servers["limited"], "minisim", {"steps": 10}))
         later_offer = ask(servers["limited"], messages.Requirements())
     finally:
@@ -239,7 +261,10 @@ def test_each_of_two_runs_uses_the_servers_that_match_it_and_names_the_others_on
             program.close()
     assert refused_by_tanks == "no simulator 'xor' here; there are minisim"
     assert refused_by_limited == [
-        *(f"minisim.robots is {robots}; this server takes at most 1" for robots in (2, 8)),
+        *(
+            f"minisim.robots is {robots}; this server takes at most 1"
+            for robots in (2, 8)
+        ),
         "minisim.steps is 10; this server takes at most 9",
     ]
     assert isinstance(later_offer, messages.Offer)
@@ -277,16 +302,23 @@ def test_missing_packages_are_reported_with_the_install_command(
     tmp_path: Path,
 ) -> None:
     """A server without the packages is not used for this run but serves others."""
-    here, common = versions("pettingzoo", "fully-meshed"), versions("minisim", "fully-meshed")
+    here, common = (
+        versions("pettingzoo", "fully-meshed"),
+        versions("minisim", "fully-meshed"),
+    )
     named = plugins.libraries(plugins.source_files("simulator", "pettingzoo"))
-    packages = {name: here[name] for name in named if name not in common and here[name] != "none"}
+    packages = {
+        name: here[name] for name in named if name not in common and here[name] != "none"
+    }
 
     class Bare:
         python = python_without(tmp_path / "bare", *packages)
 
     server = type("BareServer", (Bare, Server), {})(tmp_path, "bare-server", capacity=1)
     optimizer = type("BareOptimizer", (Bare, Optimizer), {})(
-        tmp_path, "ot", ["run", "pettingzoo", "--no-multicast", "--connect", server.endpoint]
+        tmp_path,
+        "ot",
+        ["run", "pettingzoo", "--no-multicast", "--connect", server.endpoint],
     )
     try:
         server.ready()
@@ -305,7 +337,9 @@ def test_missing_packages_are_reported_with_the_install_command(
         server.close()
         optimizer.close()
     needed = " ".join(f"{name}=={said}" for name, said in packages.items())
-    assert offers[0].startswith("packages that 'pettingzoo' needs are not installed here: ")
+    assert offers[0].startswith(
+        "packages that 'pettingzoo' needs are not installed here: "
+    )
     assert offers[0].endswith(f"install {needed}")
     assert offers[1] == ""
     assert "another version" in refused

@@ -35,7 +35,9 @@ def install(folder: Path) -> str:
     ]
     environment = os.environ | {"VIRTUAL_ENV": sys.prefix}
     subprocess.run(
-        [*pip, "install", *options, str(folder / "lost-robots")], check=True, env=environment
+        [*pip, "install", *options, str(folder / "lost-robots")],
+        check=True,
+        env=environment,
     )
     assert not (folder / "target" / "test_lost_robots.py").exists(), (
         "a test is no part of the package"
@@ -50,7 +52,10 @@ def test_the_example_is_installed_and_evolves_on_a_server(
     changes: list[str], tmp_path: Path
 ) -> None:
     """The whole experiment comes as far as its comment says."""
-    environment = {"PYTHONPATH": install(tmp_path), **({"ZSWARM_PLAIN": "1"} if changes else {})}
+    environment = {
+        "PYTHONPATH": install(tmp_path),
+        **({"ZSWARM_PLAIN": "1"} if changes else {}),
+    }
     server = Server(tmp_path, "ss", **environment).ready()
     try:
         options = [
@@ -63,7 +68,10 @@ def test_the_example_is_installed_and_evolves_on_a_server(
             *changes,
         ]
         done = Optimizer(
-            tmp_path, "ot", ["run", "lost-robots/lost-robots.toml", *options], **environment
+            tmp_path,
+            "ot",
+            ["run", "lost-robots/lost-robots.toml", *options],
+            **environment,
         ).done()
     finally:
         server.close()
@@ -73,6 +81,8 @@ def test_the_example_is_installed_and_evolves_on_a_server(
         run, "SELECT count(*) FROM events WHERE event IN ('fault', 'simulator_raised')"
     ) == [(0,)]
     if not changes:
-        unseen = Optimizer(tmp_path, "unseen", ["evaluate", str(run), "--json"], **environment)
+        unseen = Optimizer(
+            tmp_path, "unseen", ["evaluate", str(run), "--json"], **environment
+        )
         assert unseen.wait() == 0
         assert -APART_M < unseen.lines()[0]["mean"] < 0.0

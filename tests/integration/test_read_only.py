@@ -82,7 +82,8 @@ def test_kernels_are_compiled_before_a_server_is_used_where_little_can_be_writte
             program.close()
     compiled = [path.stat().st_mtime for path in temporary.rglob("*.nbc")]
     [(joined,)] = query(
-        tmp_path / "runs" / "read-only", "SELECT at FROM events WHERE event = 'server_joined'"
+        tmp_path / "runs" / "read-only",
+        "SELECT at FROM events WHERE event = 'server_joined'",
     )
     assert done["event"] == "done"
     assert compiled
@@ -90,7 +91,9 @@ def test_kernels_are_compiled_before_a_server_is_used_where_little_can_be_writte
     assert not list(closed.rglob("*.nbc"))
 
 
-@pytest.mark.parametrize("command", [["--no-multicast"], ["status"]], ids=["serving", "status"])
+@pytest.mark.parametrize(
+    "command", [["--no-multicast"], ["status"]], ids=["serving", "status"]
+)
 def test_a_server_without_a_temporary_folder_reports_it_in_one_line(
     command: list[str], tmp_path: Path
 ) -> None:
@@ -99,7 +102,11 @@ def test_a_server_without_a_temporary_folder_reports_it_in_one_line(
     inside = ["unshare", "--mount", "bash", "-c", everywhere, "--"]
     folders = ("/tmp", "/var/tmp", "/usr/tmp")  # noqa: S108
     temporary = " ".join(folder for folder in folders if Path(folder).exists())
-    environment = os.environ | {"READ_ONLY": temporary, "TMPDIR": "", "RUNTIME_DIRECTORY": ""}
+    environment = os.environ | {
+        "READ_ONLY": temporary,
+        "TMPDIR": "",
+        "RUNTIME_DIRECTORY": "",
+    }
     if subprocess.run(
         [*inside, "true"], env=environment, capture_output=True, check=False
     ).returncode:
@@ -113,7 +120,7 @@ def test_a_server_without_a_temporary_folder_reports_it_in_one_line(
         timeout=60,
     )
     assert done.returncode == 1
-    assert done.stderr.startswith("zswarm-ss: [Errno 2] No usable temporary directory found"), (
-        done.stderr
-    )
+    assert done.stderr.startswith(
+        "zswarm-ss: [Errno 2] No usable temporary directory found"
+    ), done.stderr
     assert done.stderr.count("\n") == 1

@@ -56,7 +56,8 @@ PARAMETERS = {
 pytestmark = [
     pytest.mark.robots,
     pytest.mark.skipif(
-        shutil.which("roslaunch") is None, reason="roslaunch is not installed: apt install ros-core"
+        shutil.which("roslaunch") is None,
+        reason="roslaunch is not installed: apt install ros-core",
     ),
 ]
 
@@ -76,16 +77,27 @@ def in_process(room: ModuleType, genome: bytes, seed: int) -> float:
     built = network(network.settings_type(), 10, 2)
     parameters = built.parameters([genome])[0]
     world = room.Room(
-        {**PARAMETERS, "step_size": 0.25, "epsilon": 0.15, "numAgents": 3, "seed": seed % 2**31}
+        {
+            **PARAMETERS,
+            "step_size": 0.25,
+            "epsilon": 0.15,
+            "numAgents": 3,
+            "seed": seed % 2**31,
+        }
     )
     states, action = np.zeros((3, built.state_size), np.float32), np.zeros(2, np.float32)
     for _ in range(20):
         for robot in range(3):
             if world.inside[robot]:
                 built.step(
-                    parameters, states[robot], np.array(world.observe(robot), np.float32), action
+                    parameters,
+                    states[robot],
+                    np.array(world.observe(robot), np.float32),
+                    action,
                 )
-                world.move(robot, 2.0 * float(action[0]) - 1.0, 2.0 * float(action[1]) - 1.0)
+                world.move(
+                    robot, 2.0 * float(action[0]) - 1.0, 2.0 * float(action[1]) - 1.0
+                )
     return exit_fitness.last_distance([world.nearest(robot)[0] for robot in range(3)])
 
 
@@ -107,7 +119,9 @@ def belonging(folder: Path) -> list[int]:
     return [
         number
         for number in numbers
-        if str(folder) in command_line(number) and (found := status(number)) and found.state != "Z"
+        if str(folder) in command_line(number)
+        and (found := status(number))
+        and found.state != "Z"
     ]
 
 
@@ -120,13 +134,21 @@ def test_a_run_loses_nothing_when_roslaunch_is_killed_or_stopped(
     (tmp_path / "exit.toml").write_text(EXPERIMENT.format(simulator="exit-yaml"))
     server = Server(tmp_path, "ros", capacity=2, **told).ready()
     try:
-        options = f"--json --out runs --servers 1 --connect {server.endpoint} --no-multicast"
+        options = (
+            f"--json --out runs --servers 1 --connect {server.endpoint} --no-multicast"
+        )
         command = ["run", "exit.toml", *options.split()]
         optimizer = Optimizer(tmp_path, "ot", command, **told)
         run = tmp_path / "runs" / "exit"
-        wait_until(lambda: query(run, "SELECT 1 FROM candidates"), "a generation is recorded", 400)
+        wait_until(
+            lambda: query(run, "SELECT 1 FROM candidates"),
+            "a generation is recorded",
+            400,
+        )
         for number in (signal.SIGKILL, signal.SIGSTOP):
-            (victim, *_) = wait_until(lambda: launched(server.process.pid), "a trial is played")
+            (victim, *_) = wait_until(
+                lambda: launched(server.process.pid), "a trial is played"
+            )
             os.kill(victim, number)
             wait_until(
                 lambda victim=victim: status(victim) is None,

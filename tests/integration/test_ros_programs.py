@@ -11,7 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.integration.programs import Optimizer, Server, children, command_line, query, wait_until
+from tests.integration.programs import (
+    Optimizer,
+    Server,
+    children,
+    command_line,
+    query,
+    wait_until,
+)
 from tests.ros.ros_here import need
 from zswarm import evaluate, experiment
 from zswarm.ot.build import build
@@ -41,8 +48,12 @@ NODE = "zswarm.ros.simulation.node"
 
 def write(to: Path, simulator: str, generations: int, **settings: Any) -> Path:
     file = to / f"{simulator}.toml"
-    lines = "\n".join(f"{key} = {value!r}".lower() for key, value in {**ROOM, **settings}.items())
-    file.write_text(EXPERIMENT.format(simulator=simulator, generations=generations, settings=lines))
+    lines = "\n".join(
+        f"{key} = {value!r}".lower() for key, value in {**ROOM, **settings}.items()
+    )
+    file.write_text(
+        EXPERIMENT.format(simulator=simulator, generations=generations, settings=lines)
+    )
     return file
 
 
@@ -56,7 +67,11 @@ def history(to: Path, generations: int) -> tuple[str, int]:
         different.update(map(bytes, genomes))
         work = problem.workload(genomes, generation)
         outcomes = evaluate.evaluate(
-            problem.simulator, problem.representation, genomes, work.participants, work.seeds
+            problem.simulator,
+            problem.representation,
+            genomes,
+            work.participants,
+            work.seeds,
         )
         fitness = outcomes.fitness[0::2, 0] + outcomes.fitness[1::2, 0]
         told.add(genomes, fitness)
@@ -65,7 +80,9 @@ def history(to: Path, generations: int) -> tuple[str, int]:
 
 
 @contextmanager
-def evolving(to: Path, file: Path) -> Iterator[tuple[Server, Optimizer, Callable[[], list[int]]]]:
+def evolving(
+    to: Path, file: Path
+) -> Iterator[tuple[Server, Optimizer, Callable[[], list[int]]]]:
     """A server of two slots, a run on it, and its nodes; check that none remains."""
     server = Server(to, "ss", capacity=2)
     arguments = [
@@ -94,7 +111,11 @@ def evolving(to: Path, file: Path) -> Iterator[tuple[Server, Optimizer, Callable
         server.kill(signal.SIGTERM)
         server.wait()
         wait_until(
-            lambda: not any(re.search("zswarm|rosmaster", command_line(one)) for one in started),
+            lambda: (
+                not any(
+                    re.search("zswarm|rosmaster", command_line(one)) for one in started
+                )
+            ),
             "all have ended",
             20,
         )
@@ -145,6 +166,7 @@ def test_a_hanging_simulation_is_a_fault_and_the_run_continues(tmp_path: Path) -
         done = optimizer.done()
         (died,) = server.events("slot_died")
     assert re.search(
-        r"no scan and pose of robot [01, ]+ at [\d.]+ s within 2 s \(deadline_s\)", died["reason"]
+        r"no scan and pose of robot [01, ]+ at [\d.]+ s within 2 s \(deadline_s\)",
+        died["reason"],
     )
     assert done["history_hash"] == expected

@@ -12,12 +12,16 @@ def router(folder: Path, name: str, *options: str) -> Program:
     return Program(folder, name, ["-m", "zswarm.router", *options])
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)]
+)
 def test_a_signal_ends_it_cleanly(tmp_path: Path, number: int, code: int) -> None:
     place = f"tcp/127.0.0.1:{free_port()}"
     program = router(tmp_path, "router", "--no-multicast", "--listen", place)
     try:
-        ready = wait_until(lambda: program.events("router_ready"), "router_ready is logged")
+        ready = wait_until(
+            lambda: program.events("router_ready"), "router_ready is logged"
+        )
         assert len(ready) == 1
         assert (ready[0]["listen"], ready[0]["multicast"]) == ([place], False)
         program.kill(number)

@@ -17,7 +17,9 @@ ALONE = "4f59c4480f0bd4ba1aee798341bf9694"
 
 def run(folder: Path, name: str, *options: str) -> Optimizer:
     return Optimizer(
-        folder, name, ["run", evacuation.write(folder, "disturbed", STEPS), "--json", *options]
+        folder,
+        name,
+        ["run", evacuation.write(folder, "disturbed", STEPS), "--json", *options],
     )
 
 
@@ -65,8 +67,12 @@ def test_killed_and_late_servers_do_not_change_the_history(tmp_path: Path) -> No
     shares = dict(query(record, "SELECT server, trials FROM servers"))
     assert done["history_hash"] == ALONE
     assert done["requeued"] > 0
-    assert query(record, "SELECT sum(count) > 0 FROM events WHERE event = 'requeued'") == [(1,)]
-    assert sum(trials for server, trials in shares.items() if server.startswith("late-")) > 0
+    assert query(
+        record, "SELECT sum(count) > 0 FROM events WHERE event = 'requeued'"
+    ) == [(1,)]
+    assert (
+        sum(trials for server, trials in shares.items() if server.startswith("late-")) > 0
+    )
     assert sum(shares.values()) == TRIALS
     assert check_run(record).history_hash == ALONE
 
@@ -96,7 +102,9 @@ def test_a_killed_optimizer_resumes_and_repeats_nothing(tmp_path: Path) -> None:
     ("number", "code"),
     [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.long)],
 )
-def test_a_stopped_optimizer_prints_how_to_resume(tmp_path: Path, number: int, code: int) -> None:
+def test_a_stopped_optimizer_prints_how_to_resume(
+    tmp_path: Path, number: int, code: int
+) -> None:
     stopped = run(tmp_path, "stopped", "--servers", "local")
     wait_until(lambda: counted(tmp_path) > 100, "some trials are counted")
     stopped.kill(number)
@@ -115,11 +123,15 @@ def test_a_stopped_optimizer_prints_how_to_resume(tmp_path: Path, number: int, c
 
 
 @pytest.mark.long
-def test_two_optimizers_of_one_user_share_the_servers_and_both_finish(tmp_path: Path) -> None:
+def test_two_optimizers_of_one_user_share_the_servers_and_both_finish(
+    tmp_path: Path,
+) -> None:
     folders = [tmp_path / "one", tmp_path / "two"]
     for folder in folders:
         folder.mkdir()
-    servers = [Server(tmp_path, f"ss-{number}", capacity=1).ready() for number in range(2)]
+    servers = [
+        Server(tmp_path, f"ss-{number}", capacity=1).ready() for number in range(2)
+    ]
     optimizers = [run(folder, "ot", *remote(*servers, wait=1)) for folder in folders]
     try:
         hashes = [optimizer.done()["history_hash"] for optimizer in optimizers]
@@ -127,7 +139,9 @@ def test_two_optimizers_of_one_user_share_the_servers_and_both_finish(tmp_path: 
         for program in (*servers, *optimizers):
             program.close()
     assert hashes == [ALONE, ALONE]
-    assert [check_run(folder / "runs" / "disturbed").history_hash for folder in folders] == hashes
+    assert [
+        check_run(folder / "runs" / "disturbed").history_hash for folder in folders
+    ] == hashes
 
 
 @pytest.mark.long
@@ -139,9 +153,12 @@ def test_waiting_runs_get_slots_in_order_of_arrival(tmp_path: Path) -> None:
     try:
         for number, folder in enumerate(folders):
             folder.mkdir()
-            optimizers.append(run(folder, "ot", *remote(server), *([] if number == 0 else short)))
+            optimizers.append(
+                run(folder, "ot", *remote(server), *([] if number == 0 else short))
+            )
             wait_until(
-                lambda number=number: len(server.events("lease_granted")) > number, "it has a lease"
+                lambda number=number: len(server.events("lease_granted")) > number,
+                "it has a lease",
             )
         optimizers[0].kill(signal.SIGINT)
         assert optimizers[0].wait() == 130
@@ -154,7 +171,9 @@ def test_waiting_runs_get_slots_in_order_of_arrival(tmp_path: Path) -> None:
         query(folder / "runs" / "disturbed", "SELECT min(at), max(at) FROM outcomes")[0]
         for folder in folders
     ]
-    assert spans[0][1] < spans[1][0], "the second run had a slot before the first gave it back"
+    assert spans[0][1] < spans[1][0], (
+        "the second run had a slot before the first gave it back"
+    )
     assert spans[1][1] < spans[2][0], "the third run was served before the second"
 
 
@@ -177,7 +196,9 @@ def test_a_drained_server_finishes_running_work_and_exits(tmp_path: Path) -> Non
 
 
 @pytest.mark.long
-def test_fresh_seeds_and_local_slots_give_the_same_for_any_number_of_slots(tmp_path: Path) -> None:
+def test_fresh_seeds_and_local_slots_give_the_same_for_any_number_of_slots(
+    tmp_path: Path,
+) -> None:
     small = [
         "--set",
         "problem.seeds=fresh",
@@ -188,7 +209,13 @@ def test_fresh_seeds_and_local_slots_give_the_same_for_any_number_of_slots(tmp_p
     ]
     hashes = set()
     for slots in (1, 3):
-        options = [*small, "--set", f"cluster.local_slots={slots}", "--out", f"out-{slots}"]
+        options = [
+            *small,
+            "--set",
+            f"cluster.local_slots={slots}",
+            "--out",
+            f"out-{slots}",
+        ]
         hashes.add(run(tmp_path, f"slots-{slots}", *options).done()["history_hash"])
         check_run(tmp_path / f"out-{slots}" / "disturbed")
     assert len(hashes) == 1

@@ -45,7 +45,8 @@ def test_a_stopped_server_that_resumes_is_used_again(
     others_pace.held()
     scene.stop(victim.process.pid)
     wait_until(
-        lambda: scene.events("server_left", "victim"), "the stopped server is taken for gone"
+        lambda: scene.events("server_left", "victim"),
+        "the stopped server is taken for gone",
     )
     scene.go_on(victim.process.pid)
     pace.let_go()
@@ -55,7 +56,9 @@ def test_a_stopped_server_that_resumes_is_used_again(
     assert victim.process.poll() is None
 
 
-def test_a_killed_slot_costs_one_trial_one_attempt(scene: Scene, undisturbed: Undisturbed) -> None:
+def test_a_killed_slot_costs_one_trial_one_attempt(
+    scene: Scene, undisturbed: Undisturbed
+) -> None:
     server, pace = scene.server("ss", capacity=2)
     pace.arm()
     optimizer = scene.optimizer(server.endpoint)
@@ -168,7 +171,9 @@ def test_a_copy_that_is_resumed_takes_over_from_a_stopped_optimizer(
     shutil.copytree(scene.folder / "runs", scene.folder / "copied")
     pace.let_go()
     copied = scene.folder / "copied" / "paced"
-    scene.check(scene.optimizer(server.endpoint, resume=copied).done(), undisturbed, copied)
+    scene.check(
+        scene.optimizer(server.endpoint, resume=copied).done(), undisturbed, copied
+    )
     assert len(server.events("lease_taken_over")) == 1
     scene.go_on(old.process.pid)
     assert old.wait() == 1

@@ -52,7 +52,8 @@ def write(
 ) -> str:
     file = folder / f"{name}.toml"
     file.write_text(
-        EXPERIMENT.format(name=name, generations=generations, trials=trials, steps=steps) + study
+        EXPERIMENT.format(name=name, generations=generations, trials=trials, steps=steps)
+        + study
     )
     return str(file)
 
@@ -68,7 +69,11 @@ def play(folder: Path, name: str, *arguments: str, **environment: str) -> Optimi
 
 def ended(optimizer: Optimizer) -> dict[str, dict[str, Any]]:
     """Return the folder names of runs reported as finished."""
-    return {Path(line["run"]).name: line for line in optimizer.lines() if line["event"] == "run"}
+    return {
+        Path(line["run"]).name: line
+        for line in optimizer.lines()
+        if line["event"] == "run"
+    }
 
 
 def counted(study: Path) -> int:
@@ -82,7 +87,9 @@ def counted(study: Path) -> int:
 
 def hashes(study: Path) -> dict[str, str]:
     """Check the promise and return the runs' hashes by folder name."""
-    checked = {run.name: check_run(run, sample=3) for run in study.iterdir() if run.is_dir()}
+    checked = {
+        run.name: check_run(run, sample=3) for run in study.iterdir() if run.is_dir()
+    }
     return {name: facts.history_hash for name, facts in checked.items() if facts.finished}
 
 
@@ -110,12 +117,17 @@ def test_a_run_of_a_study_equals_a_single_run_bit_for_bit(tmp_path: Path) -> Non
         f"runs/sweep/{name}" for name in NAMES
     }
     options = ["--seed", "4", "--set", "representation.hidden=2"]
-    alone = play(tmp_path, "alone", "run", write(tmp_path, "", name="alone"), *options).done()
+    alone = play(
+        tmp_path, "alone", "run", write(tmp_path, "", name="alone"), *options
+    ).done()
     assert alone["history_hash"] == runs["hidden-2-seed-4"]["history_hash"]
     assert hashes(tmp_path / "runs" / "sweep") == {
         name: line["history_hash"] for name, line in runs.items()
     }
-    assert "[study]" not in (tmp_path / "runs" / "sweep" / NAMES[0] / "experiment.toml").read_text()
+    assert (
+        "[study]"
+        not in (tmp_path / "runs" / "sweep" / NAMES[0] / "experiment.toml").read_text()
+    )
 
 
 def test_repeat_is_an_option_and_the_result_is_printed(tmp_path: Path) -> None:
@@ -136,7 +148,9 @@ def test_repeat_is_an_option_and_the_result_is_printed(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_a_finished_study_is_reported_again_and_grows_with_its_file(tmp_path: Path) -> None:
+def test_a_finished_study_is_reported_again_and_grows_with_its_file(
+    tmp_path: Path,
+) -> None:
     """A study grows by repeats, values and generations; removed values leave their runs."""
     first = play(tmp_path, "first", "run", write(tmp_path, GRID))
     first.done()
@@ -144,26 +158,36 @@ def test_a_finished_study_is_reported_again_and_grows_with_its_file(tmp_path: Pa
     before = {name: (study / name / "run.sqlite").stat().st_mtime_ns for name in NAMES}
     again = play(tmp_path, "again", "resume", "runs/sweep")
     assert again.done()["finished"] == 4
-    assert {name: line["history_hash"] for name, line in ended(again).items()} == hashes(study)
+    assert {name: line["history_hash"] for name, line in ended(again).items()} == hashes(
+        study
+    )
     text = (study / "experiment.toml").read_text()
     (study / "experiment.toml").write_text(
         text.replace("repeat = 2", "repeat = 3").replace("    2,\n", "")
     )
     more = play(tmp_path, "more", "resume", "runs/sweep")
     assert more.done()["finished"] == 3
-    assert sorted(ended(more)) == ["hidden-1-seed-3", "hidden-1-seed-4", "hidden-1-seed-5"]
+    assert sorted(ended(more)) == [
+        "hidden-1-seed-3",
+        "hidden-1-seed-4",
+        "hidden-1-seed-5",
+    ]
     assert "hidden-2-seed-3, hidden-2-seed-4" in more.err.read_text()
-    assert {name: (study / name / "run.sqlite").stat().st_mtime_ns for name in NAMES} == before, (
-        "finished runs were touched"
-    )
+    assert {
+        name: (study / name / "run.sqlite").stat().st_mtime_ns for name in NAMES
+    } == before, "finished runs were touched"
     text = (study / "experiment.toml").read_text()
     (study / "experiment.toml").write_text(
-        text.replace("generations = 3", "generations = 4").replace("repeat = 3", "repeat = 1")
+        text.replace("generations = 3", "generations = 4").replace(
+            "repeat = 3", "repeat = 1"
+        )
     )
     longer = play(tmp_path, "longer", "resume", "runs/sweep").done()
     assert longer["finished"] == 1
     whole = write(tmp_path, "", name="whole", generations=4)
-    alone = play(tmp_path, "alone", "run", whole, "--set", "representation.hidden=1").done()
+    alone = play(
+        tmp_path, "alone", "run", whole, "--set", "representation.hidden=1"
+    ).done()
     assert hashes(study)["hidden-1-seed-3"] == alone["history_hash"]
 
 
@@ -192,12 +216,15 @@ def test_a_killed_study_continues_and_repeats_nothing(
     assert resumed.done()["finished"] == len(NAMES)
     assert hashes(study) == undisturbed, "it is not the study that nothing happened to"
     assert {
-        name: query(study / name, "SELECT count(*), max(at) FROM outcomes") for name in before
+        name: query(study / name, "SELECT count(*), max(at) FROM outcomes")
+        for name in before
     } == before
 
 
 @pytest.mark.faults
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)]
+)
 def test_a_stopped_study_prints_how_to_resume(
     tmp_path: Path, undisturbed: dict[str, str], number: int, code: int
 ) -> None:
@@ -206,11 +233,17 @@ def test_a_stopped_study_prints_how_to_resume(
     wait_until(lambda: counted(study) > 300, "some trials are counted")
     second = play(tmp_path, "second", "resume", "runs/sweep")
     assert second.wait() == 2, "two programs at one study"
-    assert "runs/sweep: another zswarm-ot is at this study; stop it first" in second.err.read_text()
+    assert (
+        "runs/sweep: another zswarm-ot is at this study; stop it first"
+        in second.err.read_text()
+    )
     stopped.kill(number)
     assert stopped.wait() == code
     told = stopped.err.read_text()
-    assert told.count("stopped; nothing is lost. Resume with: zswarm-ot resume runs/sweep") == 1
+    assert (
+        told.count("stopped; nothing is lost. Resume with: zswarm-ot resume runs/sweep")
+        == 1
+    )
     assert "Traceback" not in told
     play(tmp_path, "resumed", "resume", "runs/sweep").done()
     assert hashes(study) == undisturbed
@@ -225,7 +258,9 @@ def test_a_run_that_fails_stops_no_other(tmp_path: Path) -> None:
         file.read_text() + '\n[study.grid]\n"problem.settings.how" = ["exits", "fine"]\n'
     )
     options = ["--servers", "local", "--set", "cluster.local_slots=1"]
-    first = play(tmp_path, "first", "run", str(file), *options, PYTHONPATH=rough, ZSWARM_PLAIN="1")
+    first = play(
+        tmp_path, "first", "run", str(file), *options, PYTHONPATH=rough, ZSWARM_PLAIN="1"
+    )
     again = (
         play(tmp_path, "again", "resume", "runs/rough", PYTHONPATH=rough)
         if first.wait() == 1
@@ -243,7 +278,9 @@ def test_a_run_that_fails_stops_no_other(tmp_path: Path) -> None:
 
 
 @pytest.mark.faults
-def test_a_damaged_run_stops_no_other_and_foreign_folders_are_not_removed(tmp_path: Path) -> None:
+def test_a_damaged_run_stops_no_other_and_foreign_folders_are_not_removed(
+    tmp_path: Path,
+) -> None:
     play(tmp_path, "first", "run", write(tmp_path, GRID)).done()
     study = tmp_path / "runs" / "sweep"
     for name in NAMES[:3]:
@@ -261,7 +298,9 @@ def test_a_damaged_run_stops_no_other_and_foreign_folders_are_not_removed(tmp_pa
         if line["event"] == "failed"
     }
     assert {NAMES[0]} <= set(failed) <= set(NAMES[:2]), resumed.err.read_text()
-    assert (study / NAMES[1] / "run.sqlite").stat().st_size == 5000, "what is damaged was touched"
+    assert (study / NAMES[1] / "run.sqlite").stat().st_size == 5000, (
+        "what is damaged was touched"
+    )
     assert (
         failed[NAMES[0]]
         == f"runs/sweep/{NAMES[0]}: expected a run's folder or none, but it holds thesis.tex"
@@ -273,7 +312,9 @@ def test_a_damaged_run_stops_no_other_and_foreign_folders_are_not_removed(tmp_pa
 def test_runs_share_a_server_and_its_slots_move_on_when_one_ends(tmp_path: Path) -> None:
     """The first has both, the others wait for them."""
     server = Server(tmp_path, "ss", capacity=2).ready()
-    text = write(tmp_path, GRID.replace("at_once = 2", "at_once = 4"), trials=1, generations=2)
+    text = write(
+        tmp_path, GRID.replace("at_once = 2", "at_once = 4"), trials=1, generations=2
+    )
     options = ["--servers", "1", f"--connect={server.endpoint}", "--no-multicast"]
     try:
         done = play(tmp_path, "ot", "run", text, *options).done()
@@ -283,7 +324,9 @@ def test_runs_share_a_server_and_its_slots_move_on_when_one_ends(tmp_path: Path)
     assert len(server.events("lease_granted")) == 4
     assert len(server.events("lease_released")) == 4
     runs = [tmp_path / "runs" / "sweep" / name for name in NAMES]
-    assert all(query(run, "SELECT count(DISTINCT server) FROM servers") == [(1,)] for run in runs)
+    assert all(
+        query(run, "SELECT count(DISTINCT server) FROM servers") == [(1,)] for run in runs
+    )
 
 
 @pytest.mark.long

@@ -49,10 +49,14 @@ def walk(name: str, command: click.Command) -> Iterator[tuple[str, click.Command
             yield from walk(f"{name} {each}", inner)
 
 
-COMMANDS = dict(pair for program, command in PROGRAMS.items() for pair in walk(program, command))
+COMMANDS = dict(
+    pair for program, command in PROGRAMS.items() for pair in walk(program, command)
+)
 
 
-def program(*arguments: str, cwd: Path, **environment: str) -> "subprocess.CompletedProcess[bytes]":
+def program(
+    *arguments: str, cwd: Path, **environment: str
+) -> "subprocess.CompletedProcess[bytes]":
     clean = {
         name: value
         for name, value in os.environ.items()
@@ -73,9 +77,13 @@ def on_a_terminal(arguments: Sequence[str], cwd: Path, **environment: str) -> by
     """What a program writes to a terminal."""
     ours, its = pty.openpty()
     done = subprocess.Popen(
-        [sys.executable, "-m", *arguments], cwd=cwd, stdin=its, stdout=its, stderr=its,
+        [sys.executable, "-m", *arguments],
+        cwd=cwd,
+        stdin=its,
+        stdout=its,
+        stderr=its,
         env=os.environ | {"TERM": "xterm-256color", "COLUMNS": "80"} | environment,
-    )  # fmt: skip
+    )
     os.close(its)
     seen = b""
     try:
@@ -95,7 +103,9 @@ def on_a_terminal(arguments: Sequence[str], cwd: Path, **environment: str) -> by
 @pytest.mark.parametrize("name", COMMANDS)
 def test_help_fits_the_terminal(name: str, columns: int) -> None:
     """At 40 columns a long word or example may stand out."""
-    done = CliRunner().invoke(COMMANDS[name], ["--help"], prog_name=name, terminal_width=columns)
+    done = CliRunner().invoke(
+        COMMANDS[name], ["--help"], prog_name=name, terminal_width=columns
+    )
     assert done.exit_code == 0
     assert "\x1b" not in done.output
     if columns == 80:
@@ -121,7 +131,9 @@ def test_help_teaches_by_example(name: str) -> None:
 
 def test_commands_are_listed_in_the_order_of_use() -> None:
     shown = (
-        CliRunner().invoke(ot.command, ["--help"], prog_name="zswarm-ot", terminal_width=80).output
+        CliRunner()
+        .invoke(ot.command, ["--help"], prog_name="zswarm-ot", terminal_width=80)
+        .output
     )
     places = [
         shown.index(f"\n  {name} ")
@@ -191,7 +203,9 @@ def test_colour_follows_the_environment(
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
 ) -> None:
-    for name, value in ({"TERM": "xterm", "NO_COLOR": "", "FORCE_COLOR": ""} | environment).items():
+    for name, value in (
+        {"TERM": "xterm", "NO_COLOR": "", "FORCE_COLOR": ""} | environment
+    ).items():
         monkeypatch.setenv(name, value)
     ours, its = pty.openpty()
     with os.fdopen(its, "w") as terminal_stream, (tmp_path / "file").open("w") as file:
@@ -219,12 +233,23 @@ QUIET = [
     ["init"],
     ["completion", "fish"],
     ["servers", "--no-multicast", "--wait", "0.1"],
-    ["run", "minisim", "--set", "generations=1", "--set", "problem.trials=1", "--servers", "local"],
+    [
+        "run",
+        "minisim",
+        "--set",
+        "generations=1",
+        "--set",
+        "problem.trials=1",
+        "--servers",
+        "local",
+    ],
 ]
 
 
 @pytest.mark.parametrize("arguments", QUIET, ids=" ".join)
-def test_output_to_a_pipe_has_no_escape_byte(arguments: list[str], tmp_path: Path) -> None:
+def test_output_to_a_pipe_has_no_escape_byte(
+    arguments: list[str], tmp_path: Path
+) -> None:
     done = program("zswarm.ot", *arguments, cwd=tmp_path)
     assert done.stdout or done.stderr
     assert b"\x1b" not in done.stdout + done.stderr
@@ -301,9 +326,13 @@ def test_a_table_becomes_blocks_on_a_narrow_terminal(
         terminal.show(made)
         shown[columns] = [line.rstrip() for line in capfd.readouterr().out.splitlines()]
         assert max(map(len, shown[columns])) <= columns
-    assert any("runs/stadium-2" in line and "2026-11-22 01:42" in line for line in shown[80])
+    assert any(
+        "runs/stadium-2" in line and "2026-11-22 01:42" in line for line in shown[80]
+    )
     assert shown[40][:4] == [
-        "runs/emergency-exit", "  generations  50", "  best         -65.7928",
+        "runs/emergency-exit",
+        "  generations  50",
+        "  best         -65.7928",
         "  last at      2026-11-22 01:42",
-    ]  # fmt: skip
+    ]
     assert shown[40][4] == "runs/stadium-2"

@@ -46,7 +46,8 @@ class Site:
             *options,
         ]
         return self._ready(
-            Program(self.folder, f"ss-{len(self.programs)}", arguments, host.inside), "server_ready"
+            Program(self.folder, f"ss-{len(self.programs)}", arguments, host.inside),
+            "server_ready",
         )
 
     def router(self, host: Host, *options: str) -> Program:
@@ -57,7 +58,9 @@ class Site:
         )
 
     def optimizer(self, host: Host, *arguments: str) -> Optimizer:
-        started = Optimizer(self.folder, f"ot-{len(self.programs)}", list(arguments), host.inside)
+        started = Optimizer(
+            self.folder, f"ot-{len(self.programs)}", list(arguments), host.inside
+        )
         self.programs.append(started)
         return started
 
@@ -139,7 +142,10 @@ def test_given_endpoints_need_no_multicast(lab: Lab, site: Site, alone: str) -> 
     for host in hosts:
         site.server(host, "--no-multicast", "--listen", f"tcp/{host.address}:7467")
     connect = [f"--connect=tcp/{host.address}:7467" for host in hosts]
-    assert site.run(lab.host(lan), "--no-multicast", *connect).done()["history_hash"] == alone
+    assert (
+        site.run(lab.host(lan), "--no-multicast", *connect).done()["history_hash"]
+        == alone
+    )
     assert site.counted(SERVED) == 2
 
 
@@ -181,7 +187,11 @@ def test_a_router_carries_everything_and_may_be_restarted_in_the_middle(
     router = site.router(middle, "--no-multicast")
     for host in hosts:
         site.server(host, "--no-multicast", f"--connect=tcp/{middle.address}:7466")
-    options = ["--no-multicast", "--through-router", f"--connect=tcp/{middle.addresses[1]}:7466"]
+    options = [
+        "--no-multicast",
+        "--through-router",
+        f"--connect=tcp/{middle.addresses[1]}:7466",
+    ]
     optimizer = site.run(workstation, *options)
     site.wait_counted(100)
     router.kill()
@@ -196,7 +206,9 @@ def test_a_router_carries_everything_and_may_be_restarted_in_the_middle(
     assert site.counted(SERVED) == 2
 
 
-def test_a_router_that_multicast_finds_may_start_after_the_optimizer(lab: Lab, site: Site) -> None:
+def test_a_router_that_multicast_finds_may_start_after_the_optimizer(
+    lab: Lab, site: Site
+) -> None:
     """Until then the optimizer's own slots compute, and it takes what comes through the router."""
     middle, hosts, workstation = beyond(lab)
     optimizer = site.run(
@@ -235,8 +247,13 @@ def test_servers_beyond_a_router_are_named_with_the_option_that_reaches_them(
 ) -> None:
     middle, hosts, workstation = beyond(lab)
     site.router(middle)
-    server = site.server(hosts[0], "--no-multicast", f"--connect=tcp/{middle.address}:7466")
-    name, outside = server.events("server_ready")[0]["server"], f"tcp/{middle.addresses[1]}:7466"
+    server = site.server(
+        hosts[0], "--no-multicast", f"--connect=tcp/{middle.address}:7466"
+    )
+    name, outside = (
+        server.events("server_ready")[0]["server"],
+        f"tcp/{middle.addresses[1]}:7466",
+    )
     expected = (
         f"{outside}: this router sees {name}, which cannot be dialled from here: "
         "set through_router = true (--through-router)"
@@ -247,22 +264,38 @@ def test_servers_beyond_a_router_are_named_with_the_option_that_reaches_them(
     assert failed.wait() == 4
     assert expected in failed.err.read_text().splitlines()
     seen = site.optimizer(
-        workstation, "servers", "--json", "--through-router", "--no-multicast", "--connect", outside
+        workstation,
+        "servers",
+        "--json",
+        "--through-router",
+        "--no-multicast",
+        "--connect",
+        outside,
     )
     assert seen.wait() == 0
     assert [line["server"] for line in seen.lines()] == [name]
 
 
-def test_each_endpoint_that_leads_nowhere_is_named_with_the_reason(lab: Lab, site: Site) -> None:
+def test_each_endpoint_that_leads_nowhere_is_named_with_the_reason(
+    lab: Lab, site: Site
+) -> None:
     lan = lab.network()
     host, workstation = lab.host(lan), lab.host(lan)
-    site.programs.append(Program(site.folder, "web", ["-m", "http.server", "8000"], host.inside))
+    site.programs.append(
+        Program(site.folder, "web", ["-m", "http.server", "8000"], host.inside)
+    )
     dial = "import socket; socket.create_connection(('127.0.0.1', 8000))"
     wait_until(lambda: host.succeeds("python3", "-c", dial), "the web server is up")
     site.router(host, "--no-multicast")
     ends = [f"tcp/{host.address}:{port}" for port in (7999, 8000, 7466)]
-    ends += [f"tcp/10.77.{lan.number}.99:7467", "tcp/10.99.0.1:7467", "tcp/nobody.invalid:7467"]
-    found = look(site, workstation, "--no-multicast", *(f"--connect={end}" for end in ends))
+    ends += [
+        f"tcp/10.77.{lan.number}.99:7467",
+        "tcp/10.99.0.1:7467",
+        "tcp/nobody.invalid:7467",
+    ]
+    found = look(
+        site, workstation, "--no-multicast", *(f"--connect={end}" for end in ends)
+    )
     reasons = dict(line.split(": ", 1) for line in found)
     assert list(reasons) == ends
     for end, words in zip(
@@ -280,7 +313,9 @@ def test_each_endpoint_that_leads_nowhere_is_named_with_the_reason(lab: Lab, sit
         assert words in reasons[end]
 
 
-def test_missing_endpoints_and_missing_multicast_are_reported(lab: Lab, site: Site) -> None:
+def test_missing_endpoints_and_missing_multicast_are_reported(
+    lab: Lab, site: Site
+) -> None:
     lan = lab.network()
     assert look(site, lab.host(lan), "--no-multicast")[0].startswith(
         "multicast is off and connect is empty"

@@ -41,7 +41,9 @@ def test_a_killed_tournament_has_the_same_result_on_any_number_of_slots(
     killed.wait()
     before = dict(query(run, "SELECT id, trials FROM outcomes"))
     done = Optimizer(
-        tmp_path, "resumed", ["resume", "runs/minisim-duel", "--json", "--servers", "local"]
+        tmp_path,
+        "resumed",
+        ["resume", "runs/minisim-duel", "--json", "--servers", "local"],
     ).done()
     assert done["history_hash"] == whole["history_hash"]
     after = dict(query(run, "SELECT id, trials FROM outcomes"))

@@ -47,7 +47,14 @@ def play(
     return Optimizer(
         folder,
         name,
-        ["run", str(file), "--json", "--no-multicast", f"--out={folder / name}", *options],
+        [
+            "run",
+            str(file),
+            "--json",
+            "--no-multicast",
+            f"--out={folder / name}",
+            *options,
+        ],
     )
 
 
@@ -56,7 +63,9 @@ def local(slots: int) -> tuple[str, ...]:
 
 
 def remote(*servers: Server) -> tuple[str, ...]:
-    return f"--servers={len(servers)}", *(f"--connect={server.endpoint}" for server in servers)
+    return f"--servers={len(servers)}", *(
+        f"--connect={server.endpoint}" for server in servers
+    )
 
 
 def reference(folder: Path, simulator: str, trials: int) -> str:
@@ -79,7 +88,11 @@ def test_the_history_is_that_of_controllers_at_the_servers(tmp_path: Path) -> No
     for name, options in (("turn", ()), ("agent", (EACH_AGENT,))):
         optimizer = play(tmp_path, name, ASKED, *options, *local(2))
         assert optimizer.done()["history_hash"] == expected
-        said = [line for line in optimizer.err.read_text().splitlines() if "controllers" in line]
+        said = [
+            line
+            for line in optimizer.err.read_text().splitlines()
+            if "controllers" in line
+        ]
         assert said == [
             f"the controllers stay in this program: servers ask it a question for each {name}"
         ]
@@ -92,7 +105,9 @@ def test_simulators_with_sequential_agents_have_the_same_history(
 ) -> None:
     """As have those whose settings differ by trial."""
     more = ("--set=problem.settings.agents={from = 3, to = 6}", *local(2))
-    travelled = play(tmp_path, "travelled", *more, simulator="emergency-exit", trials=2).done()
+    travelled = play(
+        tmp_path, "travelled", *more, simulator="emergency-exit", trials=2
+    ).done()
     asked = play(
         tmp_path, "asked", ASKED, *options, *more, simulator="emergency-exit", trials=2
     ).done()
@@ -105,21 +120,32 @@ def test_killed_servers_do_not_change_the_history(
 ) -> None:
     """Two of them; then both, and one that starts only now does the rest."""
     expected = reference(tmp_path, "emergency-exit", 4)
-    servers = [Server(tmp_path, f"ss-{number}", capacity=1).ready() for number in range(2)]
+    servers = [
+        Server(tmp_path, f"ss-{number}", capacity=1).ready() for number in range(2)
+    ]
     port = free_port()
     late = f"--connect=tcp/127.0.0.1:{port}"
     optimizer = play(
-        tmp_path, "asked", ASKED, *remote(*servers), late, simulator="emergency-exit", trials=4
+        tmp_path,
+        "asked",
+        ASKED,
+        *remote(*servers),
+        late,
+        simulator="emergency-exit",
+        trials=4,
     )
     programs: list[Program] = [optimizer, *servers]
     try:
         shares = "SELECT count(DISTINCT server) FROM outcomes"
         wait_until(
-            lambda: query(tmp_path / "asked" / "asked", shares) == [(2,)], "both servers play"
+            lambda: query(tmp_path / "asked" / "asked", shares) == [(2,)],
+            "both servers play",
         )
         servers[0].kill()
         before = counted(tmp_path, "asked")
-        wait_until(lambda: counted(tmp_path, "asked") > before + 2, "the other one goes on")
+        wait_until(
+            lambda: counted(tmp_path, "asked") > before + 2, "the other one goes on"
+        )
         servers[1].kill()
         programs.append(Server(tmp_path, "late", capacity=2, port=port))
         assert optimizer.done()["history_hash"] == expected
@@ -136,13 +162,17 @@ def test_a_killed_optimizer_is_resumed_and_its_slots_are_freed(
     """Slots that asked it do not hang: the next epoch of the run has them."""
     expected = reference(tmp_path, "emergency-exit", 4)
     server = Server(tmp_path, "ss", capacity=2).ready()
-    first = play(tmp_path, "asked", ASKED, *remote(server), simulator="emergency-exit", trials=4)
+    first = play(
+        tmp_path, "asked", ASKED, *remote(server), simulator="emergency-exit", trials=4
+    )
     try:
         wait_until(lambda: counted(tmp_path, "asked") > 8, "some trials are counted")
         first.kill()
         folder = str(tmp_path / "asked" / "asked")
         second = Optimizer(
-            tmp_path, "second", ["resume", folder, "--json", "--no-multicast", *remote(server)]
+            tmp_path,
+            "second",
+            ["resume", folder, "--json", "--no-multicast", *remote(server)],
         )
         assert second.done()["history_hash"] == expected
         assert not server.events("slot_died"), "nobody's fault"
@@ -187,13 +217,18 @@ def test_lost_answers_are_requested_again(tmp_path: Path) -> None:
     server = Server(tmp_path, "ss", capacity=2).ready()
     with Proxy(server.endpoint) as link:
         through = ("--servers=1", f"--connect={link.endpoint}")
-        optimizer = play(tmp_path, "asked", ASKED, *through, simulator="emergency-exit", trials=4)
+        optimizer = play(
+            tmp_path, "asked", ASKED, *through, simulator="emergency-exit", trials=4
+        )
         try:
             wait_until(lambda: counted(tmp_path, "asked") > 8, "some trials are counted")
             for _ in range(4):
                 back, connections = link.back, link.connections
                 link.reset()
-                wait_until(lambda: link.connections > connections, "the link is there again")  # noqa: B023
+                wait_until(
+                    lambda: link.connections > connections,  # noqa: B023
+                    "the link is there again",
+                )
                 wait_until(lambda: link.back > back + 20_000, "questions go on")  # noqa: B023
             assert optimizer.done()["history_hash"] == expected
         finally:
@@ -208,7 +243,13 @@ def test_parallel_runs_are_answered_by_their_own_controllers(tmp_path: Path) -> 
 
     def histories(name: str, *options: str) -> dict[str, Any]:
         optimizer = play(
-            tmp_path, name, "--repeat=2", "--set=study.at_once=2", *options, *local(2), trials=2
+            tmp_path,
+            name,
+            "--repeat=2",
+            "--set=study.at_once=2",
+            *options,
+            *local(2),
+            trials=2,
         )
         assert optimizer.wait() == 0, optimizer.err.read_text()
         ended = [line for line in optimizer.lines() if line["event"] == "run"]
@@ -251,4 +292,6 @@ def test_messages_per_agent_need_controllers_at_the_optimizer(tmp_path: Path) ->
     optimizer = play(tmp_path, "wrong", EACH_AGENT)
     assert optimizer.wait() == 2
     (line,) = optimizer.err.read_text().splitlines()
-    assert 'messages: expected "turn" unless controller is "optimizer", not "agent"' in line
+    assert (
+        'messages: expected "turn" unless controller is "optimizer", not "agent"' in line
+    )

@@ -26,11 +26,16 @@ def test_a_server_that_computes_wrong_is_named_and_the_history_is_the_same(
 ) -> None:
     file = plugin.experiment(tmp_path, "slow")
     right = Optimizer(
-        tmp_path, "alone", ["run", str(file), "--json", "--servers", "local"], PYTHONPATH=path
+        tmp_path,
+        "alone",
+        ["run", str(file), "--json", "--servers", "local"],
+        PYTHONPATH=path,
     ).done()
     servers = [
         Server(tmp_path, "sound", capacity=1, PYTHONPATH=path).ready(),
-        Server(tmp_path, "broken", capacity=1, PYTHONPATH=path, ROUGH_WRONG=wrong).ready(),
+        Server(
+            tmp_path, "broken", capacity=1, PYTHONPATH=path, ROUGH_WRONG=wrong
+        ).ready(),
     ]
     remote = [
         "--servers",
@@ -55,7 +60,9 @@ def test_a_server_that_computes_wrong_is_named_and_the_history_is_the_same(
     trusted = "SELECT coalesce(sum(count), 0) FROM outcomes WHERE server LIKE 'broken-%'"
     assert query(run, f"{trusted} AND NOT doubtful") == [(0,)]
     assert query(run, trusted) == [(done["doubtful"],)]
-    ((named,),) = query(run, "SELECT DISTINCT server FROM events WHERE event = 'server_wrong'")
+    ((named,),) = query(
+        run, "SELECT DISTINCT server FROM events WHERE event = 'server_wrong'"
+    )
     assert named.startswith("broken-")
     assert f"{named} is banned" in optimizer.err.read_text()
     checker = Program(
@@ -67,10 +74,13 @@ def test_a_server_that_computes_wrong_is_named_and_the_history_is_the_same(
     assert checker.wait() == 0, checker.err.read_text()
 
 
-def test_verification_with_sound_servers_changes_nothing(tmp_path: Path, path: str) -> None:
+def test_verification_with_sound_servers_changes_nothing(
+    tmp_path: Path, path: str
+) -> None:
     file = plugin.experiment(tmp_path, "slow")
     servers = [
-        Server(tmp_path, f"ss-{number}", capacity=1, PYTHONPATH=path).ready() for number in range(2)
+        Server(tmp_path, f"ss-{number}", capacity=1, PYTHONPATH=path).ready()
+        for number in range(2)
     ]
     remote = [
         "--servers",
@@ -92,12 +102,15 @@ def test_verification_with_sound_servers_changes_nothing(tmp_path: Path, path: s
                 *remote,
             ]
             hashes.add(
-                Optimizer(tmp_path, share, arguments, PYTHONPATH=path).done()["history_hash"]
+                Optimizer(tmp_path, share, arguments, PYTHONPATH=path).done()[
+                    "history_hash"
+                ]
             )
     finally:
         for server in servers:
             server.close()
     assert len(hashes) == 1
     assert query(
-        tmp_path / "0.3" / "rough", "SELECT count(*) FROM events WHERE event LIKE 'server_wrong'"
+        tmp_path / "0.3" / "rough",
+        "SELECT count(*) FROM events WHERE event LIKE 'server_wrong'",
     ) == [(0,)]

@@ -42,13 +42,17 @@ print(made[0], sum(squash.dispatcher.stats.cache_hits.values()), cache_folder())
 def tree(tmp_path: Path) -> Path:
     """A folder with the package, which has one kernel more: little to compile."""
     shutil.copytree(
-        PACKAGE, tmp_path / "zswarm", ignore=shutil.ignore_patterns("__pycache__", "examples")
+        PACKAGE,
+        tmp_path / "zswarm",
+        ignore=shutil.ignore_patterns("__pycache__", "examples"),
     )
     (tmp_path / "zswarm" / "nets" / "tiny.py").write_text(TINY)
     return tmp_path
 
 
-def run(code: str, tree: Path, cache: Path, *arguments: str, **environment: str) -> list[str]:
+def run(
+    code: str, tree: Path, cache: Path, *arguments: str, **environment: str
+) -> list[str]:
     """The words that a program prints, with the package of another tree."""
     done = subprocess.run(
         [sys.executable, "-c", code, *arguments],
@@ -70,7 +74,9 @@ def run(code: str, tree: Path, cache: Path, *arguments: str, **environment: str)
 
 
 @pytest.mark.long
-def test_a_change_in_a_called_file_gives_the_new_result_and_a_new_cache_folder(tree: Path) -> None:
+def test_a_change_in_a_called_file_gives_the_new_result_and_a_new_cache_folder(
+    tree: Path,
+) -> None:
     """The file of the kernel itself stays as it is: numba's own cache would give the old result."""
     cache = tree / "cache"
     callee = tree / "zswarm" / "kernels" / "portable.py"
@@ -79,7 +85,9 @@ def test_a_change_in_a_called_file_gives_the_new_result_and_a_new_cache_folder(t
     result, _, folder = run(SQUASH, tree, cache)
     assert (result, Path(folder).parent) == ("0.5", cache)
 
-    changed = original.replace("return 1.0 / (1.0 + exp(-x))", "return 1.5 / (1.0 + exp(-x))")
+    changed = original.replace(
+        "return 1.0 / (1.0 + exp(-x))", "return 1.5 / (1.0 + exp(-x))"
+    )
     assert changed != original
     callee.write_text(changed)
     other_result, hits, other_folder = run(SQUASH, tree, cache)
@@ -90,7 +98,10 @@ def test_a_change_in_a_called_file_gives_the_new_result_and_a_new_cache_folder(t
     assert run(SQUASH, tree, cache) == ["0.5", "1", folder], (
         "the first folder still serves the first code"
     )
-    assert {path.name for path in cache.iterdir()} == {Path(folder).name, Path(other_folder).name}
+    assert {path.name for path in cache.iterdir()} == {
+        Path(folder).name,
+        Path(other_folder).name,
+    }
 
 
 @pytest.mark.long
@@ -101,7 +112,10 @@ def test_machines_of_unlike_processors_share_a_cache_and_each_finds_its_own_kern
 
     A kernel for a newer processor would crash the program on an older one.
     """
-    cache, generic = tree / "cache", {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
+    cache, generic = (
+        tree / "cache",
+        {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""},
+    )
     first, second = run(SQUASH, tree, cache), run(SQUASH, tree, cache, **generic)
     assert (first[:2], second[:2]) == (["0.5", "0"], ["0.5", "0"]), "each compiles"
     assert Path(first[2]).parent == Path(second[2]).parent == cache
@@ -170,7 +184,9 @@ def test_what_is_compiled_when_it_is_first_called_is_compiled_by_the_warming_up(
     lazy: str, tmp_path: Path
 ) -> None:
     """So no batch waits for it."""
-    said = run(WARM_UP, tmp_path, cache_folder().parent, "lazy", "fully-meshed", PYTHONPATH=lazy)
+    said = run(
+        WARM_UP, tmp_path, cache_folder().parent, "lazy", "fully-meshed", PYTHONPATH=lazy
+    )
     assert said == ["lazy", "fully-meshed", "True", "0"]
 
 
@@ -195,7 +211,9 @@ def test_what_numba_loads_for_the_first_kernel_is_loaded_with_it() -> None:
         "from zswarm.nets.fully_meshed import FullyMeshed; FullyMeshed.step.dispatcher;"
         "print(set(sys.modules) - before)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     assert "numba" not in done.stdout, done.stdout
 
 
@@ -240,7 +258,9 @@ def choices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
     ]
 
 
-def test_a_place_that_cannot_be_written_makes_way_for_the_next(choices: list[Path]) -> None:
+def test_a_place_that_cannot_be_written_makes_way_for_the_next(
+    choices: list[Path],
+) -> None:
     for choice in choices:
         folder = cache_folder()
         assert folder == choice / cache_hash()
@@ -257,7 +277,9 @@ def test_a_folder_without_the_right_to_write_is_passed_over(
 ) -> None:
     allowed = os.access
     monkeypatch.setattr(
-        os, "access", lambda path, mode: "own" not in Path(path).parts and allowed(path, mode)
+        os,
+        "access",
+        lambda path, mode: "own" not in Path(path).parts and allowed(path, mode),
     )
     assert cache_folder() == choices[1] / cache_hash()
 
@@ -279,7 +301,9 @@ def test_who_is_nowhere_at_home_has_a_temporary_place(
     """
     monkeypatch.delenv("ZSWARM_CACHE")
     monkeypatch.delenv("CACHE_DIRECTORY")
-    monkeypatch.setattr(cache.platformdirs, "user_cache_dir", lambda name: f"~/.cache/{name}")
+    monkeypatch.setattr(
+        cache.platformdirs, "user_cache_dir", lambda name: f"~/.cache/{name}"
+    )
     assert cache_folder() == choices[3] / cache_hash()
 
     def refuse(name: str) -> str:
@@ -310,7 +334,9 @@ def test_the_cache_is_ours_when_the_program_imported_numba_before(tmp_path: Path
         "import numba, zswarm.kernels.compiler; "
         "print(numba.config.CACHE_DIR, numba.config.DISABLE_INTEL_SVML)"
     )
-    folder, without_svml = run(code, tmp_path, tmp_path / "cache", PYTHONPATH=str(PACKAGE.parent))
+    folder, without_svml = run(
+        code, tmp_path, tmp_path / "cache", PYTHONPATH=str(PACKAGE.parent)
+    )
     assert Path(folder) == tmp_path / "cache" / cache_hash()
     assert without_svml == "1"
 

@@ -30,8 +30,14 @@ def work(numbers, out, places, found, table):  # type: ignore[no-untyped-def]  #
     store(out, LANES, left - right * HALF)
     store(out, 2 * LANES, THREE / left)
     store(out, 3 * LANES, select(left < right, left, HALF))
-    store(out, 4 * LANES, select((left <= right) & (left != THREE) | (right >= THREE), right, left))
-    store(out, 5 * LANES, select((left > right) | (left == right), fill(THREE), fill(HALF)))
+    store(
+        out,
+        4 * LANES,
+        select((left <= right) & (left != THREE) | (right >= THREE), right, left),
+    )
+    store(
+        out, 5 * LANES, select((left > right) | (left == right), fill(THREE), fill(HALF))
+    )
     out[6 * LANES] = select(any_of(left > THREE), HALF, THREE)
     here = load(places, 0)
     store(found, 0, select(here == ONE_CELL, here * here + 2, here - ONE_CELL))
@@ -41,8 +47,12 @@ def work(numbers, out, places, found, table):  # type: ignore[no-untyped-def]  #
     scatter(table, here, left)
 
 
-@pytest.mark.parametrize("awkward", [(), (0.0, -0.0, np.inf, -np.inf, np.nan, 1e38, -1e-45)])
-def test_the_compiled_form_gives_the_bits_of_the_plain_one(awkward: tuple[float, ...]) -> None:
+@pytest.mark.parametrize(
+    "awkward", [(), (0.0, -0.0, np.inf, -np.inf, np.nan, 1e38, -1e-45)]
+)
+def test_the_compiled_form_gives_the_bits_of_the_plain_one(
+    awkward: tuple[float, ...],
+) -> None:
     results = []
     for form in (work, getattr(work, "py_func", work)):
         numbers = Stream(1).uniform(-5.0, 5.0, 2 * LANES).astype(np.float32)
@@ -50,7 +60,9 @@ def test_the_compiled_form_gives_the_bits_of_the_plain_one(awkward: tuple[float,
         out, found = np.zeros(11 * LANES, np.float32), np.zeros(3 * LANES, np.int32)
         table = np.arange(40, dtype=np.float32)
         with np.errstate(all="ignore"):
-            form(numbers, out, np.array([0, 33, 7, 1, 1, 20, 0, 5], np.int32), found, table)
+            form(
+                numbers, out, np.array([0, 33, 7, 1, 1, 20, 0, 5], np.int32), found, table
+            )
         found[LANES + 2 + found[LANES + 1] :] = 0  # what came behind the list
         results.append((out, found, table))
     for compiled, plain in zip(*results, strict=True):

@@ -27,7 +27,9 @@ from zswarm.kernels.portable import (
 from zswarm.kernels.random import Stream
 
 FUNCTIONS = (exp, sigmoid, tanh, to_int, sin, cos, atan2, remainder)
-PLAIN = {function.__name__: getattr(function, "py_func", function) for function in FUNCTIONS}
+PLAIN = {
+    function.__name__: getattr(function, "py_func", function) for function in FUNCTIONS
+}
 MANY = np.concatenate(
     [
         Stream(1).uniform(-746.0, 709.7, 20_000),
@@ -88,7 +90,8 @@ def test_exp_does_not_fall_as_x_grows() -> None:
 
 
 @pytest.mark.parametrize(
-    ("x", "value"), [(0.0, 0.5), (1000.0, 1.0), (-1000.0, 0.0), (math.inf, 1.0), (-math.inf, 0.0)]
+    ("x", "value"),
+    [(0.0, 0.5), (1000.0, 1.0), (-1000.0, 0.0), (math.inf, 1.0), (-math.inf, 0.0)],
 )
 def test_sigmoid_has_the_right_limits(x: float, value: float) -> None:
     assert sigmoid(x) == value
@@ -100,7 +103,10 @@ def test_sigmoid_is_within_two_units_in_the_last_place() -> None:
 
 
 POSITIVE = np.concatenate(
-    [Stream(6).uniform(0.5, 2.0, 20_000), 2.0 ** Stream(7).uniform(-1022.0, 1023.9, 20_000)]
+    [
+        Stream(6).uniform(0.5, 2.0, 20_000),
+        2.0 ** Stream(7).uniform(-1022.0, 1023.9, 20_000),
+    ]
 )
 
 
@@ -115,7 +121,8 @@ def test_log_is_within_one_unit_in_the_last_place() -> None:
 
 # From 0 over the smallest and the largest to infinity: 100 numbers of each power of two.
 FLOAT32S = np.append(
-    np.arange(0, 0x7F800000, 0x800000 // 100, np.uint32).view(np.float32), np.float32(np.inf)
+    np.arange(0, 0x7F800000, 0x800000 // 100, np.uint32).view(np.float32),
+    np.float32(np.inf),
 )
 
 
@@ -134,7 +141,9 @@ def test_tanh_is_near_its_value_odd_and_never_falls() -> None:
 
 
 def test_tanh_in_python_gives_the_same_bits_as_the_compiled_form() -> None:
-    for x in np.append(FLOAT32S[::7], Stream(5).uniform(-6.0, 6.0, 2000).astype(np.float32)):
+    for x in np.append(
+        FLOAT32S[::7], Stream(5).uniform(-6.0, 6.0, 2000).astype(np.float32)
+    ):
         plain = PLAIN["tanh"](x)
         assert plain.dtype == np.float32
         assert plain == tanh(x)
@@ -167,7 +176,9 @@ def test_sin_and_cos_are_within_a_unit_in_the_last_place() -> None:
     with localcontext(prec=60):
         for angle in ANGLES.tolist():
             exact = Decimal(angle)
-            assert abs(Decimal(sin(angle)) - sine(exact)) <= Decimal(0.8 * math.ulp(sin(angle)))
+            assert abs(Decimal(sin(angle)) - sine(exact)) <= Decimal(
+                0.8 * math.ulp(sin(angle))
+            )
             assert abs(Decimal(cos(angle)) - sine(exact + PI / 2)) <= Decimal(
                 0.8 * math.ulp(cos(angle))
             )
@@ -181,7 +192,9 @@ def test_atan2_is_within_one_and_a_third_units_in_the_last_place() -> None:
     )
     with localcontext(prec=60):
         for y, x in zip(
-            (np.sin(directions) * sizes).tolist(), np.cos(directions).tolist(), strict=True
+            (np.sin(directions) * sizes).tolist(),
+            np.cos(directions).tolist(),
+            strict=True,
         ):
             angle = atan2(y, x)
             s, c = sine(Decimal(angle)), sine(Decimal(angle) + PI / 2)
@@ -213,12 +226,16 @@ def test_atan2_is_within_one_and_a_third_units_in_the_last_place() -> None:
         (1.0, math.nan, math.nan),
     ],
 )
-def test_atan2_has_the_right_quadrants_and_limits(y: float, x: float, angle: float) -> None:
+def test_atan2_has_the_right_quadrants_and_limits(
+    y: float, x: float, angle: float
+) -> None:
     assert atan2(y, x) == pytest.approx(angle, rel=2.3e-16, abs=0, nan_ok=True)
 
 
 @pytest.mark.parametrize("function", [sin, cos])
-def test_sin_and_cos_of_what_is_not_finite_are_nan(function: Callable[[float], float]) -> None:
+def test_sin_and_cos_of_what_is_not_finite_are_nan(
+    function: Callable[[float], float],
+) -> None:
     assert all(math.isnan(function(x)) for x in (math.nan, math.inf, -math.inf))
 
 
@@ -234,11 +251,15 @@ def test_sin_far_out_is_that_of_an_angle_a_little_off() -> None:
     """By 4e-17 of it: what float64's pi lacks, as often as it is in the angle."""
     with localcontext(prec=60):
         for angle in Stream(11).uniform(FAR, 1e12, 200).tolist():
-            assert abs(Decimal(sin(angle)) - sine(Decimal(angle))) <= Decimal(4e-17 * angle)
+            assert abs(Decimal(sin(angle)) - sine(Decimal(angle))) <= Decimal(
+                4e-17 * angle
+            )
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False), st.floats(1e-300, 1e300))
-def test_remainder_is_exact_and_has_the_sign_of_what_was_divided(x: float, divisor: float) -> None:
+def test_remainder_is_exact_and_has_the_sign_of_what_was_divided(
+    x: float, divisor: float
+) -> None:
     assert remainder(x, divisor) == math.fmod(x, divisor)
 
 
@@ -247,7 +268,9 @@ def test_remainder_of_what_is_not_finite_is_nan() -> None:
 
 
 @given(st.floats(), st.floats())
-def test_functions_of_angles_have_the_same_bits_in_python_and_compiled(x: float, y: float) -> None:
+def test_functions_of_angles_have_the_same_bits_in_python_and_compiled(
+    x: float, y: float
+) -> None:
     """Of Python's numbers and of those that numpy's arrays hold."""
     for compiled, plain, single in (
         (sin(x), PLAIN["sin"](x), PLAIN["sin"](np.float64(x))),
@@ -284,7 +307,9 @@ def test_the_bits_are_those_of_every_other_machine() -> None:
         hashlib.blake2b(MANY.astype("<f8").tobytes(), digest_size=8).hexdigest()
         == "e999c357037467e4"
     )
-    assert hashlib.blake2b(values.tobytes(), digest_size=8).hexdigest() == "896396ac685c3fc4"
+    assert (
+        hashlib.blake2b(values.tobytes(), digest_size=8).hexdigest() == "896396ac685c3fc4"
+    )
 
 
 def test_the_logarithm_has_the_bits_of_every_other_machine() -> None:
@@ -299,7 +324,9 @@ def test_the_logarithm_has_the_bits_of_every_other_machine() -> None:
 def test_python_gives_the_same_bits_as_the_compiled_form(x: float) -> None:
     for function in (exp, sigmoid):
         compiled, plain = np.array([function(x), PLAIN[function.__name__](x)])
-        assert compiled.tobytes() == plain.tobytes() or (math.isnan(compiled) and math.isnan(plain))
+        assert compiled.tobytes() == plain.tobytes() or (
+            math.isnan(compiled) and math.isnan(plain)
+        )
     assert to_int(x) == PLAIN["to_int"](x)
 
 

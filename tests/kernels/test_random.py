@@ -43,7 +43,9 @@ def test_the_words_are_those_of_the_reference(seed: int, count: int) -> None:
 
 
 @given(st.integers(0, MASK), st.lists(st.integers(0, 9)))
-def test_a_stream_gives_the_same_words_whole_or_in_parts(seed: int, parts: list[int]) -> None:
+def test_a_stream_gives_the_same_words_whole_or_in_parts(
+    seed: int, parts: list[int]
+) -> None:
     stream = Stream(seed)
     drawn = [word for part in parts for word in stream.words(part).tolist()]
     assert drawn == Stream(seed).words(sum(parts)).tolist()
@@ -53,7 +55,9 @@ def test_a_stream_gives_the_same_words_whole_or_in_parts(seed: int, parts: list[
 def test_seed_and_position_are_the_whole_state() -> None:
     stream = Stream(99)
     stream.uniform(0, 1, 7)
-    assert Stream(stream.seed, stream.position).words(5).tolist() == stream.words(5).tolist()
+    assert (
+        Stream(stream.seed, stream.position).words(5).tolist() == stream.words(5).tolist()
+    )
 
 
 def test_a_seed_beyond_64_bits_is_cut() -> None:
@@ -82,7 +86,8 @@ def test_normal_numbers_are_the_quantiles_of_the_upper_52_bits() -> None:
     """
     drawn = Stream(7).normal(0.0, 1.0, 20_000)
     expected = [
-        NormalDist().inv_cdf(((word >> 12) + 0.5) * 2.0**-52) for word in reference(7, 20_000)
+        NormalDist().inv_cdf(((word >> 12) + 0.5) * 2.0**-52)
+        for word in reference(7, 20_000)
     ]
     assert np.abs(drawn / expected - 1.0).max() < 1e-15
     assert Stream(7).normal(3.0, 2.0, 100).tolist() == (3.0 + 2.0 * drawn[:100]).tolist()
@@ -137,12 +142,16 @@ def test_one_integer_is_one_of_many() -> None:
 
 
 @given(
-    st.integers(0, MASK), st.lists(st.tuples(st.booleans(), st.integers(0, 2 * AHEAD)), max_size=6)
+    st.integers(0, MASK),
+    st.lists(st.tuples(st.booleans(), st.integers(0, 2 * AHEAD)), max_size=6),
 )
 def test_integers_drawn_one_by_one_and_words_share_their_stream(
     seed: int, parts: list[tuple[bool, int]]
 ) -> None:
-    stream, expected = Stream(seed), Stream(seed).words(sum(count for _, count in parts)).tolist()
+    stream, expected = (
+        Stream(seed),
+        Stream(seed).words(sum(count for _, count in parts)).tolist(),
+    )
     for one_by_one, count in parts:
         words, expected = expected[:count], expected[count:]
         if one_by_one:
@@ -173,8 +182,16 @@ def test_a_derived_seed_depends_on_every_argument() -> None:
             derive_seed(1, "trials"),
             derive_seed(1, "trial", 0),
         ),
-        *(derive_seed(1, "trial", 1), derive_seed(1, "trial", 0, 0), derive_seed(1, "trial", 0, 1)),
-        *(derive_seed(1, "trial", 1, 0), derive_seed(0, "trial", 1), derive_seed(1, "nnga", 1)),
+        *(
+            derive_seed(1, "trial", 1),
+            derive_seed(1, "trial", 0, 0),
+            derive_seed(1, "trial", 0, 1),
+        ),
+        *(
+            derive_seed(1, "trial", 1, 0),
+            derive_seed(0, "trial", 1),
+            derive_seed(1, "nnga", 1),
+        ),
     ]
     assert len(set(variants)) == len(variants)
     assert all(0 <= seed <= MASK for seed in variants)
@@ -196,5 +213,7 @@ def test_any_seed_of_64_bits_can_be_derived_from() -> None:
 
 @pytest.mark.parametrize("neighbour", range(1, 4))
 def test_streams_of_neighbouring_derived_seeds_share_nothing(neighbour: int) -> None:
-    one, other = (Stream(derive_seed(1, "nnga", index)).words(1000) for index in (0, neighbour))
+    one, other = (
+        Stream(derive_seed(1, "nnga", index)).words(1000) for index in (0, neighbour)
+    )
     assert not set(one.tolist()) & set(other.tolist())

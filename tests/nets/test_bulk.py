@@ -21,9 +21,14 @@ def network(
 
 
 def decide(built: Any, genome: bytes, observations: Any) -> np.ndarray:
-    state, parameters = np.zeros(built.state_size, np.float32), built.parameters([genome])[0]
+    state, parameters = (
+        np.zeros(built.state_size, np.float32),
+        built.parameters([genome])[0],
+    )
     actions = np.empty((len(observations), built.outputs), np.float32)
-    for observation, action in zip(np.array(observations, np.float32), actions, strict=True):
+    for observation, action in zip(
+        np.array(observations, np.float32), actions, strict=True
+    ):
         built.step(parameters, state, observation, action)
     return actions
 
@@ -60,7 +65,9 @@ def test_parts_may_be_of_every_kind_whose_genomes_have_one_length(kind: str) -> 
     settings = {"parts": 3, "input": 1, "of": {"kind": kind}}
     part = plugins.load("representation", kind)
     if part(part.settings_type(), 5, 2).genome_bytes is None:
-        with pytest.raises(ConfigError, match="expected a kind whose genomes have one length"):
+        with pytest.raises(
+            ConfigError, match="expected a kind whose genomes have one length"
+        ):
             Bulk(convert(settings, BulkSettings, "representation"), 5, 2)
     else:
         check_representation(Bulk, settings)
@@ -70,7 +77,12 @@ def test_the_defaults_of_the_parts_are_written_out() -> None:
     complete = convert(
         {"of": {"kind": "three-layer", "hidden": 7}}, BulkSettings, "representation"
     ).of
-    assert complete == {"kind": "three-layer", "hidden": 7, "weight_range": 2.0, "bias_range": 2.0}
+    assert complete == {
+        "kind": "three-layer",
+        "hidden": 7,
+        "weight_range": 2.0,
+        "bias_range": 2.0,
+    }
 
 
 @pytest.mark.parametrize(
@@ -93,7 +105,9 @@ def test_impossible_settings_are_refused(settings: dict[str, Any], text: str) ->
 
 
 def test_an_input_that_is_not_there_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"^representation: input: expected 0 to 3, not 4$"):
+    with pytest.raises(
+        ConfigError, match=r"^representation: input: expected 0 to 3, not 4$"
+    ):
         network(chosen_by=4)
 
 
@@ -123,7 +137,9 @@ def test_a_child_has_first_parts_of_the_mother_and_last_ones_of_the_father() -> 
     mother, father = (np.full(built.genes, value, "<f4").tobytes() for value in (1, 2))
     stream, cuts = Stream(1), set()
     for _ in range(50):
-        parts = np.frombuffer(built.crossover(mother, father, stream), "<f4").reshape(4, -1)
+        parts = np.frombuffer(built.crossover(mother, father, stream), "<f4").reshape(
+            4, -1
+        )
         assert (parts == parts[:, :1]).all()
         cuts.add(tuple(parts[:, 0].tolist()))
     assert cuts == {(1, 2, 2, 2), (1, 1, 2, 2), (1, 1, 1, 2)}

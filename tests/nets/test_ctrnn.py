@@ -19,9 +19,14 @@ def network(hidden: int = 3, inputs: int = 3, outputs: int = 2, **settings: Any)
 
 
 def decide(built: CTRNN, genome: bytes, observations: Any) -> np.ndarray:
-    state, parameters = np.zeros(built.state_size, np.float32), built.parameters([genome])[0]
+    state, parameters = (
+        np.zeros(built.state_size, np.float32),
+        built.parameters([genome])[0],
+    )
     actions = np.empty((len(observations), built.outputs), np.float32)
-    for observation, action in zip(np.array(observations, np.float32), actions, strict=True):
+    for observation, action in zip(
+        np.array(observations, np.float32), actions, strict=True
+    ):
         built.step(parameters, state, observation, action)
     return actions
 
@@ -30,7 +35,9 @@ def logistic(x: float) -> float:
     return 1 / (1 + math.exp(-x))
 
 
-def integrated(built: CTRNN, genome: bytes, observations: np.ndarray, finer: int = 1) -> np.ndarray:
+def integrated(
+    built: CTRNN, genome: bytes, observations: np.ndarray, finer: int = 1
+) -> np.ndarray:
     """The same by Beer's equation with numpy's float64, with so many times more steps."""
     table = np.frombuffer(genome, "<f4").astype(float).reshape(built.neurons, -1)
     from_inputs, inner, bias, gene = (
@@ -40,7 +47,10 @@ def integrated(built: CTRNN, genome: bytes, observations: np.ndarray, finer: int
         table[:, -1],
     )
     settings = built.settings
-    tau = settings.tau_min + (settings.tau_max - settings.tau_min) * (np.clip(gene, -1, 1) + 1) / 2
+    tau = (
+        settings.tau_min
+        + (settings.tau_max - settings.tau_min) * (np.clip(gene, -1, 1) + 1) / 2
+    )
     steps = settings.iterations * finer
     y, outputs = np.zeros(built.neurons), []
     for observation in observations:
@@ -53,7 +63,9 @@ def integrated(built: CTRNN, genome: bytes, observations: np.ndarray, finer: int
 
 @pytest.mark.parametrize("hidden", [0, 3, 9])
 @pytest.mark.parametrize("iterations", [1, 4])
-def test_decisions_follow_the_equation_compiled_and_plain(hidden: int, iterations: int) -> None:
+def test_decisions_follow_the_equation_compiled_and_plain(
+    hidden: int, iterations: int
+) -> None:
     built = network(hidden, iterations=iterations)
     observations = Stream(2).uniform(-2.0, 2.0, 90).reshape(30, 3)
     for genome in built.random(5, Stream(hidden)):
@@ -77,7 +89,9 @@ def test_more_iterations_come_nearer_to_the_continuous_network() -> None:
 
 def test_a_neuron_alone_approaches_its_input_by_its_time_constant() -> None:
     """y follows 1 - e^(-t / tau)."""
-    built = network(hidden=0, inputs=1, outputs=1, iterations=100, tau_min=5.0, tau_max=5.0)
+    built = network(
+        hidden=0, inputs=1, outputs=1, iterations=100, tau_min=5.0, tau_max=5.0
+    )
     genome = np.array(
         [1, 0, 0, 0], "<f4"
     ).tobytes()  # from the input, to itself, bias, time constant
@@ -87,7 +101,9 @@ def test_a_neuron_alone_approaches_its_input_by_its_time_constant() -> None:
 
 
 @pytest.mark.parametrize(("gene", "tau"), [(-1, 2), (0, 5), (1, 8), (-7, 2), (1e30, 8)])
-def test_any_number_gives_a_time_constant_within_the_bounds(gene: float, tau: float) -> None:
+def test_any_number_gives_a_time_constant_within_the_bounds(
+    gene: float, tau: float
+) -> None:
     built = network(hidden=0, inputs=1, outputs=1, iterations=4, tau_min=2.0, tau_max=8.0)
     parameters = built.parameters([np.array([1, 0, 0, gene], "<f4").tobytes()])[0]
     assert parameters[-8] == np.float32(1 / (4 * tau))
@@ -98,7 +114,9 @@ def test_outputs_and_state_stay_bounded_whatever_the_genome() -> None:
     built = network(hidden=5, tau_min=0.5, tau_max=0.5)
     wild = np.frombuffer(built.random(1, Stream(1))[0], "<f4") * 1000
     decided = decide(
-        built, wild.astype("<f4").tobytes(), Stream(2).uniform(-9.0, 9.0, 600).reshape(200, 3)
+        built,
+        wild.astype("<f4").tobytes(),
+        Stream(2).uniform(-9.0, 9.0, 600).reshape(200, 3),
     )
     assert np.isfinite(decided).all()
     assert decided.min() >= 0
@@ -124,7 +142,8 @@ def test_crossover_takes_a_neuron_with_all_its_numbers() -> None:
 
 
 @pytest.mark.parametrize(
-    "settings", [{"hidden": 0}, {"hidden": 7, "iterations": 3}, {"tau_min": 0.5, "tau_max": 0.5}]
+    "settings",
+    [{"hidden": 0}, {"hidden": 7, "iterations": 3}, {"tau_min": 0.5, "tau_max": 0.5}],
 )
 def test_other_settings_keep_the_contract(settings: dict[str, Any]) -> None:
     check_representation(CTRNN, settings)
@@ -137,6 +156,8 @@ def test_other_settings_keep_the_contract(settings: dict[str, Any]) -> None:
         ({"tau_max": 0.9}, "tau_max: expected at least tau_min = 1.0, not 0.9"),
     ],
 )
-def test_time_constants_that_cannot_be_are_refused(settings: dict[str, Any], text: str) -> None:
+def test_time_constants_that_cannot_be_are_refused(
+    settings: dict[str, Any], text: str
+) -> None:
     with pytest.raises(ConfigError, match=f"representation: {text}"):
         convert(settings, CtrnnSettings, "representation")

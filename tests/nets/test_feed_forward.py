@@ -26,7 +26,9 @@ THREE_LAYER = json.loads((GOLDEN / "threelayer.json").read_text())["nets"]
 MULTI_LAYER = json.loads((GOLDEN / "multilayer.json").read_text())["nets"]
 
 
-def network(hidden: list[int], inputs: int = 3, outputs: int = 2, **settings: Any) -> FeedForward:
+def network(
+    hidden: list[int], inputs: int = 3, outputs: int = 2, **settings: Any
+) -> FeedForward:
     return FeedForward(FeedForwardSettings(hidden=hidden, **settings), inputs, outputs)
 
 
@@ -47,7 +49,9 @@ def layers(net: dict[str, Any]) -> list[tuple[Any, Any]]:
 def recorded(net: dict[str, Any]) -> tuple[Layered, bytes]:
     """A recorded net and its genome."""
     numbers = [
-        [*weights, bias] for layer in layers(net) for weights, bias in zip(*layer, strict=True)
+        [*weights, bias]
+        for layer in layers(net)
+        for weights, bias in zip(*layer, strict=True)
     ]
     genome = np.concatenate(numbers).astype("<f4").tobytes()
     if "weights_hidden" in net:
@@ -60,9 +64,14 @@ def recorded(net: dict[str, Any]) -> tuple[Layered, bytes]:
 
 
 def decide(built: Layered, genome: bytes, observations: Any, step: Any) -> np.ndarray:
-    state, parameters = np.zeros(built.state_size, np.float32), built.parameters([genome])[0]
+    state, parameters = (
+        np.zeros(built.state_size, np.float32),
+        built.parameters([genome])[0],
+    )
     actions = np.empty((len(observations), built.outputs), np.float32)
-    for observation, action in zip(np.array(observations, np.float32), actions, strict=True):
+    for observation, action in zip(
+        np.array(observations, np.float32), actions, strict=True
+    ):
         step(parameters, state, observation, action)
     return actions
 
@@ -119,7 +128,8 @@ def test_the_output_is_that_of_each_layer_in_turn(hidden: list[int]) -> None:
 @pytest.mark.parametrize("activation", ["clamp", "sigmoid", "relu", "tanh"])
 def test_all_settings_keep_the_contract(hidden: list[int], activation: str) -> None:
     check_representation(
-        FeedForward, {"hidden": hidden, "activation": activation, "output_activation": activation}
+        FeedForward,
+        {"hidden": hidden, "activation": activation, "output_activation": activation},
     )
 
 
@@ -161,7 +171,8 @@ def test_crossover_takes_whole_nodes_whatever_their_layer() -> None:
     for _ in range(500):
         child = np.frombuffer(built.crossover(mother, father, stream), "<f4") == 2
         nodes = [
-            child[begin:end] for begin, end in zip(built.blocks, built.blocks[1:], strict=False)
+            child[begin:end]
+            for begin, end in zip(built.blocks, built.blocks[1:], strict=False)
         ]
         assert all(node.all() or not node.any() for node in nodes)
         taken.add(tuple(bool(node.all()) for node in nodes))
@@ -171,9 +182,15 @@ def test_crossover_takes_whole_nodes_whatever_their_layer() -> None:
 def test_mutation_2_moves_weights_and_biases_by_10_at_least() -> None:
     built = network([3])
     mutants = built.mutate(
-        [bytes(built.genome_bytes)] * 1000, Stream(3), method=2, severity=0.3, probability=1.0
+        [bytes(built.genome_bytes)] * 1000,
+        Stream(3),
+        method=2,
+        severity=0.3,
+        probability=1.0,
     )
-    changes = np.abs(np.array([np.frombuffer(mutant, "<f4") for mutant in mutants])).max(axis=0)
+    changes = np.abs(np.array([np.frombuffer(mutant, "<f4") for mutant in mutants])).max(
+        axis=0
+    )
     assert ((changes > 9.9) & (changes <= 10.0)).all()
 
 
@@ -181,4 +198,6 @@ def test_the_distance_is_the_mean_difference_in_ranges() -> None:
     built = network([2], inputs=1, outputs=1, weight_range=4.0, bias_range=0.5)
     assert built.ranges.tolist() == [4, 0.5, 4, 0.5, 4, 4, 0.5]
     other = np.array([4, 0, 0, 0.25, 0, 0, -0.5], "<f4")
-    assert built.distances([bytes(28)], [other.tobytes()]).tolist() == [[(1 + 0.5 + 1) / 7]]
+    assert built.distances([bytes(28)], [other.tobytes()]).tolist() == [
+        [(1 + 0.5 + 1) / 7]
+    ]

@@ -22,7 +22,9 @@ TRACE = json.loads((GOLDEN / "nnga_trace.json").read_text())
 ACTIVATIONS = {"LINEAR": "clamp", "SIGMOID": "sigmoid", "RELU": "relu"}
 
 
-def network(hidden: int = 2, inputs: int = 10, outputs: int = 2, **settings: Any) -> FullyMeshed:
+def network(
+    hidden: int = 2, inputs: int = 10, outputs: int = 2, **settings: Any
+) -> FullyMeshed:
     return FullyMeshed(FullyMeshedSettings(hidden=hidden, **settings), inputs, outputs)
 
 
@@ -36,7 +38,8 @@ def recorded(net: dict[str, Any]) -> tuple[FullyMeshed, np.ndarray]:
         activation=ACTIVATIONS[net["activation"]],
     )
     table = [
-        [*weights, bias] for weights, bias in zip(net["weights_into"], net["bias"], strict=True)
+        [*weights, bias]
+        for weights, bias in zip(net["weights_into"], net["bias"], strict=True)
     ]
     return built, built.parameters([np.array(table, "<f4").tobytes()])[0]
 
@@ -45,7 +48,9 @@ def decide(
     built: FullyMeshed, parameters: np.ndarray, state: np.ndarray, observations: Any
 ) -> np.ndarray:
     actions = np.empty((len(observations), built.outputs), np.float32)
-    for observation, action in zip(np.array(observations, np.float32), actions, strict=True):
+    for observation, action in zip(
+        np.array(observations, np.float32), actions, strict=True
+    ):
         FullyMeshed.step(parameters, state, observation, action)
     return actions
 
@@ -89,9 +94,14 @@ def test_a_recorded_net_decides_as_in_frevo_bit_for_bit(net: dict[str, Any]) -> 
 
 
 @pytest.mark.parametrize("net", NETS, ids=lambda net: str(net["id"]))
-def test_plain_python_decides_the_same_bits_as_the_compiled_step(net: dict[str, Any]) -> None:
+def test_plain_python_decides_the_same_bits_as_the_compiled_step(
+    net: dict[str, Any],
+) -> None:
     built, parameters = recorded(net)
-    state, action = np.zeros(built.state_size, np.float32), np.empty(built.outputs, np.float32)
+    state, action = (
+        np.zeros(built.state_size, np.float32),
+        np.empty(built.outputs, np.float32),
+    )
     for observation, expected in list(zip(net["in"], net["out"], strict=True))[:20]:
         with interpreted():
             built.step(parameters, state, np.array(observation, np.float32), action)
@@ -105,7 +115,9 @@ def test_eight_agents_side_by_side_decide_as_one_by_one(
     activation: str, hidden: int, wild: float
 ) -> None:
     """Also with sums that are infinite or no number, which become outputs that are none."""
-    built = network(hidden=hidden, inputs=3, outputs=2, activation=activation, iterations=3)
+    built = network(
+        hidden=hidden, inputs=3, outputs=2, activation=activation, iterations=3
+    )
     genomes = (
         np.frombuffer(b"".join(built.random(8, Stream(hidden))), "<f4") * np.float32(wild)
     ).reshape(8, -1)
@@ -113,11 +125,16 @@ def test_eight_agents_side_by_side_decide_as_one_by_one(
     seen = Stream(6).uniform(-9.0, 9.0, 20 * 8 * 3).astype(np.float32).reshape(20, 8, 3)
     alone = np.array(
         [
-            decide(built, rows[lane], np.zeros(built.state_size, np.float32), seen[:, lane])
+            decide(
+                built, rows[lane], np.zeros(built.state_size, np.float32), seen[:, lane]
+            )
             for lane in range(8)
         ]
     )
-    state, together = np.zeros(8 * built.state_size, np.float32), np.empty((20, 2, 8), np.float32)
+    state, together = (
+        np.zeros(8 * built.state_size, np.float32),
+        np.empty((20, 2, 8), np.float32),
+    )
     for observations, outputs in zip(seen, together, strict=True):
         FullyMeshed.step_lanes(
             rows.T.reshape(-1), state, observations.T.reshape(-1), outputs.reshape(-1)
@@ -133,7 +150,9 @@ def test_every_activation_keeps_its_bounds() -> None:
         ("relu", 0.0, 100.0),
         ("tanh", -1.0, 1.0),
     ):
-        built = network(hidden=0, inputs=1, outputs=2, iterations=1, activation=activation)
+        built = network(
+            hidden=0, inputs=1, outputs=2, iterations=1, activation=activation
+        )
         genome = np.array([[0, 0, 0, -100], [0, 0, 0, 100]], "<f4")
         if activation == "sigmoid":
             genome[0, -1] = 0  # in the middle
@@ -179,7 +198,9 @@ def test_a_number_that_is_not_finite_is_refused_wherever_it_stands(bad: float) -
 
 
 def test_the_refusal_of_a_length_says_both_lengths() -> None:
-    with pytest.raises(ValueError, match="a genome has 239 bytes; this network takes 240"):
+    with pytest.raises(
+        ValueError, match="a genome has 239 bytes; this network takes 240"
+    ):
         network().parameters([bytes(240), bytes(239)])
 
 
@@ -200,7 +221,10 @@ def test_random_weights_and_biases_fill_their_own_ranges() -> None:
     [
         ({"hidden": -1}, "hidden: expected int >= 0"),
         ({"iterations": 0}, "iterations: expected int >= 1"),
-        ({"activation": "step"}, "activation: expected clamp, sigmoid, relu or tanh, not 'step'"),
+        (
+            {"activation": "step"},
+            "activation: expected clamp, sigmoid, relu or tanh, not 'step'",
+        ),
         ({"weight_range": 0.0}, "weight_range: expected float > 0.0"),
     ],
 )
@@ -223,7 +247,9 @@ def test_the_defaults_are_frevos() -> None:
 # ---- operators
 
 
-def test_mutation_1_adds_a_uniform_number_of_severity_times_the_range_to_every_gene() -> None:
+def test_mutation_1_adds_a_uniform_number_of_severity_times_the_range_to_every_gene() -> (
+    None
+):
     """Severity 0.3 of a range of 2 is +-0.6, variance 0.12, as counted in FREVO's mutants."""
     built = network()
     parents = built.random(500, Stream(1))
@@ -284,10 +310,14 @@ def test_mutation_2_of_a_bias_is_at_least_10_and_a_whole_number() -> None:
 
 @pytest.mark.parametrize("method", [1, 2])
 @pytest.mark.parametrize("probability", [0.01, 0.25])
-def test_mutation_changes_the_given_share_of_genes(method: int, probability: float) -> None:
+def test_mutation_changes_the_given_share_of_genes(
+    method: int, probability: float
+) -> None:
     built = network()
     parents = built.random(1000, Stream(1))
-    mutants = built.mutate(parents, Stream(2), method=method, severity=0.3, probability=probability)
+    mutants = built.mutate(
+        parents, Stream(2), method=method, severity=0.3, probability=probability
+    )
     changed = (tables(built, mutants) != tables(built, parents)).mean()
     assert abs(changed - probability) < 0.1 * probability
 
@@ -295,7 +325,9 @@ def test_mutation_changes_the_given_share_of_genes(method: int, probability: flo
 def test_crossover_takes_one_block_of_neurons_of_the_father_cut_at_the_end() -> None:
     """Starts are uniform, lengths over 1..n-1 before the cut; never is the whole father taken."""
     built = network(hidden=3, outputs=2)  # 5 neurons
-    mother, father = (np.full((5, built.sources + 1), value, "<f4").tobytes() for value in (1, 2))
+    mother, father = (
+        np.full((5, built.sources + 1), value, "<f4").tobytes() for value in (1, 2)
+    )
     stream = Stream(5)
     blocks: dict[tuple[int, int], int] = {}
     for _ in range(4000):
@@ -339,10 +371,15 @@ def test_a_recorded_crossover_is_a_child_of_ours() -> None:
     row = 4 * (built.sources + 1)
     for child in children:
         mother, father = trace_genome(child["mother"]), trace_genome(child["father"])
-        begin, end = child["first_neuron"] * row, (child["first_neuron"] + child["neurons"]) * row
+        begin, end = (
+            child["first_neuron"] * row,
+            (child["first_neuron"] + child["neurons"]) * row,
+        )
         expected = mother[:begin] + father[begin:end] + mother[end:]
         assert trace_genome(child["id"]) == expected
-        assert expected in {built.crossover(mother, father, Stream(seed)) for seed in range(100)}
+        assert expected in {
+            built.crossover(mother, father, Stream(seed)) for seed in range(100)
+        }
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,9 @@ def built(kind: str) -> tuple[Graph, bytes]:
 
 def weight(graph: Graph, source: int, target: int) -> float:
     (found,) = [
-        edge.weight for edge in graph.edges if (edge.source, edge.target) == (source, target)
+        edge.weight
+        for edge in graph.edges
+        if (edge.source, edge.target) == (source, target)
     ]
     return found
 
@@ -48,7 +50,9 @@ def test_a_drawn_layered_network_decides_as_the_network_does() -> None:
     for place, node in enumerate(graph.nodes[INPUTS:], INPUTS):
         total = float(node.text.removeprefix("bias "))
         total += sum(
-            values[edge.source] * edge.weight for edge in graph.edges if edge.target == place
+            values[edge.source] * edge.weight
+            for edge in graph.edges
+            if edge.target == place
         )
         values.append(min(1.0, max(0.0, total)))
     decided = np.zeros(OUTPUTS, np.float32)
@@ -65,7 +69,9 @@ def test_a_meshed_networks_weights_stand_where_its_genome_has_them() -> None:
     """Per neuron those of all nodes, then its bias."""
     graph, genome = built("fully-meshed")
     table = np.frombuffer(genome, "<f4").reshape(4, INPUTS + 4 + 1)
-    assert [node.kind for node in graph.nodes] == ["input"] * 3 + ["hidden"] * 2 + ["output"] * 2
+    assert [node.kind for node in graph.nodes] == ["input"] * 3 + ["hidden"] * 2 + [
+        "output"
+    ] * 2
     assert weight(graph, 1, INPUTS + 3) == table[3, 1]
     assert weight(graph, INPUTS + 2, INPUTS) == table[0, INPUTS + 2]
     assert graph.nodes[INPUTS].text == f"bias {table[0, -1]:.4g}"
@@ -74,7 +80,9 @@ def test_a_meshed_networks_weights_stand_where_its_genome_has_them() -> None:
 def test_a_ctrnns_neurons_tell_their_time_constants() -> None:
     network = CTRNN(CtrnnSettings(tau_min=2.0, tau_max=6.0), INPUTS, OUTPUTS)
     genome = np.zeros(network.genes, "<f4").tobytes()
-    assert {node.text for node in network.graph(genome).nodes[INPUTS:]} == {"bias 0, tau 4"}
+    assert {node.text for node in network.graph(genome).nodes[INPUTS:]} == {
+        "bias 0, tau 4"
+    }
 
 
 def test_links_that_are_disabled_are_not_drawn() -> None:
@@ -82,8 +90,12 @@ def test_links_that_are_disabled_are_not_drawn() -> None:
     before = network.random(1, Stream(3))
     (after,) = network.mutate(before, Stream(4), method=1, severity=0.1, probability=0.0)
     graph = network.graph(after)
-    assert [node.kind for node in graph.nodes] == ["input"] * 3 + ["hidden"] + ["output"] * 2
-    assert len(graph.edges) == INPUTS * OUTPUTS - 1 + 2, "one was split: it is off, and two are new"
+    assert [node.kind for node in graph.nodes] == ["input"] * 3 + ["hidden"] + [
+        "output"
+    ] * 2
+    assert len(graph.edges) == INPUTS * OUTPUTS - 1 + 2, (
+        "one was split: it is off, and two are new"
+    )
 
 
 def test_a_machines_transitions_are_counted() -> None:
@@ -93,14 +105,15 @@ def test_a_machines_transitions_are_counted() -> None:
     graph = network.graph(genome)
     assert [node.kind for node in graph.nodes] == ["state"] * 3
     for state in range(3):
-        assert sum(edge.weight for edge in graph.edges if edge.source == state) == pytest.approx(
-            1.0
-        )
+        assert sum(
+            edge.weight for edge in graph.edges if edge.source == state
+        ) == pytest.approx(1.0)
 
 
 def test_networks_of_one_genome_are_drawn_apart() -> None:
     graph, _ = built("bulk")
     assert {node.part for node in graph.nodes} == {0, 1}
     assert all(
-        graph.nodes[edge.source].part == graph.nodes[edge.target].part for edge in graph.edges
+        graph.nodes[edge.source].part == graph.nodes[edge.target].part
+        for edge in graph.edges
     )

@@ -16,7 +16,9 @@ from zswarm.testing import check_representation
 NETS = json.loads((REPOSITORY / "tests" / "golden" / "hebb.json").read_text())["nets"]
 
 
-def network(hidden: int = 2, inputs: int = 3, outputs: int = 2, **settings: Any) -> Hebbian:
+def network(
+    hidden: int = 2, inputs: int = 3, outputs: int = 2, **settings: Any
+) -> Hebbian:
     return Hebbian(HebbianSettings(hidden=hidden, **settings), inputs, outputs)
 
 
@@ -34,7 +36,9 @@ def recorded(net: dict[str, Any], plasticity: str) -> tuple[Hebbian, bytes]:
         [*weights, *ones, bias]
         for weights, bias in zip(net["weights_into"], net["bias"], strict=True)
     ]
-    return built, np.array([*np.concatenate(neurons), net["learningrate"]], "<f4").tobytes()
+    return built, np.array(
+        [*np.concatenate(neurons), net["learningrate"]], "<f4"
+    ).tobytes()
 
 
 def learnt(built: Hebbian, state: np.ndarray) -> np.ndarray:
@@ -42,14 +46,20 @@ def learnt(built: Hebbian, state: np.ndarray) -> np.ndarray:
     row = built.parameters([bytes(built.genome_bytes)]).shape[1] - HEADER
     row //= 2 * built.sources + 1
     return (
-        state[2 * row : (2 + built.sources) * row].reshape(built.sources, row)[:, : built.neurons].T
+        state[2 * row : (2 + built.sources) * row]
+        .reshape(built.sources, row)[:, : built.neurons]
+        .T
     )
 
 
-def decide(built: Hebbian, genome: bytes, state: np.ndarray, observations: Any) -> np.ndarray:
+def decide(
+    built: Hebbian, genome: bytes, state: np.ndarray, observations: Any
+) -> np.ndarray:
     parameters = built.parameters([genome])[0]
     actions = np.empty((len(observations), built.outputs), np.float32)
-    for observation, action in zip(np.array(observations, np.float32), actions, strict=True):
+    for observation, action in zip(
+        np.array(observations, np.float32), actions, strict=True
+    ):
         built.step(parameters, state, observation, action)
     return actions
 
@@ -93,7 +103,12 @@ def test_a_weight_without_plasticity_stays_and_one_of_half_learns_half() -> None
     changes = {}
     for plasticity in (0.0, 0.5, 1.0):
         state = np.zeros(built.state_size, np.float32)
-        decide(built, genome_of(built, weights=0.25, plasticity=plasticity, rate=0.5), state, seen)
+        decide(
+            built,
+            genome_of(built, weights=0.25, plasticity=plasticity, rate=0.5),
+            state,
+            seen,
+        )
         changes[plasticity] = learnt(built, state) - np.float32(0.25)
     assert not changes[0.0].any()
     assert changes[1.0].any()
@@ -104,7 +119,9 @@ def test_what_fires_together_is_wired_together() -> None:
     """A weight between two active nodes grows most, and the mean change is 0."""
     built = network(hidden=0, inputs=2, outputs=1, iterations=1)
     state = np.zeros(built.state_size, np.float32)
-    decide(built, genome_of(built, weights=1.0, plasticity=1.0, rate=0.1), state, [[1, 0]])
+    decide(
+        built, genome_of(built, weights=1.0, plasticity=1.0, rate=0.1), state, [[1, 0]]
+    )
     change = learnt(built, state)[0] - 1
     assert change == pytest.approx([0.025, -0.025, 0]), (
         "0.1 x 1/2 x (1/2, -1/2); not the weight to itself"
@@ -117,7 +134,9 @@ def test_every_trial_begins_with_the_genomes_weights() -> None:
     observations = Stream(2).uniform(-3.0, 3.0, 60).reshape(20, 3)
     first = decide(built, genome, np.zeros(built.state_size, np.float32), observations)
     assert (
-        decide(built, genome, np.zeros(built.state_size, np.float32), observations).tobytes()
+        decide(
+            built, genome, np.zeros(built.state_size, np.float32), observations
+        ).tobytes()
         == first.tobytes()
     )
 
@@ -150,7 +169,11 @@ def test_the_learning_rate_mutates(method: int, reach: float) -> None:
     """In FREVO it never does: 0 of 12 nets changed."""
     built = network()
     mutants = built.mutate(
-        [bytes(built.genome_bytes)] * 500, Stream(1), method=method, severity=0.3, probability=1.0
+        [bytes(built.genome_bytes)] * 500,
+        Stream(1),
+        method=method,
+        severity=0.3,
+        probability=1.0,
     )
     rates = np.array([np.frombuffer(mutant, "<f4")[-1] for mutant in mutants])
     assert 0.95 * reach < np.abs(rates).max() <= reach * (1 + 1e-6)
@@ -160,7 +183,11 @@ def test_the_learning_rate_mutates(method: int, reach: float) -> None:
 def test_mutation_2_is_fine_for_plasticities_and_coarse_for_weights_and_biases() -> None:
     built = network(hidden=0, inputs=1, outputs=1)
     mutants = built.mutate(
-        [bytes(built.genome_bytes)] * 1000, Stream(1), method=2, severity=0.3, probability=1.0
+        [bytes(built.genome_bytes)] * 1000,
+        Stream(1),
+        method=2,
+        severity=0.3,
+        probability=1.0,
     )
     reaches = np.abs([np.frombuffer(mutant, "<f4") for mutant in mutants]).max(axis=0)
     assert reaches == pytest.approx([10, 10, 0.1, 0.1, 10, 0.01], rel=0.05)
@@ -171,7 +198,10 @@ def test_the_mothers_rate_remains_after_a_crossover() -> None:
     mother, father = (np.full(built.genes, value, "<f4").tobytes() for value in (1, 2))
     stream = Stream(1)
     children = np.array(
-        [np.frombuffer(built.crossover(mother, father, stream), "<f4") for _ in range(200)]
+        [
+            np.frombuffer(built.crossover(mother, father, stream), "<f4")
+            for _ in range(200)
+        ]
     )
     assert (children[:, -1] == 1).all()
     neurons = children[:, :-1].reshape(200, 4, 15)

@@ -15,7 +15,9 @@ from zswarm.nets.mealy import Machine, Mealy, MealySettings
 from zswarm.ot.build import build
 from zswarm.testing import check_representation
 
-MACHINES = json.loads((REPOSITORY / "tests" / "golden" / "mealy.json").read_text())["machines"]
+MACHINES = json.loads((REPOSITORY / "tests" / "golden" / "mealy.json").read_text())[
+    "machines"
+]
 STEPS = [Mealy.step, getattr(Mealy.step, "py_func", Mealy.step)]
 STILL = dict.fromkeys(
     (
@@ -45,7 +47,9 @@ def recorded(machine: dict[str, Any]) -> tuple[Mealy, bytes]:
         units=[each["units"] for each in inputs],
         output_units=machine["output_units"],
     )
-    thresholds = np.array([number for each in inputs for number in each["thresholds"] or []])
+    thresholds = np.array(
+        [number for each in inputs for number in each["thresholds"] or []]
+    )
     following = np.array(machine["next_state"]).reshape(-1, states)
     outputs = np.array(machine["output_table"]).reshape(-1, states, 2)
     return built, Machine(machine["init_state"], thresholds, following, outputs).genome()
@@ -61,7 +65,9 @@ def decide(
         np.empty((len(observations), built.outputs), np.float32),
         [],
     )
-    for observation, action in zip(np.array(observations, np.float32), actions, strict=True):
+    for observation, action in zip(
+        np.array(observations, np.float32), actions, strict=True
+    ):
         step(parameters, state, observation, action)
         states.append(int(state[0]) - 1)
     return actions, states
@@ -85,7 +91,9 @@ def test_a_recorded_machine_decides_as_in_frevo_bit_for_bit(
 
 
 def test_the_recorded_machines_have_inputs_with_thresholds_and_without() -> None:
-    assert {each["thresholds"] is None for machine in MACHINES for each in machine["inputs"]} == {
+    assert {
+        each["thresholds"] is None for machine in MACHINES for each in machine["inputs"]
+    } == {
         True,
         False,
     }
@@ -109,8 +117,13 @@ def test_all_settings_keep_the_contract(settings: dict[str, Any]) -> None:
 def rows_of(built: Mealy, observations: Any) -> list[int]:
     """Return the row of the table that each observation chooses."""
     outputs = np.arange(built.rows).reshape(-1, 1, 1)
-    genome = Machine(0, np.array([30, 60] * 2), np.zeros((built.rows, 1), int), outputs).genome()
-    return [round(float(number) * 100) for number in decide(built, genome, observations)[0][:, 0]]
+    genome = Machine(
+        0, np.array([30, 60] * 2), np.zeros((built.rows, 1), int), outputs
+    ).genome()
+    return [
+        round(float(number) * 100)
+        for number in decide(built, genome, observations)[0][:, 0]
+    ]
 
 
 CLASSES = [[low, high] for low in (0.0, 0.3, 0.6) for high in (0.0, 0.3, 0.6)]
@@ -131,8 +144,21 @@ def test_inputs_out_of_range_count_as_the_nearest_class() -> None:
     built = machines(
         1, 1, states=1, thresholds=[0], units=[4], scale=1.0, minimum=[-10], maximum=[10]
     )
-    genome = Machine(0, np.zeros(0), np.zeros((5, 1), int), np.arange(5).reshape(5, 1, 1)).genome()
-    seen = [[-1e30], [-11], [-10], [-5.1], [-4.9], [0], [9.9], [10], [1e30], [float("nan")]]
+    genome = Machine(
+        0, np.zeros(0), np.zeros((5, 1), int), np.arange(5).reshape(5, 1, 1)
+    ).genome()
+    seen = [
+        [-1e30],
+        [-11],
+        [-10],
+        [-5.1],
+        [-4.9],
+        [0],
+        [9.9],
+        [10],
+        [1e30],
+        [float("nan")],
+    ]
     assert (decide(built, genome, seen)[0][:, 0] * 100).round().tolist() == [
         0,
         0,
@@ -150,7 +176,9 @@ def test_inputs_out_of_range_count_as_the_nearest_class() -> None:
 def test_a_machine_begins_in_its_first_state_in_each_trial() -> None:
     built = machines(1, 1, states=3)
     outputs = np.tile([[10], [20], [30]], (2, 1, 1))
-    genome = Machine(2, np.array([50]), np.array([[1, 2, 0], [0, 0, 0]]), outputs).genome()
+    genome = Machine(
+        2, np.array([50]), np.array([[1, 2, 0], [0, 0, 0]]), outputs
+    ).genome()
     actions, states = decide(built, genome, [[0], [0], [0], [1]])
     assert (actions[:, 0] * 100).round().tolist() == [30, 10, 20, 30]
     assert states == [0, 1, 2, 0]
@@ -183,10 +211,16 @@ def test_a_malformed_genome_is_refused(change: dict[str, Any], text: str) -> Non
 @pytest.mark.parametrize(
     ("settings", "text"),
     [
-        ({"thresholds": [1, 1, 1]}, "thresholds: expected one number, or 2, one per input, not 3"),
+        (
+            {"thresholds": [1, 1, 1]},
+            "thresholds: expected one number, or 2, one per input, not 3",
+        ),
         ({"units": [0]}, "units must be at least 1, for each input"),
         ({"minimum": [0, 100]}, "minimum must be less than maximum, for each input"),
-        ({"add_state": 0.1, "states": 30}, "max_states must be at least states, 30, not 20"),
+        (
+            {"add_state": 0.1, "states": 30},
+            "max_states must be at least states, 30, not 20",
+        ),
         (
             {"thresholds": [600]},
             r"have 361,201 rows of 6 states, which are 6,501,618 numbers; at most 1,048,576",
@@ -211,14 +245,23 @@ def test_machines_of_different_sizes_fit_in_one_batch() -> None:
 
 
 def test_new_machines_fill_their_ranges() -> None:
-    built = machines(1, 1, thresholds=[3], minimum=[-20], maximum=[20], units=[4], output_units=7)
-    drawn = [numbers(built, genome) for genome in built.random(300, Stream(1))]
-    assert {int(number) for machine in drawn for number in machine.thresholds} == {-20, -10, 0, 10}
-    assert all((np.diff(machine.thresholds) >= 0).all() for machine in drawn)
-    assert {int(number) for machine in drawn for number in machine.outputs.ravel()} == set(range(8))
-    assert {int(number) for machine in drawn for number in machine.following.ravel()} == set(
-        range(6)
+    built = machines(
+        1, 1, thresholds=[3], minimum=[-20], maximum=[20], units=[4], output_units=7
     )
+    drawn = [numbers(built, genome) for genome in built.random(300, Stream(1))]
+    assert {int(number) for machine in drawn for number in machine.thresholds} == {
+        -20,
+        -10,
+        0,
+        10,
+    }
+    assert all((np.diff(machine.thresholds) >= 0).all() for machine in drawn)
+    assert {
+        int(number) for machine in drawn for number in machine.outputs.ravel()
+    } == set(range(8))
+    assert {
+        int(number) for machine in drawn for number in machine.following.ravel()
+    } == set(range(6))
     assert {machine.first for machine in drawn} == {0}
 
 
@@ -230,9 +273,14 @@ def mutants(
 ) -> list[tuple[Machine, Machine]]:
     """Parents and what became of them."""
     parents = built.random(count, Stream(1))
-    children = built.mutate(parents, Stream(2), method=1, severity=0.3, probability=probability)
+    children = built.mutate(
+        parents, Stream(2), method=1, severity=0.3, probability=probability
+    )
     built.parameters(children)
-    return [(numbers(built, a), numbers(built, b)) for a, b in zip(parents, children, strict=True)]
+    return [
+        (numbers(built, a), numbers(built, b))
+        for a, b in zip(parents, children, strict=True)
+    ]
 
 
 def same(one: Any, other: Any) -> bool:
@@ -240,7 +288,9 @@ def same(one: Any, other: Any) -> bool:
 
 
 def test_without_chances_nothing_changes() -> None:
-    assert all(before.genome() == after.genome() for before, after in mutants(machines(**STILL)))
+    assert all(
+        before.genome() == after.genome() for before, after in mutants(machines(**STILL))
+    )
 
 
 @pytest.mark.parametrize(
@@ -259,16 +309,27 @@ def test_a_mutation_changes_its_own_part_only(mutation: str, part: str) -> None:
         for other in set(Machine._fields) - {part}:
             assert same(getattr(before, other), getattr(after, other))
     assert (
-        sum(not same(getattr(before, part), getattr(after, part)) for before, after in pairs) > 60
+        sum(
+            not same(getattr(before, part), getattr(after, part))
+            for before, after in pairs
+        )
+        > 60
     )
 
 
 @pytest.mark.parametrize(
-    ("mutation", "part"), [("change_output", "outputs"), ("change_next_state", "following")]
+    ("mutation", "part"),
+    [("change_output", "outputs"), ("change_next_state", "following")],
 )
-def test_a_mutation_hits_with_its_chance_times_the_probability(mutation: str, part: str) -> None:
-    pairs = mutants(machines(output_units=1_000_000, **{**STILL, mutation: 0.4}), probability=0.5)
-    changed = [(getattr(before, part) != getattr(after, part)).mean() for before, after in pairs]
+def test_a_mutation_hits_with_its_chance_times_the_probability(
+    mutation: str, part: str
+) -> None:
+    pairs = mutants(
+        machines(output_units=1_000_000, **{**STILL, mutation: 0.4}), probability=0.5
+    )
+    changed = [
+        (getattr(before, part) != getattr(after, part)).mean() for before, after in pairs
+    ]
     assert abs(np.mean(changed) - 0.2) < 0.02
 
 
@@ -280,7 +341,12 @@ def test_a_deleted_transition_stays_in_its_state() -> None:
 def test_thresholds_change_behind_an_input_without_any() -> None:
     """In FREVO that fails."""
     pairs = mutants(
-        machines(thresholds=[0, 3], units=[5], minimum=[-50], **{**STILL, "change_threshold": 1.0})
+        machines(
+            thresholds=[0, 3],
+            units=[5],
+            minimum=[-50],
+            **{**STILL, "change_threshold": 1.0},
+        )
     )
     assert any(not same(before.thresholds, after.thresholds) for before, after in pairs)
     for _, after in pairs:
@@ -289,7 +355,10 @@ def test_thresholds_change_behind_an_input_without_any() -> None:
 
 
 def test_another_first_state_is_one_that_there_is() -> None:
-    firsts = {after.first for _, after in mutants(machines(**{**STILL, "change_first_state": 1.0}))}
+    firsts = {
+        after.first
+        for _, after in mutants(machines(**{**STILL, "change_first_state": 1.0}))
+    }
     assert firsts == {1, 2, 3, 4, 5}
 
 
@@ -301,7 +370,9 @@ def test_a_new_state_leaves_the_others_as_they_are() -> None:
         assert after.following.shape == (4, 7)
 
 
-def test_a_deleted_state_is_led_to_no_more_and_the_others_keep_their_transitions() -> None:
+def test_a_deleted_state_is_led_to_no_more_and_the_others_keep_their_transitions() -> (
+    None
+):
     """In FREVO transitions still lead to it, and to the last one, which has another number now."""
     for before, after in mutants(machines(delete_state=1.0, **STILL), 50):
         (lost,) = [
@@ -338,9 +409,12 @@ def test_a_child_has_each_number_of_either_parent() -> None:
     mother = Machine(
         0, np.array([1, 1, 1]), np.zeros((6, 2), int), np.ones((6, 2, 2), int)
     ).genome()
-    father = Machine(1, np.array([2, 2, 2]), np.ones((6, 2), int), np.full((6, 2, 2), 2)).genome()
+    father = Machine(
+        1, np.array([2, 2, 2]), np.ones((6, 2), int), np.full((6, 2, 2), 2)
+    ).genome()
     children = [
-        numbers(built, built.crossover(mother, father, Stream(seed))) for seed in range(300)
+        numbers(built, built.crossover(mother, father, Stream(seed)))
+        for seed in range(300)
     ]
     assert {child.first for child in children} == {0, 1}
     assert {tuple(child.thresholds) for child in children} == {
@@ -353,9 +427,15 @@ def test_a_child_has_each_number_of_either_parent() -> None:
 def test_the_distance_counts_the_numbers_that_differ() -> None:
     built = machines(states=2, add_state=0.5)
     one = Machine(0, np.array([10, 20]), np.zeros((4, 2), int), np.zeros((4, 2, 2), int))
-    other = one._replace(first=1, thresholds=np.array([10, 21]), following=np.eye(4, 2, dtype=int))
-    wider = Machine(0, np.array([10, 20]), np.zeros((4, 3), int), np.zeros((4, 3, 2), int))
-    found = built.distances([one.genome()], [one.genome(), other.genome(), wider.genome()])
+    other = one._replace(
+        first=1, thresholds=np.array([10, 21]), following=np.eye(4, 2, dtype=int)
+    )
+    wider = Machine(
+        0, np.array([10, 20]), np.zeros((4, 3), int), np.zeros((4, 3, 2), int)
+    )
+    found = built.distances(
+        [one.genome()], [one.genome(), other.genome(), wider.genome()]
+    )
     assert found.tolist() == [[0, 4, 12]]
 
 
@@ -374,7 +454,11 @@ def test_a_machine_learns_to_walk_to_the_exit_and_to_stop_there() -> None:
             np.zeros(len(genomes), np.uint64),
         )
         outcomes = evaluate.evaluate(
-            parts.problem.simulator, parts.problem.representation, genomes, participants, seeds
+            parts.problem.simulator,
+            parts.problem.representation,
+            genomes,
+            participants,
+            seeds,
         )
         parts.optimizer.tell(outcomes.fitness[:, 0])
         bests.append(parts.optimizer.best()[1])

@@ -37,12 +37,22 @@ def taken_apart(encoded: bytes) -> tuple[list[Any], list[Any]]:
 
 def recorded(net: dict[str, Any]) -> tuple[Neat, np.ndarray]:
     """A recorded net and its parameters; outputs come first, hidden neurons stay in their order."""
-    nodes = [node for kind in ("output", "hidden") for node in net["nodes"] if node["type"] == kind]
+    nodes = [
+        node
+        for kind in ("output", "hidden")
+        for node in net["nodes"]
+        if node["type"] == kind
+    ]
     encoded = genome(
         [(node["id"], node["bias"], node["sigmoid_factor"]) for node in nodes],
-        [(link["from"], link["to"], link["weight"], link["enabled"]) for link in net["links"]],
+        [
+            (link["from"], link["to"], link["weight"], link["enabled"])
+            for link in net["links"]
+        ],
     )
-    built = network(net["inputs"], net["outputs"], recurrent=True, iterations=net["iterations"])
+    built = network(
+        net["inputs"], net["outputs"], recurrent=True, iterations=net["iterations"]
+    )
     return built, built.parameters([encoded])[0]
 
 
@@ -52,7 +62,9 @@ def decide(
     """What it decides from the start of a trial on."""
     state = np.zeros(built.state_size, np.float32)
     actions = np.empty((len(observations), built.outputs), np.float32)
-    for observation, action in zip(np.array(observations, np.float32), actions, strict=True):
+    for observation, action in zip(
+        np.array(observations, np.float32), actions, strict=True
+    ):
         step(parameters, state, observation, action)
     return actions
 
@@ -92,7 +104,8 @@ def test_the_recorded_nets_have_whatever_frevo_makes() -> None:
 def test_a_recorded_net_decides_as_in_frevo_bit_for_bit(net: dict[str, Any]) -> None:
     built, parameters = recorded(net)
     assert (
-        decide(built, parameters, net["in"]).tobytes() == np.array(net["out"], np.float32).tobytes()
+        decide(built, parameters, net["in"]).tobytes()
+        == np.array(net["out"], np.float32).tobytes()
     )
     again = decide(built, parameters, net["in"][:3])
     assert again.tobytes() == np.array(net["out_continued"], np.float32).tobytes(), (
@@ -101,7 +114,9 @@ def test_a_recorded_net_decides_as_in_frevo_bit_for_bit(net: dict[str, Any]) -> 
 
 
 @pytest.mark.parametrize("net", NETS, ids=lambda net: str(net["id"]))
-def test_plain_python_decides_the_same_bits_as_the_compiled_step(net: dict[str, Any]) -> None:
+def test_plain_python_decides_the_same_bits_as_the_compiled_step(
+    net: dict[str, Any],
+) -> None:
     built, parameters = recorded(net)
     assert (
         decide(built, parameters, net["in"], PLAIN).tobytes()
@@ -111,7 +126,12 @@ def test_plain_python_decides_the_same_bits_as_the_compiled_step(net: dict[str, 
 
 @pytest.mark.parametrize(
     "settings",
-    [{}, {"recurrent": True}, {"factor_range": 1.0, **GROWING}, {"recurrent": True, **GROWING}],
+    [
+        {},
+        {"recurrent": True},
+        {"factor_range": 1.0, **GROWING},
+        {"recurrent": True, **GROWING},
+    ],
 )
 def test_all_settings_keep_the_contract(settings: dict[str, Any]) -> None:
     check_representation(Neat, settings)
@@ -119,11 +139,23 @@ def test_all_settings_keep_the_contract(settings: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize(
     "number",
-    [0.0, -0.0, 1.0, -1 / 3, 1e-300, 5e-324, 1.7976931348623157e308, float("inf"), float("nan")],
+    [
+        0.0,
+        -0.0,
+        1.0,
+        -1 / 3,
+        1e-300,
+        5e-324,
+        1.7976931348623157e308,
+        float("inf"),
+        float("nan"),
+    ],
 )
 def test_three_float32_keep_every_float64(number: float) -> None:
     kept = np.full(5, 7, np.float32)
-    getattr(neat_kernel.store_double, "py_func", neat_kernel.store_double)(kept, 1, number)
+    getattr(neat_kernel.store_double, "py_func", neat_kernel.store_double)(
+        kept, 1, number
+    )
     read = getattr(neat_kernel.load_double, "py_func", neat_kernel.load_double)(kept, 1)
     assert struct.pack("<d", read) == struct.pack("<d", number)
     assert kept[[0, 4]].tolist() == [7, 7]
@@ -148,7 +180,9 @@ def test_a_recurrent_network_remembers_and_a_forward_one_does_not() -> None:
         ({}, genome([PLAIN_NODE], BOTH), False),
     ):
         built = network(**settings)
-        first, second = decide(built, built.parameters([encoded])[0], [[1, 0.2], [1, 0.2]])
+        first, second = decide(
+            built, built.parameters([encoded])[0], [[1, 0.2], [1, 0.2]]
+        )
         assert (first[0] != second[0]) == remembers
 
 
@@ -180,13 +214,31 @@ def test_hidden_neurons_sum_their_links_subtract_the_bias_and_bend() -> None:
         ([(3, np.nan, 0)], BOTH, "not finite"),
         ([(3, 0, np.inf)], BOTH, "not finite"),
         ([PLAIN_NODE], [(1, 3, 1.0, 2)], "neither enabled"),
-        ([PLAIN_NODE, (4, 0, 0), (5, 0, 0), (6, 0, 0)], BOTH, "3 hidden neurons; max_hidden is 2"),
-        ([PLAIN_NODE], [(3, 3, 1.0, 1)], "starts at an output; that takes recurrent = true"),
-        ([PLAIN_NODE, (4, 0, 0)], [(4, 4, 1.0, 1)], "in a circle; that takes recurrent = true"),
-        ([PLAIN_NODE, (4, 0, 0), (5, 0, 0)], [(4, 5, 1.0, 1), (5, 4, 1.0, 0)], "in a circle"),
+        (
+            [PLAIN_NODE, (4, 0, 0), (5, 0, 0), (6, 0, 0)],
+            BOTH,
+            "3 hidden neurons; max_hidden is 2",
+        ),
+        (
+            [PLAIN_NODE],
+            [(3, 3, 1.0, 1)],
+            "starts at an output; that takes recurrent = true",
+        ),
+        (
+            [PLAIN_NODE, (4, 0, 0)],
+            [(4, 4, 1.0, 1)],
+            "in a circle; that takes recurrent = true",
+        ),
+        (
+            [PLAIN_NODE, (4, 0, 0), (5, 0, 0)],
+            [(4, 5, 1.0, 1), (5, 4, 1.0, 0)],
+            "in a circle",
+        ),
     ],
 )
-def test_a_malformed_genome_is_refused(nodes: list[Any], links: list[Any], text: str) -> None:
+def test_a_malformed_genome_is_refused(
+    nodes: list[Any], links: list[Any], text: str
+) -> None:
     """Circles also where a link of them is disabled, for crossover might enable it."""
     built = network(max_hidden=2)
     good = genome([PLAIN_NODE], BOTH)
@@ -194,14 +246,19 @@ def test_a_malformed_genome_is_refused(nodes: list[Any], links: list[Any], text:
         built.parameters([good, genome(nodes, links)])
 
 
-def test_circles_are_fine_where_the_network_is_recurrent_and_any_order_without_them() -> None:
+def test_circles_are_fine_where_the_network_is_recurrent_and_any_order_without_them() -> (
+    None
+):
     network(recurrent=True).parameters(
         [genome([PLAIN_NODE, (4, 0, 0)], [(4, 4, 1.0, 1), (3, 4, 1.0, 1)])]
     )
     backward = genome(
-        [PLAIN_NODE, (4, 0, 0), (5, 0, 0)], [(5, 4, 1.0, 1), (4, 3, 1.0, 1), (1, 5, 1.0, 1)]
+        [PLAIN_NODE, (4, 0, 0), (5, 0, 0)],
+        [(5, 4, 1.0, 1), (4, 3, 1.0, 1), (1, 5, 1.0, 1)],
     )
-    assert network().parameters([backward])[0, 0] == 3, "not in order: it takes more than one sweep"
+    assert network().parameters([backward])[0, 0] == 3, (
+        "not in order: it takes more than one sweep"
+    )
 
 
 def test_counts_that_do_not_fit_the_length_are_refused() -> None:
@@ -231,7 +288,9 @@ def test_genomes_of_all_sizes_fit_in_one_batch_and_decide_as_alone() -> None:
         )
 
 
-def test_new_genomes_are_without_hidden_neurons_and_link_all_inputs_with_all_outputs() -> None:
+def test_new_genomes_are_without_hidden_neurons_and_link_all_inputs_with_all_outputs() -> (
+    None
+):
     for encoded in network(3, 2, factor_range=0.5).random(50, Stream(1)):
         nodes, links = taken_apart(encoded)
         assert [node[0] for node in nodes] == [4, 5]
@@ -239,7 +298,9 @@ def test_new_genomes_are_without_hidden_neurons_and_link_all_inputs_with_all_out
             (source, target) for source in (1, 2, 3) for target in (4, 5)
         ]
         assert all(abs(number) <= 2 for _, _, number, _ in links)
-        assert all(abs(bias) <= 2 and abs(factor + 4.9) <= 0.5 for _, bias, factor in nodes)
+        assert all(
+            abs(bias) <= 2 and abs(factor + 4.9) <= 0.5 for _, bias, factor in nodes
+        )
 
 
 # ---- mutations
@@ -247,7 +308,9 @@ def test_new_genomes_are_without_hidden_neurons_and_link_all_inputs_with_all_out
 
 def mutant(built: Neat, encoded: bytes, seed: int = 1, **options: Any) -> bytes:
     return built.mutate(
-        [encoded], Stream(seed), **{"method": 1, "severity": 0.3, "probability": 1.0, **options}
+        [encoded],
+        Stream(seed),
+        **{"method": 1, "severity": 0.3, "probability": 1.0, **options},
     )[0]
 
 
@@ -268,7 +331,8 @@ def test_a_mutation_of_numbers_changes_the_child() -> None:
 def test_factors_stay_where_their_range_is_zero() -> None:
     built = network(add_node=0.0, add_link=0.0)
     assert all(
-        taken_apart(mutant(built, each))[0][0][2] == -4.9 for each in built.random(20, Stream(1))
+        taken_apart(mutant(built, each))[0][0][2] == -4.9
+        for each in built.random(20, Stream(1))
     )
 
 
@@ -290,7 +354,9 @@ def test_a_redrawn_number_fills_its_range() -> None:
     built = network(50, 20, add_node=0.0, add_link=0.0, replace=1.0, weight_range=3.0)
     weights = [
         link[2]
-        for link in taken_apart(mutant(built, built.random(1, Stream(1))[0], severity=1e-9))[1]
+        for link in taken_apart(
+            mutant(built, built.random(1, Stream(1))[0], severity=1e-9)
+        )[1]
     ]
     assert 2.9 < max(weights) <= 3
     assert -3 <= min(weights) < -2.9
@@ -306,7 +372,9 @@ def test_method_2_leaves_the_structure_alone() -> None:
 def test_a_new_node_splits_a_link_that_is_disabled_by_it() -> None:
     """The link into it has weight 1, that out of it the old one; other numbers stay."""
     built = network(add_node=1.0)
-    child_nodes, child_links = taken_apart(mutant(built, genome([PLAIN_NODE], [(1, 3, 0.5, 1)])))
+    child_nodes, child_links = taken_apart(
+        mutant(built, genome([PLAIN_NODE], [(1, 3, 0.5, 1)]))
+    )
     (_, (new, bias, factor)) = child_nodes
     assert (bias, factor) == (0, 0)
     assert child_nodes[0] == PLAIN_NODE
@@ -342,11 +410,15 @@ def test_a_link_that_is_split_twice_gets_two_nodes() -> None:
 
 def test_a_new_link_joins_two_nodes_that_had_none() -> None:
     built = network(add_node=0.0, add_link=1.0)
-    parent = genome([PLAIN_NODE, (9, 0, 0)], [(1, 3, 0.5, 1), (1, 9, 0.5, 1), (9, 3, 0.5, 1)])
+    parent = genome(
+        [PLAIN_NODE, (9, 0, 0)], [(1, 3, 0.5, 1), (1, 9, 0.5, 1), (9, 3, 0.5, 1)]
+    )
     added = {taken_apart(mutant(built, parent, seed))[1][-1][:2] for seed in range(20)}
     assert added == {(2, 3), (2, 9)}
     recurrent = network(add_node=0.0, add_link=1.0, recurrent=True)
-    added = {taken_apart(mutant(recurrent, parent, seed))[1][-1][:2] for seed in range(60)}
+    added = {
+        taken_apart(mutant(recurrent, parent, seed))[1][-1][:2] for seed in range(60)
+    }
     assert added == {(2, 3), (2, 9), (3, 3), (3, 9), (9, 9)}
 
 
@@ -407,7 +479,9 @@ def test_a_child_has_the_mothers_structure_and_either_parents_numbers_where_both
 
 def test_a_gene_disabled_in_one_parent_is_mostly_disabled_in_the_child() -> None:
     built, stream = network(), Stream(1)
-    children = [taken_apart(built.crossover(MOTHER, FATHER, stream))[1] for _ in range(1000)]
+    children = [
+        taken_apart(built.crossover(MOTHER, FATHER, stream))[1] for _ in range(1000)
+    ]
     assert abs(np.mean([links[0][3] == 0 for links in children]) - 0.75) < 0.04
     assert abs(np.mean([links[1][3] == 0 for links in children]) - 0.75) < 0.04
     assert all(links[2][3] == links[3][3] == 1 for links in children)
@@ -428,7 +502,8 @@ def test_genomes_of_frevo_with_twins_can_be_compared_and_crossed() -> None:
     built = network()
     assert built.distances([twins], [twins])[0, 0] == 0
     child = built.crossover(twins, twins, Stream(1))
-    assert taken_apart(child) == ([(3, 1.0, -4.9), (9, 1.0, 0.0)], taken_apart(twins)[1]), (
-        "the dead twin is left out"
-    )
+    assert taken_apart(child) == (
+        [(3, 1.0, -4.9), (9, 1.0, 0.0)],
+        taken_apart(twins)[1],
+    ), "the dead twin is left out"
     assert built.parameters([child]).tobytes() == built.parameters([twins]).tobytes()

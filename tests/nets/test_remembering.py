@@ -17,16 +17,24 @@ def best_per_trial(complete: Experiment) -> float:
     for generation in range(complete.generations):
         work = problem.workload(optimizer.ask(), generation)
         outcomes = evaluate.evaluate(
-            problem.simulator, problem.representation, work.genomes, work.participants, work.seeds
+            problem.simulator,
+            problem.representation,
+            work.genomes,
+            work.participants,
+            work.seeds,
         )
         optimizer.tell(
-            np.cumsum(outcomes.fitness[:, 0].reshape(-1, complete.problem.trials), axis=1)[:, -1]
+            np.cumsum(
+                outcomes.fitness[:, 0].reshape(-1, complete.problem.trials), axis=1
+            )[:, -1]
         )
     return optimizer.best()[1] / complete.problem.trials
 
 
 def found(seed: int, *overrides: str) -> float:
-    loaded = experiment.load(experiment.find("light-memory"), [f"seed={seed}", *overrides])
+    loaded = experiment.load(
+        experiment.find("light-memory"), [f"seed={seed}", *overrides]
+    )
     return best_per_trial(experiment.complete(loaded, "light-memory"))
 
 

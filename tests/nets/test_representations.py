@@ -17,9 +17,15 @@ PAGE = REPOSITORY / "docs" / "representations.md"
 
 
 @pytest.mark.parametrize("name", plugins.names("representation"))
-@pytest.mark.parametrize(("inputs", "outputs"), [(5, 2), (1, 1), (10, 2), (1, 9), (13, 1)])
-def test_every_representation_keeps_the_contract(name: str, inputs: int, outputs: int) -> None:
-    check_representation(plugins.load("representation", name), inputs=inputs, outputs=outputs)
+@pytest.mark.parametrize(
+    ("inputs", "outputs"), [(5, 2), (1, 1), (10, 2), (1, 9), (13, 1)]
+)
+def test_every_representation_keeps_the_contract(
+    name: str, inputs: int, outputs: int
+) -> None:
+    check_representation(
+        plugins.load("representation", name), inputs=inputs, outputs=outputs
+    )
 
 
 @pytest.mark.parametrize("name", plugins.names("representation"))
@@ -95,7 +101,10 @@ def depending(self, genomes):
 
 
 def added_in_pairs(self, left, right):
-    a, b = (np.array([np.frombuffer(genome, "<f4") for genome in side]).T for side in (left, right))
+    a, b = (
+        np.array([np.frombuffer(genome, "<f4") for genome in side]).T
+        for side in (left, right)
+    )
     return np.add.reduce(
         np.abs(a[:, :, None] - b[:, None, :]).astype(np.float64) * 1e-9 + 1, axis=0
     ) * (left != right)
@@ -139,9 +148,17 @@ def not_compiled(parameters, state, observation, output):
         ("distances", far_from_itself, "differs from itself"),
         ("distances", one_way, "not symmetric"),
         ("distances", added_in_pairs, "a pair's distance depends on the other genomes"),
-        ("parameters", never_refusing, "of a genome that is one byte short must raise ValueError"),
+        (
+            "parameters",
+            never_refusing,
+            "of a genome that is one byte short must raise ValueError",
+        ),
         ("parameters", depending, "a genome's row depends on the other genomes"),
-        ("parameters", refusing_large, "any finite numbers must be a genome, also all -1e\\+30"),
+        (
+            "parameters",
+            refusing_large,
+            "any finite numbers must be a genome, also all -1e\\+30",
+        ),
         ("random", of_none, "random of 0 and mutate of no genomes"),
         ("random", beyond, "is beyond its range"),
         ("random", positive, "is not uniform in plus or minus its range"),
@@ -165,10 +182,16 @@ def not_compiled(parameters, state, observation, output):
             "writes outside its arrays: is state_size too small?",
         ),
         ("step_lanes", staticmethod(not_compiled), "step_lanes must be compiled"),
-        ("step_lanes", staticmethod(untyped), "an agent decides differently than with step"),
+        (
+            "step_lanes",
+            staticmethod(untyped),
+            "an agent decides differently than with step",
+        ),
     ],
 )
-def test_the_contract_check_names_what_is_broken(attribute: str, fault: Any, text: str) -> None:
+def test_the_contract_check_names_what_is_broken(
+    attribute: str, fault: Any, text: str
+) -> None:
     broken = type("Broken", (FullyMeshed,), {attribute: fault})
     with pytest.raises(AssertionError, match=text):
         check_representation(broken, {"hidden": 0})
@@ -195,7 +218,9 @@ def test_the_contract_check_names_what_is_broken(attribute: str, fault: Any, tex
         ("state_size", -1, "state_size must be an int >= 0"),
     ],
 )
-def test_the_contract_check_names_a_wrong_attribute(attribute: str, value: Any, text: str) -> None:
+def test_the_contract_check_names_a_wrong_attribute(
+    attribute: str, value: Any, text: str
+) -> None:
     class Broken(FullyMeshed):
         def __init__(self, *arguments: Any) -> None:
             super().__init__(*arguments)

@@ -27,7 +27,9 @@ from zswarm.ot.workload import Workload
 from zswarm.plugins import registry as plugins
 
 
-class MeasuringSettings(NNGASettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class MeasuringSettings(
+    NNGASettings, frozen=True, kw_only=True, forbid_unknown_fields=True
+):
     """Those of NNGA, and names of metrics."""
 
     measures: tuple[str, ...] = ()
@@ -82,11 +84,15 @@ def begun(
 
 def loaded(*overrides: str) -> experiment.Experiment:
     settings = ["generations=4", "optimizer.population=10", *overrides]
-    return experiment.complete(experiment.load(experiment.find("stadium"), settings), "test")
+    return experiment.complete(
+        experiment.load(experiment.find("stadium"), settings), "test"
+    )
 
 
 def created(out: Path, complete: experiment.Experiment) -> Record:
-    return Record.create(out, complete, "0" * 32, build(complete).problem.simulator.metrics)
+    return Record.create(
+        out, complete, "0" * 32, build(complete).problem.simulator.metrics
+    )
 
 
 def test_a_generation_is_reported_when_recorded_and_the_next_is_sent(
@@ -133,7 +139,10 @@ def test_a_run_left_in_its_loop_resumes_with_the_same_result(
         assert record.resumed().generation == 2
         assert record.evaluations() == 10 + len(servers.handed[-2].genomes)
         resumed = result(begun(record, complete, servers))
-    assert (resumed.history_hash, resumed.evaluations) == (whole.history_hash, whole.evaluations)
+    assert (resumed.history_hash, resumed.evaluations) == (
+        whole.history_hash,
+        whole.evaluations,
+    )
     assert servers.handed[-2].genomes == left
 
 
@@ -145,14 +154,19 @@ def test_a_finished_run_asks_for_nothing(tmp_path: Path, servers: Genes) -> None
     with record:
         again = result(begun(record, complete, servers))
     assert len(servers.handed) == 4
-    assert (again.history_hash, again.evaluations) == (first.history_hash, first.evaluations)
+    assert (again.history_hash, again.evaluations) == (
+        first.history_hash,
+        first.evaluations,
+    )
 
 
 @pytest.mark.parametrize(("islands", "trials", "slots"), [(1, 1, 10), (3, 2, 60)])
 def test_slots_are_wanted_for_the_candidates_of_all_islands(
     tmp_path: Path, servers: Genes, islands: int, trials: int, slots: int
 ) -> None:
-    complete = loaded(f"optimizer.islands={islands}", f"problem.trials={trials}", "generations=1")
+    complete = loaded(
+        f"optimizer.islands={islands}", f"problem.trials={trials}", "generations=1"
+    )
     with created(tmp_path, complete) as record:
         result(begun(record, complete, servers))
     assert servers.asked["slots"] == slots
@@ -202,7 +216,9 @@ def test_diverging_proposals_are_reported_and_the_run_continues(
         evolution.close()
     propose = CMAES._propose
     monkeypatch.setattr(
-        CMAES, "_propose", lambda self: propose(self) + (0.1 if self.generation >= 2 else 0.0)
+        CMAES,
+        "_propose",
+        lambda self: propose(self) + (0.1 if self.generation >= 2 else 0.0),
     )
     record, complete = Record.open(record.folder)
     said = Said()
@@ -210,7 +226,9 @@ def test_diverging_proposals_are_reported_and_the_run_continues(
         record.begin(3, servers.handed[-1])
         for counted in servers.play(servers.handed[-1]):
             record.add(counted, servers.handed[-1])
-        ended = result(run.evolve(build(complete), record, servers, said, threading.Event()))  # type: ignore[arg-type]
+        ended = result(
+            run.evolve(build(complete), record, servers, said, threading.Event())
+        )  # type: ignore[arg-type]
     assert said.lines[1:] == [
         "cmaes would have proposed other candidates from generation 2 on; "
         "it continues from the recorded ones",
@@ -227,7 +245,9 @@ def test_diverging_proposals_are_reported_and_the_run_continues(
 
 @pytest.fixture
 def measuring(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.setitem(plugins.BUNDLED["optimizer"], "measuring", f"{__name__}:Measuring")
+    monkeypatch.setitem(
+        plugins.BUNDLED["optimizer"], "measuring", f"{__name__}:Measuring"
+    )
     plugins._installed.cache_clear()
     yield
     plugins._installed.cache_clear()
@@ -266,14 +286,20 @@ def test_measures_are_means_of_metrics_in_trial_order_told_hashed_and_recorded(
         expected = ((metrics[:, 0] + metrics[:, 1] + metrics[:, 2]) / 3)[:, ::-1]
         assert measures.tobytes() == generation.measures.tobytes() == expected.tobytes()
         hashed.update(
-            b"".join(generation.genomes) + generation.fitness.tobytes() + expected.tobytes()
+            b"".join(generation.genomes)
+            + generation.fitness.tobytes()
+            + expected.tobytes()
         )
     assert ended.history_hash == hashed.hexdigest()
 
 
 @pytest.mark.usefixtures("measuring")
-def test_measures_that_are_no_metric_are_refused_with_those_that_are(tmp_path: Path) -> None:
-    complete = loaded("optimizer.kind=measuring", "optimizer.measures=['rounds', 'spread']")
+def test_measures_that_are_no_metric_are_refused_with_those_that_are(
+    tmp_path: Path,
+) -> None:
+    complete = loaded(
+        "optimizer.kind=measuring", "optimizer.measures=['rounds', 'spread']"
+    )
     with pytest.raises(ConfigError) as refusal:
         build(complete)
     words = "optimizer: measures: emergency-exit has no metric 'spread'; it has: escaped, rounds"

@@ -16,10 +16,18 @@ STARTED = Started(Path("runs/x"), experiment.load(experiment.find("stadium")), 0
 RESULT = Result("runs/x", 3, 1.0, 150, 0, "00", 0.1, 0, 0)
 NOTE = Note("server_joined", "lab-1", count=2)
 CHAMPION = Controller(
-    simulator="s", simulator_settings={}, representation="r", representation_settings={}, inputs=1,
-    outputs=1, sensors=[],
-    actuators=[], genome=b"", fitness=1.0, run="x",
-)  # fmt: skip
+    simulator="s",
+    simulator_settings={},
+    representation="r",
+    representation_settings={},
+    inputs=1,
+    outputs=1,
+    sensors=[],
+    actuators=[],
+    genome=b"",
+    fitness=1.0,
+    run="x",
+)
 
 
 def generation(number: int) -> Generation:
@@ -76,11 +84,16 @@ def without_progress(heard: list[tuple[str, Any]]) -> list[tuple[str, Any]]:
 
 
 ALL = [
-    ("start", STARTED), ("say", "hello"), ("event", NOTE),
-    *(call for number in range(3) for call in (("generation", generation(number)), ("champion",
-    CHAMPION))),
+    ("start", STARTED),
+    ("say", "hello"),
+    ("event", NOTE),
+    *(
+        call
+        for number in range(3)
+        for call in (("generation", generation(number)), ("champion", CHAMPION))
+    ),
     ("end", RESULT),
-]  # fmt: skip
+]
 
 
 def test_a_logger_that_overrides_nothing_follows_a_run() -> None:
@@ -110,7 +123,9 @@ def test_a_logger_in_the_background_hears_all_in_order_in_one_thread_of_its_own(
 
 
 @pytest.mark.parametrize(
-    "error", [ZeroDivisionError("no disk"), SystemExit("no disk")], ids=["an error", "an exit"]
+    "error",
+    [ZeroDivisionError("no disk"), SystemExit("no disk")],
+    ids=["an error", "an exit"],
 )
 def test_an_error_of_a_logger_is_reported_once_and_it_gets_later_events(
     error: BaseException,

@@ -19,20 +19,27 @@ os._exit(0)
 
 
 @pytest.mark.parametrize("begun", ["in the foreground", "in the background"])
-def test_ctrl_c_while_it_still_loads_ends_it_in_silence(tmp_path: Path, begun: str) -> None:
+def test_ctrl_c_while_it_still_loads_ends_it_in_silence(
+    tmp_path: Path, begun: str
+) -> None:
     """What a shell began in the background does not hear Ctrl-C."""
     (tmp_path / "click.py").write_text(LOADING)
     path = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
     how = signal.SIG_IGN if begun == "in the background" else signal.SIG_DFL
     with subprocess.Popen(
-        [sys.executable, "-m", "zswarm.ot", "--version"], env=os.environ | {"PYTHONPATH": path},
+        [sys.executable, "-m", "zswarm.ot", "--version"],
+        env=os.environ | {"PYTHONPATH": path},
         text=True,
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
         preexec_fn=lambda: signal.signal(signal.SIGINT, how),
-    ) as program:  # fmt: skip
+    ) as program:
         assert program.stdout is not None
         first = program.stdout.readline()
         program.send_signal(signal.SIGINT)
         rest, err = program.communicate(timeout=60)
     assert (first, err) == ("loading\n", "")
-    assert (program.returncode, rest) == ((0, "went on\n") if how == signal.SIG_IGN else (130, ""))
+    assert (program.returncode, rest) == (
+        (0, "went on\n") if how == signal.SIG_IGN else (130, "")
+    )

@@ -32,7 +32,8 @@ def written(
 ) -> Path:
     """Write a run with its best fitness after each generation; NaN: every candidate failed."""
     representation = msgspec.structs.replace(
-        EXPERIMENT.representation, settings={**EXPERIMENT.representation.settings, "hidden": hidden}
+        EXPERIMENT.representation,
+        settings={**EXPERIMENT.representation.settings, "hidden": hidden},
     )
     problem = msgspec.structs.replace(
         EXPERIMENT.problem,
@@ -46,31 +47,44 @@ def written(
         representation=representation,
         problem=problem,
     )
-    genomes = [np.linspace(-1, 1, (hidden + 2) * (hidden + 13), dtype="<f4").tobytes()] * candidates
+    genomes = [
+        np.linspace(-1, 1, (hidden + 2) * (hidden + 13), dtype="<f4").tobytes()
+    ] * candidates
     history = History()
     with Record.create(out, complete, "0" * 32) as record:
         for note in notes:
             record.note(note)
         for generation, value in enumerate(best):
             workload = Workload(
-                genomes, np.arange(candidates).reshape(-1, 1), np.zeros(candidates, np.uint64), 2
+                genomes,
+                np.arange(candidates).reshape(-1, 1),
+                np.zeros(candidates, np.uint64),
+                2,
             )
             workload.fitness[:], workload.metrics[:] = value, 0.0
             record.begin(generation, workload)
             record.add(Counted(np.arange(candidates), "lab-1-0123abcd", 0.01), workload)
             told = np.array([value + seed / 1e6] * candidates)
             history.add(genomes, told)
-            record.finish(generation, genomes, told, {"best": value, "mean": value - 1.0}, {})
+            record.finish(
+                generation, genomes, told, {"best": value, "mean": value - 1.0}, {}
+            )
         if len(best):
             record.champion(
                 Controller(
-                    simulator=simulator, simulator_settings=problem.settings,
+                    simulator=simulator,
+                    simulator_settings=problem.settings,
                     representation="fully-meshed",
-                    representation_settings=representation.settings, inputs=10, outputs=2,
-                    sensors=[], actuators=["vx", "vy"],
-                    genome=genomes[0], fitness=best[-1], run="run",
+                    representation_settings=representation.settings,
+                    inputs=10,
+                    outputs=2,
+                    sensors=[],
+                    actuators=["vx", "vy"],
+                    genome=genomes[0],
+                    fitness=best[-1],
+                    run="run",
                 )
-            )  # fmt: skip
+            )
         if finished:
             record.set_meta("history_hash", history.hex())
         return record.folder

@@ -85,7 +85,8 @@ def test_a_package_adds_a_part_by_an_entry_point(install: Install) -> None:
 
 def test_listing_and_hashing_import_nothing(install: Install) -> None:
     install(
-        {"swarm_extra.py": NOTHING_READ}, "[zswarm.simulators]\nlabyrinth = swarm_extra:Labyrinth\n"
+        {"swarm_extra.py": NOTHING_READ},
+        "[zswarm.simulators]\nlabyrinth = swarm_extra:Labyrinth\n",
     )
     assert "labyrinth" in plugins.names("simulator")
     assert plugins.source_files("simulator", "labyrinth")
@@ -109,10 +110,15 @@ def test_listing_and_hashing_import_nothing(install: Install) -> None:
 def test_a_plugin_that_cannot_be_imported_is_named_in_one_line(
     install: Install, code: str, reason: str
 ) -> None:
-    install({"swarm_extra.py": code}, "[zswarm.simulators]\nlabyrinth = swarm_extra:Labyrinth\n")
+    install(
+        {"swarm_extra.py": code},
+        "[zswarm.simulators]\nlabyrinth = swarm_extra:Labyrinth\n",
+    )
     with pytest.raises(UnknownPlugin) as refusal:
         plugins.load("simulator", "labyrinth")
-    assert str(refusal.value).startswith(f"simulator 'labyrinth' cannot be imported: {reason}")
+    assert str(refusal.value).startswith(
+        f"simulator 'labyrinth' cannot be imported: {reason}"
+    )
     assert "\n" not in str(refusal.value)
 
 
@@ -126,7 +132,10 @@ def test_a_broken_plugin_does_not_affect_others(install: Install) -> None:
 
 
 def test_a_plugin_cannot_take_a_bundled_name(install: Install) -> None:
-    install({"swarm_extra.py": NOTHING_READ}, "[zswarm.simulators]\nminisim = swarm_extra:Other\n")
+    install(
+        {"swarm_extra.py": NOTHING_READ},
+        "[zswarm.simulators]\nminisim = swarm_extra:Other\n",
+    )
     assert plugins.load("simulator", "minisim").__module__ == "zswarm.sims.minisim"
     assert plugins.source_files("simulator", "minisim")[0].name == "minisim.py"
 
@@ -134,7 +143,8 @@ def test_a_plugin_cannot_take_a_bundled_name(install: Install) -> None:
 def test_a_missing_module_is_named(install: Install) -> None:
     install({}, "[zswarm.simulators]\nlabyrinth = swarm_extra:Labyrinth\n")
     with pytest.raises(
-        UnknownPlugin, match="simulator 'labyrinth' cannot be imported: ModuleNotFoundError"
+        UnknownPlugin,
+        match="simulator 'labyrinth' cannot be imported: ModuleNotFoundError",
     ):
         plugins.load("simulator", "labyrinth")
     assert plugins.source_files("simulator", "labyrinth") == []
@@ -146,9 +156,12 @@ def test_all_files_of_a_plugins_package_are_in_its_hash(install: Install) -> Non
         "swarm_extra/labyrinth.py": NOTHING_READ,
         "swarm_extra/deep/walls.py": "A = 1",
     }
-    folder = install(files, "[zswarm.simulators]\nlabyrinth = swarm_extra.labyrinth:Labyrinth\n")
+    folder = install(
+        files, "[zswarm.simulators]\nlabyrinth = swarm_extra.labyrinth:Labyrinth\n"
+    )
     assert {
-        str(path.relative_to(folder)) for path in plugins.source_files("simulator", "labyrinth")
+        str(path.relative_to(folder))
+        for path in plugins.source_files("simulator", "labyrinth")
     } == set(files)
     before = version_hash("labyrinth", "fully-meshed"), cache_hash()
     (folder / "swarm_extra/deep/walls.py").write_text("A = 2")
@@ -168,7 +181,9 @@ LIBRARIES = (
 """
 
 
-def test_the_hash_of_a_plugin_covers_bundled_parts_and_libraries_it_uses(install: Install) -> None:
+def test_the_hash_of_a_plugin_covers_bundled_parts_and_libraries_it_uses(
+    install: Install,
+) -> None:
     """What is bundled comes after its own files, wherever both are installed."""
     files = {
         "swarm_extra/__init__.py": "from zswarm.nets import (bulk,\n ctrnn)",
@@ -186,7 +201,9 @@ def test_the_hash_of_a_plugin_covers_bundled_parts_and_libraries_it_uses(install
 
 def test_an_optimizer_plugin_does_not_change_the_cache_hash(install: Install) -> None:
     before = cache_hash()
-    install({"swarm_extra.py": NOTHING_READ}, "[zswarm.optimizers]\nmine = swarm_extra:Mine\n")
+    install(
+        {"swarm_extra.py": NOTHING_READ}, "[zswarm.optimizers]\nmine = swarm_extra:Mine\n"
+    )
     assert "mine" in plugins.names("optimizer")
     assert cache_hash() == before
 

@@ -46,7 +46,10 @@ def named(file: Path) -> set[Path]:
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
-            names = [node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)]
+            names = [
+                node.module or "",
+                *(f"{node.module}.{alias.name}" for alias in node.names),
+            ]
         for name in names:
             module = PACKAGE.parent.joinpath(*name.split(".")).with_suffix(".py")
             if name.startswith("zswarm.") and module.is_file():
@@ -64,7 +67,9 @@ def clean() -> Iterator[None]:
 def copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A copy of the package that is hashed in its place."""
     shutil.copytree(
-        PACKAGE, tmp_path / "zswarm", ignore=shutil.ignore_patterns("__pycache__", "examples")
+        PACKAGE,
+        tmp_path / "zswarm",
+        ignore=shutil.ignore_patterns("__pycache__", "examples"),
     )
     for module in (version_hash, plugins):
         monkeypatch.setattr(module, "PACKAGE", tmp_path / "zswarm")
@@ -74,7 +79,9 @@ def copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def fresh() -> tuple[str, str]:
     """The hash of a problem, and that of all compiled code, not remembered."""
     forget()
-    return version_hash.version_hash("emergency-exit", "fully-meshed"), version_hash.cache_hash()
+    return version_hash.version_hash(
+        "emergency-exit", "fully-meshed"
+    ), version_hash.cache_hash()
 
 
 def forget() -> None:
@@ -100,7 +107,9 @@ def test_another_simulator_has_another_hash() -> None:
 @pytest.mark.parametrize(
     "file", [*version_hash.SHARED, "sims/emergency_exit.py", "nets/fully_meshed.py"]
 )
-def test_a_change_in_a_file_that_computes_changes_both_hashes(copy: Path, file: str) -> None:
+def test_a_change_in_a_file_that_computes_changes_both_hashes(
+    copy: Path, file: str
+) -> None:
     before = fresh()
     (copy / file).write_text((copy / file).read_text() + "\n")
     after = fresh()
@@ -108,17 +117,25 @@ def test_a_change_in_a_file_that_computes_changes_both_hashes(copy: Path, file: 
     assert before[1] != after[1]
 
 
-def test_a_network_of_networks_is_of_another_version_when_one_of_them_is(copy: Path) -> None:
+def test_a_network_of_networks_is_of_another_version_when_one_of_them_is(
+    copy: Path,
+) -> None:
     """Settings say which they are; the hash is asked for without."""
-    before = [version_hash.version_hash("minisim", kind) for kind in ("bulk", "three-layer")]
+    before = [
+        version_hash.version_hash("minisim", kind) for kind in ("bulk", "three-layer")
+    ]
     (copy / "nets/ctrnn.py").write_text("# changed\n")
     forget()
-    after = [version_hash.version_hash("minisim", kind) for kind in ("bulk", "three-layer")]
+    after = [
+        version_hash.version_hash("minisim", kind) for kind in ("bulk", "three-layer")
+    ]
     assert before[0] != after[0]
     assert before[1] == after[1]
 
 
-@pytest.mark.parametrize("file", ["ot/optimizers/nnga.py", "protocol/keys.py", "errors.py"])
+@pytest.mark.parametrize(
+    "file", ["ot/optimizers/nnga.py", "protocol/keys.py", "errors.py"]
+)
 def test_an_unrelated_change_changes_neither_hash(copy: Path, file: str) -> None:
     before = fresh()
     (copy / file).write_text((copy / file).read_text() + "\n")
@@ -159,7 +176,9 @@ def test_another_version_of_a_library_changes_both_hashes(
     before = fresh()
     installed = version_hash.version
     monkeypatch.setattr(
-        version_hash, "version", lambda name: "0.0.1" if name == library else installed(name)
+        version_hash,
+        "version",
+        lambda name: "0.0.1" if name == library else installed(name),
     )
     after = fresh()
     assert before[0] != after[0]
@@ -230,7 +249,9 @@ def test_packages_that_add_to_an_entry_point_group_are_covered(
     )
     monkeypatch.syspath_prepend(str(tmp_path))
     after = fresh(), version_hash.version_hash("gymnasium", "fully-meshed")
-    assert version_hash.versions("gymnasium", "fully-meshed")["some-environments"] == "3.0"
+    assert (
+        version_hash.versions("gymnasium", "fully-meshed")["some-environments"] == "3.0"
+    )
     assert before[0] == after[0]
     assert before[1] != after[1]
 
@@ -243,12 +264,16 @@ def test_the_version_hash_covers_the_architecture_if_a_library_plays(
 ) -> None:
     hashes, said = [], []
     for machine in ("x86_64", "aarch64"):
-        monkeypatch.setattr(version_hash.platform, "machine", lambda machine=machine: machine)
+        monkeypatch.setattr(
+            version_hash.platform, "machine", lambda machine=machine: machine
+        )
         forget()
         hashes.append(version_hash.version_hash(simulator, "fully-meshed"))
         said.append(version_hash.versions(simulator, "fully-meshed"))
     assert (hashes[0] == hashes[1]) == same
-    assert version_hash.differing(*said) == ([] if same else ["architecture x86_64, not aarch64"])
+    assert version_hash.differing(*said) == (
+        [] if same else ["architecture x86_64, not aarch64"]
+    )
 
 
 def test_every_simulator_that_imports_pymunk_declares_it() -> None:
@@ -311,7 +336,9 @@ def test_what_differs_between_two_versions_is_named(copy: Path) -> None:
             version_hash.versions("emergency-exit", "fully-meshed"), before
         ) == [told]
         (copy / file).write_text(text)
-    assert version_hash.differing({"numpy": "2.1.0"}, {"numpy": "2.3.0", "jax": "0.9"}) == [
+    assert version_hash.differing(
+        {"numpy": "2.1.0"}, {"numpy": "2.3.0", "jax": "0.9"}
+    ) == [
         "numpy 2.1.0, not 2.3.0",
         "no jax",
     ]

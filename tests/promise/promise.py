@@ -34,7 +34,9 @@ class Facts(NamedTuple):
 
     finished: bool
     told: list[str]  # the history's hash after each finished generation
-    outcomes: dict[tuple[int, int], bytes]  # (generation, trial): fitness and metrics, bit by bit
+    outcomes: dict[
+        tuple[int, int], bytes
+    ]  # (generation, trial): fitness and metrics, bit by bit
     rows: list[tuple[Any, ...]]  # outcomes as recorded
     servers: set[str]
     requeued: int
@@ -52,7 +54,9 @@ def check_run(folder: Path, sample: int = 20, seed: int = 0) -> Facts:
         AssertionError: the promise is broken; the text says where.
     """
     experiment = tomllib.loads((folder / "experiment.toml").read_text(encoding="utf-8"))
-    database = sqlite3.connect(f"{(folder / 'run.sqlite').resolve().as_uri()}?mode=ro", uri=True)
+    database = sqlite3.connect(
+        f"{(folder / 'run.sqlite').resolve().as_uri()}?mode=ro", uri=True
+    )
     try:
         state = database.execute("PRAGMA quick_check").fetchall()
         assert state == [("ok",)], f"{folder}: the database is damaged: {state}"
@@ -125,7 +129,9 @@ class _Check:
         ).fetchall()
         self.optimizer = database.execute("SELECT generation FROM optimizer").fetchall()
         self.outcomes: dict[tuple[int, int], bytes] = {}
-        self.unsure: set[tuple[int, int]] = set()  # faulted or doubtful: no outcome of the genome
+        self.unsure: set[tuple[int, int]] = (
+            set()
+        )  # faulted or doubtful: no outcome of the genome
         self.asked: dict[int, bytes] = {}
 
     def claim(self, true: bool, text: str) -> None:
@@ -138,15 +144,25 @@ class _Check:
         told = self.check_history()
         again = self.evaluate_again(sample, seed)
         servers = {row[8] for row in self.rows} - {""}
-        requeued = sum(count for _, event, _, count, _ in self.events if event == "requeued")
+        requeued = sum(
+            count for _, event, _, count, _ in self.events if event == "requeued"
+        )
         return Facts(
-            "history_hash" in self.meta, told, self.outcomes, self.rows, servers, requeued, again
+            "history_hash" in self.meta,
+            told,
+            self.outcomes,
+            self.rows,
+            servers,
+            requeued,
+            again,
         )
 
     def check_outcomes(self) -> None:
         """Check that each trial counts at most once, by a server that joined."""
         ended = len(self.generations)
-        joined = {server for _, event, server, _, _ in self.events if event == "server_joined"}
+        joined = {
+            server for _, event, server, _, _ in self.events if event == "server_joined"
+        }
         wrong = {
             (server, generation)
             for generation, event, server, _, _ in self.events
@@ -173,7 +189,8 @@ class _Check:
                 f"{where}: of generation {generation}, while {ended} are finished",
             )
             self.claim(
-                generation >= last, f"{where}: of generation {generation} after one of {last}"
+                generation >= last,
+                f"{where}: of generation {generation} after one of {last}",
             )
             last = generation
             self.claim(
@@ -205,7 +222,8 @@ class _Check:
                     f"{where}: of {server!r}, {faulted} faulted",
                 )
                 self.claim(
-                    server in joined, f"{where}: of the unknown server {server}, which never joined"
+                    server in joined,
+                    f"{where}: of the unknown server {server}, which never joined",
                 )
                 for blamed, since in wrong:
                     self.claim(
@@ -225,9 +243,12 @@ class _Check:
                     f"{where}: trial {trial} of generation {generation} is counted twice",
                 )
                 self.outcomes[key] = (
-                    fitness[each * i : each * i + each] + metrics[width * i : width * i + width]
+                    fitness[each * i : each * i + each]
+                    + metrics[width * i : width * i + width]
                 )
-                for number in struct.unpack(f"<{self.each + width // 8}d", self.outcomes[key]):
+                for number in struct.unpack(
+                    f"<{self.each + width // 8}d", self.outcomes[key]
+                ):
                     self.claim(
                         math.isfinite(number) or struct.pack("<d", number) == NAN,
                         f"{where}: trial {trial} has a number that is not finite, nor the one NaN",
@@ -265,7 +286,9 @@ class _Check:
                 f"{where}: {evaluations} of {len(candidates)} candidates",
             )
             trials = (
-                len(counted.get(generation, [])) if self.relative else len(candidates) * self.trials
+                len(counted.get(generation, []))
+                if self.relative
+                else len(candidates) * self.trials
             )
             expected = list(range(trials))
             missing = sorted(set(expected) - set(counted.get(generation, [])))
@@ -282,7 +305,9 @@ class _Check:
                 f"{where}: its genomes are not those that were evaluated",
             )
             best_yet = -math.inf if self.relative else best_yet
-            played: dict[int, list[int]] = {candidate: [] for candidate in range(len(candidates))}
+            played: dict[int, list[int]] = {
+                candidate: [] for candidate in range(len(candidates))
+            }
             for trial in expected:
                 players = self.players.get((generation, trial), [trial // self.trials])
                 self.claim(
@@ -316,7 +341,8 @@ class _Check:
     def check_games(self, where: str, generation: int, trials: int) -> None:
         """Check that each game has all its trials in order, with the same players."""
         self.claim(
-            trials % self.trials == 0, f"{where}: {trials} trials, and a game has {self.trials}"
+            trials % self.trials == 0,
+            f"{where}: {trials} trials, and a game has {self.trials}",
         )
         for trial in range(trials if self.relative else 0):
             first = self.players[generation, trial - trial % self.trials]
@@ -340,7 +366,9 @@ class _Check:
             total = 0.0
             for trial in trials:
                 total += struct.unpack_from(
-                    "<d", self.outcomes[generation, trial], 8 * (self.each + names.index(name))
+                    "<d",
+                    self.outcomes[generation, trial],
+                    8 * (self.each + names.index(name)),
                 )[0]
             self.claim(
                 told[8 * column : 8 * column + 8]
@@ -363,7 +391,8 @@ class _Check:
                 f"event {event}: of {count}",
             )
             self.claim(
-                not event.startswith("server_") or bool(server), f"event {event}: of no server"
+                not event.startswith("server_") or bool(server),
+                f"event {event}: of no server",
             )
             if generation is not None:
                 self.claim(
@@ -389,17 +418,21 @@ class _Check:
         if (recorded := self.meta.get("history_hash")) is not None:
             wanted = self.experiment["generations"]
             self.claim(
-                len(told) == wanted, f"has a history hash after {len(told)} of {wanted} generations"
+                len(told) == wanted,
+                f"has a history hash after {len(told)} of {wanted} generations",
             )
             self.claim(
-                recorded == told[-1], f"the history hash is {told[-1]}, not {recorded} as recorded"
+                recorded == told[-1],
+                f"the history hash is {told[-1]}, not {recorded} as recorded",
             )
         return told
 
     def evaluate_again(self, sample: int, seed: int) -> int:
         """Evaluate some outcomes of finished generations again."""
         keys = [
-            key for key in self.outcomes if key[0] in self.candidates and key not in self.unsure
+            key
+            for key in self.outcomes
+            if key[0] in self.candidates and key not in self.unsure
         ]
         chosen = sorted(random.Random(seed).sample(sorted(keys), min(sample, len(keys))))
         if not chosen:
@@ -467,7 +500,9 @@ def main() -> None:
         description="Check that the record of a run keeps its promise."
     )
     parser.add_argument("runs", nargs="+", type=Path, metavar="RUN")
-    parser.add_argument("--sample", type=int, default=20, help="trials to evaluate again (20)")
+    parser.add_argument(
+        "--sample", type=int, default=20, help="trials to evaluate again (20)"
+    )
     given = parser.parse_args()
     broken = False
     for folder in given.runs:

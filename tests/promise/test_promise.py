@@ -72,7 +72,9 @@ def test_a_good_run_keeps_the_promise_to_the_last_trial(run: Path) -> None:
     with opened(run) as database:
         assert (
             facts.history_hash
-            == database.execute("SELECT value FROM meta WHERE key = 'history_hash'").fetchone()[0]
+            == database.execute(
+                "SELECT value FROM meta WHERE key = 'history_hash'"
+            ).fetchone()[0]
         )
 
 
@@ -118,7 +120,8 @@ def flipped(blob: bytes, bit: int = 0) -> bytes:
 
 def count_twice(database: sqlite3.Connection) -> None:
     columns = (
-        "generation, asked, count, trials, fitness, metrics, faulted, server, seconds, at, doubtful"
+        "generation, asked, count, trials, fitness, metrics, faulted, server, seconds, at, "
+        "doubtful"
     )
     database.execute(
         f"INSERT INTO outcomes ({columns}) SELECT {columns} FROM outcomes "  # noqa: S608
@@ -130,7 +133,9 @@ def change_an_outcome(database: sqlite3.Connection) -> None:
     id_, fitness = database.execute(
         "SELECT id, fitness FROM outcomes WHERE generation = 1 LIMIT 1"
     ).fetchone()
-    database.execute("UPDATE outcomes SET fitness = ? WHERE id = ?", (flipped(fitness, 4), id_))
+    database.execute(
+        "UPDATE outcomes SET fitness = ? WHERE id = ?", (flipped(fitness, 4), id_)
+    )
 
 
 def change_a_candidate(database: sqlite3.Connection) -> None:
@@ -139,7 +144,8 @@ def change_a_candidate(database: sqlite3.Connection) -> None:
     ).fetchone()
     (changed,) = struct.unpack("<d", flipped(struct.pack("<d", fitness)))
     database.execute(
-        "UPDATE candidates SET fitness = ? WHERE generation = 1 AND candidate = 3", (changed,)
+        "UPDATE candidates SET fitness = ? WHERE generation = 1 AND candidate = 3",
+        (changed,),
     )
 
 
@@ -154,8 +160,12 @@ def change_a_genome(database: sqlite3.Connection) -> None:
 
 
 def change_the_hash(database: sqlite3.Connection) -> None:
-    (value,) = database.execute("SELECT value FROM meta WHERE key = 'history_hash'").fetchone()
-    database.execute("UPDATE meta SET value = ? WHERE key = 'history_hash'", (value[::-1],))
+    (value,) = database.execute(
+        "SELECT value FROM meta WHERE key = 'history_hash'"
+    ).fetchone()
+    database.execute(
+        "UPDATE meta SET value = ? WHERE key = 'history_hash'", (value[::-1],)
+    )
 
 
 def change_a_metric(database: sqlite3.Connection) -> None:
@@ -163,7 +173,9 @@ def change_a_metric(database: sqlite3.Connection) -> None:
     id_, metrics = database.execute(
         "SELECT id, metrics FROM outcomes WHERE generation = 0 LIMIT 1"
     ).fetchone()
-    database.execute("UPDATE outcomes SET metrics = ? WHERE id = ?", (flipped(metrics), id_))
+    database.execute(
+        "UPDATE outcomes SET metrics = ? WHERE id = ?", (flipped(metrics), id_)
+    )
 
 
 @pytest.mark.parametrize(
@@ -196,7 +208,10 @@ def change_a_metric(database: sqlite3.Connection) -> None:
     ids=lambda value: value.__name__ if callable(value) else "",
 )
 def test_a_record_that_was_tampered_with_breaks_it(
-    run: Path, tmp_path: Path, tamper: str | Callable[[sqlite3.Connection], None], words: str
+    run: Path,
+    tmp_path: Path,
+    tamper: str | Callable[[sqlite3.Connection], None],
+    words: str,
 ) -> None:
     folder = copy(run, tmp_path)
     with opened(folder) as database:
@@ -212,7 +227,9 @@ def test_a_part_of_another_history_is_refused(run: Path, tmp_path: Path) -> None
     part, whole = check_run(unfinished(run, tmp_path)), check_run(run)
     key = max(part.outcomes)
     assert key[0] == 2, "of the generation that is not finished"
-    with pytest.raises(AssertionError, match=f"generation 2, trial {key[1]}: not the outcome"):
+    with pytest.raises(
+        AssertionError, match=f"generation 2, trial {key[1]}: not the outcome"
+    ):
         check_prefix(part._replace(outcomes={**part.outcomes, key: b"other"}), whole)
     with pytest.raises(AssertionError, match="its generations are not those"):
         check_prefix(Facts(False, ["0" * 32], {}, [], set(), 0, 0), whole)

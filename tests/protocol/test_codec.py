@@ -55,7 +55,9 @@ PLAIN = st.recursive(
         st.floats(allow_nan=False, allow_infinity=False),
         SHOWN,
     ),
-    lambda inner: st.one_of(st.lists(inner, max_size=3), st.dictionaries(SHOWN, inner, max_size=3)),
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=3), st.dictionaries(SHOWN, inner, max_size=3)
+    ),
     max_leaves=5,
 )
 PARTS = st.builds(Part, SHOWN, st.dictionaries(SHOWN, PLAIN, max_size=3))
@@ -98,9 +100,12 @@ REPLIES = {
     messages.Offer: {
         **dict.fromkeys(("server", "program", "machine", "mismatch"), SHOWN),
         **dict.fromkeys(("capacity", "free", "leases"), COUNTS),
-        **dict.fromkeys(("simulators", "representations", "limits"), st.lists(SHOWN, max_size=4)),
+        **dict.fromkeys(
+            ("simulators", "representations", "limits"), st.lists(SHOWN, max_size=4)
+        ),
         "labels": st.dictionaries(
-            *(st.from_regex(rf"\A{rule}\Z") for rule in (LABEL_NAME, LABEL_VALUE)), max_size=4
+            *(st.from_regex(rf"\A{rule}\Z") for rule in (LABEL_NAME, LABEL_VALUE)),
+            max_size=4,
         ),
     },
     messages.Lease: {
@@ -144,10 +149,17 @@ ANY = st.one_of(ANY_REQUEST, ANY_REPLY, ANY_SENSORS, ANY_REACTION)
 
 
 OFFER = messages.Offer(
-    server="lab-1", program="0.1.0", machine="", capacity=1, free=1, leases=0, simulators=[],
+    server="lab-1",
+    program="0.1.0",
+    machine="",
+    capacity=1,
+    free=1,
+    leases=0,
+    simulators=[],
     representations=[],
-    labels={"gpu": "yes", "cores": "8"}, limits=["arena.robots 100 at most"],
-)  # fmt: skip
+    labels={"gpu": "yes", "cores": "8"},
+    limits=["arena.robots 100 at most"],
+)
 
 
 def reserve(**changes: Any) -> Reserve:
@@ -248,7 +260,10 @@ def test_a_message_is_a_map_with_type_and_version() -> None:
         "participants": b"\0\0\0\0\x01\0\0\0",
         "seeds": b"\x05\0\0\0\0\0\0\0\x06\0\0\0\0\0\0\0",
     }
-    assert msgspec.msgpack.decode(codec.encode(messages.Done())) == {"type": "done", "v": 1}
+    assert msgspec.msgpack.decode(codec.encode(messages.Done())) == {
+        "type": "done",
+        "v": 1,
+    }
 
 
 # ---- any bytes
@@ -256,7 +271,13 @@ def test_a_message_is_a_map_with_type_and_version() -> None:
 
 def dangerous(text: str) -> set[str]:
     """Return the categories of characters that a terminal or a log may act on."""
-    return {unicodedata.category(character) for character in text} & {"Cc", "Cf", "Cs", "Co", "Cn"}
+    return {unicodedata.category(character) for character in text} & {
+        "Cc",
+        "Cf",
+        "Cs",
+        "Co",
+        "Cn",
+    }
 
 
 def safe_to_show(text: str) -> bool:
@@ -274,12 +295,21 @@ def ending(decode: Callable[..., T], *arguments: Any) -> T | str:
 def ends_well(body: bytes, decode: Callable[[bytes], messages.Message]) -> bool:
     """In a message that, encoded, is decoded to itself; or in a refusal that is safe to show."""
     found = ending(decode, body)
-    return safe_to_show(found) if isinstance(found, str) else decode(codec.encode(found)) == found
+    return (
+        safe_to_show(found)
+        if isinstance(found, str)
+        else decode(codec.encode(found)) == found
+    )
 
 
 def ends_well_all_ways(body: bytes) -> bool:
     """As a request and as a reply, as a question to an optimizer and as its answer."""
-    ways = (codec.decode_request, codec.decode_reply, codec.decode_sensors, codec.decode_reaction)
+    ways = (
+        codec.decode_request,
+        codec.decode_reply,
+        codec.decode_sensors,
+        codec.decode_reaction,
+    )
     return all(ends_well(body, decode) for decode in ways)
 
 
@@ -297,7 +327,15 @@ HOSTILE = [
     *(b"\x91" * 3000, b"\x81\xa1a" * 3000, b"\x81" * 3000),
     *(
         pack(number)
-        for number in (2**64 - 1, -(2**63), 2**53 + 1, float("nan"), float("inf"), -0.0, 1e308)
+        for number in (
+            2**64 - 1,
+            -(2**63),
+            2**53 + 1,
+            float("nan"),
+            float("inf"),
+            -0.0,
+            1e308,
+        )
     ),
     *(
         b"\xd3" + b"\xff" * 8,
@@ -333,9 +371,13 @@ def damaged(draw: st.DrawFn, message: st.SearchStrategy[messages.Message]) -> by
             case "cut":
                 del body[place:]
             case "other":
-                body[place : place + draw(st.integers(0, 6))] = draw(st.binary(max_size=6))
+                body[place : place + draw(st.integers(0, 6))] = draw(
+                    st.binary(max_size=6)
+                )
             case "put":
-                body[place : place + draw(st.integers(0, 9))] = draw(st.sampled_from(HOSTILE))
+                body[place : place + draw(st.integers(0, 9))] = draw(
+                    st.sampled_from(HOSTILE)
+                )
             case "twice" if body and 0x80 <= body[0] < 0x8F:
                 body[0] += 1
                 body += pack(
@@ -359,7 +401,8 @@ VALUES = st.recursive(
         st.binary(max_size=18),
     ),
     lambda inner: st.one_of(
-        st.lists(inner, max_size=3), st.dictionaries(st.text(max_size=8), inner, max_size=3)
+        st.lists(inner, max_size=3),
+        st.dictionaries(st.text(max_size=8), inner, max_size=3),
     ),
     max_leaves=4,
 )
@@ -371,32 +414,53 @@ def test_a_message_with_any_value_in_a_field_ends_so_too(
     message: messages.Message, data: st.DataObject
 ) -> None:
     key = data.draw(
-        st.one_of(st.sampled_from(["type", *message.__struct_fields__]), st.text(max_size=6))
+        st.one_of(
+            st.sampled_from(["type", *message.__struct_fields__]), st.text(max_size=6)
+        )
     )
     assert ends_well_all_ways(changed(message, **{key: data.draw(VALUES)}))
 
 
 SENSED = messages.Sensors(
-    lease=bytes(16), batch=1, trial=0, play=bytes(16), number=0,
-    agents=struct.pack("<2I", 4, 0), participants=struct.pack("<2I", 1, 0),
+    lease=bytes(16),
+    batch=1,
+    trial=0,
+    play=bytes(16),
+    number=0,
+    agents=struct.pack("<2I", 4, 0),
+    participants=struct.pack("<2I", 1, 0),
     observations=struct.pack("<4f", 1, 2, 3, 4),
-)  # fmt: skip
+)
 
 
 def test_sensors_are_read_as_they_were_written() -> None:
     agents, participants, observations = codec.sensed(SENSED, 2, 2)
-    assert (agents, participants, observations.tolist()) == ([4, 0], [1, 0], [[1, 2], [3, 4]])
+    assert (agents, participants, observations.tolist()) == (
+        [4, 0],
+        [1, 0],
+        [[1, 2], [3, 4]],
+    )
     assert observations.flags.writeable, "compiled controllers take no others"
 
 
 @pytest.mark.parametrize(
     ("changes", "participants", "inputs", "words"),
     [
-        ({"agents": b"", "participants": b"", "observations": b""}, 2, 2, "at least one agent"),
+        (
+            {"agents": b"", "participants": b"", "observations": b""},
+            2,
+            2,
+            "at least one agent",
+        ),
         ({"agents": struct.pack("<2I", 0, 65_536)}, 2, 2, "each below 65536"),
         ({"agents": b"abc"}, 2, 2, "not a whole number"),
         ({}, 1, 2, "2 agents need as many participants, each below 1"),
-        ({"participants": struct.pack("<I", 0)}, 2, 2, "2 agents need as many participants"),
+        (
+            {"participants": struct.pack("<I", 0)},
+            2,
+            2,
+            "2 agents need as many participants",
+        ),
         ({}, 2, 3, "2 agents of 3 inputs need 6 numbers, not 4"),
         ({"observations": struct.pack("<4f", 1, 2, float("nan"), 4)}, 2, 2, "not finite"),
     ],
@@ -411,7 +475,9 @@ def test_sensors_that_do_not_fit_are_refused(
 def test_actions_are_those_of_all_agents() -> None:
     told = messages.Actuators(actions=struct.pack("<4f", 1, 2, 3, 4))
     assert codec.decided(told, 2, 2).tolist() == [[1, 2], [3, 4]]
-    with pytest.raises(RemoteProtocolError, match="3 agents of 2 outputs need 6 numbers, not 4"):
+    with pytest.raises(
+        RemoteProtocolError, match="3 agents of 2 outputs need 6 numbers, not 4"
+    ):
         codec.decided(told, 3, 2)
 
 
@@ -421,7 +487,10 @@ def test_bytes_after_the_message_are_refused() -> None:
 
 def test_a_message_that_is_too_large_is_refused_unread() -> None:
     body = codec.encode(evaluate(genomes=[bytes(3_000_000)] * 3))
-    assert refusal(body) == f"a message has {len(body)} bytes; at most {MAX_MESSAGE} are taken"
+    assert (
+        refusal(body)
+        == f"a message has {len(body)} bytes; at most {MAX_MESSAGE} are taken"
+    )
     assert codec.decode_request(codec.encode(evaluate(genomes=[bytes(3_000_000)] * 2)))
 
 
@@ -449,7 +518,10 @@ PARTS_OF_KEYS = st.sampled_from(
 KEYS = st.one_of(
     st.just(keys.offer("default", "lab-1")),
     st.sampled_from(
-        [keys.request("default", "lab-1", "ada", "run-1", verb) for verb in keys.RunRequest]
+        [
+            keys.request("default", "lab-1", "ada", "run-1", verb)
+            for verb in keys.RunRequest
+        ]
     ),
     st.lists(PARTS_OF_KEYS, min_size=5, max_size=10).map("/".join),
     st.text(max_size=40),
@@ -458,9 +530,14 @@ KEYS = st.one_of(
 
 @FUZZ
 @given(
-    KEYS, st.one_of(st.binary(max_size=100), ANY_REQUEST.map(codec.encode), damaged(ANY_REQUEST))
+    KEYS,
+    st.one_of(
+        st.binary(max_size=100), ANY_REQUEST.map(codec.encode), damaged(ANY_REQUEST)
+    ),
 )
-def test_any_key_with_any_bytes_is_a_request_or_the_peers_fault(key: str, body: bytes) -> None:
+def test_any_key_with_any_bytes_is_a_request_or_the_peers_fault(
+    key: str, body: bytes
+) -> None:
     decoded = ending(codec.decode_query, key, body)
     if isinstance(decoded, str):
         assert safe_to_show(decoded)
@@ -482,12 +559,15 @@ def test_a_message_under_its_own_key_comes_in_and_under_another_does_not(
 ) -> None:
     tag = str(type(message).__struct_config__.tag)
     urls = {
-        verb: keys.request("default", "lab-1", "ada", "run-1", verb) for verb in keys.RunRequest
+        verb: keys.request("default", "lab-1", "ada", "run-1", verb)
+        for verb in keys.RunRequest
     }
     urls["requirements"] = keys.offer("default", "lab-1")
     parts, received = codec.decode_query(urls.pop(tag), codec.encode(message))
     assert received == message
-    assert (parts.user, parts.run) == (("", "") if tag == "requirements" else ("ada", "run-1"))
+    assert (parts.user, parts.run) == (
+        ("", "") if tag == "requirements" else ("ada", "run-1")
+    )
     other = data.draw(st.sampled_from(sorted(urls.values())))
     with pytest.raises(RemoteProtocolError, match="was sent to"):
         codec.decode_query(other, codec.encode(message))
@@ -500,7 +580,9 @@ MARK = "a place to put other bytes"
 
 def with_settings(raw: bytes, which: str) -> bytes:
     """A reserve with raw bytes as the value of a setting."""
-    return codec.encode(reserve(**{which: Part("x", {"key": MARK})})).replace(pack(MARK), raw)
+    return codec.encode(reserve(**{which: Part("x", {"key": MARK})})).replace(
+        pack(MARK), raw
+    )
 
 
 @pytest.mark.parametrize("which", ["simulator", "representation"])
@@ -535,19 +617,27 @@ def with_settings(raw: bytes, which: str) -> bytes:
         (b"\xd7\xff" + b"\xff" * 8, "timestamp"),
     ],
 )
-def test_settings_hold_plain_finite_values_only(which: str, raw: bytes, text: str) -> None:
+def test_settings_hold_plain_finite_values_only(
+    which: str, raw: bytes, text: str
+) -> None:
     assert text in refusal(with_settings(raw, which))
 
 
 def test_settings_are_nested_eight_deep_at_most() -> None:
-    for depth, fits in ((codec.MAX_DEPTH - 2, True), (codec.MAX_DEPTH - 1, False), (300, False)):
+    for depth, fits in (
+        (codec.MAX_DEPTH - 2, True),
+        (codec.MAX_DEPTH - 1, False),
+        (300, False),
+    ):
         for nest in (lambda inner: [inner], lambda inner: {"a": inner}):
             value: Any = 1
             for _ in range(depth):
                 value = nest(value)
             body = codec.encode(reserve(simulator=Part("x", {"key": value})))
             if fits:
-                assert codec.decode_request(body) == reserve(simulator=Part("x", {"key": value}))
+                assert codec.decode_request(body) == reserve(
+                    simulator=Part("x", {"key": value})
+                )
             else:
                 assert refusal(body) == "settings are nested deeper than 8"
 
@@ -579,7 +669,10 @@ def test_settings_are_nested_eight_deep_at_most() -> None:
         (evaluate(), {"genomes": [b""] * (MAX_GENOMES + 1)}),
         (evaluate(), {"genomes": [bytes(messages.MAX_GENOME + 1)]}),
         (evaluate(), {"batch": True}),
-        (messages.Cancel(lease=bytes(16), batches=[]), {"batches": [0] * (MAX_TRIALS + 1)}),
+        (
+            messages.Cancel(lease=bytes(16), batches=[]),
+            {"batches": [0] * (MAX_TRIALS + 1)},
+        ),
         (messages.Renew(lease=bytes(16)), {"known_ready": -2}),
         (messages.Requirements(), {"settings": {"key": {"key": [float("nan")]}}}),
         (messages.Requirements(), {"settings": {"key": b"raw"}}),
@@ -590,7 +683,9 @@ def test_settings_are_nested_eight_deep_at_most() -> None:
         ),
     ],
 )
-def test_a_field_beyond_its_bounds_is_refused(message: Any, changes: dict[str, Any]) -> None:
+def test_a_field_beyond_its_bounds_is_refused(
+    message: Any, changes: dict[str, Any]
+) -> None:
     assert codec.decode_request(changed(message)) == message
     assert safe_to_show(refusal(changed(message, **changes)))
 
@@ -618,21 +713,31 @@ def test_nothing_in_a_reply_is_beyond_its_bounds() -> None:
         {"labels": {"Gpu": "yes"}},
         {"labels": {"g" * 64: "yes"}},
         {"labels": {"gpu\n": "yes"}},
-        {"labels": {f"label{number}": "yes" for number in range(messages.MAX_LABELS + 1)}},
+        {
+            "labels": {
+                f"label{number}": "yes" for number in range(messages.MAX_LABELS + 1)
+            }
+        },
         {"limits": ["arena.robots"] * (messages.MAX_PARTS + 1)},
         {"limits": ["a" * (MAX_TEXT + 1)]},
     ):
         (field,) = changes
         assert field in refusal(changed(OFFER, **changes), codec.decode_reply)
     outcomes = Outcomes(batch=1, fitness=b"", metrics=b"", seconds=1.0)
-    assert "seconds" in refusal(changed(outcomes, seconds=float("nan")), codec.decode_reply)
+    assert "seconds" in refusal(
+        changed(outcomes, seconds=float("nan")), codec.decode_reply
+    )
     faulted = messages.Fault(batch=1, kind="crashed", trial=0, reason="")
     assert "tired" in refusal(changed(faulted, kind="tired"), codec.decode_reply)
 
 
 @pytest.mark.parametrize("version", [0, 2, 99])
-def test_a_message_of_another_version_is_named_so_whatever_else_it_holds(version: int) -> None:
-    expected = f"the peer speaks version {version} of the protocol, this program version 1"
+def test_a_message_of_another_version_is_named_so_whatever_else_it_holds(
+    version: int,
+) -> None:
+    expected = (
+        f"the peer speaks version {version} of the protocol, this program version 1"
+    )
     for body in (
         changed(reserve(), v=version),
         changed(reserve(), v=version, more=[1, 2]),
@@ -643,7 +748,9 @@ def test_a_message_of_another_version_is_named_so_whatever_else_it_holds(version
         assert refusal(body, codec.decode_reply) == expected
 
 
-def test_only_messages_by_which_programs_meet_pass_over_what_a_later_version_says() -> None:
+def test_only_messages_by_which_programs_meet_pass_over_what_a_later_version_says() -> (
+    None
+):
     """The two of phase 1: a program with one field more is not refused for it."""
     wanted = messages.Requirements(simulator="minisim")
     assert codec.decode_request(changed(wanted, more=[1])) == wanted
@@ -676,12 +783,16 @@ DIRTY = "\x1b[31mred\x07\nline\r\x00 \u202eevil\u2066 \x9b \u200b\ufeff \U000e00
         ("", ""),
     ],
 )
-def test_a_text_is_shown_with_its_dangerous_characters_spelt_out(text: str, cleaned: str) -> None:
+def test_a_text_is_shown_with_its_dangerous_characters_spelt_out(
+    text: str, cleaned: str
+) -> None:
     assert clean(text) == cleaned
 
 
 @given(st.text())
-def test_a_clean_text_holds_no_control_or_format_character_and_stays_clean(text: str) -> None:
+def test_a_clean_text_holds_no_control_or_format_character_and_stays_clean(
+    text: str,
+) -> None:
     cleaned = clean(text)
     assert len(cleaned) <= MAX_TEXT
     assert not dangerous(cleaned)
@@ -730,13 +841,21 @@ def test_a_nasty_text_is_harmless_in_a_log(text: str) -> None:
 
 
 @pytest.mark.parametrize("text", NASTY)
-def test_a_nasty_text_is_harmless_in_a_table(text: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_nasty_text_is_harmless_in_a_table(
+    text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     """As it came through the wire; brackets are no markup."""
     offer = messages.Offer(
-        server=text, program=text, machine=text, capacity=1, free=1, leases=0, simulators=[text],
+        server=text,
+        program=text,
+        machine=text,
+        capacity=1,
+        free=1,
+        leases=0,
+        simulators=[text],
         representations=[text],
         mismatch=text,
-    )  # fmt: skip
+    )
     received = codec.decode_reply(codec.encode(offer))
     assert isinstance(received, messages.Offer)
     survey = Survey([Found("lab-1", received), Found("lab-2", None, clean(text))], {}, [])
@@ -765,9 +884,13 @@ def test_a_nasty_text_is_harmless_in_a_note(text: str) -> None:
     for reply in (offer, messages.Refused(code="mismatch", reason=text)):
         state.handle(Gone("lab-1"), 0.0)
         (ask,) = (
-            command for command in state.handle(Seen("lab-1"), 0.0) if isinstance(command, Ask)
+            command
+            for command in state.handle(Seen("lab-1"), 0.0)
+            if isinstance(command, Ask)
         )
-        (note,) = state.handle(Answered(ask.question, codec.decode_reply(codec.encode(reply))), 0.0)
+        (note,) = state.handle(
+            Answered(ask.question, codec.decode_reply(codec.encode(reply))), 0.0
+        )
         assert isinstance(note, Note)
         assert note.text == clean(text)
         assert not dangerous(note.text)
@@ -840,7 +963,9 @@ def test_every_text_of_a_reply_is_cleaned_where_it_comes_in(
 
 
 @FUZZ
-@given(st.binary(max_size=70), st.binary(max_size=70), st.integers(0, 4), st.integers(1, 3))
+@given(
+    st.binary(max_size=70), st.binary(max_size=70), st.integers(0, 4), st.integers(1, 3)
+)
 def test_any_arrays_of_a_batch_are_in_shape_or_the_peers_fault(
     seeds: bytes, participants: bytes, genomes: int, k: int
 ) -> None:
@@ -858,7 +983,8 @@ def test_any_arrays_of_a_batch_are_in_shape_or_the_peers_fault(
 @FUZZ
 @given(
     st.lists(
-        st.one_of(st.floats(), st.sampled_from([float("nan"), float("inf"), -0.0])), max_size=8
+        st.one_of(st.floats(), st.sampled_from([float("nan"), float("inf"), -0.0])),
+        max_size=8,
     ),
     st.binary(max_size=40),
     st.integers(0, 3),
@@ -890,7 +1016,9 @@ def test_any_trials_that_are_told_are_some_of_the_batch_in_order_or_the_peers_fa
         batch=1, done=0, trials=codec.indices(numbers), fitness=bytes(8 * len(numbers))
     )
     decoded = ending(codec.outcomes, running, count, 1, 0)
-    in_order = numbers == sorted(set(numbers)) and all(number < count for number in numbers)
+    in_order = numbers == sorted(set(numbers)) and all(
+        number < count for number in numbers
+    )
     assert in_order != isinstance(decoded, str)
     if in_order:
         assert decoded[0].tolist() == numbers
@@ -912,7 +1040,9 @@ def test_a_part_of_a_batch_has_its_trials_and_the_genomes_that_they_need() -> No
     assert codec.cut(batch, 0, 3) == batch
 
 
-def test_a_part_of_a_batch_with_a_participant_that_is_not_there_is_refused_as_the_whole() -> None:
+def test_a_part_of_a_batch_with_a_participant_that_is_not_there_is_refused_as_the_whole() -> (
+    None
+):
     batch = evaluate(participants=struct.pack("<2I", 0, 7))
     with pytest.raises(RemoteProtocolError, match="is not among 0 genomes"):
         codec.trials(codec.cut(batch, 1, 2), 1)
@@ -950,7 +1080,10 @@ def test_the_arrays_of_a_batch_are_read_in_order() -> None:
         ({"participants": bytes(4)}, "2 trials of 1 participants need 2 indices, not 1"),
         ({"participants": bytes(12)}, "2 trials of 1 participants need 2 indices, not 3"),
         ({"participants": b""}, "2 trials of 1 participants need 2 indices, not 0"),
-        ({"participants": struct.pack("<2I", 0, 2)}, "participant 2 is not among 2 genomes"),
+        (
+            {"participants": struct.pack("<2I", 0, 2)},
+            "participant 2 is not among 2 genomes",
+        ),
         (
             {"participants": struct.pack("<2I", 0, 2**32 - 1)},
             "participant 4294967295 is not among 2 genomes",
@@ -958,7 +1091,9 @@ def test_the_arrays_of_a_batch_are_read_in_order() -> None:
         ({"genomes": []}, "participant 1 is not among 0 genomes"),
     ],
 )
-def test_arrays_of_a_batch_that_do_not_fit_are_refused(changes: dict[str, Any], text: str) -> None:
+def test_arrays_of_a_batch_that_do_not_fit_are_refused(
+    changes: dict[str, Any], text: str
+) -> None:
     with pytest.raises(RemoteProtocolError) as refused:
         codec.trials(evaluate(**changes), 1)
     assert str(refused.value) == text
@@ -987,7 +1122,9 @@ def test_outcomes_are_read_in_order() -> None:
     ("fitness", "metrics"),
     [([1], [1, 2]), ([1, 2, 3], [1, 2]), ([1, 2], [1]), ([1, 2], [1, 2, 3]), ([], [])],
 )
-def test_outcomes_of_a_wrong_size_are_refused(fitness: list[float], metrics: list[float]) -> None:
+def test_outcomes_of_a_wrong_size_are_refused(
+    fitness: list[float], metrics: list[float]
+) -> None:
     with pytest.raises(
         RemoteProtocolError, match="2 trials need 2 fitness numbers and 2 metrics, not"
     ):
@@ -1003,5 +1140,7 @@ def test_infinite_outcomes_are_refused(infinite: float) -> None:
 
 def test_outcomes_cut_in_a_number_are_refused() -> None:
     cut = msgspec.structs.replace(outcomes([1, 2], [3, 4]), fitness=bytes(15))
-    with pytest.raises(RemoteProtocolError, match="15 bytes are not a whole number of <f8"):
+    with pytest.raises(
+        RemoteProtocolError, match="15 bytes are not a whole number of <f8"
+    ):
         codec.outcomes(cut, 2, 1, 1)

@@ -14,8 +14,14 @@ from zswarm.protocol.endpoint import Endpoint
         ("tls/lab3.example.org:7467", Endpoint("tls", "lab3.example.org", 7467)),
         ("tcp/[2001:db8::1]:7467", Endpoint("tcp", "2001:db8::1", 7467)),
         ("quic/127.0.0.1:0", Endpoint("quic", "127.0.0.1", 0)),
-        ("tcp/10.0.0.1:7467?prio=1#iface=eth0;so_sndbuf=65536", Endpoint("tcp", "10.0.0.1", 7467)),
-        ("unixsock-stream//run/zswarm.sock", Endpoint("unixsock-stream", "/run/zswarm.sock", 0)),
+        (
+            "tcp/10.0.0.1:7467?prio=1#iface=eth0;so_sndbuf=65536",
+            Endpoint("tcp", "10.0.0.1", 7467),
+        ),
+        (
+            "unixsock-stream//run/zswarm.sock",
+            Endpoint("unixsock-stream", "/run/zswarm.sock", 0),
+        ),
     ],
 )
 def test_an_endpoint_has_a_protocol_and_a_place(text: str, parsed: Endpoint) -> None:

@@ -104,7 +104,9 @@ def test_a_key_of_a_server_is_taken_apart_as_it_was_built(
 
 
 def test_a_server_of_another_version_can_be_named() -> None:
-    assert keys.parse_server_key("zswarm/v2/r/ss/s/alive") == ServerKey("v2", "r", "s", "alive")
+    assert keys.parse_server_key("zswarm/v2/r/ss/s/alive") == ServerKey(
+        "v2", "r", "s", "alive"
+    )
 
 
 @pytest.mark.parametrize("bad", NO_IDS)
@@ -189,7 +191,9 @@ def test_an_invalid_run_key_is_a_remote_protocol_error(key: str) -> None:
 
 PARTS = st.lists(
     st.one_of(
-        st.text(max_size=8), IDS, st.sampled_from(["zswarm", "v1", "ss", "ot", "alive", *VERBS])
+        st.text(max_size=8),
+        IDS,
+        st.sampled_from(["zswarm", "v1", "ss", "ot", "alive", *VERBS]),
     ),
     max_size=9,
 )

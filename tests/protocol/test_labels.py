@@ -60,7 +60,9 @@ def test_a_requirement_holds_of_a_server_or_not(text: str, holds: bool) -> None:
 
 def test_what_a_server_does_not_meet_is_named_with_what_it_has() -> None:
     terms = requirements("gpu=yes", "cores>=64", "tpu=v4|v5")
-    told = "the experiment requires cores>=64 (it has cores=16), tpu=v4|v5 (it has no tpu)"
+    told = (
+        "the experiment requires cores>=64 (it has cores=16), tpu=v4|v5 (it has no tpu)"
+    )
     assert labels.unmet(terms, LAB) == told
     assert labels.unmet(terms[:1], LAB) == ""
 
@@ -82,7 +84,9 @@ def test_what_a_server_does_not_meet_is_named_with_what_it_has() -> None:
 )
 def test_an_invalid_requirement_is_refused_with_the_expected_form(text: str) -> None:
     told = refusal(requirements, text)
-    assert told.startswith("cluster.require: expected requirements such as gpu=yes, room=b12|b13, ")
+    assert told.startswith(
+        "cluster.require: expected requirements such as gpu=yes, room=b12|b13, "
+    )
     assert told.endswith(f"; not {text!r}")
     for example in labels.EXAMPLES.replace(" or ", ", ").split(", "):
         assert requirements(example)
@@ -118,7 +122,13 @@ def test_requirements_that_a_server_can_meet_are_not_refused() -> None:
     assert (
         len(
             requirements(
-                "room=a|b", "room!=b", "cores>=8", "cores<=8", "gpu!=a", "gpu!=b", "room=a"
+                "room=a|b",
+                "room!=b",
+                "cores>=8",
+                "cores<=8",
+                "gpu!=a",
+                "gpu!=b",
+                "room=a",
             )
         )
         == 7
@@ -137,7 +147,8 @@ def test_servers_stand_by_the_first_preference_that_tells_them_apart() -> None:
     ]
     assert (
         sorted(
-            [servers[at] for at in (3, 1, 4, 0, 2)], key=lambda server: labels.place(rank, server)
+            [servers[at] for at in (3, 1, 4, 0, 2)],
+            key=lambda server: labels.place(rank, server),
         )
         == servers
     )
@@ -158,7 +169,10 @@ def test_a_server_has_the_labels_that_it_was_given() -> None:
         "disks": "2",
         "room": "b12",
     }
-    assert labels.assigned(["gpu=yes", "at=10:30"], "--label") == {"gpu": "yes", "at": "10:30"}
+    assert labels.assigned(["gpu=yes", "at=10:30"], "--label") == {
+        "gpu": "yes",
+        "at": "10:30",
+    }
 
 
 @pytest.mark.parametrize(
@@ -167,8 +181,14 @@ def test_a_server_has_the_labels_that_it_was_given() -> None:
         ({"GPU": "yes"}, f"labels: 'GPU': {labels.NAME_RULE}"),
         ({"g\x1bu": "yes"}, f"labels: 'g\\x1bu': {labels.NAME_RULE}"),
         ({"gpu": ""}, f"labels: gpu: {labels.VALUE_RULE}, or a whole number; not ''"),
-        ({"gpu": "a|b"}, f"labels: gpu: {labels.VALUE_RULE}, or a whole number; not 'a|b'"),
-        ({"gpu": "yes\n"}, f"labels: gpu: {labels.VALUE_RULE}, or a whole number; not 'yes\\n'"),
+        (
+            {"gpu": "a|b"},
+            f"labels: gpu: {labels.VALUE_RULE}, or a whole number; not 'a|b'",
+        ),
+        (
+            {"gpu": "yes\n"},
+            f"labels: gpu: {labels.VALUE_RULE}, or a whole number; not 'yes\\n'",
+        ),
         ({"gpu": -1}, f"labels: gpu: {labels.VALUE_RULE}, or a whole number; not -1"),
         ({"gpu": True}, f"labels: gpu: {labels.VALUE_RULE}, or a whole number; not True"),
         (
@@ -196,7 +216,9 @@ def test_what_assigns_nothing_or_twice_is_refused() -> None:
     )
 
 
-def test_an_experiment_with_impossible_wishes_is_refused_with_its_line(tmp_path: object) -> None:
+def test_an_experiment_with_impossible_wishes_is_refused_with_its_line(
+    tmp_path: object,
+) -> None:
     """The file's line and key; ``--set`` and options are told without one."""
     text = (experiment.examples_folder() / "minisim.toml").read_text()
     file = tmp_path / "x.toml"  # type: ignore[operator]

@@ -12,24 +12,31 @@ from zswarm.plugins import registry as plugins
 RANGE = {"minimum": [-50], "maximum": [150]}
 KINDS: list[tuple[str, dict[str, Any]]] = [
     *((name, {}) for name in plugins.BUNDLED["representation"]),
-    *(("fully-meshed", {"hidden": hidden, "activation": activation, "iterations": 3})
-      for hidden, activation in ((0, "tanh"), (9, "relu"), (11, "sigmoid"))),
+    *(
+        ("fully-meshed", {"hidden": hidden, "activation": activation, "iterations": 3})
+        for hidden, activation in ((0, "tanh"), (9, "relu"), (11, "sigmoid"))
+    ),
     ("feed-forward", {"hidden": [], "output_activation": "tanh"}),
-    ("feed-forward", {"hidden": [9, 3, 17], "activation": "relu", "output_activation": "clamp"}),
+    (
+        "feed-forward",
+        {"hidden": [9, 3, 17], "activation": "relu", "output_activation": "clamp"},
+    ),
     ("hebbian", {"plasticity": "one", "hidden": 5}),
     ("neat", {"recurrent": True}),
     ("mealy", {"rows": "product", "thresholds": [2]}),
     ("mealy", {"thresholds": [0, 1, 2, 0], "units": [3], "states": 3, **RANGE}),
-    *(("bulk", {"parts": 3, "of": {"kind": kind}})
-      for kind in ("ctrnn", "feed-forward", "hebbian", "mealy", "three-layer")),
-]  # fmt: skip
+    *(
+        ("bulk", {"parts": 3, "of": {"kind": kind}})
+        for kind in ("ctrnn", "feed-forward", "hebbian", "mealy", "three-layer")
+    ),
+]
 
 
 def named(kind: tuple[str, dict[str, Any]]) -> str:
     """For a test's id."""
-    return "-".join([kind[0], *(f"{key}={value}" for key, value in kind[1].items())]).replace(
-        " ", ""
-    )
+    return "-".join(
+        [kind[0], *(f"{key}={value}" for key, value in kind[1].items())]
+    ).replace(" ", "")
 
 
 def controller(
@@ -48,14 +55,22 @@ def controller(
     genomes = network.random(1, stream)
     if kind == "neat":
         for _ in range(40):
-            genomes = network.mutate(genomes, stream, method=1, severity=0.3, probability=0.7)
+            genomes = network.mutate(
+                genomes, stream, method=1, severity=0.3, probability=0.7
+            )
     return Controller(
-        simulator="minisim", simulator_settings={"robots": 3}, representation=kind,
-        representation_settings=msgspec.to_builtins(complete), inputs=inputs, outputs=outputs,
+        simulator="minisim",
+        simulator_settings={"robots": 3},
+        representation=kind,
+        representation_settings=msgspec.to_builtins(complete),
+        inputs=inputs,
+        outputs=outputs,
         sensors=[f"sensor {number}" for number in range(inputs)],
         actuators=[f"motor {number}" for number in range(outputs)],
-        genome=genomes[0], fitness=0.5, run="of-a-test",
-    )  # fmt: skip
+        genome=genomes[0],
+        fitness=0.5,
+        run="of-a-test",
+    )
 
 
 def observed(inputs: int, steps: int, seed: int = 3) -> np.ndarray:

@@ -71,7 +71,9 @@ def load(folder: Path, name: str, *modules: str) -> list[ModuleType]:
 
 def scanner(robot: RobotInterface) -> tuple[float, float]:
     """``angle_min`` and ``angle_increment`` as a laser scan carries them: float32."""
-    return float(np.float32(-robot.view / 2)), float(np.float32(robot.view / (robot.rays - 1)))
+    return float(np.float32(-robot.view / 2)), float(
+        np.float32(robot.view / (robot.rays - 1))
+    )
 
 
 def played(

@@ -51,7 +51,10 @@ def nothing_is_left() -> Iterator[None]:
 @pytest.mark.usefixtures("nothing_is_left")
 def test_poses_and_fitness_have_the_same_bits(link: str) -> None:
     """Steer by hand, so that some leave early, then by a recurrent network."""
-    here, there = built("turtlebot-exit", **CROWD), built("turtlebot-exit-ros", link=link, **CROWD)
+    here, there = (
+        built("turtlebot-exit", **CROWD),
+        built("turtlebot-exit-ros", link=link, **CROWD),
+    )
     steered = by_policy(here, robot_controllers.turtlebot_exit, 3)
     assert 0 < steered.outcome.metrics[0] <= 5
     assert by_policy(there, robot_controllers.turtlebot_exit, 3).bits == steered.bits
@@ -67,7 +70,9 @@ def test_poses_and_fitness_have_the_same_bits(link: str) -> None:
 
 def test_one_robot_alone_has_no_namespace_and_the_same_bits(link: str) -> None:
     settings: dict[str, Any] = {"robots": 1, "steps": 20}
-    here = by_network(built("turtlebot-exit", **settings), 4)  # first: it compiles the kernels
+    here = by_network(
+        built("turtlebot-exit", **settings), 4
+    )  # first: it compiles the kernels
     there = built("turtlebot-exit-ros", link=link, **settings)
     assert by_network(there, 4).bits == here.bits
     there.close()

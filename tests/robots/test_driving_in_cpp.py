@@ -53,7 +53,11 @@ def events(count: int) -> list[tuple[str, float, int, float]]:
             stamps = {"s": 0, "p": 0}
         elif stream.random() < 0.3:
             stamps["s"] = stamps["p"]  # of one moment, as in lock-step
-        x = -1.0 if what == "p" and stream.random() < 0.05 else float(stream.uniform(0.1, 3.0))
+        x = (
+            -1.0
+            if what == "p" and stream.random() < 0.05
+            else float(stream.uniform(0.1, 3.0))
+        )
         told.append((what, now, stamps.get(what, 0), x))
     return told
 
@@ -69,13 +73,32 @@ def test_both_decide_and_stop_alike(tmp_path: Path, lock_step: bool) -> None:
     (tmp_path / "cpp/src/main.cpp").write_text(MAIN)
     source = tmp_path / "cpp/src"
     subprocess.run(
-        ["cc", "-std=c99", "-O2", "-ffp-contract=off", "-c", "robot.c", "interface.c", "zs_x.c"],
+        [
+            "cc",
+            "-std=c99",
+            "-O2",
+            "-ffp-contract=off",
+            "-c",
+            "robot.c",
+            "interface.c",
+            "zs_x.c",
+        ],
         cwd=source,
         check=True,
     )
     flags = ["-std=c++14", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic"]
     subprocess.run(
-        ["c++", *flags, "main.cpp", "robot.o", "interface.o", "zs_x.o", "-lm", "-o", "main"],
+        [
+            "c++",
+            *flags,
+            "main.cpp",
+            "robot.o",
+            "interface.o",
+            "zs_x.o",
+            "-lm",
+            "-o",
+            "main",
+        ],
         cwd=source,
         check=True,
     )
@@ -88,7 +111,9 @@ def test_both_decide_and_stop_alike(tmp_path: Path, lock_step: bool) -> None:
         text=True,
         check=True,
     )
-    robot, driving, settings = load(tmp_path / "python", "zs_x", "robot", "driving", "settings")
+    robot, driving, settings = load(
+        tmp_path / "python", "zs_x", "robot", "driving", "settings"
+    )
     assert arrived_m == settings.ARRIVED
     drive = driving.Driving(robot.build()[0], watchdog_s, arrived_m, lock_step)
 
@@ -112,6 +137,8 @@ def test_both_decide_and_stop_alike(tmp_path: Path, lock_step: bool) -> None:
         for line in done.stdout.splitlines()
     ]
     assert there == here
-    assert len({tuple(each) for each in here if len(each) == 4}) > (5 if lock_step else 20)
+    assert len({tuple(each) for each in here if len(each) == 4}) > (
+        5 if lock_step else 20
+    )
     if not lock_step:
         assert {tuple(each[-2:]) for each in here} >= {(0, 0), (1, 0), (0, 1)}

@@ -108,7 +108,9 @@ def test_the_watchdog_stops_it_where_no_step_comes_any_more(free: Any) -> None:
     assert free.on_watch(WATCHDOG_S + 0.01) == STOP
 
 
-def test_it_stops_when_stamps_go_back_and_one_of_both_does_not_come_again(free: Any) -> None:
+def test_it_stops_when_stamps_go_back_and_one_of_both_does_not_come_again(
+    free: Any,
+) -> None:
     """Such as of a driver that was started anew, of which odometry died."""
     free.on_scan(0.0, scan(5))
     free.on_pose(0.0, pose(5))
@@ -155,14 +157,18 @@ def test_in_lock_step_it_decides_once_for_scan_and_pose_of_one_stamp(locked: Any
     assert locked.on_watch(99.0) is None
 
 
-def test_in_lock_step_the_simulation_names_the_present_robots(robot: Decided, locked: Any) -> None:
+def test_in_lock_step_the_simulation_names_the_present_robots(
+    robot: Decided, locked: Any
+) -> None:
     robot.distance = 0.0
     locked.on_scan(0.0, scan(5))
     assert locked.on_pose(0.0, pose(5)) == (1, 5)
 
 
 @pytest.mark.parametrize("first", ["scan", "pose"])
-def test_stamps_that_go_back_begin_a_trial(robot: Decided, locked: Any, first: str) -> None:
+def test_stamps_that_go_back_begin_a_trial(
+    robot: Decided, locked: Any, first: str
+) -> None:
     """The controller forgets; what was heard before is not mixed with what comes."""
     locked.on_scan(0.0, scan(400))
     locked.on_pose(0.0, pose(400))
@@ -176,7 +182,9 @@ def test_stamps_that_go_back_begin_a_trial(robot: Decided, locked: Any, first: s
     assert robot.forgot > before
 
 
-def test_a_scanner_with_another_orientation_ends_the_drive(robot: Decided, free: Any) -> None:
+def test_a_scanner_with_another_orientation_ends_the_drive(
+    robot: Decided, free: Any
+) -> None:
     robot.blind = True
     free.on_scan(0.0, scan(1))
     free.on_pose(0.0, pose(1))

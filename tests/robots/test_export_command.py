@@ -44,7 +44,9 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def typed(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(cli.command, ["export", *map(str, arguments)], catch_exceptions=False)
+    return CliRunner().invoke(
+        cli.command, ["export", *map(str, arguments)], catch_exceptions=False
+    )
 
 
 def refused(*arguments: str | Path) -> str:
@@ -62,7 +64,8 @@ def test_the_champion_is_written_and_the_next_command_works(run: Path) -> None:
     name = f"zs_{run.name}"
     assert file == f"{run.name}-python/{name}.py"
     assert (
-        of == f"controller  of minisim-0123abcd, fitness {load_controller(run).fitness:.6g}, "
+        of
+        == f"controller  of minisim-0123abcd, fitness {load_controller(run).fitness:.6g}, "
         "fully-meshed"
     )
     assert parameters.split()[-1] in Path(file).read_text()
@@ -76,12 +79,19 @@ def test_the_champion_is_written_and_the_next_command_works(run: Path) -> None:
 )
 def test_every_target_names_its_files_and_the_hash(target: str, run: Path) -> None:
     """The same hash in all."""
-    done = typed(run, "--to", target, "--json", "--out", "deep/below", "--name", "My Robot")
+    done = typed(
+        run, "--to", target, "--json", "--out", "deep/below", "--name", "My Robot"
+    )
     told = json.loads(done.output)
     assert {**told, "files": [], "sha256": ""} == {
-        "target": target, "name": "zs_my_robot", "folder": "deep/below", "files": [],
-        "run": "minisim-0123abcd", "fitness": load_controller(run).fitness, "sha256": "",
-    }  # fmt: skip
+        "target": target,
+        "name": "zs_my_robot",
+        "folder": "deep/below",
+        "files": [],
+        "run": "minisim-0123abcd",
+        "fitness": load_controller(run).fitness,
+        "sha256": "",
+    }
     assert sorted(told["files"]) == sorted(
         path.name for path in Path("deep/below").iterdir() if path.name != folder.LIST
     )
@@ -118,7 +128,9 @@ def test_another_candidate_is_named_as_in_replay(run: Path) -> None:
             champion, genome=row["genome"], fitness=row["fitness"]
         )
     told = json.loads(
-        typed(run, "--to", "json", "--json", "--generation", "0", "--candidate", "3").output
+        typed(
+            run, "--to", "json", "--json", "--generation", "0", "--candidate", "3"
+        ).output
     )
     assert told["fitness"] == rows[0][3]["fitness"]
 
@@ -134,10 +146,19 @@ def test_a_champion_alone_is_enough(run: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "why"),
     [
-        (["--to", "pyhton"], "--to pyhton: unknown target (did you mean 'python'?); known are: "),
-        (["--to", "json", "--generation", "9"], "no generation 9; it has generations 0 to 1"),
+        (
+            ["--to", "pyhton"],
+            "--to pyhton: unknown target (did you mean 'python'?); known are: ",
+        ),
+        (
+            ["--to", "json", "--generation", "9"],
+            "no generation 9; it has generations 0 to 1",
+        ),
         (["--to", "json", "--candidate", "-1"], "it has candidates 0 to 3"),
-        (["--to", "json", "--profile", "turtlebot3"], "--profile turtlebot3: json drives no robot"),
+        (
+            ["--to", "json", "--profile", "turtlebot3"],
+            "--profile turtlebot3: json drives no robot",
+        ),
         (["--to", "json", "--out", "/dev/null/x"], "cannot be written: Not a directory"),
     ],
 )
@@ -146,14 +167,18 @@ def test_mistakes_are_named(run: Path, arguments: list[str], why: str) -> None:
 
 
 def test_what_has_no_champion_is_named(tmp_path: Path) -> None:
-    assert "expected a run that finished a generation" in refused(played(tmp_path), "--to", "json")
+    assert "expected a run that finished a generation" in refused(
+        played(tmp_path), "--to", "json"
+    )
     assert "cannot be read" in refused(tmp_path / "none", "--to", "json")
     (tmp_path / CHAMPION).write_bytes(b"none")
     assert "damaged, or no controller" in refused(tmp_path, "--to", "json")
 
 
 def test_a_network_that_is_not_installed_is_named(tmp_path: Path) -> None:
-    kept = msgspec.structs.replace(controller("fully-meshed"), representation="of-a-plugin")
+    kept = msgspec.structs.replace(
+        controller("fully-meshed"), representation="of-a-plugin"
+    )
     (tmp_path / CHAMPION).write_bytes(msgspec.msgpack.encode(kept))
     assert "unknown representation 'of-a-plugin'" in refused(tmp_path, "--to", "python")
 
@@ -161,7 +186,9 @@ def test_a_network_that_is_not_installed_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "hostile", ["../../etc/passwd", "x\x1b[31m\ny", "*/ #error", "a" * 4000, "\u202e"]
 )
-def test_hostile_names_stay_in_the_folder_and_off_the_screen(hostile: str, tmp_path: Path) -> None:
+def test_hostile_names_stay_in_the_folder_and_off_the_screen(
+    hostile: str, tmp_path: Path
+) -> None:
     kept = msgspec.structs.replace(
         controller("fully-meshed"), run=hostile, sensors=[hostile] * 4, simulator=hostile
     )
@@ -180,7 +207,9 @@ def test_hostile_names_stay_in_the_folder_and_off_the_screen(hostile: str, tmp_p
 def test_an_unwritable_folder_is_one_line(run: Path) -> None:
     Path("taken").write_text("mine")
     with pytest.raises(click.BadParameter, match="taken"):
-        cli.command(["export", str(run), "--to", "json", "--out", "taken"], standalone_mode=False)
+        cli.command(
+            ["export", str(run), "--to", "json", "--out", "taken"], standalone_mode=False
+        )
 
 
 # ---- the folder
@@ -227,4 +256,7 @@ def test_an_export_that_was_cut_short_is_repeated() -> None:
     """The list comes last; what is there already is what is to be written."""
     Path("f").mkdir()
     Path("f/a.c").write_text("one")
-    assert folder.write(Path("f"), {"a.c": "one", "b.c": "two"}) == [Path("f/a.c"), Path("f/b.c")]
+    assert folder.write(Path("f"), {"a.c": "one", "b.c": "two"}) == [
+        Path("f/a.c"),
+        Path("f/b.c"),
+    ]

@@ -17,14 +17,18 @@ PAGE = REPOSITORY / "docs" / "export.md"
 LISTS = ("fully-meshed", "hebbian", "ctrnn", "feed-forward", "three-layer")
 
 
-def read(kind: str, settings: dict[str, Any] | None = None, **sizes: int) -> dict[str, Any]:
+def read(
+    kind: str, settings: dict[str, Any] | None = None, **sizes: int
+) -> dict[str, Any]:
     found: dict[str, Any] = json.loads(
         as_json(controller(kind, settings, **sizes), "x")["zs_x.json"]
     )
     return found
 
 
-def decide(read: dict[str, Any], outputs_before: np.ndarray, observation: np.ndarray) -> np.ndarray:
+def decide(
+    read: dict[str, Any], outputs_before: np.ndarray, observation: np.ndarray
+) -> np.ndarray:
     """Compute a step as the document says: "A fully-meshed network by hand"."""
     settings, table = (
         read["representation_settings"],
@@ -58,7 +62,9 @@ def test_a_fully_meshed_network_is_played_by_the_document(
     seed: int, activation: str, hidden: int
 ) -> None:
     evolved = controller(
-        "fully-meshed", {"activation": activation, "hidden": hidden, "weight_range": 0.4}, seed=seed
+        "fully-meshed",
+        {"activation": activation, "hidden": hidden, "weight_range": 0.4},
+        seed=seed,
     )
     found = json.loads(as_json(evolved, "x")["zs_x.json"])
     outputs, driver = np.zeros(hidden + 3, np.float32), evolved.driver()
@@ -88,7 +94,9 @@ def test_numbers_are_those_of_the_genome(kind: tuple[str, dict[str, Any]]) -> No
     listed = kind[0] in LISTS or (
         kind[0] == "bulk" and found["representation_settings"]["of"]["kind"] in LISTS
     )
-    parts = [np.concatenate([*each["neurons"], each["others"]]) for each in found["networks"]]
+    parts = [
+        np.concatenate([*each["neurons"], each["others"]]) for each in found["networks"]
+    ]
     assert b"".join(part.astype("<f4").tobytes() for part in parts) == (
         controller(*kind).genome if listed else b""
     )
@@ -99,7 +107,9 @@ def test_numbers_are_those_of_the_genome(kind: tuple[str, dict[str, Any]]) -> No
 
 
 def test_every_field_is_documented_in_its_order() -> None:
-    section = re.search(r"^## JSON$(.*?)^## ", PAGE.read_text(encoding="utf-8"), re.S | re.M)
+    section = re.search(
+        r"^## JSON$(.*?)^## ", PAGE.read_text(encoding="utf-8"), re.S | re.M
+    )
     assert section
     rows = [
         re.findall(r"`([^`]+)`", line.split("|")[1])

@@ -13,7 +13,15 @@ import numpy as np
 import pytest
 
 from tests.places import REPOSITORY
-from tests.robots.packed import evolved, in_process, load, played, scanner, simulator, write
+from tests.robots.packed import (
+    evolved,
+    in_process,
+    load,
+    played,
+    scanner,
+    simulator,
+    write,
+)
 from zswarm.errors import ConfigError
 from zswarm.robots.package import Files, ros1, ros2, zenoh
 
@@ -40,9 +48,12 @@ def compiled(folder: Path, name: str) -> None:
     """Compile the robot into its Python package, strictly."""
     if shutil.which("cc") is None:
         pytest.skip("no C compiler here: apt-get install gcc")
-    sources = [str(folder / "src" / file) for file in ("robot.c", "interface.c", f"{name}.c")]
+    sources = [
+        str(folder / "src" / file) for file in ("robot.c", "interface.c", f"{name}.c")
+    ]
     subprocess.run(
-        ["cc", *FLAGS, "-o", str(folder / name / "librobot.so"), *sources, "-lm"], check=True
+        ["cc", *FLAGS, "-o", str(folder / name / "librobot.so"), *sources, "-lm"],
+        check=True,
     )
 
 
@@ -61,7 +72,9 @@ def test_a_packed_robot_drives_as_evolved(tmp_path: Path, how: str) -> None:
 
     def decide(step: int, number: int) -> tuple[float, float]:
         pose = driving.Pose(step, *world.poses[number].tolist())
-        decision = built[number][0].step(driving.Scan(step, world.scans[number], *angles), pose)
+        decision = built[number][0].step(
+            driving.Scan(step, world.scans[number], *angles), pose
+        )
         return decision.linear, decision.angular
 
     assert played(world, 7, decide) == in_process(controller, 7)
@@ -101,7 +114,9 @@ def test_a_scanner_that_covers_less_decides_nothing(tmp_path: Path) -> None:
         ({"targets": [1.0, 2.0, 3.0, float("inf")]}, "targets: expected 4 numbers"),
     ],
 )
-def test_nothing_raises_a_limit(tmp_path: Path, given: dict[str, Any], expected: str) -> None:
+def test_nothing_raises_a_limit(
+    tmp_path: Path, given: dict[str, Any], expected: str
+) -> None:
     write(ros2(evolved(), "x", "stage_ros2"), tmp_path)
     (robot,) = load(tmp_path, "zs_x", "robot")
     with pytest.raises(ValueError, match=expected):
@@ -118,8 +133,12 @@ def test_a_robot_is_never_faster_than_evolved_nor_than_its_base(tmp_path: Path) 
         most = (0.22, 2.84) if one.how == "compiled" else (0.1, 0.2)
         stream, angles = np.random.default_rng(1), scanner(simulator(evolved()).robot)
         for step in range(200):
-            scan = driving.Scan(step, stream.uniform(0, 5, 36).astype(np.float32), *angles)
-            decision = one.step(scan, driving.Pose(step, *stream.uniform(-3, 3, 4).tolist()))
+            scan = driving.Scan(
+                step, stream.uniform(0, 5, 36).astype(np.float32), *angles
+            )
+            decision = one.step(
+                scan, driving.Pose(step, *stream.uniform(-3, 3, 4).tolist())
+            )
             assert abs(decision.linear) <= most[0]
             assert abs(decision.angular) <= most[1]
 
@@ -199,7 +218,9 @@ def test_what_others_wrote_stays_text(target: str, tmp_path: Path) -> None:
     (tmp_path / "zs_x").mkdir(exist_ok=True)
     compiled(tmp_path, "zs_x")
     table = next(
-        line for line in str(files["README.md"]).splitlines() if line.startswith("| evolved in")
+        line
+        for line in str(files["README.md"]).splitlines()
+        if line.startswith("| evolved in")
     )
     assert table.count("|") == 3
     assert table.count("`") == 4
@@ -209,19 +230,23 @@ def test_what_fits_no_robot_is_refused_in_one_line() -> None:
     from tests.robots.controllers import controller
 
     with pytest.raises(
-        ConfigError, match=r"minisim: its controllers fit no robot; expected .* turtlebot-exit"
+        ConfigError,
+        match=r"minisim: its controllers fit no robot; expected .* turtlebot-exit",
     ):
         ros1(controller("fully-meshed"), "x")
     with pytest.raises(
-        ConfigError, match=r"10 numbers and takes 2 .*; this one has 11 inputs and 2 outputs"
+        ConfigError,
+        match=r"10 numbers and takes 2 .*; this one has 11 inputs and 2 outputs",
     ):
         ros1(msgspec.structs.replace(evolved(), inputs=11), "x")
     with pytest.raises(
-        ConfigError, match=r"profile stageros: is for ROS 1; expected one for ROS 2: .*stage_ros2"
+        ConfigError,
+        match=r"profile stageros: is for ROS 1; expected one for ROS 2: .*stage_ros2",
     ):
         ros2(evolved(), "x", "stageros")
     with pytest.raises(
-        ConfigError, match=r"profile stage_ros2: is for ROS 2; expected one for ROS 1: .*stageros"
+        ConfigError,
+        match=r"profile stage_ros2: is for ROS 2; expected one for ROS 1: .*stageros",
     ):
         ros1(evolved(), "x", "stage_ros2")
     with pytest.raises(ConfigError, match="no profile 'turtlebot'"):
@@ -231,12 +256,14 @@ def test_what_fits_no_robot_is_refused_in_one_line() -> None:
 def test_templates_are_in_the_wheel() -> None:
     """All that lies below the package is packed; nothing there is ignored."""
     root = REPOSITORY
-    config = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["hatch"]["build"][
-        "targets"
-    ]["wheel"]
+    config = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["hatch"][
+        "build"
+    ]["targets"]["wheel"]
     assert config["packages"] == ["zswarm"]
     templates = [
-        str(path) for path in (root / "zswarm/robots/templates").rglob("*") if path.is_file()
+        str(path)
+        for path in (root / "zswarm/robots/templates").rglob("*")
+        if path.is_file()
     ]
     ignored = subprocess.run(
         ["git", "-C", str(root), "check-ignore", *templates],

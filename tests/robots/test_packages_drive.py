@@ -49,7 +49,9 @@ TARGETS = {
     "catkin_make": Target(
         ros1, "rospy", "stageros", 0, "robot:={robot} lock_step:=true", "/usr/bin"
     ),
-    "cmake": Target(ros1, "rospy", "stageros", 1, "__ns:={robot} _lock_step:=true", "/usr/bin"),
+    "cmake": Target(
+        ros1, "rospy", "stageros", 1, "__ns:={robot} _lock_step:=true", "/usr/bin"
+    ),
     "ros2": Target(
         ros2,
         "rclpy",
@@ -113,7 +115,9 @@ class Built(NamedTuple):
 def build(target: Target, files: Files, folder: Path) -> Built:
     """What a README says before its last command, in its way."""
     need(target.link)
-    if shutil.which("cc") is None or (target.make is ros1 and shutil.which("catkin_make") is None):
+    if shutil.which("cc") is None or (
+        target.make is ros1 and shutil.which("catkin_make") is None
+    ):
         pytest.skip(
             "no C compiler or no catkin here: apt-get install g++ cmake catkin libroscpp-dev "
             "and the messages' -dev packages"
@@ -127,8 +131,10 @@ def build(target: Target, files: Files, folder: Path) -> Built:
         "PATH": f"{target.path}:/usr/local/bin:/usr/bin:/bin",
         "LANG": "C.UTF-8",
         "PIP_NO_INDEX": "1",
-    }  # fmt: skip
-    script = "\n".join(["set -e", *lines, "printf '\\0'", "pwd", "printf '\\0'", "env -0"])
+    }
+    script = "\n".join(
+        ["set -e", *lines, "printf '\\0'", "pwd", "printf '\\0'", "env -0"]
+    )
     done = subprocess.run(
         ["bash", "-c", script],
         cwd=package,
@@ -161,7 +167,9 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Built]
     return give
 
 
-def simulated(here: RosGraph, profile: str, poses: Path) -> subprocess.CompletedProcess[str]:
+def simulated(
+    here: RosGraph, profile: str, poses: Path
+) -> subprocess.CompletedProcess[str]:
     """A trial in the simulation node, in lock-step."""
     dialled = here.dialled()
     options = [
@@ -225,7 +233,9 @@ def test_a_packed_robot_drives_in_ros_as_evolved(
                 and nodes[-1].poll() is None
                 and ask(here, "lookupNode", f"/robot_{robot}/drive")[0] != 1
             ):
-                time.sleep(0.05)  # two programs of roslaunch that begin at once refuse each other
+                time.sleep(
+                    0.05
+                )  # two programs of roslaunch that begin at once refuse each other
         done = simulated(here, target.profile, tmp_path / "poses.npy")
         assert done.returncode == 0, (done.stderr, [node.poll() for node in nodes])
     told = json.loads(done.stdout)
@@ -260,7 +270,12 @@ class Robot:
                 range_max=4.0,
             )
             self._link.send(
-                [Odometry(robot=0, stamp_ns=self._stamp_ns, x=0.1, y=-1.0, z=0.0, w=1.0), scan]
+                [
+                    Odometry(
+                        robot=0, stamp_ns=self._stamp_ns, x=0.1, y=-1.0, z=0.0, w=1.0
+                    ),
+                    scan,
+                ]
             )
             came += self.heard(0.05)
         return came
@@ -333,7 +348,9 @@ name = "odom"
 
 
 @pytest.mark.parametrize("name", ["cmake", "ros2", "zenoh"])
-def test_velocities_are_stamped_where_the_profile_says_so(tmp_path: Path, name: str) -> None:
+def test_velocities_are_stamped_where_the_profile_says_so(
+    tmp_path: Path, name: str
+) -> None:
     """And never greater than the profile's, which are below those of evolution."""
     profile = "turtlebot3-jazzy"
     if name == "cmake":
@@ -344,7 +361,9 @@ def test_velocities_are_stamped_where_the_profile_says_so(tmp_path: Path, name: 
     limits = profiles.read(profile)
     with alone(built) as (robot, _):
         came = robot.drives(3)
-        assert all(velocity.stamp_ns > 1e18 for velocity in came)  # the time of this machine
+        assert all(
+            velocity.stamp_ns > 1e18 for velocity in came
+        )  # the time of this machine
         assert 0 < max(abs(velocity.linear) for velocity in came) <= limits.speed
         assert max(abs(velocity.angular) for velocity in came) <= limits.turn
 
@@ -375,7 +394,9 @@ def test_a_scanner_that_covers_less_ends_the_drive(
         assert stands(came[-1])
         said, _ = node.communicate(timeout=ENDS_S)
         assert node.returncode == 1
-        assert "the scanner does not cover the 270 degrees that the controller needs" in said
+        assert (
+            "the scanner does not cover the 270 degrees that the controller needs" in said
+        )
 
 
 @pytest.mark.parametrize("name", ["cmake", "ros2", "zenoh"])
@@ -386,7 +407,9 @@ def test_a_node_whose_self_test_fails_does_not_drive(tmp_path: Path, name: str) 
     source = f"src/{NAME}.c"
     assert table in str(files[source])
     built = build(
-        target, files | {source: str(files[source]).replace(table, table + "1.0f + ")}, tmp_path
+        target,
+        files | {source: str(files[source]).replace(table, table + "1.0f + ")},
+        tmp_path,
     )
     with graph.private(target.link) as here, built.started(here) as node:
         said, _ = node.communicate(timeout=ENDS_S)
@@ -396,7 +419,10 @@ def test_a_node_whose_self_test_fails_does_not_drive(tmp_path: Path, name: str) 
 
 def test_lock_step_is_refused_on_a_robot(packages: Callable[[str], Built]) -> None:
     """Where there is no simulated time there is nobody who waits, and the watchdog is needed."""
-    for name, more in (("cmake", "_lock_step:=true"), ("ros2", "--ros-args -p lock_step:=true")):
+    for name, more in (
+        ("cmake", "_lock_step:=true"),
+        ("ros2", "--ros-args -p lock_step:=true"),
+    ):
         built = packages(name)
         with graph.private(built.target.link) as here, built.started(here, more) as node:
             said, _ = node.communicate(timeout=ENDS_S)
@@ -411,7 +437,9 @@ def test_without_a_compiler_a_robot_drives_in_python(tmp_path: Path) -> None:
     setup = files["setup.py"]
     assert isinstance(setup, str)
     built = build(
-        target, files | {"setup.py": setup.replace('"cc"', '"no-such-compiler"')}, tmp_path
+        target,
+        files | {"setup.py": setup.replace('"cc"', '"no-such-compiler"')},
+        tmp_path,
     )
     assert not list(Path(built.folder).rglob("*.so"))
     with contextlib.ExitStack() as running:
@@ -427,4 +455,6 @@ def test_without_a_compiler_a_robot_drives_in_python(tmp_path: Path) -> None:
         nodes[0].send_signal(signal.SIGINT)
         said, _ = nodes[0].communicate(timeout=ENDS_S)
         assert "without a compiler: in Python" in said
-    assert np.load(tmp_path / "poses.npy").tobytes() == b"".join(in_process(CONTROLLER, SEED)[0])
+    assert np.load(tmp_path / "poses.npy").tobytes() == b"".join(
+        in_process(CONTROLLER, SEED)[0]
+    )

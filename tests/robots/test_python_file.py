@@ -77,13 +77,19 @@ def test_an_older_numpy_decides_the_same_bits(tmp_path: Path) -> None:
             [DEBIAN, "-c", "import numpy"], capture_output=True, check=False
         ).returncode
     ):
-        pytest.skip("needs the system's own Python with numpy (Debian: apt install python3-numpy)")
+        pytest.skip(
+            "needs the system's own Python with numpy (Debian: apt install python3-numpy)"
+        )
     decided = exported(tmp_path, 300)
-    assert played(DEBIAN, tmp_path) == {name: [0, acted, True] for name, acted in decided.items()}
+    assert played(DEBIAN, tmp_path) == {
+        name: [0, acted, True] for name, acted in decided.items()
+    }
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=named)
-def test_a_file_is_of_old_python_and_always_the_same(kind: tuple[str, dict[str, Any]]) -> None:
+def test_a_file_is_of_old_python_and_always_the_same(
+    kind: tuple[str, dict[str, Any]],
+) -> None:
     ((name, text),) = python(controller(*kind), "x").items()
     assert name == "zs_x.py"
     ast.parse(text, feature_version=(3, 8))
@@ -92,7 +98,9 @@ def test_a_file_is_of_old_python_and_always_the_same(kind: tuple[str, dict[str, 
 
 
 def run(file: Path) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run([sys.executable, "-I", file], capture_output=True, text=True, check=False)
+    return subprocess.run(
+        [sys.executable, "-I", file], capture_output=True, text=True, check=False
+    )
 
 
 def test_a_file_checks_itself_and_notices_a_changed_number(tmp_path: Path) -> None:
@@ -118,7 +126,8 @@ def test_a_file_checks_itself_and_notices_a_changed_number(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(
-    "hostile", ['"""; import os; os.abort()  #', "@PARAMETERS@", "\\", "x\n1/0", "größe ☃ \u202e"]
+    "hostile",
+    ['"""; import os; os.abort()  #', "@PARAMETERS@", "\\", "x\n1/0", "größe ☃ \u202e"],
 )
 def test_hostile_names_stay_texts(hostile: str, tmp_path: Path) -> None:
     texts = {
@@ -176,7 +185,7 @@ def test_functions_bring_what_they_use() -> None:
         (lambda x: x, "expected a function on the top level of a module"),
         (len, "its source cannot be read"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_gathered_is_named(function: Any, why: str) -> None:
     with pytest.raises(ConfigError) as raised:
         kernel_source.functions([function])

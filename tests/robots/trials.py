@@ -38,9 +38,13 @@ def by_policy(simulator: Any, policy: Policy, seed: int) -> Played:
     return Played(np.stack(poses), simulator.outcome())
 
 
-def by_network(simulator: Any, seed: int, network: str = "fully-meshed", **shape: Any) -> Played:
+def by_network(
+    simulator: Any, seed: int, network: str = "fully-meshed", **shape: Any
+) -> Played:
     """A trial of a random recurrent network."""
     _, drawn = evaluate.build("turtlebot-exit", {}, network, shape)
     parameters = drawn.parameters(drawn.random(1, Stream(seed)))
-    poses = [simulator.poses.copy() for _ in evaluate.turns(simulator, drawn, parameters, seed)]
+    poses = [
+        simulator.poses.copy() for _ in evaluate.turns(simulator, drawn, parameters, seed)
+    ]
     return Played(np.stack([*poses, simulator.poses]), simulator.outcome())

@@ -37,7 +37,10 @@ def test_the_authoritys_key_and_folder_are_its_owners_alone(tmp_path: Path) -> N
             pass
     finally:
         os.umask(before)
-    assert (mode(tmp_path / "a" / "authority"), mode(tmp_path / "a" / "authority" / "key.pem")) == (
+    assert (
+        mode(tmp_path / "a" / "authority"),
+        mode(tmp_path / "a" / "authority" / "key.pem"),
+    ) == (
         0o700,
         0o600,
     )
@@ -53,7 +56,9 @@ def test_the_fingerprint_is_160_bits_of_the_certificates_hash(tmp_path: Path) ->
 
 def test_an_authority_lasts_five_years_and_signs_no_other(tmp_path: Path) -> None:
     with authority(tmp_path / "authority") as made:
-        constraints = made.certificate.extensions.get_extension_for_class(x509.BasicConstraints)
+        constraints = made.certificate.extensions.get_extension_for_class(
+            x509.BasicConstraints
+        )
         assert constraints.critical
         assert (constraints.value.ca, constraints.value.path_length) == (True, 0)
         assert (made.certificate.not_valid_after_utc - NOW).days in (1824, 1825)
@@ -89,7 +94,8 @@ def test_an_authority_is_opened_by_one_program_at_a_time(tmp_path: Path) -> None
 def test_a_certificate_says_whose_it_is_and_what_for(tmp_path: Path) -> None:
     with authority(tmp_path / "authority") as made:
         (content,) = made.issue(
-            {of("ss", "lab-01"): ["10.0.0.5", "lab-01.uni.edu", "fe80::1", "10.0.0.5"]}, 365
+            {of("ss", "lab-01"): ["10.0.0.5", "lab-01.uni.edu", "fe80::1", "10.0.0.5"]},
+            365,
         )
     read = certificate(content)
     names = read.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
@@ -108,9 +114,9 @@ def test_a_certificate_says_whose_it_is_and_what_for(tmp_path: Path) -> None:
     constraints = read.extensions.get_extension_for_class(x509.BasicConstraints)
     assert constraints.critical
     assert not constraints.value.ca
-    assert abs(read.not_valid_before_utc - (NOW - timedelta(minutes=5))) < timedelta(hours=1), (
-        "NOW is when the tests began"
-    )
+    assert abs(read.not_valid_before_utc - (NOW - timedelta(minutes=5))) < timedelta(
+        hours=1
+    ), "NOW is when the tests began"
     lasts = read.not_valid_after_utc - read.not_valid_before_utc
     assert abs(lasts - timedelta(days=365, minutes=5)) < timedelta(minutes=1)
 
@@ -125,7 +131,10 @@ def test_no_certificate_outlasts_its_authority(tmp_path: Path) -> None:
         pass
     with again(tmp_path / "authority", NOW) as made:
         (content,) = made.issue({of("ss", "lab-01"): []}, 1825)
-        assert certificate(content).not_valid_after_utc == made.certificate.not_valid_after_utc
+        assert (
+            certificate(content).not_valid_after_utc
+            == made.certificate.not_valid_after_utc
+        )
 
 
 @pytest.mark.parametrize(
@@ -186,7 +195,8 @@ def test_a_name_is_given_once(tmp_path: Path) -> None:
     issued(tmp_path / "authority", of("ss", "lab-01"))
     with again(tmp_path / "authority", NOW) as made:
         with pytest.raises(
-            KeysError, match=r"has keys already, until .*: zswarm-keys renew lab-01 makes new ones"
+            KeysError,
+            match=r"has keys already, until .*: zswarm-keys renew lab-01 makes new ones",
         ):
             made.issue({of("ss", "lab-02"): [], of("ss", "lab-01"): []}, 365)
         with pytest.raises(KeysError, match="lab-01 is the name of a server already"):
@@ -212,10 +222,14 @@ def test_a_revoked_name_is_given_again_only_when_the_revoked_keys_have_expired(
         assert made.members().members.users == ["alice"]
 
 
-def test_the_list_of_members_grows_in_number_with_every_change_of_it(tmp_path: Path) -> None:
+def test_the_list_of_members_grows_in_number_with_every_change_of_it(
+    tmp_path: Path,
+) -> None:
     with authority(tmp_path / "authority") as made:
         numbers = [made.members().members.number]
-        made.issue({of("ss", "lab-01"): [], of("ss", "lab-02"): [], of("ot", "alice"): []}, 365)
+        made.issue(
+            {of("ss", "lab-01"): [], of("ss", "lab-02"): [], of("ot", "alice"): []}, 365
+        )
         numbers.append(made.members().members.number)
         made.revoke(["lab-01", "alice"])
         members = made.members().members
@@ -230,7 +244,10 @@ def test_the_ledger_says_what_was_issued(tmp_path: Path) -> None:
     (content,) = issued(tmp_path / "authority", of("ss", "lab-01"))
     (entry,) = json.loads((tmp_path / "authority" / "issued.json").read_text())["issued"]
     read = certificate(content)
-    assert (entry["common_name"], int(entry["serial"], 16)) == ("ss.lab-01", read.serial_number)
+    assert (entry["common_name"], int(entry["serial"], 16)) == (
+        "ss.lab-01",
+        read.serial_number,
+    )
     assert entry["names"] == ["lab-01", "lab-01.local", "localhost", "127.0.0.1"]
     assert entry["revoked_at"] is None
 
@@ -250,7 +267,8 @@ def test_what_was_signed_is_in_the_ledger_first(
 
 
 @pytest.mark.parametrize(
-    "damage", [b"", b"{}x", b'{"number": 2, "issued": [{}]}', b"[" * 100_000, b'{"number": 0}']
+    "damage",
+    [b"", b"{}x", b'{"number": 2, "issued": [{}]}', b"[" * 100_000, b'{"number": 0}'],
 )
 def test_a_damaged_ledger_is_refused(tmp_path: Path, damage: bytes) -> None:
     issued(tmp_path / "authority", of("ss", "lab-01"))
@@ -285,7 +303,9 @@ def test_a_renewed_certificate_has_the_same_names_and_another_key(tmp_path: Path
 
 def test_a_request_is_signed_and_renewed_for_its_own_key(tmp_path: Path) -> None:
     key = certificates.new_key()
-    (tmp_path / "x.zrequest").write_bytes(make_request(of("ss", "lab-01"), ["10.0.0.5"], key))
+    (tmp_path / "x.zrequest").write_bytes(
+        make_request(of("ss", "lab-01"), ["10.0.0.5"], key)
+    )
     asked = read_request(tmp_path / "x.zrequest")
     assert (asked.holder, asked.names[-1]) == (of("ss", "lab-01"), "10.0.0.5")
     with authority(tmp_path / "authority") as made:
@@ -304,9 +324,9 @@ def test_a_request_that_its_key_did_not_sign_is_refused(tmp_path: Path) -> None:
     """Else somebody's public key could be had certified under another name."""
     pem = make_request(of("ss", "lab-01"), [], certificates.new_key())
     der = x509.load_pem_x509_csr(pem).public_bytes(serialization.Encoding.DER)
-    changed = x509.load_der_x509_csr(der.replace(b"ss.lab-01", b"ss.lab-02")).public_bytes(
-        serialization.Encoding.PEM
-    )
+    changed = x509.load_der_x509_csr(
+        der.replace(b"ss.lab-01", b"ss.lab-02")
+    ).public_bytes(serialization.Encoding.PEM)
     (tmp_path / "x.zrequest").write_bytes(changed)
     with pytest.raises(KeysError, match="not a request that zswarm-keys request made"):
         read_request(tmp_path / "x.zrequest")
@@ -314,11 +334,17 @@ def test_a_request_that_its_key_did_not_sign_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "body",
-    [b"", b"x", b"-----BEGIN CERTIFICATE REQUEST-----\nAAAA\n-----END CERTIFICATE REQUEST-----\n"],
+    [
+        b"",
+        b"x",
+        b"-----BEGIN CERTIFICATE REQUEST-----\nAAAA\n-----END CERTIFICATE REQUEST-----\n",
+    ],
 )
 def test_a_damaged_request_is_refused(tmp_path: Path, body: bytes) -> None:
     (tmp_path / "x.zrequest").write_bytes(body)
-    with pytest.raises(KeysError, match="not a request of zswarm-keys: damaged, or another file"):
+    with pytest.raises(
+        KeysError, match="not a request of zswarm-keys: damaged, or another file"
+    ):
         read_request(tmp_path / "x.zrequest")
 
 
@@ -331,7 +357,9 @@ def test_a_request_of_somebody_elses_making_is_checked_as_ones_own(
 ) -> None:
     subject = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, common_name)])
     names = x509.SubjectAlternativeName([x509.DNSName(dialled)])
-    request = x509.CertificateSigningRequestBuilder(subject).add_extension(names, critical=False)
+    request = x509.CertificateSigningRequestBuilder(subject).add_extension(
+        names, critical=False
+    )
     signed = request.sign(certificates.new_key(), certificates.HASH())
     (tmp_path / "x.zrequest").write_bytes(signed.public_bytes(serialization.Encoding.PEM))
     with pytest.raises(KeysError) as refused:
@@ -340,7 +368,9 @@ def test_a_request_of_somebody_elses_making_is_checked_as_ones_own(
 
 
 @settings(
-    derandomize=True, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    derandomize=True,
+    max_examples=150,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 @given(st.integers(0, 420), st.binary(max_size=8), st.integers(0, 8))
 def test_a_damaged_request_is_read_or_refused(

@@ -14,7 +14,9 @@ from zswarm.errors import KeysError
 from zswarm.security import bundle, certificates
 
 FUZZ = settings(
-    derandomize=True, max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    derandomize=True,
+    max_examples=200,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 
 
@@ -79,7 +81,9 @@ def test_parts_of_two_bundles_are_refused(
             "did not sign this list",
         ),
     ):
-        assert text in refusal(tmp_path / "x.zkeys", msgspec.structs.replace(first, **changes))
+        assert text in refusal(
+            tmp_path / "x.zkeys", msgspec.structs.replace(first, **changes)
+        )
 
 
 def test_a_holder_that_is_not_a_member_is_refused(
@@ -134,7 +138,8 @@ JSON = st.recursive(
         st.text(max_size=8),
     ),
     lambda inner: st.one_of(
-        st.lists(inner, max_size=3), st.dictionaries(st.text(max_size=6), inner, max_size=3)
+        st.lists(inner, max_size=3),
+        st.dictionaries(st.text(max_size=6), inner, max_size=3),
     ),
 )
 
@@ -145,9 +150,11 @@ def test_any_value_in_a_bundle_is_refused(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
     mapping = msgspec.to_builtins(of_lab_01(tmp_path_factory))
-    table = data.draw(st.sampled_from([mapping, mapping["members"], mapping["members"]["members"]]))
-    table[data.draw(st.one_of(st.sampled_from(sorted(table)), st.text(max_size=6)))] = data.draw(
-        JSON
+    table = data.draw(
+        st.sampled_from([mapping, mapping["members"], mapping["members"]["members"]])
+    )
+    table[data.draw(st.one_of(st.sampled_from(sorted(table)), st.text(max_size=6)))] = (
+        data.draw(JSON)
     )
     path = tmp_path_factory.getbasetemp() / "any.zkeys"
     path.write_bytes(msgspec.json.encode(mapping))
@@ -179,7 +186,8 @@ def test_a_damaged_bundle_is_read_or_refused(
 
 
 @pytest.mark.parametrize(
-    "body", [b"[" * 100_000, b'{"a":' * 100_000, b"\0" * (2 << 20), b"\xff\xfe", b"null", b'"x"']
+    "body",
+    [b"[" * 100_000, b'{"a":' * 100_000, b"\0" * (2 << 20), b"\xff\xfe", b"null", b'"x"'],
 )
 def test_extreme_files_are_refused(tmp_path: Path, body: bytes) -> None:
     (tmp_path / "x.zkeys").write_bytes(body)

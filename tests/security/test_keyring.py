@@ -31,7 +31,9 @@ from zswarm.security import certificates, keyring
 from zswarm.security.members import Role, SignedMembers
 
 FUZZ = settings(
-    derandomize=True, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    derandomize=True,
+    max_examples=150,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 FILES = ("authority.pem", "certificate.pem", "key.pem", "members.json")
 
@@ -64,7 +66,11 @@ def test_installed_keys_show_holder_and_members(tmp_path: Path, role: Role) -> N
     holders = [of(each, name) for each, name in ALL.items()]
     content = dict(zip(ALL, issued(tmp_path / "authority", *holders), strict=True))[role]
     loaded = keyring.load(installed(tmp_path / "keys", content), role)
-    assert (loaded.role, loaded.name, loaded.folder) == (role, ALL[role], tmp_path / "keys")
+    assert (loaded.role, loaded.name, loaded.folder) == (
+        role,
+        ALL[role],
+        tmp_path / "keys",
+    )
     assert (loaded.members.servers, loaded.members.users, loaded.members.routers) == (
         ["lab-01"],
         ["alice"],
@@ -121,7 +127,9 @@ def test_a_certificate_of_another_authority_is_refused(tmp_path: Path) -> None:
 
 def test_a_holders_certificate_is_not_accepted_as_authority(tmp_path: Path) -> None:
     (mine,) = issued(tmp_path / "authority", of("ss", "lab-01"))
-    folder = unpacked(tmp_path / "keys", msgspec.structs.replace(mine, authority=mine.certificate))
+    folder = unpacked(
+        tmp_path / "keys", msgspec.structs.replace(mine, authority=mine.certificate)
+    )
     assert "authority.pem: not the certificate of an authority" in refusal(folder)
 
 
@@ -136,7 +144,9 @@ def test_a_self_signed_certificate_is_not_accepted_as_authority(tmp_path: Path) 
         for extension in constraints:
             builder = builder.add_extension(extension, critical=True)
         pem = (
-            builder.sign(key, certificates.HASH()).public_bytes(serialization.Encoding.PEM).decode()
+            builder.sign(key, certificates.HASH())
+            .public_bytes(serialization.Encoding.PEM)
+            .decode()
         )
         folder = tmp_path / f"keys-{len(constraints)}"
         unpacked(folder, msgspec.structs.replace(mine, authority=pem, certificate=pem))
@@ -157,8 +167,12 @@ def test_what_the_library_only_warns_of_is_refused(tmp_path: Path) -> None:
     der[at] |= 0x80
     text = base64.encodebytes(bytes(der)).decode()
     changed = f"-----BEGIN CERTIFICATE-----\n{text}-----END CERTIFICATE-----\n"
-    folder = unpacked(tmp_path / "keys", msgspec.structs.replace(mine, certificate=changed))
-    assert "certificate.pem: no certificate in PEM: damaged, or another file" in refusal(folder)
+    folder = unpacked(
+        tmp_path / "keys", msgspec.structs.replace(mine, certificate=changed)
+    )
+    assert "certificate.pem: no certificate in PEM: damaged, or another file" in refusal(
+        folder
+    )
 
 
 def test_keys_of_another_kind_are_refused(tmp_path: Path) -> None:
@@ -169,11 +183,16 @@ def test_keys_of_another_kind_are_refused(tmp_path: Path) -> None:
     builder = x509.CertificateBuilder(
         name, name, key.public_key(), 1, NOW - timedelta(days=1), NOW + timedelta(days=1)
     )
-    pem = builder.sign(key, certificates.HASH()).public_bytes(serialization.Encoding.PEM).decode()
+    pem = (
+        builder.sign(key, certificates.HASH())
+        .public_bytes(serialization.Encoding.PEM)
+        .decode()
+    )
     first = unpacked(tmp_path / "first", msgspec.structs.replace(mine, authority=pem))
     assert "authority.pem: the certificate's key is not EC P-256" in refusal(first)
     second = unpacked(
-        tmp_path / "second", msgspec.structs.replace(mine, key=certificates.key_pem(key).decode())
+        tmp_path / "second",
+        msgspec.structs.replace(mine, key=certificates.key_pem(key).decode()),
     )
     assert "key.pem: the key is not EC P-256" in refusal(second)
 
@@ -185,7 +204,9 @@ def test_an_expired_certificate_is_refused_with_the_remedy(tmp_path: Path) -> No
     assert "zswarm-keys renew lab-01" in text
 
 
-def test_a_certificate_that_is_not_yet_valid_is_refused_with_the_clock(tmp_path: Path) -> None:
+def test_a_certificate_that_is_not_yet_valid_is_refused_with_the_clock(
+    tmp_path: Path,
+) -> None:
     with authority(tmp_path / "authority"):
         pass
     (content,) = issued(tmp_path / "authority", of("ss", "lab-01"), now=TOMORROW)
@@ -195,7 +216,9 @@ def test_a_certificate_that_is_not_yet_valid_is_refused_with_the_clock(tmp_path:
 
 
 def test_a_clock_that_is_four_minutes_late_does_not_matter(tmp_path: Path) -> None:
-    (content,) = issued(tmp_path / "authority", of("ss", "lab-01"), now=NOW + timedelta(minutes=4))
+    (content,) = issued(
+        tmp_path / "authority", of("ss", "lab-01"), now=NOW + timedelta(minutes=4)
+    )
     assert keyring.load(installed(tmp_path / "keys", content), "ss").name == "lab-01"
 
 
@@ -212,12 +235,18 @@ def members(folder: Path) -> SignedMembers:
 
 def test_a_changed_list_of_members_is_refused(lab: Path) -> None:
     signed = members(lab)
-    for changes in ({"users": ["mallory"]}, {"number": 99}, {"servers": ["lab-01", "lab-99"]}):
+    for changes in (
+        {"users": ["mallory"]},
+        {"number": 99},
+        {"servers": ["lab-01", "lab-99"]},
+    ):
         changed = msgspec.structs.replace(
             signed, members=msgspec.structs.replace(signed.members, **changes)
         )
         (lab / "members.json").write_bytes(msgspec.json.encode(changed))
-        assert "the authority did not sign this list, or it was changed since" in refusal(lab)
+        assert "the authority did not sign this list, or it was changed since" in refusal(
+            lab
+        )
 
 
 def test_the_list_of_another_authority_is_refused(tmp_path: Path, lab: Path) -> None:
@@ -315,7 +344,9 @@ def test_any_bytes_are_refused(
 ) -> None:
     folder = tmp_path_factory.getbasetemp() / "any-bytes"
     if not folder.exists():
-        (content,) = issued(tmp_path_factory.mktemp("any") / "authority", of("ss", "lab-01"))
+        (content,) = issued(
+            tmp_path_factory.mktemp("any") / "authority", of("ss", "lab-01")
+        )
         installed(folder, content)
     before = (folder / file).read_bytes()
     (folder / file).write_bytes(body)
@@ -339,7 +370,9 @@ def test_damage_within_the_pem_is_read_or_refused(
     """It reaches the reading of certificates and keys."""
     folder = tmp_path_factory.getbasetemp() / "within"
     if not folder.exists():
-        (content,) = issued(tmp_path_factory.mktemp("any") / "authority", of("ss", "lab-01"))
+        (content,) = issued(
+            tmp_path_factory.mktemp("any") / "authority", of("ss", "lab-01")
+        )
         installed(folder, content)
     before = (folder / file).read_text()
     first, *lines, last = before.splitlines()
@@ -357,13 +390,17 @@ def test_damage_within_the_pem_is_read_or_refused(
 
 
 @FUZZ
-@given(st.sampled_from(FILES), st.integers(0, 900), st.binary(max_size=8), st.integers(0, 8))
+@given(
+    st.sampled_from(FILES), st.integers(0, 900), st.binary(max_size=8), st.integers(0, 8)
+)
 def test_damaged_files_are_read_or_refused(
     tmp_path_factory: pytest.TempPathFactory, file: str, place: int, put: bytes, lost: int
 ) -> None:
     folder = tmp_path_factory.getbasetemp() / "damaged"
     if not folder.exists():
-        (content,) = issued(tmp_path_factory.mktemp("any") / "authority", of("ss", "lab-01"))
+        (content,) = issued(
+            tmp_path_factory.mktemp("any") / "authority", of("ss", "lab-01")
+        )
         installed(folder, content)
     before = (folder / file).read_bytes()
     (folder / file).write_bytes(before[:place] + put + before[place + lost :])
@@ -387,7 +424,9 @@ def damaging() -> list[Callable[[bytes], bytes]]:
     ]
 
 
-@pytest.mark.parametrize("damage", damaging(), ids=["deep", "large", "twice", "empty", "nothing"])
+@pytest.mark.parametrize(
+    "damage", damaging(), ids=["deep", "large", "twice", "empty", "nothing"]
+)
 def test_extreme_files_are_refused(lab: Path, damage: Callable[[bytes], bytes]) -> None:
     for file in ("authority.pem", "members.json"):
         before = (lab / file).read_bytes()

@@ -49,27 +49,48 @@ def mode(path: Path) -> int:
 
 def test_a_lab_of_twenty_machines_and_a_person(tmp_path: Path, desk: Machine) -> None:
     told = desk.works(
-        "issue", *LAB, "--optimizer", "alice", "--router", "gate", "--address", "lab-01=10.0.0.5"
+        "issue",
+        *LAB,
+        "--optimizer",
+        "alice",
+        "--router",
+        "gate",
+        "--address",
+        "lab-01=10.0.0.5",
     )
     assert sorted(path.name for path in desk.folder.glob("*.zkeys")) == sorted(
         f"{name}.zkeys" for name in [*LAB, "alice", "gate", "members"]
     )
-    assert "lab-01.zkeys: the server lab-01. There: sudo zswarm-keys join lab-01.zkeys" in told
+    assert (
+        "lab-01.zkeys: the server lab-01. There: sudo zswarm-keys join lab-01.zkeys"
+        in told
+    )
     assert "alice.zkeys: the user alice. There: zswarm-keys join alice.zkeys" in told
     fingerprint = desk.status()["authority"]["fingerprint"]
     for name, role in ((LAB[0], "ss"), ("alice", "ot"), ("gate", "router")):
         there = machine(tmp_path, name)
         file = (desk.folder / f"{name}.zkeys").rename(there.folder / f"{name}.zkeys")
         assert mode(file) == 0o600
-        told = there.works("join", file, *(["--name", name] if role == "ss" else []), answer="y\n")
+        told = there.works(
+            "join", file, *(["--name", name] if role == "ss" else []), answer="y\n"
+        )
         assert fingerprint in told
         assert not file.exists(), "it held a key"
         assert mode(there.keys) == 0o700
         assert mode(there.keys / "key.pem") == 0o600
         loaded = keyring.load(there.keys, role)
-        assert (loaded.name, loaded.authority, loaded.members.servers) == (name, fingerprint, LAB)
+        assert (loaded.name, loaded.authority, loaded.members.servers) == (
+            name,
+            fingerprint,
+            LAB,
+        )
         installed = there.status()["installed"]
-        assert (installed["role"], installed["name"], installed["state"], installed["error"]) == (
+        assert (
+            installed["role"],
+            installed["name"],
+            installed["state"],
+            installed["error"],
+        ) == (
             role,
             name,
             "valid",
@@ -93,7 +114,9 @@ def test_without_confirmation_nothing_is_installed(desk: Machine) -> None:
     assert (desk.folder / "alice.zkeys").exists()
 
 
-def test_a_person_and_a_machine_are_added_and_revoked(tmp_path: Path, desk: Machine) -> None:
+def test_a_person_and_a_machine_are_added_and_revoked(
+    tmp_path: Path, desk: Machine
+) -> None:
     """The list of members that comes with the news is installed where keys are already."""
     desk.works("issue", "lab-01", "--optimizer", "alice")
     lab_01 = machine(tmp_path, "lab-01")
@@ -114,7 +137,9 @@ def test_a_person_and_a_machine_are_added_and_revoked(tmp_path: Path, desk: Mach
     assert keyring.load(lab_01.keys, "ss").members.users == ["bob"]
 
 
-def test_a_bundle_does_not_bring_an_older_list_back(tmp_path: Path, desk: Machine) -> None:
+def test_a_bundle_does_not_bring_an_older_list_back(
+    tmp_path: Path, desk: Machine
+) -> None:
     desk.works("issue", "lab-01", "--optimizer", "alice")
     lab_01 = machine(tmp_path, "lab-01")
     bundle = (desk.folder / "lab-01.zkeys").read_bytes()
@@ -126,17 +151,22 @@ def test_a_bundle_does_not_bring_an_older_list_back(tmp_path: Path, desk: Machin
     assert keyring.load(lab_01.keys, "ss").members.users == []
 
 
-def test_a_revoked_holder_cannot_join_where_that_is_known(tmp_path: Path, desk: Machine) -> None:
+def test_a_revoked_holder_cannot_join_where_that_is_known(
+    tmp_path: Path, desk: Machine
+) -> None:
     desk.works("issue", "lab-01", "lab-02")
     lab_01 = machine(tmp_path, "lab-01")
     bundle = (desk.folder / "lab-01.zkeys").read_bytes()
     lab_01.works("join", "lab-01.zkeys", "--name", "lab-01", "--yes")
     desk.works("revoke", "lab-01")
-    assert "the server lab-01 is not, or no longer, among the members (list 3)" in lab_01.refuses(
-        "join", "members.zkeys"
+    assert (
+        "the server lab-01 is not, or no longer, among the members (list 3)"
+        in lab_01.refuses("join", "members.zkeys")
     )
     (desk.folder / "lab-01.zkeys").write_bytes(bundle)
-    assert "it was revoked" in lab_01.refuses("join", "lab-01.zkeys", "--name", "lab-01", "--yes")
+    assert "it was revoked" in lab_01.refuses(
+        "join", "lab-01.zkeys", "--name", "lab-01", "--yes"
+    )
 
 
 def test_keys_are_renewed(tmp_path: Path, desk: Machine) -> None:
@@ -212,7 +242,9 @@ def test_written_files_are_listed_in_json(desk: Machine) -> None:
         "members.zkeys",
         2,
     )
-    assert json.loads(desk.works("renew", "lab-01", "--force", "--json"))["members"] is None
+    assert (
+        json.loads(desk.works("renew", "lab-01", "--force", "--json"))["members"] is None
+    )
     assert json.loads(desk.works("revoke", "lab-01", "--json"))["number"] == 3
     assert desk.status()["authority"]["issued"][0]["state"] == "revoked"
 
@@ -225,15 +257,22 @@ def test_keys_of_the_service_belong_to_its_user(
         pytest.skip("only root gives files away")
     monkeypatch.setattr(install, "SERVICE_USER", "nobody")
     desk.works("issue", "lab-01", "--optimizer", "alice")
-    desk.works("join", "lab-01.zkeys", "--name", "lab-01", "--yes", "--keys", tmp_path / "a")
+    desk.works(
+        "join", "lab-01.zkeys", "--name", "lab-01", "--yes", "--keys", tmp_path / "a"
+    )
     owners = {
-        (path.stat().st_uid, path.name) for path in [tmp_path / "a", *(tmp_path / "a").iterdir()]
+        (path.stat().st_uid, path.name)
+        for path in [tmp_path / "a", *(tmp_path / "a").iterdir()]
     }
     assert len(owners) == 5
     assert {uid for uid, _ in owners} == {install.pwd.getpwnam("nobody").pw_uid}
     desk.works("issue", "lab-02")
     desk.works("join", "members.zkeys", "--keys", tmp_path / "a")
-    assert (tmp_path / "a" / "members.json").stat().st_uid == (tmp_path / "a").stat().st_uid != 0
+    assert (
+        (tmp_path / "a" / "members.json").stat().st_uid
+        == (tmp_path / "a").stat().st_uid
+        != 0
+    )
     desk.works("join", "alice.zkeys", "--yes", "--keys", tmp_path / "b")
     assert (tmp_path / "b" / "key.pem").stat().st_uid == 0
 
@@ -280,13 +319,17 @@ def test_without_an_authority_its_commands_say_how_to_make_one(
         ["revoke", "lab-01"],
         ["sign", "alice.zrequest"],
     ):
-        assert "no authority here; zswarm-keys init makes one" in there.refuses(*arguments)
+        assert "no authority here; zswarm-keys init makes one" in there.refuses(
+            *arguments
+        )
     assert "no authority in" in there.refuses("status")
     assert "no authority here" in there.refuses("status", "--authority", "nowhere")
     assert not there.authority.exists()
 
 
-def test_a_lab_is_named_as_its_holders_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lab_is_named_as_its_holders_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     there = machine(tmp_path, "there")
     for name in ("", "../x", "My Lab", "\x1b[31m"):
         assert "the lab's name" in there.refuses("init", "--name", name)
@@ -322,11 +365,16 @@ def test_a_second_authority_is_refused(desk: Machine) -> None:
         (["lab-01", "--address", "10.0.0.5"], "expected NAME=ADDRESS"),
         (["lab-01", "--address", "lab-01=*"], "without wildcards"),
         (["lab-01", "--out", "nowhere"], "--out nowhere: no such folder"),
-        (["lab-01", "--out", "taken"], "taken/lab-01.zkeys is there already; --force replaces it"),
+        (
+            ["lab-01", "--out", "taken"],
+            "taken/lab-01.zkeys is there already; --force replaces it",
+        ),
         (["members"], "take another"),
     ],
 )
-def test_nothing_is_issued_by_mistake(desk: Machine, arguments: list[str], said: str) -> None:
+def test_nothing_is_issued_by_mistake(
+    desk: Machine, arguments: list[str], said: str
+) -> None:
     (desk.folder / "taken").mkdir()
     (desk.folder / "taken/lab-01.zkeys").touch()
     assert said in desk.refuses("issue", *arguments)
@@ -336,15 +384,21 @@ def test_nothing_is_issued_by_mistake(desk: Machine, arguments: list[str], said:
 
 def test_a_name_issued_already_is_renewed_instead(desk: Machine) -> None:
     desk.works("issue", "lab-01")
-    assert "zswarm-keys renew lab-01 makes new ones" in desk.refuses("issue", "lab-01", "--force")
-    assert "lab-01.zkeys is there already; --force replaces it" in desk.refuses("renew", "lab-01")
+    assert "zswarm-keys renew lab-01 makes new ones" in desk.refuses(
+        "issue", "lab-01", "--force"
+    )
+    assert "lab-01.zkeys is there already; --force replaces it" in desk.refuses(
+        "renew", "lab-01"
+    )
     desk.works("renew", "lab-01", "--force")
 
 
 @pytest.mark.parametrize("verb", ["revoke", "renew"])
 def test_an_unknown_name_is_reported_with_the_nearest(desk: Machine, verb: str) -> None:
     desk.works("issue", "--optimizer", "alice")
-    assert "no keys were issued to 'alicia' (did you mean 'alice'?)" in desk.refuses(verb, "alicia")
+    assert "no keys were issued to 'alicia' (did you mean 'alice'?)" in desk.refuses(
+        verb, "alicia"
+    )
     assert "no keys were issued to '\\x1b[31m'" in desk.refuses(verb, "\x1b[31m")
 
 
@@ -368,13 +422,19 @@ def test_a_bundle_for_another_machine_is_refused_naming_both(
     assert not desk.keys.exists()
 
 
-def test_keys_of_another_authority_or_holder_are_replaced_by_force_only(desk: Machine) -> None:
+def test_keys_of_another_authority_or_holder_are_replaced_by_force_only(
+    desk: Machine,
+) -> None:
     desk.works("issue", "--optimizer", "alice", "--optimizer", "bob")
     desk.works("join", "alice.zkeys", "--yes")
     desk.works("init", "--authority", "other")
     desk.works("issue", "--optimizer", "alice", "--authority", "other")
-    assert "holds keys of another authority" in desk.refuses("join", "alice.zkeys", "--yes")
-    assert "this is the list of another authority" in desk.refuses("join", "members.zkeys")
+    assert "holds keys of another authority" in desk.refuses(
+        "join", "alice.zkeys", "--yes"
+    )
+    assert "this is the list of another authority" in desk.refuses(
+        "join", "members.zkeys"
+    )
     assert "holds the keys of ot.alice, and these are of ot.bob" in desk.refuses(
         "join", "bob.zkeys", "--yes"
     )
@@ -432,7 +492,9 @@ def test_a_list_of_members_is_not_accepted_as_keys(tmp_path: Path, desk: Machine
     there = machine(tmp_path, "there")
     there.environment["ZSWARM_KEYS"] = ""
     assert "no keys are installed here" in there.refuses("join", "members.zkeys")
-    assert "authority.pem: missing" in there.refuses("join", "members.zkeys", "--keys", "nowhere")
+    assert "authority.pem: missing" in there.refuses(
+        "join", "members.zkeys", "--keys", "nowhere"
+    )
 
 
 def test_a_second_request_does_not_forget_the_first(desk: Machine) -> None:
@@ -447,7 +509,9 @@ def test_a_second_request_does_not_forget_the_first(desk: Machine) -> None:
     )
 
 
-def test_a_bundle_that_others_could_read_is_installed_with_a_warning(desk: Machine) -> None:
+def test_a_bundle_that_others_could_read_is_installed_with_a_warning(
+    desk: Machine,
+) -> None:
     desk.works("issue", "--optimizer", "alice")
     (desk.folder / "alice.zkeys").chmod(0o644)
     assert "warning: others on this machine could read alice.zkeys" in desk.works(
@@ -464,7 +528,9 @@ def test_a_name_of_a_file_does_not_reach_the_terminal(desk: Machine) -> None:
 
 def test_an_authoritys_key_that_others_may_read_is_refused(desk: Machine) -> None:
     (desk.authority / "key.pem").chmod(0o644)
-    assert "others than its owner may read this key (mode 644)" in desk.refuses("issue", "lab-01")
+    assert "others than its owner may read this key (mode 644)" in desk.refuses(
+        "issue", "lab-01"
+    )
 
 
 def test_an_authority_in_use_is_waited_for_by_the_user(desk: Machine) -> None:
@@ -551,7 +617,11 @@ def test_the_program_itself(tmp_path: Path) -> None:
     assert run("issue", "--optimizer", "alice").returncode == 0
     assert run("join", "alice.zkeys", "--yes").returncode == 0
     shown = json.loads(run("status", "--json").stdout)
-    assert shown["installed"]["fingerprint"] == shown["authority"]["fingerprint"] == fingerprint
+    assert (
+        shown["installed"]["fingerprint"]
+        == shown["authority"]["fingerprint"]
+        == fingerprint
+    )
     mistake = run("join", "nothing.zkeys")
     assert (mistake.returncode, mistake.stdout) == (2, "")
     assert mistake.stderr == "zswarm-keys: nothing.zkeys: missing\n"
@@ -578,13 +648,21 @@ def test_a_missing_cryptography_package_is_reported_with_a_fix(tmp_path: Path) -
         check=False,
     )
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == f"zswarm-keys: this needs the package cryptography: {how('keys')}\n"
+    assert (
+        done.stderr
+        == f"zswarm-keys: this needs the package cryptography: {how('keys')}\n"
+    )
     (tmp_path / "certificate.pem").touch()
     (tmp_path / "key.pem").touch()
     load = f"keyring.load(Path({str(tmp_path)!r}), 'ss')"
     code = f"{hide}from pathlib import Path; from zswarm.security import keyring; {load}"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert f"keys need the package cryptography: {how('keys')}" in done.stderr.splitlines()[-1]
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
+    assert (
+        f"keys need the package cryptography: {how('keys')}"
+        in done.stderr.splitlines()[-1]
+    )
 
 
 def test_no_option_takes_a_secret() -> None:
@@ -596,7 +674,9 @@ def test_no_option_takes_a_secret() -> None:
         if isinstance(option, click.Option)
     }
     assert not {
-        name for name in names if name and ("pass" in name or "secret" in name or name == "key")
+        name
+        for name in names
+        if name and ("pass" in name or "secret" in name or name == "key")
     }
 
 

@@ -63,7 +63,9 @@ def test_what_the_document_says_works(tmp_path: Path) -> None:
                 text=True,
                 check=False,
             )
-            assert done.returncode == 0, f"on {machine}: {command}\n{done.stdout}{done.stderr}"
+            assert done.returncode == 0, (
+                f"on {machine}: {command}\n{done.stdout}{done.stderr}"
+            )
             said += done.stdout
     assert list(folders) == ["desk", "lab-01", "alice", "lab-22"]
     assert "lab-20.zkeys: the server lab-20" in said

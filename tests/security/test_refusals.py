@@ -22,7 +22,10 @@ LINE = (
             "is not valid yet",
         ),
         ("received fatal alert: UnknownCA", "does not trust this lab's authority"),
-        ("invalid peer certificate: UnknownIssuer", "its certificate is of another authority"),
+        (
+            "invalid peer certificate: UnknownIssuer",
+            "its certificate is of another authority",
+        ),
         ("peer sent no certificates", "it shows no certificate"),
         ("received corrupt message of type InvalidContentType", "it does not speak TLS"),
     ],
@@ -33,7 +36,8 @@ def test_a_refused_handshake_is_explained(said: str, words: str) -> None:
 
 def test_unknown_refusals_are_reported_verbatim_and_cleaned() -> None:
     assert (
-        refusals.handshake_reason(LINE.format("something \x1b[2J new")) == "something \\x1b[2J new."
+        refusals.handshake_reason(LINE.format("something \x1b[2J new"))
+        == "something \\x1b[2J new."
     )
 
 
@@ -60,7 +64,12 @@ DENIED = (
 @pytest.mark.parametrize(
     ("verdict", "what", "key", "told"),
     [
-        ("unauthorized", "Query (ingress)", "ss/lab-01-01234567/ot/alice/run/cancel", True),
+        (
+            "unauthorized",
+            "Query (ingress)",
+            "ss/lab-01-01234567/ot/alice/run/cancel",
+            True,
+        ),
         ("unauthorized", "Query (ingress)", "ss/lab-01-01234567/ot/*/run/cancel", True),
         (
             "unauthorized",
@@ -69,9 +78,19 @@ DENIED = (
             True,
         ),
         ("unauthorized", "Query (ingress)", "ot/bob/run/alive", False),
-        ("unauthorized", "Query (egress)", "ss/lab-01-01234567/ot/alice/run/cancel", False),
+        (
+            "unauthorized",
+            "Query (egress)",
+            "ss/lab-01-01234567/ot/alice/run/cancel",
+            False,
+        ),
         ("authorized", "Query (ingress)", "ss/lab-01-01234567/ot/bob/run/cancel", False),
-        ("unauthorized", "Put (ingress)", "ss/lab-01-01234567/ot/alice/run/cancel", False),
+        (
+            "unauthorized",
+            "Put (ingress)",
+            "ss/lab-01-01234567/ot/alice/run/cancel",
+            False,
+        ),
     ],
 )
 def test_a_request_in_anothers_name_is_reported(

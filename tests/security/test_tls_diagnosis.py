@@ -67,7 +67,9 @@ def lab(tmp_path: Path) -> tuple[Path, Path]:
 
 
 @pytest.mark.parametrize("name", ["lab-01", "lab-01.local", "127.0.0.1", "localhost"])
-def test_holders_of_one_authority_see_who_the_other_is(lab: tuple[Path, Path], name: str) -> None:
+def test_holders_of_one_authority_see_who_the_other_is(
+    lab: tuple[Path, Path], name: str
+) -> None:
     server, user = lab
     assert greet(context(server, server=True), context(user, server=False), name) == (
         "ss.lab-01",

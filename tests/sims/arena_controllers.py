@@ -11,9 +11,9 @@ def steer(goal: np.ndarray, slow: np.ndarray | float = 1.0) -> np.ndarray:
     length = np.maximum(np.hypot(ahead, aside), 1e-9)
     turn, forward = aside / length, np.maximum(ahead / length, 0.0) * slow
     turn = np.where(ahead < 0, np.where(aside < 0, -1.0, 1.0), turn)
-    return (0.5 + 0.5 * np.clip(np.column_stack([forward - turn, forward + turn]), -1, 1)).astype(
-        np.float32
-    )
+    return (
+        0.5 + 0.5 * np.clip(np.column_stack([forward - turn, forward + turn]), -1, 1)
+    ).astype(np.float32)
 
 
 def away_from_what_is_near(seen: np.ndarray, from_nearness: float) -> np.ndarray:
@@ -28,7 +28,9 @@ def aggregation(seen: np.ndarray) -> np.ndarray:
     """To the neighbours; whoever sees none goes straight on and avoids walls."""
     others = seen[:, 8:10]
     alone = (others == 0).all(axis=1, keepdims=True)
-    return steer(np.where(alone, ahead(seen) + 4 * away_from_what_is_near(seen, 0.5), others))
+    return steer(
+        np.where(alone, ahead(seen) + 4 * away_from_what_is_near(seen, 0.5), others)
+    )
 
 
 def dispersion(seen: np.ndarray) -> np.ndarray:
@@ -47,9 +49,9 @@ def foraging(seen: np.ndarray) -> np.ndarray:
 
 def consensus(seen: np.ndarray) -> np.ndarray:
     """Robots drive about and say the mean of what they read and what they hear."""
-    return np.column_stack([strolling(seen), 0.5 * seen[:, 10] + 0.5 * seen[:, 11]]).astype(
-        np.float32
-    )
+    return np.column_stack(
+        [strolling(seen), 0.5 * seen[:, 10] + 0.5 * seen[:, 11]]
+    ).astype(np.float32)
 
 
 def patient_consensus(seen: np.ndarray) -> np.ndarray:
@@ -57,9 +59,9 @@ def patient_consensus(seen: np.ndarray) -> np.ndarray:
 
     The weight 0.02 beats 0.05 and 0.1 and is near the best known.
     """
-    return np.column_stack([strolling(seen), 0.02 * seen[:, 10] + 0.98 * seen[:, 11]]).astype(
-        np.float32
-    )
+    return np.column_stack(
+        [strolling(seen), 0.02 * seen[:, 10] + 0.98 * seen[:, 11]]
+    ).astype(np.float32)
 
 
 def strolling(seen: np.ndarray) -> np.ndarray:

@@ -14,7 +14,16 @@ from zswarm.sims.arena import ArenaSettings
 F = np.float32
 ZERO, HALF, ONE, TWO = F(0), F(0.5), F(1), F(2)
 S = F(0.70710678)
-RAYS = [(ONE, ZERO), (S, S), (ZERO, ONE), (-S, S), (-ONE, ZERO), (-S, -S), (ZERO, -ONE), (S, -S)]
+RAYS = [
+    (ONE, ZERO),
+    (S, S),
+    (ZERO, ONE),
+    (-S, S),
+    (-ONE, ZERO),
+    (-S, -S),
+    (ZERO, -ONE),
+    (S, -S),
+]
 
 
 def cut(output: np.float32) -> np.float32:
@@ -41,7 +50,11 @@ class NaiveArena:
     def __init__(self, settings: ArenaSettings, seed: int) -> None:
         self.settings, self.stream = settings, Stream(seed)
         self.task = settings.task
-        self.side, self.sight, self.r = F(settings.side), F(settings.sight), F(settings.radius)
+        self.side, self.sight, self.r = (
+            F(settings.side),
+            F(settings.sight),
+            F(settings.radius),
+        )
         low, high = self.r, self.side - self.r
         if self.task == "dispersion":
             quarter = (high - low) * HALF * HALF
@@ -81,7 +94,9 @@ class NaiveArena:
             self.meet()
             seen = [self.observe(robot) for robot in self.robots]
             self.observations.append(np.array(seen))
-            actions = [decide(index, observation) for index, observation in enumerate(seen)]
+            actions = [
+                decide(index, observation) for index, observation in enumerate(seen)
+            ]
             if 2 * number > self.settings.steps:
                 self.measured.append(self.measure())
             pushes = [self.push(robot) for robot in self.robots]
@@ -103,10 +118,14 @@ class NaiveArena:
                 int(robot.x * per_metre), cells - 1
             )
 
-        ordered = sorted(self.robots, key=cell)  # which leaves those of a cell as they are
+        ordered = sorted(
+            self.robots, key=cell
+        )  # which leaves those of a cell as they are
         for robot in self.robots:
             near = [
-                other for other in ordered if self.square(robot, other) < self.sight * self.sight
+                other
+                for other in ordered
+                if self.square(robot, other) < self.sight * self.sight
             ]
             robot.neighbours = [other for other in near if other is not robot]
 
@@ -115,7 +134,10 @@ class NaiveArena:
         return dx * dx + dy * dy
 
     def observe(self, robot: Robot) -> np.ndarray:
-        places = [robot.framed(other.x - robot.x, other.y - robot.y) for other in robot.neighbours]
+        places = [
+            robot.framed(other.x - robot.x, other.y - robot.y)
+            for other in robot.neighbours
+        ]
         mean = [ZERO, ZERO]
         for place in places:
             mean = [total + part for total, part in zip(mean, place, strict=True)]
@@ -134,7 +156,9 @@ class NaiveArena:
             seen += [robot.reading, heard]
         return np.array(seen, np.float32)
 
-    def reach(self, robot: Robot, ray: tuple[np.float32, np.float32], places: list) -> np.float32:
+    def reach(
+        self, robot: Robot, ray: tuple[np.float32, np.float32], places: list
+    ) -> np.float32:
         u, v = ray
         ways = [self.sight]
         for part, here in (
@@ -182,12 +206,17 @@ class NaiveArena:
                     for robot in self.robots
                 ]
                 return mean(
-                    [np.sqrt(min(some, default=self.sight * self.sight)) for some in squares]
+                    [
+                        np.sqrt(min(some, default=self.sight * self.sight))
+                        for some in squares
+                    ]
                 ), near
             case "consensus":
                 said = mean([robot.said for robot in self.robots])
                 errors = [abs(robot.said - self.truth) for robot in self.robots]
-                return mean(errors), mean([abs(robot.said - said) for robot in self.robots])
+                return mean(errors), mean(
+                    [abs(robot.said - said) for robot in self.robots]
+                )
         return ZERO, ZERO
 
     def push(self, robot: Robot) -> tuple[np.float32, np.float32]:
@@ -205,7 +234,9 @@ class NaiveArena:
                 )
         return push_x, push_y
 
-    def drive(self, robot: Robot, action: np.ndarray, push: tuple[np.float32, np.float32]) -> None:
+    def drive(
+        self, robot: Robot, action: np.ndarray, push: tuple[np.float32, np.float32]
+    ) -> None:
         w = self.settings.speed * self.settings.step_s / 2
         left, right = (TWO * cut(output) - ONE for output in action[:2])
         t = (right - left) * F(w / (2 * self.settings.radius))
@@ -214,7 +245,10 @@ class NaiveArena:
         scale = F(1.5) - HALF * (h * h + k * k)
         robot.h, robot.k = h * scale, k * scale
         forward = (left + right) * F(w)
-        x, y = robot.x + forward * robot.h + push[0], robot.y + forward * robot.k + push[1]
+        x, y = (
+            robot.x + forward * robot.h + push[0],
+            robot.y + forward * robot.k + push[1],
+        )
         robot.x, robot.y = (min(max(part, self.r), self.side - self.r) for part in (x, y))
 
     def work(self, robot: Robot, action: np.ndarray) -> None:
@@ -237,7 +271,8 @@ class NaiveArena:
 
     def outcome(self) -> tuple[float, ...]:
         first, second = (
-            sum(map(float, column)) / len(column) for column in zip(*self.measured, strict=True)
+            sum(map(float, column)) / len(column)
+            for column in zip(*self.measured, strict=True)
         )
         contacts = self.overlaps / 2 / self.settings.steps
         match self.task:
@@ -246,7 +281,12 @@ class NaiveArena:
             case "dispersion":
                 return first / float(self.sight), first, second, contacts
             case "foraging":
-                return (self.delivered + self.found) / 2, self.delivered, self.found, contacts
+                return (
+                    (self.delivered + self.found) / 2,
+                    self.delivered,
+                    self.found,
+                    contacts,
+                )
         return 1 - 4 * first, first, second, contacts
 
 

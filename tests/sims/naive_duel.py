@@ -63,7 +63,9 @@ class NaiveDuel:
         for _ in range(self.settings.steps):
             seen = [self.observe(robot) for robot in self.robots]
             for robot, action in zip(
-                self.robots, [decide(index, one) for index, one in enumerate(seen)], strict=True
+                self.robots,
+                [decide(index, one) for index, one in enumerate(seen)],
+                strict=True,
             ):
                 self.move(robot, action)
             for team in self.teams:
@@ -96,7 +98,8 @@ class NaiveDuel:
                 *self.bearing(here, goal),
                 *self.arrow(here, [team.view(one.place) for one in other.robots]),
                 *self.arrow(
-                    here, [team.view(one.place) for one in team.robots if one is not robot]
+                    here,
+                    [team.view(one.place) for one in team.robots if one is not robot],
                 ),
                 carrying,
                 other.thief is not None and not carrying,
@@ -124,7 +127,9 @@ class NaiveDuel:
         if away == 0 or away >= sight:
             return np.float32(0), np.float32(0)
         nearness = np.float32(sight - away) / np.float32(sight)
-        dx, dy = (np.float32(part) / np.float32(away) * nearness for part in offset(here, near))
+        dx, dy = (
+            np.float32(part) / np.float32(away) * nearness for part in offset(here, near)
+        )
         return dx, dy
 
     def move(self, robot: Robot, action: np.ndarray) -> None:
@@ -137,7 +142,9 @@ class NaiveDuel:
     def take_and_capture(self, team: Team, other: Team) -> None:
         team.distances += [king(robot.place, other.stand) for robot in team.robots]
         if other.thief is None:
-            other.thief = next((robot for robot in team.robots if robot.place == other.stand), None)
+            other.thief = next(
+                (robot for robot in team.robots if robot.place == other.stand), None
+            )
             team.steals += other.thief is not None
         if other.thief is not None:
             team.columns.append(team.view(other.thief.place)[0])
@@ -149,7 +156,9 @@ class NaiveDuel:
         tagged = set()
         for team in self.teams:
             for intruder in (robot for robot in team.robots if robot.intrudes):
-                for guard in (robot for robot in self.other(team).robots if not robot.intrudes):
+                for guard in (
+                    robot for robot in self.other(team).robots if not robot.intrudes
+                ):
                     if king(intruder.place, guard.place) <= self.settings.reach:
                         tagged |= {intruder, guard}
         for robot in tagged:

@@ -35,7 +35,9 @@ class NaiveEmergencyExit:
     def __init__(
         self, size: Place, agents: list[Place], exits: list[Place], blockades: list[Place]
     ) -> None:
-        self.floor = {(x, y) for x in range(size[0]) for y in range(size[1])} - set(blockades)
+        self.floor = {(x, y) for x in range(size[0]) for y in range(size[1])} - set(
+            blockades
+        )
         self.agents = dict(enumerate(agents))
         self.exits = exits
 
@@ -53,7 +55,12 @@ class NaiveEmergencyExit:
             place = java_below(size[0], bits), java_below(size[0], bits)
             if place not in things:
                 things.append(place)
-        return cls(size, things[:agents], things[agents : agents + exits], things[agents + exits :])
+        return cls(
+            size,
+            things[:agents],
+            things[agents : agents + exits],
+            things[agents + exits :],
+        )
 
     def play(
         self, steps: int, decide: Callable[[int, list[float]], list[float]]
@@ -80,17 +87,25 @@ class NaiveEmergencyExit:
         x, y = self.agents[agent]
         to_x, to_y = self.nearest_exit(agent)
         free = self.free()
-        return [to_x - x, to_y - y, *(float((x + dx, y + dy) in free) for dx, dy in AROUND)]
+        return [
+            to_x - x,
+            to_y - y,
+            *(float((x + dx, y + dy) in free) for dx, dy in AROUND),
+        ]
 
     def nearest_exit(self, agent: int) -> Place:
         x, y = self.agents[agent]
-        return min(self.exits, key=lambda there: (there[0] - x) ** 2 + (there[1] - y) ** 2)
+        return min(
+            self.exits, key=lambda there: (there[0] - x) ** 2 + (there[1] - y) ** 2
+        )
 
     def is_out(self, agent: int) -> bool:
         return self.agents[agent] in self.exits
 
     def free(self) -> set[Place]:
-        return self.floor - {self.agents[agent] for agent in self.agents if not self.is_out(agent)}
+        return self.floor - {
+            self.agents[agent] for agent in self.agents if not self.is_out(agent)
+        }
 
 
 def velocity(output: float) -> int:

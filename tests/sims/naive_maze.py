@@ -29,11 +29,16 @@ class Maze:
         self.place, self.heading, self.speed, self.turning = start, 0.0, 0.0, 0.0
 
     def observe(self) -> list[float]:
-        finders = [self.free(self.heading + aside) for aside in (-90, -45, 0, 45, 90, 180)]
-        goal = math.degrees(math.atan2(self.goal[1] - self.place[1], self.goal[0] - self.place[0]))
+        finders = [
+            self.free(self.heading + aside) for aside in (-90, -45, 0, 45, 90, 180)
+        ]
+        goal = math.degrees(
+            math.atan2(self.goal[1] - self.place[1], self.goal[0] - self.place[0])
+        )
         aside = (goal - self.heading + 45) % 360
         return finders + [
-            1.0 if 90 * quarter <= aside < 90 * (quarter + 1) else 0.0 for quarter in range(4)
+            1.0 if 90 * quarter <= aside < 90 * (quarter + 1) else 0.0
+            for quarter in range(4)
         ]
 
     def free(self, direction: float) -> float:
@@ -45,7 +50,10 @@ class Maze:
             rx, ry = ax - self.place[0], ay - self.place[1]
             determinant = ex * dy - ey * dx
             if abs(determinant) > 1e-12:
-                t, s = (ex * ry - ey * rx) / determinant, (dx * ry - dy * rx) / determinant
+                t, s = (
+                    (ex * ry - ey * rx) / determinant,
+                    (dx * ry - dy * rx) / determinant,
+                )
                 if t >= 0 and 0 <= s <= 1:
                     nearest = min(nearest, t)
         return nearest

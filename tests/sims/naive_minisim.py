@@ -32,17 +32,23 @@ class NaiveMinisim:
         self.size = max(settings.width, settings.height)
         column = settings.width - 1 - stream.integer(settings.width // 2)
         self.stand = (column, stream.integer(settings.height))
-        self.robots = [Robot((0, stream.integer(settings.height))) for _ in range(settings.robots)]
+        self.robots = [
+            Robot((0, stream.integer(settings.height))) for _ in range(settings.robots)
+        ]
         self.defenders = [self.stand] * settings.defenders
         self.carrier: Robot | None = None
         self.counts = {"captures": 0, "steals": 0, "tagged": 0}
         self.distances_to_stand: list[int] = []  # since the last capture
         self.carrier_columns: list[int] = []
 
-    def play(self, decide: Callable[[int, np.ndarray], np.ndarray]) -> tuple[float, int, int, int]:
+    def play(
+        self, decide: Callable[[int, np.ndarray], np.ndarray]
+    ) -> tuple[float, int, int, int]:
         for number in range(1, self.settings.steps + 1):
             seen = [self.observe(robot) for robot in self.robots]
-            actions = [decide(index, observation) for index, observation in enumerate(seen)]
+            actions = [
+                decide(index, observation) for index, observation in enumerate(seen)
+            ]
             for robot, action in zip(self.robots, actions, strict=True):
                 self.move(robot, action)
             self.take_and_capture()
@@ -65,7 +71,8 @@ class NaiveMinisim:
                 one - away / size,
                 *self.sense(robot.place, self.defenders),
                 *self.sense(
-                    robot.place, [other.place for other in self.robots if other is not robot]
+                    robot.place,
+                    [other.place for other in self.robots if other is not robot],
                 ),
                 carrying,
                 self.carrier is not None and not carrying,
@@ -80,7 +87,9 @@ class NaiveMinisim:
         if away == 0 or away >= sight:
             return np.float32(0), np.float32(0)
         nearness = np.float32(sight - away) / np.float32(sight)
-        dx, dy = (np.float32(part) / np.float32(away) * nearness for part in offset(here, near))
+        dx, dy = (
+            np.float32(part) / np.float32(away) * nearness for part in offset(here, near)
+        )
         return dx, dy
 
     def move(self, robot: Robot, action: np.ndarray) -> None:
@@ -95,9 +104,13 @@ class NaiveMinisim:
         )
 
     def take_and_capture(self) -> None:
-        self.distances_to_stand += [king(robot.place, self.stand) for robot in self.robots]
+        self.distances_to_stand += [
+            king(robot.place, self.stand) for robot in self.robots
+        ]
         if self.carrier is None:
-            self.carrier = next((robot for robot in self.robots if robot.place == self.stand), None)
+            self.carrier = next(
+                (robot for robot in self.robots if robot.place == self.stand), None
+            )
             self.counts["steals"] += self.carrier is not None
         if self.carrier is not None:
             self.carrier_columns.append(self.carrier.place[0])
@@ -108,9 +121,15 @@ class NaiveMinisim:
     def chase(self) -> None:
         chosen: set[Robot] = set()
         for index, here in enumerate(self.defenders):
-            prey = [robot for robot in self.robots if not robot.at_home and robot not in chosen]
             prey = [
-                robot for robot in prey if king(here, robot.place) <= self.settings.defender_sight
+                robot
+                for robot in self.robots
+                if not robot.at_home and robot not in chosen
+            ]
+            prey = [
+                robot
+                for robot in prey
+                if king(here, robot.place) <= self.settings.defender_sight
             ]
             target = self.stand
             if prey:
@@ -123,7 +142,8 @@ class NaiveMinisim:
     def tag(self) -> None:
         for robot in self.robots:
             within_reach = any(
-                king(robot.place, there) <= self.settings.reach for there in self.defenders
+                king(robot.place, there) <= self.settings.reach
+                for there in self.defenders
             )
             if within_reach and not robot.at_home:
                 robot.place = robot.start

@@ -18,9 +18,8 @@ class Comparison(NamedTuple):
     """Mean fitness on the same unseen seeds."""
 
     evolved: np.ndarray  # of the champion of each run
-    searched: (
-        np.ndarray
-    )  # of the best of random search with as many evaluations, on the same trials; none without
+    # Of the best of random search with as many evaluations, on the same trials; none without.
+    searched: np.ndarray
     networks: np.ndarray  # of random networks
     actions: np.ndarray  # of agents that do anything, decision by decision
 
@@ -60,7 +59,9 @@ def compared(
         unseen: number of held-out trials that controllers are judged by.
         others: number of random networks, and of agents with random actions.
     """
-    seeds = np.array([derive_seed(0, "unseen", trial) for trial in range(unseen)], np.uint64)
+    seeds = np.array(
+        [derive_seed(0, "unseen", trial) for trial in range(unseen)], np.uint64
+    )
     evolved, searched = [], []
     for seed in range(1, runs + 1):
         problem, champion, evaluations = best(
@@ -68,20 +69,27 @@ def compared(
         )
         evolved.append(mean(problem, champion, seeds))
         if search:
-            at_random = {**parts, "optimizer": {"kind": "random", "population": population}}
+            at_random = {
+                **parts,
+                "optimizer": {"kind": "random", "population": population},
+            }
             problem, champion, _ = best(
                 simulator, settings, seed, trials, at_random, population, evaluations
             )
             searched.append(mean(problem, champion, seeds))
     networks = [
         mean(problem, each, seeds)
-        for each in problem.representation.random(others, Stream(derive_seed(0, "others")))
+        for each in problem.representation.random(
+            others, Stream(derive_seed(0, "others"))
+        )
     ]
     actions = [
         anything(problem.simulator, seeds, Stream(derive_seed(0, "actions", other)))
         for other in range(others)
     ]
-    found = Comparison(*(np.array(each) for each in (evolved, searched, networks, actions)))
+    found = Comparison(
+        *(np.array(each) for each in (evolved, searched, networks, actions))
+    )
     assert all(np.isfinite(each).all() for each in found)
     return found
 
@@ -104,12 +112,16 @@ def best(
         "representation": {"kind": "feed-forward", "hidden": []},
         "optimizer": {"kind": "cmaes", "population": population},
     }
-    problem, optimizer = build(experiment.complete(experiment.check({**file, **parts}, "it"), "it"))
+    problem, optimizer = build(
+        experiment.complete(experiment.check({**file, **parts}, "it"), "it")
+    )
     done = 0
     while done < evaluations:
         genomes = optimizer.ask()
         workload = problem.workload(genomes, optimizer.generation)
-        workload.fitness[:] = played(problem, genomes, workload.participants, workload.seeds)
+        workload.fitness[:] = played(
+            problem, genomes, workload.participants, workload.seeds
+        )
         optimizer.tell(problem.total(workload))
         done += len(genomes)
     return problem, optimizer.best()[0], done
@@ -117,14 +129,18 @@ def best(
 
 def mean(problem: Problem, genome: bytes, seeds: np.ndarray) -> float:
     """Fitness of a genome on some seeds."""
-    return float(played(problem, [genome], np.zeros((len(seeds), 1), np.int64), seeds).mean())
+    return float(
+        played(problem, [genome], np.zeros((len(seeds), 1), np.int64), seeds).mean()
+    )
 
 
 def played(
     problem: Problem, genomes: list[bytes], participants: np.ndarray, seeds: np.ndarray
 ) -> np.ndarray:
     """(trials, participants) fitness."""
-    return evaluate(problem.simulator, problem.representation, genomes, participants, seeds).fitness
+    return evaluate(
+        problem.simulator, problem.representation, genomes, participants, seeds
+    ).fitness
 
 
 def anything(simulator: Simulator, seeds: np.ndarray, stream: Stream) -> float:
@@ -136,9 +152,9 @@ def anything(simulator: Simulator, seeds: np.ndarray, stream: Stream) -> float:
     for seed in seeds:
         turn = simulator.reset(int(seed))
         while turn is not None:
-            actions = stream.uniform(0.0, 1.0, len(turn.agents) * simulator.outputs).astype(
-                np.float32
-            )
+            actions = stream.uniform(
+                0.0, 1.0, len(turn.agents) * simulator.outputs
+            ).astype(np.float32)
             turn = simulator.step(actions.reshape(-1, simulator.outputs))
         fitness.append(simulator.outcome().fitness[0])
     return float(np.mean(fitness))

@@ -24,7 +24,8 @@ def play(
         "activation": ACTIVATIONS[net["activation"]],
     }
     table = [
-        [*weights, bias] for weights, bias in zip(net["weights_into"], net["bias"], strict=True)
+        [*weights, bias]
+        for weights, bias in zip(net["weights_into"], net["bias"], strict=True)
     ]
     genome = np.array(table, "<f4").tobytes()
     built = build(simulator, settings, "fully-meshed", shape)

@@ -52,7 +52,9 @@ def behind(
     near = np.hypot(offset[:, 0], offset[:, 1]) < clear_m
     around = np.where(near[:, None], aside - 0.3 * to_thing, spot)
     pushing = lies_before > 0.85
-    return np.where(pushing[:, None], unit(offset) - 0.4 * (way - unit(offset)), unit(around))
+    return np.where(
+        pushing[:, None], unit(offset) - 0.4 * (way - unit(offset)), unit(around)
+    )
 
 
 def from_behind(seen: np.ndarray) -> np.ndarray:
@@ -80,7 +82,9 @@ def foraging_physical(seen: np.ndarray) -> np.ndarray:
     """Push the nearest puck if it is ahead, else get behind it; stroll if no puck is visible."""
     return steer(
         np.where(
-            (seen[:, 8:10] != 0).any(axis=1, keepdims=True), from_behind(seen), strolling(seen)
+            (seen[:, 8:10] != 0).any(axis=1, keepdims=True),
+            from_behind(seen),
+            strolling(seen),
         )
     )
 
@@ -88,7 +92,9 @@ def foraging_physical(seen: np.ndarray) -> np.ndarray:
 def clever_foraging_physical(seen: np.ndarray) -> np.ndarray:
     """Behind the nearest puck, around it, and push."""
     goal = behind(seen, seen[:, 11:13], 4.0, 0.35, 0.4)
-    return steer(np.where((seen[:, 8:10] != 0).any(axis=1, keepdims=True), goal, strolling(seen)))
+    return steer(
+        np.where((seen[:, 8:10] != 0).any(axis=1, keepdims=True), goal, strolling(seen))
+    )
 
 
 def foraging_physical_carry(seen: np.ndarray) -> np.ndarray:

@@ -56,7 +56,9 @@ UNSEEN = np.arange(10**9, 10**9 + 40, dtype=np.uint64)
 
 
 def built(settings: dict[str, Any], **network: Any) -> tuple[Arena, FullyMeshed]:
-    simulator, controller = build("arena", settings, "fully-meshed", {"hidden": 3, **network})
+    simulator, controller = build(
+        "arena", settings, "fully-meshed", {"hidden": 3, **network}
+    )
     assert isinstance(simulator, Arena)
     assert isinstance(controller, FullyMeshed)
     return simulator, controller
@@ -67,7 +69,9 @@ def play(
 ) -> TrialOutcomes:
     """Every genome on every seed."""
     participants = np.repeat(np.arange(len(genomes)), len(seeds))[:, None]
-    return evaluate(simulator, network, genomes, participants, np.tile(seeds, len(genomes)))
+    return evaluate(
+        simulator, network, genomes, participants, np.tile(seeds, len(genomes))
+    )
 
 
 def drive(
@@ -76,13 +80,17 @@ def drive(
     """The robots' table after each step when all do the same."""
     turn, tables = simulator.reset(seed), []
     while turn is not None and len(tables) < steps:
-        turn = simulator.step(np.tile(np.float32(actions), (simulator.settings.robots, 1)))
+        turn = simulator.step(
+            np.tile(np.float32(actions), (simulator.settings.robots, 1))
+        )
         tables.append(simulator.world.robots[:, : simulator.settings.robots].copy())
     return tables
 
 
 def put(
-    simulator: Arena, *places: tuple[float, float], heading: tuple[float, float] = (1.0, 0.0)
+    simulator: Arena,
+    *places: tuple[float, float],
+    heading: tuple[float, float] = (1.0, 0.0),
 ) -> np.ndarray:
     """Put robots somewhere; what they observe there."""
     simulator.reset(1)
@@ -96,7 +104,9 @@ def put(
 
 
 @pytest.mark.parametrize("settings", UNUSUAL, ids=str)
-def test_the_kernel_agrees_with_a_naive_reference_bit_for_bit(settings: dict[str, Any]) -> None:
+def test_the_kernel_agrees_with_a_naive_reference_bit_for_bit(
+    settings: dict[str, Any],
+) -> None:
     simulator, network = built({"steps": 30, **settings})
     genomes, seeds = network.random(2, Stream(7)), np.array([3, 2**64 - 1], np.uint64)
     outcomes = evaluate(simulator, network, genomes, np.array([[0], [1]]), seeds)
@@ -156,7 +166,8 @@ def test_the_frame_shows_robots_items_and_the_nest() -> None:
 
 
 @pytest.mark.parametrize(
-    "actions", [[1, 1], [1, 0.9], [0, 0], [np.nan, np.inf], [-np.inf, 1e30], [0.3, np.nan]]
+    "actions",
+    [[1, 1], [1, 0.9], [0, 0], [np.nan, np.inf], [-np.inf, 1e30], [0.3, np.nan]],
 )
 def test_no_robot_leaves_the_room_or_loses_its_heading_whatever_a_controller_says(
     actions: list[float],
@@ -165,7 +176,9 @@ def test_no_robot_leaves_the_room_or_loses_its_heading_whatever_a_controller_say
     for table in drive(simulator, 5, actions):
         assert (table[:2] >= np.float32(0.1)).all()
         assert (table[:2] <= np.float32(3) - np.float32(0.1)).all()
-        np.testing.assert_allclose(np.hypot(table[HEADING_X], table[HEADING_Y]), 1, atol=1e-6)
+        np.testing.assert_allclose(
+            np.hypot(table[HEADING_X], table[HEADING_Y]), 1, atol=1e-6
+        )
 
 
 def test_robots_that_stand_still_come_apart_until_none_overlaps_by_a_hundredth() -> None:
@@ -182,7 +195,9 @@ def test_robots_that_stand_still_come_apart_until_none_overlaps_by_a_hundredth()
 
 
 def test_wheels_move_a_robot_as_its_speed_says() -> None:
-    simulator = Arena(ArenaSettings(robots=1, side=100.0, speed=0.5, step_s=0.2, steps=100))
+    simulator = Arena(
+        ArenaSettings(robots=1, side=100.0, speed=0.5, step_s=0.2, steps=100)
+    )
     put(simulator, (50, 50))
     simulator.step(np.float32([[1, 1]]))
     assert simulator.world.robots[X, 0] - 50 == pytest.approx(0.1, abs=1e-5)
@@ -192,7 +207,10 @@ def test_wheels_move_a_robot_as_its_speed_says() -> None:
     for _ in range(100):
         simulator.step(np.float32([[0.5, 1]]))
     angle = 2 * np.arctan(0.25) * 100
-    assert np.hypot(simulator.world.robots[X, 0] - 50, simulator.world.robots[Y, 0] - 50) < 0.25
+    assert (
+        np.hypot(simulator.world.robots[X, 0] - 50, simulator.world.robots[Y, 0] - 50)
+        < 0.25
+    )
     np.testing.assert_allclose(
         simulator.world.robots[HEADING_X : HEADING_Y + 1, 0],
         [np.cos(angle), np.sin(angle)],
@@ -203,11 +221,15 @@ def test_wheels_move_a_robot_as_its_speed_says() -> None:
 def test_rays_see_the_nearest_thing_and_nothing_behind_it() -> None:
     simulator = Arena(ArenaSettings(robots=3, side=4.0, sight=2.5))
     near, far = 1 - 0.9 / 2.5, 1 - 1.0 / 2.5
-    seen = put(simulator, (1.0, 2.0), (2.0, 2.0), (2.6, 2.0))  # robots in a row, looking along it
+    seen = put(
+        simulator, (1.0, 2.0), (2.0, 2.0), (2.6, 2.0)
+    )  # robots in a row, looking along it
     np.testing.assert_allclose(
         seen[0, [0, 4]], [near, far], rtol=1e-5
     )  # the middle robot's rim; the wall behind
-    np.testing.assert_allclose(seen[1, [0, 2, 4, 6]], [1 - 0.5 / 2.5, 0.2, near, 0.2], rtol=1e-5)
+    np.testing.assert_allclose(
+        seen[1, [0, 2, 4, 6]], [1 - 0.5 / 2.5, 0.2, near, 0.2], rtol=1e-5
+    )
     np.testing.assert_allclose(seen[2, 0], 1 - 1.4 / 2.5, rtol=1e-5)  # the wall
     turned = put(
         simulator, (1.0, 2.0), (2.0, 2.0), (2.6, 2.0), heading=(0.0, 1.0)
@@ -252,7 +274,9 @@ def test_an_item_is_found_carried_and_delivered_once() -> None:
     assert simulator.world.items[0, 0] != np.float32(0.75), "another appeared elsewhere"
     assert simulator.frame().bodies[0].kind == "robot with an item"
     simulator.world.items[:, 0] = 3.5, 3.5
-    carried = [simulator.step(np.ones((1, 2), np.float32)).observations[0, 14] for _ in range(12)]
+    carried = [
+        simulator.step(np.ones((1, 2), np.float32)).observations[0, 14] for _ in range(12)
+    ]
     assert carried == [1] * carried.count(1) + [0] * carried.count(0)
     assert 0 < carried.count(0) < 12
     while simulator.step(np.full((1, 2), 0.5, np.float32)) is not None:
@@ -283,7 +307,9 @@ def by_hand(task: str, seeds: np.ndarray, controller: str = "") -> float:
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_random_controllers_do_badly_and_one_written_by_hand_does_better(task: str) -> None:
+def test_random_controllers_do_badly_and_one_written_by_hand_does_better(
+    task: str,
+) -> None:
     simulator, network = built({"task": task}, activation="tanh", iterations=1)
     rated = (
         play(simulator, network, network.random(60, Stream(3)), UNSEEN[:2])
@@ -331,16 +357,23 @@ def test_evolving_beats_the_controller_written_by_hand_on_unseen_seeds(
             champion, best = workload.genomes[int(fitness.argmax())], fitness.max()
         parts.optimizer.tell(fitness)
     participants = np.zeros((len(UNSEEN), 1), np.int64)
-    unseen = evaluate(problem.simulator, problem.representation, [champion], participants, UNSEEN)
+    unseen = evaluate(
+        problem.simulator, problem.representation, [champion], participants, UNSEEN
+    )
     assert unseen.fitness.mean() > share * by_hand(task, UNSEEN)
     if task == "consensus":
-        assert 0.75 < unseen.fitness.mean() / by_hand(task, UNSEEN, "patient_consensus") < 1
+        assert (
+            0.75 < unseen.fitness.mean() / by_hand(task, UNSEEN, "patient_consensus") < 1
+        )
 
 
 @pytest.mark.parametrize(
     ("settings", "text"),
     [
-        ({"side": 0.2}, "arena: a robot of radius 0.1 does not fit in a room of side 0.2"),
+        (
+            {"side": 0.2},
+            "arena: a robot of radius 0.1 does not fit in a room of side 0.2",
+        ),
         (
             {"sight": 0.1},
             "arena: sight 0.1 must be at least 2 radius, 0.2: robots that touch see each other",

@@ -24,7 +24,10 @@ def test_c_has_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     for robots in (8, 32):
         settings = {"robots": robots, "side": robots**0.5, "steps": 200}
         simulator, network = build(
-            "arena", settings, "fully-meshed", {"hidden": 6, "iterations": 1, "activation": "tanh"}
+            "arena",
+            settings,
+            "fully-meshed",
+            {"hidden": 6, "iterations": 1, "activation": "tanh"},
         )
         genomes, seeds = network.random(4, Stream(1)), np.arange(4, dtype=np.uint64)
         trials = simulator, network, genomes, np.arange(4)[:, None], seeds

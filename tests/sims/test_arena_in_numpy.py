@@ -18,7 +18,10 @@ def test_numpy_computes_the_same(robots: int, monkeypatch: pytest.MonkeyPatch) -
 
     settings = {"robots": robots, "side": 0.6 * robots**0.5, "steps": 25}
     simulator, network = build(
-        "arena", settings, "fully-meshed", {"hidden": 6, "iterations": 1, "activation": "tanh"}
+        "arena",
+        settings,
+        "fully-meshed",
+        {"hidden": 6, "iterations": 1, "activation": "tanh"},
     )
     genomes, seeds = network.random(16, Stream(1)), np.arange(16, dtype=np.uint64)
     trials = simulator, network, genomes, np.arange(16)[:, None], seeds

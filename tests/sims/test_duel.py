@@ -37,7 +37,9 @@ def built(settings: dict[str, int]) -> tuple[Minisim, Representation]:
 
 
 def steer(direction: np.ndarray) -> np.ndarray:
-    return (0.5 + 0.5 * np.sign(direction) * (np.abs(direction) > 0.25)).astype(np.float32)
+    return (0.5 + 0.5 * np.sign(direction) * (np.abs(direction) > 0.25)).astype(
+        np.float32
+    )
 
 
 def greedy(observations: np.ndarray) -> np.ndarray:
@@ -67,7 +69,9 @@ def deciding(
 
 
 @pytest.mark.parametrize("settings", UNUSUAL)
-def test_kernel_turns_and_a_naive_reference_have_the_same_bits(settings: dict[str, int]) -> None:
+def test_kernel_turns_and_a_naive_reference_have_the_same_bits(
+    settings: dict[str, int],
+) -> None:
     simulator, network = built(settings)
     genomes = network.random(8, Stream(7))
     participants = np.array([[0, 1], [2, 3], [4, 5], [6, 7]]).repeat(len(SEEDS), axis=0)
@@ -80,7 +84,9 @@ def test_kernel_turns_and_a_naive_reference_have_the_same_bits(settings: dict[st
         play_in_turns(simulator, network, parameters[pair], int(seed), fitness, metrics)
         assert told.tobytes() == np.concatenate([fitness, metrics]).tobytes()
         decide = deciding(network, parameters[pair], simulator.settings.robots)
-        assert told.tolist() == list(NaiveDuel(simulator.settings, int(seed)).play(decide))
+        assert told.tolist() == list(
+            NaiveDuel(simulator.settings, int(seed)).play(decide)
+        )
     assert outcomes.fitness.any(), "something was compared"
 
 
@@ -90,7 +96,9 @@ def test_observations_agree_with_the_naive_reference_at_every_step() -> None:
     simulator, naive = Minisim(settings), NaiveDuel(settings, 11)
 
     def act(observations: np.ndarray) -> np.ndarray:
-        return np.concatenate([greedy(observations[:5]), guarding(observations[5:])])  # a team each
+        return np.concatenate(
+            [greedy(observations[:5]), guarding(observations[5:])]
+        )  # a team each
 
     turn = simulator.reset(11)
     observations = [turn.observations]
@@ -119,7 +127,11 @@ def test_sides_do_not_matter() -> None:
     """Whoever changes sides has the same fitness, bit for bit; a team that plays itself ties."""
     simulator, network = built({})
     genomes = network.random(30, Stream(1))
-    one, other, seeds = np.arange(30), np.roll(np.arange(30), 1), np.arange(30, dtype=np.uint64)
+    one, other, seeds = (
+        np.arange(30),
+        np.roll(np.arange(30), 1),
+        np.arange(30, dtype=np.uint64),
+    )
     fitness, turned, alone = (
         evaluate(simulator, network, genomes, np.stack(pair, axis=1), seeds).fitness
         for pair in ((one, other), (other, one), (one, one))
@@ -136,8 +148,12 @@ def played(policies: list[Callable[[np.ndarray], np.ndarray]], trials: int) -> n
     for seed in range(trials):
         turn: Any = simulator.reset(seed)
         while turn is not None:
-            halves = zip(policies, (turn.observations[:8], turn.observations[8:]), strict=True)
-            turn = simulator.step(np.concatenate([policy(half) for policy, half in halves]))
+            halves = zip(
+                policies, (turn.observations[:8], turn.observations[8:]), strict=True
+            )
+            turn = simulator.step(
+                np.concatenate([policy(half) for policy, half in halves])
+            )
         found.append(simulator.outcome().fitness)
     return np.array(found)
 
@@ -194,7 +210,9 @@ def test_the_frame_shows_two_teams_on_one_field() -> None:
         ("flag's stand", 10 - x, 6 - y),
         ("opponents' flag's stand", x, y),
     ]
-    expected = [("robot", 0, row) for row in rows] + [("opponent", 10, 6 - row) for row in rows]
+    expected = [("robot", 0, row) for row in rows] + [
+        ("opponent", 10, 6 - row) for row in rows
+    ]
     assert [(body.kind, body.x - 0.5, body.y - 0.5) for body in frame.bodies] == expected
 
 

@@ -29,14 +29,28 @@ TRACES = json.loads((GOLDEN / "emergencyexit_traces.json").read_text())["traces"
 NETS = {net["id"]: net for net in RECORDED["nets"]}
 FIELDS = {field["name"]: field for field in RECORDED["fields"]}
 ACTIVATIONS = {"LINEAR": "clamp", "SIGMOID": "sigmoid", "RELU": "relu"}
-SEEDS = {"small10x10": 100, "tall12x20": 101, "one_agent": 102, "dense": 103, "stadium": 0}
+SEEDS = {
+    "small10x10": 100,
+    "tall12x20": 101,
+    "one_agent": 102,
+    "dense": 103,
+    "stadium": 0,
+}
 SEEDS |= {f"seed{number}": number for number in range(12)}
 RANDOM_FIELDS = [name for name in FIELDS if name != "stadium"]
 UNUSUAL: list[dict[str, Any]] = [
     {},
     {"field": "stadium", "steps": 15},
     {"steps": 1},
-    {"steps": 7, "width": 2, "height": 9, "agents": 2, "exits": 1, "blockades": 0, "seed": 3},
+    {
+        "steps": 7,
+        "width": 2,
+        "height": 9,
+        "agents": 2,
+        "exits": 1,
+        "blockades": 0,
+        "seed": 3,
+    },
     {"steps": 30, "width": 5, "height": 5, "agents": 15, "exits": 1, "blockades": 9},
     {
         "steps": 30,
@@ -47,7 +61,15 @@ UNUSUAL: list[dict[str, Any]] = [
         "blockades": 11,
         "seed": 2**48 - 9,
     },
-    {"steps": 60, "width": 16, "height": 16, "agents": 20, "exits": 12, "blockades": 60, "seed": 5},
+    {
+        "steps": 60,
+        "width": 16,
+        "height": 16,
+        "agents": 20,
+        "exits": 12,
+        "blockades": 60,
+        "seed": 5,
+    },
 ]
 
 
@@ -55,13 +77,19 @@ def settings_of(field: dict[str, Any]) -> dict[str, Any]:
     if field["name"] == "stadium":
         return {"field": "stadium", "steps": field["steps"]}
     counts = {what: len(field[what]) for what in ("agents", "exits", "blockades")}
-    return {"steps": field["steps"], "width": field["width"], "height": field["height"], **counts}
+    return {
+        "steps": field["steps"],
+        "width": field["width"],
+        "height": field["height"],
+        **counts,
+    }
 
 
 def network(net: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
     """Settings and genome of a recorded net."""
     table = [
-        [*weights, bias] for weights, bias in zip(net["weights_into"], net["bias"], strict=True)
+        [*weights, bias]
+        for weights, bias in zip(net["weights_into"], net["bias"], strict=True)
     ]
     settings = {
         "hidden": net["hidden"],
@@ -71,11 +99,17 @@ def network(net: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
     return settings, np.array(table, "<f4").tobytes()
 
 
-def play(settings: dict[str, Any], net: dict[str, Any], seeds: list[int]) -> TrialOutcomes:
+def play(
+    settings: dict[str, Any], net: dict[str, Any], seeds: list[int]
+) -> TrialOutcomes:
     net_settings, genome = network(net)
     simulator, built = build("emergency-exit", settings, "fully-meshed", net_settings)
     return evaluate(
-        simulator, built, [genome], np.zeros((len(seeds), 1), np.int64), np.array(seeds, np.uint64)
+        simulator,
+        built,
+        [genome],
+        np.zeros((len(seeds), 1), np.int64),
+        np.array(seeds, np.uint64),
     )
 
 
@@ -87,7 +121,9 @@ def controller(
 
     def decide(agent: int, observation: Any) -> list[float]:
         action = np.empty(2, np.float32)
-        FullyMeshed.step(parameters, states[agent], np.array(observation, np.float32), action)
+        FullyMeshed.step(
+            parameters, states[agent], np.array(observation, np.float32), action
+        )
         return [float(output) for output in action]
 
     return decide
@@ -102,7 +138,9 @@ def test_every_recorded_net_ran_on_every_recorded_field() -> None:
     }
 
 
-@pytest.mark.parametrize("run", RECORDED["runs"], ids=lambda run: f"{run['field']}-{run['net']}")
+@pytest.mark.parametrize(
+    "run", RECORDED["runs"], ids=lambda run: f"{run['field']}-{run['net']}"
+)
 def test_a_run_ends_as_in_frevo(run: dict[str, Any]) -> None:
     field = FIELDS[run["field"]]
     outcomes = play(settings_of(field), NETS[run["net"]], [SEEDS[run["field"]]])
@@ -115,7 +153,9 @@ def test_a_run_ends_as_in_frevo(run: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     "total", RECORDED["sums"], ids=lambda total: f"{total['net']}-{total['evaluations']}"
 )
-def test_the_sum_over_trials_is_frevos_sum_over_evaluations(total: dict[str, Any]) -> None:
+def test_the_sum_over_trials_is_frevos_sum_over_evaluations(
+    total: dict[str, Any],
+) -> None:
     """Use the field seeds in sequence as fixed seeds, and add up fitness in the same order."""
     fixed = EmergencyExit(EmergencyExitSettings(seed=total["seed"])).fixed_seeds(
         total["evaluations"]
@@ -152,12 +192,16 @@ def test_the_frame_shows_the_recorded_field(name: str) -> None:
         }
 
 
-@pytest.mark.parametrize("trace", TRACES, ids=lambda trace: f"{trace['field']}-{trace['net']}")
+@pytest.mark.parametrize(
+    "trace", TRACES, ids=lambda trace: f"{trace['field']}-{trace['net']}"
+)
 def test_turns_follow_a_recorded_trace(trace: dict[str, Any]) -> None:
     """Positions after every round, and every sensor and output of the first agent."""
     field = FIELDS[trace["field"]]
     net_settings, genome = network(NETS[trace["net"]])
-    simulator, built = build("emergency-exit", settings_of(field), "fully-meshed", net_settings)
+    simulator, built = build(
+        "emergency-exit", settings_of(field), "fully-meshed", net_settings
+    )
     assert isinstance(simulator, EmergencyExit)
     assert isinstance(built, FullyMeshed)
     decide = controller(built, built.parameters([genome])[0], simulator.fields.agents)
@@ -202,7 +246,8 @@ def naive(simulator: EmergencyExit, seed: int) -> NaiveEmergencyExit:
     if settings.field == "stadium":
         field = FIELDS["stadium"]
         places = (
-            [tuple(place) for place in field[what]] for what in ("agents", "exits", "blockades")
+            [tuple(place) for place in field[what]]
+            for what in ("agents", "exits", "blockades")
         )
         return NaiveEmergencyExit((20, 20), *places)
     size = settings.width, settings.height
@@ -216,13 +261,17 @@ def naive(simulator: EmergencyExit, seed: int) -> NaiveEmergencyExit:
 def test_the_kernel_agrees_with_a_naive_reference_bit_for_bit(
     settings: dict[str, Any], activation: str
 ) -> None:
-    simulator, built = build("emergency-exit", settings, "fully-meshed", {"activation": activation})
+    simulator, built = build(
+        "emergency-exit", settings, "fully-meshed", {"activation": activation}
+    )
     assert isinstance(simulator, EmergencyExit)
     assert isinstance(built, FullyMeshed)
     genomes = [network(NETS[3])[1], *built.random(2, Stream(7))]
     seeds = np.array([*simulator.fixed_seeds(2), 2**64 - 1], np.uint64)
     participants = np.repeat(np.arange(len(genomes)), len(seeds))[:, None]
-    outcomes = evaluate(simulator, built, genomes, participants, np.tile(seeds, len(genomes)))
+    outcomes = evaluate(
+        simulator, built, genomes, participants, np.tile(seeds, len(genomes))
+    )
     trial = 0
     for parameters in built.parameters(genomes):
         for seed in seeds:
@@ -248,7 +297,8 @@ def test_every_simulator_keeps_the_contract(name: str) -> None:
     """In trials of 100 steps, where it has steps."""
     simulator_class = plugins.load("simulator", name)
     check_simulator(
-        simulator_class, {"steps": 100} if hasattr(simulator_class.settings_type, "steps") else {}
+        simulator_class,
+        {"steps": 100} if hasattr(simulator_class.settings_type, "steps") else {},
     )
 
 
@@ -301,12 +351,19 @@ def test_plain_python_gives_the_same_bits_as_eight_trials_side_by_side() -> None
 
 @pytest.mark.parametrize("activation", ["clamp", "relu", "sigmoid", "tanh"])
 @pytest.mark.parametrize("wild", [1.0, 1e19, 1e38])
-def test_trials_side_by_side_end_as_those_one_after_another(activation: str, wild: float) -> None:
+def test_trials_side_by_side_end_as_those_one_after_another(
+    activation: str, wild: float
+) -> None:
     """Vary the number of trials and when agents leave, and overflow the sums in the network."""
     simulator, built = build(
-        "emergency-exit", {"steps": 40, "agents": 5}, "fully-meshed", {"activation": activation}
+        "emergency-exit",
+        {"steps": 40, "agents": 5},
+        "fully-meshed",
+        {"activation": activation},
     )
-    random = np.frombuffer(b"".join(built.random(16, Stream(9))), "<f4") * np.float32(wild)
+    random = np.frombuffer(b"".join(built.random(16, Stream(9))), "<f4") * np.float32(
+        wild
+    )
     genomes = [network(NETS[3])[1], *(row.tobytes() for row in random.reshape(16, -1))]
     alone = copy.copy(built)
     alone.step_lanes = None
@@ -317,7 +374,8 @@ def test_trials_side_by_side_end_as_those_one_after_another(activation: str, wil
             np.arange(trials, dtype=np.uint64),
         )
         together, one_by_one = (
-            evaluate(simulator, net, genomes, participants, seeds) for net in (built, alone)
+            evaluate(simulator, net, genomes, participants, seeds)
+            for net in (built, alone)
         )
         assert together.fitness.tobytes() == one_by_one.fitness.tobytes()
         assert together.metrics.tobytes() == one_by_one.metrics.tobytes()
@@ -325,7 +383,9 @@ def test_trials_side_by_side_end_as_those_one_after_another(activation: str, wil
     assert len(rounds) > 1 or activation != "clamp", "some were out before others"
 
 
-def test_fields_are_laid_out_again_when_too_many_were_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fields_are_laid_out_again_when_too_many_were_kept(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     simulator, built = build("emergency-exit", {"steps": 5}, "fully-meshed", {})
     assert isinstance(simulator, EmergencyExit)
     monkeypatch.setattr("zswarm.sims.exit_fields.MAX_CACHED", 5 * simulator.fields.cells)
@@ -360,7 +420,9 @@ def test_one_seed_lays_out_one_field_whatever_else_is_in_the_batch() -> None:
 
 
 @pytest.mark.parametrize("bound", [1, 2, 3, 64, 999, 1000])
-def test_a_draw_that_would_favour_small_numbers_is_repeated_as_in_java(bound: int) -> None:
+def test_a_draw_that_would_favour_small_numbers_is_repeated_as_in_java(
+    bound: int,
+) -> None:
     """Java redraws if the upper 31 bits fall into the last, incomplete run of 0..bound-1.
 
     The states include both edges of that run.
@@ -414,7 +476,9 @@ def test_the_defaults_are_frevos_and_the_stadium_has_its_own_sizes() -> None:
     fields = simulator.fields
     assert (fields.agents, fields.width, fields.height) == (10, 20, 20)
     assert simulator.settings.steps == 50
-    stadium = EmergencyExit(EmergencyExitSettings(field="stadium", width=9, height=3, agents=1))
+    stadium = EmergencyExit(
+        EmergencyExitSettings(field="stadium", width=9, height=3, agents=1)
+    )
     fields = stadium.fields
     assert (fields.agents, fields.width, fields.height) == (72, 20, 20)
 
@@ -441,7 +505,10 @@ def test_the_defaults_are_frevos_and_the_stadium_has_its_own_sizes() -> None:
         ({"steps": 5.5}, "problem.settings: steps: expected int, got float"),
         ({"seed": -1}, "problem.settings: seed: expected int >= 0"),
         ({"seed": 2**48}, "problem.settings: seed: expected int <= 281474976710655"),
-        ({"field": "maze"}, "problem.settings: field: expected random or stadium, not 'maze'"),
+        (
+            {"field": "maze"},
+            "problem.settings: field: expected random or stadium, not 'maze'",
+        ),
         ({"agent": 3}, "problem.settings: unknown key 'agent' (did you mean 'agents'?)"),
     ],
 )
@@ -456,7 +523,9 @@ def test_impossible_settings_are_refused_in_one_clear_line(
 
 def test_a_full_room_can_be_played() -> None:
     outcomes = play(
-        {"width": 4, "height": 4, "agents": 10, "exits": 1, "blockades": 5}, NETS[3], [0, 1]
+        {"width": 4, "height": 4, "agents": 10, "exits": 1, "blockades": 5},
+        NETS[3],
+        [0, 1],
     )
     assert np.isfinite(outcomes.fitness).all()
     assert (outcomes.fitness <= 1.0).all()

@@ -24,7 +24,8 @@ def test_c_has_the_same_bits_as_emergency_exit(monkeypatch: pytest.MonkeyPatch) 
         pytest.skip("no C compiler")
     monkeypatch.delitem(sys.modules, "in_c")
     ways = [
-        in_c.EmergencyExit(in_c.EXACT, side_by_side=side_by_side) for side_by_side in (False, True)
+        in_c.EmergencyExit(in_c.EXACT, side_by_side=side_by_side)
+        for side_by_side in (False, True)
     ]
     rounds: set[float] = set()
     for settings in (

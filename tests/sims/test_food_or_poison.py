@@ -60,7 +60,9 @@ def naive(
 
 @pytest.mark.parametrize(("kinds", "items"), [(6, 60), (1, 1), (3, 7)])
 @pytest.mark.parametrize("seed", range(4))
-def test_a_trial_is_what_a_second_program_makes_of_it(seed: int, kinds: int, items: int) -> None:
+def test_a_trial_is_what_a_second_program_makes_of_it(
+    seed: int, kinds: int, items: int
+) -> None:
     """Whoever decides by chance is shown the same items and tastes, and judged alike."""
     coins = [Stream(seed + 100), Stream(seed + 100)]
     expected, numbers = naive(seed, lambda *_: coins[0].integer(2) == 1, kinds, items)
@@ -93,7 +95,9 @@ def test_who_remembers_the_taste_of_each_kind_is_wrong_once_per_poison() -> None
 @pytest.mark.parametrize("eaten", [(), range(6), (0, 2, 4)])
 def test_who_does_not_learn_is_right_as_often_as_wrong(eaten: Sequence[int]) -> None:
     """Whatever it eats: nothing, all, some kinds; over 100 trials."""
-    fitness = [played(seed, lambda kind, _: kind in eaten)[1].fitness[0] for seed in range(100)]
+    fitness = [
+        played(seed, lambda kind, _: kind in eaten)[1].fitness[0] for seed in range(100)
+    ]
     assert np.mean(fitness) == pytest.approx(0.0, abs=0.4 * np.std(fitness))
 
 

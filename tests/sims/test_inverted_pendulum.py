@@ -43,7 +43,9 @@ def test_fitness_after_200_steps_is_frevos(net: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("model", NETS[0]["fitness"])
 @pytest.mark.parametrize("net", NETS, ids=range(len(NETS)))
-def test_fitness_after_10000_steps_is_nearly_frevos(net: dict[str, Any], model: str) -> None:
+def test_fitness_after_10000_steps_is_nearly_frevos(
+    net: dict[str, Any], model: str
+) -> None:
     """What the last bits of sine and cosine make of it in ten seconds: 7e-12 at most, measured."""
     settings = {"input_model": ours(net["inputmodel"]), "fitness_model": ours(model)}
     assert play("inverted-pendulum", settings, net, [1]).fitness[0, 0] == pytest.approx(
@@ -52,14 +54,25 @@ def test_fitness_after_10000_steps_is_nearly_frevos(net: dict[str, Any], model: 
 
 
 def test_the_choices_are_frevos() -> None:
-    assert {ours(model) for net in NETS for model in net["fitness"]} == set(FITNESS_MODELS)
-    for field, choices in (("fitness_model", FITNESS_MODELS), ("input_model", INPUT_MODELS)):
-        assert get_args(get_args(InvertedPendulumSettings.__annotations__[field])[0]) == choices
+    assert {ours(model) for net in NETS for model in net["fitness"]} == set(
+        FITNESS_MODELS
+    )
+    for field, choices in (
+        ("fitness_model", FITNESS_MODELS),
+        ("input_model", INPUT_MODELS),
+    ):
+        assert (
+            get_args(get_args(InvertedPendulumSettings.__annotations__[field])[0])
+            == choices
+        )
 
 
 @pytest.mark.parametrize(
     "settings",
-    [{"steps": 30, "input_model": INPUT_MODELS[0]}, {"steps": 1, "input_model": INPUT_MODELS[3]}],
+    [
+        {"steps": 30, "input_model": INPUT_MODELS[0]},
+        {"steps": 1, "input_model": INPUT_MODELS[3]},
+    ],
 )
 def test_inverted_pendulum_keeps_the_contract(settings: dict[str, Any]) -> None:
     check_simulator(InvertedPendulum, settings)
@@ -99,14 +112,20 @@ def test_an_angle_reads_as_in_the_data_sheet(degrees: float, angle: float) -> No
 def test_the_controller_senses_what_the_input_model_says() -> None:
     for count, model in enumerate(INPUT_MODELS, start=1):
         simulator = begun(
-            {"input_model": model}, phi=math.pi, rod_speed=1.5, cart_speed=-2.5, position=3.5
+            {"input_model": model},
+            phi=math.pi,
+            rod_speed=1.5,
+            cart_speed=-2.5,
+            position=3.5,
         )
         assert simulator._turn().observations.tolist() == [[90.0, 1.5, -2.5, 3.5][:count]]
         assert (simulator.inputs, len(simulator.sensors)) == (count, count)
 
 
 def test_a_step_moves_cart_and_mass_by_the_formulas_of_the_data_sheet() -> None:
-    simulator = begun({"timestep_ms": 100.0}, phi=1.0, rod_speed=0.5, cart_speed=2.0, position=-1.0)
+    simulator = begun(
+        {"timestep_ms": 100.0}, phi=1.0, rod_speed=0.5, cart_speed=2.0, position=-1.0
+    )
     simulator.step(np.array([[0.75]], np.float32))
     sine, cosine = math.sin(1.0), math.cos(1.0)
     a = (2.5 - 0.01 * 9.81 * sine * cosine + 0.01 * 0.25 * cosine) / (0.1 + 0.01 * cosine)

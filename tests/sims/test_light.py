@@ -31,9 +31,13 @@ def seen(**world: float) -> list[float]:
 @pytest.mark.parametrize("net", LIGHT["nets"], ids=range(len(LIGHT["nets"])))
 def test_fitness_is_frevos(net: dict[str, Any]) -> None:
     """Over 1 to 20 evaluations; nearer than the 1e-12 that other sines could make of it."""
-    fitness = play("light", {}, net, list(Light(LightSettings()).fixed_seeds(20))).fitness[:, 0]
+    fitness = play(
+        "light", {}, net, list(Light(LightSettings()).fixed_seeds(20))
+    ).fitness[:, 0]
     for count, mean in net["mean_fitness_over_evaluations"].items():
-        assert sum(fitness[: int(count)].tolist()) / int(count) == pytest.approx(mean, rel=1e-12)
+        assert sum(fitness[: int(count)].tolist()) / int(count) == pytest.approx(
+            mean, rel=1e-12
+        )
 
 
 @pytest.mark.parametrize("evaluation", range(20))
@@ -47,7 +51,9 @@ def test_lights_and_headings_are_frevos(evaluation: int) -> None:
 
 
 @pytest.mark.parametrize(("seed", "heading_seed"), [(1234, 1), (0, 0), (2**48 - 1, 77)])
-def test_headings_follow_one_another_in_javas_generator(seed: int, heading_seed: int) -> None:
+def test_headings_follow_one_another_in_javas_generator(
+    seed: int, heading_seed: int
+) -> None:
     simulator = Light(LightSettings(seed=seed, heading_seed=heading_seed))
     words = java_random(heading_seed)
     for trial in range(50):
@@ -82,7 +88,9 @@ def test_a_light_ahead_is_seen_by_both_sensors_the_nearer_the_brighter() -> None
 @pytest.mark.parametrize(("light_y", "left"), [(-69.9, 1 - 69.9 / 70), (-70.1, 1.0)])
 def test_a_sensor_sees_seventy_far(light_y: float, left: float) -> None:
     """From its own place on the robot's left edge."""
-    assert seen(heading=0.0, light_x=-5.0, light_y=light_y)[0] == pytest.approx(left, abs=1e-6)
+    assert seen(heading=0.0, light_x=-5.0, light_y=light_y)[0] == pytest.approx(
+        left, abs=1e-6
+    )
 
 
 @pytest.mark.parametrize(

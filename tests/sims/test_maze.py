@@ -42,7 +42,9 @@ def test_maze_keeps_the_contract(settings: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("name", ["medium", "hard"])
 @pytest.mark.parametrize("seed", range(5))
-def test_a_robot_that_drives_about_is_where_a_second_program_has_it(name: Any, seed: int) -> None:
+def test_a_robot_that_drives_about_is_where_a_second_program_has_it(
+    name: Any, seed: int
+) -> None:
     """Compare sensors, positions and fitness with the naive implementation of the reference.
 
     The robot also bumps into walls.
@@ -71,7 +73,11 @@ def test_a_robot_that_drives_about_is_where_a_second_program_has_it(name: Any, s
 
 
 def test_the_settings_name_the_mazes_that_there_are() -> None:
-    assert set(get_args(MazeSettings.__annotations__["map"].__origin__)) == set(PLANS) == set(WALLS)
+    assert (
+        set(get_args(MazeSettings.__annotations__["map"].__origin__))
+        == set(PLANS)
+        == set(WALLS)
+    )
 
 
 @pytest.mark.parametrize("name", list(PLANS))
@@ -108,10 +114,14 @@ def test_there_is_a_way_to_the_goal_and_time_enough(name: Any) -> None:
                     ahead.append(there)
         reached = ahead
     assert ways[goal] < 0.9 * 400 * 0.03
-    assert ways[goal] > 1.5 * math.dist((start_x, start_y), (goal_x, goal_y)), "no direct way"
+    assert ways[goal] > 1.5 * math.dist((start_x, start_y), (goal_x, goal_y)), (
+        "no direct way"
+    )
 
 
-def test_a_robot_behind_the_wall_of_the_hard_maze_is_nearer_than_most_of_the_way_round() -> None:
+def test_a_robot_behind_the_wall_of_the_hard_maze_is_nearer_than_most_of_the_way_round() -> (
+    None
+):
     """What deceives who breeds for nearness."""
     behind, round_it = begun(x=0.3, y=0.585), begun(x=1.7, y=0.5)
     assert behind.outcome().fitness[0] > 0.88
@@ -136,7 +146,9 @@ def test_a_range_finder_sees_a_metre_far() -> None:
     ("heading", "quarter"),
     [(-90.0, 0), (180.0, 1), (90.0, 2), (0.0, 3), (-50.0, 0), (-40.0, 3), (670.0, 0)],
 )
-def test_the_compass_tells_the_quarter_in_which_the_goal_is(heading: float, quarter: int) -> None:
+def test_the_compass_tells_the_quarter_in_which_the_goal_is(
+    heading: float, quarter: int
+) -> None:
     """From straight below it."""
     assert seen(x=0.3, y=1.0, heading=heading)[COMPASS] == [
         float(number == quarter) for number in range(4)
@@ -198,7 +210,10 @@ def test_the_frame_shows_walls_goal_and_robot_inside_its_rim() -> None:
     assert (frame.width, frame.height) == (2.1, 2.1)
     assert len(walls) == 4 + len(WALLS["hard"])
     assert all(
-        wall.x >= 0 and wall.y >= 0 and wall.x + wall.width <= 2.1 and wall.y + wall.height <= 2.1
+        wall.x >= 0
+        and wall.y >= 0
+        and wall.x + wall.width <= 2.1
+        and wall.y + wall.height <= 2.1
         for wall in walls
     )
     assert (robot.kind, robot.x, robot.y, robot.radius) == (

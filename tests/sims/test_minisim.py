@@ -59,7 +59,9 @@ def play(
 ) -> TrialOutcomes:
     """Every genome on every seed."""
     participants = np.repeat(np.arange(len(genomes)), len(seeds))[:, None]
-    return evaluate(simulator, network, genomes, participants, np.tile(seeds, len(genomes)))
+    return evaluate(
+        simulator, network, genomes, participants, np.tile(seeds, len(genomes))
+    )
 
 
 def play_policy(
@@ -80,7 +82,9 @@ def play_policy(
 
 def steer(direction: np.ndarray) -> np.ndarray:
     """Actions towards a direction, (robots, 2)."""
-    return (0.5 + 0.5 * np.sign(direction) * (np.abs(direction) > 0.25)).astype(np.float32)
+    return (0.5 + 0.5 * np.sign(direction) * (np.abs(direction) > 0.25)).astype(
+        np.float32
+    )
 
 
 def greedy(observations: np.ndarray) -> np.ndarray:
@@ -92,7 +96,9 @@ def careful(observations: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("settings", UNUSUAL)
-def test_the_kernel_agrees_with_a_naive_reference_bit_for_bit(settings: dict[str, int]) -> None:
+def test_the_kernel_agrees_with_a_naive_reference_bit_for_bit(
+    settings: dict[str, int],
+) -> None:
     simulator, network = built(settings)
     genomes = [champion(), *network.random(6, Stream(7))]
     seeds = np.array([0, 3, 2**64 - 1], np.uint64)
@@ -146,7 +152,9 @@ def test_turns_give_the_same_bits_as_the_kernel(settings: dict[str, int]) -> Non
     for parameters in network.parameters(genomes):
         for seed in seeds:
             fitness, metrics = np.zeros(1), np.zeros(3)
-            play_in_turns(simulator, network, parameters[None], int(seed), fitness, metrics)
+            play_in_turns(
+                simulator, network, parameters[None], int(seed), fitness, metrics
+            )
             assert fitness.tobytes() == outcomes.fitness[trial].tobytes()
             assert metrics.tobytes() == outcomes.metrics[trial].tobytes()
             trial += 1
@@ -157,7 +165,9 @@ def test_a_seed_decides_the_trial_whatever_was_played_before() -> None:
     alone = play(simulator, network, [champion()], UNSEEN[7:8])
     after_others = play(simulator, network, [champion()], UNSEEN[:8])
     assert after_others.fitness[7] == alone.fitness[0]
-    assert len(set(after_others.fitness[:, 0])) > 4, "different seeds are different trials"
+    assert len(set(after_others.fitness[:, 0])) > 4, (
+        "different seeds are different trials"
+    )
     first, again, other = (simulator.reset(seed).observations for seed in (1, 1, 2))
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
@@ -218,7 +228,10 @@ def test_an_evolved_controller_beats_both_on_unseen_seeds() -> None:
 @pytest.mark.parametrize(
     ("settings", "text"),
     [
-        ({"steps": 19}, "minisim: no flag can be captured in 19 steps; width 20 takes 20"),
+        (
+            {"steps": 19},
+            "minisim: no flag can be captured in 19 steps; width 20 takes 20",
+        ),
         (
             {"reach": 7},
             "minisim: reach 7 must not exceed defender_sight 6: "

@@ -24,7 +24,10 @@ def world(
     """Robots at (x, y, angle)."""
     settings = {"step_s": 0.1, "substeps": 2, **settings}
     built = RobotWorld(
-        RobotSettings(robots=len(poses), **settings), ROOM, walls, [thing for thing, _ in things]
+        RobotSettings(robots=len(poses), **settings),
+        ROOM,
+        walls,
+        [thing for thing, _ in things],
     )
     built.start(np.array(poses), np.array([pose for _, pose in things]).reshape(-1, 3))
     return built
@@ -72,7 +75,9 @@ def test_motors_speed_up_with_their_force_and_no_more() -> None:
 
 
 def test_what_controllers_decide_is_cut_to_what_robots_can() -> None:
-    actions = np.array([[np.nan, 0.5], [7, -3], [np.inf, -np.inf], [0.5, 0.75]], np.float32)
+    actions = np.array(
+        [[np.nan, 0.5], [7, -3], [np.inf, -np.inf], [0.5, 0.75]], np.float32
+    )
     linear, angular = np.full(5, 9.0), np.full(5, 9.0)
     command(actions, np.array([0, 1, 2, 4]), 0.65, 3.14, linear, angular)
     assert linear.tolist() == [0, 0.65, 0.65, 9, 0]
@@ -81,7 +86,10 @@ def test_what_controllers_decide_is_cut_to_what_robots_can() -> None:
 
 def test_a_driver_cuts_commands_too() -> None:
     built, other = world((2, 5, 0)), world((2, 5, 0))
-    assert drive(built, [7], [-50], 9).tobytes() == drive(other, [0.65], [-3.14], 9).tobytes()
+    assert (
+        drive(built, [7], [-50], 9).tobytes()
+        == drive(other, [0.65], [-3.14], 9).tobytes()
+    )
 
 
 # ---- contacts --------------------------------------------------------------------------
@@ -101,7 +109,10 @@ def test_restitution_is_the_share_of_speed_after_a_bump() -> None:
     for restitution in (0.0, 0.64):
         puck = Movable("puck", 0.1, 1.0, 0.0, is_box=False)
         built = world(
-            (1, 1, 0), things=[(puck, (9.0, 5.0, 0.0))], restitution=restitution, substeps=10
+            (1, 1, 0),
+            things=[(puck, (9.0, 5.0, 0.0))],
+            restitution=restitution,
+            substeps=10,
         )
         built._bodies[1].velocity = 0.02, 0.0  # m in a step of the physics, .01 s
         drive(built, [0], [0], 10)
@@ -178,10 +189,14 @@ def test_a_laser_sees_walls_boxes_and_robots_and_no_pucks() -> None:
         Movable("puck", 0.2, 1.0, 1.0, is_box=False),
     )
     built = world(
-        (1, 5, 0), (1, 8, 0),
-        things=[(box, (4.0, 5.0, np.pi / 4)), (puck, (2.0, 5.0, 0.0))], walls=[(6, 7, 7, 9)],
-        rays=9, view=180, range=8.0,
-    )  # fmt: skip
+        (1, 5, 0),
+        (1, 8, 0),
+        things=[(box, (4.0, 5.0, np.pi / 4)), (puck, (2.0, 5.0, 0.0))],
+        walls=[(6, 7, 7, 9)],
+        rays=9,
+        view=180,
+        range=8.0,
+    )
     np.testing.assert_allclose(
         built.ranges[0, [0, 4, 8]], [5, 3 - 0.5 * np.sqrt(2), 3 - 0.177], rtol=1e-6
     )
@@ -205,7 +220,10 @@ def test_a_scan_agrees_with_points_walked_along_each_ray() -> None:
         across, along = c * (x - 5.5) + s * (y - 4.0), c * (y - 4.0) - s * (x - 5.5)
         return (
             not (0 < x < 10 and 0 < y < 10)
-            or any(left <= x <= right and low <= y <= high for left, low, right, high in walls)
+            or any(
+                left <= x <= right and low <= y <= high
+                for left, low, right, high in walls
+            )
             or (abs(across) <= 0.4 and abs(along) <= 0.4)
             or any(
                 np.hypot(x - a, y - b) <= 0.177
@@ -219,9 +237,13 @@ def test_a_scan_agrees_with_points_walked_along_each_ray() -> None:
             towards = angle + np.radians(300 * (ray / 23) - 150)
             walked = np.arange(0, 3, 0.01)
             hits = [
-                d for d in walked if filled(x + d * np.cos(towards), y + d * np.sin(towards), robot)
+                d
+                for d in walked
+                if filled(x + d * np.cos(towards), y + d * np.sin(towards), robot)
             ]
-            assert built.ranges[robot, ray] == pytest.approx(hits[0] if hits else 3.0, abs=0.0101)
+            assert built.ranges[robot, ray] == pytest.approx(
+                hits[0] if hits else 3.0, abs=0.0101
+            )
 
 
 # ---- trials ----------------------------------------------------------------------------
@@ -230,12 +252,17 @@ def test_a_scan_agrees_with_points_walked_along_each_ray() -> None:
 def test_what_was_played_before_makes_no_difference() -> None:
     """Bodies and contacts of earlier trials lie elsewhere in memory, and some are gone."""
     box = Movable("box", 0.4, 5.0, 0.2, is_box=True)
-    crowd = [(3 + 0.4 * (robot % 4), 4.4 + 0.4 * (robot // 4), 0.3 * robot) for robot in range(12)]
+    crowd = [
+        (3 + 0.4 * (robot % 4), 4.4 + 0.4 * (robot // 4), 0.3 * robot)
+        for robot in range(12)
+    ]
     built = world(*crowd, things=[(box, (5.2, 5.0, 0.3))], rays=8)
 
     def played(steps: int) -> bytes:
         built.start(np.array(crowd), np.array([(5.2, 5.0, 0.3)]))
-        return drive(built, [0.5] * 12, [0.3] * 12, steps).tobytes() + built.things.tobytes()
+        return (
+            drive(built, [0.5] * 12, [0.3] * 12, steps).tobytes() + built.things.tobytes()
+        )
 
     first = played(60)
     kept = []

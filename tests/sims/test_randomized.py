@@ -40,7 +40,8 @@ class Herd(Simulator):
 
     def reset(self, seed: int) -> Turn:
         return Turn(
-            range(self.settings.robots), np.full((self.settings.robots, 1), seed % 5, np.float32)
+            range(self.settings.robots),
+            np.full((self.settings.robots, 1), seed % 5, np.float32),
         )
 
     def step(self, actions: np.ndarray) -> None:
@@ -63,7 +64,9 @@ def played(simulator: str, settings: dict[str, Any], seeds: list[int]) -> list[b
     built, network = build(simulator, settings, "fully-meshed", {})
     genomes = network.random(2, Stream(3))
     participants = np.repeat(np.arange(2), len(seeds))[:, None]
-    outcomes = evaluate(built, network, genomes, participants, np.array(seeds * 2, np.uint64))
+    outcomes = evaluate(
+        built, network, genomes, participants, np.array(seeds * 2, np.uint64)
+    )
     assert outcomes.error == ""
     return [row.tobytes() for row in np.hstack([outcomes.fitness, outcomes.metrics])]
 
@@ -124,8 +127,18 @@ def test_draws_are_uniform_and_include_integer_ends() -> None:
     ("simulator", "settings"),
     [
         ("emergency-exit", {**AGENTS, "steps": 20, "exits": {"choice": [1, 5]}}),
-        ("arena", {"robots": {"from": 2, "to": 20}, "side": {"from": 2, "to": 6}, "steps": 20}),
-        ("minisim", {"robots": {"from": 1, "to": 9}, "defenders": {"choice": [0, 3]}, "steps": 20}),
+        (
+            "arena",
+            {"robots": {"from": 2, "to": 20}, "side": {"from": 2, "to": 6}, "steps": 20},
+        ),
+        (
+            "minisim",
+            {
+                "robots": {"from": 1, "to": 9},
+                "defenders": {"choice": [0, 3]},
+                "steps": 20,
+            },
+        ),
     ],
 )
 def test_a_trial_is_played_with_the_drawn_settings(
@@ -142,7 +155,9 @@ def test_a_trial_is_played_with_the_drawn_settings(
         )
         for seed in seeds
     ]
-    assert together == [row for of_genome in zip(*expected, strict=True) for row in of_genome]
+    assert together == [
+        row for of_genome in zip(*expected, strict=True) for row in of_genome
+    ]
     assert (
         played(simulator, settings, seeds[::-1])
         == together[: len(seeds)][::-1] + together[len(seeds) :][::-1]
@@ -163,7 +178,10 @@ def test_a_range_of_one_value_equals_the_value() -> None:
 
 
 def test_without_ranges_nothing_is_drawn() -> None:
-    assert type(build("emergency-exit", {"agents": 5}, "fully-meshed", {})[0]) is EmergencyExit
+    assert (
+        type(build("emergency-exit", {"agents": 5}, "fully-meshed", {})[0])
+        is EmergencyExit
+    )
 
 
 class Watched(Herd):
@@ -194,7 +212,8 @@ def test_progress_names_the_current_trial_and_stops_before_the_next(
         return Watched(msgspec.convert(plain, Settings))
 
     varied = Varied(
-        ranges.complete({"robots": {"choice": list(range(1, 6)) * 10}}, Settings, "it"), build_one
+        ranges.complete({"robots": {"choice": list(range(1, 6)) * 10}}, Settings, "it"),
+        build_one,
     )
     monkeypatch.setattr("zswarm.sims.randomized.KEPT", 2)
     built.clear()
@@ -207,7 +226,9 @@ def test_progress_names_the_current_trial_and_stops_before_the_next(
         seeds,
         Watched.progress,
     )
-    assert [seed for seed, _ in Watched.noted] == [int(seeds[trial]) for _, trial in Watched.noted]
+    assert [seed for seed, _ in Watched.noted] == [
+        int(seeds[trial]) for _, trial in Watched.noted
+    ]
     played = [trial for _, trial in Watched.noted]
     assert len(set(played)) == len(played) == min(stop_after, 40)
     assert np.isfinite(outcomes.fitness[played]).all()
@@ -222,7 +243,9 @@ def test_a_kernel_plays_several_trials_per_call_and_stops_between_calls(
     progress, calls = np.zeros(2, np.int64), []
     play_lanes = EmergencyExit.play_lanes
 
-    def watched(self: EmergencyExit, step_lanes: Any, step: Any, batch: KernelBatch) -> None:
+    def watched(
+        self: EmergencyExit, step_lanes: Any, step: Any, batch: KernelBatch
+    ) -> None:
         calls.append((int(progress[0]), len(batch.seeds)))
         progress[1] = len(calls) == 3
         play_lanes(self, step_lanes, step, batch)
@@ -236,7 +259,12 @@ def test_a_kernel_plays_several_trials_per_call_and_stops_between_calls(
     other = next(seed for seed in range(8, 99) if drawn(AGENTS, seed) != drawn(AGENTS, 7))
     seeds = np.array([7, other] * 10, np.uint64)
     outcomes = evaluate(
-        built, network, network.random(1, Stream(1)), np.zeros((20, 1), int), seeds, progress
+        built,
+        network,
+        network.random(1, Stream(1)),
+        np.zeros((20, 1), int),
+        seeds,
+        progress,
     )
     assert calls == [(0, 1), (2, 2), (6, 4)]
     assert np.isfinite(outcomes.fitness[:, 0]).tolist() == [
@@ -265,7 +293,9 @@ def test_the_number_of_agents_may_differ_by_trial() -> None:
     assert varied.agents == (1, 5)
     seeds = np.arange(30, dtype=np.uint64)
     outcomes = evaluate(varied, NETWORK, genomes, np.zeros((30, 1), int), seeds)
-    numbers = [drawn({"robots": {"from": 1, "to": 5}}, seed)["robots"] for seed in range(30)]
+    numbers = [
+        drawn({"robots": {"from": 1, "to": 5}}, seed)["robots"] for seed in range(30)
+    ]
     assert outcomes.fitness[:, 0].tolist() == [1000 * number + 1 for number in numbers]
     assert set(numbers) == {1, 2, 3, 4, 5}
     parameters = NETWORK.parameters(genomes)
@@ -280,10 +310,14 @@ def test_the_number_of_agents_may_differ_by_trial() -> None:
 
 
 def test_fixed_seeds_are_those_of_the_first_end() -> None:
-    built, _ = build("emergency-exit", {**AGENTS, "seed": {"choice": [40, 50]}}, "fully-meshed", {})
+    built, _ = build(
+        "emergency-exit", {**AGENTS, "seed": {"choice": [40, 50]}}, "fully-meshed", {}
+    )
     assert list(built.fixed_seeds(3) or []) == [40, 41, 42]
     assert (
-        build("arena", {"robots": {"from": 2, "to": 3}}, "fully-meshed", {})[0].fixed_seeds(3)
+        build("arena", {"robots": {"from": 2, "to": 3}}, "fully-meshed", {})[
+            0
+        ].fixed_seeds(3)
         is None
     )
 
@@ -295,7 +329,9 @@ def test_the_probe_depends_on_ranges() -> None:
         for settings in ({}, AGENTS)
     )
     assert one != other
-    assert probe(*build("emergency-exit", dict(AGENTS), "fully-meshed", {})).digest == other
+    assert (
+        probe(*build("emergency-exit", dict(AGENTS), "fully-meshed", {})).digest == other
+    )
 
 
 class Host(HostingSimulator):
@@ -330,7 +366,10 @@ def test_a_hosting_simulator_is_prepared_with_each_of_its_settings(
         built, network, genomes, np.array([[0], [1]] * 20), np.arange(40, dtype=np.uint64)
     )
     assert outcomes.error == ""
-    expected = [drawn(settings, seed)["robots"] * 1000 + genomes[seed % 2][0] for seed in range(40)]
+    expected = [
+        drawn(settings, seed)["robots"] * 1000 + genomes[seed % 2][0]
+        for seed in range(40)
+    ]
     assert outcomes.fitness[:, 0].tolist() == expected
 
 
@@ -352,7 +391,9 @@ def test_a_hosting_simulator_is_prepared_with_each_of_its_settings(
         ),
     ],
 )
-def test_contradicting_ends_are_refused_at_once(settings: dict[str, Any], line: str) -> None:
+def test_contradicting_ends_are_refused_at_once(
+    settings: dict[str, Any], line: str
+) -> None:
     with pytest.raises(ConfigError) as caught:
         build("emergency-exit", settings, "fully-meshed", {})
     assert str(caught.value) == f"emergency-exit: {line}"
@@ -360,13 +401,17 @@ def test_contradicting_ends_are_refused_at_once(settings: dict[str, Any], line: 
 
 def test_inputs_metrics_and_participants_must_not_differ_by_trial() -> None:
     with pytest.raises(
-        ConfigError, match=r"with gait = run the metrics are \('falls',\), not \(\) as with the "
+        ConfigError,
+        match=r"with gait = run the metrics are \('falls',\), not \(\) as with the ",
     ):
         herd(gait={"choice": ["walk", "run"]})
     with pytest.raises(
-        ConfigError, match=r"with task = foraging the inputs are 15, not 10 as with the first "
+        ConfigError,
+        match=r"with task = foraging the inputs are 15, not 10 as with the first ",
     ):
-        build("arena", {"task": {"choice": ["aggregation", "foraging"]}}, "fully-meshed", {})
+        build(
+            "arena", {"task": {"choice": ["aggregation", "foraging"]}}, "fully-meshed", {}
+        )
     with pytest.raises(
         ConfigError,
         match=r"^problem.settings: with defenders = 0, teams = 2 the participants are 2, not 1 ",
@@ -389,8 +434,12 @@ def test_settings_that_are_refused_between_the_ends_give_nan() -> None:
         np.zeros((30, 1), int),
         np.arange(30, dtype=np.uint64),
     )
-    numbers = [drawn({"robots": {"from": 6, "to": 8}}, seed)["robots"] for seed in range(30)]
-    assert np.isnan(outcomes.fitness[:, 0]).tolist() == [number == 7 for number in numbers]
+    numbers = [
+        drawn({"robots": {"from": 6, "to": 8}}, seed)["robots"] for seed in range(30)
+    ]
+    assert np.isnan(outcomes.fitness[:, 0]).tolist() == [
+        number == 7 for number in numbers
+    ]
     line = "ConfigError: seven robots do not fit (with robots = 7)"
     assert outcomes.error == f"Herd, trial seed {numbers.index(7)}: {line}"
 
@@ -405,7 +454,10 @@ def test_some_combinations_of_many_ranges_are_tried() -> None:
 
     for count in (4, 6):
         tried.clear()
-        Varied({"free": {str(number): {"from": 0, "to": 1} for number in range(count)}}, built)
+        Varied(
+            {"free": {str(number): {"from": 0, "to": 1} for number in range(count)}},
+            built,
+        )
         if count == 4:
             assert sorted(tried) == list(itertools.product((0, 1), repeat=4))
         else:

@@ -12,7 +12,11 @@ VIEW, REACH = 270 * PI / 180, np.float32(4)
 
 
 def fitted(
-    ranges: np.ndarray, angle_min: float, increment: float, rays: int = 36, view: float = VIEW
+    ranges: np.ndarray,
+    angle_min: float,
+    increment: float,
+    rays: int = 36,
+    view: float = VIEW,
 ) -> np.ndarray:
     found = np.full(rays, np.nan, np.float32)
     fit_scan(
@@ -30,11 +34,15 @@ def fitted(
 
 @pytest.mark.parametrize("rays", [8, 36, 181, 1081])
 @pytest.mark.parametrize("degrees", [90.0, 270.0, 360.0])
-def test_a_scan_of_the_controllers_own_scanner_stays_as_it_is(rays: int, degrees: float) -> None:
+def test_a_scan_of_the_controllers_own_scanner_stays_as_it_is(
+    rays: int, degrees: float
+) -> None:
     """Angles are float32 in a message, so they are not quite those of the rays."""
     view = degrees * PI / 180
     ranges = np.random.default_rng(1).uniform(0.1, 3.9, rays).astype(np.float32)
-    found = fitted(ranges, np.float32(-view / 2), np.float32(view / (rays - 1)), rays, view)
+    found = fitted(
+        ranges, np.float32(-view / 2), np.float32(view / (rays - 1)), rays, view
+    )
     if degrees == 360:  # the first ray and the last look the same way
         ranges[0] = ranges[-1] = min(ranges[0], ranges[-1])
         found[0] = found[-1] = min(found[0], found[-1])
@@ -58,7 +66,13 @@ def test_what_is_too_close_to_be_measured_is_at_0() -> None:
 
 @pytest.mark.parametrize(
     ("angle_min", "increment"),
-    [(0.0, PI / 180), (-PI, PI / 180), (PI, -PI / 180), (0.0, -PI / 180), (2 * PI, -PI / 180)],
+    [
+        (0.0, PI / 180),
+        (-PI, PI / 180),
+        (PI, -PI / 180),
+        (0.0, -PI / 180),
+        (2 * PI, -PI / 180),
+    ],
 )
 def test_scanners_that_look_all_around_begin_where_they_like(
     angle_min: float, increment: float
@@ -71,7 +85,9 @@ def test_scanners_that_look_all_around_begin_where_they_like(
     found = fitted(ranges, angle_min, increment)
     seen = np.degrees(np.linspace(-VIEW / 2, VIEW / 2, 36))
     half = 135 / 35
-    assert ((found == 1) == ((seen + half >= 57 - 1e-6) & (seen - half <= 63 + 1e-6))).all()
+    assert (
+        (found == 1) == ((seen + half >= 57 - 1e-6) & (seen - half <= 63 + 1e-6))
+    ).all()
     assert ((found == 2) == (np.abs(seen + 2) <= half)).all()
 
 
@@ -87,7 +103,8 @@ def test_a_few_rays_are_read_by_those_that_look_almost_there() -> None:
 
 
 @pytest.mark.parametrize(
-    "angles", [(0.0, 0.0), (np.nan, 0.1), (0.0, np.nan), (1e30, 0.1), (0.0, 1e-30), (np.inf, 0.1)]
+    "angles",
+    [(0.0, 0.0), (np.nan, 0.1), (0.0, np.nan), (1e30, 0.1), (0.0, 1e-30), (np.inf, 0.1)],
 )
 def test_impossible_angles_see_nothing(angles: tuple[float, float]) -> None:
     assert (fitted(np.ones(36), *angles) == REACH).all()
@@ -109,7 +126,12 @@ def test_the_nearest_target_is_seen_in_the_robots_frame() -> None:
 
 def test_on_a_target_and_without_a_heading_there_is_no_direction() -> None:
     scan, observation = np.full(8, 4, np.float32), np.full(3, np.nan, np.float32)
-    assert observe(scan, 8, REACH, 1, 1.0, 2.0, 0.0, 1.0, np.array([1.0, 2.0]), 1, observation) == 0
+    assert (
+        observe(
+            scan, 8, REACH, 1, 1.0, 2.0, 0.0, 1.0, np.array([1.0, 2.0]), 1, observation
+        )
+        == 0
+    )
     assert observation.tolist() == [0, 0, 0]
     observe(scan, 8, REACH, 1, 0.0, 2.0, 0.0, 0.0, np.array([1.0, 2.0]), 1, observation)
     assert observation.tolist() == [0, 0, 0]

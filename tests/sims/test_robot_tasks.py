@@ -42,7 +42,11 @@ def made(task: str, **settings: Any) -> Any:
 
 def by_hand(task: str, seeds: np.ndarray, controller: str = "") -> float:
     """Mean fitness of a controller that somebody wrote; it has the task's name if no other."""
-    policy, fitness, simulator = getattr(robot_controllers, controller or task), [], made(task)
+    policy, fitness, simulator = (
+        getattr(robot_controllers, controller or task),
+        [],
+        made(task),
+    )
     for seed in seeds:
         turn = simulator.reset(int(seed))
         while turn is not None:
@@ -61,7 +65,10 @@ def test_the_contract_is_kept(task: str) -> None:
     simulator = made(task)
     assert simulator.reset(3).observations[0, 8:10].any(), "exit, box or puck is seen"
     frame = simulator.frame()
-    assert all(0 <= body.x <= frame.width and 0 <= body.y <= frame.height for body in frame.bodies)
+    assert all(
+        0 <= body.x <= frame.width and 0 <= body.y <= frame.height
+        for body in frame.bodies
+    )
 
 
 def test_a_robot_at_an_exit_leaves_and_the_others_continue() -> None:
@@ -87,7 +94,9 @@ def test_the_fitness_of_the_papers_logs_is_theirs() -> None:
     """By hand from their formula."""
     assert cpswarm_log([0.1], [9]) == pytest.approx(49.9 / 50 * 100 + 90)
     assert cpswarm_log([0.1, 5.0], [9, 16]) == pytest.approx((99.8 + 90 + 90) / 2)
-    assert cpswarm_log([70.0, 0.19], [1, 200]) == pytest.approx((0 + 49.81 / 50 * 100) / 2)
+    assert cpswarm_log([70.0, 0.19], [1, 200]) == pytest.approx(
+        (0 + 49.81 / 50 * 100) / 2
+    )
 
 
 def test_a_box_in_the_goal_ends_the_trial() -> None:
@@ -96,12 +105,17 @@ def test_a_box_in_the_goal_ends_the_trial() -> None:
     stay = np.full((6, 2), 0.5, np.float32)
     assert simulator.step(stay) is not None
     simulator._world.start(
-        np.array([(0.5 + 0.4 * robot, 0.5, 0) for robot in range(6)]), np.array([(4.1, 3.0, 0)])
+        np.array([(0.5 + 0.4 * robot, 0.5, 0) for robot in range(6)]),
+        np.array([(4.1, 3.0, 0)]),
     )
     assert simulator.step(stay) is None
     fitness, (reached, way, seconds) = simulator.outcome()
     assert fitness == [pytest.approx(1.98)]
-    assert (reached, way, seconds) == (1, pytest.approx(4.1 - simulator._from), pytest.approx(0.4))
+    assert (reached, way, seconds) == (
+        1,
+        pytest.approx(4.1 - simulator._from),
+        pytest.approx(0.4),
+    )
 
 
 def test_a_held_puck_is_carried_home_and_held_by_no_other_robot() -> None:
@@ -248,7 +262,9 @@ def test_random_controllers_do_badly_and_one_written_by_hand_does_better(
     assert by_hand(task, UNSEEN[:4]) > good
 
 
-@pytest.mark.parametrize(("task", "good"), [("box_pushing", 1.6), ("foraging_physical", 0.9)])
+@pytest.mark.parametrize(
+    ("task", "good"), [("box_pushing", 1.6), ("foraging_physical", 0.9)]
+)
 def test_a_cleverer_controller_does_better_still(task: str, good: float) -> None:
     assert by_hand(task, UNSEEN[:4], f"clever_{task}") > good
 
@@ -264,7 +280,8 @@ def on_unseen_seeds(problem: Problem, genome: bytes) -> TrialOutcomes:
 
 
 @pytest.mark.parametrize(
-    "seed", [1, pytest.param(2, marks=pytest.mark.long), pytest.param(3, marks=pytest.mark.long)]
+    "seed",
+    [1, pytest.param(2, marks=pytest.mark.long), pytest.param(3, marks=pytest.mark.long)],
 )
 def test_robots_that_evolved_push_the_box_better_than_by_hand(seed: int) -> None:
     """Evaluate champions recorded from the example with three seeds.
@@ -273,7 +290,9 @@ def test_robots_that_evolved_push_the_box_better_than_by_hand(seed: int) -> None
     """
     example = experiment.load(experiment.find("box-pushing"), [])
     problem = build_parts(experiment.complete(example, "test")).problem
-    unseen = on_unseen_seeds(problem, np.array(PUSHERS["genomes"][str(seed)], "<f4").tobytes())
+    unseen = on_unseen_seeds(
+        problem, np.array(PUSHERS["genomes"][str(seed)], "<f4").tobytes()
+    )
     assert by_hand("box_pushing", UNSEEN) < 1.52 < unseen.fitness.mean()
 
 

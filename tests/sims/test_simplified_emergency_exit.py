@@ -25,11 +25,16 @@ OTHER = {
 
 
 @pytest.mark.parametrize(
-    "net", PROBLEMS["simplified_emergency_exit"], ids=lambda net: f"{net['fitness_default']:.4f}"
+    "net",
+    PROBLEMS["simplified_emergency_exit"],
+    ids=lambda net: f"{net['fitness_default']:.4f}",
 )
 def test_fitness_is_frevos(net: dict[str, Any]) -> None:
     """Bit for bit, in the room that is the default and in another one."""
-    assert play("simplified-emergency-exit", {}, net, [1]).fitness[0, 0] == net["fitness_default"]
+    assert (
+        play("simplified-emergency-exit", {}, net, [1]).fitness[0, 0]
+        == net["fitness_default"]
+    )
     recorded = net["fitness_agent3_20_exit11_5_steps12_30x25"]
     assert play("simplified-emergency-exit", OTHER, net, [1]).fitness[0, 0] == recorded
 
@@ -39,7 +44,15 @@ def test_fitness_is_frevos(net: dict[str, Any]) -> None:
     [
         {},
         OTHER,
-        {"steps": 1, "width": 1, "height": 1, "agent_x": 0, "agent_y": 0, "exit_x": 0, "exit_y": 0},
+        {
+            "steps": 1,
+            "width": 1,
+            "height": 1,
+            "agent_x": 0,
+            "agent_y": 0,
+            "exit_x": 0,
+            "exit_y": 0,
+        },
     ],
 )
 def test_simplified_emergency_exit_keeps_the_contract(settings: dict[str, Any]) -> None:
@@ -57,7 +70,9 @@ def test_simplified_emergency_exit_keeps_the_contract(settings: dict[str, Any]) 
         ((np.nan, np.nan), (1, 1)),
     ],
 )
-def test_only_whole_steps_move_the_robot(action: tuple[float, float], to: tuple[int, int]) -> None:
+def test_only_whole_steps_move_the_robot(
+    action: tuple[float, float], to: tuple[int, int]
+) -> None:
     simulator = SimplifiedEmergencyExit(
         SimplifiedEmergencyExitSettings(
             steps=1, width=3, height=2, agent_x=1, agent_y=1, exit_x=2, exit_y=0
@@ -70,7 +85,8 @@ def test_only_whole_steps_move_the_robot(action: tuple[float, float], to: tuple[
 
 
 @pytest.mark.parametrize(
-    "settings", [{"agent_x": 100}, {"agent_y": 100}, {"exit_x": 100}, {"height": 99}, {"width": 50}]
+    "settings",
+    [{"agent_x": 100}, {"agent_y": 100}, {"exit_x": 100}, {"height": 99}, {"width": 50}],
 )
 def test_robot_and_exit_must_lie_in_the_room(settings: dict[str, int]) -> None:
     with pytest.raises(ConfigError, match="must be below width"):
@@ -86,4 +102,6 @@ def test_the_frame_shows_robot_and_exit() -> None:
         (place.kind, place.x + place.width / 2, place.y + place.height / 2)
         for place in frame.places
     ] == [("exit", 99.5, 99.5)]
-    assert [(body.kind, body.x, body.y) for body in frame.bodies] == [("robot", 50.5, 50.5)]
+    assert [(body.kind, body.x, body.y) for body in frame.bodies] == [
+        ("robot", 50.5, 50.5)
+    ]

@@ -15,7 +15,9 @@ class Evolved:
 
     def __init__(self, name: str, seed: int, *changes: str) -> None:
         path = experiment.find(name)
-        complete = experiment.complete(experiment.load(path, [f"seed={seed}", *changes]), str(path))
+        complete = experiment.complete(
+            experiment.load(path, [f"seed={seed}", *changes]), str(path)
+        )
         self.problem, optimizer = build(complete)
         self.history = []
         for generation in range(complete.generations):
@@ -28,16 +30,26 @@ class Evolved:
         """The champion's means."""
         simulator, network = self.problem.simulator, self.problem.representation
         outcomes = evaluate(
-            simulator, network, [self.champion], np.zeros((len(seeds), 1), np.int64), seeds
+            simulator,
+            network,
+            [self.champion],
+            np.zeros((len(seeds), 1), np.int64),
+            seeds,
         )
-        return dict(zip(simulator.metrics, outcomes.metrics.mean(axis=0).tolist(), strict=True))
+        return dict(
+            zip(simulator.metrics, outcomes.metrics.mean(axis=0).tolist(), strict=True)
+        )
 
 
 def judged(problem: Problem, genomes: list[bytes], generation: int = 0) -> np.ndarray:
     """Fitness of genomes."""
     workload = problem.workload(genomes, generation)
     outcomes = evaluate(
-        problem.simulator, problem.representation, genomes, workload.participants, workload.seeds
+        problem.simulator,
+        problem.representation,
+        genomes,
+        workload.participants,
+        workload.seeds,
     )
     workload.fitness[:] = outcomes.fitness
     return problem.total(workload)
@@ -65,9 +77,13 @@ def test_xor_is_solved_from_every_seed() -> None:
 
     At least 95 succeed within the example's 100 generations, and half within 10.
     """
-    histories = [np.array(Evolved("xor", seed, "generations=200").history) for seed in range(100)]
+    histories = [
+        np.array(Evolved("xor", seed, "generations=200").history) for seed in range(100)
+    ]
     took = sorted(
-        int(np.argmax(history > -0.25)) + 1 for history in histories if history[-1] > -0.25
+        int(np.argmax(history > -0.25)) + 1
+        for history in histories
+        if history[-1] > -0.25
     )
     assert len(took) == 100
     assert took[94] <= 100
@@ -79,7 +95,9 @@ def test_xor_is_solved_without_loops_but_not_without_parts(example: str) -> None
     """By a hidden layer, or by two networks in turn; not by one network without a hidden layer."""
     for seed in range(1, 6):
         assert Evolved(example, seed).history[-1] > -0.01
-    alone = Evolved("xor-layers", 1, "representation.kind=feed-forward", "representation.hidden=[]")
+    alone = Evolved(
+        "xor-layers", 1, "representation.kind=feed-forward", "representation.hidden=[]"
+    )
     assert alone.history[-1] == pytest.approx(-0.5, abs=1e-3)
 
 
@@ -104,7 +122,9 @@ def test_a_robot_finds_lights_that_it_never_saw_in_evolution() -> None:
     fitness = at_random(evolved.problem) / 20
     assert fitness.mean() == pytest.approx(0.17, abs=0.01)
     assert fitness.max() < 0.45
-    unseen = np.array([derive_seed(0, "unseen", trial) for trial in range(200)], np.uint64)
+    unseen = np.array(
+        [derive_seed(0, "unseen", trial) for trial in range(200)], np.uint64
+    )
     assert evolved.metrics(unseen)["found"] > 0.5
 
 
@@ -115,9 +135,12 @@ def test_who_was_evolved_in_many_kinds_of_rooms_is_better_in_unseen_ones() -> No
     Varied rooms differ in their numbers of agents, exits and blockades.
     """
     varied, fixed = (
-        [Evolved(name, seed) for seed in range(1, 11)] for name in ("crowds", "emergency-exit")
+        [Evolved(name, seed) for seed in range(1, 11)]
+        for name in ("crowds", "emergency-exit")
     )
-    unseen = np.array([derive_seed(0, "unseen", trial) for trial in range(300)], np.uint64)
+    unseen = np.array(
+        [derive_seed(0, "unseen", trial) for trial in range(300)], np.uint64
+    )
     for rooms, least in ((varied[0].problem, 3.0), (fixed[0].problem, 1.0)):
         better, worse = (
             np.array([mean_fitness(each.champion, rooms, unseen) for each in some])

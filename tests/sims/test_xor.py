@@ -39,5 +39,7 @@ def test_fitness_and_metrics_are_those_of_the_data_sheet(
     assert str(outcome.fitness[0]) != "-0.0"
     assert dict(zip(simulator.metrics, outcome.metrics, strict=True)) == {
         "correct": correct,
-        **dict(zip(("output_00", "output_01", "output_10", "output_11"), said, strict=True)),
+        **dict(
+            zip(("output_00", "output_01", "output_10", "output_11"), said, strict=True)
+        ),
     }

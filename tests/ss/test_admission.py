@@ -22,7 +22,9 @@ OFFERED = ["arena", "emergency-exit", "minisim"]
 
 def limited(**tables: Any) -> list[Limit]:
     return read(
-        {key.replace("__", "."): value for key, value in tables.items()}, OFFERED, "ss.toml: limits"
+        {key.replace("__", "."): value for key, value in tables.items()},
+        OFFERED,
+        "ss.toml: limits",
     )
 
 
@@ -32,7 +34,11 @@ def limited(**tables: Any) -> list[Limit]:
         ({"max": 100}, 100, ""),
         ({"max": 100}, 101, "arena.robots is 101; this server takes at most 100"),
         ({"min": 2}, 2, ""),
-        ({"min": 2, "max": 8}, 1, "arena.robots is 1; this server takes at least 2 and at most 8"),
+        (
+            {"min": 2, "max": 8},
+            1,
+            "arena.robots is 1; this server takes at least 2 and at most 8",
+        ),
         ({"choice": [1, 4]}, 4, ""),
         ({"choice": [1, 4]}, 2, "arena.robots is 2; this server takes one of 1, 4"),
         ({"choice": [4]}, 2, "arena.robots is 2; this server takes 4"),
@@ -45,7 +51,11 @@ def limited(**tables: Any) -> list[Limit]:
             {"from": 5, "to": 101},
             "arena.robots is 101; this server takes at most 100",
         ),
-        ({"min": 5}, {"from": 4, "to": 101}, "arena.robots is 4; this server takes at least 5"),
+        (
+            {"min": 5},
+            {"from": 4, "to": 101},
+            "arena.robots is 4; this server takes at least 5",
+        ),
         (
             {"max": 100},
             {"choice": [1, [2, 200]]},
@@ -77,7 +87,9 @@ def test_a_setting_beyond_a_limit_is_named_with_it(
 
 
 def test_a_setting_that_is_not_sent_is_its_default() -> None:
-    assert broken(limited(arena__robots={"max": 3}), "arena", {}).startswith("arena.robots is ")
+    assert broken(limited(arena__robots={"max": 3}), "arena", {}).startswith(
+        "arena.robots is "
+    )
     assert broken(limited(arena__robots={"max": 3}), "minisim", {}) == ""
 
 
@@ -100,8 +112,16 @@ def test_all_broken_limits_are_named() -> None:
 @pytest.mark.parametrize(
     ("key", "table", "told"),
     [
-        ("arena", {"max": 1}, "'arena': expected SIMULATOR.SETTING and its rule, such as"),
-        ("arena.robots", 5, "'arena.robots': expected SIMULATOR.SETTING and its rule, such as"),
+        (
+            "arena",
+            {"max": 1},
+            "'arena': expected SIMULATOR.SETTING and its rule, such as",
+        ),
+        (
+            "arena.robots",
+            5,
+            "'arena.robots': expected SIMULATOR.SETTING and its rule, such as",
+        ),
         (
             "arenas.robots",
             {"max": 1},
@@ -118,9 +138,21 @@ def test_all_broken_limits_are_named() -> None:
             {},
             "'arena.robots': expected bounds, such as { min = 1, max = 100 }, or values, such as",
         ),
-        ("arena.robots", {"max": 1, "choice": [1]}, "'arena.robots': expected bounds, such as"),
-        ("arena.robots", {"mx": 1}, "'arena.robots': unknown key 'mx' (did you mean 'max'?)"),
-        ("arena.robots", {"max": "1"}, "'arena.robots': max: expected int | float | null, got str"),
+        (
+            "arena.robots",
+            {"max": 1, "choice": [1]},
+            "'arena.robots': expected bounds, such as",
+        ),
+        (
+            "arena.robots",
+            {"mx": 1},
+            "'arena.robots': unknown key 'mx' (did you mean 'max'?)",
+        ),
+        (
+            "arena.robots",
+            {"max": "1"},
+            "'arena.robots': max: expected int | float | null, got str",
+        ),
         (
             "emergency-exit.field",
             {"choice": ["stadion"]},
@@ -157,9 +189,15 @@ def test_reading_limits_loads_no_compiler() -> None:
         "read({'arena.robots': {'max': 1}}, ['arena'], '');"
         "print('numba' in sys.modules, os.environ.get('ZSWARM_PLAIN'))"
     )
-    environment = {key: value for key, value in os.environ.items() if key != "ZSWARM_PLAIN"}
+    environment = {
+        key: value for key, value in os.environ.items() if key != "ZSWARM_PLAIN"
+    }
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=environment,
     )
     assert (done.stdout, done.stderr) == ("False None\n", "")
 
@@ -176,17 +214,25 @@ def test_a_servers_file_has_labels_and_limits(tmp_path: Path) -> None:
         {"arena.robots": {"max": 100}},
     )
     assert options.load(file, {"labels": ["gpu=no"]}).labels == {"gpu": "no"}
-    with pytest.raises(ConfigError, match=r"^--label: os: a server detects that by itself"):
+    with pytest.raises(
+        ConfigError, match=r"^--label: os: a server detects that by itself"
+    ):
         options.load(file, {"labels": ["os=plan9"]})
     for text, told in (
         ('[labels]\nos = "plan9"\n', "labels: os: a server detects that by itself"),
         ("[labels]\ngpu = true\n", "labels: gpu: a value is "),
-        ('[limits]\n"arena.robots" = { mx = 1 }\n', "limits: 'arena.robots': unknown key 'mx'"),
+        (
+            '[limits]\n"arena.robots" = { mx = 1 }\n',
+            "limits: 'arena.robots': unknown key 'mx'",
+        ),
         (
             'simulators = ["minisim"]\n[limits]\n"arena.robots" = { max = 1 }\n',
             "limits: 'arena.robots': no simulator 'arena' is",
         ),
-        ('simulators = ["arenas"]\n', "unknown simulator 'arenas' (did you mean 'arena'?)"),
+        (
+            'simulators = ["arenas"]\n',
+            "unknown simulator 'arenas' (did you mean 'arena'?)",
+        ),
     ):
         file.write_text(text)
         with pytest.raises(ConfigError) as refused:
@@ -218,10 +264,14 @@ def test_the_examples_of_the_document_are_valid(
     shown = options.load(tmp_path / "ss.toml", {})
     assert (len(shown.simulators), len(shown.labels), len(shown.limits)) == (2, 2, 3)
     assert len(experiment.cluster(tomllib.loads(cluster)["cluster"]).require) == 4
-    (table,) = re.findall(r"\| label \| meaning \|\n\| --- \| --- \|\n((?:\|.*\n)+)", page)
+    (table,) = re.findall(
+        r"\| label \| meaning \|\n\| --- \| --- \|\n((?:\|.*\n)+)", page
+    )
     assert (
         tuple(
-            name for row in table.splitlines() for name in re.findall(r"`(\w+)`", row.split("|")[1])
+            name
+            for row in table.splitlines()
+            for name in re.findall(r"`(\w+)`", row.split("|")[1])
         )
         == detected_labels.NAMES
     )

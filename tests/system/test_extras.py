@@ -31,7 +31,9 @@ def test_the_install_command_works_without_pip_and_without_zswarm_in_an_index(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """And without pip, as in an environment of uv, and if zswarm was not installed."""
-    assert how("keys", "metrics").endswith(" -m pip install cryptography prometheus-client")
+    assert how("keys", "metrics").endswith(
+        " -m pip install cryptography prometheus-client"
+    )
     monkeypatch.setattr(importlib.util, "find_spec", lambda _name: None)
     assert how("keys") == f"uv pip install --python {PYTHON} cryptography"
     monkeypatch.setattr(metadata, "requires", lambda _name: None)

@@ -27,7 +27,11 @@ def test_notifications_arrive(abstract: bool, tmp_path: Path) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
         listener.bind(name.replace("@", "\0"))
         told = Notify(
-            {"NOTIFY_SOCKET": name, "WATCHDOG_USEC": "3000000", "WATCHDOG_PID": str(os.getpid())}
+            {
+                "NOTIFY_SOCKET": name,
+                "WATCHDOG_USEC": "3000000",
+                "WATCHDOG_PID": str(os.getpid()),
+            }
         )
         assert told.listens
         assert told.watchdog_s == 3.0

@@ -17,10 +17,20 @@ MAY_DATE = {
     "ot/dashboard/tail.py",  # the age of a record
     "ss/health.py",  # since when it serves, as does status.py
     "ss/local/status.py",
-    *(f"security/{name}.py" for name in ("authority", "certificates", "keyring", "ledger")),
+    *(
+        f"security/{name}.py"
+        for name in ("authority", "certificates", "keyring", "ledger")
+    ),
     "security/report.py",  # how long certificates are valid
 }
-WALL = {"time", "time_ns", "localtime", "gmtime", "ctime", "strftime"}  # of the module time
+WALL = {
+    "time",
+    "time_ns",
+    "localtime",
+    "gmtime",
+    "ctime",
+    "strftime",
+}  # of the module time
 
 
 def test_only_modules_that_date_ask_for_the_time_of_day() -> None:

@@ -237,34 +237,53 @@ AGAIN = "played again, after other trials, has another outcome: "
         ),
         (
             LooksAtTheClock,
-            AGAIN + "it depends on the state of the world outside; it uses time.time; draw from",
+            AGAIN
+            + "it depends on the state of the world outside; it uses time.time; draw from",
         ),
-        (AsksTheSystem, AGAIN + "new simulators differ, too; it depends on something outside"),
+        (
+            AsksTheSystem,
+            AGAIN + "new simulators differ, too; it depends on something outside",
+        ),
         (
             CountsInItsClass,
             AGAIN
             + "new simulators differ, too; it depends on something outside, such as variables of",
         ),
-        (CountsInItself, AGAIN + "it depends on earlier trials: initialize everything in reset"),
+        (
+            CountsInItself,
+            AGAIN + "it depends on earlier trials: initialize everything in reset",
+        ),
         (
             TidiesUpAtTheEnd,
             "played again, after a trial that was abandoned, has another outcome: it depends on",
         ),
-        (SeesNaN, "SeesNaN.reset: observations must be finite; number 1 of agent 2 is nan"),
+        (
+            SeesNaN,
+            "SeesNaN.reset: observations must be finite; number 1 of agent 2 is nan",
+        ),
         (
             GivesTheSameArray,
             "GivesTheSameArray.step changes the observations of the previous turn: each turn needs",
         ),
         (ForgetsItsOutcome, "ForgetsItsOutcome.outcome, called twice, gives"),
-        (GivesATuple, r"GivesATuple.reset must return a Turn, not \(range\(0, 3\), array"),
+        (
+            GivesATuple,
+            r"GivesATuple.reset must return a Turn, not \(range\(0, 3\), array",
+        ),
         (GivesANumber, "GivesANumber.outcome must return an Outcome, not 1.0"),
         (
             NeverEnds,
             "NeverEnds: the trial goes on after 300 turns: step must return None when it is over",
         ),
         (Exits, r"Exits: return None from step to end a trial; do not call exit\(3\)"),
-        (HasNoSettings, "HasNoSettings.settings_type must be a frozen msgspec.Struct, not None"),
-        (HasNoOwners, "HasNoOwners.owners is missing: per agent the participant that drives it"),
+        (
+            HasNoSettings,
+            "HasNoSettings.settings_type must be a frozen msgspec.Struct, not None",
+        ),
+        (
+            HasNoOwners,
+            "HasNoOwners.owners is missing: per agent the participant that drives it",
+        ),
         (KeepsMemory, r"KeepsMemory: each trial leaks [\d,]+ bytes;"),
         (KeepsFilesOpen, "KeepsFilesOpen: each trial leaks 1 open files;"),
         (KeepsThreads, "KeepsThreads: each trial leaks 1 threads;"),
@@ -288,7 +307,9 @@ def test_a_seeded_generator_of_ones_own_and_caches_are_no_mistake() -> None:
 
         def reset(self, seed: int) -> Turn:
             self.table = np.ones(100_000) if self.table is None else self.table
-            self.kept += [bytes(9_000)] if len(self.kept) < 25 else []  # filled by several trials
+            self.kept += (
+                [bytes(9_000)] if len(self.kept) < 25 else []
+            )  # filled by several trials
             turn: Turn = super().reset(seed)
             self.x[0] += np.random.default_rng(seed).uniform()
             return turn
@@ -327,7 +348,10 @@ ROBOTS = Frame(1, 1, [], [Body("robot", 0, 0, 1)] * 3)
             "and then 3 bodies (disc disc disc), 1 lines and 0 rays",
         ),
         (
-            (ROBOTS, ROBOTS._replace(bodies=[Body("robot", 0, 0, 1, None, "square")] * 3)),
+            (
+                ROBOTS,
+                ROBOTS._replace(bodies=[Body("robot", 0, 0, 1, None, "square")] * 3),
+            ),
             "and then 3 bodies (square square square)",
         ),
         ((ROBOTS, None), "and then no frame"),

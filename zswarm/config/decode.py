@@ -37,14 +37,18 @@ def parse(text: str) -> dict[str, Any]:
         raise ValueError("nested too deep") from None
 
 
-def overridden(path: Path | None, given: Mapping[str, Any], kind: type[T], program: str) -> T:
+def overridden(
+    path: Path | None, given: Mapping[str, Any], kind: type[T], program: str
+) -> T:
     """Return a program's options: those of a TOML file, overridden by those of the command line.
 
     Args:
         given: from click; None and () stand for options that were not given.
     """
     mapping: dict[str, Any] = read(path) if path else {}
-    convert(mapping, kind, str(path))  # refuse a mistake in the file even if it is overridden
+    convert(
+        mapping, kind, str(path)
+    )  # refuse a mistake in the file even if it is overridden
     mapping |= {name: value for name, value in given.items() if value not in (None, ())}
     return convert(mapping, kind, str(path or program))
 
@@ -104,14 +108,19 @@ def _finite(value: Any) -> Any:
 
 
 def _refuse_unknown(
-    mapping: Mapping[str, Any], struct: type[msgspec.Struct], where: str, path: tuple[str, ...] = ()
+    mapping: Mapping[str, Any],
+    struct: type[msgspec.Struct],
+    where: str,
+    path: tuple[str, ...] = (),
 ) -> None:
     fields = {field.encode_name: field.type for field in msgspec.structs.fields(struct)}
     for key, value in mapping.items():
         full = (*path, key)
         if key not in fields:
             known = f"known are: {', '.join(fields)}" if fields else "there are none"
-            raise ConfigError(f"{where}: unknown key {key!r}{nearest(key, fields)}; {known}", full)
+            raise ConfigError(
+                f"{where}: unknown key {key!r}{nearest(key, fields)}; {known}", full
+            )
         if isinstance(value, Mapping) and is_struct(fields[key]):
             _refuse_unknown(value, fields[key], f"{where}: {key}", full)
 
@@ -120,7 +129,9 @@ def _path_and_text(message: str, struct: type[msgspec.Struct]) -> tuple[str, str
     """Split msgspec's "Expected `int`, got `str` - at `$.a.b`" in "a.b" and "expected int, ..."."""
     match = re.fullmatch(r"(?P<text>.*) - at `\$\.?(?P<path>.*)`", message, re.DOTALL)
     text, path = (match["text"], match["path"]) if match else (message, "")
-    text = re.sub(r"^Object missing required field `(?P<key>.*)`$", r"key \g<key> is missing", text)
+    text = re.sub(
+        r"^Object missing required field `(?P<key>.*)`$", r"key \g<key> is missing", text
+    )
     word = re.fullmatch(r"Invalid enum value '(.*)'", text, re.DOTALL)
     if word and (known := _choices(struct, path)):
         choices = " or ".join([", ".join(known[:-1]), known[-1]] if known[1:] else known)

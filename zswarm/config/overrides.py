@@ -14,7 +14,9 @@ def parse_override(override: str) -> tuple[str, Any]:
     """Return the path and the value of ``a.b=value``; a value that is not TOML is a string."""
     path, equals, text = override.partition("=")
     if not equals or not path.strip():
-        raise ConfigError(f"--set {override}: expected key=value, such as optimizer.population=100")
+        raise ConfigError(
+            f"--set {override}: expected key=value, such as optimizer.population=100"
+        )
     try:
         value = parse(f"value = {text}")["value"]
     except ValueError:
@@ -32,7 +34,9 @@ def set_value(mapping: dict[str, Any], path: str, value: Any, where: str) -> Non
     mapping[key] = plain(value)
 
 
-def changed(mapping: Mapping[str, Any], values: Mapping[str, Any], where: str) -> dict[str, Any]:
+def changed(
+    mapping: Mapping[str, Any], values: Mapping[str, Any], where: str
+) -> dict[str, Any]:
     """Return a copy of a mapping with the given values by dotted path; errors as ``set_value``."""
     copy: dict[str, Any] = plain(mapping)
     for path, value in values.items():
@@ -46,7 +50,11 @@ def plain(value: Any) -> Any:
         return value.tolist()
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
-    return [plain(item) for item in value] if isinstance(value, (list, tuple, range)) else value
+    return (
+        [plain(item) for item in value]
+        if isinstance(value, (list, tuple, range))
+        else value
+    )
 
 
 def with_flat_study(mapping: Mapping[str, Any], where: str) -> Mapping[str, Any]:
@@ -59,7 +67,9 @@ def with_flat_study(mapping: Mapping[str, Any], where: str) -> Mapping[str, Any]
         flat["grid"] = _by_path(grid, f"{where}: study.grid")
     if isinstance(rows := flat.get("list"), list):
         at = f"{where}: study.list"
-        flat["list"] = [_by_path(row, at) if isinstance(row, Mapping) else row for row in rows]
+        flat["list"] = [
+            _by_path(row, at) if isinstance(row, Mapping) else row for row in rows
+        ]
     return {**mapping, "study": flat}
 
 
@@ -73,7 +83,9 @@ def _by_path(tables: Mapping[str, Any], where: str) -> dict[str, Any]:
     return flat
 
 
-def _leaves(tables: Mapping[str, Any], prefix: str, where: str) -> Iterator[tuple[str, Any]]:
+def _leaves(
+    tables: Mapping[str, Any], prefix: str, where: str
+) -> Iterator[tuple[str, Any]]:
     if prefix.count(".") > MAX_DEPTH:
         raise ConfigError(f"{where}: nested too deep")
     for key, value in tables.items():

@@ -30,14 +30,20 @@ def ends(value: Any) -> Sequence[Any]:
     """Return both ends of a range, or each value of a choice; otherwise the value itself."""
     if not is_range(value):
         return (value,)
-    values: Sequence[Any] = value["choice"] if "choice" in value else (value["from"], value["to"])
+    values: Sequence[Any] = (
+        value["choice"] if "choice" in value else (value["from"], value["to"])
+    )
     return values
 
 
 def words(value: Any) -> str:
     """Return ``5 to 15`` or ``5, 10 or 20``; a value that is not a range as JSON."""
     *others, last = (shown(end) for end in ends(value))
-    return f"{', '.join(others)} {'or' if 'choice' in value else 'to'} {last}" if others else last
+    return (
+        f"{', '.join(others)} {'or' if 'choice' in value else 'to'} {last}"
+        if others
+        else last
+    )
 
 
 def name(path: Path) -> str:
@@ -58,7 +64,9 @@ def found(settings: Mapping[str, Any]) -> dict[Path, Mapping[str, Any]]:
 
 
 def replaced(
-    settings: Mapping[str, Any], replace: Callable[[Path, Mapping[str, Any]], Any], above: Path = ()
+    settings: Mapping[str, Any],
+    replace: Callable[[Path, Mapping[str, Any]], Any],
+    above: Path = (),
 ) -> dict[str, Any]:
     """Return the settings with ``replace(path, range)`` in place of each range."""
     result = {}
@@ -87,12 +95,16 @@ def complete(
     whole = _completed(settings, first, struct, where)
     for path, one in ranges.items():
         typed = [
-            value_at(_completed(settings, {**first, path: end}, struct, where, path), path)
+            value_at(
+                _completed(settings, {**first, path: end}, struct, where, path), path
+            )
             for end in ends(one)
         ]
         table = value_at(whole, path[:-1])
         table[path[-1]] = (
-            {"choice": typed} if "choice" in one else dict(zip(("from", "to"), typed, strict=True))
+            {"choice": typed}
+            if "choice" in one
+            else dict(zip(("from", "to"), typed, strict=True))
         )
     return whole
 
@@ -114,7 +126,9 @@ def _completed(
             text = f"{text} (in its range: {shown(values[error.path])})"
         elif tried:
             text = f"{text} (with {key} = {shown(values[tried])})"
-        elif isinstance(value_at(settings, error.path), Mapping) and text.endswith("got object"):
+        elif isinstance(value_at(settings, error.path), Mapping) and text.endswith(
+            "got object"
+        ):
             text = f"{where}: {key}: {EXPECTED}, or one value"
         raise ConfigError(text, error.path) from None
 
@@ -129,7 +143,11 @@ def _check(one: Mapping[str, Any], where: str, path: Path) -> None:
     for key, end in one.items():
         number = isinstance(end, int | float) and not isinstance(end, bool)
         if not number or not -LARGEST <= end <= LARGEST:
-            expected = f"expected a finite number, not {end!r:.40}; other values: choice = [...]"
+            expected = (
+                f"expected a finite number, not {end!r:.40}; other values: choice = [...]"
+            )
             raise ConfigError(f"{where}: {key}: {expected}", path)
     if one["from"] > one["to"]:
-        raise ConfigError(f"{where}: from {one['from']} must not be above to {one['to']}", path)
+        raise ConfigError(
+            f"{where}: from {one['from']} must not be above to {one['to']}", path
+        )

@@ -21,14 +21,18 @@ KindName = Annotated[
 ]
 
 
-class ProblemConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ProblemConfig(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
+):
     """``[problem]``: how a candidate is judged. Its fitness is the sum over its trials."""
 
     simulator: Annotated[str, about("name of a simulator (`zswarm-ot list`)")]
     trials: Annotated[int, within(1, 100_000, "trials that judge each candidate")] = 1
     seeds: Annotated[
         Literal["fixed", "fresh"],
-        about("seeds of the trials: the same for the whole run, or new in each generation"),
+        about(
+            "seeds of the trials: the same for the whole run, or new in each generation"
+        ),
     ] = "fixed"
     settings: Annotated[
         dict[str, Any], about("settings of the simulator: `[problem.settings]`, below")
@@ -54,7 +58,9 @@ class PartConfig(msgspec.Struct, frozen=True, kw_only=True):
     settings: dict[str, Any]
 
 
-class ClusterConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ClusterConfig(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
+):
     """``[cluster]``: who computes. Nothing in it changes the result."""
 
     realm: Annotated[
@@ -85,7 +91,10 @@ class ClusterConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         ),
     ] = False
     local_slots: Annotated[
-        int, within(0, 65_535, 'slots of this machine under "auto" and "local"; 0: one per core')
+        int,
+        within(
+            0, 65_535, 'slots of this machine under "auto" and "local"; 0: one per core'
+        ),
     ] = 0
     require: Annotated[
         list[str],
@@ -174,7 +183,10 @@ class StudyConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """``[study]``: several runs of one file. It takes no part in the history of any."""
 
     repeat: Annotated[
-        int, within(1, MAX_RUNS, "runs of each setting, with the seeds `seed`, `seed` + 1, ...")
+        int,
+        within(
+            1, MAX_RUNS, "runs of each setting, with the seeds `seed`, `seed` + 1, ..."
+        ),
     ] = 1
     at_once: Annotated[
         int, within(0, 100, "runs at the same time; 0: as many as keep the slots busy")

@@ -86,7 +86,9 @@ def _alternatives(kind: inspect.Type) -> list[str]:
         case inspect.ListType(item_type=item) if not isinstance(item, inspect.AnyType):
             return [f"list of {_type_text(item).partition(',')[0]}s"]
         case inspect.UnionType(types=types):
-            literals_first = sorted(types, key=lambda one: not isinstance(one, inspect.LiteralType))
+            literals_first = sorted(
+                types, key=lambda one: not isinstance(one, inspect.LiteralType)
+            )
             return [text for one in literals_first for text in _alternatives(one)]
     return NAMES.get(type(kind), ["value"])
 
@@ -116,7 +118,9 @@ def _number_text(kind: inspect.IntType | inspect.FloatType) -> str:
     return f"{name}, {low}{joint}{high}" if high else f"{name}, {low}"
 
 
-def _limit(word: str, inclusive: float | None, other: str, exclusive: float | None) -> str:
+def _limit(
+    word: str, inclusive: float | None, other: str, exclusive: float | None
+) -> str:
     if exclusive is not None:
         return other + _figure(exclusive)
     return "" if inclusive is None else word + _figure(inclusive)

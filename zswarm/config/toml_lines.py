@@ -45,7 +45,9 @@ def find(text: str, path: Sequence[str]) -> int | None:
 
 
 @contextlib.contextmanager
-def located(where: str, used: Callable[[], Mapping[str, Any]], *path: str) -> Iterator[None]:
+def located(
+    where: str, used: Callable[[], Mapping[str, Any]], *path: str
+) -> Iterator[None]:
     """Add the line of the file ``where`` to a ``ConfigError`` about a key at or below ``path``.
 
     The line is omitted if ``used()`` has another value there than the file: an override set it.
@@ -64,7 +66,9 @@ def located(where: str, used: Callable[[], Mapping[str, Any]], *path: str) -> It
             raise error from None
         if line is None:
             raise type(error)(str(error), full) from error
-        raise type(error)(f"{where}:{line}{str(error).removeprefix(where)}", full) from error
+        raise type(error)(
+            f"{where}:{line}{str(error).removeprefix(where)}", full
+        ) from error
 
 
 def has(mapping: Any, path: Sequence[str]) -> bool:

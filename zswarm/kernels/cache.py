@@ -28,7 +28,11 @@ def cache_folder() -> Path:
             folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         except OSError:
             continue
-        if os.access(folder, os.W_OK | os.X_OK) and _is_ours(folder.parent) and _is_ours(folder):
+        if (
+            os.access(folder, os.W_OK | os.X_OK)
+            and _is_ours(folder.parent)
+            and _is_ours(folder)
+        ):
             return folder
     return Path(tempfile.mkdtemp(prefix="zswarm-"))
 

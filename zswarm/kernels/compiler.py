@@ -29,11 +29,15 @@ from zswarm.kernels import vectors as vectors  # noqa: E402  teaches numba the f
 
 
 def compiled(
-    function: Callable[..., Any], declared: tuple[Any, ...] | None, options: dict[str, Any]
+    function: Callable[..., Any],
+    declared: tuple[Any, ...] | None,
+    options: dict[str, Any],
 ) -> Any:
     """Return numba's dispatcher for a function, with its declared signature and options."""
     signature = None if declared is None else _signature(declared)
-    dispatcher: Any = numba.njit(signature, error_model="numpy", cache=True, **options)(function)
+    dispatcher: Any = numba.njit(signature, error_model="numpy", cache=True, **options)(
+        function
+    )
     # Each call of a kernel with a step looks up the step's compiled form, which takes 25 us: cache
     # the result.
     if declared == STEP_SIGNATURE and hasattr(dispatcher, "get_compile_result"):
@@ -56,4 +60,8 @@ def _type(declared: Any) -> Any:
     if hasattr(declared, "_fields"):  # a ``NamedTuple``
         fields = get_type_hints(declared, include_extras=True).values()
         return types.BaseTuple.from_types(list(map(_type, fields)), declared)
-    return declared if isinstance(declared, types.Type) else numba.from_dtype(np.dtype(declared))
+    return (
+        declared
+        if isinstance(declared, types.Type)
+        else numba.from_dtype(np.dtype(declared))
+    )

@@ -28,9 +28,24 @@ from zswarm.kernels.signatures import (
 )
 
 __all__ = [
-    "STEP", "STEP_SIGNATURE", "Compiled", "Step", "array", "compile_all", "float32", "float64",
-    "inline", "int32", "int64", "interpreted", "kernel", "sqrt", "uint8", "uint64", "void",
-]  # fmt: skip
+    "STEP",
+    "STEP_SIGNATURE",
+    "Compiled",
+    "Step",
+    "array",
+    "compile_all",
+    "float32",
+    "float64",
+    "inline",
+    "int32",
+    "int64",
+    "interpreted",
+    "kernel",
+    "sqrt",
+    "uint8",
+    "uint64",
+    "void",
+]
 
 PLAIN = os.environ.get("ZSWARM_PLAIN", "") == "1"
 if PLAIN:
@@ -50,7 +65,10 @@ class Compiled:
     py_func: Callable[..., Any]
 
     def __init__(
-        self, function: Callable[..., Any], signature: tuple[Any, ...] | None, **options: Any
+        self,
+        function: Callable[..., Any],
+        signature: tuple[Any, ...] | None,
+        **options: Any,
     ) -> None:
         functools.update_wrapper(self, function)
         self.py_func, self.signature, self.options = function, signature, options
@@ -59,7 +77,9 @@ class Compiled:
     @functools.cached_property
     def dispatcher(self) -> Any:
         """Return numba's dispatcher; compile the function on first access."""
-        from zswarm.kernels import compiler  # imports numba, which takes a third of a second
+        from zswarm.kernels import (
+            compiler,
+        )  # imports numba, which takes a third of a second
 
         return compiler.compiled(self.py_func, self.signature, self.options)
 

@@ -49,7 +49,9 @@ class _Register(models.PrimitiveModel):
         super().__init__(manager, lanes, ir.VectorType(WORDS[lanes.element], LANES))  # type: ignore[no-untyped-call]  # numba has no types there
 
 
-def _operation(function: Any, typed: Callable[..., Any], *arguments: Any) -> Callable[[Any], Any]:
+def _operation(
+    function: Any, typed: Callable[..., Any], *arguments: Any
+) -> Callable[[Any], Any]:
     """Register a function with numba; ``typed`` maps argument types to a signature or None."""
 
     class Template(AbstractTemplate):
@@ -62,7 +64,8 @@ def _operation(function: Any, typed: Callable[..., Any], *arguments: Any) -> Cal
 
 def _elements(of: Any, *others: Any) -> bool:
     return all(
-        other in (of, Lanes(of)) or (of == types.int32 and isinstance(other, types.Integer))
+        other in (of, Lanes(of))
+        or (of == types.int32 and isinstance(other, types.Integer))
         for other in others
     )
 
@@ -75,17 +78,24 @@ def _as_lanes(builder: Any, type_: Any, value: Any) -> Any:
     first = builder.insert_element(
         ir.Constant(one, ir.Undefined), value, ir.Constant(ir.IntType(32), 0)
     )
-    return builder.shuffle_vector(first, ir.Constant(one, ir.Undefined), _places([0] * LANES))
+    return builder.shuffle_vector(
+        first, ir.Constant(one, ir.Undefined), _places([0] * LANES)
+    )
 
 
 def _places(numbers: list[int]) -> Any:
     return ir.Constant(ir.VectorType(ir.IntType(32), len(numbers)), numbers)
 
 
-def _binary(function: Any, emit: Callable[..., Any], elements: Any, result: Any = None) -> None:
+def _binary(
+    function: Any, emit: Callable[..., Any], elements: Any, result: Any = None
+) -> None:
     def typed(left: Any, right: Any) -> Any:
         element = getattr(left, "element", None) or getattr(right, "element", None)
-        if not (isinstance(left, Lanes) or isinstance(right, Lanes)) or element not in elements:
+        if (
+            not (isinstance(left, Lanes) or isinstance(right, Lanes))
+            or element not in elements
+        ):
             return None
         if not _elements(element, left, right):
             return None
@@ -95,7 +105,8 @@ def _binary(function: Any, emit: Callable[..., Any], elements: Any, result: Any 
     def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         element = next(side.element for side in sig.args if isinstance(side, Lanes))
         sides = (
-            _as_lanes(builder, type_, value) for type_, value in zip(sig.args, args, strict=True)
+            _as_lanes(builder, type_, value)
+            for type_, value in zip(sig.args, args, strict=True)
         )
         return emit(builder, element == types.float32, *sides)
 
@@ -148,7 +159,9 @@ def _is_flat(array: Any) -> bool:
     )
 
 
-def _address(context: Any, builder: Any, type_: Any, array: Any, at: Any, vector: Any) -> Any:
+def _address(
+    context: Any, builder: Any, type_: Any, array: Any, at: Any, vector: Any
+) -> Any:
     """Return the address of numbers in an array as a pointer to a vector."""
     whole = context.make_array(type_)(context, builder, array)
     return builder.bitcast(builder.gep(whole.data, [at]), vector.as_pointer())
@@ -160,12 +173,16 @@ def _lane(builder: Any, vector: Any, lane: int) -> Any:
 
 @_operation(
     load,
-    lambda array, at: signature(Lanes(array.dtype), array, types.intp) if _is_flat(array) else None,
+    lambda array, at: (
+        signature(Lanes(array.dtype), array, types.intp) if _is_flat(array) else None
+    ),
     *(types.Any, types.Any),
 )
 def _load(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     vector = context.get_value_type(sig.return_type)
-    return builder.load(_address(context, builder, sig.args[0], args[0], args[1], vector), align=4)
+    return builder.load(
+        _address(context, builder, sig.args[0], args[0], args[1], vector), align=4
+    )
 
 
 @_operation(
@@ -199,7 +216,11 @@ def _typed_select(which: Any, yes: Any, no: Any) -> Any:
     element = getattr(yes, "element", yes)
     if which == types.boolean:
         return signature(yes, which, yes, yes) if yes == no else None
-    if which != Lanes(types.boolean) or element not in WORDS or not _elements(element, yes, no):
+    if (
+        which != Lanes(types.boolean)
+        or element not in WORDS
+        or not _elements(element, yes, no)
+    ):
         return None
     return signature(
         Lanes(element),
@@ -221,16 +242,21 @@ def _select(context: Any, builder: Any, sig: Any, args: Any) -> Any:
 
 @_operation(
     any_of,
-    lambda which: signature(types.boolean, which) if which == Lanes(types.boolean) else None,
+    lambda which: (
+        signature(types.boolean, which) if which == Lanes(types.boolean) else None
+    ),
     types.Any,
 )
 def _any_of(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     bits = ir.IntType(LANES)
-    return builder.icmp_unsigned("!=", builder.bitcast(args[0], bits), ir.Constant(bits, 0))
+    return builder.icmp_unsigned(
+        "!=", builder.bitcast(args[0], bits), ir.Constant(bits, 0)
+    )
 
 
 ORDERS = [
-    sorted(range(LANES), key=lambda lane: not bits >> lane & 1) for bits in range(1 << LANES)
+    sorted(range(LANES), key=lambda lane: not bits >> lane & 1)
+    for bits in range(1 << LANES)
 ]  # true lanes first
 
 
@@ -238,7 +264,9 @@ ORDERS = [
     list_true,
     lambda which, first, array, at: (
         signature(types.intp, which, types.intp, array, types.intp)
-        if which == Lanes(types.boolean) and _is_flat(array) and array.dtype == types.int32
+        if which == Lanes(types.boolean)
+        and _is_flat(array)
+        and array.dtype == types.int32
         else None
     ),
     *(types.Any, types.Any, types.Any, types.Any),
@@ -252,14 +280,18 @@ def _list_true(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     )
     bits = builder.bitcast(args[0], byte)
     row = builder.gep(table, [ir.Constant(size, 0), builder.zext(bits, size)])
-    lanes = builder.load(builder.bitcast(row, ir.VectorType(byte, LANES).as_pointer()), align=1)
+    lanes = builder.load(
+        builder.bitcast(row, ir.VectorType(byte, LANES).as_pointer()), align=1
+    )
     vector = ir.VectorType(word, LANES)
     numbers = builder.add(
         builder.zext(lanes, vector),
         _as_lanes(builder, types.int32, builder.trunc(args[1], word)),
     )
     builder.store(
-        numbers, _address(context, builder, sig.args[2], args[2], args[3], vector), align=4
+        numbers,
+        _address(context, builder, sig.args[2], args[2], args[3], vector),
+        align=4,
     )
     return builder.zext(builder.ctpop(bits), size)
 
@@ -268,7 +300,9 @@ def _list_true(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     window,
     lambda array, places, offset: (
         signature(types.UniTuple(Lanes(types.float32), 4), array, places, types.intp)
-        if _is_flat(array) and array.dtype == types.float32 and places == Lanes(types.int32)
+        if _is_flat(array)
+        and array.dtype == types.float32
+        and places == Lanes(types.int32)
         else None
     ),
     *(types.Any, types.Any, types.Any),
@@ -278,9 +312,13 @@ def _window(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     four = ir.VectorType(ir.FloatType(), 4)
     rows = []
     for lane in range(LANES):
-        at = builder.add(args[2], builder.sext(_lane(builder, args[1], lane), ir.IntType(64)))
+        at = builder.add(
+            args[2], builder.sext(_lane(builder, args[1], lane), ir.IntType(64))
+        )
         rows.append(
-            builder.load(_address(context, builder, sig.args[0], args[0], at, four), align=4)
+            builder.load(
+                _address(context, builder, sig.args[0], args[0], at, four), align=4
+            )
         )
 
     def mix(left: Any, right: Any, order: list[int]) -> Any:
@@ -290,9 +328,12 @@ def _window(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     low, high = [0, 8, 1, 9, 4, 12, 5, 13], [2, 10, 3, 11, 6, 14, 7, 15]
     first, second = [0, 1, 8, 9, 4, 5, 12, 13], [2, 3, 10, 11, 6, 7, 14, 15]
     halves = [
-        (mix(pairs[0], pairs[1], order), mix(pairs[2], pairs[3], order)) for order in (low, high)
+        (mix(pairs[0], pairs[1], order), mix(pairs[2], pairs[3], order))
+        for order in (low, high)
     ]
-    columns = [mix(left, right, order) for left, right in halves for order in (first, second)]
+    columns = [
+        mix(left, right, order) for left, right in halves for order in (first, second)
+    ]
     return context.make_tuple(builder, sig.return_type, columns)
 
 
@@ -300,7 +341,9 @@ def _window(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     scatter,
     lambda array, places, numbers: (
         signature(types.none, array, places, numbers)
-        if _is_flat(array) and places == Lanes(types.int32) and numbers == Lanes(array.dtype)
+        if _is_flat(array)
+        and places == Lanes(types.int32)
+        and numbers == Lanes(array.dtype)
         else None
     ),
     *(types.Any, types.Any, types.Any),
@@ -318,7 +361,11 @@ def _root(_, x):  # numba looks at its arguments
     def generate(context, builder, signature, arguments):
         kind = context.get_value_type(signature.return_type)
         is_vector = hasattr(kind, "count")
-        name = f"v{kind.count}{kind.element.intrinsic_name}" if is_vector else kind.intrinsic_name
+        name = (
+            f"v{kind.count}{kind.element.intrinsic_name}"
+            if is_vector
+            else kind.intrinsic_name
+        )
         root = get_or_insert_function(
             builder.module, ir.FunctionType(kind, [kind]), f"llvm.sqrt.{name}"
         )

@@ -33,9 +33,12 @@ class BulkSettings(PartSettings, frozen=True):
     """Settings of ``[representation]`` with ``kind = "bulk"``; a part's are in ``of``."""
 
     parts: Annotated[int, within(1, 100, "networks in a genome")] = 2
-    input: Annotated[int, within(0, 100_000, "number of the input that selects the part")] = 0
+    input: Annotated[
+        int, within(0, 100_000, "number of the input that selects the part")
+    ] = 0
     of: Annotated[
-        dict[str, Any], about("kind and settings of the parts: a table like `[representation]`")
+        dict[str, Any],
+        about("kind and settings of the parts: a table like `[representation]`"),
     ] = msgspec.field(default_factory=lambda: {"kind": "fully-meshed"})
 
     def __post_init__(self) -> None:
@@ -43,7 +46,9 @@ class BulkSettings(PartSettings, frozen=True):
         kind = self.of.get("kind")
         known = [name for name in plugins.BUNDLED["representation"] if name != "bulk"]
         if kind not in known:
-            raise ValueError(f"of: kind: expected one of {', '.join(known)}, not {kind!r:.60}")
+            raise ValueError(
+                f"of: kind: expected one of {', '.join(known)}, not {kind!r:.60}"
+            )
         try:
             _, settings = _part(self.of, "of")
         except ConfigError as error:
@@ -53,7 +58,9 @@ class BulkSettings(PartSettings, frozen=True):
         msgspec.structs.force_setattr(self, "of", {"kind": kind, **complete})
 
 
-def _part(table: dict[str, Any], where: str) -> tuple[type[Representation], msgspec.Struct]:
+def _part(
+    table: dict[str, Any], where: str
+) -> tuple[type[Representation], msgspec.Struct]:
     """Return the class and the settings of the parts."""
     kind = plugins.load("representation", table["kind"])
     given = {key: value for key, value in table.items() if key != "kind"}
@@ -65,7 +72,11 @@ part_step: Step  # of the parts' kind: ``_step_for`` gives it to ``decide``
 
 def decide(parameters, state, observation, output):  # type: ignore[no-untyped-def]  # compiled
     """Let the part decide that an input selects."""
-    parts, numbers, numbers_of_state = int(parameters[0]), int(parameters[2]), int(parameters[3])
+    parts, numbers, numbers_of_state = (
+        int(parameters[0]),
+        int(parameters[2]),
+        int(parameters[3]),
+    )
     part = min(max(to_int(observation[int(parameters[1])] + HALF), 0), parts - 1)
     begin, begin_of_state = HEADER + part * numbers, part * numbers_of_state
     part_step(  # noqa: F821  one of its globals
@@ -79,7 +90,10 @@ def decide(parameters, state, observation, output):  # type: ignore[no-untyped-d
 @functools.cache
 def _step_for(kind: str) -> Any:
     """Return ``decide`` for parts of a kind; a separate name and globals let numba cache it."""
-    name, part_step = f"decide_{kind.replace('-', '_')}", plugins.load("representation", kind).step
+    name, part_step = (
+        f"decide_{kind.replace('-', '_')}",
+        plugins.load("representation", kind).step,
+    )
     function = FunctionType(decide.__code__, {**globals(), "part_step": part_step}, name)
     function.__qualname__ = name
     return kernel(STEP_SIGNATURE)(function)
@@ -114,7 +128,12 @@ class Bulk(Representation):
         """Return header, then the parameters of each part."""
         parts, table = self.settings.parts, self.part.parameters(self._split(genomes))
         rows = np.empty((len(genomes), HEADER + parts * table.shape[1]), np.float32)
-        rows[:, :HEADER] = parts, self.settings.input, table.shape[1], self.part.state_size
+        rows[:, :HEADER] = (
+            parts,
+            self.settings.input,
+            table.shape[1],
+            self.part.state_size,
+        )
         rows[:, HEADER:] = table.reshape(len(genomes), -1)
         return rows
 
@@ -122,7 +141,9 @@ class Bulk(Representation):
         """Draw random parts."""
         return self._join(self.part.random(count * self.settings.parts, stream))
 
-    def mutate(self, genomes: Sequence[bytes], stream: Stream, **options: Any) -> list[bytes]:
+    def mutate(
+        self, genomes: Sequence[bytes], stream: Stream, **options: Any
+    ) -> list[bytes]:
         """Mutate all parts."""
         return self._join(self.part.mutate(self._split(genomes), stream, **options))
 
@@ -166,9 +187,14 @@ class Bulk(Representation):
         size, parts = self.genome_bytes // self.settings.parts, []
         for genome in genomes:
             check_length(genome, self.genome_bytes)
-            parts += [genome[begin : begin + size] for begin in range(0, len(genome), size)]
+            parts += [
+                genome[begin : begin + size] for begin in range(0, len(genome), size)
+            ]
         return parts
 
     def _join(self, parts: Sequence[bytes]) -> list[bytes]:
         count = self.settings.parts
-        return [b"".join(parts[begin : begin + count]) for begin in range(0, len(parts), count)]
+        return [
+            b"".join(parts[begin : begin + count])
+            for begin in range(0, len(parts), count)
+        ]

@@ -36,7 +36,9 @@ class CtrnnSettings(MeshedSettings, frozen=True):
     """Settings of ``[representation]`` with ``kind = "ctrnn"``."""
 
     iterations: Annotated[vector.Iterations, about("Euler steps in one decision")] = 2
-    tau_min: Annotated[Tau, about("shortest time constant, decisions; from 1 / `iterations`")] = 1.0
+    tau_min: Annotated[
+        Tau, about("shortest time constant, decisions; from 1 / `iterations`")
+    ] = 1.0
     tau_max: Annotated[Tau, about("longest time constant")] = 10.0
     weight_range: vector.WeightRange = 4.0
     bias_range: vector.BiasRange = 4.0
@@ -92,12 +94,16 @@ def step_lanes(parameters, state, observation, output):  # type: ignore[no-untyp
     inner = HEADER * LANES + observation.shape[0] // LANES * row
     biases = inner + neurons * row
     speeds = biases + row
-    weigh_inputs_lanes(parameters, HEADER * LANES, row, observation, state, from_inputs, end)
+    weigh_inputs_lanes(
+        parameters, HEADER * LANES, row, observation, state, from_inputs, end
+    )
     fire(state, firing, parameters, biases, end)
     for _ in range(iterations):
         for first in range(0, end, 4 * LANES):
             sums = take(state, from_inputs + first)
-            sums = weigh_lanes(sums, parameters, inner + first, row, state, firing, neurons)
+            sums = weigh_lanes(
+                sums, parameters, inner + first, row, state, firing, neurons
+            )
             for neuron in range(4):
                 at = first + neuron * LANES
                 y = load(state, at)
@@ -137,4 +143,6 @@ class CTRNN(Meshed):
         """Return time constants in decisions, float64."""
         settings = self.settings
         share = (np.clip(genes.astype(np.float64), -1.0, 1.0) + 1.0) / 2.0
-        return np.asarray(settings.tau_min + (settings.tau_max - settings.tau_min) * share)
+        return np.asarray(
+            settings.tau_min + (settings.tau_max - settings.tau_min) * share
+        )

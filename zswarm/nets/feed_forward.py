@@ -38,12 +38,15 @@ class FeedForwardSettings(PartSettings, frozen=True):
     """Settings of ``[representation]`` with ``kind = "feed-forward"``."""
 
     hidden: Annotated[
-        list[Width], Meta(max_length=8, description="nodes of each hidden layer; may be empty")
+        list[Width],
+        Meta(max_length=8, description="nodes of each hidden layer; may be empty"),
     ] = field(default_factory=lambda: [2, 2])
     activation: Annotated[
         neurons.Activation, about(f"activation of hidden nodes; {neurons.MEANING}")
     ] = "sigmoid"
-    output_activation: Annotated[neurons.Activation, about("activation of outputs")] = "sigmoid"
+    output_activation: Annotated[neurons.Activation, about("activation of outputs")] = (
+        "sigmoid"
+    )
     weight_range: vector.WeightRange = 2.0
     bias_range: vector.BiasRange = 2.0
 
@@ -73,7 +76,9 @@ def step(parameters, state, observation, output):  # type: ignore[no-untyped-def
         for first in range(0, row, LANES):
             sums = load(state, there + first)
             store(state, there + first, load(parameters, biases + first) + sums)
-            activate(activation, state, there + first, there + first, min(LANES, nodes - first))
+            activate(
+                activation, state, there + first, there + first, min(LANES, nodes - first)
+            )
         weights, sources = biases + row, nodes
         here, there = there, here
     copy_outputs(state, here + sources, output)
@@ -94,7 +99,9 @@ def step_lanes(parameters, state, observation, output):  # type: ignore[no-untyp
         biases = weights + sources * row
         for first in range(0, nodes * LANES, 4 * LANES):
             sums = fill(ZERO), fill(ZERO), fill(ZERO), fill(ZERO)
-            sums = weigh_lanes(sums, parameters, weights + first, row, state, here, sources)
+            sums = weigh_lanes(
+                sums, parameters, weights + first, row, state, here, sources
+            )
             put(add(sums, parameters, biases + first, fill(ONE)), state, there + first)
         for first in range(0, nodes * LANES, LANES):
             activate(activation, state, there + first, there + first, LANES)
@@ -144,7 +151,8 @@ class Layered(vector.VectorRepresentation):
         ends = np.cumsum([nodes * genes for nodes, genes in sizes])
         layers = np.split(self.vectors(genomes), ends[:-1], axis=1)
         return [
-            layer.reshape(len(genomes), *size) for layer, size in zip(layers, sizes, strict=True)
+            layer.reshape(len(genomes), *size)
+            for layer, size in zip(layers, sizes, strict=True)
         ]
 
     def parameters(self, genomes: Sequence[bytes]) -> np.ndarray:
@@ -182,4 +190,6 @@ class ThreeLayer(Layered):
     settings_type = ThreeLayerSettings
 
     def __init__(self, settings: ThreeLayerSettings, inputs: int, outputs: int) -> None:
-        super().__init__(settings, inputs, outputs, [settings.hidden], "sigmoid", "sigmoid")
+        super().__init__(
+            settings, inputs, outputs, [settings.hidden], "sigmoid", "sigmoid"
+        )

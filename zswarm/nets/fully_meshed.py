@@ -35,7 +35,9 @@ HEADER = 4  # iterations, activation, neurons, 0
 class FullyMeshedSettings(MeshedSettings, frozen=True):
     """Settings of ``[representation]`` with ``kind = "fully-meshed"``."""
 
-    iterations: Annotated[vector.Iterations, about("updates of all nodes in a decision")] = 2
+    iterations: Annotated[
+        vector.Iterations, about("updates of all nodes in a decision")
+    ] = 2
     activation: Annotated[neurons.Activation, about(neurons.MEANING)] = "clamp"
     weight_range: vector.WeightRange = 2.0
     bias_range: vector.BiasRange = 2.0
@@ -48,7 +50,11 @@ def step(parameters, state, observation, output):  # type: ignore[no-untyped-def
     The inputs do not change between iterations, so their sums are computed once. The additions and
     their order are those of FREVO.
     """
-    iterations, activation, neurons = int(parameters[0]), int(parameters[1]), int(parameters[2])
+    iterations, activation, neurons = (
+        int(parameters[0]),
+        int(parameters[1]),
+        int(parameters[2]),
+    )
     inputs, row = observation.shape[0], state.shape[0] // 3
     from_inputs, fresh = row, 2 * row  # behind the outputs
     inner = HEADER + inputs * row
@@ -58,7 +64,9 @@ def step(parameters, state, observation, output):  # type: ignore[no-untyped-def
         for first in range(0, row, LANES):
             sums = load(state, from_inputs + first)
             for neuron in range(neurons):
-                sums = sums + load(parameters, inner + neuron * row + first) * state[neuron]
+                sums = (
+                    sums + load(parameters, inner + neuron * row + first) * state[neuron]
+                )
             store(state, fresh + first, load(parameters, biases + first) + sums)
         for first in range(0, row, LANES):
             activate(activation, state, fresh + first, first, min(LANES, neurons - first))
@@ -74,7 +82,9 @@ def step_lanes(parameters, state, observation, output):  # type: ignore[no-untyp
     from_inputs, fresh = row, 2 * row
     inner = HEADER * LANES + observation.shape[0] // LANES * row
     biases, end = inner + neurons * row, neurons * LANES
-    weigh_inputs_lanes(parameters, HEADER * LANES, row, observation, state, from_inputs, end)
+    weigh_inputs_lanes(
+        parameters, HEADER * LANES, row, observation, state, from_inputs, end
+    )
     for _ in range(iterations):
         for first in range(0, end, 4 * LANES):
             sums = take(state, from_inputs + first)

@@ -52,7 +52,9 @@ def numbered(inputs: int, hidden: Sequence[str], outputs: Sequence[str]) -> list
         "hidden": hidden,
         "output": outputs,
     }
-    return [Node(kind, *node) for kind, texts in kinds.items() for node in enumerate(texts)]
+    return [
+        Node(kind, *node) for kind, texts in kinds.items() for node in enumerate(texts)
+    ]
 
 
 def of_layers(inputs: int, tables: Sequence[np.ndarray]) -> Graph:
@@ -68,7 +70,8 @@ def of_layers(inputs: int, tables: Sequence[np.ndarray]) -> Graph:
         for *weights, bias in table.tolist():
             texts.append(f"bias {bias:.4g}")
             edges += [
-                Edge(source, target, weight) for source, weight in enumerate(weights, previous)
+                Edge(source, target, weight)
+                for source, weight in enumerate(weights, previous)
             ]
             target += 1
         previous = layer
@@ -76,7 +79,9 @@ def of_layers(inputs: int, tables: Sequence[np.ndarray]) -> Graph:
     return Graph(numbered(inputs, texts[:hidden], texts[hidden:]), edges)
 
 
-def of_meshed(inputs: int, outputs: int, weights: np.ndarray, texts: Sequence[str]) -> Graph:
+def of_meshed(
+    inputs: int, outputs: int, weights: np.ndarray, texts: Sequence[str]
+) -> Graph:
     """Return the graph of a network whose neurons hear all inputs and all neurons.
 
     Args:

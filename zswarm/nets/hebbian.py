@@ -49,7 +49,11 @@ class HebbianSettings(MeshedSettings, frozen=True):
 @kernel(STEP_SIGNATURE)
 def step(parameters, state, observation, output):  # type: ignore[no-untyped-def]  # compiled
     """Make one decision, and learn from it."""
-    iterations, neurons, rate = int(parameters[0]), int(parameters[1]), np.float64(parameters[2])
+    iterations, neurons, rate = (
+        int(parameters[0]),
+        int(parameters[1]),
+        np.float64(parameters[2]),
+    )
     row = (neurons + LANES - 1) // LANES * LANES
     inputs = observation.shape[0]
     table = (inputs + neurons) * row
@@ -100,7 +104,9 @@ class Hebbian(Meshed):
         self.plastic = settings.plasticity == "each"
         sources = inputs + settings.hidden + outputs
         neuron = [(settings.weight_range, vector.COARSE)] * sources
-        neuron += [(settings.plasticity_range, vector.FINE)] * (sources if self.plastic else 0)
+        neuron += [(settings.plasticity_range, vector.FINE)] * (
+            sources if self.plastic else 0
+        )
         neuron += [(settings.bias_range, vector.COARSE)]
         rate = [(settings.rate_range, LEAST_RATE)]
         super().__init__(settings, inputs, outputs, neuron, rate)

@@ -26,7 +26,9 @@ LARGEST = 1 << 20  # numbers of a table
 
 Chance = Annotated[float, Meta(ge=0, le=1)]
 States = Annotated[int, Meta(ge=1, le=1000)]
-Bounds = Annotated[list[Annotated[int, Meta(ge=-1_000_000, le=1_000_000)]], Meta(min_length=1)]
+Bounds = Annotated[
+    list[Annotated[int, Meta(ge=-1_000_000, le=1_000_000)]], Meta(min_length=1)
+]
 Counts = Annotated[list[Annotated[int, Meta(ge=0, le=1000)]], Meta(min_length=1)]
 
 
@@ -37,12 +39,16 @@ class MealySettings(PartSettings, frozen=True):
     """
 
     states: Annotated[States, about("states of a new machine")] = 6
-    max_states: Annotated[States, about("maximum number of states, if `add_state` is not 0")] = 20
+    max_states: Annotated[
+        States, about("maximum number of states, if `add_state` is not 0")
+    ] = 20
     rows: Annotated[
         Literal["combinations", "product"],
         about("combinations: a table row for each combination; product: as in FREVO"),
     ] = "combinations"
-    scale: Annotated[float, above(0, 1e6, "an input is multiplied by this, then truncated")] = 100.0
+    scale: Annotated[
+        float, above(0, 1e6, "an input is multiplied by this, then truncated")
+    ] = 100.0
     thresholds: Annotated[
         Counts, about("thresholds of each input; 0: `units` + 1 classes of equal width")
     ] = field(default_factory=lambda: [1])
@@ -55,13 +61,21 @@ class MealySettings(PartSettings, frozen=True):
     units: Annotated[
         Counts, about("steps from minimum to maximum, at least 1; thresholds lie on them")
     ] = field(default_factory=lambda: [100])
-    output_units: Annotated[int, within(1, 1_000_000, "an output is a multiple of 1 / this")] = 100
+    output_units: Annotated[
+        int, within(1, 1_000_000, "an output is a multiple of 1 / this")
+    ] = 100
     add_state: Annotated[Chance, about("chance to add a state")] = 0.0
     delete_state: Annotated[Chance, about("chance to delete a state")] = 0.0
-    delete_transition: Annotated[Chance, about("chance that a transition keeps its state")] = 0.01
-    change_first_state: Annotated[Chance, about("chance to redraw the first state")] = 0.01
+    delete_transition: Annotated[
+        Chance, about("chance that a transition keeps its state")
+    ] = 0.01
+    change_first_state: Annotated[Chance, about("chance to redraw the first state")] = (
+        0.01
+    )
     change_output: Annotated[Chance, about("chance to redraw each output")] = 0.01
-    change_next_state: Annotated[Chance, about("chance to redirect each transition")] = 0.01
+    change_next_state: Annotated[Chance, about("chance to redirect each transition")] = (
+        0.01
+    )
     change_threshold: Annotated[Chance, about("chance to redraw each threshold")] = 0.01
 
 
@@ -85,7 +99,9 @@ def step(parameters, state, observation, output):  # type: ignore[no-untyped-def
             value = min(max(value, least), most)
             classes = int(parameters[at + 3]) + 1
             # As there, in float32: (value - least) units / (most - least), cut.
-            place = int(np.float32((value - least) * (classes - 1)) / np.float32(most - least))
+            place = int(
+                np.float32((value - least) * (classes - 1)) / np.float32(most - least)
+            )
         row = row * (place + 1) if product else row * classes + place
         combinations *= classes
         at += PER_INPUT + thresholds
@@ -145,7 +161,9 @@ class Mealy(Representation):
         names = ("thresholds", "minimum", "maximum", "units")
         self._per_input = np.array([self._each(name) for name in names], np.int64).T
         if (self._per_input[:, 1] >= self._per_input[:, 2]).any():
-            raise ConfigError("representation: minimum must be less than maximum, for each input")
+            raise ConfigError(
+                "representation: minimum must be less than maximum, for each input"
+            )
         if (self._per_input[:, 3] < 1).any():
             raise ConfigError("representation: units must be at least 1, for each input")
         if settings.max_states < settings.states and settings.add_state:
@@ -166,7 +184,9 @@ class Mealy(Representation):
                 "fewer thresholds or states"
             )
         self._thresholds = int(np.add.reduce(self._per_input[:, 0]))
-        self.genome_bytes = None if self._varies else self._layout(settings.states).itemsize
+        self.genome_bytes = (
+            None if self._varies else self._layout(settings.states).itemsize
+        )
 
     def parameters(self, genomes: Sequence[bytes]) -> np.ndarray:
         """Return rows as described at ``HEADER``; rows of fewer states end in zeros."""
@@ -224,7 +244,9 @@ class Mealy(Representation):
         taken = chosen[begin:end].reshape(following.shape) & (following < states)
         hers.following[:, :both] = np.where(taken, following, hers.following[:, :both])
         taken = chosen[end:].reshape(self.rows, both, self.outputs)
-        hers.outputs[:, :both] = np.where(taken, his.outputs[:, :both], hers.outputs[:, :both])
+        hers.outputs[:, :both] = np.where(
+            taken, his.outputs[:, :both], hers.outputs[:, :both]
+        )
         first = his.first if chosen[0] and his.first < states else hers.first
         thresholds = np.where(by_input, his.thresholds, hers.thresholds)
         return hers._replace(first=first, thresholds=thresholds).genome()
@@ -234,7 +256,9 @@ class Mealy(Representation):
 
         FREVO counts digits of a text, without the thresholds.
         """
-        a, b = (np.array([self._padded(genome) for genome in side]) for side in (left, right))
+        a, b = (
+            np.array([self._padded(genome) for genome in side]) for side in (left, right)
+        )
         counts = [np.count_nonzero(b != numbers, axis=1) for numbers in a]
         return np.array(counts, np.float64).reshape(len(left), len(right))
 
@@ -244,7 +268,9 @@ class Mealy(Representation):
         machine = self._decoded(genome)
         nodes, edges = [], []
         for state in range(machine.states):
-            nodes.append(Node("state", state, "the first one" if state == machine.first else ""))
+            nodes.append(
+                Node("state", state, "the first one" if state == machine.first else "")
+            )
             counts = np.bincount(machine.following[:, state], minlength=machine.states)
             for target in np.flatnonzero(counts).tolist():
                 text = f"{counts[target]} of {self.rows} combinations of inputs"
@@ -257,7 +283,9 @@ class Mealy(Representation):
         """Return a setting's number for each input."""
         given = getattr(self.settings, name)
         if len(given) not in (1, self.inputs):
-            text = f"expected one number, or {self.inputs}, one per input, not {len(given)}"
+            text = (
+                f"expected one number, or {self.inputs}, one per input, not {len(given)}"
+            )
             raise ConfigError(f"representation: {name}: {text}")
         return list(given) * (self.inputs if len(given) == 1 else 1)
 
@@ -272,7 +300,9 @@ class Mealy(Representation):
 
     def _checked(self, genome: bytes) -> Machine:
         states = int.from_bytes(genome[:2], "little")
-        fits = 1 <= states <= self._most if self._varies else states == self.settings.states
+        fits = (
+            1 <= states <= self._most if self._varies else states == self.settings.states
+        )
         if not fits or len(genome) != self._layout(states).itemsize:
             up_to = "up to " if self._varies else ""
             raise ValueError(
@@ -292,10 +322,21 @@ class Mealy(Representation):
         machine, settings = self._checked(genome), self.settings
         table = HEADER + PER_INPUT * self.inputs + self._thresholds
         product = settings.rows == "product"
-        header = (machine.states, machine.first, settings.output_units, product, settings.scale)
+        header = (
+            machine.states,
+            machine.first,
+            settings.output_units,
+            product,
+            settings.scale,
+        )
         by_input = zip(self._per_input, self._by_input(machine.thresholds), strict=True)
         inputs = [part for parts in by_input for part in parts]
-        parts = [[*header, table], *inputs, machine.following.ravel(), machine.outputs.ravel()]
+        parts = [
+            [*header, table],
+            *inputs,
+            machine.following.ravel(),
+            machine.outputs.ravel(),
+        ]
         return np.concatenate([np.asarray(part, np.float32) for part in parts])
 
     def _by_input(self, thresholds: np.ndarray) -> list[np.ndarray]:
@@ -336,7 +377,9 @@ class Mealy(Representation):
 
         redrawn = hit(settings.change_threshold, machine.thresholds.shape)
         thresholds = np.where(redrawn, self._drawn_thresholds(stream), machine.thresholds)
-        thresholds = np.concatenate([np.sort(part) for part in self._by_input(thresholds)])
+        thresholds = np.concatenate(
+            [np.sort(part) for part in self._by_input(thresholds)]
+        )
         redrawn = hit(settings.change_output, outputs.shape)
         outputs = np.where(redrawn, self._drawn_outputs(stream, states), outputs)
         following = machine.following.astype(np.int64)

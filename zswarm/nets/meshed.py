@@ -40,7 +40,9 @@ class Meshed(VectorRepresentation):
         self.sources = inputs + self.neurons
         ranges, least = np.array([*neuron] * self.neurons + [*others]).T.copy()
         blocks = range(0, self.neurons * len(neuron) + 1, len(neuron))
-        super().__init__(settings, inputs, outputs, ranges=ranges, blocks=blocks, least=least)
+        super().__init__(
+            settings, inputs, outputs, ranges=ranges, blocks=blocks, least=least
+        )
         self.state_size = 3 * padded(self.neurons)
         self.hidden_at = range(settings.hidden)
 

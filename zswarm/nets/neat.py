@@ -36,23 +36,29 @@ Coefficient = Annotated[float, Meta(ge=0, le=1e6)]
 class NeatNetworkSettings(PartSettings, frozen=True):
     """Settings of ``[representation]`` with ``kind = "neat"``; the paper's numbers where given."""
 
-    recurrent: Annotated[bool, about("links may form cycles and start at outputs: a memory")] = (
-        False
-    )
+    recurrent: Annotated[
+        bool, about("links may form cycles and start at outputs: a memory")
+    ] = False
     max_hidden: Annotated[int, within(0, 1000, "maximum of hidden neurons")] = 32
-    iterations: Annotated[Iterations, about("updates of all neurons in a decision; 3 in FREVO")] = 3
+    iterations: Annotated[
+        Iterations, about("updates of all neurons in a decision; 3 in FREVO")
+    ] = 3
     weight_range: Annotated[
         WeightRange, about("new weights are uniform in ± this; `severity` scales with it")
     ] = 2.0
     bias_range: Annotated[Coefficient, about("the same for biases")] = 2.0
     factor: Annotated[float, within(-1e3, 1e3, "factor of a new output's sigmoid")] = -4.9
-    factor_range: Annotated[float, within(0, 1e3, "deviation of new factors from `factor`")] = 0.0
-    add_node: Annotated[Chance, about("chance that mutation method 1 splits a link by a node")] = (
-        0.03
-    )
+    factor_range: Annotated[
+        float, within(0, 1e3, "deviation of new factors from `factor`")
+    ] = 0.0
+    add_node: Annotated[
+        Chance, about("chance that mutation method 1 splits a link by a node")
+    ] = 0.03
     add_link: Annotated[Chance, about("chance to add a link if no node is added")] = 0.05
     replace: Annotated[Chance, about("chance to redraw a number that changes")] = 0.1
-    keep_disabled: Annotated[Chance, about("chance to keep a link disabled in one parent")] = 0.75
+    keep_disabled: Annotated[
+        Chance, about("chance to keep a link disabled in one parent")
+    ] = 0.75
     unmatched_coefficient: Annotated[
         Coefficient, about("c1 and c2 of the distance: links that only one genome has")
     ] = 1.0
@@ -164,7 +170,9 @@ class Neat(Representation):
         for row in range(len(left)):
             both = in_a[:, row, None] & in_b
             # Along its first axis numpy adds row after row; ``_tables`` has at least two columns.
-            total = np.add.reduce(np.where(both, np.abs(a[:, row, None] - b), 0.0), axis=0)
+            total = np.add.reduce(
+                np.where(both, np.abs(a[:, row, None] - b), 0.0), axis=0
+            )
             unmatched = links_a[row] + links_b - 2 * _count(both & is_link)
             mean = total / np.maximum(_count(both), 1)
             distance = settings.unmatched_coefficient * unmatched  # eq. 1
@@ -175,7 +183,9 @@ class Neat(Representation):
     def structure(self, genome: bytes) -> tuple[int, int]:
         """Count hidden neurons and enabled links."""
         genes = Genes.copied(genome)
-        return len(genes.nodes) - self.outputs, int(np.count_nonzero(genes.links["enabled"]))
+        return len(genes.nodes) - self.outputs, int(
+            np.count_nonzero(genes.links["enabled"])
+        )
 
     def graph(self, genome: bytes) -> Graph:
         """Return the network without disabled links."""
@@ -185,11 +195,17 @@ class Neat(Representation):
         nodes = numbered(
             self.inputs,
             [f"bias {bias:.4g}" for _, bias, _ in hidden.tolist()],
-            [f"bias {bias:.4g}, factor {factor:.4g}" for _, bias, factor in outputs.tolist()],
+            [
+                f"bias {bias:.4g}, factor {factor:.4g}"
+                for _, bias, factor in outputs.tolist()
+            ],
         )
         index = self._indices(np.concatenate([hidden, outputs]))
         links = genes.links[genes.links["enabled"] == 1].tolist()
-        edges = [Edge(index[source], index[target], weight) for source, target, weight, _ in links]
+        edges = [
+            Edge(index[source], index[target], weight)
+            for source, target, weight, _ in links
+        ]
         return Graph(nodes, edges)
 
     # ---- genomes
@@ -206,15 +222,23 @@ class Neat(Representation):
         if not np.isfinite(numbers).all():
             raise ValueError("a genome holds a number that is not finite")
         if (links["enabled"] > 1).any():
-            raise ValueError("a genome has a link that is neither enabled (1) nor disabled (0)")
+            raise ValueError(
+                "a genome has a link that is neither enabled (1) nor disabled (0)"
+            )
         nodes = self._checked_nodes(nodes)
         hidden = len(nodes) - self.outputs
         nodes = np.roll(nodes, -self.outputs)  # outputs last
         sources, targets = self._ends(genes, nodes)
         self._check_recurrence(sources, targets, hidden)
         enabled = links["enabled"] == 1
-        sources, targets, weights = sources[enabled], targets[enabled], links["weight"][enabled]
-        sweeps = 1 if (sources - self.inputs < targets).all() else self.settings.iterations
+        sources, targets, weights = (
+            sources[enabled],
+            targets[enabled],
+            links["weight"][enabled],
+        )
+        sweeps = (
+            1 if (sources - self.inputs < targets).all() else self.settings.iterations
+        )
         by_target = np.argsort(targets, kind="stable")
         table = np.empty((len(nodes), PER_NEURON), np.float32)
         table[:, 0] = np.bincount(targets, minlength=len(nodes))
@@ -229,13 +253,17 @@ class Neat(Representation):
         ids = nodes["id"].tolist()
         first, end, most = self.inputs + 1, self._first_hidden, self.settings.max_hidden
         if ids[: self.outputs] != list(range(first, end)):
-            raise ValueError(f"a genome's nodes must begin with the outputs, {first} to {end - 1}")
+            raise ValueError(
+                f"a genome's nodes must begin with the outputs, {first} to {end - 1}"
+            )
         if min(ids) < first:
             raise ValueError("a genome has a gene for an input")
         unique = first_of_each_id(nodes)
         hidden = len(unique) - self.outputs
         if hidden > most:
-            raise ValueError(f"a genome has {hidden} hidden neurons; max_hidden is {most}")
+            raise ValueError(
+                f"a genome has {hidden} hidden neurons; max_hidden is {most}"
+            )
         return unique
 
     def _ends(self, genes: Genes, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -244,14 +272,18 @@ class Neat(Representation):
         try:
             ends = [(index[source], index[target]) for source, target in genes.pairs()]
         except KeyError as error:
-            raise ValueError(f"a genome has a link of node {error}, which is missing") from None
+            raise ValueError(
+                f"a genome has a link of node {error}, which is missing"
+            ) from None
         sources, targets = np.array(ends, np.int64).reshape(-1, 2).T
         targets = targets - self.inputs
         if (targets < 0).any():
             raise ValueError("a genome has a link that ends at an input")
         return sources, targets
 
-    def _check_recurrence(self, sources: np.ndarray, targets: np.ndarray, hidden: int) -> None:
+    def _check_recurrence(
+        self, sources: np.ndarray, targets: np.ndarray, hidden: int
+    ) -> None:
         """Refuse links from outputs and circles unless they are allowed."""
         if self.settings.recurrent:
             return
@@ -270,7 +302,9 @@ class Neat(Representation):
         (0, output, 1) for its factor.
         """
         genes = Genes.copied(genome)
-        numbers = dict(zip(genes.innovations(), genes.links["weight"].tolist(), strict=True))
+        numbers = dict(
+            zip(genes.innovations(), genes.links["weight"].tolist(), strict=True)
+        )
         for id_, bias, factor in genes.nodes.tolist():
             numbers[0, id_, 0] = bias
             if id_ < self._first_hidden:
@@ -289,17 +323,26 @@ class Neat(Representation):
         ranges = settings.weight_range, settings.bias_range, settings.factor_range
         middles = 0.0, 0.0, settings.factor
         ends = np.add.accumulate([len(group) for group in groups])
-        chances = np.split(stream.uniform(0.0, 1.0, 3 * ends[-1]).reshape(3, -1), ends[:-1], axis=1)
-        for old, reach, middle, drawn in zip(groups, ranges, middles, chances, strict=True):
+        chances = np.split(
+            stream.uniform(0.0, 1.0, 3 * ends[-1]).reshape(3, -1), ends[:-1], axis=1
+        )
+        for old, reach, middle, drawn in zip(
+            groups, ranges, middles, chances, strict=True
+        ):
             hit, redraw, draws = drawn
             steps = (2.0 * draws - 1.0) * reach
-            new = np.where(redraw < settings.replace, middle + steps, old + severity * steps)
+            new = np.where(
+                redraw < settings.replace, middle + steps, old + severity * steps
+            )
             old[:] = np.where(hit < probability, new, old)
 
     def _add_node(self, genes: Genes, stream: Stream) -> Genes | None:
         """Split an enabled link: weight 1 into the node, the old weight out of it (section 3.1)."""
         enabled = np.flatnonzero(genes.links["enabled"])
-        if not len(enabled) or len(genes.nodes) - self.outputs >= self.settings.max_hidden:
+        if (
+            not len(enabled)
+            or len(genes.nodes) - self.outputs >= self.settings.max_hidden
+        ):
             return None
         link = genes.links[enabled[stream.integer(len(enabled))]]
         link["enabled"] = 0
@@ -319,7 +362,9 @@ class Neat(Representation):
             return None
         source, target = free[stream.integer(len(free))]
         weight = float(stream.uniform(-1.0, 1.0, 1)[0]) * self.settings.weight_range
-        links = np.concatenate([genes.links, np.array([(source, target, weight, 1)], LINK)])
+        links = np.concatenate(
+            [genes.links, np.array([(source, target, weight, 1)], LINK)]
+        )
         linked = Genes(genes.nodes, links)
         if self.settings.recurrent:
             return linked
@@ -334,7 +379,9 @@ class Neat(Representation):
         ids = genes.nodes["id"].tolist()
         outputs, hidden = ids[: self.outputs], ids[self.outputs :]
         sources, taken = [*range(1, self.inputs + 1), *hidden], set(genes.pairs())
-        closing: dict[int, set[int]] = {}  # per target the sources that would close a circle
+        closing: dict[
+            int, set[int]
+        ] = {}  # per target the sources that would close a circle
         if self.settings.recurrent:
             sources += outputs
         else:

@@ -19,7 +19,9 @@ import numpy as np
 
 COUNTS = struct.Struct("<II")
 NODE = np.dtype([("id", "<u8"), ("bias", "<f8"), ("factor", "<f8")])
-LINK = np.dtype([("source", "<u8"), ("target", "<u8"), ("weight", "<f8"), ("enabled", "u1")])
+LINK = np.dtype(
+    [("source", "<u8"), ("target", "<u8"), ("weight", "<f8"), ("enabled", "u1")]
+)
 
 Innovation = tuple[int, int, int]  # source, target, which of equal links
 
@@ -62,7 +64,9 @@ class Genes(NamedTuple):
 
     def pairs(self) -> list[tuple[int, int]]:
         """Return source and target of each link."""
-        return list(zip(self.links["source"].tolist(), self.links["target"].tolist(), strict=True))
+        return list(
+            zip(self.links["source"].tolist(), self.links["target"].tolist(), strict=True)
+        )
 
     def innovations(self) -> list[Innovation]:
         """Return an innovation number per link; FREVO's genomes may have the same link twice."""
@@ -93,7 +97,9 @@ def new_id(source: int, target: int, least: int, used: Collection[int]) -> int:
     raise AssertionError  # pragma: no cover  count never ends
 
 
-def sorted_forward(nodes: Iterable[int], pairs: Iterable[tuple[int, int]]) -> list[int] | None:
+def sorted_forward(
+    nodes: Iterable[int], pairs: Iterable[tuple[int, int]]
+) -> list[int] | None:
     """Return the nodes so that all pairs lead forward, or None if pairs form a circle.
 
     Args:
@@ -116,7 +122,9 @@ def sorted_forward(nodes: Iterable[int], pairs: Iterable[tuple[int, int]]) -> li
     return order
 
 
-def reachable(nodes: Iterable[int], pairs: Iterable[tuple[int, int]]) -> dict[int, set[int]]:
+def reachable(
+    nodes: Iterable[int], pairs: Iterable[tuple[int, int]]
+) -> dict[int, set[int]]:
     """Return per node the nodes that pairs lead to from it, itself included."""
     following: dict[int, list[int]] = {node: [] for node in nodes}
     for source, target in pairs:

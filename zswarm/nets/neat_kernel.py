@@ -23,7 +23,11 @@ HIGH, MIDDLE, LOW = np.uint64(44), np.uint64(22), np.uint64((1 << 22) - 1)
 @inline
 def load_double(array, at):  # type: ignore[no-untyped-def]  # compiled
     """Return the float64 that three float32 numbers hold."""
-    high, middle, low = np.uint64(array[at]), np.uint64(array[at + 1]), np.uint64(array[at + 2])
+    high, middle, low = (
+        np.uint64(array[at]),
+        np.uint64(array[at + 1]),
+        np.uint64(array[at + 2]),
+    )
     return np.uint64((high << HIGH) | (middle << MIDDLE) | low).view(np.float64)
 
 
@@ -50,7 +54,11 @@ def tanh(x):  # type: ignore[no-untyped-def]  # compiled
 @kernel(STEP_SIGNATURE)
 def step(parameters, state, observation, output):  # type: ignore[no-untyped-def]  # compiled
     """Make one decision; ``state`` holds each neuron's value, in the order of the parameters."""
-    iterations, hidden, neurons = int(parameters[0]), int(parameters[1]), int(parameters[2])
+    iterations, hidden, neurons = (
+        int(parameters[0]),
+        int(parameters[1]),
+        int(parameters[2]),
+    )
     inputs = observation.shape[0]
     for _ in range(iterations):
         link = HEADER + PER_NEURON * neurons
@@ -80,4 +88,6 @@ def step(parameters, state, observation, output):  # type: ignore[no-untyped-def
 def words(numbers: np.ndarray) -> np.ndarray:
     """Return (n, 3) float32, as ``load_double`` reads them."""
     bits = np.ascontiguousarray(numbers, "<f8").view(np.uint64)
-    return np.stack([bits >> HIGH, (bits >> MIDDLE) & LOW, bits & LOW], axis=1).astype(np.float32)
+    return np.stack([bits >> HIGH, (bits >> MIDDLE) & LOW, bits & LOW], axis=1).astype(
+        np.float32
+    )

@@ -31,10 +31,14 @@ class Networks:
             observations: (agents, inputs) float32.
         """
         actions = np.empty((len(agents), self._representation.outputs), np.float32)
-        for row, (agent, participant) in enumerate(zip(agents, participants, strict=True)):
+        for row, (agent, participant) in enumerate(
+            zip(agents, participants, strict=True)
+        ):
             state = self._states.get(agent)
             if state is None:
                 state = np.zeros(self._representation.state_size, np.float32)
                 self._states[agent] = state
-            self._step(self._parameters[participant], state, observations[row], actions[row])
+            self._step(
+                self._parameters[participant], state, observations[row], actions[row]
+            )
         return actions

@@ -11,7 +11,8 @@ from zswarm.kernels.portable import sigmoid, tanh
 Activation = Literal["clamp", "sigmoid", "relu", "tanh"]
 ACTIVATIONS = get_args(Activation)
 MEANING = (
-    "clamp: cut to 0..1; sigmoid: 1 / (1 + e^-x); relu: negative is 0; tanh: -1..1, within 3.7e-5"
+    "clamp: cut to 0..1; sigmoid: 1 / (1 + e^-x); relu: negative is 0; "
+    "tanh: -1..1, within 3.7e-5"
 )
 CLAMP, SIGMOID, RELU, TANH = range(4)
 ZERO, ONE = np.float32(0), np.float32(1)
@@ -76,7 +77,10 @@ def weigh(parameters, at, row, values, begin, count, state, to):  # type: ignore
     for first in range(0, row, LANES):
         sums = fill(ZERO)
         for source in range(count):
-            sums = sums + load(parameters, at + source * row + first) * values[begin + source]
+            sums = (
+                sums
+                + load(parameters, at + source * row + first) * values[begin + source]
+            )
         store(state, to + first, sums)
 
 
@@ -117,7 +121,9 @@ def add(sums, parameters, at, value):  # type: ignore[no-untyped-def]  # compile
 def weigh_lanes(sums, parameters, at, row, values, first, count):  # type: ignore[no-untyped-def]  # compiled
     """Add weighted values as ``weigh`` does, to the sums of four neurons of eight agents."""
     for source in range(count):
-        sums = add(sums, parameters, at + source * row, load(values, first + source * LANES))
+        sums = add(
+            sums, parameters, at + source * row, load(values, first + source * LANES)
+        )
     return sums
 
 

@@ -98,7 +98,9 @@ class VectorRepresentation(Representation):
         else:
             reach = np.maximum(numbers.astype(np.float64) / 5.0, self.least)
             reach = np.where(self.least == COARSE, np.trunc(reach), reach)
-        return _split(np.where(hit, numbers + (draws * reach).astype(np.float32), numbers))
+        return _split(
+            np.where(hit, numbers + (draws * reach).astype(np.float32), numbers)
+        )
 
     def crossover(self, mother: bytes, father: bytes, stream: Stream) -> bytes:
         """Return the mother with all genes of a block of the father's neurons."""

@@ -69,7 +69,9 @@ class Block(AbstractContextManager[Evolution]):
         raise TypeError(_NEEDS_WITH)
 
     def __getattr__(self, name: str) -> NoReturn:
-        raise AttributeError(f"no attribute {name!r}" if name.startswith("_") else _NEEDS_WITH)
+        raise AttributeError(
+            f"no attribute {name!r}" if name.startswith("_") else _NEEDS_WITH
+        )
 
 
 _NEEDS_WITH = (
@@ -90,7 +92,9 @@ def evolving(
             yield begun
         except (Exception, KeyboardInterrupt) as error:
             if begun.result is None:
-                error.add_note(f"nothing is lost; to resume: zswarm.resume({str(begun.folder)!r})")
+                error.add_note(
+                    f"nothing is lost; to resume: zswarm.resume({str(begun.folder)!r})"
+                )
             raise
 
 
@@ -127,7 +131,9 @@ def followers(given: Sequence[Logger] | Logger, *, progress: bool) -> Logger:
         given = [given]
     for logger in given:
         if not isinstance(logger, Logger):
-            raise TypeError(f"loggers: expected instances of zswarm.Logger, not {logger!r}")
+            raise TypeError(
+                f"loggers: expected instances of zswarm.Logger, not {logger!r}"
+            )
     shown = _display() if progress else _Quiet()
     say = shown.on_say if progress else LOG.warning
     return Loggers([shown, *(InBackground(logger, say) for logger in given)])

@@ -20,7 +20,13 @@ import numpy as np
 
 from zswarm import evaluate
 from zswarm.errors import EvaluationError, Stopped
-from zswarm.ot.cluster.events import Arbitrated, Disputed, ProbeArbitrated, ProbeDisputed, Retracted
+from zswarm.ot.cluster.events import (
+    Arbitrated,
+    Disputed,
+    ProbeArbitrated,
+    ProbeDisputed,
+    Retracted,
+)
 from zswarm.ot.cluster.shell import Cluster
 from zswarm.ot.generation import Assessment
 from zswarm.ot.notes import Note, words
@@ -63,7 +69,9 @@ class CandidateEvaluator:
     ) -> None:
         self._lease, self._wait, self._wanted = lease, wait, wanted
         self._stop = threading.Event()
-        self._turn = threading.Lock()  # held by the thread that evaluates; it guards what follows
+        self._turn = (
+            threading.Lock()
+        )  # held by the thread that evaluates; it guards what follows
         self._held = ExitStack()
         self._cluster: Cluster | None = None
         self._of = b""  # what the lease is for
@@ -82,7 +90,11 @@ class CandidateEvaluator:
         return assessment.fitness()
 
     def outcomes(
-        self, problem: Problem, candidates: Any, generation: int, seeds: Sequence[int] | None
+        self,
+        problem: Problem,
+        candidates: Any,
+        generation: int,
+        seeds: Sequence[int] | None,
     ) -> CandidateOutcomes:
         """See ``Connection.outcomes``."""
         genomes = _genomes(problem, candidates, generation)
@@ -169,7 +181,11 @@ class CandidateEvaluator:
             self._drop()
             run = f"evaluate-{secrets.token_hex(4)}"
             lease = self._lease(problem, run=run, slots=slots, say=_say, stop=self._stop)
-            self._cluster, self._of, self._slots = self._held.enter_context(lease), of, slots
+            self._cluster, self._of, self._slots = (
+                self._held.enter_context(lease),
+                of,
+                slots,
+            )
             for item in self._wait(self._cluster):
                 _log(item)
         if self._idle is None:
@@ -184,7 +200,9 @@ class CandidateEvaluator:
                 self.release()
 
     def _forget(self, call: _Call) -> None:
-        with contextlib.suppress(ValueError):  # the thread that waited may have been interrupted
+        with contextlib.suppress(
+            ValueError
+        ):  # the thread that waited may have been interrupted
             self._calls.remove(call)
 
     def _drop(self) -> None:
@@ -230,7 +248,9 @@ def _genomes(problem: Problem, candidates: Any, generation: int) -> list[bytes]:
 
 
 def _checked_seeds(seeds: Any) -> list[int]:
-    expected = "seeds: expected a list of whole numbers, one at least, each from 0 to 2^64 - 1"
+    expected = (
+        "seeds: expected a list of whole numbers, one at least, each from 0 to 2^64 - 1"
+    )
     try:
         numbers = [operator.index(seed) for seed in seeds]
     except TypeError:
@@ -242,7 +262,10 @@ def _checked_seeds(seeds: Any) -> list[int]:
 
 def _same_lease(problem: Problem) -> bytes:
     """Return a key that is equal for problems that differ in their trials only."""
-    simulator, representation = problem.experiment.problem, problem.experiment.representation
+    simulator, representation = (
+        problem.experiment.problem,
+        problem.experiment.representation,
+    )
     parts = (simulator.simulator, simulator.settings, representation)
     return msgspec.json.encode(parts, order="sorted")
 

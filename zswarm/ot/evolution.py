@@ -36,7 +36,10 @@ class Evolution:
     """
 
     def __init__(
-        self, folder: Path, evolve: Callable[[threading.Event], Generations], logger: Logger
+        self,
+        folder: Path,
+        evolve: Callable[[threading.Event], Generations],
+        logger: Logger,
     ) -> None:
         self.folder = folder
         self.result: Result | None = None
@@ -93,7 +96,9 @@ class Evolution:
         """
         asked = control.asked(self.folder)
         if asked == "pause":
-            self._logger.on_say("the run pauses, as requested, until it is asked to continue")
+            self._logger.on_say(
+                "the run pauses, as requested, until it is asked to continue"
+            )
         while asked == "pause" and not self._stop.is_set():
             time.sleep(control.CHECK_S)
             asked = control.asked(self.folder)
@@ -127,7 +132,10 @@ def start(
     metrics = parts.problem.simulator.metrics
     more = {"relative": 1} if parts.optimizer.relative else {}
     record = Record.create(out, complete, _code(complete), metrics, name=name, **more)
-    with record, contextlib.closing(_evolution(parts, record, connection, logger)) as evolution:
+    with (
+        record,
+        contextlib.closing(_evolution(parts, record, connection, logger)) as evolution,
+    ):
         yield evolution
 
 
@@ -156,8 +164,12 @@ def resume(folder: Path, connection: Connection, logger: Logger) -> Iterator[Evo
         if not parts.optimizer.portable and (machine := record.machine_changed()):
             logger.on_say(f"this run was made with {machine}; {CHANGED}")
         if record.meta("version_hash") != _code(complete):
-            logger.on_say(f"the code that computes was changed since this run began; {CHANGED}")
-        with contextlib.closing(_evolution(parts, record, connection, logger)) as evolution:
+            logger.on_say(
+                f"the code that computes was changed since this run began; {CHANGED}"
+            )
+        with contextlib.closing(
+            _evolution(parts, record, connection, logger)
+        ) as evolution:
             yield evolution
 
 
@@ -165,7 +177,9 @@ def _code(complete: Experiment) -> str:
     return version_hash(complete.problem.simulator, complete.representation.kind)
 
 
-def _evolution(parts: Parts, record: Record, connection: Connection, logger: Logger) -> Evolution:
+def _evolution(
+    parts: Parts, record: Record, connection: Connection, logger: Logger
+) -> Evolution:
     def evolve(stop: threading.Event) -> Generations:
         with connection.run():
             return (yield from run.evolve(parts, record, connection, logger, stop))

@@ -50,8 +50,13 @@ class Assessment:
             return total
         with np.errstate(over="ignore", invalid="ignore"):
             for workload in self._workloads:
-                who, players = workload.participants.ravel(), workload.participants.shape[1]
-                np.add.at(total, who, np.repeat(workload.metrics[:, columns], players, axis=0))
+                who, players = (
+                    workload.participants.ravel(),
+                    workload.participants.shape[1],
+                )
+                np.add.at(
+                    total, who, np.repeat(workload.metrics[:, columns], players, axis=0)
+                )
                 np.add.at(trials, who, 1)
             mean = total / trials
         return np.where(np.isfinite(mean), mean, np.nan)

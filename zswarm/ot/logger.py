@@ -48,7 +48,9 @@ class Result(NamedTuple):
     seconds: float
     faulted: int
     doubtful: int  # trials of a server that was later proved to compute wrong
-    relative: bool = False  # best is a score of the last generation, and compares only within it
+    relative: bool = (
+        False  # best is a score of the last generation, and compares only within it
+    )
 
 
 class Logger:
@@ -111,7 +113,9 @@ class InBackground(Forwarder):
 
     def __init__(self, logger: Logger, say: Callable[[str], None]) -> None:
         self._name, self._logger, self._say = type(logger).__name__, logger, say
-        self._calls: queue.Queue[tuple[str, tuple[Any, ...]] | None] = queue.Queue(WAITING)
+        self._calls: queue.Queue[tuple[str, tuple[Any, ...]] | None] = queue.Queue(
+            WAITING
+        )
         self._dropped, self._raised = 0, False
         self._thread = threading.Thread(target=self._work, name=self._name, daemon=True)
 
@@ -157,7 +161,10 @@ class InBackground(Forwarder):
             method, arguments = call
             try:
                 getattr(self._logger, method)(*arguments)
-            except (Exception, SystemExit) as error:  # in the user's code: the run continues
+            except (
+                Exception,
+                SystemExit,
+            ) as error:  # in the user's code: the run continues
                 if not self._raised:
                     reason = f"{type(error).__name__}: {error}"
                     self._say(f"logger {self._name}: {reason}; the run continues")

@@ -27,7 +27,11 @@ class RunEvent(StrEnum):
     SERVER_MISMATCH = "server_mismatch", "warning", "{server} is not used: {text}"
     SERVER_REFUSED = "server_refused", "warning", "{server} refused: {text}"
     SERVER_DIFFERS = "server_differs", "warning", "{server} is not used: {text}"
-    SERVER_FAULTY = "server_faulty", "error", "{server} is backed off for ten minutes: {text}"
+    SERVER_FAULTY = (
+        "server_faulty",
+        "error",
+        "{server} is backed off for ten minutes: {text}",
+    )
     SERVER_WRONG = (
         "server_wrong",
         "error",
@@ -41,13 +45,21 @@ class RunEvent(StrEnum):
     )
     UNVERIFIED = "unverified", "warning", "trials are counted unverified: {text}"
     LEASE_LOST = "lease_lost", "error", "{server}: {text}; reserving again"
-    LEASE_WAITING = "lease_waiting", "info", "{server} is busy for other runs: waiting for a slot"
+    LEASE_WAITING = (
+        "lease_waiting",
+        "info",
+        "{server} is busy for other runs: waiting for a slot",
+    )
     LEASE_PREPARING = "lease_preparing"
     LEASE_READY = "lease_ready"
     DISK_WAITED = "disk_waited", "warning"
     REQUEUED = "requeued", "warning"
     FAULT = "fault", "error", "{server}: {text}"
-    MALFORMED = "malformed", "error", "{server} sent an answer that cannot be used: {text}"
+    MALFORMED = (
+        "malformed",
+        "error",
+        "{server} sent an answer that cannot be used: {text}",
+    )
     SIMULATOR_RAISED = (
         "simulator_raised",
         "error",
@@ -57,7 +69,9 @@ class RunEvent(StrEnum):
     severity: Severity
     line: str
 
-    def __new__(cls, name: str, severity: Severity = "info", line: str = "") -> "RunEvent":
+    def __new__(
+        cls, name: str, severity: Severity = "info", line: str = ""
+    ) -> "RunEvent":
         """Make a member, which equals its name."""
         member = str.__new__(cls, name)
         member._value_, member.severity, member.line = name, severity, line

@@ -26,7 +26,11 @@ class Problem:
 
     def __init__(self, complete: Experiment) -> None:
         self.experiment = complete
-        problem, network, ranking = complete.problem, complete.representation, complete.ranking
+        problem, network, ranking = (
+            complete.problem,
+            complete.representation,
+            complete.ranking,
+        )
         self.simulator, self.representation = evaluate.build(
             problem.simulator, problem.settings, network.kind, network.settings
         )
@@ -87,8 +91,12 @@ class Problem:
     def played(self, workload: Workload) -> Round:
         """Return the games of a workload with the sums over their trials, added in trial order."""
         trials, participants = self.experiment.problem.trials, self.simulator.participants
-        sums = np.cumsum(workload.fitness.reshape(-1, trials, participants), axis=1)[:, -1]
-        return Round(workload.participants[::trials], sums + 0.0)  # SQLite drops the sign of -0.0
+        sums = np.cumsum(workload.fitness.reshape(-1, trials, participants), axis=1)[
+            :, -1
+        ]
+        return Round(
+            workload.participants[::trials], sums + 0.0
+        )  # SQLite drops the sign of -0.0
 
     def total(self, workload: Workload) -> np.ndarray:
         """Return the sums over the trials of candidates that play alone, (candidates,) float64."""
@@ -129,7 +137,9 @@ class Problem:
         check_whole("seed", seed)
         return self.representation.random(count, Stream(derive_seed(seed, "random")))
 
-    def genomes(self, candidates: Sequence[bytes] | np.ndarray | Sequence[Any]) -> list[bytes]:
+    def genomes(
+        self, candidates: Sequence[bytes] | np.ndarray | Sequence[Any]
+    ) -> list[bytes]:
         """Return genomes of vectors, (n, genes) numbers stored as float32, or genomes as they are.
 
         Raises:
@@ -137,7 +147,9 @@ class Problem:
                 or a representation without vectors.
             TypeError: neither a list nor an array.
         """
-        if isinstance(candidates, str | bytes | Mapping) or not hasattr(candidates, "__len__"):
+        if isinstance(candidates, str | bytes | Mapping) or not hasattr(
+            candidates, "__len__"
+        ):
             raise TypeError(
                 "candidates: expected a list of genomes or an array of numbers,"
                 f" not {type(candidates).__name__}"
@@ -149,7 +161,9 @@ class Problem:
         if as_bytes == len(candidates):
             genomes = list(candidates)
         elif as_bytes:
-            raise ValueError("candidates: expected either genomes as bytes or vectors, not both")
+            raise ValueError(
+                "candidates: expected either genomes as bytes or vectors, not both"
+            )
         else:
             genomes = [vector.tobytes() for vector in self._float32(candidates)]
         self.representation.parameters(genomes)  # refuses what no server could evaluate
@@ -177,9 +191,13 @@ class Problem:
         except ValueError:
             raise ValueError("candidates: expected vectors of equal length") from None
         if numbers.dtype.kind not in "buif":
-            raise ValueError(f"candidates: expected real numbers, not an array of {numbers.dtype}")
+            raise ValueError(
+                f"candidates: expected real numbers, not an array of {numbers.dtype}"
+            )
         if numbers.shape != (len(candidates), self.genes):
-            raise ValueError(f"candidates: expected shape (n, {self.genes}), not {numbers.shape}")
+            raise ValueError(
+                f"candidates: expected shape (n, {self.genes}), not {numbers.shape}"
+            )
         with np.errstate(over="ignore"):  # infinite numbers are refused as parameters
             return numbers.astype("<f4")
 
@@ -195,4 +213,6 @@ def check_whole(name: str, value: Any) -> None:
     except TypeError:
         raise TypeError(f"{name}: expected a whole number, not {value!r:.60}") from None
     if not 0 <= number < 2**64:
-        raise ValueError(f"{name}: expected a whole number from 0 to 2^64 - 1, not {number}")
+        raise ValueError(
+            f"{name}: expected a whole number from 0 to 2^64 - 1, not {number}"
+        )

@@ -19,7 +19,11 @@ from zswarm.protocol import messages
 
 
 def evolve(
-    parts: Parts, record: Record, connection: Connection, logger: Logger, stop: threading.Event
+    parts: Parts,
+    record: Record,
+    connection: Connection,
+    logger: Logger,
+    stop: threading.Event,
 ) -> Generator[Generation, None, Result]:
     """Evolve from where the record ends to the last generation; yield each one once it is recorded.
 
@@ -59,7 +63,9 @@ def evolve(
                 notebook.follow(cluster.evaluate(assessment.workload), assessment)
             ended = assessment
             state = notebook.tell(ended)
-            if generation + 1 < last:  # servers have work while this generation is recorded
+            if (
+                generation + 1 < last
+            ):  # servers have work while this generation is recorded
                 assessment = Assessment(problem, optimizer.ask(), generation + 1)
                 items = cluster.evaluate(assessment.workload)
             yield notebook.finish(ended, state, cluster)
@@ -145,16 +151,24 @@ class _Notebook:
             case None:
                 self._record.flush()
         if assessment is not None and work is not None:
-            counted, trials = work.first + int(work.counted.sum()), work.first + len(work.seeds)
+            counted, trials = (
+                work.first + int(work.counted.sum()),
+                work.first + len(work.seeds),
+            )
             self._logger.on_progress(assessment.generation, counted, trials)
 
     def tell(self, ended: Assessment) -> msgspec.Raw:
         """Tell the optimizer a generation, and return its state before the next ask."""
-        self._fitness, self._measures = ended.fitness(), ended.measures(self._optimizer.measures)
+        self._fitness, self._measures = (
+            ended.fitness(),
+            ended.measures(self._optimizer.measures),
+        )
         self._optimizer.tell(self._fitness, self._measures)
         return msgspec.Raw(msgspec.msgpack.encode(self._optimizer.state()))
 
-    def finish(self, ended: Assessment, state: msgspec.Raw, cluster: Cluster) -> Generation:
+    def finish(
+        self, ended: Assessment, state: msgspec.Raw, cluster: Cluster
+    ) -> Generation:
         """Record a generation, and its champion if it is a better one."""
         record, optimizer, standing = self._record, self._optimizer, cluster.standing
         genomes, fitness, measures = ended.genomes, self._fitness, self._measures

@@ -17,7 +17,11 @@ class Workload:
     """
 
     def __init__(
-        self, genomes: list[bytes], participants: np.ndarray, seeds: np.ndarray, metrics: int
+        self,
+        genomes: list[bytes],
+        participants: np.ndarray,
+        seeds: np.ndarray,
+        metrics: int,
     ) -> None:
         trials = len(seeds)
         self.round = self.first = 0

@@ -23,7 +23,9 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,62}")
 Texts = Annotated[list[str], Meta(min_length=1)]
 Count = Annotated[int, Meta(ge=1, le=100_000)]
 Limit = Annotated[float, Meta(gt=0, le=86400)]  # seconds
-Inside = Annotated[str, Meta(pattern=r"^(?!/|.*(^|/)\.\.(/|$)).+$")]  # a path in a package
+Inside = Annotated[
+    str, Meta(pattern=r"^(?!/|.*(^|/)\.\.(/|$)).+$")
+]  # a path in a package
 RosName = Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 SettingName = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,62}$")]
 
@@ -59,19 +61,27 @@ class PlacedSetting(LaunchTarget, frozen=True, kw_only=True, forbid_unknown_fiel
     choices: list[str] = []  # of a string; empty: any
 
 
-class ControllerFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ControllerFile(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
+):
     """How a candidate's controller is written to the package."""
 
     form: Literal["yaml", "json", "c99"]
     file: Inside
-    rebuild: list[str] = []  # command, run in the package before each trial, without a shell
+    rebuild: list[
+        str
+    ] = []  # command, run in the package before each trial, without a shell
     limit_s: Limit = 600.0  # for the command
 
 
-class LaunchManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class LaunchManifest(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
+):
     """The manifest of a launch file."""
 
-    package: Annotated[str, Meta(min_length=1)]  # a folder next to this file, or known to ROS
+    package: Annotated[
+        str, Meta(min_length=1)
+    ]  # a folder next to this file, or known to ROS
     launch: Inside
     files: Texts  # as in Manifest
     description: str = ""
@@ -84,12 +94,16 @@ class LaunchManifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     seed: LaunchTarget | None = None  # of a trial; None: the world takes none
     repeatable: bool = True  # the same candidate and seed have the same fitness
     logs: Inside = "log"  # folder of the robots' logs
-    fitness: Literal["last-distance", "cpswarm-log", "command"] = "last-distance"  # default
+    fitness: Literal["last-distance", "cpswarm-log", "command"] = (
+        "last-distance"  # default
+    )
     command: list[str] = []  # of the fitness "command"
     command_limit_s: Limit = 60.0
     settings: dict[SettingName, PlacedSetting] = {}
     arguments: dict[RosName, str] = {}  # fixed ones, of roslaunch
-    parameters: dict[Inside, dict[RosName, Any]] = {}  # fixed ones, by YAML file of the package
+    parameters: dict[
+        Inside, dict[RosName, Any]
+    ] = {}  # fixed ones, by YAML file of the package
 
 
 def find() -> dict[str, Path]:
@@ -105,11 +119,15 @@ def find() -> dict[str, Path]:
 def read(path: Path) -> Manifest | LaunchManifest:
     """Read a manifest."""
     mapping = decode.read(path)
-    kind: type[Manifest | LaunchManifest] = LaunchManifest if "package" in mapping else Manifest
+    kind: type[Manifest | LaunchManifest] = (
+        LaunchManifest if "package" in mapping else Manifest
+    )
     manifest = decode.convert(mapping, kind, str(path))
     for name in manifest.files:
         if not (path.parent / name).is_file():
-            raise ConfigError(f"{path}: files: {path.parent / name} is missing, or not a file")
+            raise ConfigError(
+                f"{path}: files: {path.parent / name} is missing, or not a file"
+            )
     return manifest
 
 

@@ -87,7 +87,9 @@ COMPOSED = {("representation", "bulk")}  # made of the other bundled parts of th
 def _installed(kind: Kind) -> dict[str, EntryPoint]:
     group = f"zswarm.{kind}s"
     table = {point.name: point for point in entry_points(group=group)}
-    return table | {name: EntryPoint(name, target, group) for name, target in BUNDLED[kind].items()}
+    return table | {
+        name: EntryPoint(name, target, group) for name, target in BUNDLED[kind].items()
+    }
 
 
 def foreign(kind: Kind) -> dict[str, Path]:
@@ -121,7 +123,9 @@ def _entry_point(kind: Kind, name: str) -> EntryPoint:
     if name not in table:
         known = names(kind)
         meant = nearest(name, known)
-        raise UnknownPlugin(f"unknown {kind} {name!r}{meant}; known are: {', '.join(known)}")
+        raise UnknownPlugin(
+            f"unknown {kind} {name!r}{meant}; known are: {', '.join(known)}"
+        )
     return table[name]
 
 
@@ -152,7 +156,9 @@ def libraries(files: Iterable[Path]) -> list[str]:
     """Return the packages in ``LIBRARIES = (...)`` of Python files, sorted: they compute, too."""
     texts = [_text(file) for file in files if file.suffix == ".py"]
     lists = [found for text in texts for found in DECLARED.findall(text)]
-    return sorted({name for found in lists for name in re.findall(r"[\"']([^\"']+)[\"']", found)})
+    return sorted(
+        {name for found in lists for name in re.findall(r"[\"']([^\"']+)[\"']", found)}
+    )
 
 
 def plugin_files() -> list[Path]:

@@ -41,7 +41,12 @@ SHARED = [
     "sims/turns.py",
     "sims/simulator.py",
 ]
-SHARED += ["kernels/jit.py", "kernels/compiler.py", "kernels/lanes.py", "kernels/vectors.py"]
+SHARED += [
+    "kernels/jit.py",
+    "kernels/compiler.py",
+    "kernels/lanes.py",
+    "kernels/vectors.py",
+]
 SHARED += ["kernels/signatures.py", "kernels/portable.py", "kernels/random.py"]
 SHARED += ["nets/meshed.py", "nets/networks.py", "nets/neurons.py"]
 SHARED += ["nets/representation.py", "nets/vector.py"]
@@ -98,7 +103,9 @@ def differing(here: Mapping[str, str], asked: Mapping[str, str]) -> list[str]:
 def lacking(here: Mapping[str, str], asked: Mapping[str, str]) -> list[str]:
     """Return the packages to install here, as arguments of pip."""
     missing = {
-        name: asked[name] for name, found in here.items() if found == NONE != asked.get(name, NONE)
+        name: asked[name]
+        for name, found in here.items()
+        if found == NONE != asked.get(name, NONE)
     }
     return [
         f"{name}=={theirs}" if PACKAGE_VERSION.fullmatch(theirs) else name
@@ -157,7 +164,9 @@ def _further(libraries: tuple[str, ...]) -> dict[str, str]:
     """
     if not libraries:
         return {}
-    adding = [point.dist for name in libraries for point in _entry_points().select(group=name)]
+    adding = [
+        point.dist for name in libraries for point in _entry_points().select(group=name)
+    ]
     found = {library: _version(library) for library in libraries}
     found |= {package.name: package.version for package in adding if package is not None}
     return dict(sorted(found.items())) | {"architecture": platform.machine()}
@@ -184,7 +193,9 @@ def _hashed(total: "hashlib.blake2b", files: Iterable[Path]) -> "hashlib.blake2b
 
 def _processor() -> str:
     """Return the processor's kind, and the one for which numba is told to compile instead."""
-    target = [os.environ.get(name, "") for name in ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES")]
+    target = [
+        os.environ.get(name, "") for name in ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES")
+    ]
     try:
         # The first processor's entry: a large machine has hundreds.
         with CPUINFO.open() as lines:

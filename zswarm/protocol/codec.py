@@ -22,7 +22,13 @@ M = TypeVar("M", bound=messages.Message)
 MAX_DEPTH = 8  # of settings
 INVALID = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 # Fields whose texts are shown somewhere, by message; labels are checked by pattern instead.
-_TEXTS = (messages.Text, messages.Names, messages.Limits, messages.Versions, messages.Part)
+_TEXTS = (
+    messages.Text,
+    messages.Names,
+    messages.Limits,
+    messages.Versions,
+    messages.Part,
+)
 SHOWN: dict[type[msgspec.Struct], list[str]] = {
     kind: [field.name for field in structs.fields(kind) if field.type in _TEXTS]
     for kind in messages.Message.__subclasses__()
@@ -90,7 +96,9 @@ def sensed(
     owners = array(message.participants, "<u4").tolist()
     count = len(agents)
     if not agents or max(agents) >= messages.MAX_AGENTS:
-        raise RemoteProtocolError(f"expected at least one agent, each below {messages.MAX_AGENTS}")
+        raise RemoteProtocolError(
+            f"expected at least one agent, each below {messages.MAX_AGENTS}"
+        )
     if len(owners) != count or max(owners) >= participants:
         raise RemoteProtocolError(
             f"{count} agents need as many participants, each below {participants}"
@@ -115,12 +123,16 @@ def _per_agent(raw: bytes, agents: int, each: int, what: str) -> np.ndarray:
     return numbers.astype(np.float32).reshape(agents, each)
 
 
-def trials(message: Evaluate, participants_per_trial: int) -> tuple[np.ndarray, np.ndarray]:
+def trials(
+    message: Evaluate, participants_per_trial: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the participants (trials, k) int64 and seeds (trials,) uint64 of a batch."""
     seeds, participants = array(message.seeds, "<u8"), array(message.participants, "<u4")
     count = len(seeds)
     if not 1 <= count <= messages.MAX_TRIALS:
-        raise RemoteProtocolError(f"a batch holds 1 to {messages.MAX_TRIALS} trials, not {count}")
+        raise RemoteProtocolError(
+            f"a batch holds 1 to {messages.MAX_TRIALS} trials, not {count}"
+        )
     if len(participants) != count * participants_per_trial:
         raise RemoteProtocolError(
             f"{count} trials of {participants_per_trial} participants need"
@@ -138,7 +150,9 @@ def cut(message: Evaluate, first: int, end: int) -> Evaluate:
     count = len(message.seeds) // 8
     if (first, end) == (0, count):
         return message
-    participants = np.frombuffer(message.participants, "<u4").reshape(count, -1)[first:end]
+    participants = np.frombuffer(message.participants, "<u4").reshape(count, -1)[
+        first:end
+    ]
     lowest, genomes = 0, 0
     if participants.size:
         lowest, genomes = int(participants.min()), int(participants.max()) + 1
@@ -241,7 +255,9 @@ def _check_plain(value: Any, depth: int) -> None:
         case dict():
             for key, item in value.items():
                 if not isinstance(key, str) or len(key) > messages.MAX_TEXT:
-                    raise RemoteProtocolError("a key of settings is not a text, or too long")
+                    raise RemoteProtocolError(
+                        "a key of settings is not a text, or too long"
+                    )
                 _check_plain(item, depth - 1)
         case list():
             for item in value:

@@ -24,7 +24,9 @@ def parse(text: str) -> Endpoint:
     protocol, _, rest = text.partition("/")
     address = re.split("[?#]", rest)[0]
     if protocol not in PROTOCOLS:
-        raise _refused(text, f"the part before the first / must be one of {', '.join(PROTOCOLS)}")
+        raise _refused(
+            text, f"the part before the first / must be one of {', '.join(PROTOCOLS)}"
+        )
     if not text.isprintable() or any(map(str.isspace, text)):
         raise _refused(text, "it holds a space or a control character")
     if protocol == SOCKET_FILE:
@@ -33,7 +35,9 @@ def parse(text: str) -> Endpoint:
         return Endpoint(protocol, address, 0)
     found = HOST_PORT.fullmatch(address)
     if not found:
-        raise _refused(text, "HOST:PORT must follow the protocol, an IPv6 address in brackets")
+        raise _refused(
+            text, "HOST:PORT must follow the protocol, an IPv6 address in brackets"
+        )
     host, port = found.groups()
     if not re.fullmatch("[0-9]+", port) or int(port) > 65_535:
         raise _refused(text, "the port must be a number up to 65535")

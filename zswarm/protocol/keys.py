@@ -16,7 +16,9 @@ MAX_ID = 63
 MAX_NAME = MAX_ID - 9  # a server's id adds - and 8 hex digits
 ID_RULE = "1 to 63 of a-z, 0-9 and -, not starting with -"
 ROOT = f"zswarm/v{VERSION}"
-ANY_ALIVE = "zswarm/*/*/ss/*/alive"  # the tokens of all servers of all realms and versions
+ANY_ALIVE = (
+    "zswarm/*/*/ss/*/alive"  # the tokens of all servers of all realms and versions
+)
 
 RunRequest = ("reserve", "renew", "evaluate", "cancel", "release")
 _ID = f"({ID.pattern})"
@@ -53,7 +55,9 @@ def is_id(text: str) -> bool:
 
 def fold(text: str) -> str:
     """Return the nearest id to a text, such as a host or user name; ``x`` if there is none."""
-    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")[:MAX_NAME].strip("-") or "x"
+    return (
+        re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")[:MAX_NAME].strip("-") or "x"
+    )
 
 
 def new_server_id(name: str) -> str:

@@ -16,7 +16,8 @@ from zswarm.system.text import clean
 
 NAME_RULE = "a name is 1 to 63 of a-z, 0-9, _, . and -, starting with a letter"
 VALUE_RULE = (
-    "a value is 1 to 63 of letters, digits, _, ., :, + and -, starting with a letter or digit"
+    "a value is 1 to 63 of letters, digits, _, ., :, + and -, "
+    "starting with a letter or digit"
 )
 EXAMPLES = "gpu=yes, room=b12|b13, name!=lab-3, cores>=8 or memory_mb<=64000"
 _VALUES = rf"{LABEL_VALUE}(?:\|{LABEL_VALUE})*"
@@ -74,7 +75,9 @@ class Order(NamedTuple):
 Preference = Term | Order
 
 
-def labels(values: Mapping[str, object], where: str, facts: Sequence[str] = ()) -> dict[str, str]:
+def labels(
+    values: Mapping[str, object], where: str, facts: Sequence[str] = ()
+) -> dict[str, str]:
     """Return the labels that a user gave a server.
 
     Args:
@@ -108,7 +111,9 @@ def assigned(texts: Sequence[str], where: str) -> dict[str, str]:
     for text in texts:
         name, equals, value = text.partition("=")
         if not equals:
-            raise ConfigError(f"{where} {clean(text)}: expected NAME=VALUE, such as gpu=yes")
+            raise ConfigError(
+                f"{where} {clean(text)}: expected NAME=VALUE, such as gpu=yes"
+            )
         if name in values:
             raise ConfigError(f"{where} {clean(text)}: {clean(name)} is there twice")
         values[name] = value
@@ -130,7 +135,9 @@ def requirements(texts: Sequence[str], where: str) -> tuple[Term, ...]:
     for name in dict.fromkeys(term.name for term in found):
         same = [term for term in found if term.name == name]
         if _contradict(same):
-            raise ConfigError(f"{where}: no server can meet {' and '.join(map(str, same))}")
+            raise ConfigError(
+                f"{where}: no server can meet {' and '.join(map(str, same))}"
+            )
     return tuple(found)
 
 
@@ -183,7 +190,9 @@ def _contradict(terms: Sequence[Term]) -> bool:
     if equal:
         name = terms[0].name
         values = set.intersection(*equal)
-        return not any(all(term.holds({name: value}) for term in terms) for value in values)
+        return not any(
+            all(term.holds({name: value}) for term in terms) for value in values
+        )
     least = [float(term.values[0]) for term in terms if term.operator == ">="]
     most = [float(term.values[0]) for term in terms if term.operator == "<="]
     return max(least, default=0.0) > min(most, default=math.inf)

@@ -47,7 +47,11 @@ Refusal = Literal[
 
 
 class Message(
-    msgspec.Struct, frozen=True, kw_only=True, tag_field="type", forbid_unknown_fields=True
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    tag_field="type",
+    forbid_unknown_fields=True,
 ):
     """The fields of all messages."""
 
@@ -89,7 +93,9 @@ class Reserve(Message, frozen=True, tag="reserve"):
     representation: Part
     version_hash: Text
     trial_timeout_s: Annotated[float, Meta(gt=0, le=1e9)]
-    trial_memory_mb: Megabytes = 0  # that a slot's process may take; 0: what the server gives
+    trial_memory_mb: Megabytes = (
+        0  # that a slot's process may take; 0: what the server gives
+    )
     # The controllers stay at the optimizer, which is asked in each turn, or for each agent.
     asks: Asks = ""
 
@@ -107,7 +113,9 @@ class Evaluate(Message, frozen=True, tag="evaluate"):
 
     lease: Token
     batch: BatchId
-    genomes: Annotated[list[Genome], Meta(max_length=MAX_GENOMES)]  # empty: see Reserve.asks
+    genomes: Annotated[
+        list[Genome], Meta(max_length=MAX_GENOMES)
+    ]  # empty: see Reserve.asks
     participants: bytes  # (trials, k) uint32, indices into genomes
     seeds: bytes  # (trials,) uint64
 
@@ -151,7 +159,9 @@ class Lease(Message, frozen=True, tag="lease"):
     state: State
     slots: Count  # slots held
     ready: Count  # of them ready to evaluate
-    probe: Annotated[bytes, Meta(max_length=64)] = b""  # digest of the probe's outcomes, once ready
+    probe: Annotated[bytes, Meta(max_length=64)] = (
+        b""  # digest of the probe's outcomes, once ready
+    )
     trial_s: Seconds = 0.0  # seconds of one trial of the probe
     reason: Text = ""  # of a failure
 

@@ -35,7 +35,9 @@ def drive_steps(
     """Return the steps of a robot with such limits, m/s and rad/s; they never change."""
     rays, sectors, view = interface.rays, interface.sectors, interface.view
     stream = Stream(derive_seed(0, "drive steps"))
-    ranges = stream.uniform(0.0, BEYOND * interface.range, STEPS * rays).astype(np.float32)
+    ranges = stream.uniform(0.0, BEYOND * interface.range, STEPS * rays).astype(
+        np.float32
+    )
     ranges = ranges.reshape(STEPS, -1)
     poses = stream.uniform(-AROUND_M, AROUND_M, STEPS * 4).reshape(STEPS, 4)
     targets = np.array(interface.targets, np.float64).ravel()

@@ -19,7 +19,11 @@ EXECUTABLE, PLAIN = 0o777, 0o666
 
 
 class ExportedFiles(
-    msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag="zswarm-export", tag_field="format"
+    msgspec.Struct,
+    frozen=True,
+    forbid_unknown_fields=True,
+    tag="zswarm-export",
+    tag_field="format",
 ):
     """That list, as JSON: the SHA-256 of each file by its path, 64 hex digits."""
 
@@ -41,7 +45,8 @@ def write(folder: Path, files: Mapping[str, str | bytes]) -> list[Path]:
         ConfigError: another file has such a path, or something cannot be written.
     """
     contents = {
-        path: each.encode() if isinstance(each, str) else each for path, each in files.items()
+        path: each.encode() if isinstance(each, str) else each
+        for path, each in files.items()
     }
     hashes = {path: _hash(content) for path, content in contents.items()}
     at = folder
@@ -64,7 +69,9 @@ def write(folder: Path, files: Mapping[str, str | bytes]) -> list[Path]:
         listed = ExportedFiles(dict(sorted((known | hashes).items())))
         write_whole(at, msgspec.json.format(msgspec.json.encode(listed)) + b"\n")
     except OSError as error:
-        raise ConfigError(f"{error.filename or at}: cannot be written: {error.strerror}") from None
+        raise ConfigError(
+            f"{error.filename or at}: cannot be written: {error.strerror}"
+        ) from None
     return [folder / path for path in contents]
 
 

@@ -56,5 +56,7 @@ def _networks(
 def _numbers(network: VectorRepresentation, genome: bytes) -> dict[str, Any]:
     """Return a genome's numbers: a row for each neuron, and those after the last."""
     vector = network.vectors([genome])[0]
-    rows = [vector[begin:end].tolist() for begin, end in itertools.pairwise(network.blocks)]
+    rows = [
+        vector[begin:end].tolist() for begin, end in itertools.pairwise(network.blocks)
+    ]
     return {"neurons": rows, "others": vector[network.blocks[-1] :].tolist()}

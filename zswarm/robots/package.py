@@ -63,7 +63,9 @@ NUMBERS = (
     "sectors arrived watchdog_s state stamped"
 ).split()
 STAMP = "    message.header.stamp = ros::Time::now();\n    message.header.frame_id = {frame};\n"
-FILL = "    {twist}.linear.x = velocity.linear;\n    {twist}.angular.z = velocity.angular;"
+FILL = (
+    "    {twist}.linear.x = velocity.linear;\n    {twist}.angular.z = velocity.angular;"
+)
 # A file that needs nothing of zswarm: it is copied as it is.
 OVER_ZENOH = Path(__file__).parents[1] / "ros" / "link" / "over_zenoh.py"
 
@@ -88,15 +90,31 @@ class NodeKind(NamedTuple):
     in_python: bool = True
 
 
-CATKIN = ("package.xml", "CMakeLists.txt", "launch/drive.launch", "src/node.cpp", "src/driving.hpp")
-AMENT = ("package.xml", "setup.py", "setup.cfg", "launch/drive.launch.py", "resource/{name}")
+CATKIN = (
+    "package.xml",
+    "CMakeLists.txt",
+    "launch/drive.launch",
+    "src/node.cpp",
+    "src/driving.hpp",
+)
+AMENT = (
+    "package.xml",
+    "setup.py",
+    "setup.cfg",
+    "launch/drive.launch.py",
+    "resource/{name}",
+)
 NODE = "{name}/node.py"
 ROS1 = NodeKind("ros1", "ROS 1", 1, "turtlebot2", CATKIN, in_python=False)
 ROS2 = NodeKind("ros2", "ROS 2", 2, "turtlebot3-jazzy", (*AMENT, NODE))
-ZENOH = NodeKind("zenoh", "ROS 2 over Zenoh", 2, "turtlebot3-jazzy", ("requirements.txt", NODE))
+ZENOH = NodeKind(
+    "zenoh", "ROS 2 over Zenoh", 2, "turtlebot3-jazzy", ("requirements.txt", NODE)
+)
 
 
-def package(kind: NodeKind, controller: Controller, name: str, profile: str | None = None) -> Files:
+def package(
+    kind: NodeKind, controller: Controller, name: str, profile: str | None = None
+) -> Files:
     """Return the package ``zs_<name>``.
 
     Args:
@@ -134,7 +152,9 @@ class Robot:
         watchdog_s: silence after which it stops.
     """
 
-    def __init__(self, kind: NodeKind, controller: Controller, name: str, profile: str) -> None:
+    def __init__(
+        self, kind: NodeKind, controller: Controller, name: str, profile: str
+    ) -> None:
         simulator, _ = evaluate.build(
             controller.simulator,
             controller.simulator_settings,
@@ -159,7 +179,9 @@ class Robot:
         self.profile_name = profile
         self.profile = profiles.read(profile)
         if self.profile.ros != kind.ros:
-            fit = ", ".join(one for one in profiles.names() if profiles.read(one).ros == kind.ros)
+            fit = ", ".join(
+                one for one in profiles.names() if profiles.read(one).ros == kind.ros
+            )
             raise ConfigError(
                 f"profile {profile}: is for ROS {self.profile.ros}; "
                 f"expected one for ROS {kind.ros}: {fit}"
@@ -188,10 +210,15 @@ def _words(robot: Robot) -> Words:
         "between": between,
         "evolved_speed": interface.speed,
         "evolved_turn": interface.turn,
-        **{name: getattr(interface, name) for name in ("step_s", "view", "range", "arrived")},
+        **{
+            name: getattr(interface, name)
+            for name in ("step_s", "view", "range", "arrived")
+        },
         **{name: getattr(robot, name) for name in ("speed", "turn", "watchdog_s")},
     }
-    texts = {name: getattr(controller, name) for name in ("simulator", "representation", "run")}
+    texts = {
+        name: getattr(controller, name) for name in ("simulator", "representation", "run")
+    }
     texts["profile"] = robot.profile_name
     # Topics from the root have {i}; for others the node is given a namespace.
     topics = {
@@ -217,7 +244,8 @@ def _words(robot: Robot) -> Words:
         "velocity_frame": velocity.frame,
         "stamped": velocity.stamped,
         "twist": "TwistStamped" if velocity.stamped else "Twist",
-        "fill": frame + FILL.format(twist="message.twist" if velocity.stamped else "message"),
+        "fill": frame
+        + FILL.format(twist="message.twist" if velocity.stamped else "message"),
         "distribution": profile.distribution,
         "fitness": f"{controller.fitness:.6g}",
         "description": escape(f"A robot's controller, {about}"),
@@ -228,7 +256,9 @@ def _c_files(robot: Robot, words: Words) -> Files:
     """Return the robot in C99: controller, observation, command."""
     interface = translate.functions(KERNELS, "interface")
     words = words | interface._asdict() | {"guards": c99.GUARDS}
-    words |= {f"check_{name}": _c_rows(rows) for name, rows in robot.checks._asdict().items()}
+    words |= {
+        f"check_{name}": _c_rows(rows) for name, rows in robot.checks._asdict().items()
+    }
     names = ("interface.h", "interface.c", "robot.h", "robot.c")
     files = c99.pair(robot.controller, robot.name.removeprefix("zs_"))
     files |= {name: fill(f"c/{name}", words) for name in names}
@@ -245,7 +275,8 @@ def _python_files(robot: Robot, words: Words) -> Files:
     files = {
         "__init__.py": "",
         "network.py": network[f"{robot.name}.py"],
-        "kernels.py": KERNELS_HEAD + kernel_source.functions([kernel for kernel, _ in KERNELS]),
+        "kernels.py": KERNELS_HEAD
+        + kernel_source.functions([kernel for kernel, _ in KERNELS]),
         "settings.py": _settings(robot, words),
         "driving.py": fill("python/driving.py", words),
         "robot.py": fill("python/robot.py", words),

@@ -11,7 +11,9 @@ from zswarm.controller import Controller
 from zswarm.errors import ConfigError
 from zswarm.robots.c.c_types import folded
 
-Files = dict[str, str | bytes]  # by path in a folder; what begins with #! is made executable
+Files = dict[
+    str, str | bytes
+]  # by path in a folder; what begins with #! is made executable
 
 
 class Target(NamedTuple):
@@ -34,7 +36,9 @@ PACKAGE = "zswarm.robots.package"
 TARGETS = {
     "c99": Target("zswarm.robots.c.c99:pair", C99),
     "json": Target("zswarm.robots.json_file:as_json", "python3 -m json.tool {name}.json"),
-    "onnx": Target("zswarm.robots.onnx.file:model", "python3 -m onnx.checker {name}.onnx"),
+    "onnx": Target(
+        "zswarm.robots.onnx.file:model", "python3 -m onnx.checker {name}.onnx"
+    ),
     "python": Target("zswarm.robots.python_file:python", "python3 {name}.py"),
     "ros1": Target(f"{PACKAGE}:ros1", "cat README.md", driving=True),
     "ros2": Target(f"{PACKAGE}:ros2", "cat README.md", driving=True),
@@ -55,11 +59,15 @@ def known(target: str) -> None:
 
 def on(target: str, name: str, folder: Path) -> str:
     """Return the command that compiles, reads or checks exported files in a folder."""
-    command = TARGETS[target].command.format(name=f"zs_{name}", macro=f"ZS_{name.upper()}")
+    command = TARGETS[target].command.format(
+        name=f"zs_{name}", macro=f"ZS_{name.upper()}"
+    )
     return f"cd {shlex.quote(str(folder))} && {command}"
 
 
-def files(target: str, controller: Controller, name: str, profile: str | None = None) -> Files:
+def files(
+    target: str, controller: Controller, name: str, profile: str | None = None
+) -> Files:
     """Return the files of a controller.
 
     Args:

@@ -23,7 +23,9 @@ def rules(role: str, members: Members) -> dict[str, Any]:
     if role != "ot":
         allowed |= {f"ot.{user}": _from_user(user) for user in members.users}
     if role != "ss":
-        allowed |= {f"ss.{server}": _from_server(f"{server}-$*") for server in members.servers}
+        allowed |= {
+            f"ss.{server}": _from_server(f"{server}-$*") for server in members.servers
+        }
     if role != "router":
         flows = _from_user("*") if role == "ss" else _from_server("*")
         allowed |= {f"router.{router}": flows for router in members.routers}
@@ -43,7 +45,10 @@ def rules(role: str, members: Members) -> dict[str, Any]:
         ],
         "subjects": [{"id": holder, "cert_common_names": [holder]} for holder in allowed],
         "policies": [
-            {"rules": [f"{holder}/{number}" for number in range(len(flows))], "subjects": [holder]}
+            {
+                "rules": [f"{holder}/{number}" for number in range(len(flows))],
+                "subjects": [holder],
+            }
             for holder, flows in allowed.items()
         ],
     }
@@ -59,7 +64,9 @@ def _from_server(server: str) -> list[Flow]:
     return _flows("egress", "ingress", "*", server)
 
 
-def _flows(to_server: Direction, to_user: Direction, user: str, server: str) -> list[Flow]:
+def _flows(
+    to_server: Direction, to_user: Direction, user: str, server: str
+) -> list[Flow]:
     """Return what may pass a link in the directions of requests and of answers to them."""
     served = f"{VERSIONED}/ss/{server}"
     control = f"{VERSIONED}/ot/{user}/*/control"  # by which servers ask for actions

@@ -66,7 +66,11 @@ class Authority:
             if (folder / KEY).exists():
                 text = "there is an authority already, for all keys of the lab"
                 raise KeysError(f"{folder}: {text}; --authority DIR makes another")
-            key, begin, name = certificates.new_key(), now or datetime.now(UTC), f"authority.{lab}"
+            key, begin, name = (
+                certificates.new_key(),
+                now or datetime.now(UTC),
+                f"authority.{lab}",
+            )
             certificate = certificates.build(
                 name,
                 key.public_key(),
@@ -134,7 +138,11 @@ class Authority:
             text = f"{holder} has keys already, until {previous.not_after:%Y-%m-%d}"
             raise KeysError(f"{text}: zswarm-keys renew {holder.name} makes new ones")
         common_name = holder.common_name
-        end = max(each.not_after for each in self.ledger.issued if each.common_name == common_name)
+        end = max(
+            each.not_after
+            for each in self.ledger.issued
+            if each.common_name == common_name
+        )
         if end > self._now:
             other = f"{holder.name[: keys.MAX_NAME - 2]}-2"
             raise KeysError(
@@ -154,7 +162,9 @@ class Authority:
         for holder, addresses in wanted.items():
             key = certificates.new_key()
             asked.append(
-                Request(holder, alternative_names(holder, addresses), key.public_key(), key)
+                Request(
+                    holder, alternative_names(holder, addresses), key.public_key(), key
+                )
             )
         return self._issue(asked, days)
 
@@ -175,7 +185,10 @@ class Authority:
                 text = f"{holder} was revoked on {previous.revoked_at:%Y-%m-%d}"
                 raise KeysError(f"{text}: issue keys under another name")
             if pem:
-                public, key = certificates.read_public(pem, f"{self.folder / LEDGER}"), None
+                public, key = (
+                    certificates.read_public(pem, f"{self.folder / LEDGER}"),
+                    None,
+                )
             else:
                 key = certificates.new_key()
                 public = key.public_key()
@@ -216,11 +229,15 @@ class Authority:
                 serial=f"{certificate.serial_number:x}",
                 names=request.names,
                 not_after=certificate.not_valid_after_utc,
-                public_key="" if request.key else certificates.public_pem(request.public_key),
+                public_key=""
+                if request.key
+                else certificates.public_pem(request.public_key),
             )
             signed.append(certificate.public_bytes(Encoding.PEM).decode())
             entries.append(entry)
-        self._write([*self.ledger.issued, *entries])  # first: no certificate is unrecorded
+        self._write(
+            [*self.ledger.issued, *entries]
+        )  # first: no certificate is unrecorded
         members = self.members()
         return [
             Bundle(

@@ -17,14 +17,23 @@ from cryptography import x509
 from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.hazmat.primitives.serialization import Encoding, PrivateFormat, PublicFormat
+from cryptography.hazmat.primitives.serialization import (
+    Encoding,
+    PrivateFormat,
+    PublicFormat,
+)
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from zswarm.errors import KeysError
 from zswarm.security.members import Holder, Members, SignedMembers
 from zswarm.system.text import clean
 
-AUTHORITY, CERTIFICATE, KEY, MEMBERS = "authority.pem", "certificate.pem", "key.pem", "members.json"
+AUTHORITY, CERTIFICATE, KEY, MEMBERS = (
+    "authority.pem",
+    "certificate.pem",
+    "key.pem",
+    "members.json",
+)
 UNREADABLE = (  # what the library raises at bytes that it cannot read
     ValueError,
     TypeError,
@@ -98,8 +107,12 @@ def build(
         encipher_only=False,
         decipher_only=False,
     )
-    constraints = x509.BasicConstraints(is_authority, path_length=0 if is_authority else None)
-    issuer_id = x509.AuthorityKeyIdentifier.from_issuer_public_key(issuer_key.public_key())
+    constraints = x509.BasicConstraints(
+        is_authority, path_length=0 if is_authority else None
+    )
+    issuer_id = x509.AuthorityKeyIdentifier.from_issuer_public_key(
+        issuer_key.public_key()
+    )
     builder = (
         x509.CertificateBuilder()
         .subject_name(subject(common_name))
@@ -148,7 +161,9 @@ def new_key() -> ec.EllipticCurvePrivateKey:
 
 def key_pem(key: ec.EllipticCurvePrivateKey) -> bytes:
     """Return a private key as PEM."""
-    return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, serialization.NoEncryption())
+    return key.private_bytes(
+        Encoding.PEM, PrivateFormat.PKCS8, serialization.NoEncryption()
+    )
 
 
 def public_pem(key: ec.EllipticCurvePublicKey) -> str:
@@ -161,7 +176,9 @@ def read_key(pem: str, where: str) -> ec.EllipticCurvePrivateKey:
     try:
         key = serialization.load_pem_private_key(pem.encode(), password=None)
     except UNREADABLE:
-        raise KeysError(f"{where}: no private key in PEM: damaged, or another file") from None
+        raise KeysError(
+            f"{where}: no private key in PEM: damaged, or another file"
+        ) from None
     if not isinstance(key, ec.EllipticCurvePrivateKey) or not is_ours(key.public_key()):
         raise KeysError(f"{where}: the key {NOT_OURS}")
     return key
@@ -212,7 +229,9 @@ def read_certificate(pem: str, where: str) -> x509.Certificate:
             _ = certificate.signature_hash_algorithm, certificate.not_valid_after_utc
             ours = is_ours(certificate.public_key())
     except UNREADABLE:
-        raise KeysError(f"{where}: no certificate in PEM: damaged, or another file") from None
+        raise KeysError(
+            f"{where}: no certificate in PEM: damaged, or another file"
+        ) from None
     if not ours:
         raise KeysError(f"{where}: the certificate's key {NOT_OURS}")
     return certificate
@@ -227,7 +246,9 @@ def common_name(name: x509.Name) -> str:
 def check_authority(authority: x509.Certificate, where: str) -> None:
     """Refuse a certificate that is not an authority's, or not valid now."""
     try:
-        constraints = authority.extensions.get_extension_for_class(x509.BasicConstraints).value
+        constraints = authority.extensions.get_extension_for_class(
+            x509.BasicConstraints
+        ).value
         authority.verify_directly_issued_by(authority)
         valid = constraints.ca
     except (x509.ExtensionNotFound, InvalidSignature, *UNREADABLE):
@@ -238,12 +259,16 @@ def check_authority(authority: x509.Certificate, where: str) -> None:
     _check_time(authority, where, "the authority", remedy)
 
 
-def check(certificate: x509.Certificate, authority: x509.Certificate, where: str) -> Holder:
+def check(
+    certificate: x509.Certificate, authority: x509.Certificate, where: str
+) -> Holder:
     """Return the holder of a certificate."""
     try:
         certificate.verify_directly_issued_by(authority)
     except (InvalidSignature, *UNREADABLE):
-        other = f"another authority than {AUTHORITY} next to it ({fingerprint(authority)})"
+        other = (
+            f"another authority than {AUTHORITY} next to it ({fingerprint(authority)})"
+        )
         raise KeysError(f"{where}: the certificate is of {other}") from None
     name = common_name(certificate.subject)
     holder = Holder.parse(name)
@@ -276,7 +301,9 @@ def verify(bundle: Bundle, where: str) -> Verified:
     return Verified(bundle, fingerprint(authority), holder, certificate, key)
 
 
-def _check_time(certificate: x509.Certificate, where: str, holder: str, remedy: str) -> None:
+def _check_time(
+    certificate: x509.Certificate, where: str, holder: str, remedy: str
+) -> None:
     now, minute = datetime.now(UTC), "%Y-%m-%d %H:%M"
     begin, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
     if now < begin:
@@ -299,14 +326,18 @@ def sign(members: Members, key: ec.EllipticCurvePrivateKey) -> SignedMembers:
     return SignedMembers(members=members, signature=base64.b64encode(signature).decode())
 
 
-def check_members(signed: SignedMembers, authority: x509.Certificate, where: str) -> Members:
+def check_members(
+    signed: SignedMembers, authority: x509.Certificate, where: str
+) -> Members:
     """Return the list if this authority signed it."""
     own, other = fingerprint(authority), signed.members.authority
     if other != own:
         raise KeysError(
             f"{where}: the list of another authority ({clean(other)[:60]}); expected {own}"
         )
-    key = cast(ec.EllipticCurvePublicKey, authority.public_key())  # by ``read_certificate``
+    key = cast(
+        ec.EllipticCurvePublicKey, authority.public_key()
+    )  # by ``read_certificate``
     try:
         signature = base64.b64decode(signed.signature, validate=True)
         key.verify(signature, _canonical(signed.members), ec.ECDSA(HASH()))

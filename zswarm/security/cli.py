@@ -37,7 +37,9 @@ class _Group(click.Group):
         except ModuleNotFoundError as error:
             if (error.name or "").split(".")[0] != "cryptography":
                 raise
-            self._exit(EXIT_MISTAKE, f"this needs the package cryptography: {extras.how('keys')}")
+            self._exit(
+                EXIT_MISTAKE, f"this needs the package cryptography: {extras.how('keys')}"
+            )
         except OSError as error:
             text = f"{error.filename}: {error.strerror}" if error.filename else str(error)
             self._exit(EXIT_FAILED, text)
@@ -62,7 +64,9 @@ def command() -> None:
 
 
 @command.command()
-@click.option("--name", "lab", help="A name of the lab, for people.  [default: this host's name]")
+@click.option(
+    "--name", "lab", help="A name of the lab, for people.  [default: this host's name]"
+)
 @options.authority
 @options.as_json
 def init(lab: str | None, folder: Path | None, as_json: bool) -> None:
@@ -78,7 +82,9 @@ def init(lab: str | None, folder: Path | None, as_json: bool) -> None:
         say(f"The authority of {name}, valid until {until}: {made.folder}")
         say(f"Fingerprint: {made.fingerprint}")
         say("")
-        say("Tell it to those who set up machines: zswarm-keys join shows it there, to compare.")
+        say(
+            "Tell it to those who set up machines: zswarm-keys join shows it there, to compare."
+        )
         say("Keep a copy of that folder in a safe place; who has it can let anyone in.")
         say("Next: zswarm-keys issue lab-01 lab-02 --optimizer alice")
 
@@ -106,14 +112,18 @@ def issue(
     holders = [new_holder(role, name) for role, each in by_role.items() for name in each]
     wanted = options.addresses_of(holders, addresses)
     with at.open() as authority:
-        authority.check_new(holders)  # before files: --force is no remedy for a name that is taken
+        authority.check_new(
+            holders
+        )  # before files: --force is no remedy for a name that is taken
         at.check_out([holder.name for holder in holders])
         at.hand_out(authority, holders, authority.issue(wanted, at.days))
 
 
 @command.command()
 @options.file("BUNDLE")
-@click.option("--name", help="This machine's name among the servers.  [default: the host's name]")
+@click.option(
+    "--name", help="This machine's name among the servers.  [default: the host's name]"
+)
 @options.keys
 @options.yes
 @options.force
@@ -148,7 +158,9 @@ def join(file: Path, name: str | None, given: str, yes: bool, force: bool) -> No
 
 
 @command.command()
-@click.option("--optimizer", "user", metavar="USER", help="Ask for a user's keys, not a server's.")
+@click.option(
+    "--optimizer", "user", metavar="USER", help="Ask for a user's keys, not a server's."
+)
 @click.option("--router", is_flag=True, help="Ask for a router's keys, not a server's.")
 @click.option("--name", help="Of the server or router.  [default: the host's name]")
 @repeated("--address", "addresses", "ADDRESS", "By which it is dialled")
@@ -169,7 +181,9 @@ def request(
     from zswarm.system.files import write_whole
 
     if user is not None and (router or name is not None):
-        raise KeysError("--optimizer USER says role and name: leave --router and --name out")
+        raise KeysError(
+            "--optimizer USER says role and name: leave --router and --name out"
+        )
     role: Role = "ot" if user is not None else "router" if router else "ss"
     chosen = name if user is None else user
     holder = new_holder(role, keys.fold(_host()) if chosen is None else chosen)
@@ -193,7 +207,10 @@ def sign(file: Path, yes: bool, at: AuthorityOptions) -> None:
     asked = read_request(file)
     at.check_out([asked.holder.name])
     with at.open() as authority:
-        say(f"{file} asks for the keys of {asked.holder}: {', '.join(asked.names)}", err=True)
+        say(
+            f"{file} asks for the keys of {asked.holder}: {', '.join(asked.names)}",
+            err=True,
+        )
         if not yes and not click.confirm("Let it in?", err=True):
             raise KeysError("nothing was signed")
         number = authority.ledger.number
@@ -299,7 +316,9 @@ def _reload(role: Role) -> str:
     if role == "ot":
         return "zswarm-ot uses them from its next start"
     systemctl = "systemctl" if os.geteuid() == 0 else "systemctl --user"
-    return f"{systemctl} reload {keyring.PROGRAMS[role]}, or SIGHUP to it, or start it again"
+    return (
+        f"{systemctl} reload {keyring.PROGRAMS[role]}, or SIGHUP to it, or start it again"
+    )
 
 
 def _host() -> str:

@@ -27,7 +27,9 @@ def folder_for(role: Role, given: str) -> Path:
     if chosen not in ("", "none"):
         return Path(chosen)
     if role == "ot" and os.environ.get("SUDO_USER"):
-        raise KeysError("keys of a user belong to who runs zswarm-ot: do this without sudo")
+        raise KeysError(
+            "keys of a user belong to who runs zswarm-ot: do this without sudo"
+        )
     return keyring.SYSTEM if role != "ot" and os.geteuid() == 0 else keyring.of_user()
 
 
@@ -132,7 +134,9 @@ def _refuse_others(folder: Path, wanted: Holder, authority: str) -> None:
         raise KeysError(f"{folder} holds {text}; --force replaces them")
 
 
-def _own_key(folder: Path, certificate: x509.Certificate) -> ec.EllipticCurvePrivateKey | None:
+def _own_key(
+    folder: Path, certificate: x509.Certificate
+) -> ec.EllipticCurvePrivateKey | None:
     """Return the private key of a certificate, if it is in the folder, waiting or installed."""
     for path in (folder / WAITING, folder / KEY):
         if path.exists():

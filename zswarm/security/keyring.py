@@ -16,7 +16,11 @@ from zswarm.system import extras
 
 SYSTEM = Path("/etc/zswarm/keys")
 MAX_FILE = 1 << 20  # bytes; a list of 10,000 members takes half of it
-PROGRAMS: dict[Role, str] = {"ss": "zswarm-ss", "ot": "zswarm-ot", "router": "zswarm-router"}
+PROGRAMS: dict[Role, str] = {
+    "ss": "zswarm-ss",
+    "ot": "zswarm-ot",
+    "router": "zswarm-router",
+}
 
 
 class Keyring(NamedTuple):
@@ -78,18 +82,27 @@ def load(folder: Path, role: Role | None = None) -> Keyring:
         )
     names = certificates.AUTHORITY, certificates.CERTIFICATE, certificates.MEMBERS
     authority, own, members = (read(folder / name) for name in names)
-    key, where = read(folder / certificates.KEY, secret=True), f"{folder / certificates.MEMBERS}"
+    key, where = (
+        read(folder / certificates.KEY, secret=True),
+        f"{folder / certificates.MEMBERS}",
+    )
     try:
         signed = from_json(members, SignedMembers, where)
     except ConfigError:
-        raise KeysError(f"{where}: not a list of members: damaged, or another file") from None
+        raise KeysError(
+            f"{where}: not a list of members: damaged, or another file"
+        ) from None
     found = certificates.verify(
-        certificates.Bundle(authority=authority, certificate=own, key=key, members=signed),
+        certificates.Bundle(
+            authority=authority, certificate=own, key=key, members=signed
+        ),
         f"{folder}/",
     )
     holder, certificate = found.holder, found.certificate
     if holder is None or certificate is None or found.key is None:
-        raise KeysError(f"{folder}: {certificates.CERTIFICATE} or {certificates.KEY} is empty")
+        raise KeysError(
+            f"{folder}: {certificates.CERTIFICATE} or {certificates.KEY} is empty"
+        )
     if role is not None and holder.role != role:
         needed = f"{PROGRAMS[role]} needs those of a {IN_WORDS[role]}"
         raise KeysError(f"{folder}: these are the keys of {holder}; {needed}")
@@ -104,7 +117,9 @@ def read(path: Path, *, secret: bool = False) -> str:
         secret: refuse a file that others than its owner may read.
     """
     try:
-        opened = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # a pipe would wait for its other end
+        opened = os.open(
+            path, os.O_RDONLY | os.O_NONBLOCK
+        )  # a pipe would wait for its other end
         with os.fdopen(opened, "rb") as file:
             found = os.fstat(opened)
             if not stat.S_ISREG(found.st_mode):

@@ -30,7 +30,9 @@ class Issued(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         """The holder of the certificate."""
         found = Holder.parse(self.common_name)
         if found is None:
-            raise KeysError(f"{LEDGER}: {self.common_name!r} is not the name of a holder: damaged")
+            raise KeysError(
+                f"{LEDGER}: {self.common_name!r} is not the name of a holder: damaged"
+            )
         return found
 
 
@@ -62,7 +64,9 @@ class Ledger(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
     def of(self, name: str) -> Issued | None:
         """Return the last certificate of the holder of a name."""
-        return next((issued for issued in self.last() if issued.holder.name == name), None)
+        return next(
+            (issued for issued in self.last() if issued.holder.name == name), None
+        )
 
     def members(self, authority: str = "") -> Members:
         """Return the members: the holders that were not revoked.
@@ -72,10 +76,15 @@ class Ledger(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         """
         holders = [issued.holder for issued in self.last() if issued.revoked_at is None]
         servers, users, routers = (
-            sorted(each.name for each in holders if each.role == role) for role in IN_WORDS
+            sorted(each.name for each in holders if each.role == role)
+            for role in IN_WORDS
         )
         return Members(
-            authority=authority, number=self.number, servers=servers, users=users, routers=routers
+            authority=authority,
+            number=self.number,
+            servers=servers,
+            users=users,
+            routers=routers,
         )
 
     def replaced(self, issued: list[Issued]) -> "Ledger":

@@ -11,7 +11,9 @@ Role = Literal["ss", "ot", "router"]
 IN_WORDS: dict[Role, str] = {"ss": "server", "ot": "user", "router": "router"}
 NAME_RULE = f"expected 1 to {keys.MAX_NAME} of a-z, 0-9 and -, not starting with -"
 MEMBERS = "members"  # name of the file with the list
-Name = Annotated[str, msgspec.Meta(pattern=rf"^{keys.ID.pattern}\Z", max_length=keys.MAX_NAME)]
+Name = Annotated[
+    str, msgspec.Meta(pattern=rf"^{keys.ID.pattern}\Z", max_length=keys.MAX_NAME)
+]
 
 
 class Holder(NamedTuple):
@@ -24,7 +26,9 @@ class Holder(NamedTuple):
     def parse(cls, common_name: str) -> Self | None:
         """Return the holder with a common name; None if the name is not valid."""
         role, _, name = common_name.partition(".")
-        return next((cls(each, name) for each in IN_WORDS if each == role and is_name(name)), None)
+        return next(
+            (cls(each, name) for each in IN_WORDS if each == role and is_name(name)), None
+        )
 
     @property
     def common_name(self) -> str:
@@ -57,7 +61,9 @@ class Members(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
             )
 
 
-class SignedMembers(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class SignedMembers(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
+):
     """A signed list, as in ``members.json``."""
 
     members: Members

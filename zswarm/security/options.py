@@ -21,13 +21,18 @@ _out_help = "Where the files are written.  [default: this folder]"
 _authority_help = "The authority's folder.  [default: ~/.local/share/zswarm/authority]"
 _days_help = "How long the certificates are valid."
 _keys = (
-    "Where keys are installed.  [default: /etc/zswarm/keys for root, else ~/.config/zswarm/keys]"
+    "Where keys are installed.  [default: /etc/zswarm/keys for root, else "
+    "~/.config/zswarm/keys]"
 )
 out = click.option("--out", type=_folder, default=Path(), help=_out_help)
 authority = click.option("--authority", "folder", type=_folder, help=_authority_help)
 as_json = click.option("--json", "as_json", is_flag=True, help="JSON on stdout.")
 days = click.option(
-    "--days", type=click.IntRange(1, 1825), default=365, show_default=True, help=_days_help
+    "--days",
+    type=click.IntRange(1, 1825),
+    default=365,
+    show_default=True,
+    help=_days_help,
 )
 force = click.option("--force", is_flag=True, help="Replace existing files or keys.")
 keys = click.option("--keys", "given", metavar="DIR", default="", help=_keys)
@@ -86,7 +91,10 @@ class AuthorityOptions(NamedTuple):
         """
         from zswarm.security import bundle
 
-        files = [self.out / f"{holder.name}{bundle.SUFFIX}" for holder in holders[: len(bundles)]]
+        files = [
+            self.out / f"{holder.name}{bundle.SUFFIX}"
+            for holder in holders[: len(bundles)]
+        ]
         for path, content in zip(files, bundles, strict=True):
             bundle.write(path, content)
         members = self.out / bundle.MEMBERS_FILE if with_members else None
@@ -107,13 +115,17 @@ class AuthorityOptions(NamedTuple):
             sudo = "" if holder.role == "ot" else "sudo "
             say(f"{path}: {holder}. There: {sudo}zswarm-keys join {path.name}")
         if any(content.key for content in bundles):
-            say("Each of these files holds a key, which no one else may read: bring it there by")
+            say(
+                "Each of these files holds a key, which no one else may read: bring it there by"
+            )
             say("scp or a USB stick.")
         if files:
             say(f"Fingerprint, to be compared there: {authority.fingerprint}")
         if members:
             say(f"{members}: list {authority.ledger.number} of members.")
-            say(f"Every machine that has keys needs it: zswarm-keys join {members.name}, reload.")
+            say(
+                f"Every machine that has keys needs it: zswarm-keys join {members.name}, reload."
+            )
 
 
 def at_authority(*further: Callable[[Any], Any]) -> Callable[[Any], Any]:
@@ -122,7 +134,9 @@ def at_authority(*further: Callable[[Any], Any]) -> Callable[[Any], Any]:
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         @functools.wraps(command)
         def call(**given: Any) -> None:
-            fields = {key: given.pop(key) for key in AuthorityOptions._fields if key in given}
+            fields = {
+                key: given.pop(key) for key in AuthorityOptions._fields if key in given
+            }
             command(at=AuthorityOptions(**fields), **given)
 
         for option in reversed((*further, out, authority, as_json)):
@@ -144,7 +158,9 @@ def check_folder(out: Path) -> None:
         raise KeysError(f"--out {out}: no such folder")
 
 
-def addresses_of(holders: Sequence[Holder], addresses: Sequence[str]) -> dict[Holder, list[str]]:
+def addresses_of(
+    holders: Sequence[Holder], addresses: Sequence[str]
+) -> dict[Holder, list[str]]:
     """Return the addresses of each holder.
 
     Args:
@@ -152,7 +168,9 @@ def addresses_of(holders: Sequence[Holder], addresses: Sequence[str]) -> dict[Ho
         addresses: as ``NAME=ADDRESS``.
     """
     if not holders:
-        raise KeysError("whose keys? expected names of servers, --optimizer USER or --router NAME")
+        raise KeysError(
+            "whose keys? expected names of servers, --optimizer USER or --router NAME"
+        )
     by_name: dict[str, list[str]] = {}
     for holder in holders:
         if holder.name in by_name:

@@ -21,7 +21,9 @@ from zswarm.security.members import Holder
 from zswarm.system.text import clean
 
 # Access rules log their refusals at no other level.
-ZENOH_LOG = "off,zenoh_link_tls=warn,zenoh::net::routing::interceptor::access_control=trace"
+ZENOH_LOG = (
+    "off,zenoh_link_tls=warn,zenoh::net::routing::interceptor::access_control=trace"
+)
 # These come from port scans and health checks.
 UNREMARKABLE = ("handshake eof", "Connection reset", "os error 104")
 DIALLED_S = 5.0  # after which a router should have been reached
@@ -68,7 +70,9 @@ def log_stranger(certificate: str, address: str, reason: str) -> None:
 
 
 def watch_members(
-    session: zenoh.Session, keyring: Keyring, report: Callable[[str, str, str], None] = log_stranger
+    session: zenoh.Session,
+    keyring: Keyring,
+    report: Callable[[str, str, str], None] = log_stranger,
 ) -> None:
     """Report holders of certificates that are not members, each at most every 10 s.
 
@@ -161,6 +165,8 @@ def _read(reading: int) -> None:
                 sys.stderr.write(line)
             if (denied := posed_as(line)) and is_due(denied[0]):
                 reason = "the key is not of its own name"
-                _warn("member_refused", certificate=denied[0], key=denied[1], reason=reason)
+                _warn(
+                    "member_refused", certificate=denied[0], key=denied[1], reason=reason
+                )
             elif (reason := handshake_reason(line)) and is_due(reason):
                 _warn("link_refused", reason=reason)

@@ -78,12 +78,16 @@ def say_issued(found: dict[str, Any]) -> None:
     rows = [("", "name", "until", "state", "names and addresses")]
     for entry in found["issued"]:
         until, names = entry["not_after"][:10], ", ".join(entry["names"])
-        rows.append((IN_WORDS[entry["role"]], entry["name"], until, entry["state"], names))
+        rows.append(
+            (IN_WORDS[entry["role"]], entry["name"], until, entry["state"], names)
+        )
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
         say("  ".join(map(str.ljust, row, widths)).rstrip())
     ending = [
-        entry["name"] for entry in found["issued"] if entry["state"] not in ("valid", "revoked")
+        entry["name"]
+        for entry in found["issued"]
+        if entry["state"] not in ("valid", "revoked")
     ]
     if ending:
         say(f"Next: zswarm-keys renew {' '.join(ending)}")

@@ -34,14 +34,18 @@ class Request(NamedTuple):
 def alternative_names(holder: Holder, addresses: Sequence[str]) -> list[str]:
     """Return the names and addresses by which a holder may be dialled."""
     own = () if holder.role == "ot" else (holder.name, f"{holder.name}.local")
-    return list(dict.fromkeys([*own, *LOCAL, *(_address(holder, text) for text in addresses)]))
+    return list(
+        dict.fromkeys([*own, *LOCAL, *(_address(holder, text) for text in addresses)])
+    )
 
 
 def make_request(
     holder: Holder, addresses: Sequence[str], key: ec.EllipticCurvePrivateKey
 ) -> bytes:
     """Return a request that ``read_request`` reads."""
-    builder = x509.CertificateSigningRequestBuilder(certificates.subject(holder.common_name))
+    builder = x509.CertificateSigningRequestBuilder(
+        certificates.subject(holder.common_name)
+    )
     names = certificates.alternatives(alternative_names(holder, addresses))
     signed = builder.add_extension(names, critical=False).sign(key, certificates.HASH())
     return signed.public_bytes(serialization.Encoding.PEM)

@@ -30,7 +30,9 @@ DISTRUSTED = {
     10: f"the certificate of {THERE} has expired: zswarm-keys renew, and join there",
     9: f"the certificate of {THERE} is not valid yet: compare the clocks of both machines",
 }
-NO_TLS = f"{THERE} uses no keys: it does not speak TLS; ZSWARM_KEYS=none uses none here, too"
+NO_TLS = (
+    f"{THERE} uses no keys: it does not speak TLS; ZSWARM_KEYS=none uses none here, too"
+)
 
 
 def refusal(at: Endpoint, keyring: Keyring | None) -> str:

@@ -28,7 +28,7 @@ from zswarm.sims.arena_world import (
     X,
     Y,
     cells_per_side,
-)  # fmt: skip
+)
 from zswarm.sims.simulator import Body, Frame, Label, Ray, Rectangle, Steps
 from zswarm.sims.trial import Teams, play_many, problem
 
@@ -50,11 +50,17 @@ class ArenaSettings(PartSettings, frozen=True):
     robots: Annotated[int, within(1, 1_000, "robots")] = 16
     side: Annotated[Metres, about("m, side of the square room")] = 4.0
     sight: Annotated[Metres, about("m, sensing range for others, walls and items")] = 1.2
-    radius: Annotated[Metres, about("m, radius of a robot; its wheels are 2 `radius` apart")] = 0.1
+    radius: Annotated[
+        Metres, about("m, radius of a robot; its wheels are 2 `radius` apart")
+    ] = 0.1
     speed: Annotated[float, within(0, 1e3, "m/s, maximum of a wheel")] = 0.3
     items: Annotated[int, within(1, 1_000, "items in the room (foraging)")] = 8
-    nest: Annotated[Metres, about("m, width of the nest along the left wall (foraging)")] = 0.5
-    noise: Annotated[float, within(0, 1e3, "maximum error of a reading (consensus)")] = 0.5
+    nest: Annotated[
+        Metres, about("m, width of the nest along the left wall (foraging)")
+    ] = 0.5
+    noise: Annotated[float, within(0, 1e3, "maximum error of a reading (consensus)")] = (
+        0.5
+    )
 
 
 class Arena(Teams):
@@ -145,7 +151,9 @@ class Arena(Teams):
             queue=np.zeros((QUEUE_ROWS, columns), np.float32),
             places=np.zeros((PLACE_ROWS, columns), np.int32),
             cells=np.zeros(per_side**2 + 2, np.int32),
-            items=np.zeros((2, settings.items if settings.task == "foraging" else 0), np.float32),
+            items=np.zeros(
+                (2, settings.items if settings.task == "foraging" else 0), np.float32
+            ),
             tally=np.zeros(TALLIES),
             stream=np.zeros(1, np.uint64),
         )
@@ -156,20 +164,29 @@ class Arena(Teams):
         robots = self.world.robots[:, : s.robots].tolist()
         items = self.world.items.tolist()
         headings = [
-            float(atan2(y, x)) for x, y in zip(robots[HEADING_X], robots[HEADING_Y], strict=True)
+            float(atan2(y, x))
+            for x, y in zip(robots[HEADING_X], robots[HEADING_Y], strict=True)
         ]
         places = []
         labels = []
-        kinds = ["robot with an item" if carries else "robot" for carries in robots[CARRIES]]
+        kinds = [
+            "robot with an item" if carries else "robot" for carries in robots[CARRIES]
+        ]
         if s.task == "foraging":
             places = [Rectangle("nest", 0, 0, s.nest, s.side)]
         elif s.task == "consensus":
             truth = float(self.world.tally[TRUTH])
             kinds = [_says(said - truth) for said in robots[SAID]]
-            labels = [Label(f"the truth is {truth:.2f}", s.side / 2, 0.05 * s.side, 0.04 * s.side)]
+            labels = [
+                Label(
+                    f"the truth is {truth:.2f}", s.side / 2, 0.05 * s.side, 0.04 * s.side
+                )
+            ]
         bodies = [
             Body(kind, x, y, s.radius, heading)
-            for kind, x, y, heading in zip(kinds, robots[X], robots[Y], headings, strict=True)
+            for kind, x, y, heading in zip(
+                kinds, robots[X], robots[Y], headings, strict=True
+            )
         ]
         bodies += [
             Body("item", x, y, ITEM_RADIUS, shape="square")

@@ -38,7 +38,7 @@ from zswarm.sims.arena_world import (
     Y,
     at_least,
     cut,
-)  # fmt: skip
+)
 
 
 class Task(NamedTuple):
@@ -54,7 +54,9 @@ TASKS = {
     "aggregation": Task((), (), ("spread", "neighbours", "contacts")),
     "dispersion": Task((), (), ("nearest", "neighbours", "contacts")),
     "foraging": Task(FORAGING_SENSORS, (), ("delivered", "found", "contacts")),
-    "consensus": Task(("reading", "heard"), ("say",), ("error", "disagreement", "contacts")),
+    "consensus": Task(
+        ("reading", "heard"), ("say",), ("error", "disagreement", "contacts")
+    ),
 }
 AGGREGATION, DISPERSION, FORAGING, CONSENSUS = range(4)
 

@@ -39,7 +39,9 @@ QUEUE_SAID, QUEUE_ROWS = range(2, 4)
 # are.
 CELL, ORDER, NEAR, PLACE_ROWS = range(4)
 # ``tally``: of the trial.
-STEP_NUMBER, MEASURED, CONTACTS, FOUND, DELIVERED, TRUTH, FIRST, SECOND, TALLIES = range(9)
+STEP_NUMBER, MEASURED, CONTACTS, FOUND, DELIVERED, TRUTH, FIRST, SECOND, TALLIES = range(
+    9
+)
 
 
 class ArenaWorld(NamedTuple):
@@ -202,7 +204,9 @@ def meet(world, robot, near, observations, at):
         heard += queue[QUEUE_SAID, other]
         centre = ahead * ray_x + aside * ray_y
         off = aside * ray_x - ahead * ray_y
-        chord = disc - off * off  # square of half of what the ray's line has within the robot
+        chord = (
+            disc - off * off
+        )  # square of half of what the ray's line has within the robot
         hit = centre - sqrt(at_least(chord, ZERO))
         reach = select((chord > ZERO) & (centre > ZERO) & (hit < reach), hit, reach)
         square = dx * dx + dy * dy

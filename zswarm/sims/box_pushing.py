@@ -99,14 +99,20 @@ class BoxPushing(Transport):
     def step(self, actions: np.ndarray) -> Turn | None:
         """Drive and push."""
         self._step(actions)
-        return None if self._reached() or self._steps == self.settings.steps else self._turn()
+        return (
+            None
+            if self._reached() or self._steps == self.settings.steps
+            else self._turn()
+        )
 
     def outcome(self) -> Outcome:
         """Return fitness and metrics of the trial that ended."""
         start = float(self._from[0])
         reached = self._reached()
         way = float(self._world.things[0, 0]) - start
-        return self._ended(float(reached), way / (self._goal - start), way, all_arrived=reached)
+        return self._ended(
+            float(reached), way / (self._goal - start), way, all_arrived=reached
+        )
 
     def frame(self) -> Frame:
         """Return the room with the goal, the robots and the box."""

@@ -35,7 +35,9 @@ from zswarm.sims.simulator import (
 )
 
 LANES_REACH = 2**31  # lanes find a cell by a 32-bit index
-FEWEST = 2  # trials from which on playing eight in parallel is faster than one after the other
+FEWEST = (
+    2  # trials from which on playing eight in parallel is faster than one after the other
+)
 
 Length = Annotated[int, Meta(ge=1, le=1_000)]
 JavaSeed = Annotated[int, Meta(ge=0, lt=2**48)]
@@ -51,8 +53,12 @@ class EmergencyExitSettings(PartSettings, frozen=True):
     steps: Annotated[int, within(1, 1_000_000, "rounds of a trial")] = 50
     width: Annotated[Length, about("cells of a random field; not above `height`")] = 20
     height: Annotated[Length, about("cells of a random field")] = 20
-    agents: Annotated[int, within(1, 1_000, "robots of a random field; the stadium has 72")] = 10
-    exits: Annotated[int, within(1, 10_000, "exits of a random field; the stadium has its own")] = 5
+    agents: Annotated[
+        int, within(1, 1_000, "robots of a random field; the stadium has 72")
+    ] = 10
+    exits: Annotated[
+        int, within(1, 10_000, "exits of a random field; the stadium has its own")
+    ] = 5
     blockades: Annotated[int, within(0, 10_000, "blocked cells of a random field")] = 20
     seed: Annotated[
         JavaSeed, about("seed of the first field; trials have `seed`, `seed` + 1, ...")
@@ -148,7 +154,10 @@ class EmergencyExit(CompiledSimulator):
         """Draw the field in cells; agents that are out stay where they left."""
         room = self._room
         fields = self.fields
-        agents = [(cell % room.stride - 1, cell // room.stride - 1) for cell in room.cells.tolist()]
+        agents = [
+            (cell % room.stride - 1, cell // room.stride - 1)
+            for cell in room.cells.tolist()
+        ]
         exits = []
         blockades = []
         for y in range(fields.height):
@@ -185,7 +194,9 @@ class EmergencyExit(CompiledSimulator):
         if parallel < len(rows):
             self._play_from(parallel, rows, step, batch)
 
-    def _play_from(self, first: int, rows: np.ndarray, step: Step, batch: KernelBatch) -> None:
+    def _play_from(
+        self, first: int, rows: np.ndarray, step: Step, batch: KernelBatch
+    ) -> None:
         fields = self.fields
         steps = self.settings.steps
         play_trials(step, fields.cached, rows, batch, fields.stride, steps, first)

@@ -115,11 +115,18 @@ class Stadium(RandomFields):
         pairs = (pair.split(",") for pair in STADIUM_AGENTS)
         agents = [(int(x), int(y)) for x, y in pairs]
         marked = [
-            [(x, y) for y, row in enumerate(STADIUM) for x, sign in enumerate(row) if sign == mark]
+            [
+                (x, y)
+                for y, row in enumerate(STADIUM)
+                for x, sign in enumerate(row)
+                if sign == mark
+            ]
             for mark in "E#"
         ]
         return [
-            np.tile(np.array([self.cell(x, y) for x, y in places], np.int32), (len(seeds), 1))
+            np.tile(
+                np.array([self.cell(x, y) for x, y in places], np.int32), (len(seeds), 1)
+            )
             for places in (agents, *marked)
         ]
 

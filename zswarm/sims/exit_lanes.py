@@ -27,7 +27,9 @@ class Lanes8(NamedTuple):
     offsets: np.ndarray  # (8,) int32, from a cell in ``grid`` to its numbers in ``exits``
     cells: np.ndarray  # (8 agents,) int32, in ``grid``
     nearest: np.ndarray  # (16 agents,) float32, dx and dy to the nearest exit
-    rounds: np.ndarray  # (8,) int32, filled: the first round after which all agents were out
+    rounds: (
+        np.ndarray
+    )  # (8,) int32, filled: the first round after which all agents were out
     observation: np.ndarray
     action: np.ndarray
 
@@ -51,7 +53,9 @@ def start(lanes, first, rows, fields, batch):
             lanes.grid[lane * cells + cell] = BLOCKED
             lanes.cells[agent * LANES + lane] = lane * cells + cell
             lanes.nearest[2 * agent * LANES + lane] = fields.to_exit[field, 2 * cell]
-            lanes.nearest[(2 * agent + 1) * LANES + lane] = fields.to_exit[field, 2 * cell + 1]
+            lanes.nearest[(2 * agent + 1) * LANES + lane] = fields.to_exit[
+                field, 2 * cell + 1
+            ]
 
 
 @inline(counts=False)
@@ -60,7 +64,16 @@ def observe(here, exits, grid, stride, observation):
     north = window(grid, here, -stride - 1)
     middle = window(grid, here, -1)
     south = window(grid, here, stride - 1)
-    around = (north[1], north[2], middle[2], south[2], south[1], south[0], middle[0], north[0])
+    around = (
+        north[1],
+        north[2],
+        middle[2],
+        south[2],
+        south[1],
+        south[0],
+        middle[0],
+        north[0],
+    )
     store(observation, 0, exits[0])
     store(observation, LANES, exits[1])
     for sensor, numbers in enumerate(around):
@@ -127,7 +140,9 @@ def play_lanes(step, fields, rows, batch, stride, steps):
     states = np.zeros((agents, LANES * batch.state_size), np.float32)
     lanes = Lanes8(
         np.empty(batch.parameters.shape[1] * LANES, np.float32),
-        np.empty(size * LANES + 4, np.float32),  # windows of the last cells reach behind them
+        np.empty(
+            size * LANES + 4, np.float32
+        ),  # windows of the last cells reach behind them
         fields.to_exit.reshape(fields.to_exit.size),
         np.empty(LANES, np.int32),
         np.empty(agents * LANES, np.int32),

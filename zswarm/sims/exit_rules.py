@@ -24,7 +24,9 @@ class Room(NamedTuple):
 def rounded(output):  # type: ignore[no-untyped-def]  # compiled
     """Return whether 2 o - 1, rounded as in Java, is -1, and whether it is 1; also of lanes."""
     moved = TWO * output - ONE
-    return (moved < -HALF) & (moved >= -ONE - HALF), (moved >= HALF) & (moved < ONE + HALF)
+    return (moved < -HALF) & (moved >= -ONE - HALF), (moved >= HALF) & (
+        moved < ONE + HALF
+    )
 
 
 @inline(counts=False)

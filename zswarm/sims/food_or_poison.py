@@ -66,7 +66,9 @@ class FoodOrPoison(OneAgent):
         super().__init__(settings)
         self.inputs = settings.kinds + 1
         self.sensors = (*(f"kind_{kind}" for kind in range(settings.kinds)), "taste")
-        self.world = world(rules=msgspec.structs.astuple(settings), counts=FOODS + settings.kinds)
+        self.world = world(
+            rules=msgspec.structs.astuple(settings), counts=FOODS + settings.kinds
+        )
 
     def frame(self) -> Frame:
         """Draw the kinds, with the animal below the one that it has found or tastes."""
@@ -74,9 +76,13 @@ class FoodOrPoison(OneAgent):
         counts = self.world.counts.tolist()
         foods = counts[FOODS:]
         across = max(6, int(np.sqrt(s.kinds)))
-        places = [(0.5 + kind % across, 1.4 + 1.2 * (kind // across)) for kind in range(s.kinds)]
+        places = [
+            (0.5 + kind % across, 1.4 + 1.2 * (kind // across)) for kind in range(s.kinds)
+        ]
         kinds = [
-            Body("food", x, y, 0.25) if food else Body("poison", x, y, 0.25, shape="diamond")
+            Body("food", x, y, 0.25)
+            if food
+            else Body("poison", x, y, 0.25, shape="diamond")
             for food, (x, y) in zip(foods, places, strict=True)
         ]
         x, y = places[counts[KIND]]

@@ -92,7 +92,9 @@ class ForagingPhysical(Transport):
                 f"{settings.nest:g} wide"
             )
         require_room(self.name, "pucks", number, radius, self._pucks_area)
-        puck = Movable("puck", radius, settings.puck_mass, settings.puck_grip, is_box=False)
+        puck = Movable(
+            "puck", radius, settings.puck_mass, settings.puck_grip, is_box=False
+        )
         covered = number * radius * radius / robot / robot
         super().__init__(settings, [puck] * number, "pucks", covered)
         self._carry = settings.transport == "carry"
@@ -129,20 +131,31 @@ class ForagingPhysical(Transport):
 
     def outcome(self) -> Outcome:
         """Return fitness and metrics of the trial that ended."""
-        share = (self._from - self._world.things[:, 0]) / (self._from - self.settings.nest)
-        way = sum(np.where(self._gone == DELIVERED, 1.0, share).tolist()) / self.settings.pucks
+        share = (self._from - self._world.things[:, 0]) / (
+            self._from - self.settings.nest
+        )
+        way = (
+            sum(np.where(self._gone == DELIVERED, 1.0, share).tolist())
+            / self.settings.pucks
+        )
         delivered = self._count()
-        return self._ended(delivered, way, way, all_arrived=delivered == self.settings.pucks)
+        return self._ended(
+            delivered, way, way, all_arrived=delivered == self.settings.pucks
+        )
 
     def frame(self) -> Frame:
         """Return the room with nest, robots and pucks; delivered pucks stay where they came in."""
-        robots = ["robot" if puck < 0 else "robot with a puck" for puck in self._holds.tolist()]
+        robots = [
+            "robot" if puck < 0 else "robot with a puck" for puck in self._holds.tolist()
+        ]
         pucks = [
             "puck in the nest" if delivered else "puck"
             for delivered in (self._gone == DELIVERED).tolist()
         ]
         return self._world.frame(
-            [Rectangle("nest", 0.0, 0.0, self.settings.nest, self.settings.side)], robots, pucks
+            [Rectangle("nest", 0.0, 0.0, self.settings.nest, self.settings.side)],
+            robots,
+            pucks,
         )
 
     def _count(self) -> int:

@@ -26,14 +26,19 @@ TOP = 0.9781476007338057  # sine of 78 degrees: above it the mass is within 12 d
 NINETY = np.float32(90)
 
 # ``state``: rad, from the right counter-clockwise; m/s; m/s; m. Then sums over the steps so far.
-PHI, ROD_SPEED, CART_SPEED, POSITION, ANGLES, SQUARES, WAY, SQUARE_WAYS, DISTANCES = range(9)
+PHI, ROD_SPEED, CART_SPEED, POSITION, ANGLES, SQUARES, WAY, SQUARE_WAYS, DISTANCES = (
+    range(9)
+)
 LEFTMOST, RIGHTMOST, UPRIGHT, STATES = range(9, 13)
 STEPS, MODEL = range(2)  # ``rules``
 STEP_S = 0  # ``constants``
 DECISIONS = 0  # ``counts``
 
 InputModel = Literal[
-    "angle", "angle-vpendulum", "angle-vpendulum-vslide", "angle-vpendulum-vslide-position"
+    "angle",
+    "angle-vpendulum",
+    "angle-vpendulum-vslide",
+    "angle-vpendulum-vslide-position",
 ]
 FitnessModel = Literal[
     "angle-pow-2",
@@ -63,7 +68,9 @@ class InvertedPendulumSettings(PartSettings, frozen=True):
     ] = "angle-vpendulum-vslide"
     fitness_model: Annotated[
         FitnessModel,
-        about("formula of the fitness, from angles and positions: [simulators.md](simulators.md)"),
+        about(
+            "formula of the fitness, from angles and positions: [simulators.md](simulators.md)"
+        ),
     ] = "angle-pow-2-plus-used-way"
 
 
@@ -106,7 +113,9 @@ class InvertedPendulum(OneAgent):
     def __init__(self, settings: InvertedPendulumSettings) -> None:
         super().__init__(settings)
         self.inputs = 1 + INPUT_MODELS.index(settings.input_model)
-        self.sensors = ("angle", "mass_speed", "cart_speed", "cart_position")[: self.inputs]
+        self.sensors = ("angle", "mass_speed", "cart_speed", "cart_position")[
+            : self.inputs
+        ]
         rules = [settings.steps, FITNESS_MODELS.index(settings.fitness_model)]
         step_s = float(np.float32(settings.timestep_ms)) / 1000.0
         self.world = world(rules=rules, constants=[step_s], state=STATES, counts=1)
@@ -127,7 +136,10 @@ class InvertedPendulum(OneAgent):
             Rectangle("start", width / 2 - 0.02, y + 0.12, 0.04, 0.12),
         ]
         kind = "cart" if abs(position) <= inner else "cart, out of view"
-        bodies = [Body(kind, x, y, 0.12, shape="square"), Body("mass", mass_x, mass_y, 0.08)]
+        bodies = [
+            Body(kind, x, y, 0.12, shape="square"),
+            Body("mass", mass_x, mass_y, 0.08),
+        ]
         return Frame(width, height, places, bodies, [Line("rod", x, y, mass_x, mass_y)])
 
 

@@ -112,7 +112,9 @@ class Light(OneAgent):
             Rectangle("light", middle + light_x - 2.5, middle + light_y - 2.5, 5.0, 5.0),
         ]
         kind = "robot at the light" if self.world.counts[FOUND] else "robot"
-        robot = Body(kind, middle + x, middle + y, DIAMETER / 2, (heading - 90.0) * RADIANS)
+        robot = Body(
+            kind, middle + x, middle + y, DIAMETER / 2, (heading - 90.0) * RADIANS
+        )
         rays = [
             Ray(sensor, 0.0, SIGHT, 0.0, FIELD_OF_VIEW * RADIANS, aside)
             for sensor, aside in enumerate((-DIAMETER / 2, DIAMETER / 2))
@@ -141,8 +143,12 @@ def start(world, seed):
 def observe(world, observation):
     """Write what the sensors read; without a light in view that is 1."""
     heading = clockwise(world.state[HEADING])
-    observation[0] = np.float32(1.0 - visible_distance(world.state, heading, -90.0) / SIGHT)
-    observation[1] = np.float32(1.0 - visible_distance(world.state, heading, 90.0) / SIGHT)
+    observation[0] = np.float32(
+        1.0 - visible_distance(world.state, heading, -90.0) / SIGHT
+    )
+    observation[1] = np.float32(
+        1.0 - visible_distance(world.state, heading, 90.0) / SIGHT
+    )
 
 
 @inline(counts=False)

@@ -23,7 +23,10 @@ from zswarm.sims.trial import OneAgent, problem, world
 RADIUS = 0.08  # m, of the robot
 SIGHT = 1.0  # m, of a range finder
 NEAR = 0.05  # m from the goal at which it is reached
-FASTEST, ACCELERATION = 0.03, 0.01  # m per step; the speed changes by at most half of the second
+FASTEST, ACCELERATION = (
+    0.03,
+    0.01,
+)  # m per step; the speed changes by at most half of the second
 TURN_FASTEST, TURN_ACCELERATION = 3.0, 1.0  # degrees per step, likewise
 RADIANS = PI / 180.0
 ROOT_HALF = 0.7071067811865476
@@ -70,7 +73,9 @@ class MazeSettings(PartSettings, frozen=True):
 
     map: Annotated[
         Literal["medium", "hard"],
-        about("medium: some dead ends; hard: the direct way ends next to the goal, behind a wall"),
+        about(
+            "medium: some dead ends; hard: the direct way ends next to the goal, behind a wall"
+        ),
     ] = "hard"
     steps: Steps = 400
 
@@ -121,7 +126,11 @@ class Maze(OneAgent):
             (width, 0.0, width, height),
         ]
         self.world = world(
-            rules=[settings.steps], constants=plan, walls=[*rim, *inner], state=5, counts=2
+            rules=[settings.steps],
+            constants=plan,
+            walls=[*rim, *inner],
+            state=5,
+            counts=2,
         )
 
     def frame(self) -> Frame:
@@ -131,15 +140,26 @@ class Maze(OneAgent):
         _, _, _, goal_x, goal_y, width, height = PLANS[self.settings.map]
         corner = rim - thick / 2
         places = [
-            Rectangle("wall", corner + left, corner + top, right - left + thick, low - top + thick)
+            Rectangle(
+                "wall",
+                corner + left,
+                corner + top,
+                right - left + thick,
+                low - top + thick,
+            )
             for left, top, right, low in self.world.walls.tolist()
         ]
         corner = rim - NEAR
-        places.append(Rectangle("goal", corner + goal_x, corner + goal_y, 2 * NEAR, 2 * NEAR))
+        places.append(
+            Rectangle("goal", corner + goal_x, corner + goal_y, 2 * NEAR, 2 * NEAR)
+        )
         x, y, heading = self.world.state[: HEADING + 1].tolist()
         kind = "robot at the goal" if self.world.counts[REACHED] else "robot"
         robot = Body(kind, x + rim, y + rim, RADIUS, heading * RADIANS)
-        rays = [Ray(finder, PI / 4 * turn, 0.0, SIGHT) for finder, turn in enumerate(FINDER_TURNS)]
+        rays = [
+            Ray(finder, PI / 4 * turn, 0.0, SIGHT)
+            for finder, turn in enumerate(FINDER_TURNS)
+        ]
         return Frame(width + 2 * rim, height + 2 * rim, places, [robot], rays=rays)
 
 
@@ -167,7 +187,11 @@ def observe(world, observation):
         along = FINDERS[finder, 0]
         aside = FINDERS[finder, 1]
         observation[finder] = find_wall(
-            world.walls, state[X], state[Y], dx * along - dy * aside, dy * along + dx * aside
+            world.walls,
+            state[X],
+            state[Y],
+            dx * along - dy * aside,
+            dy * along + dx * aside,
         )
     x = world.constants[GOAL_X] - state[X]
     y = world.constants[GOAL_Y] - state[Y]

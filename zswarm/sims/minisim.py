@@ -35,7 +35,8 @@ class MinisimSettings(PartSettings, frozen=True):
     """Settings of ``[problem.settings]``; lengths in cells, distances in king moves."""
 
     steps: Annotated[
-        int, within(1, 1_000_000, "steps of a trial; at least 2 (`width` - `width` div 2)")
+        int,
+        within(1, 1_000_000, "steps of a trial; at least 2 (`width` - `width` div 2)"),
     ] = 100
     width: Annotated[Length, about("cells")] = 20
     height: Annotated[Length, about("cells")] = 20
@@ -45,7 +46,9 @@ class MinisimSettings(PartSettings, frozen=True):
         Sight,
         about("king moves; a robot senses defenders and other robots that are nearer"),
     ] = 8
-    defender_sight: Annotated[Sight, about("king moves up to which a defender chases a robot")] = 6
+    defender_sight: Annotated[
+        Sight, about("king moves up to which a defender chases a robot")
+    ] = 6
     reach: Annotated[
         int,
         within(
@@ -156,7 +159,9 @@ class Minisim(Teams):
             )
         self.inputs = INPUTS[settings.teams]
         self.participants = settings.teams
-        self.owners = tuple(team for team in range(settings.teams) for _ in range(settings.robots))
+        self.owners = tuple(
+            team for team in range(settings.teams) for _ in range(settings.robots)
+        )
         self.world = MinisimWorld(
             steps=settings.steps,
             width=settings.width,
@@ -187,7 +192,9 @@ class Minisim(Teams):
             kind = f"{name} with the flag" if games[team][CARRIER] == number else name
             x = right - robot[X] if team else robot[X]
             y = bottom - robot[Y] if team else robot[Y]
-            bodies.append(Body(kind, x + 0.5, y + 0.5, 0.4, shape=("disc", "triangle")[team]))
+            bodies.append(
+                Body(kind, x + 0.5, y + 0.5, 0.4, shape=("disc", "triangle")[team])
+            )
         bodies += [
             Body("defender", x + 0.5, y + 0.5, 0.4, shape="triangle")
             for x, y in self.world.defenders.tolist()
@@ -203,7 +210,9 @@ class Minisim(Teams):
                 Rectangle("flag's stand", right - x, bottom - y, 1, 1),
                 Rectangle("opponents' flag's stand", x, y, 1, 1),
             ]
-            score = f"flags home: {games[0][CAPTURES]} robots, {games[1][CAPTURES]} opponents"
+            score = (
+                f"flags home: {games[0][CAPTURES]} robots, {games[1][CAPTURES]} opponents"
+            )
         label = Label(score, width / 2, 0.05 * height, 0.04 * height)
         return Frame(width, height, places, bodies, labels=[label])
 

@@ -23,7 +23,9 @@ NOBODY = -1
 # ``robots``; MARK: the step in which a defender last chose it, or whether it is tagged now
 X, Y, START_Y, MARK, ROBOT_COLUMNS = range(5)
 # ``games``
-CARRIER, STEP_NUMBER, CAPTURES, STEALS, TAGGED, CLOSEST, NEAREST_HOME, GAME_COLUMNS = range(8)
+CARRIER, STEP_NUMBER, CAPTURES, STEALS, TAGGED, CLOSEST, NEAREST_HOME, GAME_COLUMNS = (
+    range(8)
+)
 
 
 class MinisimWorld(NamedTuple):
@@ -120,7 +122,9 @@ def observe_one(world, robot, observation):
         first = team * many
         begin = (1 - team) * many
         seen_x, seen_y = world.width - 1 - x, world.height - 1 - y  # by the other team
-        sense(world, seen_x, seen_y, robots, begin, begin + many, NOBODY, -1, observation, 3)
+        sense(
+            world, seen_x, seen_y, robots, begin, begin + many, NOBODY, -1, observation, 3
+        )
         sense(world, x, y, robots, first, first + many, robot, 1, observation, 5)
         thief = games[1 - team, CARRIER]
         flag_x = stand[X]
@@ -139,7 +143,9 @@ def bearing(world, dx, dy, observation, at):
     away = distance(dx, dy)
     observation[at] = np.float32(dx) / np.float32(max(away, 1))
     observation[at + 1] = np.float32(dy) / np.float32(max(away, 1))
-    observation[at + 2] = ONE - np.float32(away) / np.float32(max(world.width, world.height))
+    observation[at + 2] = ONE - np.float32(away) / np.float32(
+        max(world.width, world.height)
+    )
 
 
 @inline(counts=False)
@@ -218,7 +224,9 @@ def score(world, team):
             games[team, CARRIER] = robot
             games[team, STEALS] += 1
     if games[team, CARRIER] != NOBODY:
-        games[team, NEAREST_HOME] = min(games[team, NEAREST_HOME], robots[games[team, CARRIER], X])
+        games[team, NEAREST_HOME] = min(
+            games[team, NEAREST_HOME], robots[games[team, CARRIER], X]
+        )
         if games[team, NEAREST_HOME] == 0:
             games[team, CAPTURES] += 1
             begin_attempt(world, team)

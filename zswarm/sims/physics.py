@@ -37,7 +37,12 @@ PARTING = 6.3
 RIM = 0.1  # m, thickness of the walls around a room
 OUTSIDE = 1e6  # m from here robots and things stand that were taken out, each at a place of its own
 
-READ = BodyFields.POSITION | BodyFields.ANGLE | BodyFields.VELOCITY | BodyFields.ANGULAR_VELOCITY
+READ = (
+    BodyFields.POSITION
+    | BodyFields.ANGLE
+    | BodyFields.VELOCITY
+    | BodyFields.ANGULAR_VELOCITY
+)
 WRITTEN = BodyFields.FORCE | BodyFields.TORQUE
 # pymunk never gives a buffer's memory back, so there is one of each; what is in it is used at once.
 READ_BUFFER, WRITE_BUFFER = batch.Buffer(), batch.Buffer()
@@ -60,14 +65,18 @@ class RobotSettings(PartSettings, frozen=True):
     mass: Annotated[float, within(1e-3, 1e4, "kg, mass of a robot")] = 6.3
     speed: Annotated[float, within(0, 100, "m/s, maximum of a robot")] = 0.65
     turn: Annotated[float, within(0, 100, "rad/s, maximum of a robot")] = 3.14
-    force: Annotated[float, above(0, 1e6, "N, maximum driving and braking force of a robot")] = 15.0
+    force: Annotated[
+        float, above(0, 1e6, "N, maximum driving and braking force of a robot")
+    ] = 15.0
     friction: Annotated[
         float,
         within(0, 10, "coefficient of friction between robots, objects and walls"),
     ] = 0.3
     restitution: Annotated[
         float,
-        within(0, 1, "coefficient of restitution of collisions; 0: inelastic, 1: elastic"),
+        within(
+            0, 1, "coefficient of restitution of collisions; 0: inelastic, 1: elastic"
+        ),
     ] = 0.1
     rays: Annotated[int, within(SECTORS, 2_000, "rays of a robot's laser scanner")] = 36
     view: Annotated[
@@ -119,7 +128,9 @@ class RobotWorld:
         self.settings = settings
         self._of = tuple(things)
         self.walls = np.array([*around, *walls])
-        self._moment = 0.5 * settings.mass * settings.radius * settings.radius  # kg m^2, of a disc
+        self._moment = (
+            0.5 * settings.mass * settings.radius * settings.radius
+        )  # kg m^2, of a disc
         self._substep_s = settings.step_s / settings.substeps
         robots = settings.robots
         self._rows = np.zeros((robots + len(things) + 1, 6))
@@ -143,7 +154,9 @@ class RobotWorld:
         """Return the directions of the laser's rays; computed late, as they need the compiler."""
         rays = self.settings.rays
         view = self.settings.view
-        angles = [(view * (ray / (rays - 1)) - view / 2) * PI / 180 for ray in range(rays)]
+        angles = [
+            (view * (ray / (rays - 1)) - view / 2) * PI / 180 for ray in range(rays)
+        ]
         return np.array([[cos(angle), sin(angle)] for angle in angles])
 
     @functools.cached_property
@@ -159,7 +172,8 @@ class RobotWorld:
         for left, low, right, high in self.walls.tolist():
             self._touching(
                 pymunk.Poly(
-                    space.static_body, [(left, low), (right, low), (right, high), (left, high)]
+                    space.static_body,
+                    [(left, low), (right, low), (right, high), (left, high)],
                 )
             )
         self._bodies: list[pymunk.Body] = []
@@ -191,10 +205,19 @@ class RobotWorld:
         WRITE_BUFFER.set_float_buf(self._forces)
         for _ in range(settings.substeps):
             push(
-                self._rows, self.inside, linear, angular, settings.speed, settings.turn,
-                settings.mass, self._moment, settings.force,
-                settings.force * settings.radius * TRACK, self._substep_s, self._forces,
-            )  # fmt: skip
+                self._rows,
+                self.inside,
+                linear,
+                angular,
+                settings.speed,
+                settings.turn,
+                settings.mass,
+                self._moment,
+                settings.force,
+                settings.force * settings.radius * TRACK,
+                self._substep_s,
+                self._forces,
+            )
             batch.set_space_bodies(space, WRITTEN, WRITE_BUFFER)
             space.step(1.0)
             if self._interrupted:
@@ -266,7 +289,8 @@ class RobotWorld:
         left, low, right, high = self.room
         top = high + RIM
         walls = [
-            Rectangle("wall", x, y, to_x - x, to_y - y) for x, y, to_x, to_y in self.walls.tolist()
+            Rectangle("wall", x, y, to_x - x, to_y - y)
+            for x, y, to_x, to_y in self.walls.tolist()
         ]
         shown = [
             Rectangle(
@@ -306,7 +330,9 @@ class RobotWorld:
             )
             for sector in range(SECTORS)
         ]
-        return Frame(right - left + 2 * RIM, high - low + 2 * RIM, shown, bodies, rays=rays)
+        return Frame(
+            right - left + 2 * RIM, high - low + 2 * RIM, shown, bodies, rays=rays
+        )
 
     def _put(self, thing: Movable, pose: Sequence[float]) -> None:
         """Add a thing; its friction with the ground is a joint with limited force."""
@@ -382,6 +408,16 @@ class RobotWorld:
             if abs(thing[X]) < OUTSIDE / 2:
                 self.things[number] = thing[: ANGLE + 1]
         look(
-            self._rows, self.inside, self.walls, self._boxes, self.things, self._half, self._rays,
-            self.settings.radius, self.settings.range, self.poses, self.headings, self.ranges,
-        )  # fmt: skip
+            self._rows,
+            self.inside,
+            self.walls,
+            self._boxes,
+            self.things,
+            self._half,
+            self._rays,
+            self.settings.radius,
+            self.settings.range,
+            self.poses,
+            self.headings,
+            self.ranges,
+        )

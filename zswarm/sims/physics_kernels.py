@@ -68,7 +68,18 @@ def to_disc(x, y, dx, dy, radius, most):
     )
 )
 def push(
-    rows, inside, linear, angular, speed, turn, mass, moment, force, torque, duration_s, forces
+    rows,
+    inside,
+    linear,
+    angular,
+    speed,
+    turn,
+    mass,
+    moment,
+    force,
+    torque,
+    duration_s,
+    forces,
 ):
     """Set the wheels' forces in a step of the physics: those for the wanted velocity, limited.
 
@@ -122,7 +133,9 @@ def push(
         Float32Rows,
     )
 )
-def look(rows, inside, walls, boxes, things, half, rays, radius, reach, poses, headings, ranges):
+def look(
+    rows, inside, walls, boxes, things, half, rays, radius, reach, poses, headings, ranges
+):
     """Write the poses of the robots inside and the readings of their lasers.
 
     Lasers see walls, boxes and other robots; discs are too low.
@@ -175,10 +188,14 @@ def look(rows, inside, walls, boxes, things, half, rays, radius, reach, poses, h
                 from_x, from_y = along - size, aside - size
                 until_x, until_y = along + size, aside + size
                 per_along, per_aside = inverse(c * dx + s * dy), inverse(c * dy - s * dx)
-                far = to_rectangle(from_x, from_y, until_x, until_y, per_along, per_aside, far)
+                far = to_rectangle(
+                    from_x, from_y, until_x, until_y, per_along, per_aside, far
+                )
             for other in range(robots):
                 if other != robot and inside[other]:
-                    far = to_disc(poses[other, X] - x, poses[other, Y] - y, dx, dy, radius, far)
+                    far = to_disc(
+                        poses[other, X] - x, poses[other, Y] - y, dx, dy, radius, far
+                    )
             ranges[robot, ray] = far
 
 
@@ -201,10 +218,20 @@ def sectors(ranges, reach, observations):
 
 @kernel(
     void(
-        Float64Rows, Float64Rows, Float64Rows, Int64s, float64, int64, Float32Rows, Float64s, Int64s
+        Float64Rows,
+        Float64Rows,
+        Float64Rows,
+        Int64s,
+        float64,
+        int64,
+        Float32Rows,
+        Float64s,
+        Int64s,
     )
 )
-def bearings(poses, headings, targets, gone, reach, column, observations, distances, nearest):
+def bearings(
+    poses, headings, targets, gone, reach, column, observations, distances, nearest
+):
     """Write the nearest target in each robot's frame into three columns.
 
     They are its direction, a unit vector, and how near it is: 1 - distance / reach. All are zeros
@@ -234,8 +261,12 @@ def bearings(poses, headings, targets, gone, reach, column, observations, distan
         if which >= 0 and 0.0 < distance <= reach:
             dx = (targets[which, 0] - poses[robot, X]) / distance
             dy = (targets[which, 1] - poses[robot, Y]) / distance
-            observations[robot, column] = dx * headings[robot, 0] + dy * headings[robot, 1]
-            observations[robot, column + 1] = dy * headings[robot, 0] - dx * headings[robot, 1]
+            observations[robot, column] = (
+                dx * headings[robot, 0] + dy * headings[robot, 1]
+            )
+            observations[robot, column + 1] = (
+                dy * headings[robot, 0] - dx * headings[robot, 1]
+            )
             observations[robot, column + 2] = 1.0 - distance / reach
 
 

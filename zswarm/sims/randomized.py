@@ -18,7 +18,14 @@ MOST_TOGETHER = 256  # trials
 MAX_CORNERS = 16  # combinations of ends that are all tried; otherwise only some
 TOGETHER_S = 0.02  # of trials played in one call; a fault is blamed on the first of them
 UNIT = 2.0**-53
-SAME = ("participants", "inputs", "outputs", "sensors", "actuators", "metrics")  # in all trials
+SAME = (
+    "participants",
+    "inputs",
+    "outputs",
+    "sensors",
+    "actuators",
+    "metrics",
+)  # in all trials
 
 
 def drawn(settings: Mapping[str, Any], seed: int) -> dict[str, Any]:
@@ -146,7 +153,9 @@ class Varied(Simulator):
 
     def _set_up(self, chosen: Mapping[Path, Any]) -> Simulator:
         try:
-            return self._build(ranges.replaced(self._settings, lambda path, _: chosen[path]))
+            return self._build(
+                ranges.replaced(self._settings, lambda path, _: chosen[path])
+            )
         except ConfigError as error:
             raise ConfigError(f"{error} (with {_words(chosen)})") from None
 

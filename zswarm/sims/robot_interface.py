@@ -17,7 +17,9 @@ from zswarm.kernels.jit import array, float32, float64, inline, kernel, sqrt, vo
 from zswarm.kernels.portable import PI
 
 ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
-FINEST = 1e-6  # radians; a scan whose rays are nearer to each other than that says nothing
+FINEST = (
+    1e-6  # radians; a scan whose rays are nearer to each other than that says nothing
+)
 MOST_PLACES = 1e7
 # Readings below are ROS's minus infinity (REP 117): nearer than the scanner can measure.
 TOO_CLOSE = np.float32(-3e38)
@@ -90,7 +92,14 @@ def shortest_around(ranges, readings, angle_min, angle_increment, angle, half, r
 def fit(ranges, angle_min, angle_increment, view, reach, fitted):
     """Call ``fit_scan`` from Python."""
     fit_scan(
-        ranges, ranges.shape[0], angle_min, angle_increment, fitted.shape[0], view, reach, fitted
+        ranges,
+        ranges.shape[0],
+        angle_min,
+        angle_increment,
+        fitted.shape[0],
+        view,
+        reach,
+        fitted,
     )
 
 
@@ -126,8 +135,12 @@ def observe(scan, rays, reach, sectors, x, y, z, w, targets, count, observation)
     ahead, left = w * w - z * z, 2.0 * w * z
     size = sqrt(ahead * ahead + left * left)
     if distance > 0.0 and size > 0.0:
-        observation[sectors] = np.float32((to_x * ahead + to_y * left) / (size * distance))
-        observation[sectors + 1] = np.float32((to_y * ahead - to_x * left) / (size * distance))
+        observation[sectors] = np.float32(
+            (to_x * ahead + to_y * left) / (size * distance)
+        )
+        observation[sectors + 1] = np.float32(
+            (to_y * ahead - to_x * left) / (size * distance)
+        )
     else:
         observation[sectors] = ZERO
         observation[sectors + 1] = ZERO

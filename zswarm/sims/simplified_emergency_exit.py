@@ -19,7 +19,9 @@ from zswarm.sims.simulator import Body, Frame, Rectangle, Steps
 from zswarm.sims.trial import OneAgent, problem, world
 
 ONE, TWO = np.float32(1), np.float32(2)
-STEPS, WIDTH, HEIGHT, AGENT_X, AGENT_Y, EXIT_X, EXIT_Y = range(7)  # ``rules``: the settings
+STEPS, WIDTH, HEIGHT, AGENT_X, AGENT_Y, EXIT_X, EXIT_Y = range(
+    7
+)  # ``rules``: the settings
 X, Y, DECISIONS = range(3)  # ``counts``
 
 Length = Annotated[int, Meta(ge=1, le=1_000_000)]
@@ -32,7 +34,9 @@ class SimplifiedEmergencyExitSettings(PartSettings, frozen=True):
     steps: Steps = 50
     width: Annotated[Length, about("cells")] = 100
     height: Annotated[Length, about("cells")] = 100
-    agent_x: Annotated[Cell, about("column in which the robot starts; below `width`")] = 50
+    agent_x: Annotated[Cell, about("column in which the robot starts; below `width`")] = (
+        50
+    )
     agent_y: Annotated[Cell, about("row in which the robot starts; below `height`")] = 50
     exit_x: Annotated[Cell, about("column of the exit; below `width`")] = 99
     exit_y: Annotated[Cell, about("row of the exit; below `height`")] = 99
@@ -77,7 +81,9 @@ class SimplifiedEmergencyExit(OneAgent):
         size = max(1.0, max(s.width, s.height) / 50)
         corner = (1 - size) / 2
         exit_ = Rectangle("exit", s.exit_x + corner, s.exit_y + corner, size, size)
-        return Frame(s.width, s.height, [exit_], [Body("robot", x + 0.5, y + 0.5, 0.4 * size)])
+        return Frame(
+            s.width, s.height, [exit_], [Body("robot", x + 0.5, y + 0.5, 0.4 * size)]
+        )
 
 
 @inline(counts=False)
@@ -130,4 +136,6 @@ def judge(world, fitness, metrics):
     metrics[1] = counts[Y]
 
 
-SimplifiedEmergencyExit.problem = problem("play_exit", start, observe, act, is_over, judge)
+SimplifiedEmergencyExit.problem = problem(
+    "play_exit", start, observe, act, is_over, judge
+)

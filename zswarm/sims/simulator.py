@@ -18,7 +18,14 @@ import msgspec
 import numpy as np
 
 from zswarm.config.meta import within
-from zswarm.kernels.signatures import Float32Rows, Float64Rows, Int64Rows, Int64s, Step, UInt64s
+from zswarm.kernels.signatures import (
+    Float32Rows,
+    Float64Rows,
+    Int64Rows,
+    Int64s,
+    Step,
+    UInt64s,
+)
 
 Steps = Annotated[int, within(1, 1_000_000, "steps of a trial")]  # a setting of many
 MAX_TURNS = 1_000_000  # of a trial; a longer one has no end
@@ -45,8 +52,12 @@ class Body(NamedTuple):
     x: float  # of its centre
     y: float
     radius: float  # half the side of a square
-    heading: float | None = None  # radians from the x axis clockwise; a square is turned by it
-    shape: Literal["disc", "square", "triangle", "diamond"] = "disc"  # constant; by team or sort
+    heading: float | None = (
+        None  # radians from the x axis clockwise; a square is turned by it
+    )
+    shape: Literal["disc", "square", "triangle", "diamond"] = (
+        "disc"  # constant; by team or sort
+    )
 
 
 class Rectangle(NamedTuple):
@@ -112,7 +123,9 @@ class RobotInterface(msgspec.Struct, frozen=True, kw_only=True):
     view: float  # radians from the first ray, on the right, to the last, half of them to each side
     range: float  # m; read where nothing is nearer
     sectors: int  # parts of the scan that are observed, from the right to the left
-    targets: tuple[tuple[float, float], ...]  # m: x, y; the direction of the nearest is observed
+    targets: tuple[
+        tuple[float, float], ...
+    ]  # m: x, y; the direction of the nearest is observed
     arrived: float  # m from a target at which a robot is done
     speed: float  # m/s at most
     turn: float  # rad/s at most

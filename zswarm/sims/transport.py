@@ -37,7 +37,11 @@ class Transport(Simulator):
     settings: Any
 
     def __init__(
-        self, settings: TransportSettings, things: Sequence[Movable], what: str, covered: float
+        self,
+        settings: TransportSettings,
+        things: Sequence[Movable],
+        what: str,
+        covered: float,
     ) -> None:
         """Build the room.
 
@@ -64,7 +68,9 @@ class Transport(Simulator):
     def _start(self, stream: Stream, things: Sequence[Pose], radius: float) -> Turn:
         """Start a trial with robots anywhere beside the things, which have a radius."""
         taken = [(x, y, radius) for x, y, _ in things]
-        robots = strew(stream, self.settings.robots, self.settings.radius, self._area, taken)
+        robots = strew(
+            stream, self.settings.robots, self.settings.radius, self._area, taken
+        )
         self._world.start(np.array(robots), np.array(things))
         self._from = self._world.things[:, 0].copy()
         self._gone[:] = 0
@@ -76,7 +82,9 @@ class Transport(Simulator):
         self._world.obey(actions, self._agents)
         self._steps += 1
 
-    def _ended(self, arrived: float, share: float, way: float, *, all_arrived: bool) -> Outcome:
+    def _ended(
+        self, arrived: float, share: float, way: float, *, all_arrived: bool
+    ) -> Outcome:
         """Return the outcome: the share, or 1 + the share of the steps not needed."""
         steps = self.settings.steps
         fitness = 1.0 + (steps - self._steps) / steps if all_arrived else share

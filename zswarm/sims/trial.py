@@ -19,7 +19,9 @@ from zswarm.kernels.signatures import Float64Rows, Float64s, Int64s, UInt64s
 from zswarm.sims.simulator import CompiledSimulator, KernelBatch, Outcome, Turn
 
 SPARE = 3  # numbers behind all observations: four are read at once
-SPARE_ACTIONS = np.zeros(LANES, np.float32)  # behind those of all agents: eight are read at once
+SPARE_ACTIONS = np.zeros(
+    LANES, np.float32
+)  # behind those of all agents: eight are read at once
 LANE_NUMBERS = np.arange(LANES, dtype=np.int32)
 
 
@@ -180,7 +182,13 @@ def problem(
 
     The loop gets a name and globals of its own: numba caches no function that closes over others.
     """
-    functions = {"start": start, "observe": observe, "act": act, "is_over": is_over, "judge": judge}
+    functions = {
+        "start": start,
+        "observe": observe,
+        "act": act,
+        "is_over": is_over,
+        "judge": judge,
+    }
     code = loop.__code__
     play = FunctionType(code, {**globals(), **functions}, name)
     play.__qualname__ = name

@@ -47,7 +47,9 @@ def fill(outcome: Outcome, fitness: np.ndarray, metrics: np.ndarray) -> None:
     metrics[:] = outcome.metrics
 
 
-def take_turns(simulator: Simulator, controllers: Controllers, seed: int) -> Iterator[Turn]:
+def take_turns(
+    simulator: Simulator, controllers: Controllers, seed: int
+) -> Iterator[Turn]:
     """Play a trial, and yield each turn before its agents act."""
     turn: Turn | None = simulator.reset(seed)
     if turn is None:
@@ -61,7 +63,9 @@ def take_turns(simulator: Simulator, controllers: Controllers, seed: int) -> Ite
                 f"agents must be in {range(len(owners))}, not {list(turn.agents)}"
             )
         turn = simulator.step(
-            controllers.decide(turn.agents, [owners[agent] for agent in turn.agents], observations)
+            controllers.decide(
+                turn.agents, [owners[agent] for agent in turn.agents], observations
+            )
         )
         if turn is None:
             return
@@ -77,11 +81,15 @@ def _observations(simulator: Simulator, turn: Turn) -> np.ndarray:
             f"reset and step must return a Turn, and step None at the end; not {turn!r:.80}"
         )
     if not len(turn.agents):
-        raise BrokenContractError("a turn must name an agent; a trial that is over returns None")
+        raise BrokenContractError(
+            "a turn must name an agent; a trial that is over returns None"
+        )
     observations = np.ascontiguousarray(turn.observations, np.float32)
     expected = len(turn.agents), simulator.inputs
     if observations.shape != expected:
-        raise BrokenContractError(f"observations must be {expected}, not {observations.shape}")
+        raise BrokenContractError(
+            f"observations must be {expected}, not {observations.shape}"
+        )
     if not np.isfinite(observations).all():
         row, number = np.argwhere(~np.isfinite(observations))[0]
         name = f" ({simulator.sensors[number]})" if simulator.sensors else ""

@@ -19,7 +19,14 @@ from zswarm.sims.physics import Metres, RobotSettings, RobotWorld
 from zswarm.sims.physics_kernels import SCAN, SECTORS, command
 from zswarm.sims.placing import Area, require_room, shrunk, strew
 from zswarm.sims.robot_interface import observe
-from zswarm.sims.simulator import Frame, Outcome, Rectangle, RobotInterface, Simulator, Turn
+from zswarm.sims.simulator import (
+    Frame,
+    Outcome,
+    Rectangle,
+    RobotInterface,
+    Simulator,
+    Turn,
+)
 
 ROOM: Area = (-2.5, -2.5, 2.5, 2.5)
 EXITS = ((-2.0, 1.0), (2.0, 1.0))
@@ -37,7 +44,9 @@ class TurtlebotExitSettings(RobotSettings, frozen=True):
 
     map: Annotated[
         Literal["small-maze", "open"],
-        about("small-maze: walls make the straight way to an exit a dead end; open: no walls"),
+        about(
+            "small-maze: walls make the straight way to an exit a dead end; open: no walls"
+        ),
     ] = "small-maze"
     epsilon: Annotated[Metres, about("m from an exit at which a robot leaves")] = 0.15
     fitness: Annotated[
@@ -114,7 +123,9 @@ class ExitTask:
         self._steps = min(self._steps + passed, self.settings.steps)
         observations = self._observe(scans, poses)
         out = [
-            robot for robot in self.agents.tolist() if self.distances[robot] < self.settings.epsilon
+            robot
+            for robot in self.agents.tolist()
+            if self.distances[robot] < self.settings.epsilon
         ]
         self._left[out] = self._steps
         self.agents = self.agents[~np.isin(self.agents, out)]
@@ -129,9 +140,12 @@ class ExitTask:
         if self.settings.fitness == "last-distance":
             fitness = total
         else:
-            fitness = cpswarm_log(distances, [int(time_s / LOG_S) + 1 for time_s in seconds])
+            fitness = cpswarm_log(
+                distances, [int(time_s / LOG_S) + 1 for time_s in seconds]
+            )
         return Outcome(
-            [fitness], [len(distances) - self.agents.size, -total / len(distances), max(seconds)]
+            [fitness],
+            [len(distances) - self.agents.size, -total / len(distances), max(seconds)],
         )
 
     def _observe(self, scans: np.ndarray, poses: np.ndarray) -> np.ndarray:
@@ -188,16 +202,24 @@ class TurtlebotExit(Simulator):
         super().__init__(settings)
         self.owners = (0,) * settings.robots
         self._start = shrunk(START, settings.radius)
-        require_room("turtlebot-exit", "robots", settings.robots, settings.radius, self._start)
+        require_room(
+            "turtlebot-exit", "robots", settings.robots, settings.radius, self._start
+        )
         self.task = ExitTask(settings)
         self.robot = self.task.interface
         self._world = RobotWorld(settings, ROOM, WALLS[settings.map])
-        self.scans = self._world.ranges  # (robots, rays) float32, m; of one that is out the last
-        self.poses = np.zeros((settings.robots, 4))  # x, y, and z, w of the quaternion, likewise
+        self.scans = (
+            self._world.ranges
+        )  # (robots, rays) float32, m; of one that is out the last
+        self.poses = np.zeros(
+            (settings.robots, 4)
+        )  # x, y, and z, w of the quaternion, likewise
 
     def reset(self, seed: int) -> Turn:
         """Put the robots around (0, -1)."""
-        places = strew(Stream(seed), self.settings.robots, self.settings.radius, self._start)
+        places = strew(
+            Stream(seed), self.settings.robots, self.settings.radius, self._start
+        )
         self._world.start(np.array(places), np.zeros((0, 3)))
         as_messages(self._world.poses, self.poses)
         return self.task.begin(self.scans, self.poses)
@@ -233,7 +255,9 @@ class TurtlebotExit(Simulator):
         """
         self._world.poses[:] = poses
         size = self.settings.epsilon
-        exits = [Rectangle("exit", x - size, y - size, 2 * size, 2 * size) for x, y in EXITS]
+        exits = [
+            Rectangle("exit", x - size, y - size, 2 * size, 2 * size) for x, y in EXITS
+        ]
         kinds = [
             "robot" if robot in agents else "robot that is out"
             for robot in range(self.settings.robots)
@@ -263,6 +287,15 @@ def observe_each(scans, poses, reach, sectors, targets, observations, distances)
     """Write each robot's observation and distance, see ``robot_interface.observe``."""
     for robot in range(scans.shape[0]):
         distances[robot] = observe(
-            scans[robot], scans.shape[1], reach, sectors, poses[robot, 0], poses[robot, 1],
-            poses[robot, 2], poses[robot, 3], targets, targets.shape[0] // 2, observations[robot],
-        )  # fmt: skip
+            scans[robot],
+            scans.shape[1],
+            reach,
+            sectors,
+            poses[robot, 0],
+            poses[robot, 1],
+            poses[robot, 2],
+            poses[robot, 3],
+            targets,
+            targets.shape[0] // 2,
+            observations[robot],
+        )

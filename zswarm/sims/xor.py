@@ -5,7 +5,15 @@ import numpy as np
 from zswarm.config.meta import PartSettings
 from zswarm.kernels.jit import STEP, Step, inline, int64, kernel, void
 from zswarm.kernels.lanes import LANES
-from zswarm.sims.simulator import Body, CompiledSimulator, Frame, KernelBatch, Label, Outcome, Turn
+from zswarm.sims.simulator import (
+    Body,
+    CompiledSimulator,
+    Frame,
+    KernelBatch,
+    Label,
+    Outcome,
+    Turn,
+)
 
 INPUTS, OUTPUTS, CASES = 2, 1, 4
 CASE_INPUTS = np.array([[0, 0], [0, 1], [1, 0], [1, 1]], np.float32)

@@ -36,12 +36,16 @@ class Rule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         """Return whether a value is allowed."""
         if self.choice:
             same_kind = [
-                each for each in self.choice if isinstance(each, bool) == isinstance(value, bool)
+                each
+                for each in self.choice
+                if isinstance(each, bool) == isinstance(value, bool)
             ]
             return value in same_kind
         if isinstance(value, bool) or not isinstance(value, int | float):
             return False
-        return (self.min is None or value >= self.min) and (self.max is None or value <= self.max)
+        return (self.min is None or value >= self.min) and (
+            self.max is None or value <= self.max
+        )
 
     def __str__(self) -> str:
         if len(self.choice) == 1:
@@ -76,19 +80,25 @@ class Limit(NamedTuple):
 class Admission:
     """Which problems a server evaluates; a reload may change the limits."""
 
-    def __init__(self, offered: list[str], limits: list[Limit], slot_memory_mb: int) -> None:
+    def __init__(
+        self, offered: list[str], limits: list[Limit], slot_memory_mb: int
+    ) -> None:
         self.simulators = offered
         self.representations = plugins.names("representation")
         self.limits = limits
         self._slot_memory_mb = slot_memory_mb
-        pairs = [(sim, network) for sim in self.simulators for network in self.representations]
+        pairs = [
+            (sim, network) for sim in self.simulators for network in self.representations
+        ]
         # The slots run the code as it is now, not what an upgrade will install later.
         self._hashes = {pair: version_hash(*pair) for pair in pairs}
         self._versions = {pair: versions(*pair) for pair in pairs}
 
     def offer(self, server: str, capacity: int, labels: Mapping[str, Any]) -> Offer:
         """Return the answer to runs that look for servers."""
-        detected = detected_labels(server.rpartition("-")[0], capacity, self._slot_memory_mb)
+        detected = detected_labels(
+            server.rpartition("-")[0], capacity, self._slot_memory_mb
+        )
         return Offer(
             server=server,
             program=VERSION,
@@ -122,7 +132,9 @@ class Admission:
             return self._difference(pair, there)
         if asked.trial_memory_mb > self._slot_memory_mb:
             asked_mb = asked.trial_memory_mb
-            return f"a slot here has {self._slot_memory_mb} MB, the run asks for {asked_mb}"
+            return (
+                f"a slot here has {self._slot_memory_mb} MB, the run asks for {asked_mb}"
+            )
         return broken(self.limits, simulator, settings)
 
     def _difference(self, pair: tuple[str, str], there: dict[str, str]) -> str:
@@ -133,11 +145,12 @@ class Admission:
             text = f"packages that {simulator!r} needs are not installed here: {how}"
             return text[:MAX_TEXT]
         if parts := differing(here, there):
-            text = f"another version is installed here: {'; '.join(parts)[: MAX_TEXT // 2]}"
+            text = (
+                f"another version is installed here: {'; '.join(parts)[: MAX_TEXT // 2]}"
+            )
             return f"{text}; install the same, and start this server again"
-        return (
-            f"another version of {simulator}, {representation}, zswarm or numba is installed here"
-        )
+        versions = f"{simulator}, {representation}, zswarm or numba"
+        return f"another version of {versions} is installed here"
 
 
 def read(tables: Mapping[str, Any], simulators: Sequence[str], where: str) -> list[Limit]:
@@ -155,7 +168,9 @@ def read(tables: Mapping[str, Any], simulators: Sequence[str], where: str) -> li
         simulator, dot, setting = key.partition(".")
         at = f"{where}: {clean(repr(key))}"
         if not dot or not isinstance(table, Mapping):
-            raise ConfigError(f"{at}: expected SIMULATOR.SETTING and its rule, such as {EXAMPLE}")
+            raise ConfigError(
+                f"{at}: expected SIMULATOR.SETTING and its rule, such as {EXAMPLE}"
+            )
         if simulator not in simulators:
             similar = nearest(simulator, simulators)
             raise ConfigError(f"{at}: no simulator {simulator!r} is offered{similar}")
@@ -163,7 +178,9 @@ def read(tables: Mapping[str, Any], simulators: Sequence[str], where: str) -> li
         fields = {field.encode_name: field for field in msgspec.structs.fields(struct)}
         if setting not in fields:
             similar = nearest(setting, fields)
-            raise ConfigError(f"{at}: {simulator} has no setting {clean(repr(setting))}{similar}")
+            raise ConfigError(
+                f"{at}: {simulator} has no setting {clean(repr(setting))}{similar}"
+            )
         field = fields[setting]
         made = field.default_factory
         default = field.default if made is msgspec.NODEFAULT else made()
@@ -173,7 +190,9 @@ def read(tables: Mapping[str, Any], simulators: Sequence[str], where: str) -> li
 
 def broken(limits: Sequence[Limit], simulator: str, settings: Mapping[str, Any]) -> str:
     """Return which limits the settings of a simulator break, or ""."""
-    found = [limit.broken_by(settings) for limit in limits if limit.simulator == simulator]
+    found = [
+        limit.broken_by(settings) for limit in limits if limit.simulator == simulator
+    ]
     return "; ".join(filter(None, found))[:MAX_TEXT]
 
 
@@ -182,7 +201,9 @@ def _rule(table: Mapping[str, Any], kind: Any, at: str) -> Rule:
     bounded = rule.min is not None or rule.max is not None
     if bounded == bool(rule.choice):
         bounds, values = "{ min = 1, max = 100 }", "{ choice = [1, 2] }"
-        raise ConfigError(f"{at}: expected bounds, such as {bounds}, or values, such as {values}")
+        raise ConfigError(
+            f"{at}: expected bounds, such as {bounds}, or values, such as {values}"
+        )
     for value in rule.choice:
         try:
             msgspec.convert(value, kind, strict=True)
@@ -191,7 +212,9 @@ def _rule(table: Mapping[str, Any], kind: Any, at: str) -> Rule:
             text = f"{at}: choice: {clean(repr(value))} is not a valid value: {why}"
             raise ConfigError(text) from None
     if bounded and not _is_number(inspect.type_info(kind)):
-        raise ConfigError(f"{at}: not a number, so it has no bounds; expected {{ choice = [...] }}")
+        raise ConfigError(
+            f"{at}: not a number, so it has no bounds; expected {{ choice = [...] }}"
+        )
     if "nan" in (str(rule.min), str(rule.max)):
         raise ConfigError(f"{at}: nan is not a bound; expected numbers")
     if rule.min is not None and rule.max is not None and rule.min > rule.max:
@@ -204,7 +227,9 @@ def _is_number(kind: inspect.Type) -> bool:
         case inspect.Metadata():
             return _is_number(kind.type)
         case inspect.UnionType():
-            kinds = [each for each in kind.types if not isinstance(each, inspect.NoneType)]
+            kinds = [
+                each for each in kind.types if not isinstance(each, inspect.NoneType)
+            ]
             return all(_is_number(each) for each in kinds)
         case inspect.ListType():
             return _is_number(kind.item_type)

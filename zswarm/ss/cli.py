@@ -14,7 +14,9 @@ LEVELS = click.Choice(["debug", "info", "warning", "error"])
 FILE = click.Path(path_type=Path)
 LISTEN = "Endpoint to listen on; may be repeated.  [default: first free port from 7467]"
 LABEL = "What experiments may require or prefer, such as gpu=yes; may be repeated."
-MEMORY = "Memory of a slot's process.  [default: 80 % of the machine's, divided by the slots]"
+MEMORY = (
+    "Memory of a slot's process.  [default: 80 % of the machine's, divided by the slots]"
+)
 METRICS = "Serve metrics for Prometheus on this port of 127.0.0.1.  [default: none]"
 SIMULATORS = "Simulators to offer.  [default: all installed]"
 KEYS = "Do not start in the clear.  [default: no-require-keys]"
@@ -30,17 +32,27 @@ def _split(_context: click.Context, _option: click.Parameter, text: str | None) 
 @option("--realm", help="Serve only optimizers of this realm.  [default: default]")
 @option("--listen", multiple=True, metavar="EP", help=LISTEN)
 @option("--connect", multiple=True, metavar="EP", help="Router to dial; may be repeated.")
-@option("--multicast/--no-multicast", default=None, help="Be found by multicast.  [default: yes]")
+@option(
+    "--multicast/--no-multicast",
+    default=None,
+    help="Be found by multicast.  [default: yes]",
+)
 @option("--require-keys/--no-require-keys", default=None, help=KEYS)
 @option("--simulators", metavar="A,B", callback=_split, help=SIMULATORS)
 @option("--label", "labels", multiple=True, metavar="NAME=VALUE", help=LABEL)
 @option("--slot-memory", "slot_memory_mb", type=int, metavar="MB", help=MEMORY)
 @option("--metrics", type=COUNT, metavar="PORT", help=METRICS)
-@option("--config", type=FILE, help="TOML file with these options; the command line wins.")
+@option(
+    "--config", type=FILE, help="TOML file with these options; the command line wins."
+)
 @option("--log-level", type=LEVELS, default="info", show_default=True)
-@option("--until-stdin-closes", is_flag=True, hidden=True, help="End with the parent program.")
+@option(
+    "--until-stdin-closes", is_flag=True, hidden=True, help="End with the parent program."
+)
 @click.version_option(package_name="zswarm", prog_name="zswarm-ss")
-def command(config: Path | None, log_level: str, until_stdin_closes: bool, **given: Any) -> None:
+def command(
+    config: Path | None, log_level: str, until_stdin_closes: bool, **given: Any
+) -> None:
     """Serve simulations: evaluate controllers for the optimizers of this network.
 
     \b
@@ -70,7 +82,9 @@ def command(config: Path | None, log_level: str, until_stdin_closes: bool, **giv
 
     log.set_up(log_level)
     try:
-        server = Server(lambda: options.load(config, given), until_stdin_closes=until_stdin_closes)
+        server = Server(
+            lambda: options.load(config, given), until_stdin_closes=until_stdin_closes
+        )
         code = server.run()
     except ConfigError as error:
         click.echo(f"zswarm-ss: {error}", err=True)
@@ -78,7 +92,9 @@ def command(config: Path | None, log_level: str, until_stdin_closes: bool, **giv
     sys.exit(code)
 
 
-name_option = option("--name", default="", help="Name or id, if several daemons run here.")
+name_option = option(
+    "--name", default="", help="Name or id, if several daemons run here."
+)
 
 
 @command.command()

@@ -17,7 +17,11 @@ def detected_labels(name: str, slots: int, slot_memory_mb: int) -> dict[str, str
     system = platform.system().lower(), platform.machine(), _cpu()
     numbers = os.cpu_count() or "", memory.machine_mb(), slots, slot_memory_mb
     labels = zip(NAMES, map(str, (name, *system, *numbers)), strict=True)
-    return {label: value for label, value in labels if re.fullmatch(LABEL_VALUE, value, re.ASCII)}
+    return {
+        label: value
+        for label, value in labels
+        if re.fullmatch(LABEL_VALUE, value, re.ASCII)
+    }
 
 
 def _cpu() -> str:
@@ -26,6 +30,8 @@ def _cpu() -> str:
         lines = CPUINFO.read_text(errors="replace").splitlines()
     except OSError:  # macOS
         return ""
-    model = next((line.partition(":")[2] for line in lines if line.startswith("model name")), "")
+    model = next(
+        (line.partition(":")[2] for line in lines if line.startswith("model name")), ""
+    )
     model = re.sub(r"\((R|TM)\)", "", model)
     return re.sub(r"[^A-Za-z0-9_.:+-]+", "-", model).strip("-_.:+")[:63]

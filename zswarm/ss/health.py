@@ -36,7 +36,9 @@ class Health(msgspec.Struct, eq=False):
     workers: list[Worker]
     presence: Presence
     notify: Notify  # systemd
-    next_look: float = 0.0  # when to call ``look`` if nothing happens, by the monotonic clock
+    next_look: float = (
+        0.0  # when to call ``look`` if nothing happens, by the monotonic clock
+    )
     _started_at: float = msgspec.field(default_factory=time.time)
     _rate: Rate = msgspec.field(default_factory=lambda: Rate(time.monotonic()))
     _metrics: "Metrics | None" = None
@@ -130,7 +132,9 @@ class Health(msgspec.Struct, eq=False):
             fields = {
                 "reason": missing[min(newly)],
                 "seconds": round(self.missing_s, 1),
-                "watchdog": "not fed" if math.isfinite(self.notify.watchdog_s) else "none",
+                "watchdog": "not fed"
+                if math.isfinite(self.notify.watchdog_s)
+                else "none",
             }
             log.error("slots_missed", slots=sorted(newly), **fields)
         if back := self._missing.keys() - missing.keys():

@@ -67,11 +67,17 @@ class Server:
         name = options.name or (ring.name if ring else keys.fold(platform.node()))
         self.id = keys.new_server_id(name)
         self._inbox = Inbox()
-        self._presence = Presence(options.realm, self.id, self._inbox, private=self._private)
-        self._selector = selectors.PollSelector()  # which takes a stdin that is a file, too
+        self._presence = Presence(
+            options.realm, self.id, self._inbox, private=self._private
+        )
+        self._selector = (
+            selectors.PollSelector()
+        )  # which takes a stdin that is a file, too
         memory_mb = options.slot_memory_mb or memory.per_slot_mb(capacity)
         limits = read(options.limits, offered(options), "limits")
-        self.workers = [Worker(slot, memory_mb, self._selector, self) for slot in range(capacity)]
+        self.workers = [
+            Worker(slot, memory_mb, self._selector, self) for slot in range(capacity)
+        ]
         orphans.adopt()
         self._start_workers()  # they load numba in parallel with what follows
         self._admission = Admission(offered(options), limits, memory_mb)
@@ -123,7 +129,10 @@ class Server:
         if self._private:
             return Reach(options.connect, options.multicast)
         reach = session.daemon_reach(
-            "ss", options.connect, multicast=options.multicast, require_keys=options.require_keys
+            "ss",
+            options.connect,
+            multicast=options.multicast,
+            require_keys=options.require_keys,
         )
         if (ring := reach.keyring) is not None and options.name not in ("", ring.name):
             raise ConfigError(
@@ -146,7 +155,9 @@ class Server:
         try:
             stack.callback(Control(self.id, self._inbox.put).close)
         except OSError as error:
-            log.warning("control_unavailable", path=str(error.filename), reason=error.strerror)
+            log.warning(
+                "control_unavailable", path=str(error.filename), reason=error.strerror
+            )
 
     def _close_workers(self) -> None:
         for worker in self.workers:
@@ -169,7 +180,9 @@ class Server:
                 self._return()
             if now >= min(self._tick_at, self.slots.next_time()):
                 self._tick_at = now + TICK_S
-                self._handle(events.Tick(tuple(worker.trial() for worker in self.workers)))
+                self._handle(
+                    events.Tick(tuple(worker.trial() for worker in self.workers))
+                )
             self._questions.ask_again(now)
             self._health.look(time.monotonic(), new=bool(ready))
 
@@ -269,7 +282,9 @@ class Server:
         if lease is None or worker.stopping:
             worker.answer(CANCELLED)
         else:
-            self._questions.ask(worker.slot, (lease.user, lease.run), codec.encode(sensors))
+            self._questions.ask(
+                worker.slot, (lease.user, lease.run), codec.encode(sensors)
+            )
 
     # ---- end
 
@@ -316,7 +331,9 @@ class Server:
             self._health.ready()
             return
         at_start = {name: getattr(self.options, name) for name in AT_START}
-        if later := [name for name, old in at_start.items() if getattr(options, name) != old]:
+        if later := [
+            name for name, old in at_start.items() if getattr(options, name) != old
+        ]:
             reason = "these change when the server is started again"
             log.warning("reload_later", settings=later, reason=reason)
         self._presence.close(or_exit=False)
@@ -329,8 +346,14 @@ class Server:
             self.options = options = msgspec.structs.replace(options, **at_start)
             self._reach, self._return_at = reach, math.inf
             self._admission.limits = limits
-            self.slots.offer = self._admission.offer(self.id, len(self.workers), options.labels)
-            log.info("reloaded", listen=self._presence.endpoints, keys=session.keys_in_words(reach))
+            self.slots.offer = self._admission.offer(
+                self.id, len(self.workers), options.labels
+            )
+            log.info(
+                "reloaded",
+                listen=self._presence.endpoints,
+                keys=session.keys_in_words(reach),
+            )
         self._health.ready()
 
     def _return(self) -> None:

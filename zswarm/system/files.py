@@ -69,7 +69,9 @@ def make_private(
     folder.mkdir(mode=0o700, exist_ok=True)
     known = {*names, *(f"{name}.part" for name in names)}
     if other := sorted(set(os.listdir(folder)) - known):
-        raise ConfigError(f"{folder}: expected a folder for keys alone, and it holds {other[0]!r}")
+        raise ConfigError(
+            f"{folder}: expected a folder for keys alone, and it holds {other[0]!r}"
+        )
     folder.chmod(0o700)
     if owner is not None:
         os.chown(folder, *owner)

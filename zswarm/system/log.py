@@ -23,6 +23,8 @@ def set_up(level: str = "info") -> None:
             structlog.processors.format_exc_info,
             last,
         ],
-        wrapper_class=structlog.make_filtering_bound_logger(getattr(logging, level.upper())),
+        wrapper_class=structlog.make_filtering_bound_logger(
+            getattr(logging, level.upper())
+        ),
         logger_factory=structlog.PrintLoggerFactory(sys.stderr),
     )

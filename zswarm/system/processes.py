@@ -26,7 +26,9 @@ def exit_reason(code: int | None, running: str = "closed its output") -> str:
     return f"was killed by signal {-code}" + (f" ({name})" if name else "")
 
 
-def ending(code: int | None, output: str | bytes, running: str = "closed its output") -> str:
+def ending(
+    code: int | None, output: str | bytes, running: str = "closed its output"
+) -> str:
     """Return how a process ended, as ``exit_reason``, and what it wrote last."""
     return exit_reason(code, running) + wrote(output)
 

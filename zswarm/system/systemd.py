@@ -59,7 +59,11 @@ class Notify:
 
     def feed_at(self) -> float:
         """Return when to feed the watchdog next, by the monotonic clock; infinite without one."""
-        return math.inf if math.isinf(self.watchdog_s) else self._fed_at + self.watchdog_s / 4
+        return (
+            math.inf
+            if math.isinf(self.watchdog_s)
+            else self._fed_at + self.watchdog_s / 4
+        )
 
     def status(self, line: str) -> None:
         """Report one line for people, if it changed."""
@@ -74,7 +78,9 @@ class Notify:
             contextlib.suppress(OSError),
             socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender,
         ):
-            sender.setblocking(False)  # drop the message if systemd is gone or its queue is full
+            sender.setblocking(
+                False
+            )  # drop the message if systemd is gone or its queue is full
             sender.sendto("\n".join(lines).encode(), self._address)
 
 

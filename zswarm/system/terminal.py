@@ -36,7 +36,9 @@ def json_alone() -> Iterator[None]:
         saved = None
     stream = own
     if saved is not None:
-        stream = os.fdopen(os.dup(1), "w", encoding=own.encoding, errors="backslashreplace")
+        stream = os.fdopen(
+            os.dup(1), "w", encoding=own.encoding, errors="backslashreplace"
+        )
         os.dup2(2, 1)
     sys.stdout = sys.stderr
     _json.append(stream)
@@ -55,7 +57,11 @@ def coloured(stream: IO[str]) -> bool:
     """Return whether to colour output: by FORCE_COLOR, NO_COLOR, TERM, or if it is a terminal."""
     if force := os.environ.get("FORCE_COLOR"):
         return force != "0"
-    return not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb" and stream.isatty()
+    return (
+        not os.environ.get("NO_COLOR")
+        and os.environ.get("TERM") != "dumb"
+        and stream.isatty()
+    )
 
 
 def moves(stream: IO[str]) -> bool:

@@ -16,4 +16,10 @@ from zswarm.testing.optimizers import check_optimizer
 from zswarm.testing.representations import check_representation
 from zswarm.testing.simulators import Speed, check_simulator
 
-__all__ = ["FakeClock", "Speed", "check_optimizer", "check_representation", "check_simulator"]
+__all__ = [
+    "FakeClock",
+    "Speed",
+    "check_optimizer",
+    "check_representation",
+    "check_simulator",
+]

@@ -56,12 +56,16 @@ def check_optimizer(
         given = {"measures": ["first", "second"], **given}
 
     def new(seed: int = 1, *, relative: bool = False) -> Optimizer:
-        optimizer = optimizer_class(convert(given, settings_type, "settings"), toy.network, seed)
+        optimizer = optimizer_class(
+            convert(given, settings_type, "settings"), toy.network, seed
+        )
         optimizer.relative = relative
         return optimizer
 
     with checking(optimizer_class.__name__):
-        require(isinstance(optimizer_class.portable, bool), ".portable must be True or False")
+        require(
+            isinstance(optimizer_class.portable, bool), ".portable must be True or False"
+        )
         _check_order(new(), toy)
         _check_repeats(new, toy)
         _check_nan(new(), toy)
@@ -118,7 +122,10 @@ def _check_order(optimizer: Optimizer, toy: _Toy) -> None:
     genomes = optimizer.ask()
     count, (fitness, measures) = len(genomes), toy.judge(genomes, optimizer)
     require(genomes, ".ask must give at least one genome")
-    valid, kind = all(type(genome) is bytes for genome in genomes), type(genomes[0]).__name__
+    valid, kind = (
+        all(type(genome) is bytes for genome in genomes),
+        type(genomes[0]).__name__,
+    )
     require(valid, f".ask must give bytes, not {kind}")
     require_raises(RuntimeError, optimizer.ask, ".ask before the last one was told")
     for shape in ((count + 1,), (count, 1)):
@@ -140,8 +147,14 @@ def _check_repeats(new: Callable[[int], Optimizer], toy: _Toy) -> None:
         where = f"in generation {generation}"
         revived = new(1)
         revived.restore(msgspec.msgpack.decode(_packed(first.state())), history)
-        require(revived.generation == first.generation, f".restore: another generation {where}")
-        require(_packed(revived.best()) == _packed(first.best()), f".restore: another best {where}")
+        require(
+            revived.generation == first.generation,
+            f".restore: another generation {where}",
+        )
+        require(
+            _packed(revived.best()) == _packed(first.best()),
+            f".restore: another best {where}",
+        )
         if generation:
             shown = _packed((first.best(), first.statistics()))
             same = _packed((revived.best(), revived.statistics())) == shown
@@ -154,7 +167,9 @@ def _check_repeats(new: Callable[[int], Optimizer], toy: _Toy) -> None:
         text = f".ask gives {len(genomes)} genomes; candidates is {most} {where}"
         require(most is None or len(genomes) <= most, text)
         require(again.ask() == genomes, f": the same seed asks other genomes {where}")
-        require(revived.ask() == genomes, f": state and restore change what is asked {where}")
+        require(
+            revived.ask() == genomes, f": state and restore change what is asked {where}"
+        )
         if generation == 0:
             require(new(2).ask() != genomes, ": another seed asks the same genomes")
         fitness, measures = toy.judge(genomes, first)
@@ -162,12 +177,16 @@ def _check_repeats(new: Callable[[int], Optimizer], toy: _Toy) -> None:
             optimizer.tell(fitness, measures)
         history.append(Told(genomes, fitness, measures))
         same = _packed(revived.state()) == _packed(first.state())
-        require(same, f": a restored optimizer has another state after the same tell {where}")
+        require(
+            same, f": a restored optimizer has another state after the same tell {where}"
+        )
 
 
 def _check_nan(optimizer: Optimizer, toy: _Toy) -> None:
     failed = len(optimizer.ask())
-    optimizer.tell(np.full(failed, np.nan), np.full((failed, len(optimizer.measures)), np.nan))
+    optimizer.tell(
+        np.full(failed, np.nan), np.full((failed, len(optimizer.measures)), np.nan)
+    )
     best = float("-inf")
     for generation in range(4):
         genomes = optimizer.ask()
@@ -178,22 +197,31 @@ def _check_nan(optimizer: Optimizer, toy: _Toy) -> None:
         asked, told = list(genomes), fitness.tobytes() + measures.tobytes()
         optimizer.tell(fitness, measures)
         same = fitness.tobytes() + measures.tobytes() == told
-        require(same, ".tell changes the fitness or measures it is given; the run needs them")
-        require(genomes == asked, ".tell changes the list that ask returned; the run needs it")
+        require(
+            same, ".tell changes the fitness or measures it is given; the run needs them"
+        )
+        require(
+            genomes == asked, ".tell changes the list that ask returned; the run needs it"
+        )
         best = max(best, float(np.nanmax(fitness, initial=float("-inf"))))
         found = optimizer.best()[1]
         require(found == best, f".best after NaN fitness must be {best}, not {found}")
         statistics = optimizer.statistics()
         for name in ("best", "mean"):
             require(name in statistics, f".statistics: {name} is missing")
-            require(np.isfinite(statistics[name]), f".statistics: {name} must ignore NaN fitness")
+            require(
+                np.isfinite(statistics[name]),
+                f".statistics: {name} must ignore NaN fitness",
+            )
 
 
 def _check_equal_fitness(optimizer: Optimizer) -> None:
     """Tell the same fitness for all, as on a problem where no candidate succeeds at first."""
     for generation in range(5):
         count = len(optimizer.ask())
-        text = f".ask gives no genome in generation {generation} where all are equally good"
+        text = (
+            f".ask gives no genome in generation {generation} where all are equally good"
+        )
         require(count > 0, text)
         optimizer.tell(np.zeros(count), np.zeros((count, len(optimizer.measures))))
 

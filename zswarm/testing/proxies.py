@@ -125,7 +125,10 @@ class CheckedSimulator(Simulator):
         self._check_numbers("metrics", outcome.metrics, len(self.simulator.metrics))
         again = self.simulator.outcome()
         same = [list(part) for part in again] == [list(part) for part in outcome]
-        require(same, f".outcome, called twice, gives {tuple(outcome)} and then {tuple(again)}")
+        require(
+            same,
+            f".outcome, called twice, gives {tuple(outcome)} and then {tuple(again)}",
+        )
         return outcome
 
     def _check_statements(self) -> None:
@@ -138,17 +141,28 @@ class CheckedSimulator(Simulator):
             count = getattr(simulator, name, None)
             valid = isinstance(count, int) and count >= 1
             require(valid, f".{name} must be an int of at least 1, not {count!r}")
-        for name, count in (("sensors", simulator.inputs), ("actuators", simulator.outputs)):
+        for name, count in (
+            ("sensors", simulator.inputs),
+            ("actuators", simulator.outputs),
+        ):
             given = len(getattr(simulator, name))
-            require(given in (0, count), f".{name} must be empty or {count} names, not {given}")
+            require(
+                given in (0, count),
+                f".{name} must be empty or {count} names, not {given}",
+            )
         stated = hasattr(simulator, "owners")
         require(stated, ".owners is missing: per agent the participant that drives it")
         owners, participants = set(simulator.owners), range(simulator.participants)
         text = f".owners must name each participant in {participants}, and no other, "
         require(owners == set(participants), f"{text}not {sorted(owners)}")
         seeds = simulator.fixed_seeds(3)
-        valid = seeds is None or (len(seeds) == 3 and all(0 <= seed < 2**64 for seed in seeds))
-        require(valid, f".fixed_seeds(3) must be None or three numbers below 2**64, not {seeds!r}")
+        valid = seeds is None or (
+            len(seeds) == 3 and all(0 <= seed < 2**64 for seed in seeds)
+        )
+        require(
+            valid,
+            f".fixed_seeds(3) must be None or three numbers below 2**64, not {seeds!r}",
+        )
 
     def _check_numbers(self, name: str, values: Sequence[float], count: int) -> None:
         text = f".outcome: {name} must be {count} numbers, not {len(values)}"
@@ -161,7 +175,10 @@ class CheckedSimulator(Simulator):
         frame = self.simulator.frame()
         if frame is None:
             return "no frame"
-        require(isinstance(frame, Frame), f".frame must return a Frame or None, not {frame!r:.80}")
+        require(
+            isinstance(frame, Frame),
+            f".frame must return a Frame or None, not {frame!r:.80}",
+        )
         for body in frame.bodies:
             text = f".frame: a shape must be one of {', '.join(SHAPES)}, not {body.shape!r:.40}"
             require(body.shape in SHAPES, text)
@@ -177,7 +194,10 @@ class CheckedSimulator(Simulator):
         require(isinstance(turn, Turn), f" must return {kinds}, not {turn!r:.80}")
         agents, observations = list(turn.agents), turn.observations
         require(agents, ": a turn must name an agent; return None when the trial is over")
-        require(len(set(agents)) == len(agents), f": an agent stands twice in a turn: {agents}")
+        require(
+            len(set(agents)) == len(agents),
+            f": an agent stands twice in a turn: {agents}",
+        )
         known = range(len(self.owners))
         valid = all(agent in known for agent in agents)
         require(valid, f": agents must be in {known}, not {agents}")
@@ -188,7 +208,9 @@ class CheckedSimulator(Simulator):
         text = f": observations must be {shape}, not {observations.shape}"
         require(observations.shape == shape, text)
         for row, number in np.argwhere(~np.isfinite(observations))[:1]:
-            text = f"number {number} of agent {agents[row]} is {observations[row, number]}"
+            text = (
+                f"number {number} of agent {agents[row]} is {observations[row, number]}"
+            )
             raise BrokenRule(f": observations must be finite; {text}")
         self.acting = turn, observations.copy()
         return turn

@@ -53,7 +53,9 @@ def check_representation(
     network = representation_class(converted, inputs, outputs)
     with checking(representation_class.__name__):
         genomes = network.random(6, Stream(1))
-        require(len(genomes) == 6, f".random(6, ...) must make 6 genomes, not {len(genomes)}")
+        require(
+            len(genomes) == 6, f".random(6, ...) must make 6 genomes, not {len(genomes)}"
+        )
         other = network.random(6, Stream(2))
         require(other != genomes, ".random makes the same genomes from another stream")
         with checking(".random"):
@@ -76,20 +78,32 @@ def check_representation(
 def _check_genomes(network: Representation, genomes: list[bytes]) -> None:
     length = network.genome_bytes
     for genome in genomes:
-        require(isinstance(genome, bytes), f" must make bytes, not {type(genome).__name__}")
+        require(
+            isinstance(genome, bytes), f" must make bytes, not {type(genome).__name__}"
+        )
         fits = length in (None, len(genome))
         require(fits, f": a genome must be {length} bytes, not {len(genome)}")
 
 
 def _check_genes(network: Representation, count: int) -> None:
     length, ranges = network.genome_bytes, network.ranges
-    require(length == 4 * count, f".genes: {count} float32 numbers are not {length} bytes")
-    found = f"{ranges.shape} {ranges.dtype}" if isinstance(ranges, np.ndarray) else repr(ranges)
+    require(
+        length == 4 * count, f".genes: {count} float32 numbers are not {length} bytes"
+    )
+    found = (
+        f"{ranges.shape} {ranges.dtype}"
+        if isinstance(ranges, np.ndarray)
+        else repr(ranges)
+    )
     expected = f"{(count,)} float64"
     require(found == expected, f".ranges must be a {expected} array, not {found}")
     assert ranges is not None  # noqa: S101  checked above
-    require((np.isfinite(ranges) & (ranges > 0)).all(), ".ranges must be finite and above 0")
-    drawn = np.frombuffer(b"".join(network.random(64, Stream(5))), "<f4").reshape(64, count)
+    require(
+        (np.isfinite(ranges) & (ranges > 0)).all(), ".ranges must be finite and above 0"
+    )
+    drawn = np.frombuffer(b"".join(network.random(64, Stream(5))), "<f4").reshape(
+        64, count
+    )
     reach = np.abs(drawn).max(axis=0) / ranges
     most, least = int(reach.argmax()), int(reach.argmin())
     require(reach[most] <= 1 + 1e-6, f".random: number {most} is beyond its range")
@@ -104,11 +118,20 @@ def _check_genes(network: Representation, count: int) -> None:
 def _check_operators(network: Representation, genomes: list[bytes]) -> None:
     operators: dict[str, Callable[[Stream], list[bytes]]] = {
         "random": lambda stream: network.random(4, stream),
-        "mutate, method 1": lambda stream: network.mutate(genomes, stream, method=1, **MUTATION),
-        "mutate, method 2": lambda stream: network.mutate(genomes, stream, method=2, **MUTATION),
-        "crossover": lambda stream: [network.crossover(a, b, stream) for a, b in pairwise(genomes)],
+        "mutate, method 1": lambda stream: network.mutate(
+            genomes, stream, method=1, **MUTATION
+        ),
+        "mutate, method 2": lambda stream: network.mutate(
+            genomes, stream, method=2, **MUTATION
+        ),
+        "crossover": lambda stream: [
+            network.crossover(a, b, stream) for a, b in pairwise(genomes)
+        ],
     }
-    none = network.random(0, Stream(3)), network.mutate([], Stream(3), method=1, **MUTATION)
+    none = (
+        network.random(0, Stream(3)),
+        network.mutate([], Stream(3), method=1, **MUTATION),
+    )
     require(none == ([], []), ": random of 0 and mutate of no genomes must make none")
     for operator, apply in operators.items():
         with checking(f".{operator}"):
@@ -126,7 +149,9 @@ def _check_changes(network: Representation, genomes: list[bytes]) -> None:
     for method in (1, 2):
         stream, mutants = Stream(7), genomes
         for _ in range(MUTATIONS):
-            mutants = network.mutate(mutants, stream, method=method, severity=0.3, probability=1.0)
+            mutants = network.mutate(
+                mutants, stream, method=method, severity=0.3, probability=1.0
+            )
         text = f".mutate, method {method}: all genomes are the same after {MUTATIONS} mutations"
         require(mutants != genomes, text)
     stream = Stream(8)
@@ -137,7 +162,10 @@ def _check_changes(network: Representation, genomes: list[bytes]) -> None:
 
 def _check_distances(network: Representation, genomes: list[bytes]) -> None:
     distances, count = network.distances(genomes, genomes), len(genomes)
-    found, expected = f"{distances.shape} {distances.dtype}", f"({count}, {count}) float64"
+    found, expected = (
+        f"{distances.shape} {distances.dtype}",
+        f"({count}, {count}) float64",
+    )
     require(found == expected, f".distances must be {expected}, not {found}")
     require(not distances.diagonal().any(), ".distances: a genome differs from itself")
     require(np.array_equal(distances, distances.T), ".distances are not symmetric")
@@ -183,7 +211,9 @@ def _check_decisions(network: Representation, genomes: list[bytes]) -> None:
     with checking(".step"):
         decided = [agent.play(observations) for agent in agents]
         again = [agent.play(observations) for agent in reversed(agents)]
-        text = ": the same parameters and observations give another decision the second time"
+        text = (
+            ": the same parameters and observations give another decision the second time"
+        )
         require(decided == again[::-1], text)
         _check_state(agents, observations, decided)
         for genome, expected in zip(genomes, decided, strict=True):
@@ -208,7 +238,9 @@ def _check_compiled(network: Representation) -> None:
         require(compiled, f".{name} must be compiled with jit.STEP_SIGNATURE")
 
 
-def _check_state(agents: "list[_Agent]", observations: np.ndarray, expected: list[bytes]) -> None:
+def _check_state(
+    agents: "list[_Agent]", observations: np.ndarray, expected: list[bytes]
+) -> None:
     """Check that agents that decide in turn do as each does alone."""
     for agent in agents:
         agent.restart()
@@ -288,9 +320,16 @@ class _Agent:
         self.step(*self.arrays)
         text = " leaves an output unset or sets NaN, or reads outside its arrays"
         require(not np.isnan(output).any(), text)
-        outside = [np.concatenate([whole[:GUARD], whole[-GUARD:]]) for whole in self.guarded]
-        require(np.isnan(outside).all(), " writes outside its arrays: is state_size too small?")
-        same = np.array_equal(parameters, self.unchanged) and np.array_equal(seen, observation)
+        outside = [
+            np.concatenate([whole[:GUARD], whole[-GUARD:]]) for whole in self.guarded
+        ]
+        require(
+            np.isnan(outside).all(),
+            " writes outside its arrays: is state_size too small?",
+        )
+        same = np.array_equal(parameters, self.unchanged) and np.array_equal(
+            seen, observation
+        )
         require(same, " must change only state and output")
         return output.tobytes()
 

@@ -71,7 +71,9 @@ def check_simulator(
     text = f".settings_type must be a frozen msgspec.Struct, not {kind!r:.80}"
 
     def new() -> Simulator:
-        return simulator_class(convert(settings or {}, simulator_class.settings_type, "settings"))
+        return simulator_class(
+            convert(settings or {}, simulator_class.settings_type, "settings")
+        )
 
     with checking(simulator_class.__name__):
         require(is_struct(kind) and kind.__struct_config__.frozen, text)
@@ -82,7 +84,9 @@ def _check(new: Callable[[], Simulator]) -> Speed:
     checked = CheckedSimulator(new())
     trials = _CheckedTrials(new, checked.simulator)
     with trials.world.in_state(1):
-        trials.expected = [trials.play(checked, trial) for trial in range(len(trials.seeds))]
+        trials.expected = [
+            trials.play(checked, trial) for trial in range(len(trials.seeds))
+        ]
     fresh = new()
     timed = TimedSimulator(fresh)
     begin = time.process_time()
@@ -119,14 +123,19 @@ class _CheckedTrials:
 
     def play(self, player: Simulator, trial: int) -> bytes:
         """Play a trial in turns; return the bytes of its fitness and metrics."""
-        parameters, seed = self.parameters[self.participants[trial]], int(self.seeds[trial])
+        parameters, seed = (
+            self.parameters[self.participants[trial]],
+            int(self.seeds[trial]),
+        )
         fitness, metrics = np.zeros(len(parameters)), np.zeros(self.metrics)
         try:
             play_in_turns(player, self.network, parameters, seed, fitness, metrics)
         except BrokenContractError as error:
             raise BrokenRule(f": {error}") from None
         except SystemExit as error:
-            text = f": return None from step to end a trial; do not call exit({error.code})"
+            text = (
+                f": return None from step to end a trial; do not call exit({error.code})"
+            )
             raise BrokenRule(text) from error
         return fitness.tobytes() + metrics.tobytes()
 
@@ -134,7 +143,9 @@ class _CheckedTrials:
         """Play two turns of a trial."""
         parameters = self.parameters[self.participants[0]]
         for _ in zip(
-            range(2), turns(player, self.network, parameters, int(self.seeds[0])), strict=False
+            range(2),
+            turns(player, self.network, parameters, int(self.seeds[0])),
+            strict=False,
         ):
             pass
 
@@ -148,7 +159,11 @@ class _CheckedTrials:
     def _why(self, trial: int) -> str:
         """Explain why a trial has another outcome."""
         first, again, later = (self._alone(trial, state) for state in (1, 1, 2))
-        used = f"; it uses {' and '.join(sorted(self.world.used))}" if self.world.used else ""
+        used = (
+            f"; it uses {' and '.join(sorted(self.world.used))}"
+            if self.world.used
+            else ""
+        )
         if first != again:
             return (
                 "new simulators differ, too; it depends on something outside, "
@@ -171,8 +186,12 @@ class _CheckedTrials:
         one_by_one = copy.copy(self.network)
         one_by_one.step_lanes = None
         scalar = self._evaluated(simulator, one_by_one, "play", 1)
-        for seed, compiled, in_turns in zip(self.seeds, scalar, self.expected, strict=True):
-            numbers = f"{np.frombuffer(in_turns)} in turns, {np.frombuffer(compiled)} compiled"
+        for seed, compiled, in_turns in zip(
+            self.seeds, scalar, self.expected, strict=True
+        ):
+            numbers = (
+                f"{np.frombuffer(in_turns)} in turns, {np.frombuffer(compiled)} compiled"
+            )
             text = f": the turns and the compiled form differ, seed {seed}: fitness and metrics "
             require(compiled == in_turns, text + numbers)
         if type(simulator).play_lanes is CompiledSimulator.play_lanes:
@@ -183,7 +202,11 @@ class _CheckedTrials:
             require(parallel == compiled, text)
 
     def _evaluated(
-        self, simulator: CompiledSimulator, network: Representation, method: str, width: int
+        self,
+        simulator: CompiledSimulator,
+        network: Representation,
+        method: str,
+        width: int,
     ) -> list[bytes]:
         """Return the outcomes of a batch, checked against those of single trials.
 
@@ -193,7 +216,9 @@ class _CheckedTrials:
 
         def play(begin: int, end: int, progress: np.ndarray | None = None) -> list[bytes]:
             part = slice(begin, end)
-            stopped = progress is not None and bool(progress[1])  # before a simulator resets it
+            stopped = progress is not None and bool(
+                progress[1]
+            )  # before a simulator resets it
             found = evaluate(
                 simulator,
                 network,
@@ -203,7 +228,9 @@ class _CheckedTrials:
                 progress,
             )
             if stopped:
-                text = f".{method} must end before the next trial when progress[1] is not 0"
+                text = (
+                    f".{method} must end before the next trial when progress[1] is not 0"
+                )
                 require(np.isnan(found.fitness).all(), text)
             rows = zip(found.fitness, found.metrics, strict=True)
             return [fitness.tobytes() + metrics.tobytes() for fitness, metrics in rows]
@@ -216,7 +243,9 @@ class _CheckedTrials:
         )
         require(count - width <= progress[0] < count, text)
         for trial, seed in enumerate(self.seeds):
-            text = f".{method}: seed {seed} alone has another outcome than as trial {trial}"
+            text = (
+                f".{method}: seed {seed} alone has another outcome than as trial {trial}"
+            )
             require(play(trial, trial + 1) == [outcomes[trial]], text)
         play(0, count, np.array([0, 1]))
         return outcomes
@@ -240,7 +269,9 @@ class _World:
         np.random.seed(state)
         seeded = random.getstate(), str(np.random.get_state())
         later_s = state * LATER_S
-        clocks = {name: self._later(name, later_s * per_s) for name, per_s in CLOCKS.items()}
+        clocks = {
+            name: self._later(name, later_s * per_s) for name, per_s in CLOCKS.items()
+        }
         try:
             with mock.patch.multiple(time, **clocks):
                 yield
@@ -277,7 +308,10 @@ def _check_leaks(play: Callable[[], object]) -> None:
             held.append(_holds())
             if number > 0:
                 grown = {name: count - held[-2][name] for name, count in held[-1].items()}
-                least = {name: min(count, least.get(name, count)) for name, count in grown.items()}
+                least = {
+                    name: min(count, least.get(name, count))
+                    for name, count in grown.items()
+                }
             if number >= LEAST and max(least.values()) <= 0:
                 return
     finally:

@@ -43,7 +43,10 @@ def test_runs_of_unequal_length_are_compared_where_all_have_been() -> None:
     found = comparison.of_series({"a": [run(1, 2, 3)], "b": [run(1, 5)]}, "generations")
     assert found.at == 2
     assert [row.median for row in found.rows] == [2.0, 5.0]
-    assert "runs are of unequal length: compared after 2 generations, which all have" in found.notes
+    assert (
+        "runs are of unequal length: compared after 2 generations, which all have"
+        in found.notes
+    )
 
 
 def test_groups_can_be_compared_after_equally_many_evaluations() -> None:
@@ -62,8 +65,12 @@ def test_a_note_names_groups_of_different_cost() -> None:
 
 
 def test_no_common_number_of_evaluations_is_one_line() -> None:
-    with pytest.raises(ConfigError, match="no number of evaluations is common to all runs"):
-        comparison.of_series({"a": [run(1)], "b": [run(1, per_generation=1000)]}, "evaluations")
+    with pytest.raises(
+        ConfigError, match="no number of evaluations is common to all runs"
+    ):
+        comparison.of_series(
+            {"a": [run(1)], "b": [run(1, per_generation=1000)]}, "evaluations"
+        )
 
 
 def test_a_run_in_which_all_failed_is_the_worst() -> None:
@@ -87,13 +94,18 @@ def exact_p(a: Sequence[float], b: Sequence[float]) -> float:
     def u(chosen: Sequence[int]) -> float:
         rest = [pooled[i] for i in range(len(pooled)) if i not in chosen]
         return sum(
-            (pooled[i] > other) + 0.5 * (pooled[i] == other) for i in chosen for other in rest
+            (pooled[i] > other) + 0.5 * (pooled[i] == other)
+            for i in chosen
+            for other in rest
         )
 
     ways = [u(chosen) for chosen in itertools.combinations(range(len(pooled)), len(a))]
     seen = ways[0]
     return min(
-        1.0, 2 * min(sum(way <= seen for way in ways), sum(way >= seen for way in ways)) / len(ways)
+        1.0,
+        2
+        * min(sum(way <= seen for way in ways), sum(way >= seen for way in ways))
+        / len(ways),
     )
 
 
@@ -105,7 +117,9 @@ def exact_p(a: Sequence[float], b: Sequence[float]) -> float:
         ([-math.inf, -math.inf, 1, 2, 3], [4, 5, 6, 7], "permutation"),
     ],
 )
-def test_a_small_sample_is_tested_exactly(a: list[float], b: list[float], method: str) -> None:
+def test_a_small_sample_is_tested_exactly(
+    a: list[float], b: list[float], method: str
+) -> None:
     """The p of all ways to deal the runs out, with ties, too."""
     (pair,) = comparison.of_series({"a": ended(a), "b": ended(b)}, "generations").pairs
     assert pair.method == method
@@ -127,7 +141,9 @@ def test_equal_groups_differ_by_chance() -> None:
 
 
 def test_many_pairs_are_corrected_after_holm() -> None:
-    assert comparison._holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert comparison._holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx(
+        [0.03, 0.06, 0.06, 0.02]
+    )
     assert comparison._holm([0.9, 0.6]) == [1.0, 1.0]
 
 
@@ -136,10 +152,12 @@ def test_for_too_few_runs_the_needed_number_is_reported(groups: int, needed: int
     """With one more than told enough the test is there, with one less it could show nothing."""
     few = {str(g): ended(range(10 * g, 10 * g + needed - 1)) for g in range(groups)}
     assert (
-        f"with {needed} or more runs of each" in comparison.of_series(few, "generations").untested
+        f"with {needed} or more runs of each"
+        in comparison.of_series(few, "generations").untested
     )
     enough = comparison.of_series(
-        {str(g): ended(range(10 * g, 10 * g + needed)) for g in range(groups)}, "generations"
+        {str(g): ended(range(10 * g, 10 * g + needed)) for g in range(groups)},
+        "generations",
     )
     assert enough.untested == ""
     assert all(pair.p_holm < comparison.LEVEL for pair in enough.pairs)
@@ -163,12 +181,19 @@ def test_without_scipy_the_table_is_there_and_a_line_says_what_to_install(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def missing(module: str, extra: str, what: str) -> None:
-        raise ConfigError(f"{what} needs {module.partition('.')[0]}: pip install 'zswarm[{extra}]'")
+        raise ConfigError(
+            f"{what} needs {module.partition('.')[0]}: pip install 'zswarm[{extra}]'"
+        )
 
     monkeypatch.setattr(comparison, "need", missing)
-    found = comparison.of_series({"a": ended(range(5)), "b": ended(range(5))}, "generations")
+    found = comparison.of_series(
+        {"a": ended(range(5)), "b": ended(range(5))}, "generations"
+    )
     assert len(found.rows) == 2
-    assert found.untested == "the test between groups needs scipy: pip install 'zswarm[plot]'"
+    assert (
+        found.untested
+        == "the test between groups needs scipy: pip install 'zswarm[plot]'"
+    )
 
 
 # ---- recorded runs
@@ -181,7 +206,9 @@ def test_a_run_that_is_given_twice_is_one_sample(tmp_path: Path) -> None:
     runs = [Run(folder) for folder in (first, first, again, other)]
     found = compared(grouping.groups(runs))
     assert [row.runs for row in found.rows] == [2]
-    assert found.notes == [f"{again} is omitted: its history is that of {first}, bit by bit"]
+    assert found.notes == [
+        f"{again} is omitted: its history is that of {first}, bit by bit"
+    ]
 
 
 def test_unfinished_runs_are_named(tmp_path: Path) -> None:
@@ -194,7 +221,9 @@ def test_unfinished_runs_are_named(tmp_path: Path) -> None:
     ]
 
 
-def test_the_summary_needs_no_scipy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_summary_needs_no_scipy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(comparison, "need", None)
     groups = grouping.groups(
         [Run(written(tmp_path, [1, hidden], hidden=hidden)) for hidden in (1, 2)]

@@ -11,18 +11,36 @@ from zswarm.errors import ConfigError
 from zswarm.ot.analysis import csv as spreadsheet
 
 
-@pytest.mark.parametrize("text", ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1", "\n=1", "＝1"])  # noqa: RUF001
+@pytest.mark.parametrize(
+    "text",
+    [
+        "=1+1",
+        "+1",
+        "-1",
+        "@SUM(A1)",
+        "\t=1",
+        "\r=1",
+        "\n=1",
+        "\uff1d1",
+    ],  # the last is a fullwidth =
+)
 def test_no_text_is_a_formula(text: str) -> None:
     """It begins with a quote, or with what a control character is shown as."""
-    (row,) = csv.reader(io.StringIO(spreadsheet.to_csv(["a"], [[text]]).partition("\n")[2]))
+    (row,) = csv.reader(
+        io.StringIO(spreadsheet.to_csv(["a"], [[text]]).partition("\n")[2])
+    )
     assert row[0][0] in "'\\"
 
 
 def test_texts_are_quoted_numbers_are_not_and_what_is_no_number_is_empty() -> None:
-    rows = [['x,"y"', 1, -2.5], ["", None, float("nan")], ["\x1b[31m", True, float("inf")]]
+    rows = [
+        ['x,"y"', 1, -2.5],
+        ["", None, float("nan")],
+        ["\x1b[31m", True, float("inf")],
+    ]
     assert spreadsheet.to_csv(["a", "b", "c"], rows) == (
         '"a","b","c"\n"x,""y""",1,-2.5\n"",,\n"\\x1b[31m",1,\n'
-    )  # fmt: skip
+    )
 
 
 def test_a_link_or_a_device_stays_what_it_is(tmp_path: Path) -> None:

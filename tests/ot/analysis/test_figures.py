@@ -87,7 +87,9 @@ def test_an_svg_needs_no_font() -> None:
     ids=lambda groups: next(iter(groups)),
 )
 @pytest.mark.parametrize("axis", ["generation", "time"])
-def test_all_kinds_of_runs_are_drawn(groups: dict[str, list[Series]], axis: figures.Axis) -> None:
+def test_all_kinds_of_runs_are_drawn(
+    groups: dict[str, list[Series]], axis: figures.Axis
+) -> None:
     """Without a warning, which is an error in tests."""
     title = HOSTILE[0] if len(groups) > 1 else ""
     assert figures.render(figures.of_series(groups, axis, title=title), "png").startswith(
@@ -97,7 +99,9 @@ def test_all_kinds_of_runs_are_drawn(groups: dict[str, list[Series]], axis: figu
 
 def test_more_groups_than_can_be_distinguished_are_refused() -> None:
     with pytest.raises(ConfigError, match="are too many for one figure"):
-        figures.of_series({str(number): repeats(1) for number in range(drawing.MAX_GROUPS + 1)})
+        figures.of_series(
+            {str(number): repeats(1) for number in range(drawing.MAX_GROUPS + 1)}
+        )
 
 
 def test_a_long_run_makes_no_large_file() -> None:
@@ -134,7 +138,9 @@ def test_runs_may_be_drawn_in_threads() -> None:
 
 
 def test_a_name_that_says_no_format_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"expected a name that ends in \.pdf, \.svg or \.png"):
+    with pytest.raises(
+        ConfigError, match=r"expected a name that ends in \.pdf, \.svg or \.png"
+    ):
         figures.save(figures.of_series({"a": repeats(1)}), tmp_path / "figure.jpg")
 
 
@@ -189,7 +195,10 @@ def study(tmp_path: Path) -> Path:
     for hidden in (1, 2):
         for seed in range(4):
             written(
-                tmp_path / f"hidden-{hidden}", [hidden, hidden + seed / 8], hidden=hidden, seed=seed
+                tmp_path / f"hidden-{hidden}",
+                [hidden, hidden + seed / 8],
+                hidden=hidden,
+                seed=seed,
             )
     return tmp_path
 
@@ -208,7 +217,9 @@ def test_plot_writes_the_figure_and_its_numbers(study: Path) -> None:
 
 def test_generations_in_csv_are_those_of_the_record(study: Path) -> None:
     """So that the two can be joined."""
-    _, rows = figures.table(curves.load(grouping.groups(runs_below([study])))[0], "generation")
+    _, rows = figures.table(
+        curves.load(grouping.groups(runs_below([study])))[0], "generation"
+    )
     recorded = [row["generation"] for row in runs_below([study])[0].history()]
     assert [row[2] for row in rows] == recorded * 2
 
@@ -254,7 +265,9 @@ def test_plot_leaves_other_programs_figures_alone(
     study: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It works without pyplot, and without a display; a user's style changes nothing."""
-    (study / "matplotlibrc").write_text("lines.linewidth: 20\nfont.size: 30\naxes.ymargin: 0.9\n")
+    (study / "matplotlibrc").write_text(
+        "lines.linewidth: 20\nfont.size: 30\naxes.ymargin: 0.9\n"
+    )
     code = (
         "import sys; from zswarm.ot.cli import command; "
         "command.main(['plot', '.', '-o', 'styled.png'], standalone_mode=False); "
@@ -262,7 +275,11 @@ def test_plot_leaves_other_programs_figures_alone(
     )
     environment = {key: value for key, value in os.environ.items() if key != "DISPLAY"}
     subprocess.run(
-        [sys.executable, "-c", code], cwd=study, env=environment, check=True, capture_output=True
+        [sys.executable, "-c", code],
+        cwd=study,
+        env=environment,
+        check=True,
+        capture_output=True,
     )
     monkeypatch.chdir(study)
     invoke("plot", ".", "-o", "plain.png")
@@ -298,7 +315,10 @@ def test_csv_and_json_are_not_mixed_on_stdout(study: Path, name: str) -> None:
 
 def test_compare_as_csv_is_the_table(study: Path) -> None:
     said = invoke("compare", study, "--csv", "-").splitlines()
-    assert said[0] == '"group","runs","median","q25","q75","best","worst","evaluations","seconds"'
+    assert (
+        said[0]
+        == '"group","runs","median","q25","q75","best","worst","evaluations","seconds"'
+    )
     assert said[1].startswith('"hidden 1",4,1.1875,1.09375,1.28125,1.375,1.0,6.0,')
 
 
@@ -312,9 +332,13 @@ def test_reading_leaves_the_runs_as_they_are(study: Path) -> None:
     assert contents() == before
 
 
-def test_figures_of_unknown_axes_and_sizes_are_refused_with_the_choices(tmp_path: Path) -> None:
+def test_figures_of_unknown_axes_and_sizes_are_refused_with_the_choices(
+    tmp_path: Path,
+) -> None:
     run = written(tmp_path, [1.0, 2.0])
-    with pytest.raises(ValueError, match="x: expected generation, evaluations or time, not 'gen'"):
+    with pytest.raises(
+        ValueError, match="x: expected generation, evaluations or time, not 'gen'"
+    ):
         zswarm.plot(run, x="gen")  # type: ignore[arg-type]
     with pytest.raises(
         ValueError, match=r"size: expected column, page, slides or screen, not 'huge'"

@@ -89,7 +89,9 @@ def test_such_runs_are_not_compared(tmp_path: Path) -> None:
     assert "evaluate RUN --against RUN" in str(refused.exception)
 
 
-def test_its_report_says_what_the_score_is_and_whom_the_champion_played(tmp_path: Path) -> None:
+def test_its_report_says_what_the_score_is_and_whom_the_champion_played(
+    tmp_path: Path,
+) -> None:
     folder = written(tmp_path)
     page = report.of_run(Run(folder), 4)
     assert "with the score 9 in 3 generations" in page
@@ -105,12 +107,15 @@ def test_the_last_line_of_a_run_says_that_it_is_a_score() -> None:
     assert summary(ended).startswith(
         "the last generation's best score is 9 after 3 generations, 150 eval"
     )
-    assert summary(ended._replace(relative=False)).startswith("best fitness 9 after 3 generations")
+    assert summary(ended._replace(relative=False)).startswith(
+        "best fitness 9 after 3 generations"
+    )
 
 
 def test_a_finished_run_that_is_resumed_says_so_too(tmp_path: Path) -> None:
-    assert f"the last generation's best score is {SCORES[-1]:g} after 3 generations" in invoke(
-        "resume", str(written(tmp_path))
+    assert (
+        f"the last generation's best score is {SCORES[-1]:g} after 3 generations"
+        in invoke("resume", str(written(tmp_path)))
     )
 
 
@@ -121,7 +126,8 @@ def test_two_champions_play_each_other_from_each_side_in_turn() -> None:
         "the game is the same for both sides"
     )
     won, lost = (
-        int((played.results[:, side] > played.results[:, 1 - side]).sum()) for side in (0, 1)
+        int((played.results[:, side] > played.results[:, 1 - side]).sum())
+        for side in (0, 1)
     )
     assert played.score() == {"won": won, "tied": 21 - won - lost, "lost": lost}
     assert won != lost
@@ -152,7 +158,12 @@ def test_evaluate_against_a_champion_reports_who_won(tmp_path: Path) -> None:
     folder = written(tmp_path)
     (tmp_path / "other.zsc").write_bytes(msgspec.msgpack.encode(champion(3)))
     told = invoke(
-        "evaluate", str(folder), "--against", str(tmp_path / "other.zsc"), "--trials", "11"
+        "evaluate",
+        str(folder),
+        "--against",
+        str(tmp_path / "other.zsc"),
+        "--trials",
+        "11",
     )
     score = held_out.play(champion(1), 11, 0, champion(3)).score()
     words = ", ".join(f"{count} {what}" for what, count in score.items())
@@ -178,7 +189,9 @@ def test_champions_of_different_games_or_networks_do_not_play_each_other(
     tmp_path: Path, changes: dict[str, object], words: str
 ) -> None:
     other = tmp_path / "other.zsc"
-    other.write_bytes(msgspec.msgpack.encode(msgspec.structs.replace(champion(3), **changes)))
+    other.write_bytes(
+        msgspec.msgpack.encode(msgspec.structs.replace(champion(3), **changes))
+    )
     refused = CliRunner().invoke(
         command, ["evaluate", str(written(tmp_path)), "--against", str(other)]
     )
@@ -187,7 +200,9 @@ def test_champions_of_different_games_or_networks_do_not_play_each_other(
 
 def test_check_counts_games_and_reports_who_drives_the_robots() -> None:
     two = ("--set", "optimizer.population=2", "--set", "optimizer.mutation=0.5")
-    assert "fitness 1 game in the first" in " ".join(invoke("check", "minisim-duel", *two).split())
+    assert "fitness 1 game in the first" in " ".join(
+        invoke("check", "minisim-duel", *two).split()
+    )
     told = " ".join(invoke("check", "minisim-duel").split())
     assert "8, driven by 2 genomes that play each other" in told
     assert "150 games in the first generation" in told

@@ -5,7 +5,16 @@ from typing import Any
 import numpy as np
 
 from zswarm.ot.cluster.dispatch import Dispatch
-from zswarm.ot.cluster.events import Answered, Ask, Command, Counted, Event, Seen, TimePassed, Work
+from zswarm.ot.cluster.events import (
+    Answered,
+    Ask,
+    Command,
+    Counted,
+    Event,
+    Seen,
+    TimePassed,
+    Work,
+)
 from zswarm.ot.cluster.matching import Terms
 from zswarm.ot.notes import Note
 from zswarm.ot.workload import Workload
@@ -95,7 +104,10 @@ class Optimizer:
         return self.feed(
             Work(
                 Workload(
-                    [genome], np.zeros((trials, 1), int), np.arange(trials).astype(np.uint64), 0
+                    [genome],
+                    np.zeros((trials, 1), int),
+                    np.arange(trials).astype(np.uint64),
+                    0,
                 )
             )
         )
@@ -140,7 +152,9 @@ def fault(ask: Ask, trial: int = 0) -> Fault:
 
 def trials(asks: list[Ask]) -> list[int]:
     """Of all the batches among them."""
-    return sorted(trial for ask in asks if ask.trials is not None for trial in ask.trials.tolist())
+    return sorted(
+        trial for ask in asks if ask.trials is not None for trial in ask.trials.tolist()
+    )
 
 
 def verbs(asks: list[Ask]) -> list[tuple[str, str]]:

@@ -91,7 +91,9 @@ def test_a_server_that_prepares_is_renewed_until_all_slots_are_ready() -> None:
     assert verbs(asks) == [("a", "renew"), ("a", "evaluate"), ("a", "evaluate")]
     assert asks[0].message.known_ready == 1
     assert optimizer.notes("server_joined") == [Note("server_joined", "a", "", 1)]
-    assert verbs(optimizer.answer(asks[0], lease("a", 2))) == [("a", "evaluate")], "two trials more"
+    assert verbs(optimizer.answer(asks[0], lease("a", 2))) == [("a", "evaluate")], (
+        "two trials more"
+    )
     assert len(optimizer.asked["a", "evaluate"].trials) == 2  # type: ignore[arg-type]
     others = [command for command in optimizer.commands if not isinstance(command, Ask)]
     assert others == [Note("server_slots", "a", "", 2)], "it joins once"
@@ -125,7 +127,9 @@ def choosing(
     require: tuple[str, ...] = (), rank: tuple[str, ...] = (), max_slots: int = 0
 ) -> Optimizer:
     return Optimizer(
-        choice=Choice(labels.requirements(require, ""), labels.preferences(rank, ""), max_slots)
+        choice=Choice(
+            labels.requirements(require, ""), labels.preferences(rank, ""), max_slots
+        )
     )
 
 
@@ -137,14 +141,22 @@ def offers(optimizer: Optimizer, capacity: int, **cores: int) -> None:
 
 
 def reserved(asks: list[Ask]) -> list[tuple[str, int]]:
-    return [(ask.server, ask.message.slots) for ask in asks if isinstance(ask.message, Reserve)]
+    return [
+        (ask.server, ask.message.slots)
+        for ask in asks
+        if isinstance(ask.message, Reserve)
+    ]
 
 
 def test_a_server_that_is_not_what_is_required_is_named_once_and_not_reserved() -> None:
     """However often it is seen; again when it says something else."""
     optimizer = choosing(require=("gpu=yes", "cores>=8"))
     told = []
-    for labels_of_server in ({"cores": "8"}, {"cores": "8"}, {"gpu": "yes", "cores": "4"}):
+    for labels_of_server in (
+        {"cores": "8"},
+        {"cores": "8"},
+        {"gpu": "yes", "cores": "4"},
+    ):
         (ask,) = optimizer.feed(Seen("a"))
         assert optimizer.answer(ask, offer(**labels_of_server)) == []  # type: ignore[arg-type]
         told.append([note.text for note in optimizer.notes("server_mismatch")])
@@ -164,7 +176,10 @@ def test_of_more_slots_than_may_be_held_the_best_servers_give_theirs() -> None:
     ) == (3, 0)
     assert reserved(optimizer.wait(ALLOT_AFTER_S)) == [("large", 4), ("middle", 2)]
     for server, slots in (("large", 4), ("middle", 2)):
-        assert optimizer.answer(optimizer.asked[server, "reserve"], lease(server, slots)) == []
+        assert (
+            optimizer.answer(optimizer.asked[server, "reserve"], lease(server, slots))
+            == []
+        )
     assert (
         optimizer.dispatch.servers.standing().spare,
         optimizer.dispatch.servers.standing().leased,
@@ -172,7 +187,9 @@ def test_of_more_slots_than_may_be_held_the_best_servers_give_theirs() -> None:
     ) == (1, 2, 6)
 
 
-def test_a_better_server_that_comes_later_changes_nothing_until_slots_are_missing() -> None:
+def test_a_better_server_that_comes_later_changes_nothing_until_slots_are_missing() -> (
+    None
+):
     optimizer = choosing(rank=("cores",), max_slots=4)
     offers(optimizer, 4, small=4)
     optimizer.wait(ALLOT_AFTER_S)
@@ -195,12 +212,16 @@ def test_the_next_server_is_asked_when_one_gives_nothing(answer: Reply | None) -
     assert reserved(asks) == [("small", 2)]
 
 
-def test_slots_that_a_busy_server_gives_late_are_held_in_the_place_of_worse_ones() -> None:
+def test_slots_that_a_busy_server_gives_late_are_held_in_the_place_of_worse_ones() -> (
+    None
+):
     """What is held meanwhile is given back as far as it is too much, and not one slot more."""
     optimizer = choosing(rank=("cores",), max_slots=4)
     offers(optimizer, 4, small=4, large=64)
     optimizer.wait(ALLOT_AFTER_S)
-    asks = optimizer.answer(optimizer.asked["large", "reserve"], lease("large", 0, state="waiting"))
+    asks = optimizer.answer(
+        optimizer.asked["large", "reserve"], lease("large", 0, state="waiting")
+    )
     assert reserved(asks) == [("small", 4)], "nobody waits for the busy one alone"
     optimizer.answer(optimizer.asked["small", "reserve"], lease("small", 4))
     asks = optimizer.answer(optimizer.asked["large", "renew"], lease("large", 1))
@@ -221,7 +242,10 @@ def test_a_little_work_is_for_the_best_servers() -> None:
         (ask,) = optimizer.answer(ask, offer(2, cores=cores))
         optimizer.answer(ask, lease(server, 2))
     asks = optimizer.work(3)
-    assert [(ask.server, trials([ask])) for ask in asks] == [("large", [0, 1]), ("middle", [2])]
+    assert [(ask.server, trials([ask])) for ask in asks] == [
+        ("large", [0, 1]),
+        ("middle", [2]),
+    ]
 
 
 def test_nothing_is_reserved_after_leaving() -> None:
@@ -252,8 +276,13 @@ def test_a_lease_that_cannot_be_prepared_is_given_back() -> None:
     (ask,) = optimizer.feed(Seen("a"))
     (ask,) = optimizer.answer(ask, offer())
     (renewal,) = optimizer.answer(ask, lease("a", 0, state="preparing", slots=1))
-    (release,) = optimizer.answer(renewal, lease("a", 0, state="failed", reason="no such map"))
-    assert (verb(release.message), release.message.lease) == ("release", lease("a", 0).lease)
+    (release,) = optimizer.answer(
+        renewal, lease("a", 0, state="failed", reason="no such map")
+    )
+    assert (verb(release.message), release.message.lease) == (
+        "release",
+        lease("a", 0).lease,
+    )
     assert optimizer.notes("server_refused")[0].text == "no such map"
     assert optimizer.answer(release, Done()) == []
     assert optimizer.wait(1000.0) == []
@@ -266,7 +295,9 @@ def test_a_server_whose_probe_differs_is_released_and_not_used() -> None:
     assert optimizer.dispatch.servers.probe == PROBE
     (ask,) = optimizer.feed(Seen("b"))
     (ask,) = optimizer.answer(ask, offer())
-    assert verbs(optimizer.answer(ask, lease("b", 1, probe=b"another"))) == [("b", "release")]
+    assert verbs(optimizer.answer(ask, lease("b", 1, probe=b"another"))) == [
+        ("b", "release")
+    ]
     assert [note.server for note in optimizer.notes("server_differs")] == ["b"]
     assert optimizer.dispatch.servers.standing().serving == ["a"]
 
@@ -334,7 +365,9 @@ def test_a_run_that_always_asks_hears_that_slots_went_to_others() -> None:
 
 
 @pytest.mark.parametrize("sent", ["renew", "evaluate"])
-def test_a_lost_lease_is_reserved_again_after_a_pause_and_its_trials_move(sent: str) -> None:
+def test_a_lost_lease_is_reserved_again_after_a_pause_and_its_trials_move(
+    sent: str,
+) -> None:
     optimizer = Optimizer()
     optimizer.join("a", "b")
     asks = optimizer.work(4)
@@ -374,7 +407,9 @@ def test_a_renewal_refused_for_another_reason_ends_the_use_of_the_server() -> No
     optimizer = Optimizer()
     optimizer.join("a")
     optimizer.wait(RENEW_S)
-    asks = optimizer.answer(optimizer.asked["a", "renew"], Refused(code="malformed", reason="?"))
+    asks = optimizer.answer(
+        optimizer.asked["a", "renew"], Refused(code="malformed", reason="?")
+    )
     assert verbs(asks) == [("a", "release")]
     assert optimizer.wait(1000.0) == []
 
@@ -407,7 +442,9 @@ def test_leaving_releases_all_leases_and_asks_nothing_more() -> None:
 
 
 @pytest.mark.parametrize("verb", ["offer", "reserve", "renew"])
-def test_an_unanswered_request_is_repeated_then_the_server_is_backed_off(verb: str) -> None:
+def test_an_unanswered_request_is_repeated_then_the_server_is_backed_off(
+    verb: str,
+) -> None:
     optimizer = Optimizer()
     optimizer.feed(Seen("a"))
     if verb != "offer":
@@ -444,7 +481,9 @@ def test_a_silent_server_is_reported_once_and_retried() -> None:
         told += len(optimizer.notes("server_silent"))
         optimizer.wait(BACK_OFF_S)
     assert told == 1
-    assert verbs(optimizer.answer(optimizer.asked["a", "offer"], offer())) == [("a", "reserve")]
+    assert verbs(optimizer.answer(optimizer.asked["a", "offer"], offer())) == [
+        ("a", "reserve")
+    ]
 
 
 def test_a_backed_off_server_is_retried_only_while_its_token_exists() -> None:
@@ -515,7 +554,9 @@ def test_a_repeatedly_unanswered_batch_moves_to_another_server() -> None:
     assert optimizer.counted == []
 
 
-def test_a_running_batch_is_asked_again_at_once_and_its_empty_answers_are_forgotten() -> None:
+def test_a_running_batch_is_asked_again_at_once_and_its_empty_answers_are_forgotten() -> (
+    None
+):
     optimizer = Optimizer()
     optimizer.join("a")
     (ask,) = optimizer.work(1)
@@ -598,7 +639,11 @@ def test_unstarted_trials_of_a_draining_server_move_and_the_rest_is_counted() ->
     optimizer.feed(Gone("a"))
     optimizer.join("b")
     some = Outcomes(
-        batch=batch(ask), fitness=bytes(8), metrics=b"", seconds=1.0, trials=codec.indices([1])
+        batch=batch(ask),
+        fitness=bytes(8),
+        metrics=b"",
+        seconds=1.0,
+        trials=codec.indices([1]),
     )
     assert trials(optimizer.answer(ask, some)) == [0]
     assert optimizer.counted == [1]
@@ -707,15 +752,17 @@ def left_alone(*, elsewhere: bool) -> tuple[Optimizer, list[Ask]]:
     return optimizer, left
 
 
-def test_batches_left_on_a_server_are_asked_for_again_when_its_lease_is_got_again() -> None:
+def test_batches_left_on_a_server_are_asked_for_again_when_its_lease_is_got_again() -> (
+    None
+):
     """They run once: with the same number, a server attaches to what runs, or uses its cache."""
     optimizer, left = left_alone(elsewhere=False)
     (ask,) = optimizer.feed(Seen("a"))
     (ask,) = optimizer.answer(ask, offer())
     asks = optimizer.answer(ask, lease("a", 1))
-    assert sorted((verb(ask.message), batch(ask), trials([ask])) for ask in asks) == sorted(
-        ("evaluate", batch(ask), trials([ask])) for ask in left
-    )
+    assert sorted(
+        (verb(ask.message), batch(ask), trials([ask])) for ask in asks
+    ) == sorted(("evaluate", batch(ask), trials([ask])) for ask in left)
     for ask in asks:
         optimizer.answer(ask, outcomes(ask))
     assert sorted(optimizer.counted) == trials(left)
@@ -754,7 +801,9 @@ def test_batches_left_on_a_server_are_cancelled_when_their_workload_ended() -> N
 
 
 @pytest.mark.parametrize("phase", ["offer", "reserve"])
-def test_an_answer_from_before_a_disconnect_is_not_mistaken_for_a_new_one(phase: str) -> None:
+def test_an_answer_from_before_a_disconnect_is_not_mistaken_for_a_new_one(
+    phase: str,
+) -> None:
     optimizer = Optimizer()
     (ask,) = optimizer.feed(Seen("a"))
     reply: Reply = offer()
@@ -796,7 +845,9 @@ def test_what_a_busy_server_refused_goes_to_another_at_once() -> None:
     optimizer.join("a")
     (ask,) = optimizer.work(1)
     optimizer.join("b")
-    assert verbs(optimizer.answer(ask, Refused(code="busy", reason=""))) == [("b", "evaluate")]
+    assert verbs(optimizer.answer(ask, Refused(code="busy", reason=""))) == [
+        ("b", "evaluate")
+    ]
 
 
 def test_a_batch_that_every_server_refuses_ends_the_run_with_the_reason() -> None:
@@ -804,10 +855,17 @@ def test_a_batch_that_every_server_refuses_ends_the_run_with_the_reason() -> Non
     optimizer.join("a", "b", "c")
     (ask,) = optimizer.work(1)
     for _ in range(2):
-        (ask,) = optimizer.answer(ask, Refused(code="malformed", reason="a genome has 3 bytes"))
-    assert optimizer.answer(ask, Refused(code="malformed", reason="a genome has 3 bytes")) == []
+        (ask,) = optimizer.answer(
+            ask, Refused(code="malformed", reason="a genome has 3 bytes")
+        )
+    assert (
+        optimizer.answer(ask, Refused(code="malformed", reason="a genome has 3 bytes"))
+        == []
+    )
     (failed,) = [command for command in optimizer.commands if isinstance(command, Failed)]
-    assert failed.reason.endswith("on c: refused: a genome has 3 bytes (trial 0, its seed 0)")
+    assert failed.reason.endswith(
+        "on c: refused: a genome has 3 bytes (trial 0, its seed 0)"
+    )
 
 
 def test_a_server_that_cannot_take_our_batches_is_released_and_not_used() -> None:
@@ -853,7 +911,8 @@ def no_trial_of_it(ask: Ask) -> Reply:
 
 
 @pytest.mark.parametrize(
-    "reply", [wrong_batch, wrong_size, wrong_kind, infinite, early_nonsense, no_trial_of_it]
+    "reply",
+    [wrong_batch, wrong_size, wrong_kind, infinite, early_nonsense, no_trial_of_it],
 )
 def test_a_server_that_answers_a_batch_with_nonsense_is_released_and_not_used(
     reply: object,
@@ -901,7 +960,9 @@ def sizes(optimizer: Optimizer, count: int, *, trial_s: float) -> list[int]:
     return found
 
 
-def test_batches_are_of_75_ms_for_each_slot_and_shrink_towards_the_end_but_not_below_3_ms() -> None:
+def test_batches_are_of_75_ms_for_each_slot_and_shrink_towards_the_end_but_not_below_3_ms() -> (
+    None
+):
     optimizer = Optimizer()
     optimizer.join("a", "b", slots=2, trial_s=0.001)
     found = sizes(optimizer, 2000, trial_s=0.001)
@@ -917,7 +978,9 @@ def test_a_server_that_serves_alone_gets_all_in_few_batches() -> None:
     assert sizes(optimizer, 37, trial_s=0.001) == [37]
 
 
-def test_an_answer_to_a_workload_takes_messages_by_its_work_and_not_by_its_slots() -> None:
+def test_an_answer_to_a_workload_takes_messages_by_its_work_and_not_by_its_slots() -> (
+    None
+):
     """Servers of four slots take no more messages than servers of one."""
     counts = []
     for slots in (1, 4):
@@ -973,24 +1036,33 @@ def test_a_batch_fits_into_a_message_whatever_genome_is_the_largest() -> None:
     optimizer.join("a", trial_s=1e-6)
     genomes = [b"small", *[b"x" * 1_000_000] * 99]
     (first, _) = optimizer.feed(
-        Work(Workload(genomes, np.arange(100).reshape(-1, 1), np.zeros(100, np.uint64), 0))
+        Work(
+            Workload(genomes, np.arange(100).reshape(-1, 1), np.zeros(100, np.uint64), 0)
+        )
     )
     sent, _, _ = optimizer.workload.batch(first.trials)  # type: ignore[arg-type]
     assert sum(map(len, sent)) < 8 << 20
 
 
-def test_the_outcomes_of_a_batch_fit_into_a_message_however_many_metrics_there_are() -> None:
+def test_the_outcomes_of_a_batch_fit_into_a_message_however_many_metrics_there_are() -> (
+    None
+):
     """One that is too large is dropped whenever it is asked for: the run would not go on."""
     optimizer = Optimizer(metrics=1000)
     optimizer.join("a", slots=64, trial_s=1e-4)
     count = 1500
     asks = optimizer.feed(
-        Work(Workload([b"g"], np.zeros((count, 1), int), np.zeros(count, np.uint64), 1000))
+        Work(
+            Workload([b"g"], np.zeros((count, 1), int), np.zeros(count, np.uint64), 1000)
+        )
     )
     told = len(asks[0].trials)  # type: ignore[arg-type]
     assert told > 64
     answer = Outcomes(
-        batch=batch(asks[0]), fitness=bytes(8 * told), metrics=bytes(8000 * told), seconds=1.0
+        batch=batch(asks[0]),
+        fitness=bytes(8 * told),
+        metrics=bytes(8000 * told),
+        seconds=1.0,
     )
     assert len(codec.encode(answer)) <= MAX_MESSAGE
 
@@ -1024,7 +1096,9 @@ def test_outcomes_come_to_their_place_in_whatever_order() -> None:
     assert Complete() in optimizer.commands
     assert not optimizer.notes("simulator_raised")
     placed = [ask.trials[0] for ask in reversed(asks)]  # type: ignore[index]
-    assert np.array_equal(workload.fitness[placed, 0], [1.5, NAN, 3.5, 4.5], equal_nan=True)
+    assert np.array_equal(
+        workload.fitness[placed, 0], [1.5, NAN, 3.5, 4.5], equal_nan=True
+    )
     assert workload.counted.all()
     assert not workload.faulted.any()
 
@@ -1034,7 +1108,9 @@ def test_every_nan_is_the_same_nan() -> None:
     optimizer.join("a")
     (ask,) = optimizer.work(1)
     workload = optimizer.workload
-    negative = Outcomes(batch=batch(ask), fitness=b"\1\0\0\0\0\0\xff\xff", metrics=b"", seconds=1.0)
+    negative = Outcomes(
+        batch=batch(ask), fitness=b"\1\0\0\0\0\0\xff\xff", metrics=b"", seconds=1.0
+    )
     optimizer.answer(ask, negative)
     assert workload.fitness.tobytes() == np.array(NAN).tobytes()
 
@@ -1099,7 +1175,10 @@ def test_a_generation_in_which_all_keep_their_fitness_is_complete() -> None:
     optimizer = Optimizer()
     optimizer.join("a")
     assert (
-        optimizer.feed(Work(Workload([], np.zeros((0, 1), int), np.zeros(0, np.uint64), 0))) == []
+        optimizer.feed(
+            Work(Workload([], np.zeros((0, 1), int), np.zeros(0, np.uint64), 0))
+        )
+        == []
     )
     assert optimizer.commands == [Complete()]
 
@@ -1109,7 +1188,10 @@ def test_outcomes_of_an_earlier_workload_are_late() -> None:
     optimizer.join("a")
     old = optimizer.work(4)
     cancel, *new = optimizer.work(4)
-    assert (verb(cancel.message), cancel.message.batches) == ("cancel", [batch(ask) for ask in old])
+    assert (verb(cancel.message), cancel.message.batches) == (
+        "cancel",
+        [batch(ask) for ask in old],
+    )
     for ask in old:
         assert optimizer.answer(ask, outcomes(ask, 99.0)) == []
     assert optimizer.counted == []
@@ -1184,7 +1266,9 @@ def test_a_fault_with_all_outcomes_blames_no_trial() -> None:
     (ask,) = optimizer.work(1)
     done = {"trials": codec.indices([0]), "fitness": bytes(8), "seconds": 1.0}
     assert (
-        optimizer.answer(ask, Fault(batch=batch(ask), kind="crashed", trial=0, reason="", **done))
+        optimizer.answer(
+            ask, Fault(batch=batch(ask), kind="crashed", trial=0, reason="", **done)
+        )
         == []
     )  # type: ignore[arg-type]
     assert optimizer.commands[-1] == Complete()

@@ -26,10 +26,16 @@ OPTIONS = [
 
 
 def test_options_of_an_experiment_become_terms() -> None:
-    complete = experiment.complete(experiment.load(experiment.find("minisim"), OPTIONS), "test")
+    complete = experiment.complete(
+        experiment.load(experiment.find("minisim"), OPTIONS), "test"
+    )
     simulator = Problem(complete).simulator
-    made = matching.terms(complete, complete.cluster, simulator, epoch=3, slots=5, probe=b"probe")
-    again = matching.terms(complete, complete.cluster, simulator, epoch=3, slots=5, probe=b"probe")
+    made = matching.terms(
+        complete, complete.cluster, simulator, epoch=3, slots=5, probe=b"probe"
+    )
+    again = matching.terms(
+        complete, complete.cluster, simulator, epoch=3, slots=5, probe=b"probe"
+    )
     reserve, problem = made.reserve, complete.problem
     assert reserve.nonce != again.reserve.nonce
     assert (reserve.epoch, reserve.slots, reserve.asks) == (3, 5, "agent")
@@ -38,7 +44,10 @@ def test_options_of_an_experiment_become_terms() -> None:
     assert reserve.simulator == Part("minisim", problem.settings)
     assert made.requirements.settings == problem.settings
     assert made.requirements.version_hash == reserve.version_hash != ""
-    assert (made.choice.max_slots, list(map(str, made.choice.require))) == (9, ["gpu=yes"])
+    assert (made.choice.max_slots, list(map(str, made.choice.require))) == (
+        9,
+        ["gpu=yes"],
+    )
     assert (made.quarantine, made.verify, made.probe) == (True, 0.5, b"probe")
     assert (made.participants, made.metrics) == (1, len(simulator.metrics))
 
@@ -60,7 +69,9 @@ def test_messages_say_what_the_run_wants() -> None:
     assert cancel.message.lease == evaluate.message.lease == token
 
 
-def test_an_evaluate_holds_the_genomes_of_its_trials_and_a_server_reads_them_in_order() -> None:
+def test_an_evaluate_holds_the_genomes_of_its_trials_and_a_server_reads_them_in_order() -> (
+    None
+):
     optimizer = Optimizer()
     optimizer.join("a", slots=2)
     seeds = np.array([7, 8, 2**64 - 1], np.uint64)

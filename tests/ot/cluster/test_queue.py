@@ -21,7 +21,9 @@ def line(*pieces: QueuedTrials) -> TrialQueue:
     return waiting
 
 
-def piece(*trials: int, avoid: str = "", stranded: SentBatch | None = None) -> QueuedTrials:
+def piece(
+    *trials: int, avoid: str = "", stranded: SentBatch | None = None
+) -> QueuedTrials:
     return QueuedTrials(np.array(trials), frozenset(avoid), stranded)
 
 
@@ -48,7 +50,11 @@ def test_what_comes_back_is_given_out_first() -> None:
 
 def test_a_failed_trial_waits_for_another_server_without_delaying_others() -> None:
     waiting = line(piece(1, avoid="a"), piece(2))
-    assert [taken(waiting, "a"), taken(waiting, "a"), taken(waiting, "b")] == [[2], None, [1]]
+    assert [taken(waiting, "a"), taken(waiting, "a"), taken(waiting, "b")] == [
+        [2],
+        None,
+        [1],
+    ]
 
 
 def test_a_trial_that_failed_on_all_that_serve_goes_anywhere() -> None:
@@ -76,7 +82,9 @@ def test_stranded_trials_move_together() -> None:
 
 def test_what_a_server_was_stranded_with_is_its_own_until_another_took_it() -> None:
     own = piece(3, 4, stranded=batch(A, 9))
-    waiting = line(piece(1, stranded=batch(A, 7)), piece(2, stranded=batch(B, 8)), own, piece(5))
+    waiting = line(
+        piece(1, stranded=batch(A, 7)), piece(2, stranded=batch(B, 8)), own, piece(5)
+    )
     assert taken(waiting, "b") == [1]
     assert waiting.stranded(A) == [waiting.entries[1]]
     waiting.remove(waiting.entries[1])

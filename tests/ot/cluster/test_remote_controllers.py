@@ -30,16 +30,27 @@ def controllers() -> RemoteControllers:
 
 
 def sensors(
-    number: int = 0, trial: int = 1, play: bytes = PLAY, lease: bytes = LEASE, batch: int = 7
+    number: int = 0,
+    trial: int = 1,
+    play: bytes = PLAY,
+    lease: bytes = LEASE,
+    batch: int = 7,
 ) -> Sensors:
     return Sensors(
-        lease=lease, batch=batch, trial=trial, play=play, number=number,
+        lease=lease,
+        batch=batch,
+        trial=trial,
+        play=play,
+        number=number,
         agents=struct.pack("<2I", 0, 5),
-        participants=bytes(8), observations=OBSERVED.tobytes(),
-    )  # fmt: skip
+        participants=bytes(8),
+        observations=OBSERVED.tobytes(),
+    )
 
 
-def ask(controllers: RemoteControllers, question: Sensors, server: str = "lab") -> Reaction:
+def ask(
+    controllers: RemoteControllers, question: Sensors, server: str = "lab"
+) -> Reaction:
     return codec.decode_reaction(controllers.react(server, codec.encode(question)))
 
 
@@ -73,7 +84,9 @@ def test_a_question_asked_again_gets_the_same_answer_and_changes_nothing(
 
 def test_a_repeated_trial_begins_with_new_states(controllers: RemoteControllers) -> None:
     first = [decided(ask(controllers, sensors(number))) for number in range(3)]
-    second = [decided(ask(controllers, sensors(number, play=b"q" * 16))) for number in range(3)]
+    second = [
+        decided(ask(controllers, sensors(number, play=b"q" * 16))) for number in range(3)
+    ]
     assert np.array_equal(first, second)
 
 
@@ -83,12 +96,21 @@ def test_a_repeated_trial_begins_with_new_states(controllers: RemoteControllers)
         ("other", {}, "cancelled", "does not have such a batch"),
         ("lab", {"batch": 8}, "cancelled", "does not have such a batch"),
         ("lab", {"lease": b"x" * 16}, "cancelled", "does not have such a batch"),
-        ("lab", {"number": 3}, "cancelled", "question 3 came before the first one of its trial"),
+        (
+            "lab",
+            {"number": 3},
+            "cancelled",
+            "question 3 came before the first one of its trial",
+        ),
         ("lab", {"trial": 2}, "malformed", "trial 2 is not in a batch of 2"),
     ],
 )
 def test_who_asks_for_what_is_not_its_own_is_refused(
-    controllers: RemoteControllers, server: str, changes: dict[str, object], code: str, words: str
+    controllers: RemoteControllers,
+    server: str,
+    changes: dict[str, object],
+    code: str,
+    words: str,
 ) -> None:
     refused = ask(controllers, msgspec.structs.replace(sensors(), **changes), server)
     assert (getattr(refused, "code", ""), words in getattr(refused, "reason", "")) == (
@@ -112,7 +134,9 @@ def test_a_question_out_of_turn_is_refused_and_changes_nothing(
     )
 
 
-def test_what_is_malformed_is_refused_with_a_reason(controllers: RemoteControllers) -> None:
+def test_what_is_malformed_is_refused_with_a_reason(
+    controllers: RemoteControllers,
+) -> None:
     for body in (b"", b"\xc1", codec.encode(Actuators(actions=b""))):
         assert (
             getattr(codec.decode_reaction(controllers.react("lab", body)), "code", "")
@@ -129,5 +153,7 @@ def test_batches_that_are_answered_and_workloads_that_are_over_are_decided_for_n
     controllers.take_back("lab", 7)
     assert getattr(ask(controllers, sensors()), "code", "") == "cancelled"
     assert isinstance(ask(controllers, sensors(trial=0, batch=8)), Actuators)
-    controllers.begin(Workload(GENOMES, np.arange(3).reshape(3, 1), np.zeros(3, np.uint64), 0))
+    controllers.begin(
+        Workload(GENOMES, np.arange(3).reshape(3, 1), np.zeros(3, np.uint64), 0)
+    )
     assert getattr(ask(controllers, sensors(trial=0, batch=8)), "code", "") == "cancelled"

@@ -52,7 +52,12 @@ def test_a_run_of_which_nothing_is_asked_goes_to_its_end(tmp_path: Path) -> None
     logger, closed = Follower(tmp_path), list[int]()
     begun = evolution(tmp_path, logger, closed)
     assert [generation.generation for generation in begun] == [0, 1, 2]
-    assert (begun.result, logger.ended, logger.said, closed) == (RESULT, [RESULT], [], [1])
+    assert (begun.result, logger.ended, logger.said, closed) == (
+        RESULT,
+        [RESULT],
+        [],
+        [1],
+    )
 
 
 def test_a_run_stops_after_its_generation(tmp_path: Path) -> None:
@@ -69,7 +74,11 @@ def test_a_run_stops_after_its_generation(tmp_path: Path) -> None:
 def test_a_paused_run_continues_when_the_request_is_withdrawn(tmp_path: Path) -> None:
     logger = Follower(tmp_path)
     control.ask(tmp_path, "pause")
-    assert [generation.generation for generation in evolution(tmp_path, logger, [])] == [0, 1, 2]
+    assert [generation.generation for generation in evolution(tmp_path, logger, [])] == [
+        0,
+        1,
+        2,
+    ]
     assert logger.said == ["the run pauses, as requested, until it is asked to continue"]
 
 

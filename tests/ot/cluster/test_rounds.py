@@ -34,7 +34,9 @@ class Players(Servers):
     def __init__(self, at_once: int = 5, stop_after: int | None = None) -> None:
         super().__init__()
         self.at_once, self.left = at_once, stop_after
-        self.played: list[tuple[bytes, ...]] = []  # the genomes of each trial, and its seed
+        self.played: list[
+            tuple[bytes, ...]
+        ] = []  # the genomes of each trial, and its seed
         self.fitness = "genes"
         self.retract_in: tuple[int, int] | None = (
             None  # a round of a generation, counted from the first handed out
@@ -51,7 +53,9 @@ class Players(Servers):
                     raise Stopped("stopped")
                 self.left -= len(trials)
             participants = workload.participants[trials]
-            workload.fitness[trials] = genes[participants] if self.fitness == "genes" else np.nan
+            workload.fitness[trials] = (
+                genes[participants] if self.fitness == "genes" else np.nan
+            )
             workload.metrics[trials] = participants.sum(axis=1)[:, None] * [1.0, 2.0, 3.0]
             workload.counted[trials], workload.source[trials] = True, "lab-1"
             for players, seed in zip(participants, workload.seeds[trials], strict=True):
@@ -82,7 +86,10 @@ def loaded(*overrides: str) -> experiment.Experiment:
 
 
 def evolved(
-    parent: Path, complete: experiment.Experiment, servers: Players, logger: Logger | None = None
+    parent: Path,
+    complete: experiment.Experiment,
+    servers: Players,
+    logger: Logger | None = None,
 ) -> tuple[Path, Result]:
     parts = build(complete)
     with Record.create(
@@ -94,7 +101,9 @@ def evolved(
 def followed(
     parts: run.Parts, record: Record, servers: Players, logger: Logger | None = None
 ) -> Result:
-    return result(run.evolve(parts, record, servers, logger or Logger(), threading.Event()))  # type: ignore[arg-type]
+    return result(
+        run.evolve(parts, record, servers, logger or Logger(), threading.Event())
+    )  # type: ignore[arg-type]
 
 
 def rows(folder: Path, sql: str) -> list[tuple[Any, ...]]:
@@ -111,9 +120,12 @@ def test_a_generation_plays_its_rounds_and_the_optimizer_gets_scores(
     """Of seven, three pairs play in each of three rounds; the greatest gene wins all its games."""
     folder, _ = evolved(tmp_path, loaded(), servers)
     assert [
-        (workload.round, workload.first, len(workload.seeds)) for workload in servers.handed
+        (workload.round, workload.first, len(workload.seeds))
+        for workload in servers.handed
     ] == [
-        (round_, 3 * TRIALS * round_, 3 * TRIALS) for _ in range(GENERATIONS) for round_ in range(3)
+        (round_, 3 * TRIALS * round_, 3 * TRIALS)
+        for _ in range(GENERATIONS)
+        for round_ in range(3)
     ]
     for generation in range(GENERATIONS):
         candidates = Run(folder).candidates(generation)
@@ -157,7 +169,9 @@ def test_a_run_stopped_in_any_round_has_the_same_result(
     assert sorted(stopping.played + resuming.played) == sorted(servers.played)
 
 
-def test_the_record_has_the_players_of_each_trial(tmp_path: Path, servers: Players) -> None:
+def test_the_record_has_the_players_of_each_trial(
+    tmp_path: Path, servers: Players
+) -> None:
     folder, _ = evolved(tmp_path, loaded(), servers)
     found = rows(
         folder,
@@ -192,10 +206,10 @@ def test_a_wrong_server_loses_its_round_and_what_it_did_before_is_doubtful(
     servers.retract_in = (1, 5)
     folder, told = evolved(tmp_path / "wrong", loaded(), servers)
     assert told.history_hash == whole.history_hash
-    sums = "SELECT generation, round, sum(count), max(doubtful) FROM outcomes GROUP BY 1, 2"
-    assert rows(folder, sums)[:3] == [
-        (0, 0, 6, 1), (0, 1, 6, 0), (0, 2, 6, 0)
-    ]  # fmt: skip
+    sums = (
+        "SELECT generation, round, sum(count), max(doubtful) FROM outcomes GROUP BY 1, 2"
+    )
+    assert rows(folder, sums)[:3] == [(0, 0, 6, 1), (0, 1, 6, 0), (0, 2, 6, 0)]
     assert told.doubtful == 6
 
 
@@ -216,7 +230,9 @@ def test_outcomes_of_other_games_are_refused(tmp_path: Path, servers: Players) -
             record.restore(workload)
 
 
-def test_the_champion_is_the_best_of_the_last_generation(tmp_path: Path, servers: Players) -> None:
+def test_the_champion_is_the_best_of_the_last_generation(
+    tmp_path: Path, servers: Players
+) -> None:
     """It is replaced in every generation, also by one with fewer points."""
     champions: list[Controller] = []
 
@@ -253,7 +269,9 @@ def test_a_generation_in_which_all_games_fail_has_no_champion_and_ends_nothing(
     folder, told = evolved(tmp_path, loaded(), servers)
     assert told.best == -np.inf
     assert not (folder / "champion.zsc").exists()
-    assert [candidate["fitness"] for candidate in Run(folder).candidates(1)] == [None] * POPULATION
+    assert [candidate["fitness"] for candidate in Run(folder).candidates(1)] == [
+        None
+    ] * POPULATION
 
 
 def test_measures_of_a_candidate_are_means_over_all_its_games(
@@ -272,9 +290,12 @@ def test_measures_of_a_candidate_are_means_over_all_its_games(
         if not assessment.advance():
             break
     expected = [
-        [3 * np.mean(opponents[candidate]), np.mean(opponents[candidate])] for candidate in range(7)
+        [3 * np.mean(opponents[candidate]), np.mean(opponents[candidate])]
+        for candidate in range(7)
     ]
-    assert assessment.measures(["tagged", "captures"]) == pytest.approx(np.array(expected))
+    assert assessment.measures(["tagged", "captures"]) == pytest.approx(
+        np.array(expected)
+    )
 
 
 class Alone(NNGA):
@@ -328,12 +349,16 @@ def test_what_does_not_fit_together_is_refused_in_one_line(
     assert "\n" not in str(refusal.value)
 
 
-def test_a_file_without_a_ranking_is_recorded_as_before_there_were_any(tmp_path: Path) -> None:
+def test_a_file_without_a_ranking_is_recorded_as_before_there_were_any(
+    tmp_path: Path,
+) -> None:
     """So runs of before can be resumed; a ranking that is added since is a change."""
     complete = experiment.complete(experiment.load(experiment.find("stadium")), "test")
     with Record.create(tmp_path, complete, "0" * 32) as record:
         assert "ranking" not in record.meta("experiment")
-        assert Run(record.folder).experiment.ranking == PartConfig(kind="absolute", settings={})
+        assert Run(record.folder).experiment.ranking == PartConfig(
+            kind="absolute", settings={}
+        )
         file = record.folder / "experiment.toml"
         text = file.read_text()
         assert '[ranking]\nkind = "absolute"\n' in text

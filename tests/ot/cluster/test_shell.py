@@ -33,7 +33,9 @@ OFFER = Offer(
     simulators=[],
     representations=[],
 )
-LEASE = Lease(lease=bytes(16), state="ready", slots=1, ready=1, probe=b"digest", trial_s=1.0)
+LEASE = Lease(
+    lease=bytes(16), state="ready", slots=1, ready=1, probe=b"digest", trial_s=1.0
+)
 
 
 def free_port() -> int:
@@ -118,7 +120,9 @@ class Asking:
         self.cluster = Cluster(
             KEY,
             terms(slots=1),
-            reach=Reach(["tcp/127.0.0.1:1"], multicast=False, through_router=through_router),
+            reach=Reach(
+                ["tcp/127.0.0.1:1"], multicast=False, through_router=through_router
+            ),
         )
         self.batches: list[tuple[str, str]] = []  # server and thread
         self._here = threading.current_thread()
@@ -128,7 +132,9 @@ class Asking:
         server, verb = key.split("/")[4], key.split("/")[-1]
         if verb == "evaluate":
             thread = threading.current_thread()
-            self.batches.append((server, "this one" if thread is self._here else thread.name))
+            self.batches.append(
+                (server, "this one" if thread is self._here else thread.name)
+            )
 
     def feed(self, event: Event) -> None:
         self.cluster._happened(event, may_send=True)
@@ -142,7 +148,9 @@ class Asking:
     def answer(self, server: str, verb: Verb, reply: Reply | None) -> None:
         queries = self.cluster._dispatch.out.queries.items()
         (number,) = [
-            number for number, query in queries if (query.server, query.verb) == (server, verb)
+            number
+            for number, query in queries
+            if (query.server, query.verb) == (server, verb)
         ]
         self.feed(Answered(number, reply))
 
@@ -158,7 +166,11 @@ class Asking:
         self.idle()
         already = len(self.batches)
         self.feed(
-            Work(Workload([b"g"], np.zeros((trials, 1), int), np.zeros(trials, np.uint64), 0))
+            Work(
+                Workload(
+                    [b"g"], np.zeros((trials, 1), int), np.zeros(trials, np.uint64), 0
+                )
+            )
         )
         wait_until(lambda: len(self.batches) == already + trials, "batches are sent")
 
@@ -174,7 +186,9 @@ class Asking:
             sender.close()
 
 
-@pytest.mark.parametrize(("through_router", "second"), [(False, "this one"), (True, "send-lab-2")])
+@pytest.mark.parametrize(
+    ("through_router", "second"), [(False, "this one"), (True, "send-lab-2")]
+)
 def test_a_batch_goes_at_once_while_nothing_is_unanswered_on_its_link(
     through_router: bool, second: str
 ) -> None:

@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from tests.ot.cluster.dispatching import Optimizer, fault, lease, offer, outcomes, trials, verbs
+from tests.ot.cluster.dispatching import (
+    Optimizer,
+    fault,
+    lease,
+    offer,
+    outcomes,
+    trials,
+    verbs,
+)
 from zswarm.ot.cluster.events import (
     Arbitrated,
     Ask,
@@ -23,7 +31,9 @@ from zswarm.protocol.messages import Refused, verb
 
 
 def pending(asks: list[Ask], server: str) -> list[Ask]:
-    return [ask for ask in asks if ask.server == server and verb(ask.message) == "evaluate"]
+    return [
+        ask for ask in asks if ask.server == server and verb(ask.message) == "evaluate"
+    ]
 
 
 def arbitrate(trial: int, fitness: float) -> Arbitrated:
@@ -54,7 +64,9 @@ def test_a_workload_ends_when_another_server_has_verified_its_trials() -> None:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 1.0])
-def test_the_share_asked_for_is_verified_and_never_where_it_was_counted(share: float) -> None:
+def test_the_share_asked_for_is_verified_and_never_where_it_was_counted(
+    share: float,
+) -> None:
     optimizer = Optimizer(verify=share)
     optimizer.join("a", "b", slots=4)
     open_ = optimizer.work(1000)
@@ -162,7 +174,9 @@ def test_outcomes_of_a_wrong_server_are_evaluated_again() -> None:
     again = pending(asks, "b")
     while again:
         ask = again.pop()
-        again += pending(optimizer.answer(ask, outcomes(ask, *[3.0] * len(trials([ask])))), "b")
+        again += pending(
+            optimizer.answer(ask, outcomes(ask, *[3.0] * len(trials([ask])))), "b"
+        )
     assert Complete() in optimizer.commands
     assert workload.fitness[:, 0].tolist() == [3.0] * 4
     assert set(workload.source) == {"b"}
@@ -175,9 +189,18 @@ def test_a_check_of_what_was_retracted_may_come_after_the_end() -> None:
     (ask,) = optimizer.work(3)
     optimizer.join("b", "c")
     late, check = optimizer.answer(ask, outcomes(ask))
-    assert (late.server, trials([late]), check.server, trials([check])) == ("b", [0], "c", [2])
+    assert (late.server, trials([late]), check.server, trials([check])) == (
+        "b",
+        [0],
+        "c",
+        [2],
+    )
     optimizer.answer(check, outcomes(check, 7.0))
-    asks = [ask for ask in optimizer.feed(arbitrate(2, 7.0)) if verb(ask.message) == "evaluate"]
+    asks = [
+        ask
+        for ask in optimizer.feed(arbitrate(2, 7.0))
+        if verb(ask.message) == "evaluate"
+    ]
     while asks:
         asks += optimizer.answer(asks[0], outcomes(asks.pop(0)))
     assert optimizer.commands[-1] == Complete()

@@ -85,7 +85,9 @@ def typist(request: pytest.FixtureRequest, home: Path) -> Iterator[Typist]:
         pytest.skip(f"{shell} is not installed")
     (home / "script").write_text(script(shell))
     started = Typist(
-        *{"bash": ["bash", "--norc", "--noprofile", "-i"], "zsh": ["zsh", "-f", "-i"]}[shell]
+        *{"bash": ["bash", "--norc", "--noprofile", "-i"], "zsh": ["zsh", "-f", "-i"]}[
+            shell
+        ]
     )
     try:
         prepare = {
@@ -121,7 +123,10 @@ def test_fish_completes_what_is_typed(home: Path) -> None:
     ):
         line = f"source script; complete -C '{typed}'"
         done = subprocess.run(
-            ["fish", "--no-config", "-c", line], check=True, capture_output=True, text=True
+            ["fish", "--no-config", "-c", line],
+            check=True,
+            capture_output=True,
+            text=True,
         )
         assert completed in done.stdout, done.stderr
 
@@ -140,7 +145,10 @@ def test_fish_completes_what_is_typed(home: Path) -> None:
     ],
 )
 def test_names_are_suggested(words: str, expected: set[str], home: Path) -> None:
-    environment = os.environ | {"COMP_WORDS": words, "COMP_CWORD": str(len(words.split(" ")) - 1)}
+    environment = os.environ | {
+        "COMP_WORDS": words,
+        "COMP_CWORD": str(len(words.split(" ")) - 1),
+    }
     environment["_ZSWARM_OT_COMPLETE"] = "bash_complete"
     done = subprocess.run(
         ["zswarm-ot"], env=environment, check=True, capture_output=True, text=True

@@ -37,7 +37,12 @@ def test_a_new_simulator_is_the_example_with_another_name(
     """Its own test passes, its experiment is one, and the steps that it names are for its files."""
     assert say(monkeypatch, tmp_path, "new", "simulator", "lost-robots") == 0
     made = tmp_path / "lost-robots"
-    files = {"pyproject.toml", "lost_robots.py", "test_lost_robots.py", "lost-robots.toml"}
+    files = {
+        "pyproject.toml",
+        "lost_robots.py",
+        "test_lost_robots.py",
+        "lost-robots.toml",
+    }
     assert {path.name for path in made.iterdir()} == files
     for path in made.iterdir():
         assert not re.search("my.?simulator", path.read_text(), re.I), path.name
@@ -50,7 +55,9 @@ def test_a_new_simulator_is_the_example_with_another_name(
     ):
         assert step in said
     project = tomllib.loads((made / "pyproject.toml").read_text())["project"]
-    assert project["entry-points"]["zswarm.simulators"] == {"lost-robots": "lost_robots:LostRobots"}
+    assert project["entry-points"]["zswarm.simulators"] == {
+        "lost-robots": "lost_robots:LostRobots"
+    }
     assert experiment.load(made / "lost-robots.toml").problem.simulator == "lost-robots"
     monkeypatch.syspath_prepend(str(made))
     for module in ("lost_robots", "test_lost_robots"):  # gone again after this test

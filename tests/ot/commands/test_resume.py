@@ -52,7 +52,10 @@ def test_resuming_a_finished_run_returns_its_result(tmp_path: Path) -> None:
     with zswarm.resume(folder, loggers=Hearing()) as evolution:
         assert list(evolution) == []
     assert evolution.result is not None
-    assert (evolution.result.best, evolution.result.history_hash) == (2.5, Run(folder).history_hash)
+    assert (evolution.result.best, evolution.result.history_hash) == (
+        2.5,
+        Run(folder).history_hash,
+    )
     assert heard == [2, evolution.result]
     assert (folder / "run.sqlite").read_bytes() == recorded
 

@@ -12,14 +12,25 @@ from zswarm.protocol.messages import Offer
 
 
 def found(
-    name: str, *limits: str, simulators: str = "arena", mismatch: str = "", **labels_of_server: str
+    name: str,
+    *limits: str,
+    simulators: str = "arena",
+    mismatch: str = "",
+    **labels_of_server: str,
 ) -> Found:
     offer = Offer(
-        server=f"{name}-00000000", program="0.1.0", machine="Linux x86_64", capacity=2, free=2,
+        server=f"{name}-00000000",
+        program="0.1.0",
+        machine="Linux x86_64",
+        capacity=2,
+        free=2,
         leases=0,
-        simulators=[simulators], representations=["fully-meshed"], mismatch=mismatch,
-        labels={"name": name} | labels_of_server, limits=list(limits),
-    )  # fmt: skip
+        simulators=[simulators],
+        representations=["fully-meshed"],
+        mismatch=mismatch,
+        labels={"name": name} | labels_of_server,
+        limits=list(limits),
+    )
     return Found(offer.server, offer, "", "tcp/127.0.0.1:7467")
 
 
@@ -34,18 +45,26 @@ LAB = Survey(
     {},
     [],
 )
-FAST = Choice(labels.requirements(["cores>=8"], ""), labels.preferences(["gpu=yes", "cores"], ""))
+FAST = Choice(
+    labels.requirements(["cores>=8"], ""), labels.preferences(["gpu=yes", "cores"], "")
+)
 
 
 def shown(
-    capsys: pytest.CaptureFixture[str], choice: Choice, name: str, *, as_json: bool = False
+    capsys: pytest.CaptureFixture[str],
+    choice: Choice,
+    name: str,
+    *,
+    as_json: bool = False,
 ) -> str:
     survey = servers.ranked(LAB, choice) if name else LAB
     servers.show(survey, "default", choice, name, as_json=as_json)
     return capsys.readouterr().out
 
 
-def test_labels_and_limits_are_shown_with_their_servers(capsys: pytest.CaptureFixture[str]) -> None:
+def test_labels_and_limits_are_shown_with_their_servers(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     """Those that several have together; a server's name is its own."""
     lines = shown(capsys, Choice(), "").splitlines()
     assert "simulators: arena" in lines
@@ -75,7 +94,8 @@ def test_who_matches_an_experiment_comes_first_in_the_order_of_its_rank(
     assert "not used for my.toml: d-00000000: draining" in text
     assert "not used for my.toml: e-00000000: does not answer" in text
     objects = [
-        json.loads(line) for line in shown(capsys, FAST, "my.toml", as_json=True).splitlines()
+        json.loads(line)
+        for line in shown(capsys, FAST, "my.toml", as_json=True).splitlines()
     ]
     assert [line["server"][0] for line in objects] == ["b", "c", "a", "d", "e"]
     assert objects[2]["mismatch"] == "the experiment requires cores>=8 (it has cores=4)"

@@ -59,7 +59,9 @@ class Stuck:
         self.closed.append(code)
 
 
-def test_a_tab_that_is_stuck_is_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_tab_that_is_stuck_is_closed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """With the code that tells it to come again, and nobody is followed for it any more."""
     monkeypatch.setattr(app, "STUCK_S", 0.01)
     folder = written(tmp_path, [1.0])
@@ -74,5 +76,7 @@ def test_there_are_so_many_tabs_and_no_more(
 ) -> None:
     monkeypatch.setattr(broadcast, "TABS", 0)
     tab = Stuck()
-    asyncio.run(app._serve(cast(WebSocket, tab), Broadcaster(RunIndex([tmp_path])), "", None))
+    asyncio.run(
+        app._serve(cast(WebSocket, tab), Broadcaster(RunIndex([tmp_path])), "", None)
+    )
     assert tab.closed == [1013]

@@ -30,7 +30,10 @@ def test_a_reconnected_tab_gets_the_missed_changes() -> None:
         while b'"n":3' not in await first.take():
             pass
         await channel.enter(second, seq)
-        assert [b'"n":2' in await second.take(), b'"n":3' in await second.take()] == [True, True]
+        assert [b'"n":2' in await second.take(), b'"n":3' in await second.take()] == [
+            True,
+            True,
+        ]
         await channel.enter(third, "0badf00d.1")
         assert b'"hello":true' in await third.take()
         for tab in (first, second, third):

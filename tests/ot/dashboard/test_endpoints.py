@@ -24,9 +24,9 @@ def test_what_an_address_asks_for_must_be_a_number(tmp_path: Path) -> None:
 def test_a_candidate_has_its_network_and_its_trials(tmp_path: Path) -> None:
     run = Run(written(tmp_path, [1.0]))
     found = endpoints.candidate(run, {"generation": "0", "candidate": "2"})
-    assert [node["kind"] for node in found["graph"]["nodes"]] == ["input"] * 10 + ["hidden"] * 2 + [
-        "output"
-    ] * 2
+    assert [node["kind"] for node in found["graph"]["nodes"]] == ["input"] * 10 + [
+        "hidden"
+    ] * 2 + ["output"] * 2
     assert len(found["graph"]["edges"]) == found["edges"] == 4 * 14
     assert (found["genes"], len(found["numbers"])) == (60, 60)
     assert [trial["server"] for trial in found["trials"]] == ["lab-1-0123abcd"]

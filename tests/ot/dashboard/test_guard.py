@@ -23,7 +23,9 @@ def ask(
     **headers: str,
 ) -> tuple[int, dict[str, str]]:
     """Status and headers of the answer; of a WebSocket 101, or the code that it is closed with."""
-    guard = Guard(PlainTextResponse("inside"), hosts=["lab-01"], token=TOKEN, closed=closed)
+    guard = Guard(
+        PlainTextResponse("inside"), hosts=["lab-01"], token=TOKEN, closed=closed
+    )
     if websocket:
 
         async def accept(_scope: Any, _receive: Any, send: Any) -> None:
@@ -45,17 +47,31 @@ def ask(
         told.append(message)
 
     async def receive() -> Any:
-        return {"type": "websocket.connect"} if websocket else {"type": "http.request", "body": b""}
+        return (
+            {"type": "websocket.connect"}
+            if websocket
+            else {"type": "http.request", "body": b""}
+        )
 
     asyncio.run(guard(scope, receive, send))
     first = told[0]
     if websocket:
         return (101 if first["type"] == "websocket.accept" else first["code"]), {}
-    return first["status"], {name.decode(): value.decode() for name, value in first["headers"]}
+    return first["status"], {
+        name.decode(): value.decode() for name, value in first["headers"]
+    }
 
 
 @pytest.mark.parametrize(
-    "host", [OURS, "localhost:9000", "[::1]:8467", "LOCALHOST", "192.168.1.5:8467", "lab-01:8467"]
+    "host",
+    [
+        OURS,
+        "localhost:9000",
+        "[::1]:8467",
+        "LOCALHOST",
+        "192.168.1.5:8467",
+        "lab-01:8467",
+    ],
 )
 def test_names_and_addresses_of_this_machine_are_let_in(host: str) -> None:
     assert ask(host=host)[0] == 200
@@ -79,7 +95,9 @@ def test_a_name_that_is_made_to_lead_here_is_refused(host: str) -> None:
 @pytest.mark.parametrize(
     "method", ["POST", "PUT", "DELETE", "PATCH", "OPTIONS", "TRACE", "NONSENSE"]
 )
-def test_requests_that_change_something_need_the_own_page_and_the_token(method: str) -> None:
+def test_requests_that_change_something_need_the_own_page_and_the_token(
+    method: str,
+) -> None:
     """An allow-list of methods: what nobody thought of is refused, too."""
     right = {"authorization": f"Bearer {TOKEN}"}
     assert ask(method)[0] == 403
@@ -107,7 +125,9 @@ def test_beyond_this_machine_reading_takes_the_token_too() -> None:
     assert ask(closed=True)[0] == 200
     assert ask(path="/api/runs", closed=True)[0] == 401
     assert ask(path="/api/runs", closed=True, authorization=f"Bearer {TOKEN}")[0] == 200
-    assert ask(websocket=True, path="/ws", closed=True, origin=f"http://{OURS}")[0] == 1008
+    assert (
+        ask(websocket=True, path="/ws", closed=True, origin=f"http://{OURS}")[0] == 1008
+    )
     assert (
         ask(
             websocket=True,

@@ -30,7 +30,9 @@ def test_a_replay_is_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
     assert trace_of(told, monkeypatch, "raise SystemExit(1)") == [b"run 0 1 2"] * 2
 
 
-def test_a_missing_replay_is_explained_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_replay_is_explained_in_one_line(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with pytest.raises(ConfigError, match=r"^trial 2 is not there\\x1b$"):
         trace_of(
             "import sys; sys.stderr.write('warning\\n'); sys.exit('trial 2 is not there\\x1b')",
@@ -40,9 +42,13 @@ def test_a_missing_replay_is_explained_in_one_line(monkeypatch: pytest.MonkeyPat
         trace_of("import os; os._exit(3)", monkeypatch)
 
 
-def test_a_replay_that_takes_too_long_or_too_much_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_replay_that_takes_too_long_or_too_much_is_ended(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(replay_cache, "LARGEST", 100)
-    with pytest.raises(ConfigError, match="the replay has 1,000 bytes, and 100 is the most"):
+    with pytest.raises(
+        ConfigError, match="the replay has 1,000 bytes, and 100 is the most"
+    ):
         trace_of("print('x' * 1000, end='')", monkeypatch)
     monkeypatch.setattr(replay_cache, "LONGEST_S", 0.05)
     with pytest.raises(ConfigError, match="the replay takes longer than 0 s"):

@@ -25,15 +25,21 @@ def status(url: str, token: str = "") -> int:
             return error.code
 
 
-def test_beyond_this_machine_it_says_so_and_reading_takes_the_token(tmp_path: Path) -> None:
+def test_beyond_this_machine_it_says_so_and_reading_takes_the_token(
+    tmp_path: Path,
+) -> None:
     """Until its standard input closes, as with ``run --dashboard``."""
     written(tmp_path, [1.0])
     program = subprocess.Popen(
         [*COMMAND, str(tmp_path), "--host", "0.0.0.0", "--until-stdin-closes"],  # noqa: S104  that is the question
-        stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        stdin=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     assert program.stderr is not None
-    found = re.fullmatch(r"dashboard: http://[^:]+:(\d+)/#token=(\S+)\n", program.stderr.readline())
+    found = re.fullmatch(
+        r"dashboard: http://[^:]+:(\d+)/#token=(\S+)\n", program.stderr.readline()
+    )
     assert found
     assert program.stderr.readline().startswith(
         "dashboard: anyone who reaches this address and has the token sees the runs"
@@ -58,7 +64,10 @@ def test_a_port_in_use_and_a_missing_folder_are_reported_in_one_line(
         taken.listen()
         port = str(taken.getsockname()[1])
         done = subprocess.run(
-            [*COMMAND, str(tmp_path), "--port", port], capture_output=True, text=True, check=False
+            [*COMMAND, str(tmp_path), "--port", port],
+            capture_output=True,
+            text=True,
+            check=False,
         )
     assert (done.returncode, done.stderr) == (
         2,

@@ -51,7 +51,9 @@ def test_running_and_stopped_runs_are_distinguished(tmp_path: Path) -> None:
     assert tail.look()["state"]["status"] == "stopped"
 
 
-def test_a_record_that_cannot_be_read_is_explained_and_may_become_whole(tmp_path: Path) -> None:
+def test_a_record_that_cannot_be_read_is_explained_and_may_become_whole(
+    tmp_path: Path,
+) -> None:
     folder = written(tmp_path, [1.0])
     file = folder / "run.sqlite"
     whole = file.read_bytes()

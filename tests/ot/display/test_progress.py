@@ -45,7 +45,9 @@ def test_what_matters_most_is_shown_where_there_is_little_room() -> None:
 
 
 @pytest.mark.parametrize("columns", [80, 40])
-@pytest.mark.parametrize("environment", [{}, {"NO_COLOR": "1"}, {"PYTHONIOENCODING": "ascii"}])
+@pytest.mark.parametrize(
+    "environment", [{}, {"NO_COLOR": "1"}, {"PYTHONIOENCODING": "ascii"}]
+)
 def test_the_line_of_a_run_is_one_line(
     columns: int, environment: dict[str, str], tmp_path: Path
 ) -> None:
@@ -71,9 +73,13 @@ def test_the_line_of_a_run_is_one_line(
                 break
     os.close(ours)
     assert done.wait(DEADLINE_S) == 0, seen
-    lines = [re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", line) for line in re.split(r"[\r\n]+", seen)]
+    lines = [
+        re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", line) for line in re.split(r"[\r\n]+", seen)
+    ]
     assert "a line" in lines
-    assert any(line.startswith("99999/100000 ") and "best -123.46" in line for line in lines), lines
+    assert any(
+        line.startswith("99999/100000 ") and "best -123.46" in line for line in lines
+    ), lines
     assert all(len(line.rstrip()) <= columns for line in lines)
     assert not any("…" in line or "..." in line for line in lines)
     coloured = re.search(r"\x1b\[[0-9;]*[1-9][0-9;]*m", seen) is not None

@@ -48,9 +48,15 @@ def test_elite_is_not_simulated_again() -> None:
 @pytest.mark.parametrize(
     ("agents", "first"), [(1, 145), (2, 73), (4, 37), (8, 19), (16, 10), (32, 5)]
 )
-def test_the_controller_leaves_the_optimizer_from_so_many_steps(agents: int, first: int) -> None:
+def test_the_controller_leaves_the_optimizer_from_so_many_steps(
+    agents: int, first: int
+) -> None:
     assert crossing(paper(agents, 1), TABLE_I) == first
-    assert ratio(paper(agents, first), TABLE_I) > 1 >= ratio(paper(agents, first - 1), TABLE_I)
+    assert (
+        ratio(paper(agents, first), TABLE_I)
+        > 1
+        >= ratio(paper(agents, first - 1), TABLE_I)
+    )
 
 
 @pytest.mark.parametrize("steps", FIGURE_3)
@@ -71,15 +77,21 @@ def test_the_coefficients_of_equations_9_and_10() -> None:
 
 @pytest.mark.parametrize("threads", [1, 2, 7.5, 50])
 @pytest.mark.parametrize(("agents", "steps"), [(1, 1), (8, 18), (16, 100)])
-def test_equations_9_and_10_are_7_and_8_in_numbers(agents: int, steps: int, threads: float) -> None:
+def test_equations_9_and_10_are_7_and_8_in_numbers(
+    agents: int, steps: int, threads: float
+) -> None:
     plan = paper(agents, steps)
     found = coefficients(plan, TABLE_I)
     inside = found.base_s * (
         1 + found.internal / threads * (found.messages + steps * (found.step + agents))
     )
     outside = found.base_s * (1 + found.external / threads * (found.files + steps))
-    assert optimization_s(internal, plan, TABLE_I, threads) == pytest.approx(inside, rel=1e-12)
-    assert optimization_s(external, plan, TABLE_I, threads) == pytest.approx(outside, rel=1e-12)
+    assert optimization_s(internal, plan, TABLE_I, threads) == pytest.approx(
+        inside, rel=1e-12
+    )
+    assert optimization_s(external, plan, TABLE_I, threads) == pytest.approx(
+        outside, rel=1e-12
+    )
 
 
 def test_ten_agents_and_fifty_steps_take_days() -> None:
@@ -94,9 +106,9 @@ def test_the_ratio_hangs_on_threads_a_little() -> None:
     """The paper says it does not: the time between generations has no threads."""
     assert ratio(paper(1, 1), TABLE_I) == pytest.approx(0.0347, abs=5e-5)
     assert ratio(paper(1, 1), TABLE_I, 50) == pytest.approx(0.0360, abs=5e-5)
-    assert ratio(paper(1, 100), TABLE_I, 50) / ratio(paper(1, 100), TABLE_I) == pytest.approx(
-        1, abs=1e-3
-    )
+    assert ratio(paper(1, 100), TABLE_I, 50) / ratio(
+        paper(1, 100), TABLE_I
+    ) == pytest.approx(1, abs=1e-3)
 
 
 def test_beside_parameters_the_controller_never_belongs_in_the_optimizer() -> None:
@@ -105,7 +117,9 @@ def test_beside_parameters_the_controller_never_belongs_in_the_optimizer() -> No
         for agents in (1, 8, 16)
         for steps in (10, 50, 100)
     ]
-    assert found == pytest.approx([1.65, 1.61, 1.60, 5.6, 5.8, 5.8, 10.1, 10.5, 10.6], rel=0.01)
+    assert found == pytest.approx(
+        [1.65, 1.61, 1.60, 5.6, 5.8, 5.8, 10.1, 10.5, 10.6], rel=0.01
+    )
     assert crossing(paper(1, 1), TABLE_I, against=blob) == 1
 
 
@@ -154,7 +168,9 @@ def test_the_optimizer_itself_is_the_limit_at_last() -> None:
 def test_rounds_are_whole() -> None:
     """Three slots are no better than two for four candidates."""
     constants = Constants(step_s=1.0, message_s=0, busy_s=0)
-    assert [expected_s(blob, scaling(1, 1), constants, slots) for slots in (1, 2, 3, 4, 5)] == [
+    assert [
+        expected_s(blob, scaling(1, 1), constants, slots) for slots in (1, 2, 3, 4, 5)
+    ] == [
         16,
         8,
         8,
@@ -172,7 +188,9 @@ def test_messages_of_each_way() -> None:
     assert by_turn(plan, TABLE_I).messages == 102
     assert by_agent(plan, TABLE_I).messages == 802
     assert by_turn(msgspec.structs.replace(plan, turns=8), TABLE_I).messages == 802
-    assert blob(plan, msgspec.structs.replace(TABLE_I, batch=10)).messages == pytest.approx(0.2)
+    assert blob(
+        plan, msgspec.structs.replace(TABLE_I, batch=10)
+    ).messages == pytest.approx(0.2)
 
 
 @pytest.mark.parametrize("threads", [0, 0.5, 51])

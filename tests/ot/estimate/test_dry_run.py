@@ -15,7 +15,9 @@ from zswarm.ot.cli import command
 from zswarm.ot.estimate.dry_run import Explanation, explain
 from zswarm.sims.minisim import Minisim
 
-EXAMPLES = playable(sorted(path.stem for path in experiment.examples_folder().glob("*.toml")))
+EXAMPLES = playable(
+    sorted(path.stem for path in experiment.examples_folder().glob("*.toml"))
+)
 
 
 def complete(name: str, *overrides: str) -> experiment.Experiment:
@@ -68,7 +70,9 @@ def test_more_slots_than_trials_of_a_generation_make_nothing_faster() -> None:
         ("minisim", ["generations=1000000000"], "the record needs about "),
     ],
 )
-def test_likely_mistakes_are_reported(name: str, overrides: list[str], warning: str) -> None:
+def test_likely_mistakes_are_reported(
+    name: str, overrides: list[str], warning: str
+) -> None:
     (told,) = explained(name, *overrides).warnings
     assert told.startswith(warning)
 
@@ -81,8 +85,12 @@ def test_examples_have_no_likely_mistakes(name: str) -> None:
     assert " 1 outputs" not in told
 
 
-def test_a_simulator_that_always_fails_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Minisim, "play_lanes", lambda *_arguments: None)  # the outcomes stay NaN
+def test_a_simulator_that_always_fails_is_reported(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(
+        Minisim, "play_lanes", lambda *_arguments: None
+    )  # the outcomes stay NaN
     (warning,) = explained("minisim").warnings
     assert warning.startswith("every trial that was tried failed: Minisim, trial seed ")
     assert warning.endswith(": fitness must be finite, not [nan]; nothing can evolve")
@@ -90,8 +98,14 @@ def test_a_simulator_that_always_fails_is_reported(monkeypatch: pytest.MonkeyPat
 
 def test_the_record_is_about_as_large_as_predicted() -> None:
     """The measured sizes of three real runs of 50 generations."""
-    for name, size in (("stadium", 716_800), ("minisim", 1_441_792), ("emergency-exit", 1_277_952)):
-        assert explained(name, "generations=50").record_bytes == pytest.approx(size, rel=0.25)
+    for name, size in (
+        ("stadium", 716_800),
+        ("minisim", 1_441_792),
+        ("emergency-exit", 1_277_952),
+    ):
+        assert explained(name, "generations=50").record_bytes == pytest.approx(
+            size, rel=0.25
+        )
 
 
 def test_check_explains_in_lines_of_the_terminals_width() -> None:
@@ -99,17 +113,23 @@ def test_check_explains_in_lines_of_the_terminals_width() -> None:
     assert max(map(len, text.splitlines())) <= 80
     flat = " ".join(text.split())
     for words in (
-        "stadium: 200 generations, seed 1", "72, all driven by the same genome",
+        "stadium: 200 generations, seed 1",
+        "72, all driven by the same genome",
         "Robots in a room must leave",
-        "10 inputs (exit_dx, exit_dy,", "2 hidden nodes, 2 outputs (vx, vy)",
+        "10 inputs (exit_dx, exit_dy,",
+        "2 hidden nodes, 2 outputs (vx, vy)",
         "60 numbers, 240 bytes",
-        "50 candidates in the first generation, then 37", "7,413 evaluations", "bit for bit",
+        "50 candidates in the first generation, then 37",
+        "7,413 evaluations",
+        "bit for bit",
         "zswarm-ot run stadium",
-    ):  # fmt: skip
+    ):
         assert words in flat
     again = check("minisim", "--set", "generations=1", "--set", "cluster.connect=[]")
     assert "warning" in again
-    assert again.endswith("zswarm-ot run minisim --set generations=1 --set 'cluster.connect=[]'\n")
+    assert again.endswith(
+        "zswarm-ot run minisim --set generations=1 --set 'cluster.connect=[]'\n"
+    )
 
 
 def test_check_counts_the_runs_of_a_study(tmp_path: Path) -> None:
@@ -144,7 +164,9 @@ def test_settings_that_differ_by_trial_are_shown() -> None:
         "problem.settings.exits={ choice = [2, 5] }",
     )
     shown = " ".join(check("emergency-exit", *wide).split())
-    assert "ranges agents 5 to 15, exits 2 or 5: drawn for each trial from its seed" in shown
+    assert (
+        "ranges agents 5 to 15, exits 2 or 5: drawn for each trial from its seed" in shown
+    )
     assert "robots 5 to 15, all driven by the same genome" in shown
     told = json.loads(check("emergency-exit", "--json", *wide))
     assert (told["ranges"], told["agents"], told["most_agents"]) == (

@@ -27,7 +27,9 @@ PAPER = Plan(generations=200, population=50, steps=50, agents=10)
 
 def problem(name: str, **settings: object) -> Parts:
     overrides = [f"{key.replace('__', '.')}={value}" for key, value in settings.items()]
-    return build(experiment.complete(experiment.load(experiment.find(name), overrides), name))
+    return build(
+        experiment.complete(experiment.load(experiment.find(name), overrides), name)
+    )
 
 
 def test_the_papers_designs_have_the_papers_times() -> None:
@@ -48,7 +50,9 @@ def test_all_ways_are_explained() -> None:
     ("name", "steps", "agents", "turns"),
     [("minisim", 100, 8, 1), ("xor", 1, 4, 1), ("arena-dispersion", 500, 16, 1)],
 )
-def test_turns_of_a_trial_are_counted(name: str, steps: int, agents: int, turns: int) -> None:
+def test_turns_of_a_trial_are_counted(
+    name: str, steps: int, agents: int, turns: int
+) -> None:
     made, optimizer = problem(name)
     simulator = made.simulator
     assert len(simulator.owners) == agents
@@ -79,16 +83,31 @@ def test_a_message_takes_as_many_trials_as_dispatch_puts_into_it() -> None:
 def test_constants_are_measured_on_servers(tmp_path: Path) -> None:
     """A real server of this machine, in a real program."""
     done = subprocess.run(
-        [sys.executable, "-m", "zswarm.ot", "predict", "xor", "--servers", "local", "--set",
-        "cluster.local_slots=2", "--json"],
-        cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False,
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            "zswarm.ot",
+            "predict",
+            "xor",
+            "--servers",
+            "local",
+            "--set",
+            "cluster.local_slots=2",
+            "--json",
+        ],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
     assert (told["servers"], told["slots"], told["constants_from"]) == (1, 2, "measured")
     measured = told["constants"]
     assert all(
-        0 < measured[key] < 1 for key in ("step_s", "message_s", "busy_s", "evolve_s", "dispatch_s")
+        0 < measured[key] < 1
+        for key in ("step_s", "message_s", "busy_s", "evolve_s", "dispatch_s")
     )
     assert measured["busy_s"] <= measured["message_s"] * 2
     assert told["plan"]["agents"] == 4, "the four lines of the table are answered at once"
@@ -99,7 +118,9 @@ def test_constants_are_measured_on_servers(tmp_path: Path) -> None:
 
 def test_the_papers_table_needs_no_server(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
-    done = CliRunner().invoke(cli.command, ["predict", "stadium", "--table1", "--slots", "8"])
+    done = CliRunner().invoke(
+        cli.command, ["predict", "stadium", "--table1", "--slots", "8"]
+    )
     assert done.exit_code == 0, done.output
     assert "Table I of the paper" in done.output
     assert "predicted for 8" in done.output
@@ -109,10 +130,24 @@ def test_the_papers_table_needs_no_server(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_predict_without_a_server_fails_with_one_line(tmp_path: Path) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "zswarm.ot", "predict", "xor", "--servers", "1", "--no-multicast",
-        "--connect", "tcp/127.0.0.1:9"],
-        cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False,
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            "zswarm.ot",
+            "predict",
+            "xor",
+            "--servers",
+            "1",
+            "--no-multicast",
+            "--connect",
+            "tcp/127.0.0.1:9",
+        ],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
     assert done.returncode == EXIT_NO_SERVERS
     assert done.stderr.count("\n") == 1
     assert "zswarm-ot doctor" in done.stderr
@@ -144,9 +179,12 @@ def test_a_mistake_is_reported_in_one_line(arguments: list[str], told: str) -> N
 def with_times(folder: Path, seconds: float) -> Run:
     """The generations of a run, so many seconds apart."""
     with sqlite3.connect(folder / "run.sqlite") as database:
-        begun = database.execute("SELECT value FROM meta WHERE key = 'created_at'").fetchone()[0]
+        begun = database.execute(
+            "SELECT value FROM meta WHERE key = 'created_at'"
+        ).fetchone()[0]
         database.execute(
-            "UPDATE generations SET finished_at = ? + (generation + 1) * ?", (begun, seconds)
+            "UPDATE generations SET finished_at = ? + (generation + 1) * ?",
+            (begun, seconds),
         )
     database.close()
     return Run(folder)
@@ -154,7 +192,10 @@ def with_times(folder: Path, seconds: float) -> Run:
 
 def test_a_run_is_predicted_from_its_first_generations(tmp_path: Path) -> None:
     """Three candidates of .01 s take three slots a third of that; the rest of .05 s is a gap."""
-    notes = [Note("server_joined", "lab-1", count=2), Note("server_slots", "lab-1", count=3)]
+    notes = [
+        Note("server_joined", "lab-1", count=2),
+        Note("server_slots", "lab-1", count=3),
+    ]
     run = with_times(written(tmp_path, range(1, 21), notes=notes), 0.05)
     champion = run.champion()
     assert champion is not None
@@ -166,8 +207,13 @@ def test_a_run_is_predicted_from_its_first_generations(tmp_path: Path) -> None:
     assert seen.measured_s == pytest.approx(19 * 0.05, rel=1e-4)
     assert seen.predicted_s == pytest.approx(19 * 0.05, rel=1e-4)
     plan = constants.plan_of(problem("stadium").problem, [champion.genome], 3, 3)
-    assert seen.broker_s > 19 * 3 / 3 * 2 * plan.steps * plan.agents * cost_model.TABLE_I.message_s
-    assert seen.files_s == pytest.approx(19 * (0.05 + 0.00535 + 8.833 + 0.00069), rel=1e-4)
+    assert (
+        seen.broker_s
+        > 19 * 3 / 3 * 2 * plan.steps * plan.agents * cost_model.TABLE_I.message_s
+    )
+    assert seen.files_s == pytest.approx(
+        19 * (0.05 + 0.00535 + 8.833 + 0.00069), rel=1e-4
+    )
     assert math.isfinite(seen.broker_s)
 
 
@@ -175,7 +221,9 @@ def test_a_run_is_predicted_from_its_first_generations(tmp_path: Path) -> None:
 def test_a_short_run_is_not_predicted(generations: int, tmp_path: Path) -> None:
     run = Run(
         written(
-            tmp_path, range(1, generations + 1), notes=[Note("server_joined", "lab-1", count=2)]
+            tmp_path,
+            range(1, generations + 1),
+            notes=[Note("server_joined", "lab-1", count=2)],
         )
     )
     champion = run.champion()
@@ -187,7 +235,8 @@ def test_the_report_shows_both(tmp_path: Path) -> None:
     from zswarm.ot.report import report
 
     run = with_times(
-        written(tmp_path, range(1, 21), notes=[Note("server_joined", "lab-1", count=3)]), 0.05
+        written(tmp_path, range(1, 21), notes=[Note("server_joined", "lab-1", count=3)]),
+        0.05,
     )
     page = report.of_run(run, trials=0)
     assert "Time, predicted and measured" in page

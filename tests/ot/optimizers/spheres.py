@@ -35,7 +35,8 @@ class Vector(Representation):
     def random(self, count: int, stream: Stream) -> list[bytes]:
         assert self.genes is not None
         table = (
-            stream.uniform(-1.0, 1.0, count * self.genes).reshape(count, self.genes) * self.ranges
+            stream.uniform(-1.0, 1.0, count * self.genes).reshape(count, self.genes)
+            * self.ranges
         )
         return [row.tobytes() for row in table.astype("<f4")]
 
@@ -50,7 +51,9 @@ def sphere(genomes: Sequence[bytes], vector: Vector) -> np.ndarray:
     return -np.square(vector.parameters(genomes) / vector.ranges - CENTRE).sum(axis=1)
 
 
-def make(kind: type[Optimizer], genes: int | None, seed: int = 1, **settings: Any) -> Optimizer:
+def make(
+    kind: type[Optimizer], genes: int | None, seed: int = 1, **settings: Any
+) -> Optimizer:
     return kind(convert(settings, kind.settings_type, "settings"), Vector(genes), seed)
 
 
@@ -61,7 +64,9 @@ def evolve(optimizer: Optimizer, generations: int) -> list[Told]:
     told = []
     for _ in range(generations):
         genomes = optimizer.ask()
-        measures = (vector.parameters(genomes) / vector.ranges)[:, : len(optimizer.measures)]
+        measures = (vector.parameters(genomes) / vector.ranges)[
+            :, : len(optimizer.measures)
+        ]
         told.append(Told(genomes, sphere(genomes, vector), measures.astype(np.float64)))
         optimizer.tell(told[-1].fitness, told[-1].measures)
     return told

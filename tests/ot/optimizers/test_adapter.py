@@ -45,10 +45,14 @@ class Nearby(Adapter):
             self.settings.candidates, self.genes
         )
         return (
-            proposed + self.settings.drift if self.generation >= self.settings.later else proposed
+            proposed + self.settings.drift
+            if self.generation >= self.settings.later
+            else proposed
         )
 
-    def _learn(self, solutions: np.ndarray, fitness: np.ndarray, measures: np.ndarray) -> None:
+    def _learn(
+        self, solutions: np.ndarray, fitness: np.ndarray, measures: np.ndarray
+    ) -> None:
         self.told.append((solutions, fitness, measures))
         if fitness.max() > self.height:
             self.centre, self.height = solutions[fitness.argmax()], fitness.max()
@@ -75,7 +79,9 @@ def test_tell_receives_the_evaluated_vectors() -> None:
     (told,) = evolve(optimizer, 1)
     solutions, fitness, _ = optimizer.told[0]
     ranges = optimizer.representation.ranges
-    assert np.array_equal(solutions, optimizer.representation.parameters(told.genomes) / ranges)
+    assert np.array_equal(
+        solutions, optimizer.representation.parameters(told.genomes) / ranges
+    )
     assert [row.tobytes() for row in (solutions * ranges).astype("<f4")] == told.genomes
     assert np.array_equal(fitness, told.fitness)
     proposed = 0.5 * np.random.RandomState(1).randn(6, 7)
@@ -119,7 +125,8 @@ def test_tell_receives_the_recorded_vectors_if_proposals_diverge() -> None:
     assert new.diverged == 4
     for (solutions, fitness, _), generation in zip(new.told, told, strict=True):
         assert np.array_equal(
-            solutions, new.representation.parameters(generation.genomes) / new.representation.ranges
+            solutions,
+            new.representation.parameters(generation.genomes) / new.representation.ranges,
         )
         assert np.array_equal(fitness, generation.fitness)
     assert new.best() == old.best()
@@ -134,7 +141,9 @@ def test_an_optimizer_that_cannot_receive_recorded_vectors_is_refused() -> None:
         match="generation 0 was recorded with 6 candidates, and this program proposes 7: resume",
     ):
         restored(old, told, candidates=7)
-    with pytest.raises(ConfigError, match="2 generations are recorded; its state is of 3"):
+    with pytest.raises(
+        ConfigError, match="2 generations are recorded; its state is of 3"
+    ):
         restored(old, told[:2])
 
 
@@ -152,7 +161,8 @@ def test_no_more_is_told_again_than_the_state_is_of() -> None:
 
 def test_values_that_are_not_finite_or_of_another_shape_are_refused() -> None:
     with pytest.raises(
-        ValueError, match=r"Nearby\._propose must return \(n, 7\) finite numbers, not array"
+        ValueError,
+        match=r"Nearby\._propose must return \(n, 7\) finite numbers, not array",
     ):
         nearby(scale=float("nan")).ask()
     with pytest.raises(ValueError, match="finite numbers"):
@@ -203,7 +213,9 @@ def test_linear_algebra_has_one_thread_whatever_the_program_has() -> None:
 
 def test_the_ten_lines_of_the_document_are_an_optimizer() -> None:
     """They bring another optimizer of another package."""
-    blocks = re.findall(r"^```python\n(.*?)^```", DOCUMENT.read_text(encoding="utf-8"), re.S | re.M)
+    blocks = re.findall(
+        r"^```python\n(.*?)^```", DOCUMENT.read_text(encoding="utf-8"), re.S | re.M
+    )
     (code,) = (block for block in blocks if "(Adapter)" in block)
     namespace: dict[str, Any] = {}
     exec(compile(code, DOCUMENT.name, "exec"), namespace)  # noqa: S102  our own text

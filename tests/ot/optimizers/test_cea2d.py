@@ -22,7 +22,11 @@ def evolved(optimizer: CEA2D, generations: int, stream: Stream) -> CEA2D:
 def hood(cell: int, width: int, height: int) -> list[int]:
     """The cell and those around it."""
     y, x = divmod(cell, width)
-    return [(y + dy) % height * width + (x + dx) % width for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
+    return [
+        (y + dy) % height * width + (x + dx) % width
+        for dy in (-1, 0, 1)
+        for dx in (-1, 0, 1)
+    ]
 
 
 def table(genome: bytes) -> np.ndarray:
@@ -30,7 +34,9 @@ def table(genome: bytes) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("width", "height"), [(10, 10), (3, 7), (5, 3)])
-def test_a_cell_sees_itself_and_eight_others_across_the_edges(width: int, height: int) -> None:
+def test_a_cell_sees_itself_and_eight_others_across_the_edges(
+    width: int, height: int
+) -> None:
     optimizer = CEA2D(Cea2dSettings(width=width, height=height), NETWORK, 1)
     for cell, seen in enumerate(optimizer._hoods.tolist()):
         assert sorted(seen) == sorted(hood(cell, width, height))
@@ -49,7 +55,10 @@ def test_ten_times_ten_are_evaluated_and_one_of_nine_is_the_elite() -> None:
 
 @pytest.mark.parametrize(
     "settings",
-    [Cea2dSettings(), Cea2dSettings(width=6, height=4, elite=0.33, mutation=0.3, crossover=0.2)],
+    [
+        Cea2dSettings(),
+        Cea2dSettings(width=6, height=4, elite=0.33, mutation=0.3, crossover=0.2),
+    ],
 )
 def test_every_cell_is_replaced_by_what_it_sees(settings: Cea2dSettings) -> None:
     optimizer = evolved(CEA2D(settings, NETWORK, 2), 1, Stream(3))
@@ -70,7 +79,10 @@ def test_every_cell_is_replaced_by_what_it_sees(settings: Cea2dSettings) -> None
             changed += [] if stays else [after[cell]]
             if made[cell] == "mutation":
                 assert (
-                    min(np.abs(table(after[cell]) - table(before[other])).max() for other in best)
+                    min(
+                        np.abs(table(after[cell]) - table(before[other])).max()
+                        for other in best
+                    )
                     <= 0.6 + 1e-6
                 )
             elif made[cell] == "crossover":
@@ -106,7 +118,9 @@ def test_operators_have_their_shares_of_the_cells_that_do_not_stay(
         statistics = optimizer.statistics()
         assert sum(statistics[f"count_{name}"] for name in ("elite", *shares)) == 100
     changed = sum(made.values()) - made["elite"]
-    assert {name: made[name] / changed for name in shares} == pytest.approx(shares, abs=0.02)
+    assert {name: made[name] / changed for name in shares} == pytest.approx(
+        shares, abs=0.02
+    )
 
 
 def test_good_genes_spread_by_one_cell_in_a_generation() -> None:
@@ -119,7 +133,9 @@ def test_good_genes_spread_by_one_cell_in_a_generation() -> None:
     best = table(optimizer._genomes[55])
     genomes = [table(genome) for genome in (optimizer.ask(), optimizer._population)[1]]
     near = [
-        cell for cell, genome in enumerate(genomes) if np.abs(genome - best).max() <= 0.6 + 1e-6
+        cell
+        for cell, genome in enumerate(genomes)
+        if np.abs(genome - best).max() <= 0.6 + 1e-6
     ]
     assert near == [44, 45, 46, 54, 55, 56, 64, 65, 66]
 
@@ -139,7 +155,17 @@ def test_ties_are_ranked_by_index_and_failures_last() -> None:
     nan = float("nan")
     optimizer.tell(np.array([nan, -np.inf, 2.0, 2.0, nan, 1.0, 0.0, nan, nan]))
     stays, best = optimizer._ranked()
-    assert stays.tolist() == [False, False, True, False, False, False, False, False, False]
+    assert stays.tolist() == [
+        False,
+        False,
+        True,
+        False,
+        False,
+        False,
+        False,
+        False,
+        False,
+    ]
     assert best.tolist() == 9 * [[2]]
 
 

@@ -21,7 +21,8 @@ GENES = 6
 
 
 @pytest.mark.parametrize(
-    "settings", [{"separable": True}, {"restarts": "bipop", "population": 12, "sigma": 1.5}]
+    "settings",
+    [{"separable": True}, {"restarts": "bipop", "population": 12, "sigma": 1.5}],
 )
 def test_cmaes_keeps_the_contract_of_optimizers(settings: dict[str, object]) -> None:
     check_optimizer(CMAES, settings)
@@ -32,20 +33,32 @@ def test_it_proposes_what_the_package_proposes(separable: bool) -> None:
     """From the same seed, and told the same numbers: the vectors that were evaluated."""
     ours = make(CMAES, GENES, seed=5, separable=separable, sigma=0.4, population=10)
     package = (cmaes.SepCMA if separable else cmaes.CMA)(
-        mean=np.zeros(GENES), sigma=0.4, population_size=10, seed=derive_seed(5, "cmaes", 0) >> 32
+        mean=np.zeros(GENES),
+        sigma=0.4,
+        population_size=10,
+        seed=derive_seed(5, "cmaes", 0) >> 32,
     )
     ranges = Vector(GENES).ranges
     for _ in range(40):
         proposed = np.array([package.ask() for _ in range(10)])
         (told,) = evolve(ours, 1)
-        assert [row.tobytes() for row in (proposed * ranges).astype("<f4")] == told.genomes
-        evaluated = np.frombuffer(b"".join(told.genomes), "<f4").reshape(-1, GENES) / ranges
+        assert [
+            row.tobytes() for row in (proposed * ranges).astype("<f4")
+        ] == told.genomes
+        evaluated = (
+            np.frombuffer(b"".join(told.genomes), "<f4").reshape(-1, GENES) / ranges
+        )
         package.tell(
-            [(solution, -value) for solution, value in zip(evaluated, told.fitness, strict=True)]
+            [
+                (solution, -value)
+                for solution, value in zip(evaluated, told.fitness, strict=True)
+            ]
         )
 
 
-def test_the_separable_form_finds_the_top_of_a_sphere_that_random_search_does_not() -> None:
+def test_the_separable_form_finds_the_top_of_a_sphere_that_random_search_does_not() -> (
+    None
+):
     """Ten seeds of each, as many evaluations."""
     generations, found, at_random = 40, [], []
     for seed in range(10):
@@ -173,12 +186,18 @@ def reached(seed: int, optimizer: dict[str, object]) -> float:
         "seed": seed
     }
     mapping["optimizer"] = optimizer or mapping["optimizer"]
-    problem, evolving = build(experiment.complete(experiment.check(mapping, "test"), "test"))
+    problem, evolving = build(
+        experiment.complete(experiment.check(mapping, "test"), "test")
+    )
     evaluations = 0
     while evaluations < 2000:
         work = problem.workload(evolving.ask(), 0)
         work.fitness[:] = evaluate(
-            problem.simulator, problem.representation, work.genomes, work.participants, work.seeds
+            problem.simulator,
+            problem.representation,
+            work.genomes,
+            work.participants,
+            work.seeds,
         ).fitness
         evolving.tell(problem.total(work))
         evaluations += len(work.genomes)

@@ -7,7 +7,12 @@ import pytest
 
 from zswarm.kernels.random import Stream
 from zswarm.nets.fully_meshed import FullyMeshed, FullyMeshedSettings
-from zswarm.ot.optimizers.cuckoo import DEVIATION, CuckooSearch, CuckooSettings, _two_thirds
+from zswarm.ot.optimizers.cuckoo import (
+    DEVIATION,
+    CuckooSearch,
+    CuckooSettings,
+    _two_thirds,
+)
 
 NETWORK = FullyMeshed(FullyMeshedSettings(), 2, 2)
 
@@ -24,8 +29,12 @@ def sphere(genomes: list[bytes]) -> np.ndarray:
 
 
 def test_the_power_2_3_is_right_to_the_last_bits() -> None:
-    numbers = np.concatenate([Stream(1).normal(0.0, 1.0, 20_000), 2.0 ** np.arange(-50.0, 5.0)])
-    exact = np.cbrt(np.longdouble(numbers * numbers))  # some C libraries' cbrt is off by 2 bits
+    numbers = np.concatenate(
+        [Stream(1).normal(0.0, 1.0, 20_000), 2.0 ** np.arange(-50.0, 5.0)]
+    )
+    exact = np.cbrt(
+        np.longdouble(numbers * numbers)
+    )  # some C libraries' cbrt is off by 2 bits
     assert np.abs(_two_thirds(numbers) / exact - 1.0).max() < 5e-16
 
 
@@ -34,7 +43,8 @@ def test_the_deviation_is_mantegnas() -> None:
     above = math.gamma(1 + b) * math.sin(math.pi * b / 2)
     assert (
         pytest.approx(
-            (above / (math.gamma((1 + b) / 2) * b * 2 ** ((b - 1) / 2))) ** (1 / b), rel=1e-15
+            (above / (math.gamma((1 + b) / 2) * b * 2 ** ((b - 1) / 2))) ** (1 / b),
+            rel=1e-15,
         )
         == DEVIATION
     )
@@ -44,10 +54,14 @@ def test_long_flights_are_as_rare_as_levys() -> None:
     """Beyond x there are as many as x to the power -3/2 says: an eighth of them beyond 4 x."""
     stream = Stream(2)
     flights = np.abs(
-        DEVIATION * stream.normal(0, 1, 400_000) / _two_thirds(stream.normal(0, 1, 400_000))
+        DEVIATION
+        * stream.normal(0, 1, 400_000)
+        / _two_thirds(stream.normal(0, 1, 400_000))
     )
     for x in (5.0, 20.0):
-        assert (flights > 4 * x).sum() / (flights > x).sum() == pytest.approx(1 / 8, rel=0.15)
+        assert (flights > 4 * x).sum() / (flights > x).sum() == pytest.approx(
+            1 / 8, rel=0.15
+        )
 
 
 def test_flights_from_all_nests_and_discovery_of_some_take_turns() -> None:
@@ -91,7 +105,9 @@ def test_flights_leave_the_best_nest_where_it_is() -> None:
 
 
 def test_a_discovered_nest_moves_by_a_share_of_the_difference_of_two_nests() -> None:
-    optimizer = CuckooSearch(CuckooSettings(population=5, discovery=1.0, bound=100.0), NETWORK, 1)
+    optimizer = CuckooSearch(
+        CuckooSettings(population=5, discovery=1.0, bound=100.0), NETWORK, 1
+    )
     for _ in range(2):
         genomes = optimizer.ask()
         optimizer.tell(sphere(genomes))
@@ -99,13 +115,20 @@ def test_a_discovered_nest_moves_by_a_share_of_the_difference_of_two_nests() -> 
     moved = places(optimizer.ask()) - nests
     differences = [nests[i] - nests[j] for i in range(5) for j in range(5) if i != j]
     for step in moved[np.abs(moved).max(axis=1) > 1e-6]:
-        shares = [(step * difference).sum() / (difference**2).sum() for difference in differences]
+        shares = [
+            (step * difference).sum() / (difference**2).sum()
+            for difference in differences
+        ]
         rests = [
             np.abs(step - share * difference).max()
             for share, difference in zip(shares, differences, strict=True)
         ]
         assert min(rests) < 1e-6
-        assert 0.0 < max(shares[index] for index in np.flatnonzero(np.array(rests) < 1e-6)) < 1.0
+        assert (
+            0.0
+            < max(shares[index] for index in np.flatnonzero(np.array(rests) < 1e-6))
+            < 1.0
+        )
 
 
 def test_discovery_asks_for_one_at_least() -> None:
@@ -118,7 +141,9 @@ def test_discovery_asks_for_one_at_least() -> None:
 
 
 def test_eggs_stay_within_the_bound() -> None:
-    optimizer = CuckooSearch(CuckooSettings(population=10, step=50.0, bound=1.25), NETWORK, 1)
+    optimizer = CuckooSearch(
+        CuckooSettings(population=10, step=50.0, bound=1.25), NETWORK, 1
+    )
     for _ in range(10):
         genomes = optimizer.ask()
         assert np.abs(places(genomes)).max() <= 1.2500001

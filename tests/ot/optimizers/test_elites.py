@@ -25,7 +25,11 @@ from zswarm.testing import check_optimizer
 
 DOCUMENT = REPOSITORY / "docs" / "optimizers.md"
 GRID = {"measures": ["a", "b"], "lows": [-2, -2], "highs": [2, 2], "cells": [10, 12]}
-KINDS = [(MapElites, {}), (CmaMe, {}), (CmaMe, {"separable": True, "emitters": 2, "population": 5})]
+KINDS = [
+    (MapElites, {}),
+    (CmaMe, {}),
+    (CmaMe, {"separable": True, "emitters": 2, "population": 5}),
+]
 
 
 def elites(kind: type[Elites], genes: int = 8, **settings: Any) -> Elites:
@@ -46,9 +50,13 @@ def test_the_archive_holds_the_best_of_each_cell(
     optimizer = elites(kind, **settings)
     best: dict[tuple[int, ...], tuple[float, bytes]] = {}
     for genomes, fitness, measures in evolve(optimizer, 30):
-        for genome, value, measured in zip(genomes, fitness.tolist(), measures, strict=True):
+        for genome, value, measured in zip(
+            genomes, fitness.tolist(), measures, strict=True
+        ):
             steps = np.floor((measured - GRID["lows"]) / 4.0 * GRID["cells"])
-            cell = tuple(np.clip(steps, 0, np.array(GRID["cells"]) - 1).astype(int).tolist())
+            cell = tuple(
+                np.clip(steps, 0, np.array(GRID["cells"]) - 1).astype(int).tolist()
+            )
             if cell not in best or value > best[cell][0]:
                 best[cell] = value, genome
     archive = optimizer.archive.data()
@@ -64,7 +72,9 @@ def test_the_archive_holds_the_best_of_each_cell(
     statistics = optimizer.statistics()
     assert statistics["elites"] == len(best)
     assert statistics["coverage"] == pytest.approx(len(best) / 120)
-    assert statistics["qd_score"] == pytest.approx(sum(value for value, _ in best.values()))
+    assert statistics["qd_score"] == pytest.approx(
+        sum(value for value, _ in best.values())
+    )
 
 
 def test_the_score_counts_fitness_from_its_offset() -> None:
@@ -94,7 +104,11 @@ def test_failed_candidates_leave_no_trace_in_the_archive(
     for generation in range(6):
         genomes = optimizer.ask()
         fitness, measures = np.ones(len(genomes)), np.zeros((len(genomes), 2))
-        failed = np.arange(len(genomes)) % 3 != 0 if generation % 2 else np.full(len(genomes), True)
+        failed = (
+            np.arange(len(genomes)) % 3 != 0
+            if generation % 2
+            else np.full(len(genomes), True)
+        )
         fitness[failed], measures[failed], measures[~failed] = np.nan, np.nan, 1.9
         optimizer.tell(fitness, measures)
         assert optimizer.statistics()["elites"] == (generation > 0)
@@ -108,7 +122,9 @@ def test_emitters_learn_from_what_was_evaluated() -> None:
     strangers = optimizer.representation.random(len(genomes), Stream(9))
     optimizer._asked = strangers
     table = optimizer.representation.parameters(strangers) / Vector(8).ranges
-    optimizer.tell(np.arange(len(genomes), dtype=np.float64), table[:, :2].astype(np.float64))
+    optimizer.tell(
+        np.arange(len(genomes), dtype=np.float64), table[:, :2].astype(np.float64)
+    )
     learned = np.concatenate([emitter._opt._solutions for emitter in optimizer._emitters])
     assert np.array_equal(learned, table)
 
@@ -119,7 +135,9 @@ def test_nothing_is_compiled_for_an_emitter() -> None:
         optimizer = elites(CmaMe, separable=separable)
         for emitter in optimizer._emitters:
             assert not [
-                name for name in COMPILED if hasattr(getattr(emitter._opt, name, None), "py_func")
+                name
+                for name in COMPILED
+                if hasattr(getattr(emitter._opt, name, None), "py_func")
             ]
         assert not [
             name
@@ -136,7 +154,10 @@ def test_nothing_is_compiled_for_an_emitter() -> None:
             "optimizer: measures: expected the names of metrics that describe behaviour",
         ),
         ({"lows": [0]}, "optimizer: lows: expected 2 numbers, one per measure, not 1"),
-        ({"cells": [3, 4, 5]}, "optimizer: cells: expected 2 numbers, one per measure, not 3"),
+        (
+            {"cells": [3, 4, 5]},
+            "optimizer: cells: expected 2 numbers, one per measure, not 3",
+        ),
         ({"lows": [2, 0]}, "optimizer: a: expected a low below its high, not 2 and 2"),
         (
             {"highs": [2, float("inf")]},
@@ -147,10 +168,15 @@ def test_nothing_is_compiled_for_an_emitter() -> None:
             {"cells": [2000, 2000]},
             "optimizer: cells: expected at most 1,000,000 in all, not 4,000,000",
         ),
-        ({"measures": ["a", "a"]}, "optimizer: measures: a name stands there twice: a, a"),
+        (
+            {"measures": ["a", "a"]},
+            "optimizer: measures: a name stands there twice: a, a",
+        ),
     ],
 )
-def test_a_grid_that_cannot_be_is_refused_in_one_line(settings: dict[str, Any], text: str) -> None:
+def test_a_grid_that_cannot_be_is_refused_in_one_line(
+    settings: dict[str, Any], text: str
+) -> None:
     with pytest.raises(ConfigError) as refusal:
         elites(MapElites, **settings)
     assert str(refusal.value) == text
@@ -167,7 +193,9 @@ def test_the_package_is_loaded_for_those_who_use_it_alone() -> None:
     """It takes seconds."""
     imports = "import sys, zswarm.ot.optimizers.elites, zswarm.ot.optimizers.cmaes"
     code = f"{imports}; print({{'ribs', 'cmaes'}} & set(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
     assert (done.stdout, done.stderr) == ("set()\n", "")
 
 
@@ -176,7 +204,9 @@ def test_where_the_package_is_missing_one_line_says_how_to_install_it(
 ) -> None:
     for name in ("ribs", "ribs.emitters"):
         monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(ConfigError, match=r"^an optimizer with an archive needs ribs: .* install "):
+    with pytest.raises(
+        ConfigError, match=r"^an optimizer with an archive needs ribs: .* install "
+    ):
         elites(MapElites)
 
 
@@ -204,7 +234,11 @@ def played(parts: run.Parts, generations: int, genomes: Any = None) -> run.Parts
         assessment = Assessment(problem, asked, generation)
         work = assessment.workload
         outcomes = evaluate(
-            problem.simulator, problem.representation, work.genomes, work.participants, work.seeds
+            problem.simulator,
+            problem.representation,
+            work.genomes,
+            work.participants,
+            work.seeds,
         )
         work.fitness[:], work.metrics[:] = outcomes.fitness, outcomes.metrics
         assessment.advance()
@@ -223,19 +257,31 @@ def test_they_find_more_and_better_ways_to_play_than_random_search() -> None:
         ):
             complete = experiment.complete(
                 experiment.check(
-                    experiment.to_mapping(loaded(kind=kind, **settings)) | {"seed": seed}, "test"
+                    experiment.to_mapping(loaded(kind=kind, **settings)) | {"seed": seed},
+                    "test",
                 ),
                 "test",
             )
-            scores[kind].append(played(build(complete), 100).optimizer.statistics()["qd_score"])
+            scores[kind].append(
+                played(build(complete), 100).optimizer.statistics()["qd_score"]
+            )
         parts = build(complete)
 
-        def genomes(generation: int, parts: run.Parts = parts, seed: int = seed) -> list[bytes]:
-            return parts.problem.representation.random(50, Stream(1000 * seed + generation))
+        def genomes(
+            generation: int, parts: run.Parts = parts, seed: int = seed
+        ) -> list[bytes]:
+            return parts.problem.representation.random(
+                50, Stream(1000 * seed + generation)
+            )
 
-        scores["random"].append(played(parts, 100, genomes).optimizer.statistics()["qd_score"])
+        scores["random"].append(
+            played(parts, 100, genomes).optimizer.statistics()["qd_score"]
+        )
     for kind in ("map-elites", "cma-me"):
-        assert mannwhitneyu(scores[kind], scores["random"], alternative="greater").pvalue < 0.01
+        assert (
+            mannwhitneyu(scores[kind], scores["random"], alternative="greater").pvalue
+            < 0.01
+        )
         assert np.median(scores[kind]) > 3 * np.median(scores["random"])
 
 
@@ -246,19 +292,30 @@ def test_the_archive_of_a_recorded_run_is_that_of_its_optimizer(
     monkeypatch.chdir(tmp_path)
     complete = loaded(kind="map-elites", population=20)
     problem, optimizer = build(complete)
-    with Record.create(Path("runs"), complete, "0" * 32, problem.simulator.metrics) as record:
+    with Record.create(
+        Path("runs"), complete, "0" * 32, problem.simulator.metrics
+    ) as record:
         for generation in range(6):
             genomes = optimizer.ask()
-            first = np.array([np.frombuffer(genome, "<f4")[:2] for genome in genomes], np.float64)
+            first = np.array(
+                [np.frombuffer(genome, "<f4")[:2] for genome in genomes], np.float64
+            )
             fitness, measures = first[:, 0].copy(), np.abs(first) * [2, 60]
             fitness[3], measures[3] = np.nan, np.nan
             optimizer.tell(fitness, measures)
             record.finish(
-                generation, genomes, fitness, optimizer.statistics(), optimizer.state(), measures
+                generation,
+                genomes,
+                fitness,
+                optimizer.statistics(),
+                optimizer.state(),
+                measures,
             )
     code = next(
         block
-        for block in re.findall(r"^```python\n(.*?)^```", DOCUMENT.read_text(), re.S | re.M)
+        for block in re.findall(
+            r"^```python\n(.*?)^```", DOCUMENT.read_text(), re.S | re.M
+        )
         if "GridArchive" in block
     )
     namespace: dict[str, Any] = {}
@@ -267,6 +324,7 @@ def test_the_archive_of_a_recorded_run_is_that_of_its_optimizer(
     for name in ("index", "objective", "measures"):
         assert np.array_equal(recorded[name], told[name])
     assert np.array_equal(
-        recorded["solution"], (told["solution"] * problem.representation.ranges).astype("<f4")
+        recorded["solution"],
+        (told["solution"] * problem.representation.ranges).astype("<f4"),
     )
     assert len(recorded["index"]) > 20

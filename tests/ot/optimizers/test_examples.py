@@ -41,7 +41,9 @@ def evolved(name: str, changes: Sequence[str], evaluations: int) -> tuple[float,
     return optimizer.best()[1], told
 
 
-def played(name: str, changes: Sequence[str], evaluations: int = 10**9) -> tuple[run.Parts, int]:
+def played(
+    name: str, changes: Sequence[str], evaluations: int = 10**9
+) -> tuple[run.Parts, int]:
     """The parts of an example after its run, and how many evaluations there were."""
     loaded = experiment.load(experiment.examples_folder() / f"{name}.toml", changes)
     complete = experiment.complete(loaded, name)
@@ -107,7 +109,11 @@ def test_novelty_finds_the_way_round_where_fitness_leads_behind_a_wall() -> None
     example, evaluations = NAMED["novelty"]
     found = [best(example, [f"seed={seed}"]) for seed in range(10)]
     bred = [
-        best(example, [f"seed={seed}", 'optimizer={kind="nnga"}', "generations=1000"], evaluations)
+        best(
+            example,
+            [f"seed={seed}", 'optimizer={kind="nnga"}', "generations=1000"],
+            evaluations,
+        )
         for seed in range(10)
     ]
     chance = [by_chance(example, seed, evaluations) for seed in range(10)]
@@ -119,7 +125,9 @@ def test_novelty_finds_the_way_round_where_fitness_leads_behind_a_wall() -> None
 
 def by_chance(example: str, seed: int, evaluations: int) -> float:
     return best(
-        example, [f"seed={seed}", 'optimizer={kind="random"}', "generations=1000"], evaluations
+        example,
+        [f"seed={seed}", 'optimizer={kind="random"}', "generations=1000"],
+        evaluations,
     )
 
 
@@ -128,13 +136,17 @@ def test_cma_me_has_a_higher_score_than_map_elites_with_as_many_candidates() -> 
     """Six of the ten seeds of the example's comment."""
     scores = {
         name: [
-            played(name, [f"seed={seed}", "generations=100"])[0].optimizer.statistics()["qd_score"]
+            played(name, [f"seed={seed}", "generations=100"])[0].optimizer.statistics()[
+                "qd_score"
+            ]
             for seed in range(1, 7)
         ]
         for name in ("cma-me", "minisim-elites")
     }
     assert (
-        mannwhitneyu(scores["cma-me"], scores["minisim-elites"], alternative="greater").pvalue
+        mannwhitneyu(
+            scores["cma-me"], scores["minisim-elites"], alternative="greater"
+        ).pvalue
         < 0.01
     )
 
@@ -145,7 +157,9 @@ def test_cma_me_has_a_higher_score_than_map_elites_with_as_many_candidates() -> 
 def late(parts: run.Parts, genome: bytes) -> float:
     """Return the share of right decisions in the second half of 200 held-out trials."""
     simulator = parts.problem.simulator
-    unseen = np.array([derive_seed(0, "unseen", trial) for trial in range(200)], np.uint64)
+    unseen = np.array(
+        [derive_seed(0, "unseen", trial) for trial in range(200)], np.uint64
+    )
     outcomes = evaluate(
         simulator,
         parts.problem.representation,
@@ -164,7 +178,10 @@ def test_a_network_that_learns_finds_out_what_is_food_and_others_do_not() -> Non
         champion = parts.optimizer.best()[0]
         assert late(parts, champion) > 0.8
         assert late(parts, champion[:-4] + bytes(4)) < 0.6
-    for kept in ('{kind="fully-meshed",hidden=0,iterations=1}', '{kind="fully-meshed",hidden=12}'):
+    for kept in (
+        '{kind="fully-meshed",hidden=0,iterations=1}',
+        '{kind="fully-meshed",hidden=12}',
+    ):
         parts, _ = played("food-or-poison", ["seed=1", f"representation={kept}"])
         assert late(parts, parts.optimizer.best()[0]) < 0.65
 

@@ -32,7 +32,9 @@ def told(evolving: NEAT, generations: int, fitness: Any = None) -> NEAT:
     """Tell generations; by default a network is better with more links."""
     for _ in range(generations):
         genomes = evolving.ask()
-        links = [float(evolving.representation.structure(genome)[1]) for genome in genomes]
+        links = [
+            float(evolving.representation.structure(genome)[1]) for genome in genomes
+        ]
         evolving.tell(np.array(links) if fitness is None else fitness(genomes))
     return evolving
 
@@ -90,7 +92,9 @@ def test_individuals_of_a_species_are_near_its_representative() -> None:
                 )
                 >= 2.0
             ).all(), "it joins the first that is near"
-    assert {of.representative for of in evolving._species} & set(representatives), "species last"
+    assert {of.representative for of in evolving._species} & set(representatives), (
+        "species last"
+    )
 
 
 def test_the_threshold_moves_until_there_are_as_many_species_as_wanted() -> None:
@@ -101,7 +105,9 @@ def test_the_threshold_moves_until_there_are_as_many_species_as_wanted() -> None
     )
     assert len(many._species) > 8 > 5 > len(few._species)
     assert many._threshold < few._threshold
-    fixed = told(optimizer(population=60, representation=growing, species=0, threshold=1.7), 5)
+    fixed = told(
+        optimizer(population=60, representation=growing, species=0, threshold=1.7), 5
+    )
     assert fixed._threshold == 1.7
 
 
@@ -110,12 +116,19 @@ def test_the_threshold_moves_until_there_are_as_many_species_as_wanted() -> None
 
 def test_a_species_has_offspring_as_its_mean_fitness_is() -> None:
     """Counted from the worst, which is 1: means of 2, 4 and 0, so thirds of twelve."""
-    evolving = with_species([3.0, 3.0, 3.0, 3.0], [7.0, 5.0, 3.0, 5.0], [1.0, 1.0, 1.0, 1.0])
+    evolving = with_species(
+        [3.0, 3.0, 3.0, 3.0], [7.0, 5.0, 3.0, 5.0], [1.0, 1.0, 1.0, 1.0]
+    )
     assert evolving._counts() == [4, 8, 0]
 
 
 def test_the_count_of_offspring_is_the_population_whatever_the_shares() -> None:
-    for shares in ([1.0, 1.0, 1.0], [0.1, 1e-9, 5.0], [0.0, 0.0, 1.0], [1 / 3, 1 / 7, 1 / 9]):
+    for shares in (
+        [1.0, 1.0, 1.0],
+        [0.1, 1e-9, 5.0],
+        [0.0, 0.0, 1.0],
+        [1 / 3, 1 / 7, 1 / 9],
+    ):
         counts = neat._rounded(shares, 50)
         assert sum(counts) == 50
         assert all(
@@ -147,7 +160,11 @@ def test_a_generation_has_a_new_candidate_with_any_settings() -> None:
 
 
 def test_failed_individuals_count_as_the_worst() -> None:
-    assert with_species([7.0, float("nan")], [3.0, 3.0], [3.0, 1.0])._counts() == [3, 2, 1]
+    assert with_species([7.0, float("nan")], [3.0, 3.0], [3.0, 1.0])._counts() == [
+        3,
+        2,
+        1,
+    ]
 
 
 def test_a_species_that_gets_no_better_has_no_offspring_unless_it_has_the_best() -> None:
@@ -162,7 +179,9 @@ def test_a_species_that_gets_no_better_has_no_offspring_unless_it_has_the_best()
 
 
 def test_a_stagnating_population_continues_with_its_two_best_species() -> None:
-    evolving = with_species([5.0, 5.0], [9.0, 9.0], [6.0, 6.0], generation=22, improved=21)
+    evolving = with_species(
+        [5.0, 5.0], [9.0, 9.0], [6.0, 6.0], generation=22, improved=21
+    )
     evolving._improved = 1
     counts = evolving._counts()
     assert counts[0] == 0
@@ -176,10 +195,14 @@ def test_relative_fitness_knows_no_stagnation() -> None:
 
 
 def test_the_best_of_a_large_species_stays_as_it_is_and_is_not_evaluated_again() -> None:
-    evolving = with_species([9.0, *[8.0] * 5], [7.0, *[6.0] * 4, 1.0], [5.0] * 5, unmutated=0.0)
+    evolving = with_species(
+        [9.0, *[8.0] * 5], [7.0, *[6.0] * 4, 1.0], [5.0] * 5, unmutated=0.0
+    )
     best = [of.members[0].genome for of in evolving._species]
     asked = evolving.ask()
-    kept = [individual.genome for individual in evolving._population if individual.evaluated]
+    kept = [
+        individual.genome for individual in evolving._population if individual.evaluated
+    ]
     assert kept == best[:2], "the third has five, not more"
     assert len(asked) == 15
     assert not set(kept) & set(asked)
@@ -197,7 +220,10 @@ def test_where_fitness_is_relative_the_best_is_asked_again() -> None:
 def test_only_the_best_of_a_species_have_offspring() -> None:
     """A fifth of 20 and one more: the parents are five, of whom each child has all its numbers."""
     evolving = with_species(
-        [float(20 - place) for place in range(20)], crossover=0.0, elite_size=100, severity=1e-9
+        [float(20 - place) for place in range(20)],
+        crossover=0.0,
+        elite_size=100,
+        severity=1e-9,
     )
     evolving.representation = network(add_node=0.0, add_link=0.0, replace=0.0)
     parents = [individual.genome for individual in evolving._species[0].members]
@@ -276,7 +302,9 @@ def test_statistics_say_how_large_networks_are() -> None:
     ]
     assert said["species"] == len(evolving._species)
     assert said["species_largest"] == max(sizes(evolving))
-    assert (said["hidden_mean"], said["links_mean"]) == pytest.approx(np.mean(structures, axis=0))
+    assert (said["hidden_mean"], said["links_mean"]) == pytest.approx(
+        np.mean(structures, axis=0)
+    )
     assert (said["hidden_best"], said["links_best"]) == evolving.representation.structure(
         evolving.best()[0]
     )
@@ -301,10 +329,16 @@ def solved(seed: int) -> tuple[int, int, int] | None:
         genomes = evolving.ask()
         participants = np.arange(len(genomes)).reshape(-1, 1)
         outcomes = evaluate.evaluate(
-            simulator, representation, genomes, participants, np.zeros(len(genomes), np.uint64)
+            simulator,
+            representation,
+            genomes,
+            participants,
+            np.zeros(len(genomes), np.uint64),
         )
         evaluations += len(genomes)
-        right = np.flatnonzero(outcomes.metrics[:, simulator.metrics.index("correct")] == 4)
+        right = np.flatnonzero(
+            outcomes.metrics[:, simulator.metrics.index("correct")] == 4
+        )
         if len(right):
             return generation, evaluations, representation.structure(genomes[right[0]])[0]
         evolving.tell(outcomes.fitness[:, 0])

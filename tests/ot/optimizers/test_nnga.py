@@ -34,7 +34,10 @@ class Watched(FullyMeshed):
     """Notes every crossover."""
 
     def __init__(
-        self, settings: FullyMeshedSettings | None = None, inputs: int = 10, outputs: int = 2
+        self,
+        settings: FullyMeshedSettings | None = None,
+        inputs: int = 10,
+        outputs: int = 2,
     ) -> None:
         super().__init__(settings or FullyMeshedSettings(), inputs, outputs)
         self.crossed: list[tuple[bytes, bytes, bytes]] = []  # mother, father, child
@@ -64,13 +67,18 @@ def evolved(optimizer: NNGA, generations: int, stream: Stream | None = None) -> 
     """Tell fitness for some generations: random numbers, or less for more distance from zero."""
     for _ in range(generations):
         genomes = optimizer.ask()
-        optimizer.tell(stream.uniform(-9.0, -1.0, len(genomes)) if stream else sphere(genomes))
+        optimizer.tell(
+            stream.uniform(-9.0, -1.0, len(genomes)) if stream else sphere(genomes)
+        )
     return optimizer
 
 
 def sphere(genomes: list[bytes]) -> np.ndarray:
     return np.array(
-        [-float((np.frombuffer(genome, "<f4").astype(float) ** 2).sum()) for genome in genomes]
+        [
+            -float((np.frombuffer(genome, "<f4").astype(float) ** 2).sum())
+            for genome in genomes
+        ]
     )
 
 
@@ -84,7 +92,9 @@ def operators(optimizer: NNGA, island: int = 0) -> list[str]:
 
 def counts(size: int) -> tuple[int, ...]:
     made = NNGA(NNGASettings(population=size), Watched(), 1).counts
-    return tuple(made[name] for name in ("elite", "random", "mutation", "crossover", "renew"))
+    return tuple(
+        made[name] for name in ("elite", "random", "mutation", "crossover", "renew")
+    )
 
 
 # ---- sizes
@@ -108,13 +118,17 @@ def test_shares_are_cut_to_whole_individuals_and_the_elite_gets_the_rest(
     assert counts(size) == expected
     optimizer = evolved(NNGA(NNGASettings(population=size), Watched(), 1), 1)
     optimizer.ask()
-    assert Counter(operators(optimizer)) == Counter(dict(zip(OPERATORS, expected, strict=True)))
+    assert Counter(operators(optimizer)) == Counter(
+        dict(zip(OPERATORS, expected, strict=True))
+    )
 
 
 def test_the_recorded_counts_are_ours() -> None:
     recorded = {"mutation": "mutate", "crossover": "xover"}
     ours = dict(zip(OPERATORS, counts(TRACE["populationsize"]), strict=True))
-    assert {recorded.get(name, name): count for name, count in ours.items()} == TRACE["counts"]
+    assert {recorded.get(name, name): count for name, count in ours.items()} == TRACE[
+        "counts"
+    ]
 
 
 def test_50_are_evaluated_in_the_first_generation_and_37_in_every_other() -> None:
@@ -136,7 +150,13 @@ def test_every_island_has_a_population_of_its_own(islands: int) -> None:
     optimizer.tell(np.zeros(50 * islands))
     assert len(optimizer.ask()) == 37 * islands
     assert (
-        len({genome for island in range(islands) for genome in population(optimizer, island)})
+        len(
+            {
+                genome
+                for island in range(islands)
+                for genome in population(optimizer, island)
+            }
+        )
         == 50 * islands
     )
 
@@ -148,7 +168,9 @@ def test_shares_that_leave_nothing_to_the_elite_are_refused(share: str) -> None:
         ConfigError, match="leave 0 of 50 individuals to the elite; it needs at least 1"
     ):
         NNGA(NNGASettings(**(none | {share: 1.0})), Watched(), 1)
-    assert NNGA(NNGASettings(**(none | {"renew": 0.02})), Watched(), 1).counts["elite"] == 49
+    assert (
+        NNGA(NNGASettings(**(none | {"renew": 0.02})), Watched(), 1).counts["elite"] == 49
+    )
 
 
 @pytest.mark.parametrize(
@@ -166,7 +188,9 @@ def test_shares_without_new_individuals_are_refused(settings: dict[str, Any]) ->
 
 
 @pytest.mark.parametrize(
-    "generation", TRACE["generations"], ids=lambda generation: str(generation["generation"])
+    "generation",
+    TRACE["generations"],
+    ids=lambda generation: str(generation["generation"]),
 )
 def test_a_recorded_generation_is_made_as_ours(generation: dict[str, Any]) -> None:
     """The facts that our own generations are held to below."""
@@ -175,7 +199,9 @@ def test_a_recorded_generation_is_made_as_ours(generation: dict[str, Any]) -> No
     ranked = [id_ for id_, _ in generation["ranked"]]
     following = generation["next"]
     ids = [individual["id"] for individual in following]
-    assert generation["evaluations"] == (10 if generation["generation"] == 0 else 10 - places)
+    assert generation["evaluations"] == (
+        10 if generation["generation"] == 0 else 10 - places
+    )
     assert ids[:elite] == ranked[:elite]
     assert all(
         elite <= individual["rank_before"] < len(ranked) - 1
@@ -191,7 +217,9 @@ def test_a_recorded_generation_is_made_as_ours(generation: dict[str, Any]) -> No
             assert individual["parent"] in ids[:places]
     for _, mother, father, *_ in generation["xover_attempts"]:
         assert mother in ids[:places]
-        assert father in ranked[:places], "of the ranking before the random slots were swapped"
+        assert father in ranked[:places], (
+            "of the ranking before the random slots were swapped"
+        )
 
 
 def test_recorded_crossovers_were_rejected_only_where_the_child_existed() -> None:
@@ -200,10 +228,14 @@ def test_recorded_crossovers_were_rejected_only_where_the_child_existed() -> Non
     rejected = 0
     for generation in TRACE["generations"]:
         ids = [individual["id"] for individual in generation["next"]]
-        existing = {genome(id_) for id_ in ids if id_ in ids[:7]}  # elite, random, mutation
+        existing = {
+            genome(id_) for id_ in ids if id_ in ids[:7]
+        }  # elite, random, mutation
         for child, mother, father, first, taken in generation["xover_attempts"]:
             begin, end = first * row, (first + taken) * row
-            made = genome(mother)[:begin] + genome(father)[begin:end] + genome(mother)[end:]
+            made = (
+                genome(mother)[:begin] + genome(father)[begin:end] + genome(mother)[end:]
+            )
             assert (child not in ids) == (made in existing)
             rejected += made in existing
             existing.add(made)
@@ -215,10 +247,14 @@ def genome(id_: int) -> bytes:
 
 
 def test_survivors_of_a_recorded_generation_kept_their_fitness() -> None:
-    for before, after in zip(TRACE["generations"], TRACE["generations"][1:], strict=False):
+    for before, after in zip(
+        TRACE["generations"], TRACE["generations"][1:], strict=False
+    ):
         fitness = dict(after["ranked"])
         survivors = [
-            individual["id"] for individual in before["next"] if individual["rank_before"] >= 0
+            individual["id"]
+            for individual in before["next"]
+            if individual["rank_before"] >= 0
         ]
         assert len(survivors) == 3
         assert all(fitness[id_] == dict(before["ranked"])[id_] for id_ in survivors)
@@ -252,18 +288,27 @@ def test_our_generations_are_made_as_the_recorded_ones(size: int) -> None:
         assert asked == following[places:], "survivors keep their fitness"
 
         for mutant in following[places : places + mutation]:
-            reach = [np.abs(numbers(mutant) - numbers(parent)).max() for parent in survivors]
+            reach = [
+                np.abs(numbers(mutant) - numbers(parent)).max() for parent in survivors
+            ]
             assert min(reach) <= 0.6 + 1e-6
 
         existing = following[: places + mutation]
         for _, _, child in network.crossed:
             existing += [child] if child not in existing else []
-        assert following[: len(existing)] == existing, "children that existed are left out"
+        assert following[: len(existing)] == existing, (
+            "children that existed are left out"
+        )
         assert set(operators(optimizer)[len(existing) :]) <= {"renew"}
-        assert len(existing) == places + mutation + crossover or len(network.crossed) > REPEATS
+        assert (
+            len(existing) == places + mutation + crossover
+            or len(network.crossed) > REPEATS
+        )
         for mother, father, _ in network.crossed:
             assert mother in survivors
-            assert father in ranked[:places], "of the ranking before the random slots were swapped"
+            assert father in ranked[:places], (
+                "of the ranking before the random slots were swapped"
+            )
             fathers_outside += father not in survivors
             distances = network.distances([mother], ranked[:places])[0]
             farthest += ranked[int(np.argmax(distances))] == father
@@ -299,7 +344,9 @@ def test_a_slot_without_a_later_rank_keeps_its_own() -> None:
 
 def test_a_displaced_individual_can_come_back() -> None:
     """A pick swaps two ranks; one that was swapped away is sometimes drawn again."""
-    settings = NNGASettings(population=20, random=0.5, mutation=0.2, crossover=0.0, renew=0.2)
+    settings = NNGASettings(
+        population=20, random=0.5, mutation=0.2, crossover=0.0, renew=0.2
+    )
     optimizer = evolved(NNGA(settings, Watched(), 3), 1, Stream(1))
     came_back = 0
     for _ in range(100):
@@ -345,7 +392,12 @@ def test_when_no_crossover_is_new_the_rest_is_new_at_random() -> None:
     network = Barren()
     optimizer = evolved(NNGA(NNGASettings(), network, 1), 1)
     assert len(optimizer.ask()) == 37
-    assert Counter(operators(optimizer)) == {"elite": 8, "random": 5, "mutation": 20, "renew": 17}
+    assert Counter(operators(optimizer)) == {
+        "elite": 8,
+        "random": 5,
+        "mutation": 20,
+        "renew": 17,
+    }
     assert len(set(population(optimizer))) == 50
 
 
@@ -353,7 +405,9 @@ def test_when_no_crossover_is_new_the_rest_is_new_at_random() -> None:
 def test_a_hundred_rejections_are_repeated(wanted: int) -> None:
     network = Barren()
     network.barren = REPEATS
-    optimizer = evolved(NNGA(NNGASettings(population=10 if wanted == 3 else 50), network, 1), 1)
+    optimizer = evolved(
+        NNGA(NNGASettings(population=10 if wanted == 3 else 50), network, 1), 1
+    )
     optimizer.ask()
     assert REPEATS == 100
     assert len(network.crossed) == 100 + wanted
@@ -393,9 +447,13 @@ def foreign_fathers(settings: NNGASettings, generations: int) -> list[int]:
     foreign = []
     for _ in range(generations):
         network.crossed = []
-        before = [set(population(optimizer, island)) for island in range(settings.islands)]
+        before = [
+            set(population(optimizer, island)) for island in range(settings.islands)
+        ]
         genomes = optimizer.ask()
-        homes = [old | set(population(optimizer, island)) for island, old in enumerate(before)]
+        homes = [
+            old | set(population(optimizer, island)) for island, old in enumerate(before)
+        ]
         foreign.append(
             sum(
                 not any({mother, father} <= home for home in homes)
@@ -408,17 +466,28 @@ def foreign_fathers(settings: NNGASettings, generations: int) -> list[int]:
 
 def test_an_interval_of_0_exchanges_nothing_ever() -> None:
     assert (
-        foreign_fathers(NNGASettings(population=20, islands=3, exchange_interval=0), 25) == [0] * 25
+        foreign_fathers(NNGASettings(population=20, islands=3, exchange_interval=0), 25)
+        == [0] * 25
     )
 
 
 def test_islands_exchange_every_so_often_beginning_with_generation_0() -> None:
-    foreign = foreign_fathers(NNGASettings(population=20, islands=4, exchange_interval=5), 21)
-    assert {generation for generation, count in enumerate(foreign) if count} == {0, 5, 10, 15, 20}
+    foreign = foreign_fathers(
+        NNGASettings(population=20, islands=4, exchange_interval=5), 21
+    )
+    assert {generation for generation, count in enumerate(foreign) if count} == {
+        0,
+        5,
+        10,
+        15,
+        20,
+    }
 
 
 def test_fathers_come_from_all_islands_the_own_included() -> None:
-    foreign = foreign_fathers(NNGASettings(population=20, islands=2, exchange_interval=1), 100)
+    foreign = foreign_fathers(
+        NNGASettings(population=20, islands=2, exchange_interval=1), 100
+    )
     assert 0.4 < sum(foreign) / (100 * 2 * 6) < 0.6
 
 
@@ -448,7 +517,9 @@ def test_a_second_island_finds_fathers_that_the_first_one_just_bred() -> None:
 
 
 def test_every_child_draws_the_island_of_its_father_again() -> None:
-    foreign = foreign_fathers(NNGASettings(population=20, islands=2, exchange_interval=1), 30)
+    foreign = foreign_fathers(
+        NNGASettings(population=20, islands=2, exchange_interval=1), 30
+    )
     assert sum(count in (0, 12) for count in foreign) < 3, (
         "of the 12 children some fathers are foreign, others not"
     )
@@ -457,7 +528,8 @@ def test_every_child_draws_the_island_of_its_father_again() -> None:
 
 def test_a_single_island_has_no_one_to_exchange_with() -> None:
     assert (
-        foreign_fathers(NNGASettings(population=20, islands=1, exchange_interval=1), 5) == [0] * 5
+        foreign_fathers(NNGASettings(population=20, islands=1, exchange_interval=1), 5)
+        == [0] * 5
     )
 
 
@@ -471,12 +543,19 @@ def test_mutants_differ_from_their_parents_by_the_steps_of_the_method(
     """Method 1: severity times the range. Method 2: a fifth of a weight, at least 0.1; 10."""
     network = Watched()
     optimizer = evolved(
-        NNGA(NNGASettings(population=100, mutation_method=method, severity=severity), network, 2), 1
+        NNGA(
+            NNGASettings(population=100, mutation_method=method, severity=severity),
+            network,
+            2,
+        ),
+        1,
     )
     optimizer.ask()
     survivors = network.tables(population(optimizer)[:25])
     mutants = [
-        individual for individual in optimizer._population[0] if individual.operator == "mutation"
+        individual
+        for individual in optimizer._population[0]
+        if individual.operator == "mutation"
     ]
     assert len(mutants) == 40
     if method == 1:
@@ -490,7 +569,9 @@ def test_mutants_differ_from_their_parents_by_the_steps_of_the_method(
         parent = int(steps.max(axis=(1, 2)).argmin())
         assert steps[parent].max() <= 1.0 + 1e-5
         used = np.maximum(used, steps[parent])
-    assert used.min() > 0.8, "among 40 mutants every gene takes nearly the longest step once"
+    assert used.min() > 0.8, (
+        "among 40 mutants every gene takes nearly the longest step once"
+    )
 
 
 # ---- relative fitness
@@ -538,7 +619,9 @@ def test_ties_stay_in_order_and_failed_evaluations_come_last() -> None:
 def test_the_effectivity_of_new_individuals_is_counted() -> None:
     """With random fitness some new ones reach the elite; in FREVO the count is always 0."""
     stream = Stream(6)
-    optimizer = evolved(NNGA(NNGASettings(renew=0.2, mutation=0.25), Watched(), 1), 1, stream)
+    optimizer = evolved(
+        NNGA(NNGASettings(renew=0.2, mutation=0.25), Watched(), 1), 1, stream
+    )
     renewed = []
     for _ in range(30):
         before = optimizer.ask()
@@ -568,7 +651,9 @@ def test_statistics_describe_the_whole_population() -> None:
         for a in range(10)
         for b in range(a)
     ]
-    fitness = [individual.fitness for island in optimizer._islands for individual in island]
+    fitness = [
+        individual.fitness for island in optimizer._islands for individual in island
+    ]
     assert statistics["mean"] == np.mean(fitness)
     assert statistics["best"] == max(fitness)
     assert statistics["diversity_mean"] == pytest.approx(np.mean(pairs))
@@ -584,17 +669,23 @@ def test_diversity_is_over_every_pair_once_in_the_order_of_the_ranking() -> None
     genomes = population(optimizer)
     pairs = network.distances(genomes, genomes)[np.triu_indices(len(genomes), 1)]
     statistics = optimizer.statistics()
-    found = [statistics[f"diversity_{name}"] for name in ("mean", "max", "min", "deviation")]
+    found = [
+        statistics[f"diversity_{name}"] for name in ("mean", "max", "min", "deviation")
+    ]
     assert found == [pairs.mean(), pairs.max(), pairs.min(), pairs.std()]
 
 
-def test_of_a_large_population_as_many_as_a_generation_can_wait_for_are_compared() -> None:
+def test_of_a_large_population_as_many_as_a_generation_can_wait_for_are_compared() -> (
+    None
+):
     """Pairs of 1,000 individuals with 5,000 genes took a quarter of a minute in each generation."""
     network = FullyMeshed(FullyMeshedSettings(), 2, 1)
     genomes = network.random(2 * MOST + 1, Stream(1))
     taken = [genomes[index * len(genomes) // MOST] for index in range(MOST)]
     assert taken[:3] == [genomes[0], genomes[2], genomes[4]]
-    assert np.array_equal(distances_of_pairs(network, genomes), distances_of_pairs(network, taken))
+    assert np.array_equal(
+        distances_of_pairs(network, genomes), distances_of_pairs(network, taken)
+    )
     assert len(distances_of_pairs(network, genomes)) == MOST * (MOST - 1) // 2
 
 
@@ -608,7 +699,11 @@ def test_populations_lose_their_diversity_as_fast_as_frevos() -> None:
             genomes = optimizer.ask()
             participants = np.arange(len(genomes))[:, None]
             outcomes = evaluate(
-                simulator, network, genomes, participants, np.zeros(len(genomes), np.uint64)
+                simulator,
+                network,
+                genomes,
+                participants,
+                np.zeros(len(genomes), np.uint64),
             )
             optimizer.tell(outcomes.fitness[:, 0])
             diversity[seed, generation] = optimizer.statistics()["diversity_mean"]
@@ -682,7 +777,9 @@ def test_a_generation_asks_the_representation_once_for_all_and_once_for_each_chi
     assert network.calls == {"distances": -(-min(MOST, population) // STRIP)}
     network.calls.clear()
     optimizer.ask()
-    assert 0.3 * population <= network.calls.pop("crossover") <= 0.3 * population + REPEATS
+    assert (
+        0.3 * population <= network.calls.pop("crossover") <= 0.3 * population + REPEATS
+    )
     assert network.calls == {"random": 1, "mutate": 1, "distances": 1}
 
 

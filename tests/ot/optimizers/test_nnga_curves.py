@@ -25,13 +25,16 @@ def learning_curve(
         participants = np.repeat(np.arange(len(genomes)), trials).reshape(-1, 1)
         seeds = np.tile(np.array(simulator.fixed_seeds(trials), np.uint64), len(genomes))
         outcomes = evaluate(simulator, network, genomes, participants, seeds)
-        optimizer.tell(np.cumsum(outcomes.fitness.reshape(len(genomes), trials), axis=1)[:, -1])
+        optimizer.tell(
+            np.cumsum(outcomes.fitness.reshape(len(genomes), trials), axis=1)[:, -1]
+        )
         curve.append(optimizer.best()[1])
     return curve
 
 
 @pytest.mark.parametrize(
-    ("field", "trials", "golden"), [("stadium", 1, "stadium"), ("random", 10, "random_fields_10")]
+    ("field", "trials", "golden"),
+    [("stadium", 1, "stadium"), ("random", 10, "random_fields_10")],
 )
 @pytest.mark.parametrize(
     ("seeds", "generations"),
@@ -43,7 +46,10 @@ def test_the_median_of_runs_is_not_below_frevos_lower_quartile(
 ) -> None:
     simulator = EmergencyExit(EmergencyExitSettings(field=field))
     curves = np.array(
-        [learning_curve(simulator, trials, seed, generations[-1]) for seed in range(seeds)]
+        [
+            learning_curve(simulator, trials, seed, generations[-1])
+            for seed in range(seeds)
+        ]
     )
     for generation in generations:
         median = float(np.median(curves[:, generation]))

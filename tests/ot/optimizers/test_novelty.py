@@ -42,14 +42,18 @@ def test_novelty_is_the_mean_distance_to_the_nearest_others_and_the_archive() ->
 
 
 def test_one_of_two_that_do_the_same_is_the_others_neighbour() -> None:
-    optimizer = Novelty(NoveltySettings(measures=["x"], population=3, neighbours=1), NETWORK, 1)
+    optimizer = Novelty(
+        NoveltySettings(measures=["x"], population=3, neighbours=1), NETWORK, 1
+    )
     assert optimizer._novelty(np.array([[1.0], [1.0], [4.0]])).tolist() == [0.0, 0.0, 3.0]
     assert np.isnan(optimizer._novelty(np.array([[1.0]]))).all()
 
 
 def test_the_most_novel_of_parents_and_children_stay() -> None:
     optimizer = Novelty(
-        NoveltySettings(measures=["x"], population=3, neighbours=1, threshold=1e9), NETWORK, 1
+        NoveltySettings(measures=["x"], population=3, neighbours=1, threshold=1e9),
+        NETWORK,
+        1,
     )
     first = told(optimizer, [[0.0], [10.0], [20.0]])
     children = told(optimizer, [[0.5], [100.0], [19.0]])
@@ -60,19 +64,27 @@ def test_the_most_novel_of_parents_and_children_stay() -> None:
 
 def test_what_is_in_the_archive_is_new_no_more() -> None:
     optimizer = Novelty(
-        NoveltySettings(measures=["x"], population=2, neighbours=1, threshold=5.0), NETWORK, 1
+        NoveltySettings(measures=["x"], population=2, neighbours=1, threshold=5.0),
+        NETWORK,
+        1,
     )
     told(optimizer, [[0.0], [10.0]])
     assert optimizer._archive.tolist() == [[0.0], [10.0]]
     assert optimizer.statistics()["archive"] == 2.0
     told(optimizer, [[0.0], [7.0]])
-    assert optimizer._novelty(np.array([[0.0], [10.0], [50.0]])).tolist() == [0.0, 0.0, 40.0]
+    assert optimizer._novelty(np.array([[0.0], [10.0], [50.0]])).tolist() == [
+        0.0,
+        0.0,
+        40.0,
+    ]
 
 
 def test_the_threshold_rises_with_many_entries_and_falls_without() -> None:
     """By a fifth when more than four enter, by a twentieth after ten generations without one."""
     optimizer = Novelty(
-        NoveltySettings(measures=["x"], population=6, neighbours=1, threshold=1.0), NETWORK, 1
+        NoveltySettings(measures=["x"], population=6, neighbours=1, threshold=1.0),
+        NETWORK,
+        1,
     )
     thresholds = []
     for behaviours in ([[0.0], [3.0], [6.0], [9.0], [12.0], [15.0]], *20 * [[[0.0]] * 6]):
@@ -83,7 +95,9 @@ def test_the_threshold_rises_with_many_entries_and_falls_without() -> None:
 
 def test_four_that_enter_do_not_raise_the_threshold() -> None:
     optimizer = Novelty(
-        NoveltySettings(measures=["x"], population=5, neighbours=1, threshold=2.5), NETWORK, 1
+        NoveltySettings(measures=["x"], population=5, neighbours=1, threshold=2.5),
+        NETWORK,
+        1,
     )
     told(optimizer, [[0.0], [3.0], [6.0], [9.0], [9.0]])
     assert optimizer.statistics()["archive"] == 3.0
@@ -92,7 +106,9 @@ def test_four_that_enter_do_not_raise_the_threshold() -> None:
 
 @pytest.mark.parametrize("unit", [1e-3, 1.0, 1e6])
 def test_the_first_threshold_is_in_the_unit_of_the_measures(unit: float) -> None:
-    optimizer = Novelty(NoveltySettings(measures=["x"], population=4, neighbours=1), NETWORK, 1)
+    optimizer = Novelty(
+        NoveltySettings(measures=["x"], population=4, neighbours=1), NETWORK, 1
+    )
     told(optimizer, [[0.0], [unit], [3.0 * unit], [7.0 * unit]])
     assert optimizer.statistics()["threshold"] == pytest.approx(2.0 * unit)
     assert optimizer._archive.tolist() == [[7.0 * unit]]
@@ -101,7 +117,9 @@ def test_the_first_threshold_is_in_the_unit_of_the_measures(unit: float) -> None
 @pytest.mark.parametrize("first", [NAN, 7.0])
 def test_the_threshold_waits_for_the_first_that_do_something_new(first: float) -> None:
     """If all fail at first, or behave alike, the archive is neither closed nor open to all."""
-    optimizer = Novelty(NoveltySettings(measures=["x"], population=4, neighbours=1), NETWORK, 1)
+    optimizer = Novelty(
+        NoveltySettings(measures=["x"], population=4, neighbours=1), NETWORK, 1
+    )
     told(optimizer, [[first]] * 4)
     assert len(optimizer._archive) == 0
     told(optimizer, [[0.0], [1.0], [3.0], [20.0]])
@@ -113,10 +131,16 @@ def test_the_threshold_waits_for_the_first_that_do_something_new(first: float) -
 
 def test_what_has_no_behaviour_is_ranked_last_and_never_kept() -> None:
     optimizer = Novelty(
-        NoveltySettings(measures=["x", "y"], population=3, neighbours=2, threshold=1e-9), NETWORK, 1
+        NoveltySettings(measures=["x", "y"], population=3, neighbours=2, threshold=1e-9),
+        NETWORK,
+        1,
     )
-    first = told(optimizer, [[NAN, 1.0], [2.0, 3.0], [4.0, float("inf")]], [NAN, 1.0, 2.0])
-    assert optimizer._genomes == [first[0], first[1], first[2]], "one alone has no neighbour"
+    first = told(
+        optimizer, [[NAN, 1.0], [2.0, 3.0], [4.0, float("inf")]], [NAN, 1.0, 2.0]
+    )
+    assert optimizer._genomes == [first[0], first[1], first[2]], (
+        "one alone has no neighbour"
+    )
     children = told(optimizer, [[2.0, 2.0], [NAN, NAN], [0.0, 0.0]], [5.0, NAN, NAN])
     assert set(optimizer._genomes) == {first[1], children[0], children[2]}
     assert np.isfinite(optimizer._archive).all()
@@ -165,7 +189,9 @@ def test_it_goes_where_fitness_forbids() -> None:
                 .astype(float)
             )
             out = np.abs(place).max(axis=1)
-            optimizer.tell(np.where(out < 2.5, -out, np.where(out > 5.0, 100.0, -50.0)), place)
+            optimizer.tell(
+                np.where(out < 2.5, -out, np.where(out > 5.0, 100.0, -50.0)), place
+            )
         return optimizer.best()[1]
 
     found = {

@@ -30,14 +30,18 @@ def test_every_direction_is_tried_both_ways_around_the_mean() -> None:
     assert here.shape == (11, GENES)
     assert np.abs((here[1:6] + here[6:]) / 2 - here[0]).max() < 1e-6
     directions = (
-        Stream(derive_seed(1, "openai-es", 0)).normal(0.0, 1.0, 5 * GENES).reshape(5, GENES)
+        Stream(derive_seed(1, "openai-es", 0))
+        .normal(0.0, 1.0, 5 * GENES)
+        .reshape(5, GENES)
     )
     assert np.abs(here[1:6] - here[0] - 0.2 * directions).max() < 1e-6
 
 
 def test_the_mean_moves_as_adam_says_along_the_weighted_sum_of_directions() -> None:
     """In plain Python, number by number: algorithm 1 of either paper."""
-    settings = OpenAIESSettings(population=6, deviation=0.3, learning_rate=0.07, weight_decay=0.01)
+    settings = OpenAIESSettings(
+        population=6, deviation=0.3, learning_rate=0.07, weight_decay=0.01
+    )
     optimizer = OpenAIES(settings, NETWORK, 2)
     fitness, stream = np.empty(0), Stream(4)
     m, v = [0.0] * GENES, [0.0] * GENES
@@ -49,17 +53,22 @@ def test_the_mean_moves_as_adam_says_along_the_weighted_sum_of_directions() -> N
         fitness = stream.uniform(-9.0, 9.0, 7)
         optimizer.tell(fitness)
         directions = (
-            Stream(derive_seed(2, "openai-es", t - 1)).normal(0.0, 1.0, 3 * GENES).reshape(3, GENES)
+            Stream(derive_seed(2, "openai-es", t - 1))
+            .normal(0.0, 1.0, 3 * GENES)
+            .reshape(3, GENES)
         )
         ranks = np.argsort(np.argsort(fitness[1:])) / 5 - 0.5
         for d in range(GENES):
             gradient = (
-                sum((ranks[i] - ranks[3 + i]) * directions[i, d] for i in range(3)) / (6 * 0.3)
+                sum((ranks[i] - ranks[3 + i]) * directions[i, d] for i in range(3))
+                / (6 * 0.3)
                 - 0.01 * centre[d]
             )
             m[d] = 0.9 * m[d] + 0.1 * gradient
             v[d] = 0.999 * v[d] + 0.001 * gradient**2
-            centre[d] += 0.07 * (m[d] / (1 - 0.9**t)) / ((v[d] / (1 - 0.999**t)) ** 0.5 + 1e-8)
+            centre[d] += (
+                0.07 * (m[d] / (1 - 0.9**t)) / ((v[d] / (1 - 0.999**t)) ** 0.5 + 1e-8)
+            )
 
 
 def test_only_the_order_of_fitness_counts() -> None:

@@ -48,7 +48,9 @@ class Opaque(Representation):
     def random(self, count: int, stream: Stream) -> list[bytes]:
         return turned(self.network.random(count, stream))
 
-    def mutate(self, genomes: Sequence[bytes], stream: Stream, **options: Any) -> list[bytes]:
+    def mutate(
+        self, genomes: Sequence[bytes], stream: Stream, **options: Any
+    ) -> list[bytes]:
         return turned(self.network.mutate(turned(genomes), stream, **options))
 
     def crossover(self, mother: bytes, father: bytes, stream: Stream) -> bytes:
@@ -78,7 +80,9 @@ OWN_NETWORKS = {
 @pytest.mark.parametrize("name", plugins.names("optimizer"))
 def test_every_optimizer_keeps_the_contract(name: str) -> None:
     check_optimizer(
-        plugins.load("optimizer", name), NEEDED.get(name), representation=OWN_NETWORKS.get(name)
+        plugins.load("optimizer", name),
+        NEEDED.get(name),
+        representation=OWN_NETWORKS.get(name),
     )
 
 
@@ -158,7 +162,9 @@ def test_proposals_are_those_of_yesterday_and_of_every_machine(name: str) -> Non
         fitness = np.floor(stream.uniform(0.0, 99.0, len(genomes)))
         optimizer.tell(
             fitness,
-            stream.uniform(0.0, 1.0, len(genomes) * len(wanted) * 2).reshape(len(genomes), -1),
+            stream.uniform(0.0, 1.0, len(genomes) * len(wanted) * 2).reshape(
+                len(genomes), -1
+            ),
         )
         history.add(genomes, fitness)
     assert history.hex() == YESTERDAY[name]
@@ -175,18 +181,26 @@ AIMS: dict[str, dict[str, Any]] = {  # settings on the sphere
     "map-elites": MEASURES | GRID,
     "novelty": MEASURES | {"fitness": 0.9},  # novelty alone seeks no fitness
 }
-GROWN = Neat(convert({"add_node": 0.0, "add_link": 0.0}, Neat.settings_type, "settings"), 6, 5)
+GROWN = Neat(
+    convert({"add_node": 0.0, "add_link": 0.0}, Neat.settings_type, "settings"), 6, 5
+)
 MESHED = FullyMeshed(FullyMeshedSettings(), 2, 3)
 
 
 def numbers(genomes: list[bytes], network: Representation) -> np.ndarray:
     """(genomes, 35) float64: what the sphere is of."""
     if network is MESHED:
-        return np.frombuffer(b"".join(genomes), "<f4").reshape(len(genomes), -1).astype(float)
+        return (
+            np.frombuffer(b"".join(genomes), "<f4")
+            .reshape(len(genomes), -1)
+            .astype(float)
+        )
     rows = []
     for genome in genomes:  # of five outputs and thirty links, for nothing grows
         nodes = np.frombuffer(genome, neat_genome.NODE, 5, neat_genome.COUNTS.size)
-        links = np.frombuffer(genome, neat_genome.LINK, 30, neat_genome.COUNTS.size + nodes.nbytes)
+        links = np.frombuffer(
+            genome, neat_genome.LINK, 30, neat_genome.COUNTS.size + nodes.nbytes
+        )
         rows.append(np.concatenate([nodes["bias"], links["weight"]]))
     return np.array(rows)
 
@@ -194,7 +208,9 @@ def numbers(genomes: list[bytes], network: Representation) -> np.ndarray:
 def reached(name: str, seed: int, network: Representation) -> float:
     """Return the best on the sphere of 35 numbers; measures are the first two."""
     loaded = plugins.load("optimizer", name)
-    optimizer = loaded(convert(AIMS.get(name, {}), loaded.settings_type, "settings"), network, seed)
+    optimizer = loaded(
+        convert(AIMS.get(name, {}), loaded.settings_type, "settings"), network, seed
+    )
     told = 0
     while told < EVALUATIONS:
         table = numbers(optimizer.ask()[: EVALUATIONS - told], network)
@@ -303,7 +319,9 @@ class KeepsFitness(NNGA):
 class KeepsItsBest(RandomSearch):
     def best(self) -> tuple[bytes, float]:
         self._kept = max(
-            getattr(self, "_kept", (b"", float("-inf"))), super().best(), key=lambda best: best[1]
+            getattr(self, "_kept", (b"", float("-inf"))),
+            super().best(),
+            key=lambda best: best[1],
         )
         return self._kept if self.relative else super().best()
 
@@ -338,7 +356,9 @@ class IgnoresMeasures(Novelty):
     """Takes a tell without them."""
 
     def tell(self, fitness: np.ndarray, measures: np.ndarray | None = None) -> None:
-        super().tell(fitness, np.zeros((len(fitness), 2)) if measures is None else measures)
+        super().tell(
+            fitness, np.zeros((len(fitness), 2)) if measures is None else measures
+        )
 
 
 class ForgetsTheArchive(Novelty):
@@ -386,14 +406,20 @@ class AsksArrays(RandomSearch):
         (FooledByNaN, "after NaN fitness must be"),
         (OutOfOrder, "ask before the last one was told must raise RuntimeError"),
         (KeepsFitness, "KeepsFitness.*relative"),
-        (KeepsItsBest, "best must be the best of the last generation where fitness is relative"),
+        (
+            KeepsItsBest,
+            "best must be the best of the last generation where fitness is relative",
+        ),
         (RanksTheOld, "ask for all candidates that compete again"),
         (ForgetsVelocity, "state and restore change what is asked"),
         (DrawsFromOneStream, "state and restore change what is asked"),
         (IgnoresMeasures, "tell without its measures must raise ValueError"),
         (RepairsFitness, "tell changes the fitness or measures it is given"),
         (SortsWhatItAsked, "tell changes the list that ask returned"),
-        (ContentWithEquals, "ask gives no genome in generation 1 where all are equally good"),
+        (
+            ContentWithEquals,
+            "ask gives no genome in generation 1 where all are equally good",
+        ),
         (AsksArrays, "ask must give bytes, not bytearray"),
         (ForgetsTheArchive, "a restored optimizer has another state after the same tell"),
     ],
@@ -406,7 +432,8 @@ def test_the_check_names_what_is_broken(broken: type[Optimizer], text: str) -> N
 def test_the_check_finds_optimizers_that_do_not_learn() -> None:
     """Particles that nothing draws; and novelty where all that is done before is done again."""
     with pytest.raises(
-        AssertionError, match="PSO: the best of 25 generations is no better than the first"
+        AssertionError,
+        match="PSO: the best of 25 generations is no better than the first",
     ):
         check_optimizer(PSO, {"inertia": 0.0, "own": 0.0, "social": 0.0})
     with pytest.raises(

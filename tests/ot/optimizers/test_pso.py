@@ -25,7 +25,10 @@ def told(optimizer: PSO, fitness: list[float]) -> None:
 
 @pytest.mark.parametrize(
     "settings",
-    [PsoSettings(population=4), PsoSettings(population=4, inertia=0.2, speed=0.3, bound=0.9)],
+    [
+        PsoSettings(population=4),
+        PsoSettings(population=4, inertia=0.2, speed=0.3, bound=0.9),
+    ],
 )
 def test_particles_move_by_the_equations(settings: PsoSettings) -> None:
     """Number by number, in plain Python: Shi and Eberhart's (1a) and (1b), cut at the limits."""
@@ -38,14 +41,17 @@ def test_particles_move_by_the_equations(settings: PsoSettings) -> None:
     p, best = x.copy(), 1
     for generation in range(1, 4):
         stream = Stream(derive_seed(3, "pso", generation))
-        own, social = (stream.uniform(0.0, 1.0, x.size).reshape(x.shape) for _ in range(2))
+        own, social = (
+            stream.uniform(0.0, 1.0, x.size).reshape(x.shape) for _ in range(2)
+        )
         for i in range(4):
             for d in range(GENES):
-                pull = settings.own * own[i, d] * (p[i, d] - x[i, d]) + settings.social * social[
-                    i, d
-                ] * (p[best, d] - x[i, d])
+                pull = settings.own * own[i, d] * (
+                    p[i, d] - x[i, d]
+                ) + settings.social * social[i, d] * (p[best, d] - x[i, d])
                 v[i, d] = min(
-                    max(settings.inertia * v[i, d] + pull, -settings.speed), settings.speed
+                    max(settings.inertia * v[i, d] + pull, -settings.speed),
+                    settings.speed,
                 )
         x = np.clip(x + v, -settings.bound, settings.bound)
         assert np.abs(places(optimizer.ask()) - x).max() < 1e-5
@@ -58,7 +64,9 @@ def test_particles_move_by_the_equations(settings: PsoSettings) -> None:
 def test_new_particles_are_new_genomes_and_fly_both_ways() -> None:
     optimizer = PSO(PsoSettings(population=400), NETWORK, 1)
     first = places(optimizer.ask())
-    assert np.histogram(first, 4, (-1, 1))[0] / first.size == pytest.approx([0.25] * 4, abs=0.02)
+    assert np.histogram(first, 4, (-1, 1))[0] / first.size == pytest.approx(
+        [0.25] * 4, abs=0.02
+    )
     assert abs(optimizer._velocities.mean()) < 0.02
     assert np.abs(optimizer._velocities).max() <= 0.5
 
@@ -75,7 +83,9 @@ def test_a_particle_remembers_its_own_best_place() -> None:
 
 
 def test_places_and_velocities_keep_their_limits() -> None:
-    optimizer = PSO(PsoSettings(population=20, speed=0.25, bound=1.5, own=50.0), NETWORK, 1)
+    optimizer = PSO(
+        PsoSettings(population=20, speed=0.25, bound=1.5, own=50.0), NETWORK, 1
+    )
     widest = 0.0
     for generation in range(20):
         here = places(optimizer.ask())
@@ -98,7 +108,9 @@ def test_a_failed_particle_attracts_no_other() -> None:
 
 def test_a_swarm_of_one_mind_stands_still_without_inertia() -> None:
     """Statistics tell it: spread and speed are 0."""
-    optimizer = PSO(PsoSettings(population=5, inertia=0.0, own=0.0, social=1.0), NETWORK, 1)
+    optimizer = PSO(
+        PsoSettings(population=5, inertia=0.0, own=0.0, social=1.0), NETWORK, 1
+    )
     for _ in range(80):
         optimizer.tell(-np.abs(places(optimizer.ask())).sum(axis=1))
     assert optimizer.statistics()["spread"] < 1e-3

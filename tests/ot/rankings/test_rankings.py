@@ -17,11 +17,15 @@ NAN = float("nan")
 
 def ranking(kind: str, participants: int = 2, **settings: Any) -> Ranking:
     loaded = plugins.load("ranking", kind)
-    made: Ranking = loaded(convert(settings, loaded.settings_type, "ranking"), participants)
+    made: Ranking = loaded(
+        convert(settings, loaded.settings_type, "ranking"), participants
+    )
     return made
 
 
-def played(kind: Ranking, strength: list[float]) -> tuple[list[Round], list[list[list[int]]]]:
+def played(
+    kind: Ranking, strength: list[float]
+) -> tuple[list[Round], list[list[list[int]]]]:
     """Play a tournament where fitness is a candidate's strength; return rounds and games."""
     rounds: list[Round] = []
     while (games := kind.next_games(len(strength), rounds)) is not None:
@@ -35,7 +39,8 @@ def test_absolute_gives_each_candidate_the_fitness_it_had_alone() -> None:
     rounds, games = played(ranking("absolute", 1), [3.0, NAN, -1.0])
     assert games == [[[0], [1], [2]]]
     assert (
-        ranking("absolute", 1).scores(3, rounds).tobytes() == np.array([3.0, NAN, -1.0]).tobytes()
+        ranking("absolute", 1).scores(3, rounds).tobytes()
+        == np.array([3.0, NAN, -1.0]).tobytes()
     )
 
 
@@ -193,7 +198,12 @@ def test_the_same_games_are_asked_for_again_from_what_was_played(kind: str) -> N
             0,
             "ranking: swiss pairs two, and this problem is a game of 3; expected multi-swiss",
         ),
-        ("multi-swiss", 4, 3, "ranking: a game of 4 needs as many candidates; there are 3"),
+        (
+            "multi-swiss",
+            4,
+            3,
+            "ranking: a game of 4 needs as many candidates; there are 3",
+        ),
     ],
 )
 def test_what_cannot_be_played_is_refused_in_one_line(

@@ -19,26 +19,36 @@ from zswarm.ot.record.writer import Record
 from zswarm.ot.workload import Workload
 
 EVIL = "\x1b[31m[bold]<b onload=x>&amp;\u202e\r\n\x00=cmd()"
-ENDLESS = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT i FROM n"
+ENDLESS = (
+    "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT i FROM n"
+)
 BATCH = "UPDATE outcomes SET {} WHERE id = 1"
 
 
 def complete(name: str = "minisim", *overrides: str) -> experiment.Experiment:
     return experiment.complete(
-        experiment.load(experiment.find("emergency-exit"), [f"name={name}", *overrides]), "test"
+        experiment.load(experiment.find("emergency-exit"), [f"name={name}", *overrides]),
+        "test",
     )
 
 
 def controller(**changes: Any) -> Controller:
     return msgspec.structs.replace(
         Controller(
-            simulator="emergency-exit", simulator_settings={}, representation="fully-meshed",
+            simulator="emergency-exit",
+            simulator_settings={},
+            representation="fully-meshed",
             representation_settings={},
-            inputs=10, outputs=2, sensors=["n"], actuators=["vx"], genome=b"\0" * 240,
-            fitness=1.0, run="x-0123abcd",
+            inputs=10,
+            outputs=2,
+            sensors=["n"],
+            actuators=["vx"],
+            genome=b"\0" * 240,
+            fitness=1.0,
+            run="x-0123abcd",
         ),
         **changes,
-    )  # fmt: skip
+    )
 
 
 def evolve(record: Record, generations: int = 2, trials: int = 2) -> None:
@@ -52,7 +62,10 @@ def evolve(record: Record, generations: int = 2, trials: int = 2) -> None:
             2,
         )
         record.begin(generation, work)
-        for server, half in (("lab-01", slice(None, trials)), ("lab-02", slice(trials, None))):
+        for server, half in (
+            ("lab-01", slice(None, trials)),
+            ("lab-02", slice(trials, None)),
+        ):
             indices = np.arange(2 * trials)[half][::-1]
             work.fitness[indices, 0] = generation + indices / 8
             work.metrics[indices] = np.stack([indices, -indices], axis=1)
@@ -85,13 +98,24 @@ def everything(folder: Path) -> list[Any]:
     run = Run(folder)
     champion = run.champion()
     return [
-        run.name, repr(run), run.meta, msgspec.to_builtins(run.experiment), run.changed,
-        run.history(), run.generations(),
-        run.best(), run.events(), run.servers(), run.candidates(0), run.trials(0), run.going_on,
-        run.finished, run.history_hash,
+        run.name,
+        repr(run),
+        run.meta,
+        msgspec.to_builtins(run.experiment),
+        run.changed,
+        run.history(),
+        run.generations(),
+        run.best(),
+        run.events(),
+        run.servers(),
+        run.candidates(0),
+        run.trials(0),
+        run.going_on,
+        run.finished,
+        run.history_hash,
         *run.marked(),
         msgspec.to_builtins(champion, builtin_types=(bytes,)) if champion else None,
-    ]  # fmt: skip
+    ]
 
 
 def texts(value: Any) -> Iterator[str]:

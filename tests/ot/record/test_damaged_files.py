@@ -17,27 +17,52 @@ from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
 
 FUZZ = settings(
-    derandomize=True, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    derandomize=True,
+    max_examples=150,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 EXAMPLE = (experiment.examples_folder() / "minisim.toml").read_text(encoding="utf-8")
 NAMES = st.one_of(
     st.sampled_from(
-        ["name", "seed", "generations", "problem", "representation", "optimizer", "cluster",
-        "kind", "simulator", "settings",
-         "trials", "seeds", "realm", "servers", "connect", "local_slots", "trial_timeout_s",
-         "trial_memory_mb", "verify"]
+        [
+            "name",
+            "seed",
+            "generations",
+            "problem",
+            "representation",
+            "optimizer",
+            "cluster",
+            "kind",
+            "simulator",
+            "settings",
+            "trials",
+            "seeds",
+            "realm",
+            "servers",
+            "connect",
+            "local_slots",
+            "trial_timeout_s",
+            "trial_memory_mb",
+            "verify",
+        ]
     ),
     st.text(string.ascii_lowercase + " .\x1b\u202e", max_size=6),
-)  # fmt: skip
+)
 VALUES = st.recursive(
     st.one_of(
-        st.booleans(), st.integers(-(2**70), 2**70), st.floats(), st.text(max_size=8), st.dates(),
+        st.booleans(),
+        st.integers(-(2**70), 2**70),
+        st.floats(),
+        st.text(max_size=8),
+        st.dates(),
         st.times(),
         st.sampled_from(["minisim", "fully-meshed", "nnga", "auto", "fixed"]),
     ),
-    lambda inner: st.one_of(st.lists(inner, max_size=3), st.dictionaries(NAMES, inner, max_size=4)),
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=3), st.dictionaries(NAMES, inner, max_size=4)
+    ),
     max_leaves=12,
-)  # fmt: skip
+)
 
 
 def read(path: Path, *overrides: str) -> Experiment | str:
@@ -52,7 +77,9 @@ def ends_well(path: Path, *overrides: str) -> bool:
     """Return whether it is refused in a safe line, or the same after writing and reading it."""
     found = read(path, *overrides)
     if isinstance(found, str):
-        return found.isprintable() or bool(overrides)  # what the user typed is shown as it is
+        return found.isprintable() or bool(
+            overrides
+        )  # what the user typed is shown as it is
     written = experiment.to_toml(found)
     (path.parent / "again.toml").write_text(written, encoding="utf-8")
     again = read(path.parent / "again.toml")
@@ -61,8 +88,12 @@ def ends_well(path: Path, *overrides: str) -> bool:
 
 @FUZZ
 @given(st.dictionaries(NAMES, VALUES, max_size=6))
-def test_any_mapping_is_an_experiment_or_refused(tmp_path: Path, mapping: dict[str, Any]) -> None:
-    (tmp_path / "any.toml").write_text(tomli_w.dumps(mapping), encoding="utf-8", errors="replace")
+def test_any_mapping_is_an_experiment_or_refused(
+    tmp_path: Path, mapping: dict[str, Any]
+) -> None:
+    (tmp_path / "any.toml").write_text(
+        tomli_w.dumps(mapping), encoding="utf-8", errors="replace"
+    )
     assert ends_well(tmp_path / "any.toml")
 
 
@@ -86,8 +117,12 @@ def test_an_experiment_with_any_value_in_it_is_read_or_refused(
         )
     ):
         table = table.setdefault(name, {})
-    table[data.draw(st.one_of(st.sampled_from(sorted(table) or ["x"]), NAMES))] = data.draw(VALUES)
-    (tmp_path / "any.toml").write_text(tomli_w.dumps(mapping), encoding="utf-8", errors="replace")
+    table[data.draw(st.one_of(st.sampled_from(sorted(table) or ["x"]), NAMES))] = (
+        data.draw(VALUES)
+    )
+    (tmp_path / "any.toml").write_text(
+        tomli_w.dumps(mapping), encoding="utf-8", errors="replace"
+    )
     assert ends_well(tmp_path / "any.toml")
 
 
@@ -102,7 +137,9 @@ def test_a_damaged_experiment_is_read_or_refused(
 
 
 @FUZZ
-@given(st.one_of(st.text(max_size=30), st.tuples(NAMES, st.text(max_size=12)).map("=".join)))
+@given(
+    st.one_of(st.text(max_size=30), st.tuples(NAMES, st.text(max_size=12)).map("=".join))
+)
 def test_any_override_is_taken_or_refused(tmp_path: Path, override: str) -> None:
     (tmp_path / "any.toml").write_text(EXAMPLE, encoding="utf-8")
     assert ends_well(tmp_path / "any.toml", override)
@@ -127,18 +164,26 @@ def test_extreme_toml_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "any.toml").write_text(text)
     assert isinstance(read(tmp_path / "any.toml"), str)
     (tmp_path / "any.toml").write_text(EXAMPLE)
-    assert isinstance(read(tmp_path / "any.toml", f"problem.settings.{text.replace(' ', '')}"), str)
+    assert isinstance(
+        read(tmp_path / "any.toml", f"problem.settings.{text.replace(' ', '')}"), str
+    )
 
 
 CHAMPION = msgspec.msgpack.encode(
     Controller(
-        simulator="minisim", simulator_settings={"steps": 3, "deep": [{"x": 1.5}]},
+        simulator="minisim",
+        simulator_settings={"steps": 3, "deep": [{"x": 1.5}]},
         representation="fully-meshed",
-        representation_settings={}, inputs=9, outputs=2, sensors=["a"], actuators=["b"],
-        genome=bytes(8), fitness=1.0,
+        representation_settings={},
+        inputs=9,
+        outputs=2,
+        sensors=["a"],
+        actuators=["b"],
+        genome=bytes(8),
+        fitness=1.0,
         run="minisim",
     )
-)  # fmt: skip
+)
 
 
 def controller(path: Path, body: bytes) -> Controller | str:

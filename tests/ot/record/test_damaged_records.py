@@ -37,7 +37,11 @@ def test_texts_of_a_record_are_safe_to_show(folder: Path) -> None:
     )
     for key in ("zswarm", "machine", "run_id", "version_hash", "history_hash", EVIL):
         edit(folder, "INSERT OR REPLACE INTO meta VALUES (?, ?)", key, EVIL)
-    edit(folder, "INSERT OR REPLACE INTO meta VALUES ('metrics', ?)", json.dumps([EVIL, "rounds"]))
+    edit(
+        folder,
+        "INSERT OR REPLACE INTO meta VALUES ('metrics', ?)",
+        json.dumps([EVIL, "rounds"]),
+    )
     began = json.loads(Run(folder).meta["experiment"])
     began["problem"]["settings"] = {EVIL: [EVIL]}
     began["problem"]["simulator"] = began["optimizer"]["kind"] = EVIL
@@ -71,7 +75,9 @@ def test_measures_are_read_as_the_optimizer_received_them(folder: Path) -> None:
 
 def test_measures_that_are_no_numbers_are_damaged(folder: Path) -> None:
     edit(folder, "UPDATE candidates SET measures = x'0102'")
-    assert refusal(folder).endswith("damaged: measures of generation 0 are not float64 numbers")
+    assert refusal(folder).endswith(
+        "damaged: measures of generation 0 are not float64 numbers"
+    )
 
 
 def test_text_with_invalid_utf_8_is_read(folder: Path) -> None:
@@ -85,7 +91,9 @@ def test_a_truncated_record_is_refused(folder: Path, size: float) -> None:
     whole = path.stat().st_size
     os.truncate(
         path,
-        int(whole * size) if isinstance(size, float) else (size if size >= 0 else whole + size),
+        int(whole * size)
+        if isinstance(size, float)
+        else (size if size >= 0 else whole + size),
     )
     assert "run.sqlite: damaged: " in refusal(folder)
     (row,) = list_runs(folder.parent)
@@ -114,13 +122,17 @@ def test_a_truncated_record_is_refused(folder: Path, size: float) -> None:
         f"DROP TABLE events; CREATE VIEW events AS {ENDLESS}",
     ],
 )
-def test_a_record_that_holds_what_does_not_belong_there_is_refused(folder: Path, sql: str) -> None:
+def test_a_record_that_holds_what_does_not_belong_there_is_refused(
+    folder: Path, sql: str
+) -> None:
     edit(folder, sql)
     assert "run.sqlite: " in refusal(folder)
 
 
 @pytest.mark.parametrize("levels", [100, 400, 900, 5000])
-def test_what_is_nested_deeper_than_anything_of_ours_is_refused(folder: Path, levels: int) -> None:
+def test_what_is_nested_deeper_than_anything_of_ours_is_refused(
+    folder: Path, levels: int
+) -> None:
     """Also where the parser still takes it."""
     nested = "[" * levels + "]" * levels
     edit(folder, "UPDATE generations SET statistics = ?", f'{{"a": {nested}}}')
@@ -138,14 +150,24 @@ def test_what_is_nested_deeper_than_anything_of_ours_is_refused(folder: Path, le
 @pytest.mark.parametrize("levels", [100, 400, 5000])
 def test_a_champion_that_is_nested_deep_is_refused(folder: Path, levels: int) -> None:
     file = folder / "champion.zsc"
-    whole = {**msgspec.msgpack.decode(file.read_bytes()), "simulator_settings": {"x": "here"}}
-    file.write_bytes(msgspec.msgpack.encode(whole).replace(b"\xa4here", b"\x91" * levels + b"\x01"))
+    whole = {
+        **msgspec.msgpack.decode(file.read_bytes()),
+        "simulator_settings": {"x": "here"},
+    }
+    file.write_bytes(
+        msgspec.msgpack.encode(whole).replace(b"\xa4here", b"\x91" * levels + b"\x01")
+    )
     assert "champion.zsc: damaged" in refusal(folder)
 
 
 def test_an_invalid_experiment_in_the_record_is_refused(folder: Path) -> None:
     began = json.loads(Run(folder).meta["experiment"])
-    for key, value in (("name", EVIL), ("seed", -1), ("problem", {"simulator": 3}), ("extra", 1)):
+    for key, value in (
+        ("name", EVIL),
+        ("seed", -1),
+        ("problem", {"simulator": 3}),
+        ("extra", 1),
+    ):
         edit(
             folder,
             "UPDATE meta SET value = ? WHERE key = 'experiment'",
@@ -157,10 +179,14 @@ def test_an_invalid_experiment_in_the_record_is_refused(folder: Path) -> None:
 
 
 @settings(
-    derandomize=True, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    derandomize=True,
+    max_examples=60,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 @given(place=st.floats(0, 1, exclude_max=True), put=st.binary(min_size=1, max_size=40))
-def test_a_damaged_record_is_read_or_refused(folder: Path, place: float, put: bytes) -> None:
+def test_a_damaged_record_is_read_or_refused(
+    folder: Path, place: float, put: bytes
+) -> None:
     path = folder / "run.sqlite"
     body = path.read_bytes()
     at = int(len(body) * place)
@@ -170,16 +196,22 @@ def test_a_damaged_record_is_read_or_refused(folder: Path, place: float, put: by
             found = everything(folder)
         except ConfigError as error:
             found = [str(error)]
-        assert all(text.isprintable() for text in texts([*found, *list_runs(folder.parent)]))
+        assert all(
+            text.isprintable() for text in texts([*found, *list_runs(folder.parent)])
+        )
     finally:
         path.write_bytes(body)
 
 
 @settings(
-    derandomize=True, max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    derandomize=True,
+    max_examples=25,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 @given(place=st.floats(0, 1, exclude_max=True), put=st.binary(min_size=1, max_size=40))
-def test_a_damaged_record_is_resumed_or_refused(folder: Path, place: float, put: bytes) -> None:
+def test_a_damaged_record_is_resumed_or_refused(
+    folder: Path, place: float, put: bytes
+) -> None:
     path = folder / "run.sqlite"
     body = path.read_bytes()
     at = int(len(body) * place)
@@ -221,7 +253,11 @@ def test_hostile_names_are_listed_without_their_escapes(folder: Path) -> None:
     for option in ([], ["--json"]):
         command = [sys.executable, "-m", "zswarm.ot", "list", str(folder.parent), *option]
         said = subprocess.run(
-            command, capture_output=True, text=True, check=True, env=os.environ | {"COLUMNS": "500"}
+            command,
+            capture_output=True,
+            text=True,
+            check=True,
+            env=os.environ | {"COLUMNS": "500"},
         ).stdout
         assert "[bold]" in said
         assert all(line.isprintable() for line in said.splitlines())

@@ -31,7 +31,9 @@ class Disk:
         self.connection = connect(path)
         self.connection.execute("CREATE TABLE words (id INTEGER PRIMARY KEY, word TEXT)")
         self.database = Database(
-            path, self.connection, lambda line, waited_s: self.told.append((line, waited_s))
+            path,
+            self.connection,
+            lambda line, waited_s: self.told.append((line, waited_s)),
         )
 
     def fill(self, waits: int = 0) -> None:
@@ -52,7 +54,9 @@ class Disk:
         """Rows as another program sees them."""
         connection = sqlite3.connect(f"{self.path.as_uri()}?mode=ro", uri=True)
         try:
-            return [row[0] for row in connection.execute("SELECT id FROM words ORDER BY id")]
+            return [
+                row[0] for row in connection.execute("SELECT id FROM words ORDER BY id")
+            ]
         finally:
             connection.close()
 
@@ -85,7 +89,10 @@ def test_a_full_disk_is_reported_once_and_its_end_with_the_seconds(disk: Disk) -
         disk.database.write((ADD, (number, LONG)))
     assert disk.waits == 0, "writing does not wait"
     assert disk.told == [
-        (f"the disk of {disk.path.parent} is full: waiting for room; nothing is lost", None)
+        (
+            f"the disk of {disk.path.parent} is full: waiting for room; nothing is lost",
+            None,
+        )
     ]
     disk.make_room()
     disk.database.flush()
@@ -140,7 +147,10 @@ def test_a_commit_with_an_unknown_result_is_applied_once(
     disk.database.write_now((ADD, (1, "one")), (ADD, (2, "two")))
     assert disk.written() == [1, 2]
     assert commits[0] == commits[1]
-    assert [line.rpartition(":")[0].split()[-1] for line, _ in disk.told] == ["written", "again"]
+    assert [line.rpartition(":")[0].split()[-1] for line, _ in disk.told] == [
+        "written",
+        "again",
+    ]
 
 
 def test_a_mistake_is_not_waited_for(disk: Disk) -> None:
@@ -193,7 +203,9 @@ def test_a_network_file_system_is_known_by_its_mount(
     monkeypatch.setattr(
         Path,
         "read_text",
-        lambda self: mounts.format(tmp_path) if str(self) == "/proc/self/mounts" else read(self),
+        lambda self: (
+            mounts.format(tmp_path) if str(self) == "/proc/self/mounts" else read(self)
+        ),
     )
     assert on_network(tmp_path / "run.sqlite")
     assert not on_network(Path("/somewhere/else"))

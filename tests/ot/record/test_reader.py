@@ -69,9 +69,12 @@ def test_trials_are_in_order_with_their_metrics_by_name(folder: Path) -> None:
         (1, 1),
     ]
     assert trials[3] == {
-        "candidate": 1, "trial": 1, "fitness": [1.375], "metrics": {"escaped": 3.0,
-        "rounds": -3.0}, "server": "lab-02",
-    }  # fmt: skip
+        "candidate": 1,
+        "trial": 1,
+        "fitness": [1.375],
+        "metrics": {"escaped": 3.0, "rounds": -3.0},
+        "server": "lab-02",
+    }
 
 
 def test_trials_that_failed_have_no_number(folder: Path) -> None:
@@ -100,7 +103,9 @@ def test_an_active_run_is_read_up_to_its_last_commit(record: Record) -> None:
     assert not run.going_on
 
 
-def test_a_reader_does_not_prevent_a_resume(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_reader_does_not_prevent_a_resume(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A reader holds the lock for an instant, to learn whether a program has it."""
     looking = os.open(folder / "lock", os.O_RDONLY)
     fcntl.flock(looking, fcntl.LOCK_SH)
@@ -117,7 +122,9 @@ def test_a_reader_does_not_prevent_a_resume(folder: Path, monkeypatch: pytest.Mo
     os.close(looking)
 
 
-def test_a_log_in_a_folder_that_cannot_be_written_is_read(record: Record, tmp_path: Path) -> None:
+def test_a_log_in_a_folder_that_cannot_be_written_is_read(
+    record: Record, tmp_path: Path
+) -> None:
     """Of a run that was killed: SQLite would have to write next to it."""
     copied = tmp_path / "killed"
     shutil.copytree(record.folder, copied)
@@ -138,12 +145,18 @@ def test_an_experiment_that_was_changed_is_read_as_it_began(folder: Path) -> Non
         .replace("generations = 200", "generations = 300")
     )
     run = Run(folder)
-    assert (run.changed, run.experiment.seed, run.experiment.generations) == (["seed"], 1, 300)
+    assert (run.changed, run.experiment.seed, run.experiment.generations) == (
+        ["seed"],
+        1,
+        300,
+    )
 
 
 def test_a_folder_without_an_experiment_is_not_a_run(folder: Path) -> None:
     (folder / "experiment.toml").unlink()
-    assert "no run; expected a folder with experiment.toml and run.sqlite" in refusal(folder)
+    assert "no run; expected a folder with experiment.toml and run.sqlite" in refusal(
+        folder
+    )
 
 
 @pytest.mark.parametrize("body", [b"", b"\xff\xfe", b"name = 1", b"x = [" * 3000])

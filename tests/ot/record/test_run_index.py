@@ -20,7 +20,11 @@ def test_runs_are_listed_with_the_damaged_ones_named(folder: Path) -> None:
     )
     found = {Path(row["run"]).name: row for row in list_runs(folder.parent)}
     assert "no experiment.toml" in found["damaged"]["error"]
-    assert (found["lab"]["generations"], found["lab"]["best"], found["lab"]["candidates"]) == (
+    assert (
+        found["lab"]["generations"],
+        found["lab"]["best"],
+        found["lab"]["candidates"],
+    ) == (
         2,
         2.625,
         4,
@@ -32,13 +36,21 @@ def test_an_active_run_is_listed_with_what_it_has_committed(record: Record) -> N
     assert [row["history_hash"] for row in list_runs(record.folder.parent)] == ["0" * 32]
 
 
-def test_runs_below_a_folder_are_found_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+def test_runs_below_a_folder_are_found_in_the_order_of_their_numbers(
+    tmp_path: Path,
+) -> None:
     for name in ("seed-10", "seed-9", "seed-2"):
         make(tmp_path / "study", name)
     make(tmp_path, "alone")
-    assert [run.name for run in runs_below([tmp_path])] == ["alone", "seed-2", "seed-9", "seed-10"]
+    assert [run.name for run in runs_below([tmp_path])] == [
+        "alone",
+        "seed-2",
+        "seed-9",
+        "seed-10",
+    ]
     assert [
-        run.name for run in runs_below([tmp_path / "study" / "seed-9", tmp_path / "study"])
+        run.name
+        for run in runs_below([tmp_path / "study" / "seed-9", tmp_path / "study"])
     ] == [
         "seed-9",
         "seed-2",
@@ -52,7 +64,9 @@ def test_runs_below_a_folder_are_found_in_the_order_of_their_numbers(tmp_path: P
     ]
 
 
-def test_a_run_that_cannot_be_read_is_left_out_of_its_folder_with_a_line(tmp_path: Path) -> None:
+def test_a_run_that_cannot_be_read_is_left_out_of_its_folder_with_a_line(
+    tmp_path: Path,
+) -> None:
     """Given itself, or alone, it is an error; so are all without a list for the lines."""
     whole, broken = (
         Record.create(tmp_path, complete(), "hash", name=name).folder
@@ -76,7 +90,9 @@ def test_a_run_that_is_named_without_its_parent_is_suggested(
     make(tmp_path / "runs", "lab")
     monkeypatch.chdir(tmp_path)
     for call in (load_experiment, Run, lambda path: runs_below([path])):
-        with pytest.raises(ConfigError, match=r"lab: no run \(did you mean runs/lab\?\); expected"):
+        with pytest.raises(
+            ConfigError, match=r"lab: no run \(did you mean runs/lab\?\); expected"
+        ):
             call(Path("lab"))
         with pytest.raises(ConfigError, match="nothing: no run; expected"):
             call(Path("nothing"))

@@ -21,7 +21,11 @@ from zswarm.ot.record.reader import Run
 def test_a_record_of_another_schema_is_refused(folder: Path, found: object) -> None:
     edit(folder, "UPDATE meta SET value = ? WHERE key = 'schema_version'", found)
     edit(folder, "UPDATE meta SET value = ? WHERE key = 'zswarm'", EVIL)
-    words = f"has schema {found}, of zswarm" if isinstance(found, int) and found else "damaged: "
+    words = (
+        f"has schema {found}, of zswarm"
+        if isinstance(found, int) and found
+        else "damaged: "
+    )
     assert words in refusal(folder)
 
 
@@ -43,11 +47,16 @@ def test_the_views_say_the_same_as_the_tables(folder: Path) -> None:
         folder, "SELECT generation, seconds, best, mean, evaluations FROM history"
     )
     columns = ("generation", "seconds", "best", "mean", "evaluations")
-    assert [row[1] for row in curve] == pytest.approx([row["seconds"] for row in run.history()])
+    assert [row[1] for row in curve] == pytest.approx(
+        [row["seconds"] for row in run.history()]
+    )
     assert [(row[0], *row[2:]) for row in curve] == [
-        tuple(row[column] for column in columns if column != "seconds") for row in run.history()
+        tuple(row[column] for column in columns if column != "seconds")
+        for row in run.history()
     ]
-    assert sqlite3_program(folder, "SELECT generation, best, candidate FROM champions") == [
+    assert sqlite3_program(
+        folder, "SELECT generation, best, candidate FROM champions"
+    ) == [
         (0, 0.625, 1),
         (1, 2.625, 1),
     ]
@@ -55,14 +64,20 @@ def test_the_views_say_the_same_as_the_tables(folder: Path) -> None:
         ("lab-01", 4),
         ("lab-02", 4),
     ]
-    assert sqlite3_program(folder, "SELECT generation, server, trials FROM batches")[1] == (
+    assert sqlite3_program(folder, "SELECT generation, server, trials FROM batches")[
+        1
+    ] == (
         0,
         "lab-02",
         2,
     )
-    assert sqlite3_program(folder, "SELECT name, value FROM statistics WHERE generation = 0") == [
-        ("best", 0.625), ("mean", 0.375), ("diversity", None),
-    ]  # fmt: skip
+    assert sqlite3_program(
+        folder, "SELECT name, value FROM statistics WHERE generation = 0"
+    ) == [
+        ("best", 0.625),
+        ("mean", 0.375),
+        ("diversity", None),
+    ]
     assert ("optimizer.population", "50") in sqlite3_program(
         folder, "SELECT key, value FROM settings"
     )

@@ -16,17 +16,26 @@ GAME = {"steps": 8, "robots": 1, "width": 8}
 
 
 @pytest.mark.parametrize("kind", plugins.BUNDLED["representation"])
-def test_the_champion_of_every_kind_of_network_is_of_use(kind: str, tmp_path: Path) -> None:
+def test_the_champion_of_every_kind_of_network_is_of_use(
+    kind: str, tmp_path: Path
+) -> None:
     """An agent that is driven from outside decides what it decided in the trial."""
     settings = msgspec.to_builtins(plugins.load("representation", kind).settings_type())
     simulator, network = evaluate.build("minisim", GAME, kind, settings)
     (genome,) = network.random(1, Stream(1))
     written = Controller(
-        simulator="minisim", simulator_settings=GAME, representation=kind,
+        simulator="minisim",
+        simulator_settings=GAME,
+        representation=kind,
         representation_settings=settings,
-        inputs=simulator.inputs, outputs=simulator.outputs, sensors=[], actuators=[],
-        genome=genome, fitness=1.0, run="of-a-test",
-    )  # fmt: skip
+        inputs=simulator.inputs,
+        outputs=simulator.outputs,
+        sensors=[],
+        actuators=[],
+        genome=genome,
+        fitness=1.0,
+        run="of-a-test",
+    )
     (tmp_path / CHAMPION).write_bytes(msgspec.msgpack.encode(written))
     champion = load_controller(tmp_path)
     assert champion == written

@@ -26,11 +26,18 @@ from zswarm.ot.workload import Workload
 
 STATISTICS = {"best": 1.0, "mean": float("-inf")}
 CHAMPION = Controller(
-    simulator="emergency-exit", simulator_settings={"steps": 5}, representation="fully-meshed",
-    representation_settings={}, inputs=10, outputs=2, sensors=["n"], actuators=["vx"],
+    simulator="emergency-exit",
+    simulator_settings={"steps": 5},
+    representation="fully-meshed",
+    representation_settings={},
+    inputs=10,
+    outputs=2,
+    sensors=["n"],
+    actuators=["vx"],
     genome=b"\0" * 240,
-    fitness=-1.0, run="emergency-exit-0123abcd",
-)  # fmt: skip
+    fitness=-1.0,
+    run="emergency-exit-0123abcd",
+)
 
 
 @pytest.fixture
@@ -54,7 +61,11 @@ def workload(candidates: int = 3) -> Workload:
 
 def count(work: Workload, trials: list[int], fitness: float) -> Counted:
     indices = np.array(trials)
-    work.fitness[indices], work.metrics[indices], work.counted[indices] = fitness, fitness + 1, True
+    work.fitness[indices], work.metrics[indices], work.counted[indices] = (
+        fitness,
+        fitness + 1,
+        True,
+    )
     return Counted(indices, "lab-01", 0.5)
 
 
@@ -71,7 +82,10 @@ def test_the_same_name_gets_a_folder_of_its_own(
     tmp_path: Path, record: Record, complete: experiment.Experiment
 ) -> None:
     with Record.create(tmp_path, complete, "hash") as second:
-        assert (record.folder.name, second.folder.name) == ("emergency-exit", "emergency-exit-2")
+        assert (record.folder.name, second.folder.name) == (
+            "emergency-exit",
+            "emergency-exit-2",
+        )
         assert second.meta("run_id") != record.meta("run_id")
 
 
@@ -134,7 +148,10 @@ def test_outcomes_of_other_candidates_can_be_forgotten(record: Record) -> None:
 def test_a_finished_generation_is_read_back_to_the_same_history(record: Record) -> None:
     told = History()
     for generation in range(2):
-        genomes, fitness = [b"a%d" % generation, b"b"], np.array([0.1 + generation, np.nan])
+        genomes, fitness = (
+            [b"a%d" % generation, b"b"],
+            np.array([0.1 + generation, np.nan]),
+        )
         told.add(genomes, fitness)
         record.finish(generation, genomes, fitness, STATISTICS, {"at": generation})
     assert record.history().hex() == told.hex()
@@ -144,7 +161,10 @@ def test_a_finished_generation_is_read_back_to_the_same_history(record: Record) 
 
 def test_a_large_generation_is_recorded_whole_and_in_order(record: Record) -> None:
     count = 2 * CANDIDATES_AT_ONCE + 1
-    genomes, fitness = [b"%d" % candidate for candidate in range(count)], np.arange(count) / 7
+    genomes, fitness = (
+        [b"%d" % candidate for candidate in range(count)],
+        np.arange(count) / 7,
+    )
     record.finish(0, genomes, fitness, STATISTICS, {})
     rows = query(
         record.folder,
@@ -164,9 +184,13 @@ def test_the_history_hash_is_blake2b_of_genomes_and_numbers() -> None:
     assert history.hex() == expected.hexdigest()
 
 
-def test_measures_come_after_the_fitness_of_their_generation_in_the_history_hash() -> None:
+def test_measures_come_after_the_fitness_of_their_generation_in_the_history_hash() -> (
+    None
+):
     history = History()
-    history.add([b"one", b"two"], np.array([1.5, -2.0]), np.array([[3.0, 4.0], [5.0, np.nan]]))
+    history.add(
+        [b"one", b"two"], np.array([1.5, -2.0]), np.array([[3.0, 4.0], [5.0, np.nan]])
+    )
     history.add([b"three"], np.array([0.25]), np.empty((1, 0)))
     told = struct.pack("<6d", 1.5, -2.0, 3.0, 4.0, 5.0, np.nan)
     expected = hashlib.blake2b(
@@ -240,13 +264,17 @@ def test_an_edited_experiment_is_refused_if_it_changes_the_history(
     record.close()
     file = record.folder / "experiment.toml"
     file.write_text(
-        file.read_text().replace(edit, edit.replace("0", "1").replace("= 1\n", "= 4\n"), 1)
+        file.read_text().replace(
+            edit, edit.replace("0", "1").replace("= 1\n", "= 4\n"), 1
+        )
     )
     if words == "":
         with Record.open(record.folder)[0] as resumed:
             assert resumed.meta("epoch") == 1
         return
-    with pytest.raises(ConfigError, match=f"{words or 'problem'} changed since the run began"):
+    with pytest.raises(
+        ConfigError, match=f"{words or 'problem'} changed since the run began"
+    ):
         Record.open(record.folder)
 
 
@@ -276,12 +304,16 @@ def test_what_a_server_computed_wrong_is_forgotten_or_marked(record: Record) -> 
     assert record.restore(again) == 1
     assert again.counted.tolist() == [False, True, False]
     record.close()
-    rows = query(record.folder, "SELECT generation, server, doubtful FROM outcomes ORDER BY id")
+    rows = query(
+        record.folder, "SELECT generation, server, doubtful FROM outcomes ORDER BY id"
+    )
     assert rows == [(0, "lab-01", 1), (0, "lab-02", 0), (1, "lab-02", 0)]
     with Record.open(record.folder)[0] as resumed:
         resumed.retract("lab-02")
         assert resumed.evaluations() == 0, "before any generation is begun again"
-    assert query(record.folder, "SELECT server FROM outcomes WHERE generation = 0") == [("lab-01",)]
+    assert query(record.folder, "SELECT server FROM outcomes WHERE generation = 0") == [
+        ("lab-01",)
+    ]
 
 
 def test_restored_outcomes_are_known_by_their_server(record: Record) -> None:
@@ -361,14 +393,18 @@ def test_outcomes_that_a_full_disk_does_not_take_are_written_when_there_is_room(
 ) -> None:
     disk.fill()
     add_many(record, 5)
-    assert disk.lines == [f"the disk of {record.folder} is full: waiting for room; nothing is lost"]
+    assert disk.lines == [
+        f"the disk of {record.folder} is full: waiting for room; nothing is lost"
+    ]
     assert query(record.folder, "SELECT count(*) FROM outcomes") == [(0,)], (
         "half of what belongs together was written"
     )
     assert disk.waits == 0, "the current generation continues"
     disk.make_room()
     record.flush()
-    assert disk.lines[1:] == [f"the disk of {record.folder} takes data again: the run continues"]
+    assert disk.lines[1:] == [
+        f"the disk of {record.folder} takes data again: the run continues"
+    ]
     assert query(record.folder, "SELECT id, count FROM outcomes") == [
         (id_, 250) for id_ in range(1, 6)
     ]
@@ -386,7 +422,10 @@ def test_a_generation_ends_when_it_is_on_the_disk(record: Record, disk: Disk) ->
     record.finish(0, [b"genome" * 5000], np.array([1.0]), STATISTICS, {"at": 0})
     assert disk.waits == 3
     assert query(record.folder, "SELECT generation FROM generations") == [(0,)]
-    assert [line.rpartition(":")[0].split()[-1] for line in disk.lines] == ["full", "again"]
+    assert [line.rpartition(":")[0].split()[-1] for line in disk.lines] == [
+        "full",
+        "again",
+    ]
 
 
 def test_a_run_stopped_on_a_full_disk_says_what_is_evaluated_again(
@@ -450,7 +489,9 @@ def test_what_a_record_writes_may_be_written_twice(
 def test_a_folder_that_is_moved_away_ends_the_run(record: Record, tmp_path: Path) -> None:
     """SQLite would continue to write to it; a resume at the old place would not find it."""
     record.folder.rename(tmp_path / "moved")
-    with pytest.raises(ConfigError, match="moved, removed or unmounted while the run went on"):
+    with pytest.raises(
+        ConfigError, match="moved, removed or unmounted while the run went on"
+    ):
         record.set_meta("probe", b"x")
     with pytest.raises(ConfigError, match="moved, removed"):
         record.close()
@@ -481,7 +522,9 @@ def test_a_record_is_there_as_a_whole_or_not_at_all(
     def replacing(self: Path, target: Path) -> Path:
         if target.name == "run.sqlite":
             assert not target.exists()
-            seen.append(sqlite3.connect(self).execute("SELECT count(*) FROM meta").fetchone()[0])
+            seen.append(
+                sqlite3.connect(self).execute("SELECT count(*) FROM meta").fetchone()[0]
+            )
         return replace(self, target)
 
     monkeypatch.setattr(Path, "replace", replacing)

@@ -41,11 +41,15 @@ def test_it_is_said_where_nothing_depends_on_the_seed(tmp_path: Path) -> None:
         load_controller(folder), simulator_settings={"field": "random"}
     )
     (tmp_path / "random.zsc").write_bytes(msgspec.msgpack.encode(random))
-    assert "20 held-out trials" in (told := evaluate(tmp_path / "random.zsc", "--trials", "20"))
+    assert "20 held-out trials" in (
+        told := evaluate(tmp_path / "random.zsc", "--trials", "20")
+    )
     assert ALIKE not in told
 
 
-def test_a_metric_may_have_any_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_metric_may_have_any_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """In JSON it takes the place of no other number."""
     folder = written(tmp_path, [1])
     plain = json.loads(evaluate(folder, "--trials", "2", "--json"))
@@ -89,7 +93,9 @@ def test_a_champion_is_tried_on_other_settings(tmp_path: Path) -> None:
     )
     varied = written(tmp_path / "varied", [1], settings={"steps": {"from": 1, "to": 50}})
     assert evaluate(varied, "--trials", "8").splitlines()[1:] == drawn.splitlines()[1:]
-    assert "rounds          mean 7\n" in evaluate(varied, "--set", "problem.settings.steps=7")
+    assert "rounds          mean 7\n" in evaluate(
+        varied, "--set", "problem.settings.steps=7"
+    )
 
 
 @pytest.mark.parametrize(
@@ -112,6 +118,8 @@ def test_a_champion_is_tried_on_other_settings(tmp_path: Path) -> None:
     ],
 )
 def test_other_settings_are_checked(override: str, line: str, tmp_path: Path) -> None:
-    done = CliRunner().invoke(command, ["evaluate", str(written(tmp_path, [1])), "--set", override])
+    done = CliRunner().invoke(
+        command, ["evaluate", str(written(tmp_path, [1])), "--set", override]
+    )
     assert isinstance(done.exception, ConfigError)
     assert str(done.exception).startswith(line)

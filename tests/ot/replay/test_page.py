@@ -49,7 +49,8 @@ def test_a_page_contains_the_trace_and_requests_nothing(folder: Path) -> None:
     (packed,) = re.findall(r'id="trace">([^<]*)</script>', page)
     assert base64.b64decode(packed) == encode(found)
     assert not re.findall(
-        r"(?:src|href)\s*=\s*[\"'](?!data:,)|https?://(?!www\.w3\.org/2000/svg)|@import|url\(", page
+        r"(?:src|href)\s*=\s*[\"'](?!data:,)|https?://(?!www\.w3\.org/2000/svg)|@import|url\(",
+        page,
     )
     assert "default-src 'none'" in page
 
@@ -64,14 +65,21 @@ def test_the_player_sets_texts_and_never_markup() -> None:
     )
 
 
-def test_a_table_has_a_row_for_each_body_in_each_state(folder: Path, tmp_path: Path) -> None:
+def test_a_table_has_a_row_for_each_body_in_each_state(
+    folder: Path, tmp_path: Path
+) -> None:
     output = tmp_path / "it.csv"
     assert typed(str(folder), "-o", str(output)).exit_code == 0
     rows = list(csv.DictReader(io.StringIO(output.read_text())))
     found = trace(Run(folder))
     bodies = len(found.frames[0].bodies)
     assert len(rows) == 31 * bodies
-    assert [row["agent"] for row in rows[:bodies]] == ["0", "1", "2", *[""] * (bodies - 3)]
+    assert [row["agent"] for row in rows[:bodies]] == [
+        "0",
+        "1",
+        "2",
+        *[""] * (bodies - 3),
+    ]
     assert {row["kind"] for row in rows} >= {"robot", "defender"}
     robot = rows[5 * bodies + 1]
     body = found.frames[5].bodies[1]
@@ -110,7 +118,11 @@ def test_a_moving_picture_shows_every_state_or_some_and_stays_at_the_end(
     simulator: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(gif, "MOST_FRAMES", 12)
-    settings = {"minisim": {"steps": 10, "width": 5}, "inverted-pendulum": {"steps": 30}, "xor": {}}
+    settings = {
+        "minisim": {"steps": 10, "width": 5},
+        "inverted-pendulum": {"steps": 30},
+        "xor": {},
+    }
     found = of(simulator, **settings[simulator])
     picture = Image.open(io.BytesIO(gif.gif(found, "a very long title " * 20)))
     assert picture.format == "GIF"
@@ -126,7 +138,9 @@ def test_a_moving_picture_shows_every_state_or_some_and_stays_at_the_end(
 
 def test_a_trial_without_pictures_makes_no_gif_and_says_so() -> None:
     found = of("minisim", steps=6, width=4)
-    with pytest.raises(Exception, match="x: its simulator draws no picture; expected html or csv"):
+    with pytest.raises(
+        Exception, match="x: its simulator draws no picture; expected html or csv"
+    ):
         gif.gif(Trace(**{**found.__dict__, "frames": []}), "x")
 
 
@@ -142,7 +156,12 @@ def test_the_command_writes_the_requested_format(
     assert sorted(os.listdir()) == ["minisim.csv", "minisim.gif", "minisim.html"]
     said = typed(str(folder), "--to", "html", "-o", "x.html", "--json")
     told = json.loads(said.stdout)
-    assert (told["file"], told["run"], told["note"], told["error"]) == ("x.html", "minisim", "", "")
+    assert (told["file"], told["run"], told["note"], told["error"]) == (
+        "x.html",
+        "minisim",
+        "",
+        "",
+    )
 
 
 def test_the_command_opens_the_browser_with_a_private_file(

@@ -40,7 +40,9 @@ def animations(picture: ElementTree.Element) -> dict[str, tuple[list[float], lis
     return found
 
 
-@pytest.mark.parametrize(("simulator", "rounds"), [("emergency-exit", 50), ("minisim", 100)])
+@pytest.mark.parametrize(
+    ("simulator", "rounds"), [("emergency-exit", 50), ("minisim", 100)]
+)
 def test_a_trial_is_looked_at_once_a_round(simulator: str, rounds: int) -> None:
     """From the start to the end; in both, turns of one robot and turns of all."""
     built, network = evaluate.build(simulator, {}, "fully-meshed", {})
@@ -51,9 +53,9 @@ def test_a_trial_is_looked_at_once_a_round(simulator: str, rounds: int) -> None:
     assert seen[0] == built.frame()
     for before, after in itertools.pairwise(seen):
         pairs = zip(before.bodies, after.bodies, strict=True)
-        assert all(max(abs(a.x - b.x), abs(a.y - b.y)) <= 1 for a, b in pairs if b.x > 0.5), (
-            "a move is one cell"
-        )
+        assert all(
+            max(abs(a.x - b.x), abs(a.y - b.y)) <= 1 for a, b in pairs if b.x > 0.5
+        ), "a move is one cell"
 
 
 def test_a_body_moves_along_its_way_and_what_stands_still_does_not() -> None:
@@ -70,23 +72,32 @@ def test_a_body_moves_along_its_way_and_what_stands_still_does_not() -> None:
 
 def test_another_kind_is_another_colour() -> None:
     lost, rock = WALK[5].bodies[0]._replace(kind="lost"), WALK[5].bodies[1]
-    fills = animations(drawn([*WALK[:5], WALK[5]._replace(bodies=[lost, rock])]))["fill"][1]
+    fills = animations(drawn([*WALK[:5], WALK[5]._replace(bodies=[lost, rock])]))["fill"][
+        1
+    ]
     assert len(set(fills)) == 2
 
 
 def test_long_trials_are_thinned_with_their_end() -> None:
-    long = [Frame(10, 5, [], [Body("robot", number % 7, 1, 0.4)]) for number in range(10_000)]
-    values = animations(drawn([*long, Frame(10, 5, [], [Body("robot", 9, 1, 0.4)])]))["cx"][1]
+    long = [
+        Frame(10, 5, [], [Body("robot", number % 7, 1, 0.4)]) for number in range(10_000)
+    ]
+    values = animations(drawn([*long, Frame(10, 5, [], [Body("robot", 9, 1, 0.4)])]))[
+        "cx"
+    ][1]
     assert len(values) <= MOST_FRAMES + 2
     assert values[-1] == f"{9 * 42:g}"
 
 
 def test_reduced_motion_shows_paths() -> None:
     picture = drawn(WALK)
-    still = [group for group in picture.iter(f"{SVG}g") if group.attrib.get("class") == "still"]
+    still = [
+        group for group in picture.iter(f"{SVG}g") if group.attrib.get("class") == "still"
+    ]
     assert len(list(still[0].iter(f"{SVG}polyline"))) == 2
     assert re.search(
-        r"prefers-reduced-motion:reduce\){\.zs \.moving{display:none}", svg([Panel("", WALK)])
+        r"prefers-reduced-motion:reduce\){\.zs \.moving{display:none}",
+        svg([Panel("", WALK)]),
     )
 
 
@@ -109,7 +120,14 @@ def test_what_has_a_heading_is_turned_the_short_way() -> None:
 
 def test_lines_move_with_their_ends_and_words_are_there_while_they_are_said() -> None:
     seen = [
-        Frame(10, 5, [], [], [Line("rod", 1, 1, 2 + at, 1)], [Label(f"score {at // 2}", 5, 1, 0.5)])
+        Frame(
+            10,
+            5,
+            [],
+            [],
+            [Line("rod", 1, 1, 2 + at, 1)],
+            [Label(f"score {at // 2}", 5, 1, 0.5)],
+        )
         for at in range(4)
     ]
     picture = drawn(seen)
@@ -119,9 +137,13 @@ def test_lines_move_with_their_ends_and_words_are_there_while_they_are_said() ->
         if "2" in each.attrib["attributeName"]
     ] == ["x2"]
     moving = next(
-        group for group in picture.iter(f"{SVG}g") if group.attrib.get("class") == "moving"
+        group
+        for group in picture.iter(f"{SVG}g")
+        if group.attrib.get("class") == "moving"
     )
-    assert {text.text: text.attrib["visibility"] for text in moving.iter(f"{SVG}text")} == {
+    assert {
+        text.text: text.attrib["visibility"] for text in moving.iter(f"{SVG}text")
+    } == {
         "score 0": "visible",
         "score 1": "hidden",
     }
@@ -132,4 +154,8 @@ def test_names_of_a_plug_in_are_text() -> None:
     seen = [Frame(1, 1, [Rectangle(hostile, 0, 0, 1, 1)], [Body(hostile + "'", 0, 0, 1)])]
     picture = ElementTree.fromstring(svg([Panel(hostile, seen)]))  # noqa: S314  our own text
     assert not list(picture.iter(f"{SVG}script"))
-    assert [text.text for text in picture.iter(f"{SVG}text")] == [hostile, hostile, hostile + "'"]
+    assert [text.text for text in picture.iter(f"{SVG}text")] == [
+        hostile,
+        hostile,
+        hostile + "'",
+    ]

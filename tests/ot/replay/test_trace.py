@@ -57,7 +57,10 @@ def decoded(raw: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         rows, columns, size = track["rows"], track["columns"], track["bytes"]
         count = rows * columns
         numbers = [
-            sum(packed[at + half * count + place] << 8 * (size - 1 - half) for half in range(size))
+            sum(
+                packed[at + half * count + place] << 8 * (size - 1 - half)
+                for half in range(size)
+            )
             for place in range(count)
         ]
         steps = np.array(numbers).reshape(columns, rows).T
@@ -67,7 +70,9 @@ def decoded(raw: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     return header, tables
 
 
-@pytest.mark.parametrize(("generation", "candidate", "trial"), [(0, 0, 0), (0, 3, 1), (1, 2, 0)])
+@pytest.mark.parametrize(
+    ("generation", "candidate", "trial"), [(0, 0, 0), (0, 3, 1), (1, 2, 0)]
+)
 def test_every_trial_of_the_record_is_played_again_with_the_same_bits(
     folder: Path, generation: int, candidate: int, trial: int
 ) -> None:
@@ -88,17 +93,25 @@ def test_every_trial_of_the_record_is_played_again_with_the_same_bits(
 def test_without_numbers_it_is_the_best_candidate_of_the_run(folder: Path) -> None:
     run, found = Run(folder), trace(Run(folder))
     everybody = [
-        (one["fitness"], -g, -one["candidate"]) for g in range(2) for one in run.candidates(g)
+        (one["fitness"], -g, -one["candidate"])
+        for g in range(2)
+        for one in run.candidates(g)
     ]
     _, generation, candidate = max(everybody)
-    assert (found.about["generation"], found.about["candidate"], found.about["trial"]) == (
+    assert (
+        found.about["generation"],
+        found.about["candidate"],
+        found.about["trial"],
+    ) == (
         -generation,
         -candidate,
         0,
     )
 
 
-def test_a_genome_of_which_one_bit_differs_is_another_trial(folder: Path, tmp_path: Path) -> None:
+def test_a_genome_of_which_one_bit_differs_is_another_trial(
+    folder: Path, tmp_path: Path
+) -> None:
     """The difference is said in one line."""
     before = Run(folder).candidates(0)[1]["genome"]
     for at in range(3, len(before), 4):  # exponents and signs of the weights
@@ -123,7 +136,12 @@ def test_another_fitness_in_the_record_is_noted(folder: Path, tmp_path: Path) ->
     )
     raw[0] ^= 1
     found = trace(
-        changed(folder, tmp_path / "x", "UPDATE outcomes SET fitness = ? WHERE id = 1", bytes(raw)),
+        changed(
+            folder,
+            tmp_path / "x",
+            "UPDATE outcomes SET fitness = ? WHERE id = 1",
+            bytes(raw),
+        ),
         0,
         0,
         0,
@@ -166,10 +184,13 @@ def test_a_trial_that_is_not_there_is_refused_with_what_is(
     assert str(refused.value) == f"{folder}: {text}"
 
 
-def test_a_genome_that_does_not_fit_its_network_is_damage(folder: Path, tmp_path: Path) -> None:
+def test_a_genome_that_does_not_fit_its_network_is_damage(
+    folder: Path, tmp_path: Path
+) -> None:
     run = changed(folder, tmp_path / "x", "UPDATE candidates SET genome = x'00'")
     with pytest.raises(
-        ConfigError, match="damaged: a genome does not fit its network: a genome has 1 bytes"
+        ConfigError,
+        match="damaged: a genome does not fit its network: a genome has 1 bytes",
     ):
         trace(run, 0, 0)
 
@@ -183,7 +204,8 @@ def test_a_game_is_played_with_those_who_played_it(tmp_path: Path) -> None:
     found = trace(Run(folder), 0, 0, 1)
     assert (found.about["players"], found.note, len(found.fitness)) == ([3, 0], "", 2)
     with pytest.raises(
-        ConfigError, match="no trial 2 of candidate 0 in generation 0; it has trials 0 to 1"
+        ConfigError,
+        match="no trial 2 of candidate 0 in generation 0; it has trials 0 to 1",
     ):
         trace(Run(folder), 0, 0, 2)
 
@@ -203,7 +225,9 @@ def test_what_agents_observe_and_set_is_what_the_trial_had() -> None:
     for number in range(9):
         for agent in range(3):
             output = np.empty(2, np.float32)
-            network.step(parameters[0], states[agent], found.inputs[number, agent], output)
+            network.step(
+                parameters[0], states[agent], found.inputs[number, agent], output
+            )
             assert np.array_equal(found.outputs[number, agent], output)
             assert np.array_equal(found.hidden[number, agent], states[agent, :3])
     assert list(found.neurons) == ["hidden 1", "hidden 2", "hidden 3"]
@@ -220,7 +244,10 @@ def test_who_does_not_act_in_a_round_has_no_numbers() -> None:
     found = record(built, network, network.random(1, Stream(2)), 0)
     acts = ~np.isnan(found.inputs).any(axis=2)
     outside = np.array(
-        [[body.kind == "robot outside" for body in frame.bodies] for frame in found.frames[:-1]]
+        [
+            [body.kind == "robot outside" for body in frame.bodies]
+            for frame in found.frames[:-1]
+        ]
     )
     assert not acts[outside].any()
     assert acts[~outside].all()
@@ -240,9 +267,9 @@ def test_the_bytes_say_where_everything_was() -> None:
         for column, body in enumerate(frame.bodies):
             for name, value in (("x", body.x), ("y", body.y)):
                 low, high = by_name[name]["low"][0], by_name[name]["high"][0]
-                assert low + tables[name][number, column] / STEPS * (high - low) == pytest.approx(
-                    value, abs=(high - low) / STEPS
-                )
+                assert low + tables[name][number, column] / STEPS * (
+                    high - low
+                ) == pytest.approx(value, abs=(high - low) / STEPS)
             assert body.heading is not None
             turned = tables["heading"][number, column] / TURN * 2 * math.pi
             assert math.cos(turned - body.heading) == pytest.approx(1.0, abs=1e-8)
@@ -256,9 +283,16 @@ def test_the_bytes_say_where_everything_was() -> None:
 
 def test_a_long_trial_is_thinned_with_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("zswarm.ot.replay.trace.MOST_FRAMES", 8)
-    built, network = evaluate.build("minisim", {"steps": 30, "robots": 2}, "fully-meshed", {})
+    built, network = evaluate.build(
+        "minisim", {"steps": 30, "robots": 2}, "fully-meshed", {}
+    )
     found = record(built, network, network.random(1, Stream(1)), 5)
-    assert (found.every, found.rounds, len(found.frames), len(found.inputs)) == (8, 30, 5, 4)
+    assert (found.every, found.rounds, len(found.frames), len(found.inputs)) == (
+        8,
+        30,
+        5,
+        4,
+    )
     assert [found.at(number) for number in range(5)] == [0, 8, 16, 24, 30]
     whole = list(found.frames)
     monkeypatch.undo()
@@ -270,10 +304,14 @@ def test_a_long_trial_is_thinned_with_its_end(monkeypatch: pytest.MonkeyPatch) -
 def test_a_thousand_rounds_of_a_hundred_robots_fit_in_600_kb() -> None:
     """They wander about."""
     built, network = evaluate.build(
-        "arena", {"robots": 100, "steps": 1000, "side": 8.0}, "fully-meshed", {"weight_range": 4.0}
+        "arena",
+        {"robots": 100, "steps": 1000, "side": 8.0},
+        "fully-meshed",
+        {"weight_range": 4.0},
     )
     sizes = [
-        len(encode(record(built, network, [genome], 5))) for genome in network.random(4, Stream(1))
+        len(encode(record(built, network, [genome], 5)))
+        for genome in network.random(4, Stream(1))
     ]
     assert max(sizes) < 600_000, sizes
 
@@ -291,7 +329,10 @@ class Drawn(Minisim):
 
 
 FRAME = Frame(
-    10, 5, [Rectangle("wall", 4, 0, 1, 2)], [Body("robot", 1, 2.5, 0.4), Body("rock", 1, 1, 0.4)]
+    10,
+    5,
+    [Rectangle("wall", 4, 0, 1, 2)],
+    [Body("robot", 1, 2.5, 0.4), Body("rock", 1, 1, 0.4)],
 )
 
 
@@ -307,7 +348,10 @@ def of_pictures(*pictures: Any) -> Trace:
     [
         [FRAME, FRAME._replace(bodies=FRAME.bodies[:1])],
         [FRAME._replace(bodies=[]), FRAME],
-        [FRAME, FRAME._replace(bodies=[Body("robot", float("nan"), 0, 0.4), FRAME.bodies[1]])],
+        [
+            FRAME,
+            FRAME._replace(bodies=[Body("robot", float("nan"), 0, 0.4), FRAME.bodies[1]]),
+        ],
         [FRAME._replace(width=0)],
         [FRAME._replace(places=[Rectangle("wall", float("inf"), 0, 1, 1)])],
         [FRAME, ValueError("no picture today")],
@@ -321,7 +365,9 @@ def of_pictures(*pictures: Any) -> Trace:
         "it raises",
     ],
 )
-def test_what_cannot_be_drawn_makes_no_picture_and_no_other_trial(pictures: list[Any]) -> None:
+def test_what_cannot_be_drawn_makes_no_picture_and_no_other_trial(
+    pictures: list[Any],
+) -> None:
     """A plug-in's frames may be anything; fitness is what it is."""
     found = of_pictures(*pictures)
     assert list(found.frames) == []

@@ -135,7 +135,10 @@ SAME = "anyone who runs this experiment with the same code gets the same one"
             "INSERT INTO meta VALUES ('imported_from', 'best.zre: generation 4')",
             "not evolved here: best.zre: generation 4",
         ),
-        ("UPDATE outcomes SET faulted = 1 WHERE id = 1", "1 trial failed by what a machine did"),
+        (
+            "UPDATE outcomes SET faulted = 1 WHERE id = 1",
+            "1 trial failed by what a machine did",
+        ),
         (
             "UPDATE outcomes SET doubtful = 1 WHERE id < 3",
             "6 trials came from a server that was later proved to compute wrong",
@@ -232,7 +235,9 @@ def test_hostile_texts_stay_texts(tmp_path: Path) -> None:
 def test_a_simulator_that_is_not_installed_is_named(tmp_path: Path) -> None:
     folder = written(tmp_path, [1, 2], simulator="not-here")
     page = assert_harmless(report.of_run(Run(folder), trials=10))
-    assert "It was not played on held-out seeds: unknown simulator 'not-here'" in page.text
+    assert (
+        "It was not played on held-out seeds: unknown simulator 'not-here'" in page.text
+    )
     assert "The champion at work" not in page.text
 
 
@@ -254,14 +259,18 @@ def test_a_simulator_that_cannot_draw_is_reported_and_the_rest_is_shown(
 
 
 def test_a_run_without_a_generation_has_a_page(tmp_path: Path) -> None:
-    page = assert_harmless(report.of_run(Run(written(tmp_path, [], finished=False)), trials=10))
+    page = assert_harmless(
+        report.of_run(Run(written(tmp_path, [], finished=False)), trials=10)
+    )
     assert "no generation is finished yet" in page.text
     assert "zswarm-ot resume" in page.text
 
 
 def test_many_events_are_folded_and_some_left_out(tmp_path: Path) -> None:
     folder = written(
-        tmp_path, [1], notes=[Note("requeued", "lab-1", "gone", 3)] * (report.MAX_EVENTS + 5)
+        tmp_path,
+        [1],
+        notes=[Note("requeued", "lab-1", "gone", 3)] * (report.MAX_EVENTS + 5),
     )
     text = report.of_run(Run(folder), trials=0)
     assert "5 more are in the record" in text
@@ -271,17 +280,22 @@ def test_many_events_are_folded_and_some_left_out(tmp_path: Path) -> None:
 def test_a_study_has_a_page_with_its_comparison(tmp_path: Path) -> None:
     for hidden in (1, 2):
         for seed in range(4):
-            written(tmp_path / "study", [hidden, hidden + seed / 8], hidden=hidden, seed=seed)
+            written(
+                tmp_path / "study", [hidden, hidden + seed / 8], hidden=hidden, seed=seed
+            )
     output = tmp_path / "study.html"
     result = CliRunner().invoke(
-        cli.command, ["report", str(tmp_path / "study"), "-o", str(output)], catch_exceptions=False
+        cli.command,
+        ["report", str(tmp_path / "study"), "-o", str(output)],
+        catch_exceptions=False,
     )
     assert result.output == f"{output}\n"
     page = assert_harmless(output.read_text())
     assert "8 runs in 2 groups; 8 finished." in page.text
     assert "hidden 2 is better than hidden 1" in page.text
-    assert "zswarm-ot run study/stadium/experiment.toml # one of the runs again" in " ".join(
-        page.text.split()
+    assert (
+        "zswarm-ot run study/stadium/experiment.toml # one of the runs again"
+        in " ".join(page.text.split())
     )
     (tmp_path / "study" / "experiment.toml").touch()
     page = Page(report.of_study(tmp_path / "study", runs_below([tmp_path / "study"])))
@@ -296,8 +310,13 @@ def test_the_same_run_has_the_same_page(tmp_path: Path) -> None:
 
 def test_settings_that_differ_by_trial_are_shown(tmp_path: Path) -> None:
     """In words; the title of the film names the settings of its trial."""
-    settings = {"field": {"choice": ["random", "stadium"]}, "steps": {"from": 5, "to": 15}}
-    page = assert_harmless(report.of_run(Run(written(tmp_path, [1], settings=settings)), trials=3))
+    settings = {
+        "field": {"choice": ["random", "stadium"]},
+        "steps": {"from": 5, "to": 15},
+    }
+    page = assert_harmless(
+        report.of_run(Run(written(tmp_path, [1], settings=settings)), trials=3)
+    )
     assert "5 to 15, by trial" in page.text
     assert "random or stadium, by trial" in page.text
     drawn = zswarm.drawn(settings, held_out.trial_seed(champions.SEED, 0))

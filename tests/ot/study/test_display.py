@@ -58,7 +58,9 @@ def played(study: Study, shown: StudyLogger) -> None:
     for number, best in enumerate([1.0, 2.0, 3.0, -float("inf")]):
         study.ended.append(result(study, number, best))
         shown.on_run(study.ended[-1])
-    study.ended.append(RunEnded(study.planned[4], None, "a trial ended in a fault 3 times"))
+    study.ended.append(
+        RunEnded(study.planned[4], None, "a trial ended in a fault 3 times")
+    )
     shown.on_run(study.ended[-1])
     shown.on_outcome(summarize(str(study.folder), study.planned, study.ended, 2.5))
 
@@ -79,7 +81,9 @@ def test_plain_lines_name_the_runs_and_the_table_fits(
     ]
     lines = [line.split() for line in captured.out.splitlines()]
     assert ["severity", "0.5", "2", "1.5", "2", "2.5", "3", "800"] in lines
-    assert ["severity", "0.25", "2", "2", "800"] in lines, "a failed run is below every number"
+    assert ["severity", "0.25", "2", "2", "800"] in lines, (
+        "a failed run is below every number"
+    )
     assert "failed  severity-0-5-seed-9: a trial ended in a fault 3 times" in captured.out
     assert (
         "\n4 of 10 runs finished, 2.5 s\nstudy   runs/small\nagain   zswarm-ot resume runs/small\n"
@@ -89,13 +93,16 @@ def test_plain_lines_name_the_runs_and_the_table_fits(
     assert "\x1b" not in captured.out + captured.err
 
 
-def test_json_is_strict_and_has_all_of_it(study: Study, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_is_strict_and_has_all_of_it(
+    study: Study, capsys: pytest.CaptureFixture[str]
+) -> None:
     def refuse(text: str) -> None:
         raise AssertionError(f"{text} is not JSON")
 
     played(study, JsonStudyDisplay(study))
     lines = [
-        json.loads(line, parse_constant=refuse) for line in capsys.readouterr().out.splitlines()
+        json.loads(line, parse_constant=refuse)
+        for line in capsys.readouterr().out.splitlines()
     ]
     assert [line["event"] for line in lines] == [
         "generation",
@@ -107,10 +114,15 @@ def test_json_is_strict_and_has_all_of_it(study: Study, capsys: pytest.CaptureFi
         "done",
     ]
     assert lines[0] == {
-        "event": "generation", "run": "runs/small/severity-0-5-seed-7", "generation": 0,
-        "best": 1.0, "mean": None,
-        "evaluations": 50, "servers": 1, "slots": 2,
-    }  # fmt: skip
+        "event": "generation",
+        "run": "runs/small/severity-0-5-seed-7",
+        "generation": 0,
+        "best": 1.0,
+        "mean": None,
+        "evaluations": 50,
+        "servers": 1,
+        "slots": 2,
+    }
     assert (lines[1]["seed"], lines[1]["settings"], lines[1]["best"]) == (
         7,
         {"optimizer.severity": 0.5},
@@ -118,7 +130,13 @@ def test_json_is_strict_and_has_all_of_it(study: Study, capsys: pytest.CaptureFi
     )
     assert lines[4]["best"] is None
     done = lines[-1]
-    assert (done["runs"], done["finished"], done["failed"], done["median"], done["best"]) == (
+    assert (
+        done["runs"],
+        done["finished"],
+        done["failed"],
+        done["median"],
+        done["best"],
+    ) == (
         10,
         4,
         1,
@@ -126,10 +144,14 @@ def test_json_is_strict_and_has_all_of_it(study: Study, capsys: pytest.CaptureFi
         3.0,
     )
     assert done["settings"][0] == {
-        "settings": {"optimizer.severity": 0.5}, "runs": 2, "median": 2.0, "q25": 1.5, "q75": 2.5,
+        "settings": {"optimizer.severity": 0.5},
+        "runs": 2,
+        "median": 2.0,
+        "q25": 1.5,
+        "q75": 2.5,
         "best": 3.0,
         "evaluations": 800,
-    }  # fmt: skip
+    }
     assert done["settings"][1]["q25"] is None
 
 
@@ -146,7 +168,9 @@ def test_the_live_table_fits_however_many_runs_are_in_progress(study: Study) -> 
         shown.on_outcome(None)
     lines = text.getvalue().splitlines()
     assert lines[0].startswith("0/10 runs")
-    assert lines[0].split()[2] == "10/70", "each of 10 runs resumed after 3 of 10 generations"
+    assert lines[0].split()[2] == "10/70", (
+        "each of 10 runs resumed after 3 of 10 generations"
+    )
     assert lines[1].split()[:4] == ["severity-0-5-seed-7", "4/10", "best", "-1.2346e+05"]
     assert len(lines) == 11
     assert max(map(len, lines)) <= 80
@@ -156,7 +180,9 @@ def test_a_failed_run_leaves_the_live_table_and_its_total(study: Study) -> None:
     shown = LiveStudyDisplay(study)
     try:
         one = study.planned[0]
-        shown.run_logger(one).on_start(Started(study.folder / one.name, one.experiment, 0))
+        shown.run_logger(one).on_start(
+            Started(study.folder / one.name, one.experiment, 0)
+        )
         shown.on_run(RunEnded(one, None, "a fault"))
         (whole,) = shown.progress.tasks
     finally:
@@ -164,7 +190,9 @@ def test_a_failed_run_leaves_the_live_table_and_its_total(study: Study) -> None:
     assert (whole.description, whole.completed, whole.total) == ("1/10 runs", 0, 90)
 
 
-@pytest.mark.parametrize(("terminal", "moving"), [("xterm", True), ("dumb", False), ("", False)])
+@pytest.mark.parametrize(
+    ("terminal", "moving"), [("xterm", True), ("dumb", False), ("", False)]
+)
 def test_only_where_lines_can_be_written_over_does_a_table_move(
     terminal: str, moving: bool, study: Study, monkeypatch: pytest.MonkeyPatch
 ) -> None:

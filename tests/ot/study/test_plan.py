@@ -28,7 +28,9 @@ def test_repeats_have_the_seeds_that_follow(tmp_path: Path) -> None:
     ]
 
 
-def test_every_setting_has_its_first_seed_before_any_has_its_second(tmp_path: Path) -> None:
+def test_every_setting_has_its_first_seed_before_any_has_its_second(
+    tmp_path: Path,
+) -> None:
     assert names(
         tmp_path, '[study]\nrepeat = 2\n[study.grid]\n"optimizer.population" = [50, 100]'
     ) == [
@@ -50,7 +52,12 @@ def test_names_that_would_be_equal_get_a_hash(tmp_path: Path) -> None:
     long = "[[study.list]]\n" + "\n".join(
         f'"optimizer.{key}" = 0.2' for key in ("random", "mutation", "crossover", "renew")
     )
-    both = long + '\n"optimizer.probability" = 0.25\n' + long + '\n"optimizer.probability" = 0.75'
+    both = (
+        long
+        + '\n"optimizer.probability" = 0.25\n'
+        + long
+        + '\n"optimizer.probability" = 0.75'
+    )
     first, second = names(tmp_path, both)
     assert first == "random-0-2-mutation-0-2-crossover-0-2-renew-0-2-p-seed-7"
     assert second != first
@@ -60,10 +67,14 @@ def test_names_that_would_be_equal_get_a_hash(tmp_path: Path) -> None:
 
 
 @given(
-    st.dictionaries(st.text(), st.one_of(st.text(), st.floats(), st.lists(st.text())), max_size=5),
+    st.dictionaries(
+        st.text(), st.one_of(st.text(), st.floats(), st.lists(st.text())), max_size=5
+    ),
     st.integers(0, 2**63 - 2),
 )
-def test_every_setting_gives_a_safe_folder_name(settings: dict[str, Any], seed: int) -> None:
+def test_every_setting_gives_a_safe_folder_name(
+    settings: dict[str, Any], seed: int
+) -> None:
     from zswarm.ot.study.plan import _names
 
     for _, name in zip(range(3), _names(settings, seed), strict=False):
@@ -78,21 +89,25 @@ def test_a_folder_that_holds_another_run_is_not_taken_for_it(tmp_path: Path) -> 
     changed = plan(
         study(
             tmp_path,
-            "activation = 'x'\n[study]\nrepeat = 2".replace("activation = 'x'", "population = 60"),
+            "activation = 'x'\n[study]\nrepeat = 2".replace(
+                "activation = 'x'", "population = 60"
+            ),
         ),
         "x",
         found,
     )
     assert {one.name for one in changed}.isdisjoint(found)
     found |= {one.name: identity(one.experiment) for one in changed}
-    assert plan(study(tmp_path, "population = 60\n[study]\nrepeat = 2"), "x", found) == changed, (
-        "it is found again"
-    )
+    assert (
+        plan(study(tmp_path, "population = 60\n[study]\nrepeat = 2"), "x", found)
+        == changed
+    ), "it is found again"
 
 
 def test_the_length_of_a_run_is_not_part_of_its_identity(tmp_path: Path) -> None:
     (short,), (long,) = (
-        plan(study(tmp_path, f"[study.grid]\ngenerations = [{number}]"), "x") for number in (3, 5)
+        plan(study(tmp_path, f"[study.grid]\ngenerations = [{number}]"), "x")
+        for number in (3, 5)
     )
     assert identity(short.experiment) == identity(long.experiment)
     assert short.name != long.name

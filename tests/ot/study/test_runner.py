@@ -18,7 +18,9 @@ from zswarm.ot.study.study import Study
 
 @pytest.fixture
 def study(tmp_path: Path) -> Iterator[Study]:
-    with Study.create(structs.replace(EXPERIMENT, generations=1), "x", tmp_path / "runs") as study:
+    with Study.create(
+        structs.replace(EXPERIMENT, generations=1), "x", tmp_path / "runs"
+    ) as study:
         yield study
 
 
@@ -35,9 +37,14 @@ def test_a_link_in_the_place_of_a_run_is_neither_followed_nor_removed(
     place, elsewhere = study.folder / one.name, tmp_path / "elsewhere"
     elsewhere.mkdir()
     (elsewhere / "lock").touch()
-    for target, said in ((tmp_path / "nowhere", "No such file"), (elsewhere, "symbolic link")):
+    for target, said in (
+        (tmp_path / "nowhere", "No such file"),
+        (elsewhere, "symbolic link"),
+    ):
         place.symlink_to(target)
-        with pytest.raises(ConfigError, match=f"expected a run's folder or none: .*{said}"):
+        with pytest.raises(
+            ConfigError, match=f"expected a run's folder or none: .*{said}"
+        ):
             player(study)._opened(one, Logger())
         assert place.is_symlink()
         place.unlink()

@@ -39,7 +39,9 @@ def refusal(folder: Path) -> str:
     return str(refused.value)
 
 
-def test_a_study_holds_the_whole_experiment_and_no_record(folder: Path, file: Path) -> None:
+def test_a_study_holds_the_whole_experiment_and_no_record(
+    folder: Path, file: Path
+) -> None:
     assert sorted(path.name for path in folder.iterdir()) == ["experiment.toml", "lock"]
     assert load(folder / "experiment.toml").study.repeat == 2
     assert load(folder / "experiment.toml") == experiment.complete(load(file), "x"), (
@@ -57,7 +59,9 @@ def test_a_second_study_of_a_name_gets_a_number(folder: Path, file: Path) -> Non
 
 
 def test_a_study_of_one_run_is_a_study_again(file: Path) -> None:
-    with Study.create(load(file, ["study.repeat=1"]), "small.toml", file.parent / "runs") as study:
+    with Study.create(
+        load(file, ["study.repeat=1"]), "small.toml", file.parent / "runs"
+    ) as study:
         folder = study.folder
     with Study.open(folder) as again:
         assert [one.name for one in again.planned] == ["seed-7"]
@@ -65,7 +69,10 @@ def test_a_study_of_one_run_is_a_study_again(file: Path) -> None:
 
 def test_a_study_in_use_is_refused(folder: Path) -> None:
     with Study.open(folder):
-        assert refusal(folder) == f"{folder}: another zswarm-ot is at this study; stop it first"
+        assert (
+            refusal(folder)
+            == f"{folder}: another zswarm-ot is at this study; stop it first"
+        )
     Study.open(folder).__exit__(None, None, None)
 
 
@@ -112,10 +119,14 @@ def test_runs_that_the_file_no_longer_asks_for_are_named(folder: Path) -> None:
         assert study.others == ["by-hand", "seed-8"]
 
 
-def test_a_changed_experiment_takes_no_run_of_the_old_one_for_its_own(folder: Path) -> None:
+def test_a_changed_experiment_takes_no_run_of_the_old_one_for_its_own(
+    folder: Path,
+) -> None:
     record(folder, "seed-7")
     text = (folder / "experiment.toml").read_text()
-    (folder / "experiment.toml").write_text(text.replace("population = 50", "population = 60"))
+    (folder / "experiment.toml").write_text(
+        text.replace("population = 50", "population = 60")
+    )
     with Study.open(folder) as study:
         first, second = (one.name for one in study.left)
     assert first != "seed-7"
@@ -124,7 +135,9 @@ def test_a_changed_experiment_takes_no_run_of_the_old_one_for_its_own(folder: Pa
     assert study.others == ["seed-7"]
 
 
-def test_a_run_that_cannot_be_read_is_not_finished_and_keeps_its_name(folder: Path) -> None:
+def test_a_run_that_cannot_be_read_is_not_finished_and_keeps_its_name(
+    folder: Path,
+) -> None:
     record(folder, "seed-7")
     for damage in (b"", b"no database"):
         (folder / "seed-7" / "run.sqlite").write_bytes(damage)
@@ -140,25 +153,39 @@ def test_runs_of_a_study_are_reported_at_one_length(tmp_path: Path) -> None:
     settings = {**EXPERIMENT.representation.settings, "hidden": 2}
     network = structs.replace(EXPERIMENT.representation, settings=settings)
     with Study.create(
-        structs.replace(EXPERIMENT, representation=network, generations=3), "x", tmp_path / "runs"
+        structs.replace(EXPERIMENT, representation=network, generations=3),
+        "x",
+        tmp_path / "runs",
     ) as study:
         folder = study.folder
     written(tmp_path, [1.0, 5.0, 9.0], candidates=4).rename(folder / "seed-1")
     with Study.open(folder) as study:
         (whole,) = (ended.result for ended in study.ended)
     text = (folder / "experiment.toml").read_text()
-    (folder / "experiment.toml").write_text(text.replace("generations = 3", "generations = 2"))
+    (folder / "experiment.toml").write_text(
+        text.replace("generations = 3", "generations = 2")
+    )
     with Study.open(folder) as study:
         (part,) = (ended.result for ended in study.ended)
     assert whole is not None
     assert part is not None
-    assert (whole.generations, whole.best, whole.evaluations, len(whole.history_hash)) == (
+    assert (
+        whole.generations,
+        whole.best,
+        whole.evaluations,
+        len(whole.history_hash),
+    ) == (
         3,
         9.0,
         12,
         32,
     )
-    assert (part.generations, part.best, part.evaluations, part.history_hash) == (2, 5.0, 8, "")
+    assert (part.generations, part.best, part.evaluations, part.history_hash) == (
+        2,
+        5.0,
+        8,
+        "",
+    )
 
 
 def test_a_study_can_be_moved(folder: Path, tmp_path: Path) -> None:

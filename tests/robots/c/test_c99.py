@@ -41,7 +41,9 @@ def controllers() -> list[Controller]:
 
 
 @pytest.fixture(scope="module")
-def loaded(controllers: list[Controller], tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
+def loaded(
+    controllers: list[Controller], tmp_path_factory: pytest.TempPathFactory
+) -> ctypes.CDLL:
     """All of them, compiled together."""
     sources: dict[str, str] = {}
     for number, evolved in enumerate(controllers):
@@ -76,7 +78,9 @@ def test_a_self_test_fails_where_a_number_differs_in_its_last_bit(
     table = re.search(r"night_parameters.*?};", files["zs_night.c"], re.DOTALL)
     assert table
     first = re.findall(r"-?0x1\.[0-9a-f]{5,}p[-+]\d+f", table[0])[-1]
-    next_one = np.nextafter(np.float32(float.fromhex(first[:-1])), np.float32(9)).item().hex()
+    next_one = (
+        np.nextafter(np.float32(float.fromhex(first[:-1])), np.float32(9)).item().hex()
+    )
     files["zs_night.c"] = files["zs_night.c"].replace(
         table[0], table[0].replace(first, f"{next_one}f")
     )
@@ -93,14 +97,23 @@ def test_the_source_is_a_program_that_checks_itself(tmp_path: Path) -> None:
         (tmp_path / "zs_night.h").write_text(files["zs_night.h"])
         (tmp_path / "zs_night.c").write_text(text)
         subprocess.run(
-            ["gcc", *STRICT, "-DZS_NIGHT_MAIN", "-o", tmp_path / "check", tmp_path / "zs_night.c"],
+            [
+                "gcc",
+                *STRICT,
+                "-DZS_NIGHT_MAIN",
+                "-o",
+                tmp_path / "check",
+                tmp_path / "zs_night.c",
+            ],
             check=True,
         )
         assert subprocess.run([tmp_path / "check"], check=False).returncode == code
 
 
 def test_the_self_test_can_be_left_out(tmp_path: Path) -> None:
-    made = library(pair(controller("fully-meshed"), "night"), tmp_path, "-DZS_NIGHT_NO_SELFTEST")
+    made = library(
+        pair(controller("fully-meshed"), "night"), tmp_path, "-DZS_NIGHT_NO_SELFTEST"
+    )
     assert hasattr(made, "zs_night_step")
     assert not hasattr(made, "zs_night_selftest")
 
@@ -131,12 +144,16 @@ def test_the_header_says_what_a_simulators_numbers_mean() -> None:
 
 def test_only_what_is_used_is_written() -> None:
     clamp = pair(controller("fully-meshed"), "night")["zs_night.c"]
-    sigmoid = pair(controller("fully-meshed", {"activation": "sigmoid"}), "night")["zs_night.c"]
+    sigmoid = pair(controller("fully-meshed", {"activation": "sigmoid"}), "night")[
+        "zs_night.c"
+    ]
     assert "zs_night_exp" not in clamp
     assert "math.h" not in clamp
     assert "zs_night_exp" in sigmoid
     assert "zs_night_tanh" not in sigmoid
-    assert not re.search(r"\b(malloc|printf|stdio|static (?!const)\w+ \w+( =|;))", clamp + sigmoid)
+    assert not re.search(
+        r"\b(malloc|printf|stdio|static (?!const)\w+ \w+( =|;))", clamp + sigmoid
+    )
 
 
 @pytest.fixture
@@ -145,14 +162,20 @@ def plugin(
 ) -> Iterator[Callable[[str, str], Controller]]:
     """Return a controller of the plug-in in docs/representations.md, with one text replaced."""
     (code,) = re.findall(
-        r"`zswarm_linear.py`:\n\n```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL
+        r"`zswarm_linear.py`:\n\n```python\n(.*?)```",
+        PAGE.read_text(encoding="utf-8"),
+        re.DOTALL,
     )
     monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setitem(plugins.BUNDLED["representation"], "linear", "zswarm_linear:Linear")
+    monkeypatch.setitem(
+        plugins.BUNDLED["representation"], "linear", "zswarm_linear:Linear"
+    )
 
     def made(old: str, new: str) -> Controller:
         assert old in code
-        (tmp_path / "zswarm_linear.py").write_text(code.replace(old, new), encoding="utf-8")
+        (tmp_path / "zswarm_linear.py").write_text(
+            code.replace(old, new), encoding="utf-8"
+        )
         plugins._installed.cache_clear()
         return controller("linear", inputs=INPUTS, outputs=OUTPUTS)
 
@@ -201,9 +224,16 @@ def test_it_is_written_without_the_compiler_too() -> None:
         "PYTHONPATH": os.pathsep.join([str(REPOSITORY), *sys.path]),
     }
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=environment,
     )
-    assert (done.stdout, done.stderr) == (pair(controller("ctrnn"), "night")["zs_night.c"], "")
+    assert (done.stdout, done.stderr) == (
+        pair(controller("ctrnn"), "night")["zs_night.c"],
+        "",
+    )
 
 
 HOSTILE = [
@@ -242,7 +272,8 @@ def test_hostile_names_stay_words(tmp_path: Path) -> None:
             (tmp_path / str(number) / file).write_text(text)
     require("gcc")
     subprocess.run(
-        ["gcc", *STRICT, "-trigraphs", "-fsyntax-only", *tmp_path.glob("*/*.c")], check=True
+        ["gcc", *STRICT, "-trigraphs", "-fsyntax-only", *tmp_path.glob("*/*.c")],
+        check=True,
     )
 
 
@@ -253,7 +284,8 @@ def test_a_string_of_c_is_the_name_that_was_given(tmp_path: Path) -> None:
     )
     files = pair(evolved, "night")
     branches = "".join(
-        f"    if (at == {at}) {{\n        return ZS_NIGHT_SENSOR_{at};\n    }}\n" for at in range(3)
+        f"    if (at == {at}) {{\n        return ZS_NIGHT_SENSOR_{at};\n    }}\n"
+        for at in range(3)
     )
     head = "const char *name(int at);\nconst char *name(int at)\n{\n"
     files["more.c"] = f'{INCLUDE}{head}{branches}    return "";\n}}\n'
@@ -272,22 +304,40 @@ def test_the_header_is_for_cplusplus_too(tmp_path: Path) -> None:
     for name, text in files.items():
         (tmp_path / name).write_text(text)
     subprocess.run(
-        ["gcc", *STRICT, "-c", "-o", tmp_path / "c.o", tmp_path / "zs_night.c"], check=True
+        ["gcc", *STRICT, "-c", "-o", tmp_path / "c.o", tmp_path / "zs_night.c"],
+        check=True,
     )
     strict = ["-std=c++11", *STRICT[1:]]
     subprocess.run(
-        ["g++", *strict, "-o", tmp_path / "main", tmp_path / "main.cpp", tmp_path / "c.o"],
+        [
+            "g++",
+            *strict,
+            "-o",
+            tmp_path / "main",
+            tmp_path / "main.cpp",
+            tmp_path / "c.o",
+        ],
         check=True,
     )
     assert subprocess.run([tmp_path / "main"], check=False).returncode == 0
 
 
-@pytest.mark.parametrize("flag", ["-ffast-math", "-Ofast", "-ffinite-math-only", "-mfpmath=387"])
+@pytest.mark.parametrize(
+    "flag", ["-ffast-math", "-Ofast", "-ffinite-math-only", "-mfpmath=387"]
+)
 def test_flags_that_change_decisions_are_refused(flag: str, tmp_path: Path) -> None:
     require("gcc")
     for name, text in pair(controller("fully-meshed"), "night").items():
         (tmp_path / name).write_text(text)
-    command = ["gcc", "-std=gnu11", flag, "-c", "-o", tmp_path / "c.o", tmp_path / "zs_night.c"]
+    command = [
+        "gcc",
+        "-std=gnu11",
+        flag,
+        "-c",
+        "-o",
+        tmp_path / "c.o",
+        tmp_path / "zs_night.c",
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode != 0
     assert "#error" in done.stderr

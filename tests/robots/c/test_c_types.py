@@ -20,6 +20,8 @@ from zswarm.robots.c.c_types import folded
         ("a" * 39 + "-b" * 9, "a" * 39),
     ],
 )
-def test_any_name_becomes_one_for_files_packages_and_functions(name: str, expected: str) -> None:
+def test_any_name_becomes_one_for_files_packages_and_functions(
+    name: str, expected: str
+) -> None:
     assert folded(name) == expected
     assert folded(expected) == expected

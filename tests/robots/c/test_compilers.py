@@ -27,7 +27,11 @@ LOOSE = (
 )  # joins products and sums where the source does not forbid it
 OFF = "-ffp-contract=off"
 WAYS = [
-    *((name, level, *STRICT) for name in ("gcc", "clang") for level in ("-O0", "-O2", "-O3")),
+    *(
+        (name, level, *STRICT)
+        for name in ("gcc", "clang")
+        for level in ("-O0", "-O2", "-O3")
+    ),
     *((name, "-march=native", *LOOSE) for name in ("gcc", "clang")),
     ("gcc", "-flto", "-march=native", *LOOSE),
     ("gcc", "-Os", *STRICT),
@@ -79,7 +83,9 @@ def program(controllers: list[Controller], folder: Path) -> tuple[bytes, np.ndar
         read.append(seen.tobytes())
         expected += [driver.act(row).copy() for row in seen]
     includes = "\n".join(f'#include "zs_{name}.h"' for name in names)
-    plays = "".join(PLAY.format(n=name, upper=name.upper(), steps=STEPS) for name in names)
+    plays = "".join(
+        PLAY.format(n=name, upper=name.upper(), steps=STEPS) for name in names
+    )
     (folder / "main.c").write_text(MAIN.format(includes=includes, plays=plays))
     return b"".join(read), canonical(np.concatenate(expected))
 
@@ -105,7 +111,9 @@ def played(folder: Path, way: tuple[str, ...], read: bytes) -> tuple[int, np.nda
 
 
 @pytest.fixture(scope="module")
-def everything(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, bytes, np.ndarray]:
+def everything(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> tuple[Path, bytes, np.ndarray]:
     folder = tmp_path_factory.mktemp("everything")
     controllers = [
         controller(*kind, seed=1 + number + 100 * turn, inputs=inputs, outputs=outputs)
@@ -136,7 +144,9 @@ def test_without_its_guard_a_compiler_joins_products_and_sums_and_the_self_test_
 ) -> None:
     """Without the flag GCC contracts in its own dialect: the other tests can fail."""
     require(ARM64[0], "qemu-aarch64")
-    read, expected = program([controller("fully-meshed", {"activation": "tanh"}, seed=1)], tmp_path)
+    read, expected = program(
+        [controller("fully-meshed", {"activation": "tanh"}, seed=1)], tmp_path
+    )
     source = tmp_path / "zs_k000.c"
     assert GUARDS in source.read_text()
     source.write_text(source.read_text().replace(GUARDS, ""))
@@ -175,5 +185,7 @@ def test_no_required_rule_of_misra_c_is_broken(tmp_path: Path) -> None:
     )
     found = set(re.findall(r"\[misra-c2012-([\d.]+)\]", done.stderr))
     assert found, "the add-on does not look"
-    assert found <= BROKEN, [line for line in done.stderr.splitlines() if "misra" in line][:20]
+    assert found <= BROKEN, [
+        line for line in done.stderr.splitlines() if "misra" in line
+    ][:20]
     assert "[error]" not in done.stderr

@@ -12,7 +12,9 @@ from zswarm.robots.c.reference_steps import STEPS, check_steps, sha256
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=named)
-def test_check_steps_are_what_the_controller_decides(kind: tuple[str, dict[str, object]]) -> None:
+def test_check_steps_are_what_the_controller_decides(
+    kind: tuple[str, dict[str, object]],
+) -> None:
     """The same every time, and not all alike."""
     evolved = controller(*kind)
     steps, driver = check_steps(evolved), evolved.driver()
@@ -29,12 +31,15 @@ def test_the_hash_is_of_what_the_step_reads() -> None:
     _, parameters = evolved.network()
     assert sha256(parameters) == hashlib.sha256(parameters.tobytes()).hexdigest()
     settings = {**evolved.representation_settings, "activation": "relu"}
-    _, others = msgspec.structs.replace(evolved, representation_settings=settings).network()
+    _, others = msgspec.structs.replace(
+        evolved, representation_settings=settings
+    ).network()
     assert sha256(others) != sha256(parameters)
 
 
 @pytest.mark.parametrize(
-    "change", [{"genome": b"\0\0\0\0"}, {"inputs": -1}, {"outputs": 0}, {"representation": "none"}]
+    "change",
+    [{"genome": b"\0\0\0\0"}, {"inputs": -1}, {"outputs": 0}, {"representation": "none"}],
 )
 def test_an_invalid_controller_is_refused_in_one_line(change: dict[str, object]) -> None:
     with pytest.raises(ConfigError) as raised:

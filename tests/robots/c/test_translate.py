@@ -128,7 +128,9 @@ def bits(number: float) -> bytes:
 
 
 @pytest.mark.parametrize("case", PORTABLE, ids=lambda case: case[0].__name__)
-def test_a_portable_function_has_the_same_bits_in_c(case: Any, portable_in_c: ctypes.CDLL) -> None:
+def test_a_portable_function_has_the_same_bits_in_c(
+    case: Any, portable_in_c: ctypes.CDLL
+) -> None:
     function, types, _ = case
     if types == {"k": INT64}:
         numbers: list[tuple[Any, ...]] = [(k,) for k in range(-1075, 1024)]
@@ -139,7 +141,9 @@ def test_a_portable_function_has_the_same_bits_in_c(case: Any, portable_in_c: ct
         numbers = [(number,) for number in MANY.tolist()]
     elif "divisor" in types:
         numbers = [
-            (number, divisor) for number in MANY.tolist() for divisor in (360.0, 1e-300, 0.1)
+            (number, divisor)
+            for number in MANY.tolist()
+            for divisor in (360.0, 1e-300, 0.1)
         ]
     else:
         numbers = [
@@ -282,7 +286,11 @@ CONSTRUCTS: list[tuple[Callable[..., Any], dict[str, Type], list[tuple[Any, ...]
         {"a": FLOAT64, "n": INT64},
         [*itertools.product((-10.0, 0.0, 0.6, 2e300, math.inf), range(6))],
     ),
-    (singles, {"x": FLOAT32}, [(np.float32(x),) for x in (-9.3, -0.0, 0.1, 1e-40, 3e38, 17.0)]),
+    (
+        singles,
+        {"x": FLOAT32},
+        [(np.float32(x),) for x in (-9.3, -0.0, 0.1, 1e-40, 3e38, 17.0)],
+    ),
     (mixed, {"x": FLOAT32, "n": INT64}, [*itertools.product(SINGLES, (0, 3, 1 << 30))]),
     (numbers_of, {"word": UINT64}, [(word,) for word in WORDS]),
 ]
@@ -324,7 +332,11 @@ def test_a_construct_means_the_same_in_c(case: Any, constructs_in_c: ctypes.CDLL
 
 def test_several_results_are_a_struct_with_their_names(tmp_path: Path) -> None:
     source = functions(
-        [(together, {"a": FLOAT64, "b": FLOAT64}), (pair_of, {"a": FLOAT64, "b": FLOAT64})], "zs"
+        [
+            (together, {"a": FLOAT64, "b": FLOAT64}),
+            (pair_of, {"a": FLOAT64, "b": FLOAT64}),
+        ],
+        "zs",
     )
     assert (
         "double first;\n    double second;\n    double n2;\n} zs_together_result;"
@@ -386,7 +398,9 @@ def eights(numbers, at):
     here = load(numbers, at)
     there = load(numbers, at + 4)
     low = select((here < there) & (there > ONE), here, there)
-    store(numbers, at + 2, portable.tanh(load(numbers, at)) * numbers[0] + low - fill(HALF))
+    store(
+        numbers, at + 2, portable.tanh(load(numbers, at)) * numbers[0] + low - fill(HALF)
+    )
     rest = low
     for _ in range(2):
         rest = rest / TWO + here
@@ -420,7 +434,10 @@ def test_arrays_are_read_and_written_as_in_python(tmp_path: Path, flags: str) ->
         [ctypes.c_void_p, ctypes.c_int64],
         ctypes.c_int64,
     )
-    assert made.zs_drawn(floats(np.array([7], np.uint64)), 1000) == Stream(7).integers(1000, 6)[-1]
+    assert (
+        made.zs_drawn(floats(np.array([7], np.uint64)), 1000)
+        == Stream(7).integers(1000, 6)[-1]
+    )
     state, stream = np.array([7], np.uint64), Stream(7)
     assert [made.zs_draw_integer(floats(state), 1000) for _ in range(50)] == [
         stream.integer(1000) for _ in range(50)
@@ -578,7 +595,9 @@ REFUSED = [
 @pytest.mark.parametrize(
     ("function", "construct"), REFUSED, ids=lambda each: getattr(each, "__name__", "")
 )
-def test_what_c_cannot_say_is_refused_by_name(function: Callable[..., Any], construct: str) -> None:
+def test_what_c_cannot_say_is_refused_by_name(
+    function: Callable[..., Any], construct: str
+) -> None:
     """With file, line and construct."""
     arguments = dict.fromkeys(("x", "y")[: function.__code__.co_argcount], FLOAT64)
     with pytest.raises(ConfigError) as caught:

@@ -20,9 +20,14 @@ from zswarm.robots.onnx.graph import IR, OPSET
 
 # As docs/export.md says: of the greatest difference, or of its share of a larger number.
 TOLERANCES = {
-    "feed-forward": 1e-5, "three-layer": 1e-5, "fully-meshed": 1e-4, "ctrnn": 1e-4, "hebbian": 5e-3,
-    "neat": 1e-6, "mealy": 0.0,
-}  # fmt: skip
+    "feed-forward": 1e-5,
+    "three-layer": 1e-5,
+    "fully-meshed": 1e-4,
+    "ctrnn": 1e-4,
+    "hebbian": 5e-3,
+    "neat": 1e-6,
+    "mealy": 0.0,
+}
 GROWING = 1e-2  # with relu nothing bounds the outputs of a recurrent network
 LARGEST = 1e30  # beyond it a sum may leave float32 in one order and not in another
 TYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}
@@ -38,7 +43,8 @@ class Running:
             content, options, providers=["CPUExecutionProvider"]
         )
         self._memory = {
-            one.name: np.zeros(one.shape, TYPES[one.type]) for one in self._session.get_inputs()[1:]
+            one.name: np.zeros(one.shape, TYPES[one.type])
+            for one in self._session.get_inputs()[1:]
         }
 
     def act(self, observation: np.ndarray) -> np.ndarray:
@@ -53,7 +59,11 @@ class Running:
 
 def tolerance(evolved: Controller) -> float:
     settings = evolved.representation_settings
-    kind = settings["of"]["kind"] if evolved.representation == "bulk" else evolved.representation
+    kind = (
+        settings["of"]["kind"]
+        if evolved.representation == "bulk"
+        else evolved.representation
+    )
     return (
         GROWING
         if kind == "fully-meshed" and settings.get("activation") == "relu"
@@ -69,13 +79,17 @@ def compare(kind: tuple[str, dict[str, Any]], seed: int, steps: int) -> None:
         action, expected = running.act(observation), driver.act(observation)
         if np.abs(expected).max() > LARGEST:
             break
-        np.testing.assert_allclose(action, expected, rtol=near, atol=near, err_msg=f"step {number}")
+        np.testing.assert_allclose(
+            action, expected, rtol=near, atol=near, err_msg=f"step {number}"
+        )
         acted.add(expected.tobytes())
     assert len(acted) > 1
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=named)
-def test_a_model_decides_the_same_within_the_tolerance(kind: tuple[str, dict[str, Any]]) -> None:
+def test_a_model_decides_the_same_within_the_tolerance(
+    kind: tuple[str, dict[str, Any]],
+) -> None:
     compare(kind, 1, 100)
 
 
@@ -91,7 +105,9 @@ def test_a_model_stays_near_over_a_thousand_steps(
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 3e9, -3e9])
 def test_a_machine_takes_what_no_sensor_should_give(value: float) -> None:
     """Cut as in evolution, whether inputs have thresholds or not."""
-    evolved = controller(*next(kind for kind in KINDS if kind[1].get("thresholds") == [0, 1, 2, 0]))
+    evolved = controller(
+        *next(kind for kind in KINDS if kind[1].get("thresholds") == [0, 1, 2, 0])
+    )
     running, driver = Running(model(evolved, "x")["zs_x.onnx"]), evolved.driver()
     for number in range(4):
         observation = np.full(4, 0.3, np.float32)
@@ -104,7 +120,10 @@ def test_a_model_says_what_it_is_and_is_always_the_same() -> None:
     content = model(evolved, "x")["zs_x.onnx"]
     assert content == model(evolved, "x")["zs_x.onnx"]
     found = onnx.load_from_string(content)
-    assert (found.ir_version, [(one.domain, one.version) for one in found.opset_import]) == (
+    assert (
+        found.ir_version,
+        [(one.domain, one.version) for one in found.opset_import],
+    ) == (
         IR,
         [("", OPSET)],
     )
@@ -112,7 +131,9 @@ def test_a_model_says_what_it_is_and_is_always_the_same() -> None:
     assert json.loads(about["sensors"]) == evolved.sensors
     running = Running(content)
     for observation, action in zip(
-        json.loads(about["check_observations"]), json.loads(about["check_actions"]), strict=True
+        json.loads(about["check_observations"]),
+        json.loads(about["check_actions"]),
+        strict=True,
     ):
         np.testing.assert_allclose(
             running.act(np.array(observation, np.float32)), action, atol=1e-5
@@ -125,7 +146,9 @@ def test_a_network_without_memory_has_no_input_for_it() -> None:
     assert [one.name for one in found.graph.output] == ["action"]
 
 
-def test_a_plugins_network_is_refused_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_plugins_network_is_refused_in_one_line(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     from zswarm.nets.representation import Representation
     from zswarm.robots.onnx import networks as onnx_networks
 

@@ -36,7 +36,11 @@ def test_every_bundled_profile_can_be_read(name: str) -> None:
     assert profile.tested
     assert (profile.ros == 1) == (profile.distribution == "noetic")
     assert {"velocity", "scan", "odometry", "reset"} <= set(profile.channels)
-    topics = [profile.topic(channel, robot, 2) for channel in profile.channels for robot in (0, 1)]
+    topics = [
+        profile.topic(channel, robot, 2)
+        for channel in profile.channels
+        for robot in (0, 1)
+    ]
     assert len(set(topics)) == len(
         [c for c in profile.channels if c not in profiles.SHARED]
     ) * 2 + len([c for c in profile.channels if c in profiles.SHARED])
@@ -88,13 +92,21 @@ def test_a_profile_of_ones_own_is_read_by_its_path(tmp_path: Path) -> None:
             'name = "/../../etc"',
             "line 12: scan.name: expected str matching regex",
         ),
-        ("reliable = false", "reliable = 0", "line 13: scan.reliable: expected bool, got int"),
+        (
+            "reliable = false",
+            "reliable = 0",
+            "line 13: scan.reliable: expected bool, got int",
+        ),
         (
             "reliable = false",
             "stamped = true",
             "scan: unknown key 'stamped'; known are: name, reliable, frame, child_frame",
         ),
-        ("[odometry]", "[odometri]", "line 15: unknown key 'odometri' (did you mean 'odometry'?)"),
+        (
+            "[odometry]",
+            "[odometri]",
+            "line 15: unknown key 'odometri' (did you mean 'odometry'?)",
+        ),
         ("[odometry]", "[odometry", "not TOML"),
     ],
 )

@@ -24,7 +24,8 @@ from zswarm.ros.launch.files import RosFiles
 
 EXAMPLE = REPOSITORY / "examples" / "ros" / "files"
 ROSLAUNCH = pytest.mark.skipif(
-    shutil.which("roslaunch") is None, reason="roslaunch is not installed: apt install ros-core"
+    shutil.which("roslaunch") is None,
+    reason="roslaunch is not installed: apt install ros-core",
 )
 
 
@@ -47,7 +48,11 @@ def play(
     simulator, built = evaluate.build(name, settings, network, {})
     genomes = built.random(1, Stream(1))
     return evaluate.evaluate(
-        simulator, built, genomes, np.zeros((len(seeds), 1), np.int64), np.array(seeds, np.uint64)
+        simulator,
+        built,
+        genomes,
+        np.zeros((len(seeds), 1), np.int64),
+        np.array(seeds, np.uint64),
     )
 
 
@@ -78,42 +83,80 @@ ROBOTS = 'robots = "robots"'
     ("change", "told"),
     [
         (("inputs = 1\n", ""), r"rough\.toml: key inputs is missing$"),
-        (('launch = "rough.launch"', 'launch = "other.launch"'),
-         r"launch: package 'rough' has no file other\.launch$"),
-        (('package = "rough"', 'package = "none"'),
-         r"package 'none' is not found: neither a folder .*none with a package\.xml"),
-        (('"rough/node.sh"]', '"rough/node.py"]'),
-         r"files: .*rough/node\.py is missing, or not a file$"),
-        (('form = "yaml"', 'form = "xml"'),
-         r"rough\.toml: controller\.form: expected yaml, json or c99, not 'xml'$"),
-        (('form = "yaml"', 'form = "c99"'),
-         r"controller: c99: expected the key rebuild, a program with its arguments$"),
-        ((ROBOTS, "robots = \"agents\""), r"robots: expected a number, or the name of a setting"),
+        (
+            ('launch = "rough.launch"', 'launch = "other.launch"'),
+            r"launch: package 'rough' has no file other\.launch$",
+        ),
+        (
+            ('package = "rough"', 'package = "none"'),
+            r"package 'none' is not found: neither a folder .*none with a package\.xml",
+        ),
+        (
+            ('"rough/node.sh"]', '"rough/node.py"]'),
+            r"files: .*rough/node\.py is missing, or not a file$",
+        ),
+        (
+            ('form = "yaml"', 'form = "xml"'),
+            r"rough\.toml: controller\.form: expected yaml, json or c99, not 'xml'$",
+        ),
+        (
+            ('form = "yaml"', 'form = "c99"'),
+            r"controller: c99: expected the key rebuild, a program with its arguments$",
+        ),
+        (
+            (ROBOTS, 'robots = "agents"'),
+            r"robots: expected a number, or the name of a setting",
+        ),
         ((ROBOTS, "robots = 0"), r"rough\.toml: robots: expected int >= 1$"),
-        ((ROBOTS, 'robots = 1\nfitness = "command"'),
-         r"fitness: command: expected the key command, a program"),
-        ((ROBOTS, 'robots = 1\nlogs = "."'),
-         r"logs: expected a folder in the package, which is emptied before"),
-        ((ROBOTS, 'robots = 1\nlogs = "../log"'),
-         r"rough\.toml: logs: expected str matching regex "),
-        ((ROBOTS, 'robots = 1\nsensors = ["a", "b"]'),
-         r"sensors: expected 1 names or none, not 2$"),
-        (('argument = "how"', 'file = "a.yaml"'),
-         r"rough\.toml: settings\[\.\.\.\]: expected argument, or file and key$"),
-        (('argument = "seed"', 'key = "seed"'),
-         r"rough\.toml: seed: expected argument, or file and key$"),
-        (("default = 2", "default = 0.5\nchoices = [\"a\"]"),
-         r"robots: expected a number, or the name of"),
-        (("default = 0.5", "default = 0.5\nmaximum = 0.1"),
-         r"settings: 'epsilon': default: Expected `float` <= 0\.1$"),
-        (("[settings.how]", "[settings.fitness]\ndefault = 1\nargument = \"a\"\n[settings.how]"),
-         r"'fitness': a keyword"),
-        (('log_path = ', "late = 1979-05-27\nlog_path = "),
-         r"parameters: config/frevo\.yaml: late: a date cannot be a"),
-        (('log_path = ', "big = 3000000000\nlog_path = "),
-         r"big: 3000000000 is not among the integers of ROS parameters"),
+        (
+            (ROBOTS, 'robots = 1\nfitness = "command"'),
+            r"fitness: command: expected the key command, a program",
+        ),
+        (
+            (ROBOTS, 'robots = 1\nlogs = "."'),
+            r"logs: expected a folder in the package, which is emptied before",
+        ),
+        (
+            (ROBOTS, 'robots = 1\nlogs = "../log"'),
+            r"rough\.toml: logs: expected str matching regex ",
+        ),
+        (
+            (ROBOTS, 'robots = 1\nsensors = ["a", "b"]'),
+            r"sensors: expected 1 names or none, not 2$",
+        ),
+        (
+            ('argument = "how"', 'file = "a.yaml"'),
+            r"rough\.toml: settings\[\.\.\.\]: expected argument, or file and key$",
+        ),
+        (
+            ('argument = "seed"', 'key = "seed"'),
+            r"rough\.toml: seed: expected argument, or file and key$",
+        ),
+        (
+            ("default = 2", 'default = 0.5\nchoices = ["a"]'),
+            r"robots: expected a number, or the name of",
+        ),
+        (
+            ("default = 0.5", "default = 0.5\nmaximum = 0.1"),
+            r"settings: 'epsilon': default: Expected `float` <= 0\.1$",
+        ),
+        (
+            (
+                "[settings.how]",
+                '[settings.fitness]\ndefault = 1\nargument = "a"\n[settings.how]',
+            ),
+            r"'fitness': a keyword",
+        ),
+        (
+            ("log_path = ", "late = 1979-05-27\nlog_path = "),
+            r"parameters: config/frevo\.yaml: late: a date cannot be a",
+        ),
+        (
+            ("log_path = ", "big = 3000000000\nlog_path = "),
+            r"big: 3000000000 is not among the integers of ROS parameters",
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_manifest_is_reported_in_one_line(
     change: tuple[str, str], told: str, rough: Path
 ) -> None:
@@ -142,7 +185,10 @@ def test_a_launch_file_that_would_not_end_is_refused(rough: Path) -> None:
 @pytest.mark.parametrize(
     ("settings", "told"),
     [
-        ({"robots": 0}, r"^simulator 'rough': robots: expected 1 to 100000 robots, not 0$"),
+        (
+            {"robots": 0},
+            r"^simulator 'rough': robots: expected 1 to 100000 robots, not 0$",
+        ),
         (
             {"robots": 2**40},
             r"^simulator 'rough': robots: expected 1 to 100000 robots, not 1099511627776$",
@@ -210,7 +256,9 @@ def test_a_world_without_a_place_for_the_seed_is_not_repeatable(
     assert evaluate.build("rough", {}, "fully-meshed", {})[0].repeatable == repeatable
 
 
-def test_the_version_hash_covers_manifest_package_and_the_code_of_this_route(rough: Path) -> None:
+def test_the_version_hash_covers_manifest_package_and_the_code_of_this_route(
+    rough: Path,
+) -> None:
     rough_package.write(rough)
     names = {path.name for path in plugins.source_files("simulator", "rough")}
     assert {
@@ -222,7 +270,12 @@ def test_the_version_hash_covers_manifest_package_and_the_code_of_this_route(rou
         "logs.py",
         "exit_fitness.py",
     } <= names
-    assert {"parameters.py", "controller_files.py", "packages.py", "json_file.py"} <= names
+    assert {
+        "parameters.py",
+        "controller_files.py",
+        "packages.py",
+        "json_file.py",
+    } <= names
 
 
 def test_a_package_is_found_by_its_name_below_the_path_of_ros(
@@ -231,7 +284,9 @@ def test_a_package_is_found_by_its_name_below_the_path_of_ros(
     """By what it calls itself, whatever its folder is called."""
     rough_package.write(tmp_path)
     (tmp_path / "rough").rename(tmp_path / "somewhere")
-    monkeypatch.setenv("ROS_PACKAGE_PATH", f"{tmp_path / 'nowhere'}{os.pathsep}{tmp_path}")
+    monkeypatch.setenv(
+        "ROS_PACKAGE_PATH", f"{tmp_path / 'nowhere'}{os.pathsep}{tmp_path}"
+    )
     assert packages.find("rough", tmp_path / "manifests") == tmp_path / "somewhere"
 
 
@@ -242,17 +297,25 @@ def test_the_examples_numbers_are_those_of_the_network() -> None:
         network = plugins.load("representation", "fully-meshed")
         built = network(network.settings_type(**settings), 10, 2)
         (genome,) = built.random(1, Stream(5))
-        complete = {"hidden": built.settings.hidden, "iterations": built.settings.iterations}
-        copy = example["FullyMeshed"](np.frombuffer(genome, "<f4").tolist(), 10, 2, complete)
+        complete = {
+            "hidden": built.settings.hidden,
+            "iterations": built.settings.iterations,
+        }
+        copy = example["FullyMeshed"](
+            np.frombuffer(genome, "<f4").tolist(), 10, 2, complete
+        )
         parameters, state, action = (
             built.parameters([genome])[0],
             np.zeros(built.state_size, np.float32),
             np.zeros(2, "f4"),
         )
-        for observation in Stream(6).uniform(-3, 3, 500).reshape(50, 10).astype(np.float32):
+        for observation in (
+            Stream(6).uniform(-3, 3, 500).reshape(50, 10).astype(np.float32)
+        ):
             built.step(parameters, state, observation, action)
             assert (
-                np.array(copy.act(observation.tolist()), np.float32).tobytes() == action.tobytes()
+                np.array(copy.act(observation.tolist()), np.float32).tobytes()
+                == action.tobytes()
             )
 
 
@@ -291,7 +354,9 @@ DECIDED = {
 def test_a_node_or_roslaunch_that_fails_is_a_fault(rough: Path, how: str) -> None:
     """Logs do not make it an outcome. The error names simulator and seed."""
     rough_package.write(rough)
-    with pytest.raises(EvaluationError, match=f"^simulator 'rough', trial seed 1: {FAULTS[how]}"):
+    with pytest.raises(
+        EvaluationError, match=f"^simulator 'rough', trial seed 1: {FAULTS[how]}"
+    ):
         play("rough", {"how": how}, 1)
 
 
@@ -324,7 +389,11 @@ def test_nothing_is_left_of_a_trial_that_left_something(rough: Path) -> None:
     [
         (["sh", "-c", 'ls "$0"; echo "fitness = $(cat "$0"/*.log | wc -l)"'], 6.0, ""),
         (["./score.sh"], 11.0, ""),
-        (["echo", "nothing"], math.nan, "LogError: its output has no line fitness=<number>"),
+        (
+            ["echo", "nothing"],
+            math.nan,
+            "LogError: its output has no line fitness=<number>",
+        ),
     ],
 )
 def test_the_users_own_command_says_the_fitness(
@@ -350,20 +419,29 @@ def test_the_users_own_command_says_the_fitness(
             ["sh", "-c", "echo no bags >&2; exit 2"],
             r"the command ended with code 2; it wrote: no bags$",
         ),
-        (["sh", "-c", "sleep 1000"], r"the command took longer than its limit and was ended$"),
+        (
+            ["sh", "-c", "sleep 1000"],
+            r"the command took longer than its limit and was ended$",
+        ),
         (["./nowhere"], r"\./nowhere cannot be started: No such file or directory$"),
     ],
 )
-def test_a_command_that_fails_is_a_fault(rough: Path, command: list[str], told: str) -> None:
+def test_a_command_that_fails_is_a_fault(
+    rough: Path, command: list[str], told: str
+) -> None:
     rough_package.write(rough, more=f"command = {command}\ncommand_limit_s = 1.0")
-    with pytest.raises(EvaluationError, match=f"^simulator 'rough', trial seed 3: {told}"):
+    with pytest.raises(
+        EvaluationError, match=f"^simulator 'rough', trial seed 3: {told}"
+    ):
         play("rough", {"fitness": "command"}, 3)
 
 
 @pytest.mark.robots
 @ROSLAUNCH
 def test_a_rebuild_that_fails_is_a_fault(rough: Path) -> None:
-    rough_package.write(rough, controller='rebuild = ["sh", "-c", "echo no compiler; exit 1"]')
+    rough_package.write(
+        rough, controller='rebuild = ["sh", "-c", "echo no compiler; exit 1"]'
+    )
     with pytest.raises(
         EvaluationError,
         match=r"^simulator 'rough', trial seed 3: the rebuild ended with code 1; it wrote: no",

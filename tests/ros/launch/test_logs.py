@@ -86,8 +86,14 @@ def test_a_malformed_line_is_reported_with_its_number(line: str, tmp_path: Path)
 @pytest.mark.parametrize(
     ("robots", "told"),
     [
-        (3, r"^log/ has 2 logs \(robot_000\.log, robot_001\.log\); expected 3, one of each robot$"),
-        (1, r"^log/ has 2 logs \(robot_000\.log, robot_001\.log\); expected 1, one of each robot$"),
+        (
+            3,
+            r"^log/ has 2 logs \(robot_000\.log, robot_001\.log\); expected 3, one of each robot$",
+        ),
+        (
+            1,
+            r"^log/ has 2 logs \(robot_000\.log, robot_001\.log\); expected 1, one of each robot$",
+        ),
     ],
 )
 def test_each_robot_has_a_log(robots: int, told: str, tmp_path: Path) -> None:
@@ -97,7 +103,9 @@ def test_each_robot_has_a_log(robots: int, told: str, tmp_path: Path) -> None:
 
 def test_no_log_at_all_is_an_error_and_no_nan(tmp_path: Path) -> None:
     """The published reader divided by zero."""
-    with pytest.raises(LogError, match=r"^log/ has 0 logs; expected 2, one of each robot$"):
+    with pytest.raises(
+        LogError, match=r"^log/ has 0 logs; expected 2, one of each robot$"
+    ):
         logs.read(written(tmp_path / "log"), 2)
 
 
@@ -120,7 +128,8 @@ def test_a_command_says_the_fitness(said: str, number: float) -> None:
 
 
 @pytest.mark.parametrize(
-    "said", ["", "fitness", "fitness=nan", "fitness=1.0 of 2", "my fitness=1", "Fitness=3"]
+    "said",
+    ["", "fitness", "fitness=nan", "fitness=1.0 of 2", "my fitness=1", "Fitness=3"],
 )
 def test_a_command_that_says_no_fitness_is_an_error(said: str) -> None:
     with pytest.raises(LogError, match=r"^its output has no line fitness=<number>$"):

@@ -30,13 +30,14 @@ VALUES: dict[str, Any] = {
 
 
 def test_the_text_has_a_value_a_line() -> None:
-    assert parameters.text({"steps": 50, "exit_0": [-2.0, 1], "on": True, "to": "log"}) == (
-        'steps: 50\nexit_0: [-2.0, 1]\non: true\nto: "log"\n'
-    )
+    assert parameters.text(
+        {"steps": 50, "exit_0": [-2.0, 1], "on": True, "to": "log"}
+    ) == ('steps: 50\nexit_0: [-2.0, 1]\non: true\nto: "log"\n')
 
 
 @pytest.mark.parametrize(
-    ("number", "text"), [(1e-07, "1.0e-07"), (1e22, "1.0e+22"), (0.1, "0.1"), (-2.0, "-2.0")]
+    ("number", "text"),
+    [(1e-07, "1.0e-07"), (1e22, "1.0e+22"), (0.1, "0.1"), (-2.0, "-2.0")],
 )
 def test_numbers_have_a_point(number: float, text: str) -> None:
     """YAML 1.1, which ROS reads, takes 1e-07 for a text."""
@@ -51,7 +52,9 @@ def test_numbers_that_are_not_finite_are_yaml() -> None:
     ]
 
 
-@pytest.mark.parametrize("value", [2**31, -(2**31) - 1, None, {1, 2}, [1, [2**40]], {"a": None}])
+@pytest.mark.parametrize(
+    "value", [2**31, -(2**31) - 1, None, {1, 2}, [1, [2**40]], {"a": None}]
+)
 def test_what_ros_has_no_parameters_for_is_refused(value: Any) -> None:
     with pytest.raises(ValueError, match=r"^steps: "):
         parameters.text({"steps": value})
@@ -62,14 +65,25 @@ def test_ros_reads_what_was_written() -> None:
     """By the YAML reader of Debian's ROS, in its Python; float32 numbers keep their bits."""
     if not shutil.which("roslaunch"):
         pytest.skip("roslaunch is not installed: apt install ros-core")
-    numbers = np.random.default_rng(1).integers(0, 2**31, 2000).astype(np.uint32).view(np.float32)
+    numbers = (
+        np.random.default_rng(1)
+        .integers(0, 2**31, 2000)
+        .astype(np.uint32)
+        .view(np.float32)
+    )
     vector = numbers[np.isfinite(numbers)]
     text = parameters.text({**VALUES, "candidate": vector.tolist()})
     code = "import json, sys, yaml; print(json.dumps(yaml.safe_load(sys.stdin)))"
     read = subprocess.run(
-        ["/usr/bin/python3", "-c", code], input=text, capture_output=True, text=True, check=True
+        ["/usr/bin/python3", "-c", code],
+        input=text,
+        capture_output=True,
+        text=True,
+        check=True,
     )
     said = json.loads(read.stdout)
     assert np.array(said.pop("candidate"), np.float32).tobytes() == vector.tobytes()
     assert said == VALUES
-    assert [type(value) for value in said.values()] == [type(value) for value in VALUES.values()]
+    assert [type(value) for value in said.values()] == [
+        type(value) for value in VALUES.values()
+    ]

@@ -61,20 +61,29 @@ def test_a_program_runs_to_its_end_and_what_it_says_is_kept(
     assert supervisor.run(["true"], tmp_path, ENVIRONMENT) == (0, "")
 
 
-def test_signals_are_heard_by_what_it_runs_though_a_slot_hears_none(tmp_path: Path) -> None:
+def test_signals_are_heard_by_what_it_runs_though_a_slot_hears_none(
+    tmp_path: Path,
+) -> None:
     """A slot ignores SIGINT and SIGTERM, and its children would inherit that."""
-    before = [signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGTERM)]
+    before = [
+        signal.signal(number, signal.SIG_IGN)
+        for number in (signal.SIGINT, signal.SIGTERM)
+    ]
     try:
         supervisor = Supervisor()
     finally:
         for number, was in zip((signal.SIGINT, signal.SIGTERM), before, strict=True):
             signal.signal(number, was)
     assert (
-        supervisor.run(["sh", "-c", "kill -INT $$; sleep 1000"], tmp_path, ENVIRONMENT).code
+        supervisor.run(
+            ["sh", "-c", "kill -INT $$; sleep 1000"], tmp_path, ENVIRONMENT
+        ).code
         == -signal.SIGINT
     )
     assert (
-        supervisor.run(["sh", "-c", "kill -TERM $$; sleep 1000"], tmp_path, ENVIRONMENT).code
+        supervisor.run(
+            ["sh", "-c", "kill -TERM $$; sleep 1000"], tmp_path, ENVIRONMENT
+        ).code
         == -signal.SIGTERM
     )
     supervisor.close()
@@ -93,14 +102,19 @@ def test_nothing_is_left_of_a_program_that_ended(
 def test_a_program_that_takes_longer_than_its_limit_is_ended(
     supervisor: Supervisor, tmp_path: Path
 ) -> None:
-    ended = supervisor.run(["sh", "-c", LEAVES + "sleep 1000"], tmp_path, ENVIRONMENT, limit_s=0.5)
+    ended = supervisor.run(
+        ["sh", "-c", LEAVES + "sleep 1000"], tmp_path, ENVIRONMENT, limit_s=0.5
+    )
     assert ended.code is None
     assert not alive(left(tmp_path))
 
 
-def test_a_program_that_is_not_there_is_named(supervisor: Supervisor, tmp_path: Path) -> None:
+def test_a_program_that_is_not_there_is_named(
+    supervisor: Supervisor, tmp_path: Path
+) -> None:
     with pytest.raises(
-        EvaluationError, match=r"^\./nowhere cannot be started: No such file or directory$"
+        EvaluationError,
+        match=r"^\./nowhere cannot be started: No such file or directory$",
     ):
         supervisor.run(["./nowhere"], tmp_path, ENVIRONMENT)
 
@@ -123,19 +137,25 @@ def test_child_processes_end_with_their_requester(tmp_path: Path) -> None:
         "supervisor.run(['sh', '-c', sys.argv[1] + 'sleep 1000'], Path(), dict(os.environ))"
     )
     asking = subprocess.Popen(
-        [sys.executable, "-c", code, LEAVES], stdout=subprocess.PIPE, text=True, cwd=tmp_path
+        [sys.executable, "-c", code, LEAVES],
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
     )
     assert asking.stdout
     supervisor, folder = asking.stdout.readline().split()
     wait_until(
-        lambda: (tmp_path / "left").exists() and (tmp_path / "left").read_text(), "the program runs"
+        lambda: (tmp_path / "left").exists() and (tmp_path / "left").read_text(),
+        "the program runs",
     )
     assert alive(left(tmp_path))
     asking.kill()
     asking.communicate()
     wait_until(
         lambda: (
-            not alive(left(tmp_path)) and not alive(int(supervisor)) and not Path(folder).exists()
+            not alive(left(tmp_path))
+            and not alive(int(supervisor))
+            and not Path(folder).exists()
         ),
         "all of it ends",
     )
@@ -147,7 +167,9 @@ def test_a_supervisor_that_was_killed_is_a_fault_and_its_folder_is_swept_by_the_
     """A living one's is not."""
     killed, living = Supervisor(), Supervisor()
     killed._process.kill()
-    with pytest.raises(EvaluationError, match=r"^the supervisor of its processes .* was killed$"):
+    with pytest.raises(
+        EvaluationError, match=r"^the supervisor of its processes .* was killed$"
+    ):
         killed.run(["true"], tmp_path, ENVIRONMENT)
     killed._process.wait()
     assert killed.folder.exists()
@@ -166,8 +188,11 @@ def test_a_supervisor_that_was_killed_is_a_fault_and_its_folder_is_swept_by_the_
 def test_without_roslaunch_the_package_to_install_is_named(
     supervisor: Supervisor, tmp_path: Path
 ) -> None:
-    environment = roslaunch.environment(supervisor.folder, tmp_path) | {"PATH": str(tmp_path)}
+    environment = roslaunch.environment(supervisor.folder, tmp_path) | {
+        "PATH": str(tmp_path)
+    }
     with pytest.raises(
-        EvaluationError, match=r"^roslaunch is not installed here, .*: apt install ros-core "
+        EvaluationError,
+        match=r"^roslaunch is not installed here, .*: apt install ros-core ",
     ):
         roslaunch.launch(supervisor, tmp_path / "x.launch", {}, environment)

@@ -5,7 +5,9 @@ import json
 import pathlib
 import sys
 
-sys.path.insert(0, str(pathlib.Path(__file__).parents[3] / "zswarm" / "ros" / "link" / "bridges"))
+sys.path.insert(
+    0, str(pathlib.Path(__file__).parents[3] / "zswarm" / "ros" / "link" / "bridges")
+)
 
 from conversion import Conversion
 from rclpy.serialization import serialize_message
@@ -29,7 +31,9 @@ def main():
         described = json.loads(
             pathlib.Path(sys.prefix, "share", package, "msg", f"{name}.json").read_text()
         )
-        hashes = {entry["type_name"]: entry["hash_string"] for entry in described["type_hashes"]}
+        hashes = {
+            entry["type_name"]: entry["hash_string"] for entry in described["type_hashes"]
+        }
         found[kind] = {
             "body": body,
             "cdr": serialize_message(message).hex(),

@@ -59,15 +59,23 @@ def test_an_odometry_keeps_every_bit(
 ) -> None:
     x, y, z, w, linear, angular = numbers
     odometry = Odometry(
-        robot=robot, stamp_ns=stamp, x=x, y=y, z=z, w=w, linear=linear, angular=angular, truth=truth
+        robot=robot,
+        stamp_ns=stamp,
+        x=x,
+        y=y,
+        z=z,
+        w=w,
+        linear=linear,
+        angular=angular,
+        truth=truth,
     )
     channel, number = codec.topic(odometry)
     came = codec.decode(channel, number, codec.encode(odometry))
     assert isinstance(came, Odometry)
     assert (came.robot, came.stamp_ns, came.truth) == (robot, stamp, truth)
-    assert [bits(n) for n in (came.x, came.y, came.z, came.w, came.linear, came.angular)] == [
-        bits(n) for n in numbers
-    ]
+    assert [
+        bits(n) for n in (came.x, came.y, came.z, came.w, came.linear, came.angular)
+    ] == [bits(n) for n in numbers]
 
 
 @pytest.mark.parametrize(
@@ -83,8 +91,13 @@ def test_other_messages_come_as_they_were(message: Message) -> None:
     assert codec.decode(*codec.topic(message), codec.encode(message)) == message
 
 
-@given(st.lists(st.tuples(st.integers(0, 0xFFFF), st.binary(max_size=50))), st.integers(1, 30))
-def test_frames_come_whole_however_they_are_cut(sent: list[tuple[int, bytes]], chunk: int) -> None:
+@given(
+    st.lists(st.tuples(st.integers(0, 0xFFFF), st.binary(max_size=50))),
+    st.integers(1, 30),
+)
+def test_frames_come_whole_however_they_are_cut(
+    sent: list[tuple[int, bytes]], chunk: int
+) -> None:
     stream = b"".join(frames.frame(topic, body) for topic, body in sent)
     rest, came = bytearray(), []
     for at in range(0, len(stream), chunk):

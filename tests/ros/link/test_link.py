@@ -44,7 +44,10 @@ def test_messages_go_both_ways_between_two_sides(here: graph.RosGraph) -> None:
         controllers.ready(TIMEOUT_S)
         simulation.ready(TIMEOUT_S)
         controllers.send(
-            [ResetWorld(seed=2**64 - 1), Velocity(robot=1, stamp_ns=0, linear=0.1, angular=-0.0)]
+            [
+                ResetWorld(seed=2**64 - 1),
+                Velocity(robot=1, stamp_ns=0, linear=0.1, angular=-0.0),
+            ]
         )
         came = {
             type(message): message
@@ -57,7 +60,10 @@ def test_messages_go_both_ways_between_two_sides(here: graph.RosGraph) -> None:
         simulation.send([scan, Clock(stamp_ns=7)])
         came = {
             type(message): message
-            for message in (controllers.receive(TIMEOUT_S), controllers.receive(TIMEOUT_S))
+            for message in (
+                controllers.receive(TIMEOUT_S),
+                controllers.receive(TIMEOUT_S),
+            )
         }
         assert came[Clock] == Clock(stamp_ns=7)
         assert isinstance(seen := came[Scan], Scan)
@@ -67,13 +73,17 @@ def test_messages_go_both_ways_between_two_sides(here: graph.RosGraph) -> None:
             scan.ranges.tobytes(),
         )
         assert controllers.receive(0.0) is None
-        with pytest.raises(ValueError, match="clock of robot 0 is not published by this link"):
+        with pytest.raises(
+            ValueError, match="clock of robot 0 is not published by this link"
+        ):
             controllers.send([Clock(stamp_ns=1)])
 
 
 def test_who_is_not_there_is_named(here: graph.RosGraph) -> None:
     with (
-        Link(here, PROFILE, robots=1, side="controllers", channels=("scan", "velocity")) as link,
+        Link(
+            here, PROFILE, robots=1, side="controllers", channels=("scan", "velocity")
+        ) as link,
         pytest.raises(
             EvaluationError,
             match=r"^no node subscribes to /cmd_vel; no node publishes /base_scan after 0\.2 s$",
@@ -85,17 +95,23 @@ def test_who_is_not_there_is_named(here: graph.RosGraph) -> None:
 def test_of_several_channels_one_may_be_enough(here: graph.RosGraph) -> None:
     with (
         Link(here.dialled(), PROFILE, robots=1, side="simulation") as simulation,
-        Link(here, PROFILE, robots=1, side="controllers", channels=("scan", "ground_truth")),
+        Link(
+            here, PROFILE, robots=1, side="controllers", channels=("scan", "ground_truth")
+        ),
     ):
         simulation.ready(TIMEOUT_S, ["scan"], either=["odometry", "ground_truth"])
-        with pytest.raises(EvaluationError, match=r"^no node subscribes to /odom after 0\.2 s$"):
+        with pytest.raises(
+            EvaluationError, match=r"^no node subscribes to /odom after 0\.2 s$"
+        ):
             simulation.ready(0.2, ["scan"], either=["odometry"])
 
 
 def test_a_bridge_that_is_killed_is_named(here: graph.RosGraph) -> None:
     with Link(here, PROFILE, robots=1, side="controllers") as link:
         os.kill(bridges()[0], signal.SIGKILL)
-        with pytest.raises(EvaluationError, match=r"^the zenoh bridge was killed by signal 9"):
+        with pytest.raises(
+            EvaluationError, match=r"^the zenoh bridge was killed by signal 9"
+        ):
             link.receive(TIMEOUT_S)
     assert bridges() == []
 
@@ -116,14 +132,23 @@ def test_a_link_that_is_closed_leaves_nothing(here: graph.RosGraph) -> None:
             "stage_ros2",
             r"the link rospy speaks ROS 1, and the profile \(Stage in ROS 2: .*\) is of ROS 2",
         ),
-        ("zenoh", "stageros", r"the link zenoh speaks ROS 2, and the profile \(.*\) is of ROS 1"),
+        (
+            "zenoh",
+            "stageros",
+            r"the link zenoh speaks ROS 2, and the profile \(.*\) is of ROS 1",
+        ),
     ],
 )
 def test_a_profile_of_the_other_ros_is_refused(
     kind: graph.LinkKind, profile: str, said: str
 ) -> None:
     with pytest.raises(ConfigError, match=said):
-        Link(graph.RosGraph(link=kind), profiles.read(profile), robots=1, side="controllers")
+        Link(
+            graph.RosGraph(link=kind),
+            profiles.read(profile),
+            robots=1,
+            side="controllers",
+        )
 
 
 def test_zenoh_says_that_it_calls_no_services(here: graph.RosGraph) -> None:
@@ -177,7 +202,12 @@ def test_missing_ros_is_reported_with_a_fix(
     monkeypatch.setenv(variable, str(bare))
     monkeypatch.delenv("PYTHONPATH", raising=False)
     with pytest.raises(ConfigError, match=f"^{said}"):
-        Link(graph.RosGraph(link=kind), profiles.read(profile), robots=1, side="controllers")
+        Link(
+            graph.RosGraph(link=kind),
+            profiles.read(profile),
+            robots=1,
+            side="controllers",
+        )
 
 
 def test_a_missing_python_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -192,7 +222,10 @@ def test_a_missing_python_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_two_private_domains_differ() -> None:
     with graph.private("rclpy") as one, graph.private("rclpy") as other:
         assert one.domain != other.domain
-        expected = {"ROS_DOMAIN_ID": str(one.domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+        expected = {
+            "ROS_DOMAIN_ID": str(one.domain),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        }
         assert one.environment("kilted").items() >= expected.items()
         assert one.environment("humble")["ROS_LOCALHOST_ONLY"] == "1"
 
@@ -201,5 +234,7 @@ def bridges() -> list[int]:
     """Bridges that this process started."""
     found = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
     return [
-        int(child) for child in found if "by_zenoh" in Path(f"/proc/{child}/cmdline").read_text()
+        int(child)
+        for child in found
+        if "by_zenoh" in Path(f"/proc/{child}/cmdline").read_text()
     ]

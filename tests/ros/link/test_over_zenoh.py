@@ -56,21 +56,39 @@ def test_numbers_stand_where_ros_looks_for_them(node: ZenohNode) -> None:
     """Poses, the quaternion's z and w, velocities and stamps are in their fields."""
 
     def message(kind: str) -> Any:
-        return node.store.deserialize_cdr(bytes.fromhex(GOLDEN[kind]["cdr"]), spelled(kind))
+        return node.store.deserialize_cdr(
+            bytes.fromhex(GOLDEN[kind]["cdr"]), spelled(kind)
+        )
 
     odometry = message("nav_msgs/Odometry")
     place, speed = odometry.pose.pose, odometry.twist.twist
-    assert (place.position.x, place.position.y, place.orientation.z, place.orientation.w) == (
+    assert (
+        place.position.x,
+        place.position.y,
+        place.orientation.z,
+        place.orientation.w,
+    ) == (
         0.1,
         -2.5,
         0.6,
         0.8,
     )
     assert (speed.linear.x, speed.angular.z) == (0.22, -1 / 3)
-    assert (odometry.header.frame_id, odometry.child_frame_id) == ("robot_1/ray", "robot_1/hub")
+    assert (odometry.header.frame_id, odometry.child_frame_id) == (
+        "robot_1/ray",
+        "robot_1/hub",
+    )
     scan = message("sensor_msgs/LaserScan")
-    assert (scan.header.stamp.sec, scan.header.stamp.nanosec) == (1_234_567_890, 123_456_789)
-    assert (scan.angle_min, scan.angle_max, scan.range_min, scan.range_max) == (-1.5, 1.5, 0.0, 4.0)
+    assert (scan.header.stamp.sec, scan.header.stamp.nanosec) == (
+        1_234_567_890,
+        123_456_789,
+    )
+    assert (scan.angle_min, scan.angle_max, scan.range_min, scan.range_max) == (
+        -1.5,
+        1.5,
+        0.0,
+        4.0,
+    )
     assert scan.angle_increment == np.float32(0.1)
     assert scan.ranges[3] == 3.25
     stamped = message("geometry_msgs/TwistStamped")
@@ -98,7 +116,9 @@ def test_humble_has_no_hashes() -> None:
 def test_an_unknown_distribution_is_named() -> None:
     with (
         open_session([], []) as session,
-        pytest.raises(ValueError, match=r"no distribution 'noetic' of ROS 2; known are .*humble"),
+        pytest.raises(
+            ValueError, match=r"no distribution 'noetic' of ROS 2; known are .*humble"
+        ),
     ):
         ZenohNode(session, "robot", distribution="noetic")
 
@@ -135,7 +155,9 @@ def test_others_see_who_is_there_and_what_was_sent_is_numbered() -> None:
         assert [number for number, *_ in numbers] == [1, 2]
         assert len({gid for *_, gid in numbers}) == 1
         assert str(first.key_expr) == node.key("/robot_1/cmd_vel", TWIST)
-        assert node.store.deserialize_cdr(first.payload.to_bytes(), TWIST).linear.x == 0.25
+        assert (
+            node.store.deserialize_cdr(first.payload.to_bytes(), TWIST).linear.x == 0.25
+        )
         node.close()
         assert wait_for_tokens(watching, 0) == []
 
@@ -150,7 +172,9 @@ def test_others_see_who_is_there_and_what_was_sent_is_numbered() -> None:
         LITTLE_ENDIAN_CDR + bytes(64),
     ],
 )
-def test_invalid_messages_are_dropped(body: bytes, capfd: pytest.CaptureFixture[str]) -> None:
+def test_invalid_messages_are_dropped(
+    body: bytes, capfd: pytest.CaptureFixture[str]
+) -> None:
     """Without a word: anybody may send anything."""
     came: queue.SimpleQueue[Any] = queue.SimpleQueue()
     with open_session([], []) as session:

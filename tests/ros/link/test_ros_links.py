@@ -90,7 +90,9 @@ def received(link: Link, count: int) -> list[Message]:
     return found
 
 
-def test_a_thousand_messages_each_way_are_all_there_in_order(here: graph.RosGraph) -> None:
+def test_a_thousand_messages_each_way_are_all_there_in_order(
+    here: graph.RosGraph,
+) -> None:
     """Of each topic; those of one topic come in their order, with all their bits."""
     described = profiles.read(profile(here.link))
     with (
@@ -111,14 +113,18 @@ def test_a_thousand_messages_each_way_are_all_there_in_order(here: graph.RosGrap
             for n in range(MESSAGES)
         ]
         came = received(simulation, MESSAGES + 1)
-        assert [m for m in came if isinstance(m, ResetWorld)] == [ResetWorld(seed=2**64 - 1)]
+        assert [m for m in came if isinstance(m, ResetWorld)] == [
+            ResetWorld(seed=2**64 - 1)
+        ]
         for robot in range(ROBOTS):
-            assert [m for m in came if isinstance(m, Velocity) and m.robot == robot] == sent[
-                robot::ROBOTS
-            ]
+            assert [
+                m for m in came if isinstance(m, Velocity) and m.robot == robot
+            ] == sent[robot::ROBOTS]
         for first in range(0, MESSAGES, 100):
             numbers = range(first, first + 100)
-            simulation.send([odometry(n, truth=truth) for n in numbers for truth in (True, False)])
+            simulation.send(
+                [odometry(n, truth=truth) for n in numbers for truth in (True, False)]
+            )
             simulation.send([Clock(stamp_ns=n) for n in numbers])
             simulation.send([scan(n) for n in numbers])
             check_hundred(received(controllers, 400), first)
@@ -132,18 +138,26 @@ def check_hundred(came: list[Message], first: int) -> None:
         own = [n for n in numbers if n % ROBOTS == robot]
         scans = [m for m in came if isinstance(m, Scan) and m.robot == robot]
         assert [m.stamp_ns for m in scans] == [scan(n).stamp_ns for n in own]
-        assert [m.ranges.tobytes() for m in scans] == [scan(n).ranges.tobytes() for n in own]
+        assert [m.ranges.tobytes() for m in scans] == [
+            scan(n).ranges.tobytes() for n in own
+        ]
         for truth in (True, False):
             poses = [
-                m for m in came if isinstance(m, Odometry) and m.truth is truth and m.robot == robot
+                m
+                for m in came
+                if isinstance(m, Odometry) and m.truth is truth and m.robot == robot
             ]
-            assert [repr(pose) for pose in poses] == [repr(odometry(n, truth=truth)) for n in own]
+            assert [repr(pose) for pose in poses] == [
+                repr(odometry(n, truth=truth)) for n in own
+            ]
 
 
 def test_who_is_not_there_is_named(here: graph.RosGraph) -> None:
     described = profiles.read(profile(here.link))
     with (
-        Link(here, described, robots=2, side="controllers", channels=("scan", "velocity")) as link,
+        Link(
+            here, described, robots=2, side="controllers", channels=("scan", "velocity")
+        ) as link,
         pytest.raises(
             EvaluationError,
             match=r"^no node subscribes to /robot_0/cmd_vel, /robot_1/cmd_vel; no node publishes /",
@@ -152,12 +166,16 @@ def test_who_is_not_there_is_named(here: graph.RosGraph) -> None:
         link.ready(0.3)
 
 
-def test_a_bridge_that_is_killed_is_named_and_another_begins(here: graph.RosGraph) -> None:
+def test_a_bridge_that_is_killed_is_named_and_another_begins(
+    here: graph.RosGraph,
+) -> None:
     described = profiles.read(profile(here.link))
     for _ in range(2):
         with Link(here, described, robots=1, side="controllers") as link:
             (bridge,) = [
-                child for child in below(os.getpid()) if f"by_{here.link}" in command(child)
+                child
+                for child in below(os.getpid())
+                if f"by_{here.link}" in command(child)
             ]
             os.kill(bridge, signal.SIGKILL)
             with pytest.raises(
@@ -178,7 +196,9 @@ def test_nothing_remains_when_the_owner_of_a_link_is_killed(here: graph.RosGraph
             holder.kill()
     deadline = time.monotonic() + TIMEOUT_S
     while any(alive(child) for child in started):
-        assert time.monotonic() < deadline, [command(child) for child in started if alive(child)]
+        assert time.monotonic() < deadline, [
+            command(child) for child in started if alive(child)
+        ]
         time.sleep(0.05)
 
 
@@ -186,7 +206,8 @@ def test_a_master_that_does_not_answer_is_reported() -> None:
     need("rospy")
     nowhere = graph.RosGraph(link="rospy", master="http://127.0.0.1:9")
     with pytest.raises(
-        ConfigError, match=r"^no ROS master answers at http://127\.0\.0\.1:9: start one \(roscore\)"
+        ConfigError,
+        match=r"^no ROS master answers at http://127\.0\.0\.1:9: start one \(roscore\)",
     ):
         Link(nowhere, profiles.read("stageros"), robots=1, side="controllers")
 
@@ -196,7 +217,9 @@ def test_a_service_without_arguments_begins_a_trial() -> None:
     need("rospy")
     with (
         graph.private("rospy") as here,
-        Link(here, STAGE, robots=2, side="controllers", channels=("reset",)) as controllers,
+        Link(
+            here, STAGE, robots=2, side="controllers", channels=("reset",)
+        ) as controllers,
     ):
         with pytest.raises(
             EvaluationError, match=r"^no node subscribes to /reset_positions after 0.1 s$"
@@ -230,7 +253,8 @@ def test_bytes_and_hashes_are_still_those_of_ros_2() -> None:
 def below(process: int) -> list[int]:
     """Processes that a process started."""
     return [
-        int(child) for child in Path(f"/proc/{process}/task/{process}/children").read_text().split()
+        int(child)
+        for child in Path(f"/proc/{process}/task/{process}/children").read_text().split()
     ]
 
 
@@ -241,6 +265,8 @@ def command(process: int) -> str:
 def alive(process: int) -> bool:
     """Whether it is there and did not end."""
     try:
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+        return (
+            Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+        )
     except OSError:
         return False

@@ -20,8 +20,12 @@ def asked() -> LockStep:
 
 def test_it_steps_when_all_have_told(asked: LockStep) -> None:
     assert asked.handle(velocity(3, 0.3), 10.1) is None
-    assert asked.handle(velocity(1, 0.1), 10.2) == Step({3: velocity(3, 0.3), 1: velocity(1, 0.1)})
-    assert asked.handle(velocity(1), 10.3) is None, "nothing is waited for until the next scans"
+    assert asked.handle(velocity(1, 0.1), 10.2) == Step(
+        {3: velocity(3, 0.3), 1: velocity(1, 0.1)}
+    )
+    assert asked.handle(velocity(1), 10.3) is None, (
+        "nothing is waited for until the next scans"
+    )
 
 
 def test_of_two_velocities_the_later_counts(asked: LockStep) -> None:

@@ -37,7 +37,9 @@ def here() -> Iterator[RosGraph]:
 
 
 @contextmanager
-def node(here: RosGraph, *options: str, **settings: Any) -> Iterator["subprocess.Popen[str]"]:
+def node(
+    here: RosGraph, *options: str, **settings: Any
+) -> Iterator["subprocess.Popen[str]"]:
     """A node, ended with the block if it has not ended."""
     command = [
         sys.executable,
@@ -52,8 +54,10 @@ def node(here: RosGraph, *options: str, **settings: Any) -> Iterator["subprocess
         command += ["--listen", endpoint]
     with subprocess.Popen(
         [*command, "--settings", json.dumps({**ROOM, **settings}), *options],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    ) as started:  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as started:
         try:
             yield started
         finally:
@@ -70,12 +74,21 @@ def controllers(here: RosGraph) -> Link:
     )
 
 
-def test_one_trial_leaves_its_poses_and_its_outcome(here: RosGraph, tmp_path: Path) -> None:
+def test_one_trial_leaves_its_poses_and_its_outcome(
+    here: RosGraph, tmp_path: Path
+) -> None:
     """The velocities are those that drive the world in this process."""
     world = built("turtlebot-exit", **ROOM)
     turn: Turn | None = world.reset(5)
     poses = [world.poses.copy()]
-    options = ["--seed", "5", "--poses", str(tmp_path / "poses.npy"), "--channels", "scan,odometry"]
+    options = [
+        "--seed",
+        "5",
+        "--poses",
+        str(tmp_path / "poses.npy"),
+        "--channels",
+        "scan,odometry",
+    ]
     with node(here, *options) as started, controllers(here) as link:
         link.ready(30.0)
         while turn is not None:
@@ -105,7 +118,9 @@ def test_one_trial_leaves_its_poses_and_its_outcome(here: RosGraph, tmp_path: Pa
 
 def test_a_robot_that_never_answers_is_named(here: RosGraph) -> None:
     with (
-        node(here, "--seed", "5", "--channels", "scan,odometry", "--deadline-s", "1") as started,
+        node(
+            here, "--seed", "5", "--channels", "scan,odometry", "--deadline-s", "1"
+        ) as started,
         controllers(here) as link,
     ):
         link.ready(30.0)
@@ -132,7 +147,9 @@ def test_a_robot_that_never_answers_is_named(here: RosGraph) -> None:
         (["--profile", "stageros"], "the link zenoh speaks ROS 2"),
     ],
 )
-def test_impossible_settings_are_reported_in_one_line(options: list[str], said: str) -> None:
+def test_impossible_settings_are_reported_in_one_line(
+    options: list[str], said: str
+) -> None:
     command = [
         sys.executable,
         "-m",
@@ -148,10 +165,19 @@ def test_impossible_settings_are_reported_in_one_line(options: list[str], said: 
     assert done.stderr.startswith(f"zswarm.ros.simulation.node: {said}")
 
 
-def test_a_free_running_simulation_stops_a_robot_that_nobody_tells_anything(here: RosGraph) -> None:
+def test_a_free_running_simulation_stops_a_robot_that_nobody_tells_anything(
+    here: RosGraph,
+) -> None:
     """After 0.2 s of its time, the profile's watchdog_s; its clock goes on."""
     with node(
-        here, "--mode", "free-running", "--rate", "5", "--channels", "scan,odometry", turn=1.0
+        here,
+        "--mode",
+        "free-running",
+        "--rate",
+        "5",
+        "--channels",
+        "scan,odometry",
+        turn=1.0,
     ):
         used = ["velocity", "scan", "odometry", "clock", "reset"]
         with Link(
@@ -167,7 +193,14 @@ def test_a_free_running_simulation_stops_a_robot_that_nobody_tells_anything(here
                 if isinstance(message, Odometry) and message.robot == 1:
                     if not told:
                         link.send(
-                            [Velocity(robot=1, stamp_ns=message.stamp_ns, linear=0.0, angular=1.0)]
+                            [
+                                Velocity(
+                                    robot=1,
+                                    stamp_ns=message.stamp_ns,
+                                    linear=0.0,
+                                    angular=1.0,
+                                )
+                            ]
                         )
                         told = True
                     moved.append(message.z)
@@ -196,7 +229,9 @@ def test_a_free_running_simulation_tells_how_late_the_controllers_are() -> None:
 def test_a_simulation_that_runs_is_driven_by_one_slot(here: RosGraph) -> None:
     reach = {"launch": "running", "connect": here.connect}
     with node(here):
-        simulator, other = (built("turtlebot-exit-ros", **ROOM, **reach) for _ in range(2))
+        simulator, other = (
+            built("turtlebot-exit-ros", **ROOM, **reach) for _ in range(2)
+        )
         expected = by_network(built("turtlebot-exit", **ROOM), 6)
         for _ in range(2):
             assert by_network(simulator, 6).bits == expected.bits
@@ -215,7 +250,11 @@ def test_a_simulation_that_is_not_there_is_named(
 ) -> None:
     monkeypatch.setattr(simulation, "READY_S", 2.0)
     simulator = built(
-        "turtlebot-exit-ros", **ROOM, launch="running", connect=here.connect, deadline_s=1.0
+        "turtlebot-exit-ros",
+        **ROOM,
+        launch="running",
+        connect=here.connect,
+        deadline_s=1.0,
     )
     lacking = "no node subscribes to .*; no node publishes .* after 2 s"
     with pytest.raises(

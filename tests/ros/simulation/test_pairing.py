@@ -28,7 +28,9 @@ def scan(robot: int, stamp_ns: int, metres: float = 1.0) -> Scan:
 
 
 def pose(robot: int, stamp_ns: int, *, truth: bool = True) -> Odometry:
-    return Odometry(robot=robot, stamp_ns=stamp_ns, x=1.0, y=2.0, z=0.6, w=0.8, truth=truth)
+    return Odometry(
+        robot=robot, stamp_ns=stamp_ns, x=1.0, y=2.0, z=0.6, w=0.8, truth=truth
+    )
 
 
 @pytest.fixture

@@ -90,7 +90,13 @@ def visit(**settings: Any) -> Visit:
 
 @pytest.mark.parametrize(
     "settings",
-    [{}, {"genomes": "types"}, {"fitness": "mean"}, {"options": {"guests": 0}}, {"steps": 1}],
+    [
+        {},
+        {"genomes": "types"},
+        {"fitness": "mean"},
+        {"options": {"guests": 0}},
+        {"steps": 1},
+    ],
 )
 def test_an_environment_keeps_the_contract(settings: dict[str, Any]) -> None:
     check_simulator(Visit, settings)
@@ -99,13 +105,22 @@ def test_an_environment_keeps_the_contract(settings: dict[str, Any]) -> None:
 def test_agents_observe_their_type_then_what_they_see_then_zeros() -> None:
     simulator = visit()
     turn = simulator.reset(0)
-    assert (simulator.inputs, simulator.outputs, list(turn.agents)) == (6, 3, [0, 1, 2, 3])
-    assert turn.observations.tolist() == [[0, 0, 1, 0, 0, 0]] * 2 + [[1, 1, 0, 0, 0, 0]] * 2
+    assert (simulator.inputs, simulator.outputs, list(turn.agents)) == (
+        6,
+        3,
+        [0, 1, 2, 3],
+    )
+    assert (
+        turn.observations.tolist() == [[0, 0, 1, 0, 0, 0]] * 2 + [[1, 1, 0, 0, 0, 0]] * 2
+    )
 
 
 def test_agents_of_a_single_type_have_no_type_input() -> None:
     simulator = visit(options={"guests": 0})
-    assert (simulator.inputs, simulator.reset(0).observations.tolist()) == (2, [[0, 1]] * 2)
+    assert (simulator.inputs, simulator.reset(0).observations.tolist()) == (
+        2,
+        [[0, 1]] * 2,
+    )
 
 
 def test_outputs_become_actions_of_the_present_agents() -> None:
@@ -115,9 +130,14 @@ def test_outputs_become_actions_of_the_present_agents() -> None:
     outputs = np.array([[0, 0.5, 9], [-1, 7, 9], [0.1, 0.9, 0.9], [3, 0, 0]], np.float32)
     there = [simulator.step(outputs)]
     environment = simulator._environment
-    assert {name: np.asarray(action).tolist() for name, action in environment.said[0].items()} == {
-        "host_0": [-2, 1], "host_1": [-2, 4], "guest_0": 2, "guest_1": 1,
-    }  # fmt: skip
+    assert {
+        name: np.asarray(action).tolist() for name, action in environment.said[0].items()
+    } == {
+        "host_0": [-2, 1],
+        "host_1": [-2, 4],
+        "guest_0": 2,
+        "guest_1": 1,
+    }
     while there[-1] is not None:
         there.append(simulator.step(outputs[: len(there[-1].agents)]))
     assert [list(turn.agents) for turn in there if turn] == [
@@ -128,8 +148,9 @@ def test_outputs_become_actions_of_the_present_agents() -> None:
         [0, 1, 2, 3],
     ]
     assert [sorted(actions) for actions in environment.said[1:3]] == [
-        ["guest_0", "host_0", "host_1"], ["guest_0", "guest_1", "host_0", "host_1"],
-    ]  # fmt: skip
+        ["guest_0", "host_0", "host_1"],
+        ["guest_0", "guest_1", "host_0", "host_1"],
+    ]
 
 
 @pytest.mark.parametrize(
@@ -226,7 +247,9 @@ def test_any_outputs_are_an_action_of_the_space(space: spaces.Space) -> None:
     stream = Stream(1)
     for low, high in ((0, 1), (-9, 9)):
         for _ in range(50):
-            action = acts.action(stream.uniform(low, high, acts.size + 2).astype(np.float32))
+            action = acts.action(
+                stream.uniform(low, high, acts.size + 2).astype(np.float32)
+            )
             assert space.contains(action), action
 
 
@@ -236,7 +259,10 @@ def test_observations_are_flattened_as_gymnasium_does(space: spaces.Space) -> No
     space.seed(1)
     for _ in range(5):
         observation = space.sample()
-        assert senses.numbers(observation).tolist() == spaces.flatten(space, observation).tolist()
+        assert (
+            senses.numbers(observation).tolist()
+            == spaces.flatten(space, observation).tolist()
+        )
         assert senses.numbers(observation).shape == (senses.size,)
 
 
@@ -251,10 +277,13 @@ def test_outputs_go_from_bound_to_bound_and_beyond_where_there_is_none() -> None
 
 def test_spaces_of_variable_size_are_refused() -> None:
     with pytest.raises(
-        ConfigError, match=r"^observations of a: expected a fixed number of numbers, not Sequence"
+        ConfigError,
+        match=r"^observations of a: expected a fixed number of numbers, not Sequence",
     ):
         sense(spaces.Sequence(spaces.Discrete(2)), "observations of a")
-    with pytest.raises(ConfigError, match=r"^actions of a: expected numbers or choices, not Text"):
+    with pytest.raises(
+        ConfigError, match=r"^actions of a: expected numbers or choices, not Text"
+    ):
         act(spaces.Text(5), "actions of a")
 
 
@@ -272,7 +301,10 @@ def test_an_observation_of_another_size_is_named() -> None:
         ({"file": "/etc/passwd"}, "options: file: expected a text of letters"),
         ({"file": "../x"}, "options: file: expected a text of letters"),
         ({"env": "module:name"}, "options: env: expected a text of letters"),
-        ({"deep": {"list": [1, "a/b"]}}, "options: deep: list: expected a text of letters"),
+        (
+            {"deep": {"list": [1, "a/b"]}},
+            "options: deep: list: expected a text of letters",
+        ),
         ({"render_mode": "human"}, "options: render_mode: a trial is played without"),
         (
             {"a": {"b": {"c": {"d": {"e": {}}}}}},
@@ -313,4 +345,7 @@ def test_an_agent_that_was_not_announced_makes_the_trial_fail_and_is_named() -> 
         simulator, network, genomes, np.zeros((1, 1), np.int64), np.array([1], np.uint64)
     )
     assert np.isnan(outcomes.fitness).all()
-    assert "agent 'stranger' is not among the environment's possible agents" in outcomes.error
+    assert (
+        "agent 'stranger' is not among the environment's possible agents"
+        in outcomes.error
+    )

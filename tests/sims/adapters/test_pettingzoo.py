@@ -19,13 +19,17 @@ from zswarm.sims.adapters.pettingzoo import environments
 from zswarm.testing import check_simulator
 
 pytestmark = [
-    pytest.mark.filterwarnings("ignore:The old environment creation API:DeprecationWarning"),
+    pytest.mark.filterwarnings(
+        "ignore:The old environment creation API:DeprecationWarning"
+    ),
     pytest.mark.filterwarnings(
         "ignore:builtin type [Ss]wig:DeprecationWarning"
     ),  # as an error it crashes Box2D's import
 ]
 TWO_NETS = {"kind": "bulk", "parts": 2, "of": {"kind": "feed-forward", "hidden": []}}
-EVOLVED: list[tuple[str, dict[str, Any], dict[str, Any]]] = [  # environment, options, whatever else
+EVOLVED: list[
+    tuple[str, dict[str, Any], dict[str, Any]]
+] = [  # environment, options, whatever else
     ("simple_v3", {}, {"generations": 20, "trials": 6, "search": True}),
     ("simple_spread_v3", {}, {"generations": 8, "trials": 4}),
     ("simple_formation_v1", {}, {"generations": 8}),
@@ -37,7 +41,12 @@ EVOLVED: list[tuple[str, dict[str, Any], dict[str, Any]]] = [  # environment, op
     ("multiwalker_v9", {"max_cycles": 80}, {"generations": 8, "trials": 2, "unseen": 10}),
 ]
 KEPT = {
-    "pettingzoo": ["knights_archers_zombies_v11", "multiwalker_v9", "rps_v2", "simple_tag_v3"],
+    "pettingzoo": [
+        "knights_archers_zombies_v11",
+        "multiwalker_v9",
+        "rps_v2",
+        "simple_tag_v3",
+    ],
     "gymnasium": [
         "BipedalWalker-v3",
         "Blackjack-v1",
@@ -53,7 +62,9 @@ KEPT = {
     [(simulator, name) for simulator in KEPT for name in KEPT[simulator]],
 )
 def test_an_environment_keeps_the_contract(simulator: str, environment: str) -> None:
-    check_simulator(plugins.load("simulator", simulator), {"environment": environment, "steps": 10})
+    check_simulator(
+        plugins.load("simulator", simulator), {"environment": environment, "steps": 10}
+    )
 
 
 @pytest.mark.long
@@ -61,7 +72,8 @@ def test_every_small_environment_keeps_the_contract() -> None:
     for name, family in environments().items():
         if family == "mpe2":
             check_simulator(
-                plugins.load("simulator", "pettingzoo"), {"environment": name, "steps": 10}
+                plugins.load("simulator", "pettingzoo"),
+                {"environment": name, "steps": 10},
             )
 
 
@@ -73,7 +85,9 @@ def test_evolution_is_better_than_random_on_seeds_it_never_saw(
     environment: str, options: dict[str, Any], effort: dict[str, Any]
 ) -> None:
     """Beat random actions and networks; with ``search`` also the best of many networks."""
-    found = compared("pettingzoo", {"environment": environment, "options": options}, **effort)
+    found = compared(
+        "pettingzoo", {"environment": environment, "options": options}, **effort
+    )
     assert found.p < 0.01, found
 
 
@@ -125,7 +139,9 @@ def test_what_is_not_there_is_refused_in_a_line(
 
 
 def test_types_are_participants_or_the_first_input() -> None:
-    together = build("pettingzoo", {"environment": "simple_tag_v3"}, "fully-meshed", {})[0]
+    together = build("pettingzoo", {"environment": "simple_tag_v3"}, "fully-meshed", {})[
+        0
+    ]
     against = build(
         "pettingzoo",
         {"environment": "simple_tag_v3", "genomes": "types", "steps": 1},
@@ -134,7 +150,11 @@ def test_types_are_participants_or_the_first_input() -> None:
     )[0]
     assert (together.participants, list(together.owners)) == (1, [0] * 4)
     assert (against.participants, list(against.owners)) == (2, [0, 0, 0, 1])
-    assert together.metrics == against.metrics == ("steps", "return_adversary", "return_agent")
+    assert (
+        together.metrics
+        == against.metrics
+        == ("steps", "return_adversary", "return_agent")
+    )
     assert together.reset(1).observations[:, 0].tolist() == [0, 0, 0, 1]
     against.reset(1)
     assert against.step(np.zeros((4, against.outputs), np.float32)) is None
@@ -178,6 +198,10 @@ def test_environments_say_nothing_and_leave_nothing_behind() -> None:
         if name not in ("DISPLAY", "SDL_VIDEODRIVER")
     }
     ended = subprocess.run(
-        [sys.executable, "-c", SILENT], capture_output=True, text=True, check=False, env=without
+        [sys.executable, "-c", SILENT],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=without,
     )
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")

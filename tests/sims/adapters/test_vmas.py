@@ -25,10 +25,20 @@ def test_vmas_is_here() -> None:
 
 @pytest.mark.parametrize(
     "scenario",
-    ["balance", "dispersion", "flocking", "navigation", "simple_tag", "simple_world_comm", "wheel"],
+    [
+        "balance",
+        "dispersion",
+        "flocking",
+        "navigation",
+        "simple_tag",
+        "simple_world_comm",
+        "wheel",
+    ],
 )
 def test_a_scenario_keeps_the_contract(scenario: str) -> None:
-    check_simulator(plugins.load("simulator", "vmas"), {"scenario": scenario, "steps": 10})
+    check_simulator(
+        plugins.load("simulator", "vmas"), {"scenario": scenario, "steps": 10}
+    )
 
 
 @pytest.mark.parametrize(
@@ -57,10 +67,15 @@ def test_evolution_is_better_than_random_on_seeds_it_never_saw(
         ),
         ({"scenario": "../dispersion"}, "vmas: unknown environment '../dispersion'"),
         ({"scenario": "dispersion.py"}, "vmas: unknown environment"),
-        ({"options": {"device": "cuda"}}, "simulator 'vmas' cannot be set up: TypeError: .*device"),
+        (
+            {"options": {"device": "cuda"}},
+            "simulator 'vmas' cannot be set up: TypeError: .*device",
+        ),
     ],
 )
-def test_what_vmas_has_not_is_refused_in_a_line(settings: dict[str, Any], reason: str) -> None:
+def test_what_vmas_has_not_is_refused_in_a_line(
+    settings: dict[str, Any], reason: str
+) -> None:
     with pytest.raises(ConfigError, match=f"^{reason}") as refusal:
         build("vmas", settings, "fully-meshed", {})
     assert "\n" not in str(refusal.value)
@@ -68,9 +83,15 @@ def test_what_vmas_has_not_is_refused_in_a_line(settings: dict[str, Any], reason
 
 def test_types_are_participants_or_the_first_input() -> None:
     together = build("vmas", {"scenario": "simple_tag"}, "fully-meshed", {})[0]
-    against = build("vmas", {"scenario": "simple_tag", "genomes": "types"}, "fully-meshed", {})[0]
+    against = build(
+        "vmas", {"scenario": "simple_tag", "genomes": "types"}, "fully-meshed", {}
+    )[0]
     assert (together.participants, against.participants) == (1, 2)
-    assert together.metrics == against.metrics == ("steps", "return_adversary", "return_agent")
+    assert (
+        together.metrics
+        == against.metrics
+        == ("steps", "return_adversary", "return_agent")
+    )
     assert np.unique(together.reset(1).observations[:, 0]).tolist() == [0, 1]
 
 
@@ -78,7 +99,10 @@ def test_the_example_is_complete() -> None:
     path = experiment.find("vmas")
     whole = experiment.complete(experiment.load(path), str(path))
     simulator, _ = build(
-        "vmas", whole.problem.settings, whole.representation.kind, whole.representation.settings
+        "vmas",
+        whole.problem.settings,
+        whole.representation.kind,
+        whole.representation.settings,
     )
     assert (simulator.inputs, simulator.participants) == (13, 1)
     assert list(simulator.owners) == [0] * whole.problem.settings["options"]["n_agents"]

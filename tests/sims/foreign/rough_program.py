@@ -77,7 +77,9 @@ match HOW:
         say(type="ready", inputs=1, outputs=1, owners=[0])
     case "silent":
         time.sleep(1000)
-say(type="hello", v=1, description="Sums up.\n\nObservation: the seed.", settings=SETTINGS)
+say(
+    type="hello", v=1, description="Sums up.\n\nObservation: the seed.", settings=SETTINGS
+)
 
 child = None
 while True:
@@ -89,16 +91,23 @@ while True:
                 say(type="error", text="there is nothing to do")
                 continue
             say(
-                type="ready", inputs=1, outputs=1,
-                owners=[2 if HOW == "bad-owner" else 0], metrics=["turns", "again"],
+                type="ready",
+                inputs=1,
+                outputs=1,
+                owners=[2 if HOW == "bad-owner" else 0],
+                metrics=["turns", "again"],
                 sensors=["a", "b"] if HOW == "bad-sensors" else ["seed"],
                 first_seed=5 if HOW == "first-seed" else 1 if EACH[1:] else None,
                 hosts=HOW == "hosts" and message["network"] is not None,
-            )  # fmt: skip
+            )
             again = 0
             continue
         case "evaluate":
-            say(type="end", fitness=[float(len(message["genomes"][0]))], metrics=[0.0, 0.0])
+            say(
+                type="end",
+                fitness=[float(len(message["genomes"][0]))],
+                metrics=[0.0, 0.0],
+            )
             continue
         case "reset":
             seed, turns, total, again = message["seed"], 0, 0.0, again + 1

@@ -76,7 +76,9 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install
 
     def write(how: str) -> type[Foreign]:
         (tmp_path / "rough_program.py").write_bytes(PROGRAM.read_bytes())
-        command = ", ".join(f'"{part}"' for part in (sys.executable, "rough_program.py", how))
+        command = ", ".join(
+            f'"{part}"' for part in (sys.executable, "rough_program.py", how)
+        )
         (tmp_path / f"{how}.toml").write_text(MANIFEST.format(command=command))
         made.append(plugins.load("simulator", how))
         return made[-1]
@@ -92,7 +94,11 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install
 def play(simulator: Foreign, *seeds: int) -> TrialOutcomes:
     genomes, network = genome(simulator)
     return evaluate.evaluate(
-        simulator, network, genomes, np.zeros((len(seeds), 1), np.int64), np.array(seeds, np.uint64)
+        simulator,
+        network,
+        genomes,
+        np.zeros((len(seeds), 1), np.int64),
+        np.array(seeds, np.uint64),
     )
 
 
@@ -126,9 +132,11 @@ def test_a_program_is_a_simulator_like_any_other(install: Install) -> None:
     check_simulator(loaded)
     keys = settings_docs.keys(loaded.settings_type)
     assert [(key.name, key.type_text, key.default) for key in keys] == [
-        ("steps", "int, 1 to 9", 3), ("speed", "float", 0.5), ("walls", "bool", False),
+        ("steps", "int, 1 to 9", 3),
+        ("speed", "float", 0.5),
+        ("walls", "bool", False),
         ("task", '"none" or "sum"', "sum"),
-    ]  # fmt: skip
+    ]
     assert str(loaded.__doc__).startswith("Sums up.\n\nObservation")
     simulator = loaded(loaded.settings_type(steps=2))
     assert (simulator.metrics, simulator.sensors, simulator.fixed_seeds(2)) == (
@@ -162,7 +170,9 @@ def test_settings_that_the_program_refuses_are_refused(install: Install) -> None
     loaded = install("fine")
     with pytest.raises(ConfigError, match=r"^simulator 'fine': there is nothing to do$"):
         loaded(loaded.settings_type(task="none"))
-    with pytest.raises(ConfigError, match=r"^problem.settings: steps: expected int <= 9$"):
+    with pytest.raises(
+        ConfigError, match=r"^problem.settings: steps: expected int <= 9$"
+    ):
         evaluate.build("fine", {"steps": 10}, "fully-meshed", {})
 
 
@@ -177,19 +187,29 @@ def test_a_program_that_hosts_the_network_plays_whole_trials(install: Install) -
     simulator, network = evaluate.build("hosts", {}, "fully-meshed", {})
     assert isinstance(simulator, Foreign)
     genomes = network.random(1, Stream(1))
-    once = simulator, network, genomes, np.zeros((1, 1), np.int64), np.array([3], np.uint64)
+    once = (
+        simulator,
+        network,
+        genomes,
+        np.zeros((1, 1), np.int64),
+        np.array([3], np.uint64),
+    )
     assert evaluate.evaluate(*once).fitness.tolist() == [[float(len(genomes[0]))]]
     assert play(simulator, 3).metrics.tolist() == [[3.0, 1.0]]
 
 
-def test_with_settings_that_differ_by_trial_it_still_plays_whole_trials(install: Install) -> None:
+def test_with_settings_that_differ_by_trial_it_still_plays_whole_trials(
+    install: Install,
+) -> None:
     """Each is set up when its settings come, in the one program that there is."""
     loaded = install("hosts")
     simulator, network = evaluate.build(
         "hosts", {"steps": {"from": 1, "to": 9}}, "fully-meshed", {}
     )
     genomes, seeds = network.random(1, Stream(1)), np.arange(6, dtype=np.uint64)
-    played = evaluate.evaluate(simulator, network, genomes, np.zeros((6, 1), np.int64), seeds)
+    played = evaluate.evaluate(
+        simulator, network, genomes, np.zeros((6, 1), np.int64), seeds
+    )
     assert played.fitness.tolist() == [[float(len(genomes[0]))]] * 6
     assert len(loaded.spare) == 1
 
@@ -220,20 +240,29 @@ def test_what_a_program_says_wrongly_is_an_outcome_of_that_trial(
     outcomes = play(simulator, 2, 1, 2)
     assert np.isnan(outcomes.fitness[:, 0]).tolist() == [False, True, False]
     assert DECIDED[how] in outcomes.error
-    assert outcomes.metrics[2].tolist() == [3.0, 3.0], "turns, and trials since it was set up"
+    assert outcomes.metrics[2].tolist() == [3.0, 3.0], (
+        "turns, and trials since it was set up"
+    )
 
 
 @pytest.mark.parametrize("how", UNUSABLE)
-def test_a_program_that_cannot_be_used_is_named_in_one_line(install: Install, how: str) -> None:
+def test_a_program_that_cannot_be_used_is_named_in_one_line(
+    install: Install, how: str
+) -> None:
     with pytest.raises(UnknownPlugin) as refused:
         install(how)
     assert str(refused.value) == f"simulator {how!r}: {UNUSABLE[how]}"
 
 
 @pytest.mark.parametrize("how", ["bad-owner", "bad-sensors"])
-def test_a_world_that_does_not_fit_together_is_refused(install: Install, how: str) -> None:
+def test_a_world_that_does_not_fit_together_is_refused(
+    install: Install, how: str
+) -> None:
     loaded = install(how)
-    owners, sensors = "owners: expected participants 0 to 0", "sensors: expected 1 names or none"
+    owners, sensors = (
+        "owners: expected participants 0 to 0",
+        "sensors: expected 1 names or none",
+    )
     told = rf"^simulator '.*': ({owners}|{sensors}), not 2$"
     with pytest.raises(ConfigError, match=told):
         loaded(loaded.settings_type())
@@ -244,7 +273,8 @@ def test_a_program_that_says_nothing_is_not_waited_for(
 ) -> None:
     monkeypatch.setattr(foreign_program, "START_S", 0.2)
     with pytest.raises(
-        UnknownPlugin, match=r"its program was ended: it sent nothing for 0\.2 s; expected hello$"
+        UnknownPlugin,
+        match=r"its program was ended: it sent nothing for 0\.2 s; expected hello$",
     ):
         install("silent")
 
@@ -271,7 +301,10 @@ def test_output_to_standard_error_does_not_stop_a_trial(install: Install) -> Non
             r"bad\.toml: files: .*there is missing, or not a file$",
         ),
         ('command = ["./here"]', r"bad\.toml: key files is missing$"),
-        ('command = []\nfiles = ["here"]', r"bad\.toml: command: expected array of length >= 1$"),
+        (
+            'command = []\nfiles = ["here"]',
+            r"bad\.toml: command: expected array of length >= 1$",
+        ),
         (
             'command = "here"\nfiles = ["here"]\nspeed = 1',
             r"bad\.toml: unknown key 'speed'; known are: command, files, description$",
@@ -297,8 +330,12 @@ def test_the_version_hash_covers_manifest_files_and_what_speaks_with_programs(
 ) -> None:
     install("fine")
     assert {path.name for path in plugins.source_files("simulator", "fine")} == {
-        "fine.toml", "rough_program.py", "messages.py", "program.py", "simulator.py",
-    }  # fmt: skip
+        "fine.toml",
+        "rough_program.py",
+        "messages.py",
+        "program.py",
+        "simulator.py",
+    }
 
 
 def test_a_program_cannot_take_the_name_of_what_is_bundled(
@@ -318,7 +355,11 @@ def test_trials_one_after_the_other_have_one_program(install: Install) -> None:
     loaded = install("fine")
     first, second = loaded(loaded.settings_type()), loaded(loaded.settings_type(steps=1))
     (program,) = loaded.spare
-    assert [play(simulator, 2).metrics[0, 0] for simulator in (first, second, first)] == [3, 1, 3]
+    assert [play(simulator, 2).metrics[0, 0] for simulator in (first, second, first)] == [
+        3,
+        1,
+        3,
+    ]
     assert loaded.spare == [program]
     first.reset(1)
     second.reset(1)
@@ -343,9 +384,12 @@ def test_a_program_and_its_children_end_with_their_parent(tmp_path: Path) -> Non
     )
     starter = subprocess.Popen(
         [sys.executable, "-c", code, str(PROGRAM), "stays"],
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-        cwd=tmp_path, env=os.environ | {"ZSWARM_PLAIN": "1"},
-    )  # fmt: skip
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
+        env=os.environ | {"ZSWARM_PLAIN": "1"},
+    )
     assert starter.stdout
     program = int(starter.stdout.readline())
     assert len(members(program)) == 2

@@ -73,7 +73,10 @@ def rest(connection: socket.socket) -> bytes:
 
 
 def test_a_request_is_answered(server: Control) -> None:
-    assert asked(server, b'{"ask": "status"}\n') == {"ask": "status", "text": "x" * 1_000_000}
+    assert asked(server, b'{"ask": "status"}\n') == {
+        "ask": "status",
+        "text": "x" * 1_000_000,
+    }
     assert asked(server, b'{"ask": "drain"}\n')["ask"] == "drain"
 
 
@@ -91,7 +94,9 @@ def test_a_request_is_answered(server: Control) -> None:
         b"null\n",
     ],
 )
-def test_an_invalid_request_is_refused_with_what_was_expected(server: Control, line: bytes) -> None:
+def test_an_invalid_request_is_refused_with_what_was_expected(
+    server: Control, line: bytes
+) -> None:
     assert str(asked(server, line)["error"]).startswith(
         ("expected one line of at most 1024 bytes", 'expected {"ask": "status"} or')
     )
@@ -147,13 +152,19 @@ def test_other_users_may_ask_for_the_status_and_not_drain(server: Control) -> No
     }
 
 
-def test_only_the_sockets_of_dead_servers_are_removed(folder: Path, server: Control) -> None:
+def test_only_the_sockets_of_dead_servers_are_removed(
+    folder: Path, server: Control
+) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as left:
         left.bind(str(folder / "dead-1.sock"))
         left.listen()
     (folder / "file.sock").touch()
     other = new("ss-2")
-    assert sorted(path.name for path in folder.iterdir()) == ["file.sock", "ss-1.sock", "ss-2.sock"]
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "file.sock",
+        "ss-1.sock",
+        "ss-2.sock",
+    ]
     other.close()
     (folder / "file.sock").unlink()
 
@@ -175,7 +186,9 @@ def test_where_the_socket_is(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(control.os, "geteuid", lambda: 0)
     assert control.folder({"XDG_RUNTIME_DIR": "/run/user/0"}) == Path("/run/zswarm")
     monkeypatch.setattr(control.os, "geteuid", lambda: 7)
-    assert control.folder({"XDG_RUNTIME_DIR": "/run/user/7"}) == Path("/run/user/7/zswarm")
+    assert control.folder({"XDG_RUNTIME_DIR": "/run/user/7"}) == Path(
+        "/run/user/7/zswarm"
+    )
     assert control.folder({}).name == "zswarm-7"
 
 

@@ -123,7 +123,11 @@ def running_one(trials: int = 1) -> tuple[Server, bytes, int]:
 
 
 def reserve(
-    nonce: int = 1, epoch: int = 0, slots: int = 100, simulator: str = "minisim", memory_mb: int = 0
+    nonce: int = 1,
+    epoch: int = 0,
+    slots: int = 100,
+    simulator: str = "minisim",
+    memory_mb: int = 0,
 ) -> Reserve:
     return Reserve(
         nonce=nonce.to_bytes(16, "big"),
@@ -149,7 +153,9 @@ def evaluate(lease: bytes, batch: int, trials: int = 1) -> Evaluate:
     )
 
 
-def run(slot: int, lease: bytes, batch: int, first: int = 0, end: int = 1, of: int = 1) -> RunChunk:
+def run(
+    slot: int, lease: bytes, batch: int, first: int = 0, end: int = 1, of: int = 1
+) -> RunChunk:
     """Return the command to run some trials of a batch."""
     return RunChunk(slot, codec.cut(evaluate(lease, batch, of), first, end), first)
 
@@ -157,7 +163,9 @@ def run(slot: int, lease: bytes, batch: int, first: int = 0, end: int = 1, of: i
 def seeds(commands: list[object]) -> list[tuple[int, list[int]]]:
     """Return the chunks that slots get: slot, and the seeds of the trials."""
     chunks = [command for command in commands if isinstance(command, RunChunk)]
-    return [(chunk.slot, codec.array(chunk.work.seeds, "<u8").tolist()) for chunk in chunks]
+    return [
+        (chunk.slot, codec.array(chunk.work.seeds, "<u8").tolist()) for chunk in chunks
+    ]
 
 
 def outcomes(batch: int) -> Outcomes:
@@ -182,4 +190,6 @@ def some(first: int, end: int) -> Outcomes:
 def played(first: int, end: int, *, trial_s: float = 0.5) -> Outcomes:
     """Return outcomes of these trials: fitness is the trial's number, and no metrics."""
     fitness = bytes(number % 256 for number in range(first, end))
-    return Outcomes(batch=1, fitness=fitness, metrics=b"", seconds=trial_s * (end - first))
+    return Outcomes(
+        batch=1, fitness=fitness, metrics=b"", seconds=trial_s * (end - first)
+    )

@@ -98,7 +98,9 @@ class Server:
 
     def _mismatch(self, asked: messages.Requirements | Reserve) -> str:
         return (
-            "not here" if isinstance(asked, Reserve) and asked.simulator.kind == "unknown" else ""
+            "not here"
+            if isinstance(asked, Reserve) and asked.simulator.kind == "unknown"
+            else ""
         )
 
     def _token(self) -> bytes:
@@ -111,7 +113,9 @@ class Server:
             self.seen[type(command).__name__] += 1
             match command:
                 case events.Answer():
-                    self._answered(self.open.pop(command.query), codec.decode_reply(command.body))
+                    self._answered(
+                        self.open.pop(command.query), codec.decode_reply(command.body)
+                    )
                 case events.PrepareSlot():
                     process = self.processes[command.slot]
                     assert not process.does, "a slot that works is prepared"
@@ -119,7 +123,9 @@ class Server:
                     process.does, process.prepared = "prepare", ""
                 case events.RunChunk():
                     process = self.processes[command.slot]
-                    assert process.prepared, "a slot that is not prepared is given a batch"
+                    assert process.prepared, (
+                        "a slot that is not prepared is given a batch"
+                    )
                     assert not process.recycled, "a recycled process is given a batch"
                     assert not process.does, "a slot that works is given a batch"
                     seeds = codec.array(command.work.seeds, "<u8").tolist()
@@ -135,16 +141,18 @@ class Server:
 
     def _answered(self, request: messages.Request, reply: messages.Reply) -> None:
         kinds, codes = ANSWERS[type(request)]
-        assert isinstance(reply, kinds) or (isinstance(reply, Refused) and reply.code in codes), (
-            f"{reply} to {request}"
-        )
+        assert isinstance(reply, kinds) or (
+            isinstance(reply, Refused) and reply.code in codes
+        ), f"{reply} to {request}"
         self.seen[reply.code if isinstance(reply, Refused) else type(reply).__name__] += 1
         if isinstance(reply, Outcomes | Running | Fault):
             told = codec.array(reply.trials, "<u4").tolist() or (
                 [*range(TRIALS)] if isinstance(reply, Outcomes) else []
             )
             right = b"".join(outcomes(trial, trial + 1).fitness for trial in told)
-            assert reply.fitness == right, "a trial's outcome is missing, twice or at a wrong place"
+            assert reply.fitness == right, (
+                "a trial's outcome is missing, twice or at a wrong place"
+            )
             self.seen["told early"] += isinstance(reply, Running) and bool(told)
 
     def ask(self, who: tuple[str, str], message: messages.Request) -> None:
@@ -183,8 +191,12 @@ class Server:
         """What a run that behaves asks most; some ids come again."""
         if self.slots.leases:
             held = self.random.choice([*self.slots.leases.values()])
-            batch = self.random.choice([self.queries, self.queries, max(0, self.queries - 3)])
-            self.ask((held.user, held.run), Evaluate(lease=held.token, batch=batch, **WORK))
+            batch = self.random.choice(
+                [self.queries, self.queries, max(0, self.queries - 3)]
+            )
+            self.ask(
+                (held.user, held.run), Evaluate(lease=held.token, batch=batch, **WORK)
+            )
 
     def ask_of_a_lease(self) -> None:
         """Of one that is there, or was; sometimes of another run's, or none that ever was."""
@@ -196,12 +208,15 @@ class Server:
             if held is not None and self.random.random() < 0.8
             else self.random.choice(RUNS)
         )
-        batches = [self.random.randint(max(0, self.queries - 6), self.queries) for _ in range(3)]
+        batches = [
+            self.random.randint(max(0, self.queries - 6), self.queries) for _ in range(3)
+        ]
         message: messages.Request = self.random.choice(
             [
                 messages.Requirements(),
                 Evaluate(lease=lease, batch=batches[0], **WORK),
-                *[messages.Renew(lease=lease, known_ready=self.random.randint(-1, 3))] * 2,
+                *[messages.Renew(lease=lease, known_ready=self.random.randint(-1, 3))]
+                * 2,
                 *[messages.Cancel(lease=lease, batches=batches)] * 2,
                 messages.Release(lease=lease),
             ]
@@ -221,13 +236,17 @@ class Server:
         process = self.processes[slot]
         does, process.does = process.does, ""
         how = self.random.choices(
-            ["well", "recycled", "exhausted", "badly", "dies", "memory"], [60, 10, 20, 1, 3, 3]
+            ["well", "recycled", "exhausted", "badly", "dies", "memory"],
+            [60, 10, 20, 1, 3, 3],
         )[0]
         if how in ("dies", "memory") and (does or self.random.random() < 0.1):
             process.end()
             self.feed(
                 events.Died(
-                    slot, 1, "it ended", "memory" if how == "memory" and does else "crashed"
+                    slot,
+                    1,
+                    "it ended",
+                    "memory" if how == "memory" and does else "crashed",
                 )
             )
         elif does == "prepare" and how == "badly":
@@ -283,9 +302,9 @@ class Server:
             queue = lease.jobs
             idle = any(slot.state == "ready" for slot in lease.slots)
             assert not (idle and queue.waiting), "a batch waits while a slot is ready"
-            assert not lease.slots or any(slot.state != "assigned" for slot in lease.slots), (
-                "no slot is prepared"
-            )
+            assert not lease.slots or any(
+                slot.state != "assigned" for slot in lease.slots
+            ), "no slot is prepared"
             waiting = {job for job in queue.jobs.values() if job.waiting}
             assert (set(queue.waiting), len(queue.waiting)) == (waiting, len(waiting)), (
                 "trials wait and are not handed out"
@@ -295,10 +314,14 @@ class Server:
                 assert job.running == sum(chunk.job is job for chunk in chunks)
                 assert job.running or job in queue.waiting, "a batch is forgotten"
         held_batches = [
-            batch for lease in self.slots.leases.values() for batch in lease.jobs.jobs.values()
+            batch
+            for lease in self.slots.leases.values()
+            for batch in lease.jobs.jobs.values()
         ]
         renewals = {
-            renewal.query for lease in self.slots.leases.values() for renewal in lease.renewals
+            renewal.query
+            for lease in self.slots.leases.values()
+            for renewal in lease.renewals
         }
         assert set(self.open) <= {batch.query for batch in held_batches} | renewals, (
             "a query is forgotten"

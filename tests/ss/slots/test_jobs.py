@@ -53,7 +53,12 @@ def test_one_batch_runs_and_one_waits_per_slot() -> None:
     server = Server()
     lease = server.ready()
     queries = []
-    for batch, commands in ((1, [run(0, lease, 1)]), (2, [run(1, lease, 2)]), (3, []), (4, [])):
+    for batch, commands in (
+        (1, [run(0, lease, 1)]),
+        (2, [run(1, lease, 2)]),
+        (3, []),
+        (4, []),
+    ):
         queries += server.evaluate(lease, batch)
         assert server.commands == commands
     assert code(server.asked(evaluate(lease, 5))) == "busy"
@@ -104,7 +109,9 @@ def test_a_batch_asked_again_is_computed_once_and_the_last_query_gets_its_outcom
     assert server.answers[second] == outcomes(7)
 
 
-def test_a_long_batch_is_answered_running_whether_it_runs_or_waits_and_can_be_asked_again() -> None:
+def test_a_long_batch_is_answered_running_whether_it_runs_or_waits_and_can_be_asked_again() -> (
+    None
+):
     server = Server(1)
     lease = server.ready()
     queries = server.evaluate(lease, 1, 2)
@@ -264,7 +271,9 @@ def test_outcomes_are_reported_early_when_slots_are_idle() -> None:
     server.wait(5.0)
     assert again not in server.answers, "once"
     server.feed(Finished(0, played(0, 1)))
-    assert server.answers[again] == Outcomes(batch=1, fitness=b"\0\1", metrics=b"", seconds=1.0)
+    assert server.answers[again] == Outcomes(
+        batch=1, fitness=b"\0\1", metrics=b"", seconds=1.0
+    )
 
 
 def test_outcomes_are_not_reported_early_while_slots_have_work() -> None:
@@ -284,14 +293,18 @@ def test_a_fault_ends_its_batch_when_the_other_slots_are_done() -> None:
     server.finish(2, 1)
     assert server.feed(Died(1, 1, "crash"))[0] == PrepareSlot(1, reserve(), probe=False)
     assert query not in server.answers
-    assert server.feed(Finished(0, played(0, 2))) == [], "nothing more of it is handed out"
+    assert server.feed(Finished(0, played(0, 2))) == [], (
+        "nothing more of it is handed out"
+    )
     server.feed(Died(2, 0, "crash"))
     answer = server.answer(query, Fault)
     assert (answer.trial, answer.trials) == (3, codec.indices([0, 1, 4]))
     assert server.asked(evaluate(lease, 1, 9)) == answer
 
 
-def test_a_cancelled_batch_is_stopped_in_all_slots_and_answered_when_all_have_ended() -> None:
+def test_a_cancelled_batch_is_stopped_in_all_slots_and_answered_when_all_have_ended() -> (
+    None
+):
     server = Server(2)
     lease = server.ready()
     query = server.ask(evaluate(lease, 1, 8))
@@ -451,9 +464,13 @@ def test_an_exhausted_chunk_is_split_and_the_batch_is_answered_whole() -> None:
 
 
 @pytest.mark.parametrize(
-    ("trial", "sizes"), [(0, [1, 3]), (1, [1, 1, 2]), (3, [3, 1])], ids=["first", "inner", "last"]
+    ("trial", "sizes"),
+    [(0, [1, 3]), (1, [1, 1, 2]), (3, [3, 1])],
+    ids=["first", "inner", "last"],
 )
-def test_an_exhausted_chunk_is_split_around_its_trial(trial: int, sizes: list[int]) -> None:
+def test_an_exhausted_chunk_is_split_around_its_trial(
+    trial: int, sizes: list[int]
+) -> None:
     server = Server(1)
     lease = server.ready(trial_s=1e-6)
     server.ask(evaluate(lease, 1, 4))
@@ -479,7 +496,9 @@ def test_another_slot_that_is_ready_takes_an_exhausted_chunk() -> None:
     ]
 
 
-def test_outcomes_before_a_fault_of_memory_are_reported_and_before_a_refusal_not() -> None:
+def test_outcomes_before_a_fault_of_memory_are_reported_and_before_a_refusal_not() -> (
+    None
+):
     server = Server(1)
     lease = server.ready(trial_s=1e-6)
     query = server.ask(evaluate(lease, 1, 4))
@@ -500,9 +519,12 @@ def test_outcomes_before_a_fault_of_memory_are_reported_and_before_a_refusal_not
 
 
 @pytest.mark.parametrize(
-    ("end", "why"), [("cancel", "cancelled"), ("release", "lease-lost"), ("drain", "draining")]
+    ("end", "why"),
+    [("cancel", "cancelled"), ("release", "lease-lost"), ("drain", "draining")],
 )
-def test_an_exhausted_chunk_of_a_batch_that_ended_is_not_run_again(end: str, why: str) -> None:
+def test_an_exhausted_chunk_of_a_batch_that_ended_is_not_run_again(
+    end: str, why: str
+) -> None:
     server = Server(1)
     lease = server.ready(trial_s=1e-6)
     query = server.ask(evaluate(lease, 1, 4))

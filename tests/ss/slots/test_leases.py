@@ -104,7 +104,9 @@ def test_a_new_run_gets_idle_slots_at_once_and_others_after_their_chunk() -> Non
     assert (lease.state, lease.slots) == ("preparing", 1), "the idle one"
     assert server.answer(renewal, Lease).ready == 3
     server.evaluate(first, 4)
-    assert server.finish(0, 1) == [], "it is assigned, and waits for the first one of its lease"
+    assert server.finish(0, 1) == [], (
+        "it is assigned, and waits for the first one of its lease"
+    )
     assert server.answers[queries[0]] == outcomes(1)
     assert server.finish(1, 2) == [run(1, first, 4)], "and no more than the share"
     assert [server.reserve(name).slots for name in "ab"] == [2, 2]
@@ -220,7 +222,9 @@ def test_a_slot_prepared_with_another_memory_limit_is_prepared_again() -> None:
     server.ready("b", memory_mb=512)
     server.ask(reserve(memory_mb=1024, slots=1), "c")
     server.ask(Release(lease=server.slots.leases["user", "b"].token), "b")
-    assert server.commands == [PrepareSlot(0, reserve(memory_mb=1024, slots=1), probe=True)]
+    assert server.commands == [
+        PrepareSlot(0, reserve(memory_mb=1024, slots=1), probe=True)
+    ]
 
 
 def test_a_slot_prepared_for_another_problem_is_prepared_again() -> None:
@@ -228,7 +232,9 @@ def test_a_slot_prepared_for_another_problem_is_prepared_again() -> None:
     first = server.ready("a", simulator="other")
     server.ask(reserve(), "b")
     server.ask(Release(lease=first), "a")
-    assert server.feed(Prepared(0, PROBE, 0.5)) == [PrepareSlot(1, reserve(), probe=False)]
+    assert server.feed(Prepared(0, PROBE, 0.5)) == [
+        PrepareSlot(1, reserve(), probe=False)
+    ]
 
 
 def test_a_slot_released_while_preparing_becomes_free_afterwards() -> None:
@@ -297,7 +303,10 @@ def test_an_expired_lease_answers_the_batches_that_run_and_wait() -> None:
         server.wait(10.0)
     assert not set(queries) & set(server.answers)
     assert server.wait(0.25) == [StopSlot(0)]
-    assert [code(server.answers[query]) for query in queries] == ["lease-lost", "lease-lost"]
+    assert [code(server.answers[query]) for query in queries] == [
+        "lease-lost",
+        "lease-lost",
+    ]
 
 
 def test_a_lease_ends_half_a_minute_after_its_holders_token_vanished() -> None:
@@ -356,7 +365,10 @@ def test_only_its_own_run_can_use_a_lease(message: object) -> None:
 def test_a_higher_epoch_takes_the_slots_over() -> None:
     server = Server()
     old = server.ready(nonce=1, epoch=0)
-    queries = [*server.evaluate(old, 1, 2, 3), server.ask(Renew(lease=old, known_ready=2))]
+    queries = [
+        *server.evaluate(old, 1, 2, 3),
+        server.ask(Renew(lease=old, known_ready=2)),
+    ]
     lease = server.reserve(nonce=2, epoch=1)
     assert lease.lease != old
     assert server.commands == [StopSlot(0), StopSlot(1)]

@@ -31,7 +31,9 @@ def test_the_oldest_replies_are_dropped_beyond_a_number_of_bytes(
     assert replies.size == 20
 
 
-def test_the_last_reply_is_cached_however_large_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_last_reply_is_cached_however_large_it_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(reply_cache, "MAX_BYTES", 20)
     replies = ReplyCache()
     replies.put(b"a", 1, bytes(10), now=0.0)

@@ -48,7 +48,9 @@ def test_a_process_that_dies_blames_one_trial_and_is_prepared_again() -> None:
     assert server.feed(Died(0, 3, "killed by signal 11")) == [
         PrepareSlot(0, reserve(), probe=False)
     ]
-    fault = Fault(batch=1, kind="crashed", trial=3, reason="simulator minisim: killed by signal 11")
+    fault = Fault(
+        batch=1, kind="crashed", trial=3, reason="simulator minisim: killed by signal 11"
+    )
     assert server.answers[queries[0]] == fault
     assert server.asked(evaluate(lease, 1)) == fault
     assert server.feed(Prepared(0, b"", 0.0)) == [run(0, lease, 2)]
@@ -113,7 +115,9 @@ def test_a_problem_that_cannot_be_prepared_fails_the_lease_and_frees_its_slots()
     assert code(server.answers[queries[0]]) == "mismatch"
     renewed = server.answer(queries[1], Lease)
     assert (renewed.state, renewed.reason, renewed.slots) == ("failed", "no such map", 0)
-    assert server.asked(evaluate(lease, 2)) == Refused(code="mismatch", reason="no such map")
+    assert server.asked(evaluate(lease, 2)) == Refused(
+        code="mismatch", reason="no such map"
+    )
     assert isinstance(server.asked(Renew(lease=lease, known_ready=0)), Lease), (
         "a failed lease holds no renewal"
     )
@@ -124,7 +128,9 @@ def test_a_process_that_dies_while_it_is_prepared_is_tried_three_times() -> None
     server = Server()
     server.reserve()
     for _ in range(2):
-        assert server.feed(Died(0, 0, "killed")) == [PrepareSlot(0, reserve(), probe=True)]
+        assert server.feed(Died(0, 0, "killed")) == [
+            PrepareSlot(0, reserve(), probe=True)
+        ]
     assert server.feed(Died(0, 0, "killed")) == []
     lease = server.reserve()
     assert lease.state == "failed"
@@ -138,7 +144,9 @@ def test_a_slot_that_cannot_be_prepared_is_given_up_while_others_continue() -> N
     server.feed(Prepared(0, PROBE, 0.5))
     (query,) = server.evaluate(lease, 1)
     for _ in range(2):
-        assert server.feed(Died(1, 0, "no memory")) == [PrepareSlot(1, reserve(), probe=False)]
+        assert server.feed(Died(1, 0, "no memory")) == [
+            PrepareSlot(1, reserve(), probe=False)
+        ]
     assert server.feed(Died(1, 0, "no memory")) == []
     assert server.states() == ["busy", "free"]
     server.finish(0, 1)
@@ -158,7 +166,9 @@ def test_deaths_of_a_slot_are_counted_from_its_last_preparation() -> None:
     server = Server(1)
     server.ready()
     for _ in range(5):
-        assert server.feed(Died(0, 0, "killed")) == [PrepareSlot(0, reserve(), probe=False)]
+        assert server.feed(Died(0, 0, "killed")) == [
+            PrepareSlot(0, reserve(), probe=False)
+        ]
         server.feed(Died(0, 0, "killed"))
         server.feed(Prepared(0, b"", 0.0))
     assert server.reserve().state == "ready"

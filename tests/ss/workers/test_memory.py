@@ -28,7 +28,10 @@ def groups(
 @pytest.mark.parametrize(
     ("membership", "limits"),
     [
-        ("0::/system.slice/ss.service\n", {"system.slice/ss.service/memory.max": str(4000 * MB)}),
+        (
+            "0::/system.slice/ss.service\n",
+            {"system.slice/ss.service/memory.max": str(4000 * MB)},
+        ),
         ("0::/a/b\n", {"a/b/memory.max": "max", "a/memory.max": str(4000 * MB)}),
         ("0::/\n", {"memory.max": str(4000 * MB)}),
         ("0::/gone/in/a/container\n", {"memory.max": str(4000 * MB)}),
@@ -40,7 +43,10 @@ def groups(
     ],
 )
 def test_a_slot_gets_its_share_of_the_control_group(
-    membership: str, limits: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    membership: str,
+    limits: dict[str, str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     groups(tmp_path, monkeypatch, membership, limits)
     assert memory.per_slot_mb(2) == min(4000, MACHINE_MB) * 8 // 10 // 2

@@ -22,7 +22,14 @@ from zswarm.plugins import registry as plugins
 from zswarm.plugins.version_hash import version_hash
 from zswarm.protocol import codec
 from zswarm.protocol.messages import MIN_MEMORY_MB, Evaluate, Outcomes, Part, Reserve
-from zswarm.ss.slots.events import Died, Finished, Prepared, PrepareSlot, RunChunk, Unprepared
+from zswarm.ss.slots.events import (
+    Died,
+    Finished,
+    Prepared,
+    PrepareSlot,
+    RunChunk,
+    Unprepared,
+)
 from zswarm.ss.workers import parent
 from zswarm.ss.workers.child import FromSlot, Here
 from zswarm.ss.workers.parent import LONGEST_PAUSE_S, Worker
@@ -61,15 +68,21 @@ def new_worker() -> Iterator[Callable[..., Worker]]:
     yield new
     for one in made:
         one.close()
-        assert set(one._selector.get_map()) <= {one.leaving.sentinel if one.leaving else -1}
+        assert set(one._selector.get_map()) <= {
+            one.leaving.sentinel if one.leaving else -1
+        }
 
 
-def prepare(slot: Worker, setup: Reserve, *, probe: bool = False, known: bool = False) -> None:
+def prepare(
+    slot: Worker, setup: Reserve, *, probe: bool = False, known: bool = False
+) -> None:
     slot.prepare(PrepareSlot(0, setup, probe, known))
 
 
 def reserve(
-    simulator: str = "minisim", representation: str = "fully-meshed", trial_memory_mb: int = 0
+    simulator: str = "minisim",
+    representation: str = "fully-meshed",
+    trial_memory_mb: int = 0,
 ) -> Reserve:
     return Reserve(
         nonce=bytes(16),
@@ -118,8 +131,12 @@ def pairs() -> Iterator[Any]:
         for column, representation in enumerate(representations):
             if (simulator, representation) in TOO_LARGE:
                 continue
-            first = row % len(representations) == column or column % len(simulators) == row
-            yield pytest.param(simulator, representation, marks=[] if first else pytest.mark.long)
+            first = (
+                row % len(representations) == column or column % len(simulators) == row
+            )
+            yield pytest.param(
+                simulator, representation, marks=[] if first else pytest.mark.long
+            )
 
 
 def pid(of: Worker) -> int:
@@ -134,7 +151,11 @@ def pid(of: Worker) -> int:
 
 def limit(of: Worker, name: str) -> str:
     lines = Path(f"/proc/{pid(of)}/limits").read_text().splitlines()
-    return next(line for line in lines if line.startswith(name)).removeprefix(name).split()[0]
+    return (
+        next(line for line in lines if line.startswith(name))
+        .removeprefix(name)
+        .split()[0]
+    )
 
 
 @pytest.mark.parametrize(("simulator", "representation"), [*pairs()])
@@ -163,7 +184,9 @@ def test_bundled_parts_work_with_the_least_memory_that_may_be_asked_for(
         assert isinstance(finished.reply, Outcomes)
         fitness.append(finished.reply.fitness)
     assert len(fitness[0]) == 3 * 8
-    assert b"".join(fitness[1:]) == fitness[0], "a trial that is played alone decides the same"
+    assert b"".join(fitness[1:]) == fitness[0], (
+        "a trial that is played alone decides the same"
+    )
 
 
 def test_a_process_gets_the_servers_memory_by_default(
@@ -296,7 +319,9 @@ class Unborn:
         raise BlockingIOError("no more processes")
 
 
-def test_a_suspended_fork_server_does_not_block_the_loop(new_worker: Callable[..., Worker]) -> None:
+def test_a_suspended_fork_server_does_not_block_the_loop(
+    new_worker: Callable[..., Worker],
+) -> None:
     """Its sentinel tells when a killed process is gone; a missing process is reported."""
     slot, fresh = new_worker(), unstarted()
     process = slot._process
@@ -343,7 +368,9 @@ def test_a_process_that_is_killed_before_it_started_ends_by_itself(
     assert early.exitcode is not None
 
 
-def test_the_output_of_a_process_is_read_but_for_floods(new_worker: Callable[..., Worker]) -> None:
+def test_the_output_of_a_process_is_read_but_for_floods(
+    new_worker: Callable[..., Worker],
+) -> None:
     """Whole lines, the first twenty; the last one is told when it ends before it answered again."""
     slot = new_worker()
 

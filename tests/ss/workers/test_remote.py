@@ -9,9 +9,18 @@ import pytest
 
 from zswarm.protocol import codec
 from zswarm.protocol.messages import Actuators, Asks, Evaluate, Refused, Sensors
-from zswarm.ss.workers.remote import AGAIN_S, AT_ONCE, CANCELLED, Questions, Trial, Unanswered
+from zswarm.ss.workers.remote import (
+    AGAIN_S,
+    AT_ONCE,
+    CANCELLED,
+    Questions,
+    Trial,
+    Unanswered,
+)
 
-BATCH = Evaluate(lease=b"l" * 16, batch=7, genomes=[b""], participants=bytes(4), seeds=bytes(8))
+BATCH = Evaluate(
+    lease=b"l" * 16, batch=7, genomes=[b""], participants=bytes(4), seeds=bytes(8)
+)
 OBSERVED = np.arange(6, dtype=np.float32).reshape(3, 2)
 RUN = ("ann", "run-1")
 
@@ -65,7 +74,9 @@ def test_each_agent_is_one_question() -> None:
     assert [one.number for one in asked] == list(range(6))
     sensed = [codec.sensed(one, 2, 2) for one in asked[:3]]
     assert [agents for agents, _, _ in sensed] == [[5], [0], [2]]
-    assert np.array_equal(np.concatenate([observed for _, _, observed in sensed]), OBSERVED)
+    assert np.array_equal(
+        np.concatenate([observed for _, _, observed in sensed]), OBSERVED
+    )
     assert [array.tolist() for array in actions] == [[[0], [1], [2]], [[3], [4], [5]]]
 
 
@@ -84,7 +95,9 @@ class Sent:
     def __init__(self) -> None:
         self.questions: list[tuple[int, bytes, bool]] = []
         self.told: list[tuple[int, bytes]] = []
-        self.pending = Questions(self._send, lambda slot, body: self.told.append((slot, body)))
+        self.pending = Questions(
+            self._send, lambda slot, body: self.told.append((slot, body))
+        )
 
     def _send(
         self, run: tuple[str, str], number: int, body: bytes, _: object, at_once: bool

@@ -7,7 +7,11 @@ from zswarm.system.format import plural
 
 def caveats(run: Run) -> list[str]:
     """Return why the experiment may have another history when it is run again."""
-    (faulted, doubtful), source, changed = run.marked(), run.meta.get("imported_from"), run.changed
+    (faulted, doubtful), source, changed = (
+        run.marked(),
+        run.meta.get("imported_from"),
+        run.changed,
+    )
     wrong = "came from a server that was later proved to compute wrong."
     found = {
         f"The run was imported, not evolved here: {source}.": source,

@@ -25,7 +25,11 @@ MAX_PAIRS = 1000
 EXACT = 100  # runs of a group up to which the exact distribution is computed
 KRUSKAL = 5  # runs of each group from which on its asymptotic distribution is accurate
 UNEQUAL = 1.1  # ratio of evaluations from which on a note warns
-EFFECTS = ((0.56, "negligible"), (0.64, "small"), (0.71, "medium"))  # by A12; above: large
+EFFECTS = (
+    (0.56, "negligible"),
+    (0.64, "small"),
+    (0.71, "medium"),
+)  # by A12; above: large
 SCORES = (
     "candidates of these runs played each other: their fitness is a score, which compares within "
     "one generation only; zswarm-ot evaluate RUN --against RUN has two champions play each other"
@@ -65,7 +69,9 @@ class Comparison(NamedTuple):
     at: float  # generations or evaluations
     rows: list[Row]
     pairs: list[Pair]
-    kruskal_p: float | None  # over all groups, if there are more than two and large enough
+    kruskal_p: (
+        float | None
+    )  # over all groups, if there are more than two and large enough
     untested: str  # why there is no test, or ""
     notes: list[str]  # for the reader of the numbers
 
@@ -96,7 +102,9 @@ def of_series(groups: Groups, by: By, notes: Sequence[str] = ()) -> Comparison:
     at = min(ends)
     samples = {group: _sample(members, axis, at) for group, members in started.items()}
     rows = [_row(group, sample) for group, sample in samples.items()]
-    pairs, kruskal_p, untested = _test({name: sample.best for name, sample in samples.items()})
+    pairs, kruskal_p, untested = _test(
+        {name: sample.best for name, sample in samples.items()}
+    )
     notes = [*notes, *_notes(samples, rows, by, ends)]
     return Comparison(by, at, rows, pairs, kruskal_p, untested, notes)
 
@@ -127,7 +135,12 @@ def describe(pair: Pair) -> str:
 def disagreement(found: Comparison) -> str:
     """Explain a significant test over all groups without a significant pair; else return ""."""
     pairs_show = any(pair.p_holm < LEVEL for pair in found.pairs)
-    if found.kruskal_p is None or found.kruskal_p >= LEVEL or not found.pairs or pairs_show:
+    if (
+        found.kruskal_p is None
+        or found.kruskal_p >= LEVEL
+        or not found.pairs
+        or pairs_show
+    ):
         return ""
     return (
         "That some group differs is shown, but not which: the test of each pair, corrected for "
@@ -174,7 +187,9 @@ def _notes(
     notes, spent = [], [row.evaluations for row in rows]
     if by == "generations" and len(ends) > 1:
         least = plural(int(min(ends)), "generation")
-        notes.append(f"runs are of unequal length: compared after {least}, which all have")
+        notes.append(
+            f"runs are of unequal length: compared after {least}, which all have"
+        )
     if by == "generations" and max(spent) > UNEQUAL * min(spent):
         notes.append(
             "groups took different numbers of evaluations; zswarm-ot compare --by evaluations "
@@ -218,7 +233,9 @@ def _test(samples: Mapping[str, np.ndarray]) -> tuple[list[Pair], float | None, 
     return tested, _kruskal(stats, list(samples.values())) if overall else None, untested
 
 
-def _mann_whitney(stats: Any, first: str, a: np.ndarray, second: str, b: np.ndarray) -> Pair:
+def _mann_whitney(
+    stats: Any, first: str, a: np.ndarray, second: str, b: np.ndarray
+) -> Pair:
     ranks = stats.rankdata(np.concatenate([a, b]))  # scipy's test does not take -inf
     a, b = ranks[: len(a)], ranks[len(a) :]
     distinct = len(np.unique(ranks))
@@ -231,7 +248,9 @@ def _mann_whitney(stats: Any, first: str, a: np.ndarray, second: str, b: np.ndar
         name, method = "permutation", stats.PermutationMethod(n_resamples=PERMUTATIONS)
     result = stats.mannwhitneyu(a, b, alternative="two-sided", method=method)
     u = float(result.statistic)
-    return Pair(first, second, u, min(1.0, float(result.pvalue)), 1.0, u / (len(a) * len(b)), name)
+    return Pair(
+        first, second, u, min(1.0, float(result.pvalue)), 1.0, u / (len(a) * len(b)), name
+    )
 
 
 def _kruskal(stats: Any, samples: Sequence[np.ndarray]) -> float:

@@ -45,17 +45,23 @@ def series(run: "Run") -> Series:
     history = run.history()
 
     def column(key: str, missing: float) -> np.ndarray:
-        return np.array([missing if row[key] is None else row[key] for row in history], np.float64)
+        return np.array(
+            [missing if row[key] is None else row[key] for row in history], np.float64
+        )
 
     best = column("best", -np.inf)
     best = np.where(np.isfinite(best), best, -np.inf)
     # Negative where the clock was set back.
     seconds = np.nan_to_num(column("seconds", 0.0), posinf=0.0).clip(0.0)
     evaluations = np.maximum.accumulate(column("evaluations", 0.0))
-    return Series(best, column("mean", np.nan), evaluations, np.cumsum(seconds), run.relative)
+    return Series(
+        best, column("mean", np.nan), evaluations, np.cumsum(seconds), run.relative
+    )
 
 
-def load(groups: Mapping[str, Sequence["Run"]]) -> tuple[dict[str, list[Series]], list[str]]:
+def load(
+    groups: Mapping[str, Sequence["Run"]],
+) -> tuple[dict[str, list[Series]], list[str]]:
     """Read each run once; return notes on omitted and unfinished runs and on problems, too."""
     loaded, notes = {}, problems(run for runs in groups.values() for run in runs)
     for group, runs in groups.items():
@@ -67,7 +73,9 @@ def load(groups: Mapping[str, Sequence["Run"]]) -> tuple[dict[str, list[Series]]
 
 def started(groups: Groups) -> dict[str, list[Series]]:
     """Return the runs with a finished generation; groups without any are dropped."""
-    found = {group: [run for run in runs if len(run.best)] for group, runs in groups.items()}
+    found = {
+        group: [run for run in runs if len(run.best)] for group, runs in groups.items()
+    }
     return {group: runs for group, runs in found.items() if runs}
 
 
@@ -88,7 +96,11 @@ def problems(runs: Iterable["Run"]) -> list[str]:
 
     def judged_by(run: "Run") -> dict[str, Any]:
         problem = run.experiment.problem
-        return {"simulator": problem.simulator, "trials": problem.trials, **problem.settings}
+        return {
+            "simulator": problem.simulator,
+            "trials": problem.trials,
+            **problem.settings,
+        }
 
     found = [judged_by(run) for run in runs]
     simulators = sorted({clean(problem["simulator"]) for problem in found})
@@ -96,7 +108,9 @@ def problems(runs: Iterable["Run"]) -> list[str]:
         names = ", ".join(simulators)
         return [f"runs of different problems ({names}): their fitness does not compare"]
     keys = sorted({key for problem in found for key in problem})
-    differing = [key for key in keys if len({repr(problem.get(key)) for problem in found}) > 1]
+    differing = [
+        key for key in keys if len({repr(problem.get(key)) for problem in found}) > 1
+    ]
     if not differing:
         return []
     names = clean(", ".join(differing))
@@ -169,7 +183,10 @@ def quartiles(values: np.ndarray) -> np.ndarray:
     """
     ordered = np.sort(values, axis=0)
     places = np.array([0.25, 0.5, 0.75]) * (len(ordered) - 1)
-    below, above = ordered[np.floor(places).astype(int)], ordered[np.ceil(places).astype(int)]
+    below, above = (
+        ordered[np.floor(places).astype(int)],
+        ordered[np.ceil(places).astype(int)],
+    )
     part = (places - np.floor(places)).reshape(3, *[1] * (values.ndim - 1))
     with np.errstate(invalid="ignore"):
         between = below + part * (above - below)
@@ -200,7 +217,9 @@ def thinned(x: np.ndarray) -> np.ndarray:
     """Return at most ``POINTS`` of the values, the first and the last among them."""
     if len(x) <= POINTS:
         return x
-    some: np.ndarray = x[np.unique(np.linspace(0, len(x) - 1, POINTS).round().astype(int))]
+    some: np.ndarray = x[
+        np.unique(np.linspace(0, len(x) - 1, POINTS).round().astype(int))
+    ]
     return some
 
 

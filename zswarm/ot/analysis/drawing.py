@@ -18,15 +18,25 @@ from zswarm.system.text import clean
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-GREATEST = 1e300  # fitness is clipped there; matplotlib cannot place ticks over a float's range
+GREATEST = (
+    1e300  # fitness is clipped there; matplotlib cannot place ticks over a float's range
+)
 POINT = 72  # per inch
 STEPS = (1, 2, 2.5, 5, 10)  # between ticks
 FONT = "DejaVu Sans"  # comes with matplotlib
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-DASHES: tuple[Any, ...] = ("-", (0, (4, 1.5)), (0, (1, 1)), (0, (6, 1.5, 1, 1.5)), (0, (2, 1)))
+DASHES: tuple[Any, ...] = (
+    "-",
+    (0, (4, 1.5)),
+    (0, (1, 1)),
+    (0, (6, 1.5, 1, 1.5)),
+    (0, (2, 1)),
+)
 GREY, PALE = "#555555", "#DDDDDD"
 MAX_GROUPS = len(COLOURS) * len(DASHES)
-LOCK = threading.Lock()  # matplotlib's settings are global, and runs of a study end in threads
+LOCK = (
+    threading.Lock()
+)  # matplotlib's settings are global, and runs of a study end in threads
 
 
 class FigureStyle(NamedTuple):
@@ -113,7 +123,11 @@ def _draw(plot: Plot, style: FigureStyle) -> "Figure":
     axes.set_ylabel(plot.height)
     if not any(np.isfinite(line.y).any() for line in lines):
         axes.set_yticks([])
-        place: dict[str, Any] = {"transform": axes.transAxes, "ha": "center", "va": "center"}
+        place: dict[str, Any] = {
+            "transform": axes.transAxes,
+            "ha": "center",
+            "va": "center",
+        }
         axes.text(0.5, 0.5, "every candidate failed", **place)
     if plot.title:
         title = _fitting(plot.title, style.font, 0.9 * room)
@@ -121,10 +135,16 @@ def _draw(plot: Plot, style: FigureStyle) -> "Figure":
     _legend(axes, handles, labels, columns)
     if plot.note:
         axes.annotate(
-            plot.note, (1.0, 0.0), (0.0, -2.9 * style.font - 6.0), xycoords="axes fraction",
-            textcoords="offset points", ha="right", va="top",
-            fontsize=style.font * 0.85, color=GREY,
-        )  # fmt: skip
+            plot.note,
+            (1.0, 0.0),
+            (0.0, -2.9 * style.font - 6.0),
+            xycoords="axes fraction",
+            textcoords="offset points",
+            ha="right",
+            va="top",
+            fontsize=style.font * 0.85,
+            color=GREY,
+        )
     return figure
 
 
@@ -135,15 +155,23 @@ def _draw_line(axes: Any, line: CurveLine, number: int, style: FigureStyle) -> l
     width = style.line / 2 if line.noisy else style.line
     alone = len(line.x) == 1
     handles: list[Any] = axes.plot(
-        line.x, line.y, color=colour, linestyle=dash, linewidth=width, zorder=3 + number,
-        marker="o" if alone else None, markersize=3 * style.line,
-    )  # fmt: skip
+        line.x,
+        line.y,
+        color=colour,
+        linestyle=dash,
+        linewidth=width,
+        zorder=3 + number,
+        marker="o" if alone else None,
+        markersize=3 * style.line,
+    )
     if line.band is not None:
         low, high = line.band
         if alone:
             axes.vlines(line.x, low, high, color=colour, linewidth=style.line, alpha=0.5)
         else:
-            axes.fill_between(line.x, low, high, color=colour, alpha=0.2, linewidth=0, zorder=2)
+            axes.fill_between(
+                line.x, low, high, color=colour, alpha=0.2, linewidth=0, zorder=2
+            )
     return handles
 
 
@@ -160,9 +188,17 @@ def _drawable(line: CurveLine) -> CurveLine:
 def _frame(axes: Any, style: FigureStyle) -> None:
     # Set here because ticks are made when the figure is drawn, then in the user's own style.
     axes.tick_params(
-        which="both", direction="out", length=style.font / 3, width=style.line / 2, color="black",
-        labelcolor="black", labelsize=style.font, labelfontfamily=FONT, top=False, right=False,
-    )  # fmt: skip
+        which="both",
+        direction="out",
+        length=style.font / 3,
+        width=style.line / 2,
+        color="black",
+        labelcolor="black",
+        labelsize=style.font,
+        labelfontfamily=FONT,
+        top=False,
+        right=False,
+    )
     axes.grid(visible=True, axis="y", color=PALE, linewidth=style.line / 3, linestyle="-")
 
 
@@ -176,7 +212,9 @@ def _limits(axes: Any, xs: Sequence[np.ndarray]) -> None:
 
 
 def _cut_below(axes: Any, lowest: float, lines: Sequence[CurveLine]) -> None:
-    drawn = [edge[np.isfinite(edge)] for line in lines for edge in (line.y, *(line.band or ()))]
+    drawn = [
+        edge[np.isfinite(edge)] for line in lines for edge in (line.y, *(line.band or ()))
+    ]
     greatest = max((float(edge.max()) for edge in drawn if len(edge)), default=-np.inf)
     if not -GREATEST <= lowest < greatest:
         expected = f"a number below the greatest fitness, {greatest:.6g}"
@@ -187,21 +225,35 @@ def _cut_below(axes: Any, lowest: float, lines: Sequence[CurveLine]) -> None:
 def _ticks(axes: Any, axis: Axis, last: float) -> None:
     ticker = need("matplotlib.ticker", "plot", "plot")
     if len(axes.get_xticks()) > 1:
-        axes.xaxis.set_major_locator(ticker.MaxNLocator(6, integer=axis != "time", steps=STEPS))
+        axes.xaxis.set_major_locator(
+            ticker.MaxNLocator(6, integer=axis != "time", steps=STEPS)
+        )
     axes.yaxis.set_major_locator(ticker.MaxNLocator(6, steps=STEPS))
     if axis == "evaluations" and last >= 10_000:
         axes.xaxis.set_major_formatter(ticker.EngFormatter(sep=""))  # 20k, 1M
 
 
-def _legend(axes: Any, handles: Sequence[Any], labels: Sequence[str], columns: int) -> None:
+def _legend(
+    axes: Any, handles: Sequence[Any], labels: Sequence[str], columns: int
+) -> None:
     """Draw the legend above the axes, where it hides nothing."""
     legend = axes.legend(
-        handles, list(map(str, range(len(labels)))), loc="lower left", bbox_to_anchor=(0.0, 1.0),
-        ncols=columns, frameon=False, borderaxespad=0.2, borderpad=0.2, handlelength=2.4,
-        columnspacing=1.2, labelspacing=0.3,
-    )  # fmt: skip
+        handles,
+        list(map(str, range(len(labels)))),
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        ncols=columns,
+        frameon=False,
+        borderaxespad=0.2,
+        borderpad=0.2,
+        handlelength=2.4,
+        columnspacing=1.2,
+        labelspacing=0.3,
+    )
     for shown, label in zip(legend.get_texts(), labels, strict=True):
-        shown.set_text(label)  # set later: otherwise labels that begin with _ are not shown
+        shown.set_text(
+            label
+        )  # set later: otherwise labels that begin with _ are not shown
 
 
 def _columns(labels: Sequence[str], style: FigureStyle) -> int:
@@ -212,13 +264,21 @@ def _columns(labels: Sequence[str], style: FigureStyle) -> int:
 
 def _time_unit(lines: Sequence[CurveLine]) -> tuple[float, str]:
     longest = max(float(line.x[-1]) for line in lines)
-    return (3600.0, "h") if longest > 3 * 3600 else (60.0, "min") if longest > 180 else (1.0, "s")
+    return (
+        (3600.0, "h")
+        if longest > 3 * 3600
+        else (60.0, "min")
+        if longest > 180
+        else (1.0, "s")
+    )
 
 
 def _fitting(text: str, size: float, room: float) -> str:
     """Return a text of letters that the font has, cut to a width in points."""
     charmap = _font().get_charmap()
-    text = "".join(letter if ord(letter) in charmap else "\ufffd" for letter in clean(text))
+    text = "".join(
+        letter if ord(letter) in charmap else "\ufffd" for letter in clean(text)
+    )
     if _width(text, size) <= room:
         return text
     while text and _width(f"{text}…", size) > room:

@@ -123,14 +123,27 @@ def save_picture(folder: Path, say: Callable[[str], None]) -> None:
         groups, _ = curves.load(grouping.groups(runs_below([folder], [])))
         if curves.started(groups):
             save(of_series(groups, title=folder.resolve().name), folder / PICTURE)
-    except Exception as error:  # the run is over and safe: nothing that drawing raises may end it
-        what = str(error) if isinstance(error, ConfigError) else f"{type(error).__name__}: {error}"
+    except (
+        Exception
+    ) as error:  # the run is over and safe: nothing that drawing raises may end it
+        what = (
+            str(error)
+            if isinstance(error, ConfigError)
+            else f"{type(error).__name__}: {error}"
+        )
         say(f"no {PICTURE}: {clean(what)}")
 
 
 def table(groups: Groups, axis: Axis) -> tuple[list[str], list[list[object]]]:
     """Return the numbers that a figure shows: names of the columns, and rows."""
-    header = ["group", "runs", axis if axis != "time" else "seconds", "median", "q25", "q75"]
+    header = [
+        "group",
+        "runs",
+        axis if axis != "time" else "seconds",
+        "median",
+        "q25",
+        "q75",
+    ]
     rows: list[list[object]] = []
     for curve in curves.curves(groups, axis):
         columns = (curve.x, curve.median, curve.low, curve.high)
@@ -160,7 +173,10 @@ def _either(words: Sequence[str]) -> str:
 def _of_one(run: Series, best: Curve, axis: Axis) -> list[CurveLine]:
     x, mean = curves.envelope(curves.positions(run, axis), run.mean)
     top = "best of the generation" if run.relative else "best so far"
-    return [CurveLine(top, best.x, best.median), CurveLine("population mean", x, mean, noisy=True)]
+    return [
+        CurveLine(top, best.x, best.median),
+        CurveLine("population mean", x, mean, noisy=True),
+    ]
 
 
 def _line(curve: Curve, *, alone: bool) -> CurveLine:
@@ -175,7 +191,9 @@ def _note(groups: Groups, drawn: Sequence[Curve], axis: Axis) -> str:
     if counts := [curve.runs for curve in drawn if curve.runs >= BAND]:
         least, most = min(counts), max(counts)
         many = f"{least}" if least == most else f"{least} to {most}"
-        parts.append(f"bands: quartiles of {many} runs{' each' if len(drawn) > 1 else ''}")
+        parts.append(
+            f"bands: quartiles of {many} runs{' each' if len(drawn) > 1 else ''}"
+        )
     by: comparison.By = "generations" if axis == "generation" else "evaluations"
     with contextlib.suppress(ConfigError):  # no number of evaluations in common: no test
         parts.append(tested(comparison.of_series(groups, by)))

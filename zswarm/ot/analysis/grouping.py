@@ -50,9 +50,13 @@ def _flat(complete: Experiment) -> dict[str, Any]:
     values = msgspec.to_builtins(complete)
     flat = {part: values[part]["kind"] for part in PARTS}
     for part in PARTS:
-        flat |= {f"{part}.{key}": value for key, value in values[part]["settings"].items()}
+        flat |= {
+            f"{part}.{key}": value for key, value in values[part]["settings"].items()
+        }
     problem = values["problem"]
-    flat |= {f"problem.settings.{key}": value for key, value in problem.pop("settings").items()}
+    flat |= {
+        f"problem.settings.{key}": value for key, value in problem.pop("settings").items()
+    }
     return flat | {f"problem.{key}": value for key, value in problem.items()}
 
 
@@ -63,7 +67,9 @@ def _differing(settings: Sequence[Mapping[str, Any]]) -> list[str]:
         kind = KIND_OF.get(key.rpartition(".")[0], "")
         values: dict[Any, set[str]] = {}
         for flat in settings:
-            values.setdefault(flat.get(kind), set()).add(json.dumps(flat.get(key), sort_keys=True))
+            values.setdefault(flat.get(kind), set()).add(
+                json.dumps(flat.get(key), sort_keys=True)
+            )
         if any(len(found) > 1 for found in values.values()):
             differing.append(key)
     return differing
@@ -74,7 +80,9 @@ def _label(key: str, value: Any, differing: Sequence[str]) -> str:
     if key in KIND_OF.values():
         return str(value)
     last = key.rpartition(".")[2]
-    name = last if sum(other.rpartition(".")[2] == last for other in differing) == 1 else key
+    name = (
+        last if sum(other.rpartition(".")[2] == last for other in differing) == 1 else key
+    )
     match value:
         case bool() | list() | dict():
             return f"{name} {json.dumps(value)}"

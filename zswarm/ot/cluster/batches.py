@@ -41,7 +41,9 @@ class Batches(msgspec.Struct, eq=False):
     queue: TrialQueue = msgspec.field(default_factory=TrialQueue)
     workload: Workload | None = None  # the present one
     uncounted: int = 0  # number of its trials that are not counted
-    blamed: list[str] = []  # servers that failed a trial, once for each; the caller takes them out
+    blamed: list[
+        str
+    ] = []  # servers that failed a trial, once for each; the caller takes them out
     refill: bool = False  # any server may have room for trials that wait, not only one
     _serving: dict[str, RemoteServer] = {}  # servers that can be given work
     _slots: int = 0  # of these
@@ -64,7 +66,9 @@ class Batches(msgspec.Struct, eq=False):
         sent = (genome + 16) * participants + 16
         answered = 8 * (participants + self.terms.metrics) + 4
         by_bytes = messages.MAX_MESSAGE // 2 // max(sent, answered)
-        self._fits = min(messages.MAX_TRIALS, messages.MAX_GENOMES // participants, by_bytes)
+        self._fits = min(
+            messages.MAX_TRIALS, messages.MAX_GENOMES // participants, by_bytes
+        )
         restored = np.flatnonzero(workload.source != "")  # and perhaps not verified
         self.checks.choose(restored, workload.source[restored].tolist())
 
@@ -159,7 +163,9 @@ class Batches(msgspec.Struct, eq=False):
                 self.servers.recall_faulty()
         for depth in range(1, DEPTH + 1):
             for server in idle:
-                while (size := self._size(server, depth)) and (batch := self._take(server, size)):
+                while (size := self._size(server, depth)) and (
+                    batch := self._take(server, size)
+                ):
                     self._send(batch)
         self._drop_unverifiable()
 
@@ -226,7 +232,9 @@ class Batches(msgspec.Struct, eq=False):
         """
         assert self.workload is not None  # noqa: S101  batches are of one
         if reply.batch != batch.id:
-            raise RemoteProtocolError(f"batch {batch.id} was answered with batch {reply.batch}")
+            raise RemoteProtocolError(
+                f"batch {batch.id} was answered with batch {reply.batch}"
+            )
         server, terms = batch.server, self.terms
         rows, fitness, metrics = codec.outcomes(
             reply, len(batch.trials), terms.participants, terms.metrics
@@ -234,7 +242,9 @@ class Batches(msgspec.Struct, eq=False):
         if not len(rows):
             return
         measured = reply.seconds / len(rows)
-        server.trial_s = 0.7 * server.trial_s + 0.3 * measured if server.trial_s else measured
+        server.trial_s = (
+            0.7 * server.trial_s + 0.3 * measured if server.trial_s else measured
+        )
         if batch.done[rows].any():
             new = ~batch.done[rows]
             rows, fitness, metrics = rows[new], fitness[new], metrics[new]
@@ -247,7 +257,9 @@ class Batches(msgspec.Struct, eq=False):
             failed = int(np.isnan(fitness).any(axis=1).sum())
             self.out.note(RunEvent.SIMULATOR_RAISED, server.id, reply.error, failed)
         if batch.check:
-            disputed = self.checks.compare(server.id, trials, fitness, metrics, self.workload)
+            disputed = self.checks.compare(
+                server.id, trials, fitness, metrics, self.workload
+            )
             self.out.commands += [Disputed(trial) for trial in disputed]
             return
         self.workload.fitness[trials], self.workload.metrics[trials] = fitness, metrics
@@ -280,7 +292,9 @@ class Batches(msgspec.Struct, eq=False):
         batch.done |= batch.trials == trial
         self.give_back(batch)
         if batch.check:
-            self.out.note(RunEvent.FAULT, server, f"{text} ({which}, when it was verified)")
+            self.out.note(
+                RunEvent.FAULT, server, f"{text} ({which}, when it was verified)"
+            )
             self.checks.drop([trial])
             self.blamed.append(server)
             return
@@ -312,7 +326,9 @@ class Batches(msgspec.Struct, eq=False):
             if alone:
                 self.checks.drop(alone)
             if alone and not self._alone:
-                self.out.note(RunEvent.UNVERIFIED, text="no second server is there to verify with")
+                self.out.note(
+                    RunEvent.UNVERIFIED, text="no second server is there to verify with"
+                )
             self._alone = bool(alone)
 
     def _requeue(self, entry: QueuedTrials) -> None:

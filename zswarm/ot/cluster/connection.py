@@ -68,7 +68,9 @@ class Connection:
         with self._lock:
             self._refuse_closed()
             if self.local is None and not isinstance(self.options.servers, int):
-                self.local = LocalServer(slots_of_this_machine(self.options), self.options.realm)
+                self.local = LocalServer(
+                    slots_of_this_machine(self.options), self.options.realm
+                )
                 atexit.register(self.close)  # a program may end without closing it
 
     def close(self) -> None:
@@ -187,10 +189,14 @@ class Connection:
         options, reach, local = self.options, self.reach, self.local
         experiment, simulator = problem.experiment, problem.simulator
         user = reach.keyring.name if reach.keyring else keys.fold(getpass.getuser())
-        asked = terms(experiment, options, simulator, epoch=epoch, slots=slots, probe=probe)
+        asked = terms(
+            experiment, options, simulator, epoch=epoch, slots=slots, probe=probe
+        )
         controllers = None
         if asked.reserve.asks:
-            controllers = RemoteControllers(problem.representation, simulator.participants)
+            controllers = RemoteControllers(
+                problem.representation, simulator.participants
+            )
         name = experiment.problem.simulator
         watch = Watch(options, name, local, hinted=self._hinted, say=say, check=check)
         cluster = Cluster(
@@ -212,7 +218,11 @@ class Connection:
     def wait(self, cluster: "Cluster") -> "Iterator[Item | None]":
         """Wait for the number of servers that is asked for; see ``Cluster.wait``."""
         servers = self.options.servers
-        return cluster.wait(servers, WAIT_FOR_SERVERS_S) if isinstance(servers, int) else iter(())
+        return (
+            cluster.wait(servers, WAIT_FOR_SERVERS_S)
+            if isinstance(servers, int)
+            else iter(())
+        )
 
     @property
     def slots(self) -> int:
@@ -235,7 +245,11 @@ class Connection:
         """Return who evaluates, for the user."""
         servers, realm = self.options.servers, self.options.realm
         slots = self.local.slots if self.local else 0
-        here = f"{slots} slot{'s' if slots != 1 else ''} of this machine" if self.local else ""
+        here = (
+            f"{slots} slot{'s' if slots != 1 else ''} of this machine"
+            if self.local
+            else ""
+        )
         if servers == "local":
             return here
         if servers == "auto":
@@ -250,7 +264,9 @@ class Connection:
         with self._lock:
             self._refuse_closed()
             if self._evaluator is None:
-                self._evaluator = CandidateEvaluator(self.lease, self.wait, lambda: bool(self.runs))
+                self._evaluator = CandidateEvaluator(
+                    self.lease, self.wait, lambda: bool(self.runs)
+                )
         return self._evaluator
 
     def _refuse_closed(self) -> None:

@@ -26,7 +26,9 @@ class Newcomers(msgspec.Struct, eq=False):
         if not self._waiting:
             self._since = now
         self._waiting.append(newcomer)
-        self.due = min(now + max(QUIET_S, (now - self._since) / 2), self._since + GATHER_S)
+        self.due = min(
+            now + max(QUIET_S, (now - self._since) / 2), self._since + GATHER_S
+        )
 
     def remove(self, newcomer: str) -> None:
         """Forget a server that left, if it is held back."""

@@ -37,7 +37,11 @@ class DiscoveryResult(NamedTuple):
 
 
 def diagnose(
-    realm: str, opened: Sequence[zenoh.Session], reach: Reach, *, known: Iterable[str] = ()
+    realm: str,
+    opened: Sequence[zenoh.Session],
+    reach: Reach,
+    *,
+    known: Iterable[str] = (),
 ) -> list[str]:
     """Return why servers are not found, and what to set, a line each.
 
@@ -88,7 +92,9 @@ def _not_used(seen: Iterable[ServerKey], realm: str) -> list[str]:
     """Return which servers that are there cannot be used."""
     ours = sorted(key for key in seen if key.realm == realm)
     if ours:
-        return [f"{key.server} {other_version(key)}" for key in ours if key.version != VERSION]
+        return [
+            f"{key.server} {other_version(key)}" for key in ours if key.version != VERSION
+        ]
     return [
         f"{count} server{'s' if count != 1 else ''} in realm {other}, none in {realm}: use --realm"
         f" {other}, or start servers with --realm {realm}"
@@ -130,7 +136,9 @@ def _look(group: list[str], ring: Keyring | None) -> DiscoveryResult:
             )
         return DiscoveryResult(text, fault)
     try:
-        return DiscoveryResult(text, "", bool(list(opened.info.routers_zid())), _tokens(opened))
+        return DiscoveryResult(
+            text, "", bool(list(opened.info.routers_zid())), _tokens(opened)
+        )
     finally:
         session.close(opened)
 
@@ -191,7 +199,11 @@ def _misplaced(result: DiscoveryResult, realm: str, known: set[str], reach: Reac
                 " name a router"
             )
         return ""
-    ours = {key.server for key in result.servers if (key.realm, key.version) == (realm, VERSION)}
+    ours = {
+        key.server
+        for key in result.servers
+        if (key.realm, key.version) == (realm, VERSION)
+    }
     if (beyond := sorted(ours - known)) and not reach.through_router:
         return (
             f"this router sees {_some(beyond)}, which cannot be dialled from here: set"

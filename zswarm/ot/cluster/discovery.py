@@ -34,7 +34,9 @@ class Found(msgspec.Struct, frozen=True):
 
     def mismatch(self, choice: Choice) -> str:
         """Return why it is not used; "" if it is."""
-        return self.reason or (choice.mismatch(self.offer) if self.offer is not None else "")
+        return self.reason or (
+            choice.mismatch(self.offer) if self.offer is not None else ""
+        )
 
 
 class Survey(NamedTuple):
@@ -45,7 +47,9 @@ class Survey(NamedTuple):
     findings: list[str]  # why no server was found, a line each
 
 
-def survey(realm: str, reach: Reach, *, requirements: Requirements, wait_s: float) -> Survey:
+def survey(
+    realm: str, reach: Reach, *, requirements: Requirements, wait_s: float
+) -> Survey:
     """Return all servers that show up within a time, those of a realm with their offers."""
     try:
         if reach.through_router:
@@ -60,7 +64,9 @@ def survey(realm: str, reach: Reach, *, requirements: Requirements, wait_s: floa
     finally:
         session.close(opened)
     others = Counter(key.realm for key in tokens if key.realm != realm)
-    return Survey([found[name] for name in sorted(found)], dict(sorted(others.items())), findings)
+    return Survey(
+        [found[name] for name in sorted(found)], dict(sorted(others.items())), findings
+    )
 
 
 _Inbox = queue.SimpleQueue[ServerKey | Found]
@@ -109,7 +115,11 @@ def _ask_all(
 
 
 def _ask(
-    opened: zenoh.Session, realm: str, server: str, requirements: Requirements, inbox: _Inbox
+    opened: zenoh.Session,
+    realm: str,
+    server: str,
+    requirements: Requirements,
+    inbox: _Inbox,
 ) -> None:
     """Ask a server for its offer; the answer, or why there is none, comes to the inbox."""
 
@@ -143,7 +153,9 @@ class Trips(NamedTuple):
     busy_s: float  # that this program computed for one of them
 
 
-def trips(realm: str, reach: Reach, local: str, *, requirements: Requirements, times: int) -> Trips:
+def trips(
+    realm: str, reach: Reach, local: str, *, requirements: Requirements, times: int
+) -> Trips:
     """Measure how long servers that match take to answer, each asked so many times.
 
     Args:
@@ -161,7 +173,9 @@ def trips(realm: str, reach: Reach, local: str, *, requirements: Requirements, t
             reach = Reach((), multicast=False)
         if local or not sessions:
             here = [local] if local else []
-            sessions.append(session.open_optimizer(reach._replace(connect=[*reach.connect, *here])))
+            sessions.append(
+                session.open_optimizer(reach._replace(connect=[*reach.connect, *here]))
+            )
             stack.callback(session.close, sessions[-1])
         for opened in sessions:
             _, found = _ask_all(opened, realm, requirements, TRIPS_WAIT_S)
@@ -169,12 +183,16 @@ def trips(realm: str, reach: Reach, local: str, *, requirements: Requirements, t
             servers += len(names)
             begun = time.process_time()
             for name in names:
-                seconds += [_trip(opened, realm, name, requirements) for _ in range(times)]
+                seconds += [
+                    _trip(opened, realm, name, requirements) for _ in range(times)
+                ]
             busy_s += time.process_time() - begun
     return Trips(servers, seconds, busy_s / max(1, len(seconds)))
 
 
-def _trip(opened: zenoh.Session, realm: str, server: str, requirements: Requirements) -> float:
+def _trip(
+    opened: zenoh.Session, realm: str, server: str, requirements: Requirements
+) -> float:
     inbox: _Inbox = queue.SimpleQueue()
     begun = time.perf_counter()
     _ask(opened, realm, server, requirements, inbox)

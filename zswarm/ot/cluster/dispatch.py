@@ -44,7 +44,9 @@ class Dispatch:
             case events.Work():
                 batches.begin(event.workload)
             case events.Arbitrated():
-                for name in batches.checks.arbitrate(event.trial, event.fitness, event.metrics):
+                for name in batches.checks.arbitrate(
+                    event.trial, event.fitness, event.metrics
+                ):
                     servers.ban_wrong(name, event.trial)
             case events.ProbeArbitrated():
                 servers.arbitrate_probe(event.digest)
@@ -66,7 +68,9 @@ class Dispatch:
             servers.blame(batches.blamed.pop(0))
         servers.allot()
         self._follow()
-        for server in [server for server in servers.leaving.values() if not server.batches]:
+        for server in [
+            server for server in servers.leaving.values() if not server.batches
+        ]:
             servers.lose(server)
         self._follow()
         batches.fill(self._idle)
@@ -105,7 +109,9 @@ class Dispatch:
         wanted = self.batches.workload is not None
         return batch if wanted and batch and batch.question == query.question else None
 
-    def _batch_answered(self, query: OpenQuery, batch: SentBatch, reply: Reply | None) -> None:
+    def _batch_answered(
+        self, query: OpenQuery, batch: SentBatch, reply: Reply | None
+    ) -> None:
         batches, servers, server = self.batches, self.servers, batch.server
         if reply is None:
             if server.phase == Phase.LEAVING:

@@ -139,7 +139,9 @@ class Outbox(msgspec.Struct, eq=False):
         self.commands.append(Ask(number, server, message, trials))
         return number
 
-    def note(self, event: RunEvent, server: str = "", text: str = "", count: int = 0) -> None:
+    def note(
+        self, event: RunEvent, server: str = "", text: str = "", count: int = 0
+    ) -> None:
         """Add a note."""
         self.commands.append(Note(event, server, text, count))
 

@@ -27,7 +27,9 @@ from zswarm.security.keyring import Keyring
 from zswarm.session import Reach
 
 if TYPE_CHECKING:
-    from zswarm.ot.cluster.remote_controllers import RemoteControllers  # which loads the compiler
+    from zswarm.ot.cluster.remote_controllers import (
+        RemoteControllers,
+    )  # which loads the compiler
 
 RETRY_S = 0.1  # between two attempts to reach a router
 QUERY_S: dict[Verb, float] = {
@@ -49,7 +51,9 @@ class Links(msgspec.Struct, eq=False):
 
     key: keys.RunKey
     reach: Reach
-    controllers: "RemoteControllers | None"  # those that servers ask; None: candidates are sent
+    controllers: (
+        "RemoteControllers | None"  # those that servers ask; None: candidates are sent
+    )
     post: Callable[[Event | Note], None]
     answered: Callable[[Answered], None]  # takes the answers to batches
     failed: Callable[[BaseException], None]  # takes bugs
@@ -80,7 +84,9 @@ class Links(msgspec.Struct, eq=False):
             everything = reach._replace(connect=[*reach.connect, *here])
             self._join(session.open_optimizer(everything))
         if reach.through_router:
-            threading.Thread(target=self._open_through_router, name="router", daemon=True).start()
+            threading.Thread(
+                target=self._open_through_router, name="router", daemon=True
+            ).start()
 
     def close(self) -> None:
         """Send what waits, for some seconds at most, and close the sessions."""
@@ -106,9 +112,18 @@ class Links(msgspec.Struct, eq=False):
         Args:
             may_send: this thread may wait for one of zenoh's locks.
         """
-        key, server, message, controllers = self.key, ask.server, ask.message, self.controllers
+        key, server, message, controllers = (
+            self.key,
+            ask.server,
+            ask.message,
+            self.controllers,
+        )
         verb = messages.verb(message)
-        if isinstance(message, Evaluate) and controllers is not None and ask.trials is not None:
+        if (
+            isinstance(message, Evaluate)
+            and controllers is not None
+            and ask.trials is not None
+        ):
             controllers.give(server, message.lease, message.batch, ask.trials)
         body = codec.encode(message)
 
@@ -135,7 +150,11 @@ class Links(msgspec.Struct, eq=False):
             self.senders[server] = session.Sender(server)
         at_once = False
         if verb == "evaluate":
-            link_busy = self._unanswered if self.reach.through_router else self._waited_for[server]
+            link_busy = (
+                self._unanswered
+                if self.reach.through_router
+                else self._waited_for[server]
+            )
             at_once = may_send and len(body) < AT_ONCE and not link_busy
             self._unanswered[ask.question] = server
             self._waited_for[server] += 1
@@ -165,7 +184,9 @@ class Links(msgspec.Struct, eq=False):
         self._tokens.append(liveliness.declare_token(keys.run_alive(*self.key)))
         if ring is not None:
             refusals.watch_members(opened, ring, self._on_refusal)
-        on_token = zenoh.handlers.Callback(partial(self._on_token, opened), indirect=False)
+        on_token = zenoh.handlers.Callback(
+            partial(self._on_token, opened), indirect=False
+        )
         alive = keys.any_version_alive(self.key.realm)
         liveliness.declare_subscriber(alive, on_token, history=True)
 

@@ -20,7 +20,15 @@ class LocalServer:
         private = ["--listen", self.endpoint, "--no-multicast", "--until-stdin-closes"]
         with self._log.open("wb") as log:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "zswarm.ss", *server, *private, "--log-level", "warning"],
+                [
+                    sys.executable,
+                    "-m",
+                    "zswarm.ss",
+                    *server,
+                    *private,
+                    "--log-level",
+                    "warning",
+                ],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=log,

@@ -48,7 +48,9 @@ class Terms(msgspec.Struct, frozen=True, kw_only=True):
 def choice(options: ClusterConfig) -> Choice:
     """Return the servers that ``[cluster]`` chooses."""
     require = labels.requirements(options.require, "cluster.require")
-    return Choice(require, labels.preferences(options.rank, "cluster.rank"), options.max_slots)
+    return Choice(
+        require, labels.preferences(options.rank, "cluster.rank"), options.max_slots
+    )
 
 
 def requirements(complete: Experiment, options: ClusterConfig) -> Requirements:

@@ -52,7 +52,9 @@ class TrialQueue(msgspec.Struct, eq=False):
     def stranded(self, server: RemoteServer) -> list[QueuedTrials]:
         """Return all trials that are still stranded on a server."""
         return [
-            entry for entry in self.entries if entry.stranded and entry.stranded.server is server
+            entry
+            for entry in self.entries
+            if entry.stranded and entry.stranded.server is server
         ]
 
     def remove(self, entry: QueuedTrials) -> None:

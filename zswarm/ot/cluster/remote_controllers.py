@@ -13,7 +13,14 @@ from zswarm.nets.networks import Networks
 from zswarm.nets.representation import Representation
 from zswarm.ot.workload import Workload
 from zswarm.protocol import codec
-from zswarm.protocol.messages import MAX_TEXT, Actuators, Reaction, Refusal, Refused, Sensors
+from zswarm.protocol.messages import (
+    MAX_TEXT,
+    Actuators,
+    Reaction,
+    Refusal,
+    Refused,
+    Sensors,
+)
 
 
 class _Play(msgspec.Struct, eq=False):
@@ -58,7 +65,9 @@ class RemoteControllers(msgspec.Struct, eq=False):
         known = self._batches.get((server, batch))
         plays = known.plays if known is not None and known.lease == lease else {}
         participants = self._workload.participants[trials]
-        self._batches[server, batch] = _Batch(lease, self._parameters, participants, plays)
+        self._batches[server, batch] = _Batch(
+            lease, self._parameters, participants, plays
+        )
 
     def take_back(self, server: str, batch: int) -> None:
         """Forget a batch that was answered."""
@@ -78,7 +87,9 @@ class RemoteControllers(msgspec.Struct, eq=False):
             return _refuse("cancelled", text)
         count = len(batch.participants)
         if message.trial >= count:
-            raise RemoteProtocolError(f"trial {message.trial} is not in a batch of {count}")
+            raise RemoteProtocolError(
+                f"trial {message.trial} is not in a batch of {count}"
+            )
         play = batch.plays.get(message.trial)
         if play is None or play.token != message.play:
             if message.number:

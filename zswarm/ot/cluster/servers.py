@@ -20,10 +20,12 @@ from zswarm.protocol.messages import Lease, Offer, Refused, Release, Renew, Repl
 RENEW_S = 20.0
 RETRY_S = (0.05, 0.2, 1.0)  # before a query that was not answered is sent again
 ALLOT_AFTER_S = (
-    1.0  # from the first offer until slots are allotted, so that the best servers are known
+    1.0  # from the first offer until slots are allotted: the best are known then
 )
 PAUSE_S = 1.0  # before a server that had no room, or that ended the lease, is asked again
-BACK_OFF_S = 30.0  # before a server that did not answer is asked again, unless it is seen before
+BACK_OFF_S = (
+    30.0  # before a server that did not answer is asked again, unless it is seen before
+)
 # A server that failed this many trials that others could evaluate, and this share of all it
 # evaluated, is backed off for so long.
 BLAMED = 3
@@ -43,7 +45,9 @@ class Servers(msgspec.Struct, eq=False):
     terms: Terms
     out: Outbox
     by_id: dict[str, RemoteServer] = {}  # every server ever seen
-    moved: list[RemoteServer] = []  # their phase or slots changed; the caller takes them out
+    moved: list[
+        RemoteServer
+    ] = []  # their phase or slots changed; the caller takes them out
     leaving: dict[str, RemoteServer] = {}  # those in the phase LEAVING
     probe: bytes = b""  # digest of the probe's outcomes, once known
     _probe_disputed: bool = False
@@ -60,7 +64,9 @@ class Servers(msgspec.Struct, eq=False):
         leased = self._leased()
         return Standing(
             serving=[server.id for server in leased if server.ready],
-            preparing=[server.id for server in leased if server.slots and not server.ready],
+            preparing=[
+                server.id for server in leased if server.slots and not server.ready
+            ],
             leased=len(leased),
             spare=sum(server.phase == Phase.SPARE for server in self.by_id.values()),
             slots=sum(server.ready for server in leased),
@@ -74,7 +80,9 @@ class Servers(msgspec.Struct, eq=False):
             servers.sort(key=lambda server: server.place)
         now = self.out.now
         return {
-            server.id: server for server in servers if server.ready and server.paused_until <= now
+            server.id: server
+            for server in servers
+            if server.ready and server.paused_until <= now
         }
 
     # ---- events
@@ -213,7 +221,9 @@ class Servers(msgspec.Struct, eq=False):
         servers = sorted(self.by_id.values(), key=lambda server: server.place)
         # A lease may have no slot now, because other runs hold them, and get some later.
         room = self.terms.choice.max_slots
-        room -= sum(server.wanted for server in servers if server.phase == Phase.RESERVING)
+        room -= sum(
+            server.wanted for server in servers if server.phase == Phase.RESERVING
+        )
         room -= sum(server.slots for server in servers if server.phase == Phase.LEASED)
         for server in reversed(servers):
             if room < 0 and server.phase == Phase.LEASED and server.slots:
@@ -222,7 +232,9 @@ class Servers(msgspec.Struct, eq=False):
                 self.drop(server, RunEvent.SERVER_SPARE, text, Phase.SPARE)
         for server in servers:
             if room > 0 and server.phase == Phase.SPARE:
-                self._reserve(server, min(room, server.capacity, self.terms.reserve.slots))
+                self._reserve(
+                    server, min(room, server.capacity, self.terms.reserve.slots)
+                )
                 room -= server.wanted
         self._allot_at = math.inf
 
@@ -260,7 +272,9 @@ class Servers(msgspec.Struct, eq=False):
         if server.lease:
             self.out.ask(server.id, Release(lease=server.lease))
 
-    def drop(self, server: RemoteServer, note: RunEvent, text: str, to: Phase = Phase.IDLE) -> None:
+    def drop(
+        self, server: RemoteServer, note: RunEvent, text: str, to: Phase = Phase.IDLE
+    ) -> None:
         """Use a server no more; release its lease if it has one."""
         self._release(server)
         self._end(server, to, note, text)
@@ -268,7 +282,12 @@ class Servers(msgspec.Struct, eq=False):
     def lease_lost(self, server: RemoteServer, reason: str) -> None:
         """Reserve again, after a pause, at a server that ended the lease."""
         leaving = server.phase == Phase.LEAVING
-        self._end(server, Phase.IDLE if leaving else Phase.BACKED_OFF, RunEvent.LEASE_LOST, reason)
+        self._end(
+            server,
+            Phase.IDLE if leaving else Phase.BACKED_OFF,
+            RunEvent.LEASE_LOST,
+            reason,
+        )
         if not leaving:
             self._offer_in(PAUSE_S, server)
 
@@ -280,7 +299,9 @@ class Servers(msgspec.Struct, eq=False):
         """Ask a server that did not answer repeatedly again only after a pause."""
         if server.phase == Phase.LEASED or not server.silent:
             text = f"no answer to {verb}"
-            self._end(server, Phase.BACKED_OFF, RunEvent.SERVER_SILENT, text, resumable=True)
+            self._end(
+                server, Phase.BACKED_OFF, RunEvent.SERVER_SILENT, text, resumable=True
+            )
         else:
             self._move(server, Phase.BACKED_OFF)
         server.silent = True
@@ -366,7 +387,13 @@ class Servers(msgspec.Struct, eq=False):
         return [server for server in self.by_id.values() if server.phase == Phase.LEASED]
 
     def _end(
-        self, server: RemoteServer, to: Phase, note: RunEvent, text: str, *, resumable: bool = False
+        self,
+        server: RemoteServer,
+        to: Phase,
+        note: RunEvent,
+        text: str,
+        *,
+        resumable: bool = False,
     ) -> None:
         """Drop a lease; it can be resumed if it may still be valid at the server."""
         server.previous = (server.lease or server.previous) if resumable else b""

@@ -28,7 +28,9 @@ from zswarm.protocol.messages import Outcomes, Running
 from zswarm.session import Reach
 
 if TYPE_CHECKING:
-    from zswarm.ot.cluster.remote_controllers import RemoteControllers  # which loads the compiler
+    from zswarm.ot.cluster.remote_controllers import (
+        RemoteControllers,
+    )  # which loads the compiler
 
 FLUSH_S = 0.1  # a waiting caller gets a None this often
 MAX_HELD_BACK = 100  # commands for the caller that are held back while more events wait
@@ -38,7 +40,9 @@ ALONE_S = 5.0
 Item = Counted | Retracted | Note
 Dispute = events.Disputed | events.ProbeDisputed
 ForCaller = Item | Complete | events.Failed | Dispute
-Arbitrate = Callable[[Dispute, Workload | None], events.Arbitrated | events.ProbeArbitrated]
+Arbitrate = Callable[
+    [Dispute, Workload | None], events.Arbitrated | events.ProbeArbitrated
+]
 
 
 class Cluster:
@@ -80,7 +84,9 @@ class Cluster:
         )
         self._alone = threading.Timer(ALONE_S, self._on_alone)
         self._alone.daemon = True
-        self._owner = threading.Lock()  # of the state: the dispatch, and all up to the outbox
+        self._owner = (
+            threading.Lock()
+        )  # of the state: the dispatch, and all up to the outbox
         self._inbox: queue.SimpleQueue[Event | None] = queue.SimpleQueue()
         # Commands for the caller, held back until the standing shows their effect.
         self._held_back: list[ForCaller] = []
@@ -167,7 +173,9 @@ class Cluster:
 
         def look() -> None:
             sessions, known = list(self._links.sessions), list(self._links.home)
-            for line in diagnosis.diagnose(self._key.realm, sessions, self._reach, known=known):
+            for line in diagnosis.diagnose(
+                self._key.realm, sessions, self._reach, known=known
+            ):
                 self._post(Note(RunEvent.DIAGNOSIS, "", line))
 
         threading.Thread(target=look, name="diagnosis", daemon=True).start()
@@ -224,7 +232,9 @@ class Cluster:
             self._handle(event, may_send=may_send)
             self._publish()
             if self._dispatch.next_time() < self._awake_at:
-                self._inbox.put(events.TimePassed())  # the thread looks at the clock earlier
+                self._inbox.put(
+                    events.TimePassed()
+                )  # the thread looks at the clock earlier
         except BaseException as error:
             if may_send:  # most often Ctrl-C, which the caller is to get now
                 raise
@@ -245,7 +255,9 @@ class Cluster:
                         return
                     with self._owner:
                         self._handle(event, may_send=True)
-        except BaseException as error:  # a bug, or a panic in zenoh, which is not an Exception
+        except (
+            BaseException
+        ) as error:  # a bug, or a panic in zenoh, which is not an Exception
             self._stop(error)
 
     def _publish(self) -> None:
@@ -273,7 +285,9 @@ class Cluster:
                 self._links.ask(command, may_send=may_send)
             else:
                 self._held_back.append(command)
-                lost |= isinstance(command, Note) and command.event == RunEvent.SERVER_LOST
+                lost |= (
+                    isinstance(command, Note) and command.event == RunEvent.SERVER_LOST
+                )
         if lost:
             servers = self._dispatch.servers.by_id
             for name in list(self._links.senders):

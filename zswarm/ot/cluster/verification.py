@@ -105,7 +105,9 @@ class Checks(msgspec.Struct, eq=False):
                 disputed.append(trial)
         return disputed
 
-    def arbitrate(self, trial: int, fitness: np.ndarray, metrics: np.ndarray) -> list[str]:
+    def arbitrate(
+        self, trial: int, fitness: np.ndarray, metrics: np.ndarray
+    ) -> list[str]:
         """Return the servers that were wrong about a disputed trial."""
         outcomes = self._disputes.pop(trial, {})
         self.open.discard(trial)

@@ -24,9 +24,11 @@ MENU = ("Begin", 2)
 @options.experiment_argument
 @options.set_option
 @click.option(
-    "--servers", "search", is_flag=True,
+    "--servers",
+    "search",
+    is_flag=True,
     help="Search for servers; say which ones match, and why the others do not.",
-)  # fmt: skip
+)
 @options.json_option
 def command(name: str, overrides: tuple[str, ...], search: bool, as_json: bool) -> None:
     """Explain an experiment, and find mistakes.
@@ -67,8 +69,15 @@ def command(name: str, overrides: tuple[str, ...], search: bool, as_json: bool) 
         _show_servers(survey, complete)
     for warning in explained.warnings:
         tables.entry("warning", warning, colour="yellow")
-    verdict = "the experiment can be run" if explained.warnings else "the experiment is fine"
-    run = ["zswarm-ot", "run", name, *(word for each in overrides for word in ("--set", each))]
+    verdict = (
+        "the experiment can be run" if explained.warnings else "the experiment is fine"
+    )
+    run = [
+        "zswarm-ot",
+        "run",
+        name,
+        *(word for each in overrides for word in ("--set", each)),
+    ]
     tables.line(f"{verdict}: {clean(shlex.join(run))}")
 
 
@@ -88,9 +97,15 @@ def _lines(e: "Explanation", complete: Experiment) -> Iterator[tuple[str, str]]:
     if e.ranges:
         varied = ", ".join(f"{name} {words}" for name, words in e.ranges.items())
         yield "ranges", f"{varied}: drawn for each trial from its seed"
-    agents = f"{e.agents:,}" if e.agents == e.most_agents else f"{e.agents:,} to {e.most_agents:,}"
+    agents = (
+        f"{e.agents:,}"
+        if e.agents == e.most_agents
+        else f"{e.agents:,} to {e.most_agents:,}"
+    )
     one = e.participants == 1
-    genomes = "the same genome" if one else f"{e.participants} genomes that play each other"
+    genomes = (
+        "the same genome" if one else f"{e.participants} genomes that play each other"
+    )
     yield "robots", f"{agents}, {'all ' if one else ''}driven by {genomes}"
     nodes = [_named(e.inputs, "input", e.sensors)]
     nodes += [] if e.hidden is None else [plural(e.hidden, "hidden node")]
@@ -98,11 +113,17 @@ def _lines(e: "Explanation", complete: Experiment) -> Iterator[tuple[str, str]]:
     yield "controller", f"{e.representation}: {', '.join(nodes)}"
     numbers = "" if e.genome_numbers is None else f"{e.genome_numbers:,} numbers, "
     varies = e.genome_bytes is None
-    yield "genome", numbers + ("its length varies" if varies else f"{e.genome_bytes:,} bytes")
+    yield (
+        "genome",
+        numbers + ("its length varies" if varies else f"{e.genome_bytes:,} bytes"),
+    )
     yield "fitness", _fitness(e, complete)
     first, later = e.candidates_first_generation, e.candidates_later_generations
     then = f", then {later:,}" if later != first and e.generations > 1 else ""
-    yield "optimizer", f"{e.optimizer}: {first:,} candidates in the first generation{then}"
+    yield (
+        "optimizer",
+        f"{e.optimizer}: {first:,} candidates in the first generation{then}",
+    )
     yield "work", f"{e.evaluations:,} evaluations, {e.simulations:,} simulations"
     yield (
         "time",
@@ -128,7 +149,9 @@ def _fitness(e: "Explanation", complete: Experiment) -> str:
         trials = "the same" if fixed else "new ones"
         judged = f"the sum over {e.trials:,} trials, {trials} in every generation"
     if e.participants > 1:
-        games = f"{plural(e.games, 'game')} in the first generation, ranked by {e.ranking}"
+        games = (
+            f"{plural(e.games, 'game')} in the first generation, ranked by {e.ranking}"
+        )
         judged = f"{games}; the result of a game is {judged}"
     return judged + (f"; also recorded: {', '.join(e.metrics)}" if e.metrics else "")
 
@@ -149,7 +172,9 @@ def _show_servers(survey: "Survey", complete: Experiment) -> None:
     realm, choice = complete.cluster.realm, matching.choice(complete.cluster)
     refusals = {found.server: found.mismatch(choice) for found in survey.servers}
     matching_ones = [found for found in survey.servers if not refusals[found.server]]
-    slots = sum(found.offer.capacity for found in matching_ones if found.offer is not None)
+    slots = sum(
+        found.offer.capacity for found in matching_ones if found.offer is not None
+    )
     limit = f", of which it holds at most {choice.max_slots:,}"
     text = (
         f"{len(matching_ones)} of {plural(len(survey.servers), 'server')} in realm {realm} can "

@@ -19,9 +19,12 @@ PAIRS = 6  # pairs that are described in words
 @click.command("compare")
 @options.paths_argument
 @click.option(
-    "--by", type=click.Choice(["generations", "evaluations"]), default="generations",
-    show_default=True, help="Compare runs after an equal number of these.",
-)  # fmt: skip
+    "--by",
+    type=click.Choice(["generations", "evaluations"]),
+    default="generations",
+    show_default=True,
+    help="Compare runs after an equal number of these.",
+)
 @options.csv_option
 @options.json_option
 def command(paths: tuple[Path, ...], by: str, csv: str | None, as_json: bool) -> None:
@@ -44,7 +47,9 @@ def command(paths: tuple[Path, ...], by: str, csv: str | None, as_json: bool) ->
     if csv:
         spreadsheet.save(csv, comparison.Row._fields, found.rows)
     if as_json:
-        rows, pairs = ([one._asdict() for one in some] for some in (found.rows, found.pairs))
+        rows, pairs = (
+            [one._asdict() for one in some] for some in (found.rows, found.pairs)
+        )
         tables.print_json({**found._asdict(), "rows": rows, "pairs": pairs})
     elif csv != "-":
         show(found)
@@ -54,7 +59,15 @@ def show(found: "Comparison") -> None:
     """Print a comparison for people."""
     from zswarm.ot.analysis import comparison
 
-    numbers = (">runs", ">median", ">quartiles", ">best", ">worst", ">evaluations/run", ">time")
+    numbers = (
+        ">runs",
+        ">median",
+        ">quartiles",
+        ">best",
+        ">worst",
+        ">evaluations/run",
+        ">time",
+    )
     table = tables.table("group", *numbers, padding=(0, 1, 0, 0))
     for row in found.rows:
         quartiles = f"{_number(row.q25)} / {_number(row.q75)}"

@@ -8,7 +8,9 @@ PROGRAMS = ("zswarm-ot", "zswarm-ss", "zswarm-router", "zswarm-keys")
 
 
 @click.command("completion")
-@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]), metavar="bash|zsh|fish")
+@click.argument(
+    "shell", type=click.Choice(["bash", "zsh", "fish"]), metavar="bash|zsh|fish"
+)
 def command(shell: str) -> None:
     """Print a completion script for a shell.
 
@@ -25,4 +27,6 @@ def command(shell: str) -> None:
     assert made is not None  # noqa: S101  click has all three
     for program in PROGRAMS:
         variable = f"_{program.replace('-', '_').upper()}_COMPLETE"
-        click.echo(made(click.Command(program), {}, program, variable).source().strip() + "\n")
+        click.echo(
+            made(click.Command(program), {}, program, variable).source().strip() + "\n"
+        )

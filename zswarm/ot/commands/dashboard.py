@@ -14,20 +14,32 @@ MENU = ("Results", 2)
 
 @click.command("dashboard")
 @click.argument(
-    "folders", nargs=-1, type=options.PATH, metavar="[RUNS]...", shell_complete=suggestions.runs
+    "folders",
+    nargs=-1,
+    type=options.PATH,
+    metavar="[RUNS]...",
+    shell_complete=suggestions.runs,
 )
 @click.option(
-    "--host", default="127.0.0.1", show_default=True, metavar="ADDRESS",
+    "--host",
+    default="127.0.0.1",
+    show_default=True,
+    metavar="ADDRESS",
     help="Address to listen on.",
-)  # fmt: skip
+)
 @click.option(
-    "--port", type=click.IntRange(1, 65535), metavar="N",
+    "--port",
+    type=click.IntRange(1, 65535),
+    metavar="N",
     help="Port.  [default: 8467, or the next free one]",
-)  # fmt: skip
+)
 @click.option(
-    "--allow-host", "allowed", multiple=True, metavar="NAME",
+    "--allow-host",
+    "allowed",
+    multiple=True,
+    metavar="NAME",
     help="Also accept this name of the machine from browsers; may be repeated.",
-)  # fmt: skip
+)
 @click.option("--until-stdin-closes", is_flag=True, hidden=True)
 def command(folders: tuple[Path, ...], **serving: Any) -> None:
     """Show runs in the browser, live, until Ctrl-C.
@@ -45,5 +57,7 @@ def command(folders: tuple[Path, ...], **serving: Any) -> None:
 
     for folder in folders:
         if not folder.is_dir():
-            raise ConfigError(f"{clean(str(folder))}: expected the folder of a run or of runs")
+            raise ConfigError(
+                f"{clean(str(folder))}: expected the folder of a run or of runs"
+            )
     serve.serve(folders or (RUNS,), **serving)

@@ -22,9 +22,12 @@ VERDICTS = {
 @click.command("doctor")
 @options.search_options
 @click.option(
-    "--out", type=options.PATH, default=suggestions.RUNS, show_default=True,
+    "--out",
+    type=options.PATH,
+    default=suggestions.RUNS,
+    show_default=True,
     help="Folder in which runs will be made.",
-)  # fmt: skip
+)
 @options.json_lines_option
 def command(out: Path, as_json: bool, **search: Any) -> None:
     """Check whether this machine and its network are ready.
@@ -48,6 +51,8 @@ def command(out: Path, as_json: bool, **search: Any) -> None:
         else:
             tables.fact(finding.state, finding.check, text, remedy)
     if not as_json:
-        tables.line(next(verdict for state, verdict in VERDICTS.items() if state in states))
+        tables.line(
+            next(verdict for state, verdict in VERDICTS.items() if state in states)
+        )
     if "broken" in states:
         sys.exit(EXIT_FAILED)

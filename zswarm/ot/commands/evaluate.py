@@ -18,16 +18,24 @@ LABEL = 16  # columns
 @click.command("evaluate")
 @options.champion_argument
 @click.option(
-    "--trials", type=options.TRIALS, default=100, show_default=True, help="Trials to play."
+    "--trials",
+    type=options.TRIALS,
+    default=100,
+    show_default=True,
+    help="Trials to play.",
 )
 @click.option(
-    "--seed", type=click.IntRange(0, 2**63 - 1),
+    "--seed",
+    type=click.IntRange(0, 2**63 - 1),
     help="Seed of the trials.  [default: one that evolution did not use]",
-)  # fmt: skip
+)
 @click.option(
-    "--against", type=options.PATH, metavar="RUN|CHAMPION.zsc", shell_complete=suggestions.runs,
+    "--against",
+    type=options.PATH,
+    metavar="RUN|CHAMPION.zsc",
+    shell_complete=suggestions.runs,
     help="The opponent in a game of several participants.  [default: the champion itself]",
-)  # fmt: skip
+)
 @options.set_option_of("problem", "problem.settings.agents=20")
 @options.json_option
 def command(
@@ -55,7 +63,10 @@ def command(
     loaded = [load_controller(each) for each in (path, against) if each is not None]
     controllers = [
         msgspec.structs.replace(
-            each, simulator_settings=experiment.settings_with(each.simulator_settings, overrides)
+            each,
+            simulator_settings=experiment.settings_with(
+                each.simulator_settings, overrides
+            ),
         )
         for each in loaded
     ]

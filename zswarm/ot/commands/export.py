@@ -15,11 +15,16 @@ MENU = ("Results", 5)
 @click.command("export")
 @options.champion_argument
 @click.option(
-    "--to", "target", required=True, metavar="TARGET", shell_complete=suggestions.targets,
+    "--to",
+    "target",
+    required=True,
+    metavar="TARGET",
+    shell_complete=suggestions.targets,
     help="What to write: one of the targets listed above.",
-)  # fmt: skip
+)
 @options.number_option(
-    "--generation", help="A candidate of this generation, from 0, instead of the champion."
+    "--generation",
+    help="A candidate of this generation, from 0, instead of the champion.",
 )
 @options.candidate_option
 @click.option(
@@ -27,11 +32,15 @@ MENU = ("Results", 5)
     help="Name in files, functions and packages, after the prefix zs_.  [default: the run's]",
 )
 @click.option(
-    "--out", type=click.Path(file_okay=False, path_type=Path), metavar="FOLDER",
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="FOLDER",
     help="Folder to write the files to.  [default: NAME-TARGET]",
-)  # fmt: skip
+)
 @click.option(
-    "--profile", metavar="NAME|FILE", help="The robot that a package drives: its topics and limits."
+    "--profile",
+    metavar="NAME|FILE",
+    help="The robot that a package drives: its topics and limits.",
 )
 @options.json_option
 def command(
@@ -80,7 +89,12 @@ def command(
     written = folder.write(out, files)
     _, parameters = controller.network()
     if as_json:
-        what = {"target": target, "name": f"zs_{name}", "folder": str(out), "files": list(files)}
+        what = {
+            "target": target,
+            "name": f"zs_{name}",
+            "folder": str(out),
+            "files": list(files),
+        }
         who = {"run": controller.run, "fitness": controller.fitness}
         tables.print_json({**what, **who, "sha256": sha256(parameters)})
         return

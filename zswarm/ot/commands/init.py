@@ -28,11 +28,16 @@ def _part(kind: str, **more: Any) -> Callable[[options.F], options.F]:
 
 
 @click.command("init")
-@click.argument("file", type=options.PATH, default=Path("experiment.toml"), metavar="[FILE.toml|-]")
+@click.argument(
+    "file", type=options.PATH, default=Path("experiment.toml"), metavar="[FILE.toml|-]"
+)
 @click.option(
-    "--from", "source", metavar="EXPERIMENT", shell_complete=suggestions.experiments,
+    "--from",
+    "source",
+    metavar="EXPERIMENT",
+    shell_complete=suggestions.experiments,
     help="Begin with the settings of this example or file.",
-)  # fmt: skip
+)
 @_part("simulator", shell_complete=suggestions.simulators)
 @_part("representation")
 @_part("optimizer")
@@ -54,9 +59,13 @@ def command(file: Path, source: str | None, force: bool, **parts: str | None) ->
     given = {kind: name for kind, name in parts.items() if name is not None}
     if source is not None:
         if given:
-            raise ConfigError(f"--from names the {next(iter(given))}: omit --{next(iter(given))}")
+            raise ConfigError(
+                f"--from names the {next(iter(given))}: omit --{next(iter(given))}"
+            )
         path = experiment.find(source)
-        experiment.complete(experiment.load(path), str(path))  # raises what is wrong with it
+        experiment.complete(
+            experiment.load(path), str(path)
+        )  # raises what is wrong with it
         content = read(path)
     else:
         name = keys.fold(file.stem) if file.stem not in ("", "-") else "experiment"
@@ -71,5 +80,7 @@ def command(file: Path, source: str | None, force: bool, **parts: str | None) ->
     ):
         opened.write(text)
     simulator, name = content["problem"]["simulator"], shlex.quote(str(file))
-    tables.line(f"{file}: an experiment with the simulator {simulator}; it explains every key")
+    tables.line(
+        f"{file}: an experiment with the simulator {simulator}; it explains every key"
+    )
     tables.line(f"next:  zswarm-ot check {name}\n       zswarm-ot run {name}")

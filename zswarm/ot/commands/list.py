@@ -37,7 +37,8 @@ def command(folder: Path, as_json: bool) -> None:
     found = catalog.installed()
     if as_json:
         names = {
-            f"{kind}s": [part.name for part in found if part.kind == kind] for kind in catalog.KINDS
+            f"{kind}s": [part.name for part in found if part.kind == kind]
+            for kind in catalog.KINDS
         }
         about = [catalog.as_object(part) for part in found]
         tables.print_json({"runs": runs, "examples": examples, **names, "parts": about})
@@ -65,7 +66,9 @@ def _show_parts(found: Sequence[CatalogEntry]) -> None:
 
 
 def _show_runs(runs: list[dict[str, Any]]) -> None:
-    table = tables.table("run", ">generations", ">best", "last at (local time)", "history")
+    table = tables.table(
+        "run", ">generations", ">best", "last at (local time)", "history"
+    )
     for row in runs:
         if "error" in row:
             tables.row(table, row["run"], "", "", "", row["error"])

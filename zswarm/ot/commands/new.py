@@ -59,7 +59,9 @@ def skeleton(name: str) -> dict[str, str]:
     paths = [path for path in sorted(folder.iterdir()) if path.suffix in FILES]
     example = {path.name: path.read_text(encoding="utf-8") for path in paths}
     made = class_of(name)
-    if name != EXAMPLE and any(re.search(rf"\b{made}\b", text) for text in example.values()):
+    if name != EXAMPLE and any(
+        re.search(rf"\b{made}\b", text) for text in example.values()
+    ):
         raise ConfigError(
             f"{name}: its class would be {made}, a word that simulators already use; give another "
             "name"

@@ -25,19 +25,28 @@ MENU = ("Results", 7)
 )
 @options.csv_option
 @click.option(
-    "--x", "axis", type=click.Choice(["generation", "evaluations", "time"]), default="generation",
-    show_default=True, help="Quantity on the horizontal axis.",
-)  # fmt: skip
+    "--x",
+    "axis",
+    type=click.Choice(["generation", "evaluations", "time"]),
+    default="generation",
+    show_default=True,
+    help="Quantity on the horizontal axis.",
+)
 @click.option(
-    "--size", type=click.Choice(["column", "page", "slides"]), default="column", show_default=True,
+    "--size",
+    type=click.Choice(["column", "page", "slides"]),
+    default="column",
+    show_default=True,
     help="column: 3.4 inches wide, 8 point text; page: 7 inches, 9 point; slides: 10 inches, "
     "18 point.",
-)  # fmt: skip
+)
 @click.option("--title", default="", help="Title above the figure.")
 @click.option(
-    "--lowest", type=float, metavar="VALUE",
+    "--lowest",
+    type=float,
+    metavar="VALUE",
     help="Lowest fitness on the vertical axis.  [default: the lowest there is]",
-)  # fmt: skip
+)
 @options.json_option
 def command(
     paths: tuple[Path, ...],

@@ -25,13 +25,16 @@ PAPER = "Table I of the paper"
 @options.set_option
 @options.cluster_options
 @click.option(
-    "--slots", type=click.IntRange(1, 1_000_000), metavar="N",
+    "--slots",
+    type=click.IntRange(1, 1_000_000),
+    metavar="N",
     help="Predict for this number of slots.  [default: those that are there]",
-)  # fmt: skip
+)
 @click.option(
-    "--table1", is_flag=True,
+    "--table1",
+    is_flag=True,
     help="Use the times that the paper measured (its Table I) instead of measuring.",
-)  # fmt: skip
+)
 @options.json_option
 def command(
     name: str,
@@ -99,14 +102,23 @@ def _lines(
     found = plural(measured.slots, "slot")
     if not table1:
         found = f"{plural(measured.servers, 'server')} with {found} can run it"
-    yield "servers", found + ("" if slots == measured.slots else f"; predicted for {slots:,}")
+    yield (
+        "servers",
+        found + ("" if slots == measured.slots else f"; predicted for {slots:,}"),
+    )
     yield "step", f"{duration(constants.step_s)} for all agents; {source}"
     message = duration(constants.message_s)
     yield "message", f"{message}, one way: half of a question and its answer; {source}"
     if not table1:
         dispatch = duration(constants.dispatch_s)
-        yield "dispatch", f"{dispatch} of this program's computing time for a trial; {source}"
-        yield "batch", f"{plural(constants.batch, 'trial')} in a message, by the time of a trial"
+        yield (
+            "dispatch",
+            f"{dispatch} of this program's computing time for a trial; {source}",
+        )
+        yield (
+            "batch",
+            f"{plural(constants.batch, 'trial')} in a message, by the time of a trial",
+        )
     gap = duration(constants.evolve_s)
     yield "generation", f"{gap} between two, in which slots wait; {source}"
     files = duration(constants.export_s + constants.compile_s + constants.fitness_s)

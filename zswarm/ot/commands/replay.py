@@ -21,20 +21,25 @@ FORMATS = {".gif": "gif", ".html": "html", ".htm": "html", ".csv": "csv"}
 @click.command("replay")
 @click.argument("path", type=options.PATH, metavar="RUN", shell_complete=suggestions.runs)
 @options.number_option(
-    "--generation", help="Generation, from 0.  [default: the one in which the best was found]"
+    "--generation",
+    help="Generation, from 0.  [default: the one in which the best was found]",
 )
 @options.candidate_option
 @options.number_option(
     "--trial", default=0, show_default=True, help="Trial of the candidate, from 0."
 )
 @click.option(
-    "--to", type=click.Choice(["gif", "html", "csv"]), help="Write a file, and open no browser."
+    "--to",
+    type=click.Choice(["gif", "html", "csv"]),
+    help="Write a file, and open no browser.",
 )
 @options.output_option(
     "The file: .gif, .html or .csv.  [default: the run's name with that extension]"
 )
 @options.json_option
-def command(path: Path, to: str | None, output: Path | None, as_json: bool, **chosen: Any) -> None:
+def command(
+    path: Path, to: str | None, output: Path | None, as_json: bool, **chosen: Any
+) -> None:
     """Play a recorded trial again, and watch it in the browser.
 
     The trial is computed from the record, bit for bit as in the run. Without --to and -o a page
@@ -70,7 +75,9 @@ def command(path: Path, to: str | None, output: Path | None, as_json: bool, **ch
     tables.line(f"{clean(str(output))}: {title}, fitness {fitness_text}{hint}")
 
 
-def _write(found: "Trace", title: str, kind: str | None, output: Path) -> tuple[Path, str]:
+def _write(
+    found: "Trace", title: str, kind: str | None, output: Path
+) -> tuple[Path, str]:
     """Write a file, or open the browser; return the file, and a hint."""
     from zswarm.ot.analysis import csv as spreadsheet
     from zswarm.ot.replay import gif, page
@@ -84,7 +91,10 @@ def _write(found: "Trace", title: str, kind: str | None, output: Path) -> tuple[
             write_for_user(output, page.page(found, title).encode())
         case _:
             output, opened = page.show(page.page(found, title))
-            return output, "" if opened else " (no browser was found: open this file in one)"
+            return (
+                output,
+                "" if opened else " (no browser was found: open this file in one)",
+            )
     return output, ""
 
 
@@ -92,4 +102,6 @@ def _format(output: Path) -> str:
     try:
         return FORMATS[output.suffix.lower()]
     except KeyError:
-        raise ConfigError(f"{output}: expected a name that ends in .gif, .html or .csv") from None
+        raise ConfigError(
+            f"{output}: expected a name that ends in .gif, .html or .csv"
+        ) from None

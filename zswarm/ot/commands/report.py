@@ -17,9 +17,12 @@ EXTENSIONS = (".html", ".htm")
 @click.argument("path", type=options.PATH, metavar="RUN|STUDY")
 @options.output_option("The page.  [default: the folder's name with .html]")
 @click.option(
-    "--trials", type=click.IntRange(0, 1_000_000), default=100, show_default=True,
+    "--trials",
+    type=click.IntRange(0, 1_000_000),
+    default=100,
+    show_default=True,
     help="Trials on held-out seeds that the champion of a run plays; 0: none.",
-)  # fmt: skip
+)
 @options.json_option
 def command(path: Path, output: Path | None, trials: int, as_json: bool) -> None:
     """Write one HTML file about a run or a study.

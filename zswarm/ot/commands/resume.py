@@ -13,7 +13,9 @@ MENU = ("Evolve", 2)
 
 
 @click.command("resume")
-@click.argument("folder", type=options.PATH, metavar="RUN|STUDY", shell_complete=suggestions.runs)
+@click.argument(
+    "folder", type=options.PATH, metavar="RUN|STUDY", shell_complete=suggestions.runs
+)
 @options.cluster_options
 @options.dashboard_option
 @options.json_lines_option
@@ -40,7 +42,11 @@ def command(folder: Path, with_dashboard: bool, as_json: bool, **cluster: Any) -
             opened: Any = Connection(settings) if study.left else contextlib.nullcontext()
             with opened as connection:
                 playing.play(
-                    study, connection, folders, as_json=as_json, with_dashboard=with_dashboard
+                    study,
+                    connection,
+                    folders,
+                    as_json=as_json,
+                    with_dashboard=with_dashboard,
                 )
         return
     complete = options.with_cluster(load_experiment(folder), cluster)

@@ -15,15 +15,19 @@ MENU = ("Evolve", 1)
 
 @click.command("run")
 @click.argument(
-    "name", default="emergency-exit", metavar="[EXPERIMENT.toml|EXAMPLE]",
+    "name",
+    default="emergency-exit",
+    metavar="[EXPERIMENT.toml|EXAMPLE]",
     shell_complete=suggestions.experiments,
-)  # fmt: skip
+)
 @options.set_option
 @click.option("--seed", type=click.IntRange(0, LAST_SEED), help="Seed of the run.")
 @click.option(
-    "--repeat", type=click.IntRange(1, MAX_RUNS), metavar="N",
+    "--repeat",
+    type=click.IntRange(1, MAX_RUNS),
+    metavar="N",
     help="Runs of each setting, with the seeds SEED, SEED + 1, ...; they share the servers.",
-)  # fmt: skip
+)
 @options.cluster_options
 @options.out_option
 @options.dashboard_option
@@ -68,7 +72,11 @@ def command(
 
             with Study.create(loaded, str(path), out) as study:
                 playing.play(
-                    study, connection, folders, as_json=as_json, with_dashboard=with_dashboard
+                    study,
+                    connection,
+                    folders,
+                    as_json=as_json,
+                    with_dashboard=with_dashboard,
                 )
             return
         logger = display(as_json=as_json)

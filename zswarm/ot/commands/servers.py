@@ -28,13 +28,21 @@ HIDDEN = ("type", "v", "server")  # keys of an offer that JSON does not repeat
 @click.command("servers")
 @options.search_options
 @click.option(
-    "--wait", "wait_s", type=click.FloatRange(0.1, 3600.0), default=3.0, show_default=True,
-    metavar="SECONDS", help="How long to search.",
-)  # fmt: skip
+    "--wait",
+    "wait_s",
+    type=click.FloatRange(0.1, 3600.0),
+    default=3.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="How long to search.",
+)
 @click.option(
-    "--for", "name", metavar="EXPERIMENT", shell_complete=suggestions.experiments,
+    "--for",
+    "name",
+    metavar="EXPERIMENT",
+    shell_complete=suggestions.experiments,
     help="Say which servers match this experiment, and why the others do not.",
-)  # fmt: skip
+)
 @options.json_option
 def command(wait_s: float, name: str | None, as_json: bool, **search: Any) -> None:
     """Show the servers of the network.
@@ -56,7 +64,14 @@ def command(wait_s: float, name: str | None, as_json: bool, **search: Any) -> No
     survey = discovery.survey(realm, reach, requirements=requirements, wait_s=wait_s)
     if name:
         survey = ranked(survey, choice)
-    show(survey, realm, choice, name or "", as_json=as_json, through_router=reach.through_router)
+    show(
+        survey,
+        realm,
+        choice,
+        name or "",
+        as_json=as_json,
+        through_router=reach.through_router,
+    )
     if not survey.servers:
         sys.exit(EXIT_NO_SERVERS)
 
@@ -93,14 +108,20 @@ def show(
         for server in survey.servers:
             _print_json(server, choice)
     else:
-        _show_table(survey.servers, realm, choice if name else None, through_router=through_router)
+        _show_table(
+            survey.servers, realm, choice if name else None, through_router=through_router
+        )
         for line in _not_used(survey.servers, choice, name):
             tables.paragraph(line)
         for line in () if name else _details(survey.servers):
             tables.paragraph(line)
     if survey.elsewhere:
-        others = ", ".join(f"{realm} ({count})" for realm, count in survey.elsewhere.items())
-        tables.paragraph(f"servers of other realms, seen with --realm: {others}", stderr=as_json)
+        others = ", ".join(
+            f"{realm} ({count})" for realm, count in survey.elsewhere.items()
+        )
+        tables.paragraph(
+            f"servers of other realms, seen with --realm: {others}", stderr=as_json
+        )
 
 
 def _print_json(server: "Found", choice: "Choice") -> None:
@@ -113,13 +134,27 @@ def _print_json(server: "Found", choice: "Choice") -> None:
 
 
 def _show_table(
-    servers: "Sequence[Found]", realm: str, choice: "Choice | None", *, through_router: bool
+    servers: "Sequence[Found]",
+    realm: str,
+    choice: "Choice | None",
+    *,
+    through_router: bool,
 ) -> None:
     offers = [server.offer for server in servers if server.offer is not None]
-    slots, free = sum(offer.capacity for offer in offers), sum(offer.free for offer in offers)
+    slots, free = (
+        sum(offer.capacity for offer in offers),
+        sum(offer.free for offer in offers),
+    )
     counts = f"{plural(len(servers), 'server')}, {plural(slots, 'slot')}, {free} free"
     tables.line(f"realm {realm}: {counts}\n")
-    columns = ["server", ">slots", ">free", ">runs", "zswarm", *["matches"] * (choice is not None)]
+    columns = [
+        "server",
+        ">slots",
+        ">free",
+        ">runs",
+        "zswarm",
+        *["matches"] * (choice is not None),
+    ]
     table = tables.table(*columns, box=None, padding=(0, 2, 0, 0))
     for server in servers:
         address = server.address or ("through the router" if through_router else "")
@@ -153,7 +188,11 @@ def _details(servers: "Sequence[Found]") -> Iterator[str]:
     details = {
         "simulators": [offer.simulators for offer in offers],
         "labels": [
-            [f"{label}={value}" for label, value in offer.labels.items() if label != "name"]
+            [
+                f"{label}={value}"
+                for label, value in offer.labels.items()
+                if label != "name"
+            ]
             for offer in offers
         ],
         "limits": [offer.limits for offer in offers],

@@ -26,12 +26,20 @@ from zswarm.ot.record import control_file
 from zswarm.ot.record.reader import Run
 
 SHELL = Path(__file__).parent / "pages" / "index.html"
-PAGES = ("/", "/run", "/cluster", "/candidate")  # all SHELL, whose script looks at the address
+PAGES = (
+    "/",
+    "/run",
+    "/cluster",
+    "/candidate",
+)  # all SHELL, whose script looks at the address
 FILES: list[str | tuple[str, str]] = [
     ("zswarm.ot.dashboard", "pages"),
     ("zswarm.ot.replay", "pages"),
 ]
-NO_SUCH_RUN, TRY_LATER = 4404, 1013  # close codes; the latter: behind, or one tab too many
+NO_SUCH_RUN, TRY_LATER = (
+    4404,
+    1013,
+)  # close codes; the latter: behind, or one tab too many
 STUCK_S = 10.0  # that a tab may take for a message
 
 
@@ -54,7 +62,11 @@ def application(index: RunIndex) -> Starlette:
 
 class _Dashboard:
     def __init__(self, index: RunIndex) -> None:
-        self.index, self.broadcaster, self.replays = index, Broadcaster(index), ReplayCache()
+        self.index, self.broadcaster, self.replays = (
+            index,
+            Broadcaster(index),
+            ReplayCache(),
+        )
 
     async def runs(self, _: Request) -> Response:
         return _json(await asyncio.to_thread(self.index.rows))
@@ -70,9 +82,16 @@ class _Dashboard:
         return folder
 
     async def answer(self, request: Request) -> Response:
-        answer, folder = endpoints.BY_NAME[request.path_params["name"]], await self.folder(request)
+        answer, folder = (
+            endpoints.BY_NAME[request.path_params["name"]],
+            await self.folder(request),
+        )
         value = await asyncio.to_thread(lambda: answer(Run(folder), request.query_params))
-        return Response(value, media_type="text/csv") if isinstance(value, str) else _json(value)
+        return (
+            Response(value, media_type="text/csv")
+            if isinstance(value, str)
+            else _json(value)
+        )
 
     async def replay(self, request: Request) -> Response:
         folder, names = await self.folder(request), ("generation", "candidate", "trial")

@@ -104,7 +104,9 @@ class Channel:
             message = self._encoded(new)
             if new:
                 self._last.append((self._seq, message))
-            if (new or quiet >= TICK_S) and self._first.is_set():  # else all tabs wait for hello
+            if (
+                new or quiet >= TICK_S
+            ) and self._first.is_set():  # else all tabs wait for hello
                 quiet = 0.0
                 for tab in self.tabs:
                     tab.put(message)
@@ -125,7 +127,9 @@ class Broadcaster:
         self._channels: dict[str, Channel] = {}
 
     @contextlib.asynccontextmanager
-    async def watching(self, id_: str, folder: Path | None, since: str) -> AsyncIterator[Tab]:
+    async def watching(
+        self, id_: str, folder: Path | None, since: str
+    ) -> AsyncIterator[Tab]:
         """Give a tab changes of a run, or without a folder of the list; raise TooMany."""
         if sum(len(channel.tabs) for channel in self._channels.values()) >= TABS:
             raise TooMany
@@ -145,7 +149,11 @@ def _of_run(folder: Path) -> Channel:
     tail = RecordTail(folder)
     return Channel(
         tail.look,
-        lambda: {"state": tail.state, "events": tail.events, "servers": [*tail.servers.values()]},
+        lambda: {
+            "state": tail.state,
+            "events": tail.events,
+            "servers": [*tail.servers.values()],
+        },
     )
 
 

@@ -60,7 +60,9 @@ def spread(run: Run, most: int = SOME) -> dict[str, list[Any]]:
     ):
         fitness.setdefault((generation, at), []).append(value)
     shares = list(QUARTILES.values())
-    rows = [(*key, *np.quantile(values, shares).tolist()) for key, values in fitness.items()]
+    rows = [
+        (*key, *np.quantile(values, shares).tolist()) for key, values in fitness.items()
+    ]
     return _columns(f"generation at {' '.join(QUARTILES)}", rows)
 
 
@@ -76,7 +78,9 @@ def statistics(run: Run, most: int = SOME) -> dict[str, Any]:
     names = dict.fromkeys(name for numbers in read for name in numbers)
     return {
         **_columns("generation at", [row[:2] for row in rows]),
-        "values": {clean(name): [numbers.get(name) for numbers in read] for name in names},
+        "values": {
+            clean(name): [numbers.get(name) for numbers in read] for name in names
+        },
     }
 
 
@@ -98,7 +102,9 @@ def timeline(run: Run, last_s: int = 0) -> dict[str, Any]:
     if not batches:
         return {"begin": None, "end": None, "busy": {}, "events": [], "slots": slots}
     end = max(batch.at for batch in batches)
-    begin = min(batch.at - batch.seconds / slots.get(batch.server, 1) for batch in batches)
+    begin = min(
+        batch.at - batch.seconds / slots.get(batch.server, 1) for batch in batches
+    )
     begin = min(max(begin, end - last_s) if last_s else begin, end - 1e-3)
     events = run.rows(
         "SELECT at, event, coalesce(server, '') FROM events WHERE at >= ? "
@@ -112,7 +118,12 @@ def timeline(run: Run, last_s: int = 0) -> dict[str, Any]:
         "end": end,
         "busy": busy(batches, slots, np.linspace(begin, end, BINS + 1)),
         "events": [
-            {"at": at, "sign": SIGNS[event], "level": severity(event), "server": clean(server)}
+            {
+                "at": at,
+                "sign": SIGNS[event],
+                "level": severity(event),
+                "server": clean(server),
+            }
             for at, event, server in reversed(events)
         ],
         "slots": slots,
@@ -175,11 +186,16 @@ def champions(run: Run, most: int = SOME) -> list[dict[str, Any]]:
         tuple[int, int, float],
         json.dumps(found[-most:]),
     )
-    return [dict(zip(("generation", "candidate", "fitness"), row, strict=True)) for row in rows]
+    return [
+        dict(zip(("generation", "candidate", "fitness"), row, strict=True))
+        for row in rows
+    ]
 
 
 def _columns(names: str, rows: list[Any]) -> dict[str, list[Any]]:
-    return {name: [row[place] for row in rows] for place, name in enumerate(names.split())}
+    return {
+        name: [row[place] for row in rows] for place, name in enumerate(names.split())
+    }
 
 
 def _chosen(run: Run, most: int) -> str:
@@ -197,5 +213,9 @@ def _numbers(text: str) -> dict[str, float]:
         return {}
     if not isinstance(values, dict):
         return {}
-    numbers = {str(key): value for key, value in values.items() if not isinstance(value, bool)}
-    return {key: value for key, value in numbers.items() if isinstance(value, int | float)}
+    numbers = {
+        str(key): value for key, value in values.items() if not isinstance(value, bool)
+    }
+    return {
+        key: value for key, value in numbers.items() if isinstance(value, int | float)
+    }

@@ -33,7 +33,9 @@ def number(query: Query, name: str, default: int | None = None, most: int = 2**5
     text = query.get(name, "" if default is None else str(default))
     if not (text.isascii() and text.isdecimal()) or int(text[:20]) > most:
         shown = f"{clean(text)!r:.60}"
-        raise ConfigError(f"{name}: expected a whole number from 0 to {most}, not {shown}")
+        raise ConfigError(
+            f"{name}: expected a whole number from 0 to {most}, not {shown}"
+        )
     return int(text)
 
 
@@ -72,10 +74,14 @@ def settings(run: Run, _: Query) -> dict[str, str]:
 
     def flatten(value: Any, path: str) -> None:
         if not isinstance(value, dict):
-            found[clean(path)] = clean(value if isinstance(value, str) else to_json(value))
+            found[clean(path)] = clean(
+                value if isinstance(value, str) else to_json(value)
+            )
             return
         for key, item in value.items():
-            flatten(item, path if key == "settings" else f"{path}.{key}" if path else str(key))
+            flatten(
+                item, path if key == "settings" else f"{path}.{key}" if path else str(key)
+            )
 
     for key, value in msgspec.to_builtins(run.experiment).items():
         if key not in NOT_DECISIVE or key == "generations":
@@ -142,13 +148,17 @@ def _network(run: Run, genome: bytes) -> dict[str, Any]:
         return {"graph": None, "why": champion}
     try:
         kind = plugins.load("representation", champion.representation)
-        settings = convert(champion.representation_settings, kind.settings_type, "representation")
+        settings = convert(
+            champion.representation_settings, kind.settings_type, "representation"
+        )
         network = kind(settings, champion.inputs, champion.outputs)
         graph = network.graph(genome)
     except (UnknownPlugin, ConfigError, ValueError) as error:
         return {"graph": None, "why": clean(str(error))}
     edges = sorted(graph.edges, key=lambda edge: -abs(edge.weight))
-    numbers = np.frombuffer(genome, "<f4")[:GENES].tolist() if network.genes is not None else []
+    numbers = (
+        np.frombuffer(genome, "<f4")[:GENES].tolist() if network.genes is not None else []
+    )
     return {
         "graph": {
             "nodes": [node._asdict() for node in graph.nodes],
@@ -173,7 +183,9 @@ BY_NAME: dict[str, Answer] = {
     "statistics": _points(downsample.statistics, downsample.SOME),
     "timeline": lambda run, query: downsample.timeline(run, number(query, "seconds", 0)),
     "events": events,
-    "generation": lambda run, query: downsample.generation(run, number(query, "generation")),
+    "generation": lambda run, query: downsample.generation(
+        run, number(query, "generation")
+    ),
     "champions": lambda run, _: downsample.champions(run),
     "candidate": candidate,
     "history.csv": history_csv,

@@ -43,7 +43,9 @@ class Guard:
         closed: whether reading takes the token, too.
     """
 
-    def __init__(self, app: ASGIApp, *, hosts: Iterable[str], token: str, closed: bool) -> None:
+    def __init__(
+        self, app: ASGIApp, *, hosts: Iterable[str], token: str, closed: bool
+    ) -> None:
         self._app, self._token, self._closed = app, token, closed
         self._hosts = {*LOCAL, *(host.lower() for host in hosts)}
 
@@ -68,23 +70,36 @@ class Guard:
         headers = Headers(scope=scope)
         host, origin = headers.get("host", "").lower(), headers.get("origin", "").lower()
         if not self._is_ours(host):
-            return 400, "this host name is not allowed: start the dashboard with --allow-host NAME"
+            return (
+                400,
+                "this host name is not allowed: start the dashboard with --allow-host NAME",
+            )
         websocket = scope["type"] == "websocket"
         reads = not websocket and scope["method"] in READING
         if not reads and origin not in (f"http://{host}", f"https://{host}"):
-            return 403, "refused: this request does not come from the dashboard's own page"
+            return (
+                403,
+                "refused: this request does not come from the dashboard's own page",
+            )
         given = headers.get("authorization", "").removeprefix("Bearer ")
-        for word in scope["subprotocols"] if websocket else ():  # all that browsers can send
+        for word in (
+            scope["subprotocols"] if websocket else ()
+        ):  # all that browsers can send
             given = word.removeprefix(TOKEN) if word.startswith(TOKEN) else given
         private = websocket or scope["path"].startswith("/api/")
         needed = (self._closed and private) or not (reads or websocket)
         if needed and not hmac.compare_digest(given.encode(), self._token.encode()):
-            return 401, "this takes the token: open the address that the dashboard printed"
+            return (
+                401,
+                "this takes the token: open the address that the dashboard printed",
+            )
         return None
 
     def _is_ours(self, host: str) -> bool:
         """Return whether another site cannot have this name; addresses are no site's name."""
-        name = host[1 : host.find("]")] if host.startswith("[") else host.partition(":")[0]
+        name = (
+            host[1 : host.find("]")] if host.startswith("[") else host.partition(":")[0]
+        )
         try:
             ipaddress.ip_address(name)
         except ValueError:

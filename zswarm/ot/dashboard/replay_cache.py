@@ -28,26 +28,37 @@ class ReplayCache:
     """The last encoded traces."""
 
     def __init__(self) -> None:
-        self._traces: dict[tuple[Path, int, int, int], bytes] = {}  # the last used one is last
+        self._traces: dict[
+            tuple[Path, int, int, int], bytes
+        ] = {}  # the last used one is last
         self._lock = asyncio.Lock()
 
-    async def get(self, folder: Path, generation: int, candidate: int, trial: int) -> bytes:
+    async def get(
+        self, folder: Path, generation: int, candidate: int, trial: int
+    ) -> bytes:
         """Return a trace; raise ConfigError if it cannot be computed, or takes too long."""
         key = (folder, generation, candidate, trial)
         async with self._lock:
             found = self._traces.pop(key, None) or await _compute(*key)
             self._traces[key] = found
-            while sum(map(len, self._traces.values())) > LARGEST and len(self._traces) > 1:
+            while (
+                sum(map(len, self._traces.values())) > LARGEST and len(self._traces) > 1
+            ):
                 del self._traces[next(iter(self._traces))]
             return found
 
 
 async def _compute(folder: Path, *numbers: int) -> bytes:
     program = await asyncio.create_subprocess_exec(
-        sys.executable, "-c", PROGRAM, str(folder.resolve()), *map(str, numbers),
-        stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
+        sys.executable,
+        "-c",
+        PROGRAM,
+        str(folder.resolve()),
+        *map(str, numbers),
+        stdin=asyncio.subprocess.DEVNULL,
+        stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE,
-    )  # fmt: skip
+    )
     try:
         async with asyncio.timeout(LONGEST_S):
             encoded, errors = await program.communicate()
@@ -61,7 +72,9 @@ async def _compute(folder: Path, *numbers: int) -> bytes:
             await program.communicate()  # reaps it
     if program.returncode:
         lines = errors.decode(errors="replace").strip().splitlines()
-        raise ConfigError(clean(lines[-1] if lines else "the program that computes it ended"))
+        raise ConfigError(
+            clean(lines[-1] if lines else "the program that computes it ended")
+        )
     if len(encoded) > LARGEST:
         raise ConfigError(
             f"the replay has {len(encoded):,} bytes, and {LARGEST:,} is the most that is shown here"

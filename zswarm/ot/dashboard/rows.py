@@ -46,7 +46,9 @@ class BatchRow(Struct, frozen=True, array_like=True):
 def read_events(run: Run, which: str, *parameters: Any) -> list[EventRow]:
     """Return events; ``which`` is the rest of the query, after its table."""
     return [
-        replace(row, event=clean(row.event), server=clean(row.server), text=clean(row.text))
+        replace(
+            row, event=clean(row.event), server=clean(row.server), text=clean(row.text)
+        )
         for row in run.rows(EVENTS + which, EventRow, *parameters)
     ]
 

@@ -39,7 +39,11 @@ def serve(
     Raises:
         ConfigError: the address or the port cannot be used.
     """
-    listening, name, token = _listen(host, port), socket.gethostname(), secrets.token_urlsafe(24)
+    listening, name, token = (
+        _listen(host, port),
+        socket.gethostname(),
+        secrets.token_urlsafe(24),
+    )
     closed = host not in LOOPBACK or bool(allowed)  # other machines may reach it
     names = [*allowed, name] if closed else allowed
     app = Guard(application(RunIndex(folders)), hosts=names, token=token, closed=closed)
@@ -59,7 +63,9 @@ def serve(
     server = uvicorn.Server(config)
     shown = name if host in ("0.0.0.0", "::", "") else host  # noqa: S104  compared
     shown = f"[{shown}]" if ":" in shown else shown
-    sys.stderr.write(f"dashboard: http://{shown}:{listening.getsockname()[1]}/#token={token}\n")
+    sys.stderr.write(
+        f"dashboard: http://{shown}:{listening.getsockname()[1]}/#token={token}\n"
+    )
     if closed:
         sys.stderr.write(
             "dashboard: anyone who reaches this address and has the token sees the runs; nothing "
@@ -87,7 +93,11 @@ def _listen(host: str, port: int | None) -> socket.socket:
         except OSError as error:
             if port is None and error.errno == errno.EADDRINUSE:
                 continue
-            why, _, _ = str(error.strerror or error).partition(" (while")  # added by create_server
+            why, _, _ = str(error.strerror or error).partition(
+                " (while"
+            )  # added by create_server
             raise ConfigError(f"{host}:{number}: cannot be listened at: {why}") from None
     last = PORT + PORTS - 1
-    raise ConfigError(f"{host}: no free port from {PORT} to {last}; choose one with --port")
+    raise ConfigError(
+        f"{host}: no free port from {PORT} to {last}; choose one with --port"
+    )

@@ -93,13 +93,17 @@ class ServerState:
         return {
             "server": self.id,
             "state": state,
-            "health": HEALTH.get(state, "warning" if self.faults or self.losses else "good"),
+            "health": HEALTH.get(
+                state, "warning" if self.faults or self.losses else "good"
+            ),
             "leased": self.leased if running else 0,
             "slots": self.slots if running else 0,
             "trials": self.trials,
             "share": self.trials / total if total else 0.0,
             "rate": round(self.rate(now), 2) if running else 0.0,
-            "trial_ms": round(1000 * self.seconds / self.trials, 4) if self.trials else None,
+            "trial_ms": round(1000 * self.seconds / self.trials, 4)
+            if self.trials
+            else None,
             "last_at": self.last_at or None,
             "faults": self.faults,
             "losses": self.losses,
@@ -128,7 +132,9 @@ class ServerTable(dict[str, ServerState]):
     def add_events(self, events: Iterable[EventRow]) -> None:
         """Follow events, in order."""
         for event in events:
-            if event.event == RunEvent.BEGAN:  # after a resume, servers have to join again
+            if (
+                event.event == RunEvent.BEGAN
+            ):  # after a resume, servers have to join again
                 for server in self.values():
                     server.leased = server.slots = 0
                     if server.state in HOLDING:

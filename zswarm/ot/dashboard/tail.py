@@ -45,10 +45,17 @@ class RecordTail:
         self.state: dict[str, Any] = {"status": "reading"}
         self.events: list[dict[str, Any]] = []
         self.servers: dict[str, dict[str, Any]] = {}
-        self._read_up_to: tuple[Any, ...] | None = None  # stamp of the record when all was read
+        self._read_up_to: tuple[Any, ...] | None = (
+            None  # stamp of the record when all was read
+        )
         self._began = False
         self._run: Run  # as it was read last
-        self._generation, self._event, self._outcome, self._earlier = -1, 0, 0, 0  # read last
+        self._generation, self._event, self._outcome, self._earlier = (
+            -1,
+            0,
+            0,
+            0,
+        )  # read last
         self._finished: deque[float] = deque(maxlen=PACE + 1)  # when generations were
         self._best: float | None = None
         self._mean: float | None = None
@@ -125,7 +132,9 @@ class RecordTail:
         return rows
 
     def _events(self, run: Run) -> list[EventRow]:
-        events = read_events(run, "WHERE rowid > ? ORDER BY rowid LIMIT ?", self._event, AT_MOST)
+        events = read_events(
+            run, "WHERE rowid > ? ORDER BY rowid LIMIT ?", self._event, AT_MOST
+        )
         self._table.add_events(events)
         for event in events:
             self._event = event.id
@@ -133,7 +142,9 @@ class RecordTail:
         return events
 
     def _batches(self, run: Run) -> list[BatchRow]:
-        batches = read_batches(run, "WHERE id > ? ORDER BY id LIMIT ?", self._outcome, AT_MOST)
+        batches = read_batches(
+            run, "WHERE id > ? ORDER BY id LIMIT ?", self._outcome, AT_MOST
+        )
         self._table.add_batches(batches)
         for batch in batches:
             self._outcome = batch.id
@@ -191,4 +202,6 @@ class RecordTail:
 
     def _newest(self) -> float:
         """Return when the record was last added to."""
-        return max([*self._finished, 0.0, *(server.last_at for server in self._table.values())])
+        return max(
+            [*self._finished, 0.0, *(server.last_at for server in self._table.values())]
+        )

@@ -66,7 +66,9 @@ class LiveDisplay(PlainDisplay):
 
     def on_start(self, run: Started) -> None:
         super().on_start(run)
-        self._task = self._progress.add_task("run", total=self._generations, text="getting ready")
+        self._task = self._progress.add_task(
+            "run", total=self._generations, text="getting ready"
+        )
         self._progress.start()
 
     def on_say(self, line: str) -> None:
@@ -77,7 +79,9 @@ class LiveDisplay(PlainDisplay):
         self._first = self._first or (now, g.evaluations)
         rate = (g.evaluations - self._first[1]) / max(1e-9, now - self._first[0])
         parts = [f"best {g.best:.5g}", f"mean {g.mean:.5g}", f"{rate:.0f}/s", _servers(g)]
-        room = self._progress.console.width - 2 * len(str(self._generations)) - self._taken
+        room = (
+            self._progress.console.width - 2 * len(str(self._generations)) - self._taken
+        )
         text = fitting(parts, room)
         self._progress.update(self._task, completed=g.generation + 1, text=text)
 
@@ -138,7 +142,9 @@ def summary(result: Result) -> str:
 def flaws(result: Result) -> list[str]:
     """Return why another run may have another history: faulted and doubtful trials."""
     counts = {"faulted": result.faulted, "doubtful": result.doubtful}
-    return [f"{word}: {plural(count, 'trial')}" for word, count in counts.items() if count]
+    return [
+        f"{word}: {plural(count, 'trial')}" for word, count in counts.items() if count
+    ]
 
 
 def _servers(generation: Generation) -> str:

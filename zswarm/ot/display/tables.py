@@ -55,7 +55,9 @@ def show(table: "Table") -> None:
     made = console()
     if not sys.stdout.isatty() and "COLUMNS" not in os.environ:
         made.width = UNFOLDED
-    unfolded = made.measure(table, options=made.options.update(max_width=UNFOLDED)).maximum
+    unfolded = made.measure(
+        table, options=made.options.update(max_width=UNFOLDED)
+    ).maximum
     if made.width < min(NARROW, unfolded):
         _show_blocks(table)
         return

@@ -51,7 +51,9 @@ def python() -> Findings:
     text = f"zswarm {VERSION}, Python {platform.python_version()}, {system}"
     if not OLDEST <= sys.version_info[:2] <= NEWEST:
         oldest, newest = (".".join(map(str, version)) for version in (OLDEST, NEWEST))
-        yield warning(text, f"use Python {oldest} to {newest}, with which zswarm is tested")
+        yield warning(
+            text, f"use Python {oldest} to {newest}, with which zswarm is tested"
+        )
     elif sys.platform != "linux":
         yield warning(text, "use Linux: zswarm is tested on no other system")
     else:
@@ -63,7 +65,9 @@ def packages() -> Findings:
     if faults := list(filter(None, map(unmet, requirements().get("", [])))):
         yield broken("; ".join(faults), f"{PIP} --upgrade zswarm")
         return
-    script = "".join(f"print({name!r}, flush=True); import {name}\n" for name in IMPORTED.values())
+    script = "".join(
+        f"print({name!r}, flush=True); import {name}\n" for name in IMPORTED.values()
+    )
     command = [sys.executable, "-c", script]
     try:
         done = subprocess.run(
@@ -77,8 +81,12 @@ def packages() -> Findings:
         return
     if done.returncode:
         last = (done.stdout.split() or ["python"])[-1]
-        lines = done.stderr.strip().splitlines() or [f"the process ended with {done.returncode}"]
-        yield broken(f"{last} cannot be imported: {lines[-1]}", f"{PIP} --force-reinstall {last}")
+        lines = done.stderr.strip().splitlines() or [
+            f"the process ended with {done.returncode}"
+        ]
+        yield broken(
+            f"{last} cannot be imported: {lines[-1]}", f"{PIP} --force-reinstall {last}"
+        )
         return
     yield ok(", ".join(f"{name} {metadata.version(of)}" for of, name in IMPORTED.items()))
 
@@ -98,7 +106,9 @@ def extras() -> Findings:
     """List which extras are installed."""
     wanted = sorted(requirements().items())
     installed = {
-        extra: not any(map(unmet, needed)) for extra, needed in wanted if extra not in NOT_FOR_USERS
+        extra: not any(map(unmet, needed))
+        for extra, needed in wanted
+        if extra not in NOT_FOR_USERS
     }
     missing = [extra for extra, there in installed.items() if not there]
     there = [extra for extra in installed if extra not in missing]
@@ -147,14 +157,18 @@ def runs(out: Path) -> Findings:
     try:
         skew = _write_skew(folder)
     except OSError as error:
-        yield broken(f"{where} cannot be written: {error.strerror}", "use another: --out DIR")
+        yield broken(
+            f"{where} cannot be written: {error.strerror}", "use another: --out DIR"
+        )
         return
     free = shutil.disk_usage(folder).free >> 20
     space = f"{where}: only {free} MB are free"
     if free < LEAST_FREE_MB:
         yield broken(space, "make room, or use another folder: --out DIR")
     elif free < FREE_MB:
-        yield warning(space, "make room; zswarm-ot check estimates what an experiment needs")
+        yield warning(
+            space, "make room; zswarm-ot check estimates what an experiment needs"
+        )
     else:
         yield ok(f"{where} can be written; {free / 1024:.0f} GB are free")
     if database.on_network(folder):
@@ -181,7 +195,11 @@ def cache() -> Findings:
         )
         return
     compiled = any(folder.rglob("*.nbc"))
-    state = "compiled" if compiled else "not compiled yet, the first run takes some seconds longer"
+    state = (
+        "compiled"
+        if compiled
+        else "not compiled yet, the first run takes some seconds longer"
+    )
     text = f"{folder.parent}: kernels are {state}"
     if database.on_network(folder):
         yield warning(
@@ -204,7 +222,9 @@ def temporary() -> Findings:
     try:
         _write_skew(folder)
     except OSError as error:
-        yield broken(f"{folder} cannot be written: {error.strerror}", "set TMPDIR to another")
+        yield broken(
+            f"{folder} cannot be written: {error.strerror}", "set TMPDIR to another"
+        )
     else:
         yield ok(f"{folder} can be written")
 
@@ -213,13 +233,16 @@ def keys() -> Findings:
     """Check the installed keys."""
     folder = keyring.find()
     if folder is None:
-        yield ok("none are installed: links are open to everybody in the network (docs/keys.md)")
+        yield ok(
+            "none are installed: links are open to everybody in the network (docs/keys.md)"
+        )
         return
     try:
         ring = keyring.load(folder, "ot")
     except KeysError as error:
         yield broken(
-            str(error), "zswarm-keys status shows what is installed; ZSWARM_KEYS=none uses no keys"
+            str(error),
+            "zswarm-keys status shows what is installed; ZSWARM_KEYS=none uses no keys",
         )
         return
     text = f"{folder}: keys of {ring.name}, valid until {ring.not_after:%Y-%m-%d}"
@@ -236,7 +259,9 @@ def clock() -> Findings:
     if time.time() < Path(__file__).stat().st_mtime - 86_400:
         yield broken(f"{text} is before zswarm was installed", f"set the clock: {fix}")
     elif _synchronised() is False:
-        yield warning(f"{text}, not synchronised: dates of runs and keys may be wrong", fix)
+        yield warning(
+            f"{text}, not synchronised: dates of runs and keys may be wrong", fix
+        )
     else:
         yield ok(text)
 

@@ -60,8 +60,13 @@ def port(number: int = PORT) -> Findings:
 def _daemons() -> dict[str, list[str]]:
     """Return the endpoints of this machine's servers that can be asked."""
     try:
-        views = map(json.loads, _output(sys.executable, "-m", "zswarm.ss", "status", "--json"))
-        return {clean(str(view["server"])): [str(end) for end in view["listen"]] for view in views}
+        views = map(
+            json.loads, _output(sys.executable, "-m", "zswarm.ss", "status", "--json")
+        )
+        return {
+            clean(str(view["server"])): [str(end) for end in view["listen"]]
+            for view in views
+        }
     except (ValueError, KeyError, TypeError):
         return {}
 
@@ -82,7 +87,9 @@ def multicast(reach: Reach) -> Findings:
         yield ok("off")
         return
     if fault := session.multicast_fault():
-        yield warning(fault, f"name a server or router: --connect tcp/HOST:{PORT} ({DOCUMENT})")
+        yield warning(
+            fault, f"name a server or router: --connect tcp/HOST:{PORT} ({DOCUMENT})"
+        )
         return
     faults = {name: _echo_fault(index) for index, name in session.scouting_interfaces()}
     deaf = ", ".join(f"{name} ({fault})" for name, fault in faults.items() if fault)
@@ -113,7 +120,9 @@ def _echo_fault(index: int) -> str:
             receiver.bind(address)
             receiver.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
             sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, member)
-            sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)  # stay on this machine
+            sender.setsockopt(
+                socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0
+            )  # stay on this machine
             sender.sendto(word, address)
             end = time.monotonic() + HEARD_S  # however much others send to the group
             while (rest := end - time.monotonic()) > 0:
@@ -157,7 +166,9 @@ def _nftables() -> Findings:
     if str(PORT) in rules:
         yield ok(f"nftables has rules, some for port {PORT}")
     else:
-        yield warning(f"nftables refuses some packets: {MUST_ADMIT}", "see sudo nft list ruleset")
+        yield warning(
+            f"nftables refuses some packets: {MUST_ADMIT}", "see sudo nft list ruleset"
+        )
 
 
 def _output(*command: str) -> list[str]:
@@ -165,7 +176,9 @@ def _output(*command: str) -> list[str]:
     if shutil.which(command[0]) is None:
         return []
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=ASK_S, check=False)
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=ASK_S, check=False
+        )
     except (OSError, subprocess.TimeoutExpired):
         return []
     return done.stdout.strip().splitlines()
@@ -207,4 +220,6 @@ def servers(realm: str, reach: Reach, simulators: Requirements | None = None) ->
 
 def _names(found: list[discovery.Found]) -> str:
     names = [clean(server.server) for server in found]
-    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+    return ", ".join(names[:5]) + (
+        f" and {len(names) - 5} more" if len(names) > 5 else ""
+    )

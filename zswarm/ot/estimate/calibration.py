@@ -130,7 +130,9 @@ def _time_trials(
     problem: Problem, connection: Connection, genomes: list[bytes]
 ) -> tuple[float, float]:
     """Return the seconds that a trial takes of a slot, and of this program."""
-    connection.evaluate(problem, genomes)  # afterwards kernels are compiled and slots are ready
+    connection.evaluate(
+        problem, genomes
+    )  # afterwards kernels are compiled and slots are ready
     _wait_for_slots(connection)
     candidates = genomes
     while True:
@@ -145,10 +147,14 @@ def _time_trials(
         trials = simulations(problem, len(candidates))
         if taken >= SAMPLE_S or problem.simulator.participants > 1:
             return taken * connection.slots / trials, computed / trials
-        candidates = genomes * (1 + int(len(candidates) / len(genomes) * SAMPLE_S * 1.5 / taken))
+        candidates = genomes * (
+            1 + int(len(candidates) / len(genomes) * SAMPLE_S * 1.5 / taken)
+        )
 
 
-def _gap(problem: Problem, connection: Connection, genomes: list[bytes], trial_s: float) -> float:
+def _gap(
+    problem: Problem, connection: Connection, genomes: list[bytes], trial_s: float
+) -> float:
     """Return the seconds of a generation in which slots wait for its first and last messages."""
     taken = []
     for _ in range(GENERATIONS):

@@ -24,7 +24,9 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
     evaluations: int = 1  # n_eval, simulations of a candidate
     # Candidates of a later generation without a fitness, as NNGA keeps an elite; None: all of them.
     newcomers: int | None = None
-    turns: int = 1  # of a step: 1 if all agents act at once, ``agents`` if one after another
+    turns: int = (
+        1  # of a step: 1 if all agents act at once, ``agents`` if one after another
+    )
 
     @property
     def batches(self) -> tuple[int, int]:
@@ -140,7 +142,10 @@ WAYS: dict[str, tuple[Way, str]] = {
         blob,
         "candidates travel as parameters to controllers on servers: what run does",
     ),
-    "optimizer, by turn": (by_turn, 'controller = "optimizer": two messages for each turn'),
+    "optimizer, by turn": (
+        by_turn,
+        'controller = "optimizer": two messages for each turn',
+    ),
     "optimizer, by agent": (
         by_agent,
         'with messages = "agent": two messages for each agent and step',

@@ -56,7 +56,9 @@ class Explanation(msgspec.Struct, frozen=True, kw_only=True):
     games: int  # of the first generation; one for each candidate where none plays another
     optimizer: str
     portable: bool
-    runs: int  # of its study; all other numbers are about one run with the file's settings
+    runs: (
+        int  # of its study; all other numbers are about one run with the file's settings
+    )
     generations: int
     candidates_first_generation: int
     candidates_later_generations: int
@@ -88,7 +90,9 @@ def explain(complete: Experiment, parts: Parts, out: Path = Path("runs")) -> Exp
     first = later = len(genomes)
     if first <= MOST_BRED:
         later = len(breed(optimizer, first)[0])
-    genome = problem.representation.genome_bytes or int(np.mean([len(one) for one in genomes]))
+    genome = problem.representation.genome_bytes or int(
+        np.mean([len(one) for one in genomes])
+    )
     work = _work(problem, first, later, sample.trial_s, genome)
     hidden = complete.representation.settings.get("hidden")
     return Explanation(
@@ -116,7 +120,11 @@ def _simulator(problem: Problem) -> dict[str, Any]:
     """Describe the simulator."""
     settings, simulator = problem.experiment.problem, problem.simulator
     about = inspect.getdoc(registry.load("simulator", settings.simulator)) or ""
-    agents = simulator.agents if isinstance(simulator, Varied) else (len(simulator.owners),) * 2
+    agents = (
+        simulator.agents
+        if isinstance(simulator, Varied)
+        else (len(simulator.owners),) * 2
+    )
     drawn = ranges.found(settings.settings)
     return {
         "simulator": settings.simulator,
@@ -125,7 +133,10 @@ def _simulator(problem: Problem) -> dict[str, Any]:
         "agents": agents[0],
         "most_agents": agents[1],
         **{key: getattr(simulator, key) for key in ("participants", "inputs", "outputs")},
-        **{key: list(getattr(simulator, key)) for key in ("sensors", "actuators", "metrics")},
+        **{
+            key: list(getattr(simulator, key))
+            for key in ("sensors", "actuators", "metrics")
+        },
     }
 
 
@@ -138,7 +149,11 @@ def _work(
     evaluations = first + others * later
     played = [rounds(problem, count) for count in (first, later)]
     simulations = trials * (sum(played[0]) + others * sum(played[1]))
-    trial = TRIAL + METRIC * len(simulator.metrics) + PARTICIPANT * (simulator.participants - 1)
+    trial = (
+        TRIAL
+        + METRIC * len(simulator.metrics)
+        + PARTICIPANT * (simulator.participants - 1)
+    )
     record = evaluations * (genome_bytes + CANDIDATE) + simulations * trial
 
     def seconds(slots: int) -> float:
@@ -165,8 +180,13 @@ def time_trials(problem: Problem, genomes: list[bytes]) -> TrialSample:
     seeds = _seeds(problem)
     played, taken, number, fitness, error, same = 0, 0.0, 1, [], "", True
     while taken < SAMPLE_S and played < MOST_TRIALS:
-        some = [genomes[index % len(genomes)] for index in range(played // 2, played // 2 + number)]
-        games = (np.arange(len(some))[:, None] + np.arange(simulator.participants)) % len(some)
+        some = [
+            genomes[index % len(genomes)]
+            for index in range(played // 2, played // 2 + number)
+        ]
+        games = (np.arange(len(some))[:, None] + np.arange(simulator.participants)) % len(
+            some
+        )
         participants = np.repeat(games, len(seeds), axis=0)
         all_seeds = np.tile(seeds, len(some))
         begin = time.perf_counter()
@@ -183,17 +203,23 @@ def time_trials(problem: Problem, genomes: list[bytes]) -> TrialSample:
     whole = together[~np.isnan(together).any(axis=1)]
     differs = bool((whole[:, :1] != whole).any())
     same = same and not differs and len(whole) > 0
-    return TrialSample(taken / played, differs, same, bool(np.isnan(together).all()), error)
+    return TrialSample(
+        taken / played, differs, same, bool(np.isnan(together).all()), error
+    )
 
 
 def _seeds(problem: Problem) -> np.ndarray:
     """Return (seeds,) uint64, at least two different ones where there are any."""
     simulator = problem.simulator
     if problem.experiment.problem.trials > 1:
-        return problem.trial_seeds(0)[: MOST_SEEDS if isinstance(simulator, Varied) else 2]
+        return problem.trial_seeds(0)[
+            : MOST_SEEDS if isinstance(simulator, Varied) else 2
+        ]
     if (fixed := simulator.fixed_seeds(2)) is not None:
         return np.array(fixed, np.uint64)
-    seeds = np.array([problem.trial_seeds(generation)[0] for generation in (0, 1)], np.uint64)
+    seeds = np.array(
+        [problem.trial_seeds(generation)[0] for generation in (0, 1)], np.uint64
+    )
     if seeds[0] == seeds[1]:
         seeds[1] += np.uint64(1)
     return seeds
@@ -222,6 +248,8 @@ def _warnings(
             f"trials = {trials}: the trials do not differ, nothing in them depends on the seed; "
             "problem.trials = 1 finds the same in less time"
         )
-    folder = next(path for path in (out.absolute(), *out.absolute().parents) if path.exists())
+    folder = next(
+        path for path in (out.absolute(), *out.absolute().parents) if path.exists()
+    )
     if record > (free := shutil.disk_usage(folder).free):
         yield f"the record needs about {size(record)}, and {size(free)} are free in {out}"

@@ -55,7 +55,9 @@ def look_back(run: Run, genome: bytes) -> Hindsight | None:
     if plan is None or not slots or not trials or not seconds:
         return None
     trial_s, each = seconds / trials, trials / known
-    taken = statistics.median(generation["seconds"] for generation in history[1 : known + 1])
+    taken = statistics.median(
+        generation["seconds"] for generation in history[1 : known + 1]
+    )
     gap_s = max(0.0, taken - each / min(slots, each) * trial_s)
     times = msgspec.structs.replace(TABLE_I, step_s=trial_s / plan.steps, evolve_s=gap_s)
     # The time of messages is in the gap.
@@ -78,7 +80,9 @@ def _plan(run: Run, genome: bytes, first: int, later: int) -> Plan | None:
     except (ConfigError, EvaluationError, MemoryError, ValueError):
         return None
     generations = run.generations() - 1
-    return msgspec.structs.replace(plan, generations=generations, population=later, newcomers=None)
+    return msgspec.structs.replace(
+        plan, generations=generations, population=later, newcomers=None
+    )
 
 
 def _slots(run: Run) -> int:

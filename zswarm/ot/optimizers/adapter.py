@@ -33,7 +33,9 @@ from zswarm.system.extras import need
 
 FAR = 1e9  # ranges: a search that diverges ends here
 
-Sigma = Annotated[float, above(0, 1e3, "first standard deviation, in ranges of new weights")]
+Sigma = Annotated[
+    float, above(0, 1e3, "first standard deviation, in ranges of new weights")
+]
 Separable = Annotated[bool, about("without correlations: for more than about 200 genes")]
 
 _limiting = threading.Lock()
@@ -47,7 +49,9 @@ class Adapter(BaseOptimizer):
 
     portable = False
 
-    def __init__(self, settings: msgspec.Struct, representation: Representation, seed: int) -> None:
+    def __init__(
+        self, settings: msgspec.Struct, representation: Representation, seed: int
+    ) -> None:
         super().__init__(settings, representation, seed)
         self._threads = need("threadpoolctl", "cmaes", "an optimizer of another package")
         self._space = Space(representation)
@@ -58,7 +62,9 @@ class Adapter(BaseOptimizer):
         """Return the next vectors: (n, genes), finite, with n at most ``candidates``."""
 
     @abstractmethod
-    def _learn(self, solutions: np.ndarray, fitness: np.ndarray, measures: np.ndarray) -> None:
+    def _learn(
+        self, solutions: np.ndarray, fitness: np.ndarray, measures: np.ndarray
+    ) -> None:
         """Take the results of the vectors last proposed.
 
         Args:

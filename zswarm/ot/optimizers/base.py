@@ -31,7 +31,9 @@ class BaseOptimizer(Optimizer):
     stored: ClassVar[Sequence[str]] = ()
     types: ClassVar[Mapping[str, Any]] = {}
 
-    def __init__(self, settings: msgspec.Struct, representation: Representation, seed: int) -> None:
+    def __init__(
+        self, settings: msgspec.Struct, representation: Representation, seed: int
+    ) -> None:
         super().__init__(settings, representation, seed)
         self._best = (b"", float("-inf"))
         self._evaluations = 0
@@ -39,7 +41,9 @@ class BaseOptimizer(Optimizer):
 
     def state(self) -> dict[str, Any]:
         """See ``Optimizer``."""
-        stored = {name: _plain(getattr(self, f"_{name}")) for name in (*COUNTED, *self.stored)}
+        stored = {
+            name: _plain(getattr(self, f"_{name}")) for name in (*COUNTED, *self.stored)
+        }
         return {"generation": self.generation, **stored}
 
     def restore(self, state: Mapping[str, Any], told: Iterable[Told]) -> None:  # noqa: ARG002  the state is enough
@@ -91,7 +95,9 @@ class BaseOptimizer(Optimizer):
 def check_measures(measures: Sequence[str]) -> None:
     """Refuse to search without measures."""
     if not measures:
-        raise setting_error("measures", "expected the names of metrics that describe behaviour")
+        raise setting_error(
+            "measures", "expected the names of metrics that describe behaviour"
+        )
 
 
 def setting_error(key: str, text: str) -> ConfigError:

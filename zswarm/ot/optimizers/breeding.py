@@ -23,7 +23,8 @@ class MutationSettings(PartSettings, frozen=True, kw_only=True):
     """The last settings of an optimizer that mutates."""
 
     mutation_method: Annotated[
-        Literal[1, 2], about("1: absolute, ± `severity` times the range; 2: relative, as in FREVO")
+        Literal[1, 2],
+        about("1: absolute, ± `severity` times the range; 2: relative, as in FREVO"),
     ] = 1
     severity: Annotated[float, above(0, 1e6, "strength of mutation method 1")] = 0.3
     probability: Probability = 1.0
@@ -84,7 +85,9 @@ def mutants(
     )
 
 
-def distances_of_pairs(representation: Representation, compared: Sequence[bytes]) -> np.ndarray:
+def distances_of_pairs(
+    representation: Representation, compared: Sequence[bytes]
+) -> np.ndarray:
     """Return (pairs,) float64: distances of each individual to those after it, in their order.
 
     Of more than 250 individuals, 250 are compared, evenly spaced.

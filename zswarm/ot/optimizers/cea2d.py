@@ -54,7 +54,9 @@ class CEA2D(BaseOptimizer):
     stored = ("genomes", "fitness")
     settings: Cea2dSettings
 
-    def __init__(self, settings: Cea2dSettings, representation: Representation, seed: int) -> None:
+    def __init__(
+        self, settings: Cea2dSettings, representation: Representation, seed: int
+    ) -> None:
         super().__init__(settings, representation, seed)
         self.candidates = settings.width * settings.height
         self.elite = round(HOOD * settings.elite)

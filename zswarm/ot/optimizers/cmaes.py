@@ -26,7 +26,9 @@ Count = Annotated[int, Meta(ge=0, le=1_000_000)]
 class CmaesSettings(PartSettings, frozen=True):
     """Settings of ``[optimizer]`` with ``kind = "cmaes"``."""
 
-    population: Annotated[Count, about("candidates per generation, from 4; 0: 4 + 3 ln(genes)")] = 0
+    population: Annotated[
+        Count, about("candidates per generation, from 4; 0: 4 + 3 ln(genes)")
+    ] = 0
     sigma: Sigma = 0.5
     separable: Separable = False
     restarts: Annotated[
@@ -36,7 +38,9 @@ class CmaesSettings(PartSettings, frozen=True):
             "the population; bipop: also with small ones"
         ),
     ] = "ipop"
-    largest: Annotated[Count, about("largest population after restarts; 0: 16 times the first")] = 0
+    largest: Annotated[
+        Count, about("largest population after restarts; 0: 16 times the first")
+    ] = 0
 
 
 class CMAES(Adapter):
@@ -51,7 +55,9 @@ class CMAES(Adapter):
     competes = True
     settings: CmaesSettings
 
-    def __init__(self, settings: CmaesSettings, representation: Representation, seed: int) -> None:
+    def __init__(
+        self, settings: CmaesSettings, representation: Representation, seed: int
+    ) -> None:
         super().__init__(settings, representation, seed)
         package = need("cmaes", "cmaes", "optimizer cmaes")
         self._make = package.SepCMA if settings.separable else package.CMA
@@ -66,7 +72,9 @@ class CMAES(Adapter):
         self.candidates = self._first if settings.restarts == "none" else self._largest
         self._restarts = 0
         self._grown = 0  # starts with a larger population
-        self._small = True  # whether this is one of bipop's small starts; the first one counts
+        self._small = (
+            True  # whether this is one of bipop's small starts; the first one counts
+        )
         self._spent = {False: 0, True: 0}  # evaluations of large and small starts
         self._shown: dict[str, float] = {}
         self._search = self._start(self._first, settings.sigma, np.zeros(self.genes))
@@ -74,9 +82,16 @@ class CMAES(Adapter):
     def _propose(self) -> np.ndarray:
         return np.array([self._search.ask() for _ in range(self._search.population_size)])
 
-    def _learn(self, solutions: np.ndarray, fitness: np.ndarray, measures: np.ndarray) -> None:  # noqa: ARG002  unused
+    def _learn(
+        self,
+        solutions: np.ndarray,
+        fitness: np.ndarray,
+        measures: np.ndarray,  # noqa: ARG002  unused
+    ) -> None:
         search = self._search
-        search.tell(list(zip(solutions, (-fitness).tolist(), strict=True)))  # it minimizes
+        search.tell(
+            list(zip(solutions, (-fitness).tolist(), strict=True))
+        )  # it minimizes
         stops = search.should_stop()
         axes = search._D  # square roots of the covariance's eigenvalues, by should_stop
         self._shown = {
@@ -96,13 +111,17 @@ class CMAES(Adapter):
         self._restarts += 1
         stream = Stream(derive_seed(self.seed, "cmaes", self._restarts))
         mean = stream.uniform(-1.0, 1.0, self.genes)
-        self._small = self.settings.restarts == "bipop" and self._spent[True] < self._spent[False]
+        self._small = (
+            self.settings.restarts == "bipop" and self._spent[True] < self._spent[False]
+        )
         self._grown += not self._small
         population = min(self._largest, self._first * GROWTH**self._grown)
         sigma = self.settings.sigma
         if self._small:  # Hansen 2009, section 2
             power, steps = stream.uniform(0.0, 1.0, 2).tolist()
-            small = math.floor(self._first * (0.5 * population / self._first) ** (power**2))
+            small = math.floor(
+                self._first * (0.5 * population / self._first) ** (power**2)
+            )
             population = max(self._first, small)
             sigma = sigma * 10 ** (-2 * steps)
         self._search = self._start(population, sigma, mean)

@@ -23,8 +23,12 @@ class CuckooSettings(PartSettings, frozen=True):
     """Settings of ``[optimizer]`` with ``kind = "cuckoo"``."""
 
     population: Annotated[int, within(3, 1_000_000, "nests")] = 50
-    discovery: Annotated[float, above(0, 1, "share of nests moved each second generation")] = 0.75
-    step: Annotated[Positive, about("scale of Lévy flights, in distances to the best nest")] = 0.3
+    discovery: Annotated[
+        float, above(0, 1, "share of nests moved each second generation")
+    ] = 0.75
+    step: Annotated[
+        Positive, about("scale of Lévy flights, in distances to the best nest")
+    ] = 0.3
     bound: Bound = 2.0
 
 
@@ -40,7 +44,9 @@ class CuckooSearch(BaseOptimizer):
     stored = ("nests", "fitness")
     settings: CuckooSettings
 
-    def __init__(self, settings: CuckooSettings, representation: Representation, seed: int) -> None:
+    def __init__(
+        self, settings: CuckooSettings, representation: Representation, seed: int
+    ) -> None:
         super().__init__(settings, representation, seed)
         self.candidates = settings.population
         self._space = Space(representation)
@@ -59,7 +65,9 @@ class CuckooSearch(BaseOptimizer):
             moved = self._nests + self._flights(stream)
         else:
             found = stream.uniform(0.0, 1.0, count) < settings.discovery
-            self._laid = np.flatnonzero(found) if found.any() else stream.integers(count, 1)
+            self._laid = (
+                np.flatnonzero(found) if found.any() else stream.integers(count, 1)
+            )
             moved = self._nests[self._laid] + self._crossings(stream)[self._laid]
         self._eggs = np.clip(moved, -settings.bound, settings.bound)
         return self._space.genomes(self._eggs)
@@ -69,7 +77,9 @@ class CuckooSearch(BaseOptimizer):
         space, count = self._space, len(self._nests)
         best = self._nests[np.argsort(-self._fitness, kind="stable")[0]]
         normal = space.normal(count, stream)
-        levy = DEVIATION * normal / _two_thirds(space.normal(count, stream))  # Mantegna, eq. 5
+        levy = (
+            DEVIATION * normal / _two_thirds(space.normal(count, stream))
+        )  # Mantegna, eq. 5
         steps: np.ndarray = self.settings.step * levy * (self._nests - best)  # eq. 2
         steps *= space.normal(count, stream)
         return steps
@@ -77,7 +87,9 @@ class CuckooSearch(BaseOptimizer):
     def _crossings(self, stream: Stream) -> np.ndarray:
         """Return shares of the differences of two other nests."""
         count = len(self._nests)
-        one, other = (self._nests[np.argsort(stream.words(count), kind="stable")] for _ in range(2))
+        one, other = (
+            self._nests[np.argsort(stream.words(count), kind="stable")] for _ in range(2)
+        )
         return stream.uniform(0.0, 1.0, count)[:, None] * (one - other)  # eq. 1
 
     def _tell(self, fitness: np.ndarray, measures: np.ndarray) -> None:  # noqa: ARG002  unused

@@ -31,9 +31,9 @@ class ArchiveSettings(PartSettings, frozen=True):
     lows: Annotated[list[float], about("lower end of the cells of each measure")] = field(
         default_factory=list
     )
-    highs: Annotated[list[float], about("upper end; values outside are in the outermost cells")] = (
-        field(default_factory=list)
-    )
+    highs: Annotated[
+        list[float], about("upper end; values outside are in the outermost cells")
+    ] = field(default_factory=list)
     cells: Annotated[list[int], about("number of cells of each measure")] = field(
         default_factory=list
     )
@@ -56,17 +56,25 @@ class ArchiveSettings(PartSettings, frozen=True):
         for key in ("lows", "highs", "cells"):
             given = len(getattr(self, key))
             if given != count:
-                raise setting_error(key, f"expected {count} numbers, one per measure, not {given}")
+                raise setting_error(
+                    key, f"expected {count} numbers, one per measure, not {given}"
+                )
         ranges = list(zip(self.lows, self.highs, strict=True))
-        for name, (low, high), cells in zip(self.measures, ranges, self.cells, strict=True):
+        for name, (low, high), cells in zip(
+            self.measures, ranges, self.cells, strict=True
+        ):
             if not low < high or not math.isfinite(high - low):
                 text = f"expected a low below its high, not {low:g} and {high:g}"
                 raise setting_error(name, text)
             if cells < 1:
-                raise setting_error("cells", f"expected at least 1 for {name}, not {cells}")
+                raise setting_error(
+                    "cells", f"expected at least 1 for {name}, not {cells}"
+                )
         total = math.prod(self.cells)
         if total > MOST_CELLS:
-            raise setting_error("cells", f"expected at most {MOST_CELLS:,} in all, not {total:,}")
+            raise setting_error(
+                "cells", f"expected at most {MOST_CELLS:,} in all, not {total:,}"
+            )
         return ranges
 
 
@@ -74,15 +82,23 @@ class MapElitesSettings(ArchiveSettings, frozen=True):
     """Settings of ``[optimizer]`` with ``kind = "map-elites"``."""
 
     population: Annotated[int, within(1, 1_000_000, "candidates of a generation")] = 50
-    sigma: Annotated[float, within(0, 1e3, "standard deviation of a gene from its parent's")] = 0.05
-    line: Annotated[float, within(0, 1e3, "of a step towards a second elite, in distances")] = 0.2
+    sigma: Annotated[
+        float, within(0, 1e3, "standard deviation of a gene from its parent's")
+    ] = 0.05
+    line: Annotated[
+        float, within(0, 1e3, "of a step towards a second elite, in distances")
+    ] = 0.2
 
 
 class CmaMeSettings(ArchiveSettings, frozen=True):
     """Settings of ``[optimizer]`` with ``kind = "cma-me"``."""
 
-    emitters: Annotated[int, within(1, 1_000, "evolution strategies that fill the archive")] = 5
-    population: Annotated[int, within(0, 100_000, "per emitter, from 4; 0: 4 + 3 ln(genes)")] = 0
+    emitters: Annotated[
+        int, within(1, 1_000, "evolution strategies that fill the archive")
+    ] = 5
+    population: Annotated[
+        int, within(0, 100_000, "per emitter, from 4; 0: 4 + 3 ln(genes)")
+    ] = 0
     sigma: Sigma = 0.2
     separable: Separable = False
 
@@ -117,7 +133,9 @@ class Elites(Adapter):
     def _propose(self) -> np.ndarray:
         return np.concatenate([emitter.ask() for emitter in self._emitters])
 
-    def _learn(self, solutions: np.ndarray, fitness: np.ndarray, measures: np.ndarray) -> None:
+    def _learn(
+        self, solutions: np.ndarray, fitness: np.ndarray, measures: np.ndarray
+    ) -> None:
         failed = np.isnan(measures).any(axis=1)
         if failed.all():
             return
@@ -129,7 +147,9 @@ class Elites(Adapter):
         results = {"solution": solutions, "objective": fitness, "measures": measures}
         self._teach(results, {"status": status, "value": value})
 
-    def _teach(self, results: Mapping[str, np.ndarray], added: Mapping[str, np.ndarray]) -> None:
+    def _teach(
+        self, results: Mapping[str, np.ndarray], added: Mapping[str, np.ndarray]
+    ) -> None:
         """Tell the emitters, if they learn."""
 
     def _numbers(self) -> dict[str, float]:
@@ -155,7 +175,9 @@ class MapElites(Elites):
     ) -> None:
         super().__init__(settings, representation, seed)
         self.candidates = settings.population
-        first = representation.random(self.candidates, Stream(derive_seed(seed, "map-elites")))
+        first = representation.random(
+            self.candidates, Stream(derive_seed(seed, "map-elites"))
+        )
         emitter = self._ribs.IsoLineEmitter(
             self.archive,
             iso_sigma=settings.sigma,
@@ -177,7 +199,9 @@ class CmaMe(Elites):
     settings_type = CmaMeSettings
     settings: CmaMeSettings
 
-    def __init__(self, settings: CmaMeSettings, representation: Representation, seed: int) -> None:
+    def __init__(
+        self, settings: CmaMeSettings, representation: Representation, seed: int
+    ) -> None:
         super().__init__(settings, representation, seed)
         population = default_population(settings.population, self.genes)
         self.candidates = settings.emitters * population
@@ -197,7 +221,9 @@ class CmaMe(Elites):
                     setattr(emitter._opt, name, plain)
             self._emitters.append(emitter)
 
-    def _teach(self, results: Mapping[str, np.ndarray], added: Mapping[str, np.ndarray]) -> None:
+    def _teach(
+        self, results: Mapping[str, np.ndarray], added: Mapping[str, np.ndarray]
+    ) -> None:
         begin = 0
         for emitter in self._emitters:
             own = slice(begin, begin := begin + emitter.batch_size)

@@ -41,25 +41,37 @@ class NeatSettings(PartSettings, frozen=True):
     """Settings of ``[optimizer]`` with ``kind = "neat"``; the paper's numbers (section 4.1)."""
 
     population: Annotated[Population, about("individuals of a generation")] = 150
-    threshold: Annotated[float, above(0, 1e6, "first distance at which another species begins")] = (
-        3.0
-    )
-    species: Annotated[int, within(0, 1_000_000, "species that the threshold aims at; 0: none")] = (
-        10
-    )
-    threshold_step: Annotated[float, above(0, 10, "share by which it moves in a generation")] = 0.1
-    survival: Annotated[float, above(0, 1, "share of a species, the best, that has offspring")] = (
-        0.2
-    )
-    elite_size: Annotated[int, within(1, 1_000_000, "larger species keep their best one")] = 5
-    crossover: Annotated[Share, about("share of offspring with two parents; rest: mutants")] = 0.75
+    threshold: Annotated[
+        float, above(0, 1e6, "first distance at which another species begins")
+    ] = 3.0
+    species: Annotated[
+        int, within(0, 1_000_000, "species that the threshold aims at; 0: none")
+    ] = 10
+    threshold_step: Annotated[
+        float, above(0, 10, "share by which it moves in a generation")
+    ] = 0.1
+    survival: Annotated[
+        float, above(0, 1, "share of a species, the best, that has offspring")
+    ] = 0.2
+    elite_size: Annotated[
+        int, within(1, 1_000_000, "larger species keep their best one")
+    ] = 5
+    crossover: Annotated[
+        Share, about("share of offspring with two parents; rest: mutants")
+    ] = 0.75
     unmutated: Annotated[Share, about("share of unmutated children of two parents")] = 0.2
-    interspecies: Annotated[Share, about("chance of a parent from another species")] = 0.001
-    stagnation: Annotated[Generations, about("generations until a stagnant species ends")] = 15
+    interspecies: Annotated[Share, about("chance of a parent from another species")] = (
+        0.001
+    )
+    stagnation: Annotated[
+        Generations, about("generations until a stagnant species ends")
+    ] = 15
     population_stagnation: Annotated[
         Generations, about("the same for the population: all but two species end")
     ] = 20
-    severity: Annotated[float, above(0, 1e6, "maximum change of a number, in ranges")] = 0.3
+    severity: Annotated[float, above(0, 1e6, "maximum change of a number, in ranges")] = (
+        0.3
+    )
     probability: Probability = 1.0
 
 
@@ -93,7 +105,9 @@ class NEAT(BaseOptimizer):
     settings: NeatSettings
     representation: Neat
 
-    def __init__(self, settings: NeatSettings, representation: Representation, seed: int) -> None:
+    def __init__(
+        self, settings: NeatSettings, representation: Representation, seed: int
+    ) -> None:
         super().__init__(settings, representation, seed)
         if not isinstance(representation, Neat):
             text = "neat evolves networks of representation neat"
@@ -126,7 +140,9 @@ class NEAT(BaseOptimizer):
             self._improved = self.generation
         self._species = self._speciated()
         for species in self._species:
-            species.members.sort(key=lambda member: member.rank)  # stable: ties stay in order
+            species.members.sort(
+                key=lambda member: member.rank
+            )  # stable: ties stay in order
             best = species.members[0].fitness
             if best > species.best:
                 species.best, species.improved = best, self.generation
@@ -157,7 +173,11 @@ class NEAT(BaseOptimizer):
     def _counts(self) -> list[int]:
         """Return the offspring of each species in proportion to its mean fitness (section 3.3)."""
         members = [member for kind in self._species for member in kind.members]
-        known = [member.fitness * SMALL for member in members if member.fitness == member.fitness]
+        known = [
+            member.fitness * SMALL
+            for member in members
+            if member.fitness == member.fitness
+        ]
         worst = min(known, default=0.0)
         allowed = np.isin(np.arange(len(self._species)), list(self._allowed()))
         shares = np.where(allowed, [kind.shared(worst) for kind in self._species], 0.0)
@@ -167,7 +187,10 @@ class NEAT(BaseOptimizer):
 
     def _allowed(self) -> set[int]:
         """Return the species that may have offspring: those that do not stagnate."""
-        count, best = len(self._species), [species.members[0] for species in self._species]
+        count, best = (
+            len(self._species),
+            [species.members[0] for species in self._species],
+        )
         order = sorted(range(count), key=lambda index: best[index].rank)
         if self.relative:
             return set(order)
@@ -175,7 +198,9 @@ class NEAT(BaseOptimizer):
         if last - self._improved >= self.settings.population_stagnation:
             return set(order[:2])
         limit = last - self.settings.stagnation
-        return {order[0]} | {index for index in order if self._species[index].improved > limit}
+        return {order[0]} | {
+            index for index in order if self._species[index].improved > limit
+        }
 
     # ---- offspring
 
@@ -213,7 +238,9 @@ class NEAT(BaseOptimizer):
         if strange < settings.interspecies and len(self._species) > 1:
             other = stream.integer(len(self._species) - 1)
             mate = self._species[other + (other >= index)].members[0]
-        fitter, weaker = sorted((parent, mate), key=lambda one: (*one.rank, len(one.genome)))
+        fitter, weaker = sorted(
+            (parent, mate), key=lambda one: (*one.rank, len(one.genome))
+        )
         genome = self.representation.crossover(fitter.genome, weaker.genome, stream)
         mutates = unmutated >= settings.unmutated or mate is parent
         return Individual(genome, "mutation" if mutates else "crossover")

@@ -62,7 +62,9 @@ class NNGA(BaseOptimizer):
     types: ClassVar = {"islands": list[list[Individual]]}
     settings: NNGASettings
 
-    def __init__(self, settings: NNGASettings, representation: Representation, seed: int) -> None:
+    def __init__(
+        self, settings: NNGASettings, representation: Representation, seed: int
+    ) -> None:
         super().__init__(settings, representation, seed)
         size = settings.population
         counts = {name: int(size * getattr(settings, name)) for name in OPERATORS[1:]}
@@ -79,7 +81,9 @@ class NNGA(BaseOptimizer):
             )
         self.counts = {"elite": elite, **counts}
         self.candidates = size * settings.islands
-        self._islands: list[list[Individual]] = []  # last generation told, each ranked, best first
+        self._islands: list[
+            list[Individual]
+        ] = []  # last generation told, each ranked, best first
         self._population: list[list[Individual]] = []  # generation asked for
 
     def _ask(self) -> list[bytes]:
@@ -111,14 +115,18 @@ class NNGA(BaseOptimizer):
         self._islands = self._population
         for island in self._islands:
             island.sort(key=lambda individual: individual.rank)  # ties stay in order
-            elite += [individual.operator for individual in island[: self.counts["elite"]]]
+            elite += [
+                individual.operator for individual in island[: self.counts["elite"]]
+            ]
         counts = {name: created.count(name) for name in OPERATORS}
         numbers = {f"count_{name}": float(count) for name, count in counts.items()}
         for name, count in counts.items():
             numbers[f"effectivity_{name}"] = elite.count(name) / max(1, count)
         self._count(fitness, **numbers)
 
-    def _evolve(self, index: int, fathers: list[list[bytes]], stream: Stream) -> list[Individual]:
+    def _evolve(
+        self, index: int, fathers: list[list[bytes]], stream: Stream
+    ) -> list[Individual]:
         """Return the next population of an island."""
         ranked = list(self._islands[index])
         size, elite = len(ranked), self.counts["elite"]
@@ -130,7 +138,9 @@ class NNGA(BaseOptimizer):
         for place, individual in enumerate(survivors):
             individual.operator = "elite" if place < elite else "random"
         mothers = genomes(survivors)
-        parents = [mothers[parent] for parent in stream.integers(count, self.counts["mutation"])]
+        parents = [
+            mothers[parent] for parent in stream.integers(count, self.counts["mutation"])
+        ]
         mutated = mutants(self.representation, parents, stream, self.settings)
         interval = self.settings.exchange_interval
         exchange = interval > 0 and (self.generation - 1) % interval == 0
@@ -140,17 +150,27 @@ class NNGA(BaseOptimizer):
         return made + _made("renew", self.representation.random(size - len(made), stream))
 
     def _crossovers(
-        self, mothers: list[bytes], islands: list[list[bytes]], existing: set[bytes], stream: Stream
+        self,
+        mothers: list[bytes],
+        islands: list[list[bytes]],
+        existing: set[bytes],
+        stream: Stream,
     ) -> list[bytes]:
         """Return children of random mothers with the most different of eleven random fathers."""
         children: list[bytes] = []
-        distances = [self.representation.distances(mothers, fathers) for fathers in islands]
+        distances = [
+            self.representation.distances(mothers, fathers) for fathers in islands
+        ]
         repeats = REPEATS
         while len(children) < self.counts["crossover"]:
             mother, island = stream.integer(len(mothers)), stream.integer(len(islands))
             suitors = [stream.integer(len(islands[island])) for _ in range(SUITORS)]
-            father = max(suitors, key=distances[island][mother].item)  # the first of equals
-            child = self.representation.crossover(mothers[mother], islands[island][father], stream)
+            father = max(
+                suitors, key=distances[island][mother].item
+            )  # the first of equals
+            child = self.representation.crossover(
+                mothers[mother], islands[island][father], stream
+            )
             if child not in existing:
                 existing.add(child)
                 children.append(child)
@@ -167,7 +187,10 @@ class NNGA(BaseOptimizer):
         Effectivity is the share of an operator's individuals that reached the elite.
         """
         pairs = np.concatenate(
-            [distances_of_pairs(self.representation, genomes(island)) for island in self._islands]
+            [
+                distances_of_pairs(self.representation, genomes(island))
+                for island in self._islands
+            ]
         )
         return {
             "best": self._best[1],

@@ -19,7 +19,10 @@ from zswarm.ot.optimizers.base import BaseOptimizer, Measures, check_measures
 from zswarm.ot.optimizers.breeding import MutationSettings, Share, mutants
 from zswarm.ot.optimizers.sums import mean
 
-MANY, RAISE = 4, 1.2  # more new entries of the archive in a generation raise the threshold
+MANY, RAISE = (
+    4,
+    1.2,
+)  # more new entries of the archive in a generation raise the threshold
 PATIENCE, LOWER = 10, 0.95  # so many generations without an entry lower it
 
 
@@ -27,15 +30,21 @@ class NoveltySettings(MutationSettings, frozen=True):
     """Settings of ``[optimizer]`` with ``kind = "novelty"``."""
 
     measures: Measures = field(default_factory=list)
-    population: Annotated[int, within(2, 100_000, "individuals, and children of a generation")] = (
-        100
-    )
+    population: Annotated[
+        int, within(2, 100_000, "individuals, and children of a generation")
+    ] = 100
     neighbours: Annotated[
         int, within(1, 100_000, "nearest others; novelty is their mean distance")
     ] = 15
-    threshold: Annotated[float, within(0, 1e9, "first novelty for the archive; 0: the mean")] = 0.0
-    fitness: Annotated[Share, about("weight of fitness against novelty, each scaled to 0..1")] = 0.0
-    mutation: Annotated[Share, about("share of mutants; the others have two parents")] = 0.7
+    threshold: Annotated[
+        float, within(0, 1e9, "first novelty for the archive; 0: the mean")
+    ] = 0.0
+    fitness: Annotated[
+        Share, about("weight of fitness against novelty, each scaled to 0..1")
+    ] = 0.0
+    mutation: Annotated[Share, about("share of mutants; the others have two parents")] = (
+        0.7
+    )
 
 
 class Novelty(BaseOptimizer):
@@ -117,7 +126,9 @@ class Novelty(BaseOptimizer):
         for column in range(behaviours.shape[1]):
             difference = behaviours[known, column][:, None] - others[:, column]
             squares += difference * difference
-        squares[np.arange(len(known)), np.arange(len(known))] = -1.0  # the individual itself
+        squares[
+            np.arange(len(known)), np.arange(len(known))
+        ] = -1.0  # the individual itself
         distances = np.sqrt(np.sort(squares, axis=1)[:, 1 : nearest + 1])
         sparseness[known] = np.cumsum(distances, axis=1)[:, -1] / nearest  # eq. 1
         return sparseness
@@ -140,4 +151,8 @@ def _scaled(values: np.ndarray) -> np.ndarray:
     """Scale to 0..1; NaN stays."""
     known = values[np.isfinite(values)]
     low, high = (known.min(), known.max()) if known.size else (0.0, 0.0)
-    return (values - low) / (high - low) if high > low else np.where(np.isnan(values), np.nan, 0.0)
+    return (
+        (values - low) / (high - low)
+        if high > low
+        else np.where(np.isnan(values), np.nan, 0.0)
+    )

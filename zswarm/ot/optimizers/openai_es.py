@@ -24,12 +24,16 @@ BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-8  # as recommended for Adam
 class OpenAIESSettings(PartSettings, frozen=True):
     """Settings of ``[optimizer]`` with ``kind = "openai-es"``."""
 
-    population: Annotated[Population, about("steps of a generation: even, two per direction")] = 50
+    population: Annotated[
+        Population, about("steps of a generation: even, two per direction")
+    ] = 50
     deviation: Annotated[Positive, about("standard deviation of a step, in ranges")] = 0.5
-    learning_rate: Annotated[Positive, about("Adam's learning rate, in ranges of new genomes")] = (
-        0.1
-    )
-    weight_decay: Annotated[float, within(0, 1e6, "pull to zero, per range and generation")] = 0.005
+    learning_rate: Annotated[
+        Positive, about("Adam's learning rate, in ranges of new genomes")
+    ] = 0.1
+    weight_decay: Annotated[
+        float, within(0, 1e6, "pull to zero, per range and generation")
+    ] = 0.005
 
 
 class OpenAIES(BaseOptimizer):
@@ -50,11 +54,15 @@ class OpenAIES(BaseOptimizer):
     ) -> None:
         super().__init__(settings, representation, seed)
         if settings.population % 2:
-            text = f"expected an even number, two per direction, not {settings.population}"
+            text = (
+                f"expected an even number, two per direction, not {settings.population}"
+            )
             raise setting_error("population", text)
         self.candidates = settings.population + 1
         self._space = Space(representation)
-        self._centre = self._space.uniform(-1.0, 1.0, 1, Stream(derive_seed(seed, "openai-es")))
+        self._centre = self._space.uniform(
+            -1.0, 1.0, 1, Stream(derive_seed(seed, "openai-es"))
+        )
         self._momentum, self._squares = np.zeros((2, *self._centre.shape))
         self._decays = [1.0, 1.0]  # powers of beta 1 and beta 2
 
@@ -69,7 +77,9 @@ class OpenAIES(BaseOptimizer):
         shaped = _centred_ranks(fitness[1:])
         weights = shaped[:pairs] - shaped[pairs:]
         scale = settings.population * settings.deviation
-        gradient = total(weights[:, None] * self._directions()) / scale  # algorithm 1, line 7
+        gradient = (
+            total(weights[:, None] * self._directions()) / scale
+        )  # algorithm 1, line 7
         self._count(
             fitness,
             centre=float(fitness[0]),
@@ -80,7 +90,9 @@ class OpenAIES(BaseOptimizer):
 
     def _directions(self) -> np.ndarray:
         """Return (pairs, genes), standard normal, the same throughout a generation."""
-        return self._space.normal(self.settings.population // 2, self._stream("openai-es"))
+        return self._space.normal(
+            self.settings.population // 2, self._stream("openai-es")
+        )
 
     def _step(self, gradient: np.ndarray) -> None:
         """Follow the gradient upwards by Adam's algorithm 1."""

@@ -43,7 +43,9 @@ class Optimizer(ABC):
     candidates: int | None = None
     diverged: int | None = None
 
-    def __init__(self, settings: msgspec.Struct, representation: Representation, seed: int) -> None:
+    def __init__(
+        self, settings: msgspec.Struct, representation: Representation, seed: int
+    ) -> None:
         self.settings = settings
         self.representation = representation
         self.seed = seed
@@ -58,7 +60,9 @@ class Optimizer(ABC):
             RuntimeError: the last generation was not told yet.
         """
         if self._waiting:
-            raise RuntimeError("tell the fitness of the last generation before asking for the next")
+            raise RuntimeError(
+                "tell the fitness of the last generation before asking for the next"
+            )
         self._asked, self._waiting = self._ask(), True
         return self._asked
 

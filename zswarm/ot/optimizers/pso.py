@@ -24,10 +24,16 @@ class PsoSettings(PartSettings, frozen=True):
     """Settings of ``[optimizer]`` with ``kind = "pso"``."""
 
     population: Annotated[Population, about("particles")] = 100
-    inertia: Annotated[float, within(0, 10, "share of its velocity that a particle keeps")] = 0.7
+    inertia: Annotated[
+        float, within(0, 10, "share of its velocity that a particle keeps")
+    ] = 0.7
     own: Annotated[Pull, about("cognitive coefficient: pull of its best position")] = 2.4
-    social: Annotated[Pull, about("social coefficient: pull of the best position of all")] = 2.1
-    speed: Annotated[Positive, about("limit of a velocity per generation, in ranges")] = 1.0
+    social: Annotated[
+        Pull, about("social coefficient: pull of the best position of all")
+    ] = 2.1
+    speed: Annotated[Positive, about("limit of a velocity per generation, in ranges")] = (
+        1.0
+    )
     bound: Bound = 1.0
 
 
@@ -42,7 +48,9 @@ class PSO(BaseOptimizer):
     stored = ("positions", "velocities", "best_positions", "best_fitness")
     settings: PsoSettings
 
-    def __init__(self, settings: PsoSettings, representation: Representation, seed: int) -> None:
+    def __init__(
+        self, settings: PsoSettings, representation: Representation, seed: int
+    ) -> None:
         super().__init__(settings, representation, seed)
         self.candidates = settings.population
         self._space = Space(representation)
@@ -54,7 +62,9 @@ class PSO(BaseOptimizer):
         settings, count, space = self.settings, self.settings.population, self._space
         stream = self._stream("pso")
         if self.generation == 0:
-            self._positions = self._best_positions = space.uniform(-1.0, 1.0, count, stream)
+            self._positions = self._best_positions = space.uniform(
+                -1.0, 1.0, count, stream
+            )
             self._velocities = space.uniform(-0.5, 0.5, count, stream)
             return space.genomes(self._positions)
         x, best = self._positions, self._best_positions
@@ -63,12 +73,16 @@ class PSO(BaseOptimizer):
         social = settings.social * space.uniform(0.0, 1.0, count, stream) * (leader - x)
         velocities = settings.inertia * self._velocities + cognitive + social  # eq. 1a
         self._velocities = np.clip(velocities, -settings.speed, settings.speed)
-        self._positions = np.clip(x + self._velocities, -settings.bound, settings.bound)  # eq. 1b
+        self._positions = np.clip(
+            x + self._velocities, -settings.bound, settings.bound
+        )  # eq. 1b
         return space.genomes(self._positions)
 
     def _tell(self, fitness: np.ndarray, measures: np.ndarray) -> None:  # noqa: ARG002  unused
         better = fitness > self._best_fitness  # false for NaN
         self._best_fitness = np.where(better, fitness, self._best_fitness)
-        self._best_positions = np.where(better[:, None], self._positions, self._best_positions)
+        self._best_positions = np.where(
+            better[:, None], self._positions, self._best_positions
+        )
         speed = mean(np.abs(self._velocities))
         self._count(fitness, spread=spread(self._positions), speed=speed)

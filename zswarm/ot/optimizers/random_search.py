@@ -16,7 +16,9 @@ from zswarm.ot.optimizers.breeding import Population
 class RandomSearchSettings(PartSettings, frozen=True):
     """Settings of ``[optimizer]`` with ``kind = "random"``."""
 
-    population: Annotated[Population, about("individuals, including the best so far")] = 50
+    population: Annotated[Population, about("individuals, including the best so far")] = (
+        50
+    )
 
 
 class RandomSearch(BaseOptimizer):
@@ -37,7 +39,9 @@ class RandomSearch(BaseOptimizer):
 
     def _ask(self) -> list[bytes]:
         stream, (best, _) = self._stream("random"), self._best
-        genomes = self.representation.random(self.settings.population - bool(best), stream)
+        genomes = self.representation.random(
+            self.settings.population - bool(best), stream
+        )
         return [best, *genomes] if best and self.relative else genomes
 
     def _tell(self, fitness: np.ndarray, measures: np.ndarray) -> None:  # noqa: ARG002  unused

@@ -40,11 +40,15 @@ class Space:
 
     def uniform(self, low: float, high: float, count: int, stream: Stream) -> np.ndarray:
         """Return (count, dimensions)."""
-        return stream.uniform(low, high, count * self.dimensions).reshape(count, self.dimensions)
+        return stream.uniform(low, high, count * self.dimensions).reshape(
+            count, self.dimensions
+        )
 
     def normal(self, count: int, stream: Stream) -> np.ndarray:
         """Return (count, dimensions), standard normal."""
-        return stream.normal(0.0, 1.0, count * self.dimensions).reshape(count, self.dimensions)
+        return stream.normal(0.0, 1.0, count * self.dimensions).reshape(
+            count, self.dimensions
+        )
 
     def genomes(self, points: np.ndarray) -> list[bytes]:
         """Return points as genomes, rounded and clipped to float32."""

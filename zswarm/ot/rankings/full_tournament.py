@@ -21,7 +21,9 @@ class FullTournament(Tournament):
     Score: per game and other participant 2 points for doing better, 1 for doing as well.
     """
 
-    def _groups(self, candidates: int, rounds: Sequence[PlayedMatch]) -> np.ndarray | None:
+    def _groups(
+        self, candidates: int, rounds: Sequence[PlayedMatch]
+    ) -> np.ndarray | None:
         if rounds:
             return None
         games = itertools.combinations(range(candidates), self.participants)

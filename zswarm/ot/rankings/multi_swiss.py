@@ -26,7 +26,9 @@ class MultiSwiss(Tournament):
     Score: the mean over its games of k points for the best, 1 for the last; equals share.
     """
 
-    def _groups(self, candidates: int, rounds: Sequence[PlayedMatch]) -> np.ndarray | None:
+    def _groups(
+        self, candidates: int, rounds: Sequence[PlayedMatch]
+    ) -> np.ndarray | None:
         limit = 0
         while self.participants**limit < candidates:
             limit += 1
@@ -43,5 +45,9 @@ class MultiSwiss(Tournament):
         total, games = np.zeros(candidates), games_played(candidates, rounds)
         for matches in rounds:
             points = 1.0 + matches.better + matches.level / 2.0
-            np.add.at(total, matches.groups, np.where(np.isnan(matches.results), 0.0, points))
-        return np.where(games > 0, total / np.maximum(games, 1), (self.participants + 1) / 2.0)
+            np.add.at(
+                total, matches.groups, np.where(np.isnan(matches.results), 0.0, points)
+            )
+        return np.where(
+            games > 0, total / np.maximum(games, 1), (self.participants + 1) / 2.0
+        )

@@ -28,7 +28,9 @@ Points = Annotated[int, Meta(ge=0, le=1_000_000)]
 class SwissSettings(TournamentSettings, frozen=True):
     """Settings of ``[ranking]`` with ``kind = "swiss"``."""
 
-    rounds: Annotated[int, within(0, 1_000, "rounds; 0: log2 of the candidates, rounded up")] = 0
+    rounds: Annotated[
+        int, within(0, 1_000, "rounds; 0: log2 of the candidates, rounded up")
+    ] = 0
     win: Annotated[Points, about("points of a win, and of a bye")] = 2
     tie: Annotated[Points, about("points of a tie, for both")] = 1
 
@@ -53,7 +55,9 @@ class Swiss(Tournament):
                 "expected multi-swiss"
             )
 
-    def _groups(self, candidates: int, rounds: Sequence[PlayedMatch]) -> np.ndarray | None:
+    def _groups(
+        self, candidates: int, rounds: Sequence[PlayedMatch]
+    ) -> np.ndarray | None:
         if len(rounds) >= (self.settings.rounds or (candidates - 1).bit_length()):
             return None
         if not rounds:

@@ -80,7 +80,9 @@ class Tournament(Ranking):
         return scores
 
     @abstractmethod
-    def _groups(self, candidates: int, rounds: Sequence[PlayedMatch]) -> np.ndarray | None:
+    def _groups(
+        self, candidates: int, rounds: Sequence[PlayedMatch]
+    ) -> np.ndarray | None:
         """Return the pairing of the next round, (groups, participants) int64, or None."""
 
     @abstractmethod

@@ -27,7 +27,9 @@ def ask(folder: Path, word: Word) -> None:
     try:
         write_whole(folder / CONTROL, f"{word}\n".encode())
     except OSError as error:
-        raise ConfigError(f"{folder}: cannot be written: {describe(error, folder)}") from None
+        raise ConfigError(
+            f"{folder}: cannot be written: {describe(error, folder)}"
+        ) from None
 
 
 def forget(folder: Path) -> None:
@@ -39,7 +41,9 @@ def forget(folder: Path) -> None:
     try:
         (folder / CONTROL).unlink(missing_ok=True)
     except OSError as error:
-        raise ConfigError(f"{folder}: cannot be written: {describe(error, folder)}") from None
+        raise ConfigError(
+            f"{folder}: cannot be written: {describe(error, folder)}"
+        ) from None
 
 
 def asked(folder: Path) -> str:

@@ -116,7 +116,9 @@ class Database:
         if not self.unwritten:
             return
         if not self._path.exists():  # SQLite would write to the unlinked file
-            raise ConfigError(f"{self._folder}: moved, removed or unmounted while the run went on")
+            raise ConfigError(
+                f"{self._folder}: moved, removed or unmounted while the run went on"
+            )
         transact(self._connection, self.unwritten)
         self.unwritten = []
 
@@ -135,12 +137,15 @@ class Database:
                 raise
             if self._outage_since is None:
                 self._outage_since = time.monotonic()
-                self._report(f"the disk of {self._folder} {OUTAGES[why]}; nothing is lost", None)
+                self._report(
+                    f"the disk of {self._folder} {OUTAGES[why]}; nothing is lost", None
+                )
         else:
             if self._outage_since is not None:
                 waited, self._outage_since = time.monotonic() - self._outage_since, None
                 self._report(
-                    f"the disk of {self._folder} takes data again: the run continues", waited
+                    f"the disk of {self._folder} takes data again: the run continues",
+                    waited,
                 )
 
 
@@ -153,7 +158,9 @@ def connect(path: Path) -> sqlite3.Connection:
     connection = sqlite3.connect(path, isolation_level=None, timeout=10.0)
     try:
         # WAL needs memory that is shared by all programs that open the file.
-        connection.execute(f"PRAGMA journal_mode = {'DELETE' if on_network(path) else 'WAL'}")
+        connection.execute(
+            f"PRAGMA journal_mode = {'DELETE' if on_network(path) else 'WAL'}"
+        )
         connection.execute("PRAGMA synchronous = FULL")
     except BaseException:  # KeyboardInterrupt, too
         connection.close()
@@ -180,7 +187,9 @@ def read_only(path: Path) -> Iterator[sqlite3.Connection]:
             stack.callback(database.close)
             database.text_factory = lambda raw: raw.decode(errors="replace")
             database.execute("PRAGMA trusted_schema = OFF")
-            kinds = dict(database.execute("SELECT name, type FROM sqlite_master").fetchall())
+            kinds = dict(
+                database.execute("SELECT name, type FROM sqlite_master").fetchall()
+            )
             if missing := [name for name in TABLES if kinds.get(name) != "table"]:
                 raise sqlite3.DatabaseError(f"no table {missing[0]}")
             return database
@@ -198,7 +207,9 @@ def read_only(path: Path) -> Iterator[sqlite3.Connection]:
             if error.sqlite_errorcode & 0xFF not in unwritable or not log.is_file():
                 raise
             # SQLite needs an index next to the log, but may not write there.
-            copy = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="zswarm-")))
+            copy = Path(
+                stack.enter_context(tempfile.TemporaryDirectory(prefix="zswarm-"))
+            )
             for source in (path, log):
                 shutil.copyfile(source, copy / source.name)
             database = opened(copy / path.name, "mode=rw")
@@ -246,8 +257,13 @@ def describe(error: BaseException, folder: Path) -> str:
 def on_network(path: Path) -> bool:
     """Return whether a path is on a network file system, as far as Linux tells."""
     try:
-        mounts = [line.split() for line in Path("/proc/self/mounts").read_text().splitlines()]
+        mounts = [
+            line.split() for line in Path("/proc/self/mounts").read_text().splitlines()
+        ]
     except OSError:
         return False
     inside = [mount for mount in mounts if path.resolve().is_relative_to(mount[1])]
-    return bool(inside) and max(inside, key=lambda mount: len(mount[1]))[2] in NETWORK_FILE_SYSTEMS
+    return (
+        bool(inside)
+        and max(inside, key=lambda mount: len(mount[1]))[2] in NETWORK_FILE_SYSTEMS
+    )

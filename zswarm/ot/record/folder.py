@@ -19,7 +19,9 @@ LOCK_TRIES, LOCK_PAUSE_S = 20, 0.005  # `is_running` holds the lock for an insta
 def load_experiment(folder: Path) -> Experiment:
     """Return the complete experiment of a run; raise ConfigError if the folder holds no run."""
     check_run(folder)
-    return experiment.complete(experiment.load(folder / EXPERIMENT), str(folder / EXPERIMENT))
+    return experiment.complete(
+        experiment.load(folder / EXPERIMENT), str(folder / EXPERIMENT)
+    )
 
 
 def check_run(folder: Path) -> None:
@@ -50,7 +52,9 @@ def new_folder(parent: Path, name: str) -> Path:
             continue
         except OSError as error:
             why = f"cannot be made: {error.strerror}"
-            raise ConfigError(f"{folder}: {why}; choose another place with --out") from None
+            raise ConfigError(
+                f"{folder}: {why}; choose another place with --out"
+            ) from None
         return folder
     raise ConfigError(f"{parent}: too many runs are called {name}")
 

@@ -13,7 +13,10 @@ class History:
         self._total = hashlib.blake2b(digest_size=16)
 
     def add(
-        self, genomes: Sequence[bytes], fitness: np.ndarray, measures: np.ndarray | None = None
+        self,
+        genomes: Sequence[bytes],
+        fitness: np.ndarray,
+        measures: np.ndarray | None = None,
     ) -> None:
         """Add a generation.
 

@@ -24,7 +24,11 @@ from zswarm.system.files import sync
 from zswarm.system.text import clean
 from zswarm.system.version import VERSION
 
-NOT_DECISIVE = ("generations", "cluster", "study")  # these may change while a run is stopped
+NOT_DECISIVE = (
+    "generations",
+    "cluster",
+    "study",
+)  # these may change while a run is stopped
 SET_META = "INSERT OR REPLACE INTO meta VALUES (?, ?)"
 
 
@@ -65,7 +69,9 @@ def check(folder: Path, connection: sqlite3.Connection, complete: Experiment) ->
     check_version(meta, path)
     began = meta.get("experiment")
     if not isinstance(began, str) or not isinstance(meta.get("epoch"), int):
-        raise ConfigError(f"{path}: damaged: expected an experiment and an epoch in its table meta")
+        raise ConfigError(
+            f"{path}: damaged: expected an experiment and an epoch in its table meta"
+        )
     if "imported_from" in meta:
         raise ConfigError(
             f"{folder}: was imported, without a state of the optimizer to resume from; its "
@@ -92,7 +98,9 @@ def check(folder: Path, connection: sqlite3.Connection, complete: Experiment) ->
 def raise_epoch(connection: sqlite3.Connection, complete: Experiment) -> None:
     """Count a resume; the hash of a run that gets more generations is dropped."""
     finished = connection.execute("SELECT count(*) FROM generations").fetchone()[0]
-    changes: list[Statement] = [(SET_META, ("epoch", int(_meta(connection)["epoch"]) + 1))]
+    changes: list[Statement] = [
+        (SET_META, ("epoch", int(_meta(connection)["epoch"]) + 1))
+    ]
     if finished < complete.generations:
         changes.append(("DELETE FROM meta WHERE key = 'history_hash'", ()))
     transact(connection, changes)

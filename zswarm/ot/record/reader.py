@@ -57,7 +57,9 @@ class Run:
         check_run(folder)
         self._meta = dict(self.rows("SELECT key, value FROM meta", tuple[str, Any]))
         self.meta = {
-            clean(key): clean(value) if isinstance(value, str) and not _plain(value) else value
+            clean(key): clean(value)
+            if isinstance(value, str) and not _plain(value)
+            else value
             for key, value in self._meta.items()
         }
         check_version(self._meta, folder / DATABASE)
@@ -81,7 +83,10 @@ class Run:
         parts = {name: began[name] for name in experiment.PARTS}
         mapping = {
             **began,
-            **{name: {**part["settings"], "kind": part["kind"]} for name, part in parts.items()},
+            **{
+                name: {**part["settings"], "kind": part["kind"]}
+                for name, part in parts.items()
+            },
             "generations": file.generations,
             "cluster": _cleaned(msgspec.to_builtins(file.cluster)),
         }
@@ -141,7 +146,9 @@ class Run:
                 {
                     "generation": generation,
                     "finished_at": at,
-                    "seconds": at - previous if isinstance(previous, int | float) else None,
+                    "seconds": at - previous
+                    if isinstance(previous, int | float)
+                    else None,
                     "best": best,
                     "mean": mean,
                     "evaluations": evaluations,
@@ -218,7 +225,10 @@ class Run:
         ):
             try:
                 indices = np.frombuffer(trials, "<u4").reshape(count).tolist()
-                scores, measured = _numbers(fitness, count, -1), _numbers(metrics, count, -1)
+                scores, measured = (
+                    _numbers(fitness, count, -1),
+                    _numbers(metrics, count, -1),
+                )
                 players = None
                 if participants is not None:
                     shape = (count, len(scores[0]))
@@ -264,13 +274,17 @@ class Run:
         Raises:
             ConfigError: pandas is missing.
         """
-        frame: pandas.DataFrame = need("pandas", "data", "to_pandas").DataFrame(self.table())
+        frame: pandas.DataFrame = need("pandas", "data", "to_pandas").DataFrame(
+            self.table()
+        )
         return frame
 
     def to_polars(self) -> "polars.DataFrame":
         """Return the same as ``to_pandas``; raise ConfigError if polars is missing."""
         library = need("polars", "data", "to_polars")
-        frame: polars.DataFrame = library.DataFrame(self.table(), infer_schema_length=None)
+        frame: polars.DataFrame = library.DataFrame(
+            self.table(), infer_schema_length=None
+        )
         return frame
 
     def table(self) -> list[Row]:
@@ -329,7 +343,10 @@ class Run:
         """The parts of the experiment that the history depends on, as the run began."""
         try:
             absolute = {"kind": ABSOLUTE, "settings": {}}
-            began = {"ranking": absolute, **_cleaned(json.loads(self._meta["experiment"]))}
+            began = {
+                "ranking": absolute,
+                **_cleaned(json.loads(self._meta["experiment"])),
+            }
             for part in experiment.PARTS:
                 _ = {**began[part]["settings"]}, began[part]["kind"]
         except (KeyError, TypeError, ValueError, RecursionError):
@@ -349,7 +366,9 @@ class Run:
         try:
             found: Row = _cleaned(msgspec.json.decode(text, type=dict[str, Any]))
         except (msgspec.DecodeError, RecursionError):
-            raise self._damaged("the statistics of a generation are not a JSON object") from None
+            raise self._damaged(
+                "the statistics of a generation are not a JSON object"
+            ) from None
         return found
 
     def _damaged(self, why: str) -> ConfigError:
@@ -386,7 +405,9 @@ def _cleaned(value: Any, levels: int = NESTED) -> Any:
     if not levels:
         raise RecursionError(f"nested deeper than {NESTED} levels")
     if isinstance(value, dict):
-        return {clean(str(key)): _cleaned(item, levels - 1) for key, item in value.items()}
+        return {
+            clean(str(key)): _cleaned(item, levels - 1) for key, item in value.items()
+        }
     return [_cleaned(item, levels - 1) for item in value]
 
 

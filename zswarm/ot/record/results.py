@@ -27,7 +27,9 @@ def result_after(folder: Path, generations: int) -> Result | None:
         if not run.finished or run.generations() < generations:
             return None
         history, (faulted, doubtful) = run.history(), run.marked()
-        counts = [event["count"] for event in run.events() if event["event"] == "requeued"]
+        counts = [
+            event["count"] for event in run.events() if event["event"] == "requeued"
+        ]
     except ConfigError:
         return None
     last = history[generations - 1]

@@ -67,7 +67,9 @@ def folders_below(path: Path) -> list[Path]:
         if (path / DATABASE).is_file():
             return [path]
         patterns = ["*/" * depth + DATABASE for depth in range(1, DEPTH + 1)]
-        files = [file for pattern in patterns for file in path.glob(pattern) if file.is_file()]
+        files = [
+            file for pattern in patterns for file in path.glob(pattern) if file.is_file()
+        ]
     except OSError:  # not readable, or the name is too long
         return []
     return sorted({file.parent for file in files}, key=natural_order)
@@ -120,7 +122,9 @@ def stamp(folder: Path) -> tuple[tuple[int, int] | None, ...]:
             return None
         return found.st_mtime_ns, found.st_size
 
-    return tuple(changed(folder / name) for name in (DATABASE, f"{DATABASE}-wal", EXPERIMENT))
+    return tuple(
+        changed(folder / name) for name in (DATABASE, f"{DATABASE}-wal", EXPERIMENT)
+    )
 
 
 def _natural(name: str) -> list[tuple[bool, int, str]]:

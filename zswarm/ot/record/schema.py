@@ -81,7 +81,9 @@ def check_version(meta: Mapping[str, Any], path: Path) -> None:
         return
     where = clean(str(path))
     if not isinstance(found, int) or found < 1:
-        raise ConfigError(f"{where}: damaged: expected a schema version in its table meta")
+        raise ConfigError(
+            f"{where}: damaged: expected a schema version in its table meta"
+        )
     raise ConfigError(
         f"{where}: has schema {found}, of zswarm {clean(str(meta.get('zswarm')))}; this zswarm "
         f"{VERSION} reads schema {SCHEMA_VERSION}: use the zswarm that made the record"

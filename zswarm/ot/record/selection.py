@@ -51,7 +51,9 @@ def candidate_of(
         return max(candidates, key=rank)
     if candidate not in candidates:
         what = f"no candidate {candidate} in generation {generation}"
-        raise ConfigError(f"{run.shown}: {what}; {available('candidate', len(candidates))}")
+        raise ConfigError(
+            f"{run.shown}: {what}; {available('candidate', len(candidates))}"
+        )
     return candidate
 
 

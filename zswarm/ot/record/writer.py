@@ -28,8 +28,21 @@ from zswarm.ot.cluster.events import Counted
 from zswarm.ot.notes import Note, RunEvent
 from zswarm.ot.optimizers.optimizer import Told
 from zswarm.ot.record import opening
-from zswarm.ot.record.database import Database, Statement, connect, describe, on_network, outage
-from zswarm.ot.record.folder import DATABASE, EXPERIMENT, load_experiment, lock_folder, new_folder
+from zswarm.ot.record.database import (
+    Database,
+    Statement,
+    connect,
+    describe,
+    on_network,
+    outage,
+)
+from zswarm.ot.record.folder import (
+    DATABASE,
+    EXPERIMENT,
+    load_experiment,
+    lock_folder,
+    new_folder,
+)
 from zswarm.ot.record.history_hash import History
 from zswarm.ot.record.opening import SET_META
 from zswarm.ot.workload import Workload
@@ -42,7 +55,9 @@ ADD_EVENT = (
     "VALUES (?, ?, ?, ?, ?, ?, ?)"
 )
 ADD_CANDIDATES = "INSERT OR REPLACE INTO candidates VALUES "
-CANDIDATES_AT_ONCE = 199  # of five values; every SQLite takes 999 parameters in a statement
+CANDIDATES_AT_ONCE = (
+    199  # of five values; every SQLite takes 999 parameters in a statement
+)
 ADD_GENERATION = "INSERT OR REPLACE INTO generations VALUES (?, ?, ?, ?, ?, ?)"
 SET_OPTIMIZER = "INSERT OR REPLACE INTO optimizer VALUES (0, ?, ?)"
 
@@ -101,11 +116,15 @@ class Record:
             path = folder / DATABASE
             try:
                 write_whole(folder / EXPERIMENT, experiment.to_toml(complete).encode())
-                opening.create(path, opening.new_meta(complete, version_hash, metrics, **meta))
+                opening.create(
+                    path, opening.new_meta(complete, version_hash, metrics, **meta)
+                )
                 record = cls(folder, connect(path), lock)
             except (sqlite3.OperationalError, OSError) as error:
                 why = f"cannot be written: {describe(error, parent)}"
-                raise ConfigError(f"{folder}: {why}; choose another place with --out") from None
+                raise ConfigError(
+                    f"{folder}: {why}; choose another place with --out"
+                ) from None
             undo.pop_all()
         return record
 
@@ -152,7 +171,9 @@ class Record:
         except (sqlite3.OperationalError, OSError) as error:
             if not outage(error, self.folder):
                 raise
-            waiting = [values for sql, values in self._database.unwritten if sql == ADD_OUTCOMES]
+            waiting = [
+                values for sql, values in self._database.unwritten if sql == ADD_OUTCOMES
+            ]
             lost = sum(values[3] for values in waiting)  # the column count
             why = f"cannot be written ({describe(error, self.folder)})"
             self.say(f"{self.folder} {why}: resume evaluates {lost} trials again")
@@ -213,10 +234,15 @@ class Record:
         generation, round_ = self._generation, self._round
         if generation is None:  # the last round that was begun
             generation = self.resumed().generation
-            round_ = self._value("SELECT max(round) FROM outcomes WHERE generation = ?", generation)
+            round_ = self._value(
+                "SELECT max(round) FROM outcomes WHERE generation = ?", generation
+            )
         of = (generation, round_ or 0, server)
         self._database.write(
-            ("DELETE FROM outcomes WHERE (generation, round) = (?, ?) AND server = ?", of),
+            (
+                "DELETE FROM outcomes WHERE (generation, round) = (?, ?) AND server = ?",
+                of,
+            ),
             (
                 "UPDATE outcomes SET doubtful = 1 WHERE (generation, round) < (?, ?) "
                 "AND server = ?",
@@ -249,7 +275,9 @@ class Record:
         if measures is not None and measures.size:
             packed = map(bytes, measures.astype("<f8"))
         numbers, count = itertools.repeat(generation), len(genomes)
-        rows = list(zip(numbers, range(count), genomes, fitness.tolist(), packed, strict=False))
+        rows = list(
+            zip(numbers, range(count), genomes, fitness.tolist(), packed, strict=False)
+        )
         statements: list[Statement] = []
         for begin in range(0, count, CANDIDATES_AT_ONCE):
             part = rows[begin : begin + CANDIDATES_AT_ONCE]
@@ -259,7 +287,9 @@ class Record:
         row = (generation, time.time(), best, mean, count, to_json(statistics))
         statements.append((ADD_GENERATION, row))
         if state is not None:
-            statements.append((SET_OPTIMIZER, (generation, msgspec.msgpack.encode(state))))
+            statements.append(
+                (SET_OPTIMIZER, (generation, msgspec.msgpack.encode(state)))
+            )
         self._database.write_now(*statements)
 
     def flush(self) -> None:
@@ -292,7 +322,15 @@ class Record:
                 representation or ranking was changed.
         """
         restored = 0
-        for asked, trials, fitness, metrics, faulted, server, participants in self._database.rows(
+        for (
+            asked,
+            trials,
+            fitness,
+            metrics,
+            faulted,
+            server,
+            participants,
+        ) in self._database.rows(
             "SELECT asked, trials, fitness, metrics, faulted, server, participants FROM outcomes "
             "WHERE (generation, round) = (?, ?)",
             self._generation,
@@ -308,7 +346,9 @@ class Record:
             workload.fitness[indices] = np.frombuffer(fitness, "<f8").reshape(count, -1)
             workload.metrics[indices] = np.frombuffer(metrics, "<f8").reshape(count, -1)
             workload.counted[indices], workload.source[indices] = True, server
-            workload.faulted[indices] = bool(faulted)  # faulted trials are counted one by one
+            workload.faulted[indices] = bool(
+                faulted
+            )  # faulted trials are counted one by one
             restored += count
         return restored
 

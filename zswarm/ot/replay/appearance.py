@@ -26,7 +26,9 @@ COLOURS = {
     "c7": "#f0e442",
     "c8": "#000000",
 }
-AGENT = re.compile(r"(robot|opponent|cart|defender)\b(?!.*says)")  # in the colours of the palette
+AGENT = re.compile(
+    r"(robot|opponent|cart|defender)\b(?!.*says)"
+)  # in the colours of the palette
 KNOWN = {
     "^opponents' home": "home-2",
     "^opponents' flag": "flag-2",
@@ -38,7 +40,11 @@ KNOWN = {
     "too little": "c1",
 }
 # The first corner in half turns, the number of corners, and their distance in radii.
-SHAPES = {"square": (0.25, 4, math.sqrt(2)), "diamond": (0.0, 4, 1.1), "triangle": (-0.5, 3, 1.2)}
+SHAPES = {
+    "square": (0.25, 4, math.sqrt(2)),
+    "diamond": (0.0, 4, 1.1),
+    "triangle": (-0.5, 3, 1.2),
+}
 
 
 def kinds(*trials: Sequence[Frame]) -> dict[str, str]:

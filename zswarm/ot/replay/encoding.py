@@ -21,8 +21,8 @@ TURN = 65_536  # steps of a heading in a full turn
 STEPS = 65_535  # of a coordinate
 LEVELS = 254  # of a number of agents; 0 is NaN
 AS_IN_TRACE = (
-    "about note error no_picture fitness metrics rounds every sensors actuators neurons".split()
-)
+    "about note error no_picture fitness metrics rounds every sensors actuators neurons"
+).split()
 
 
 def encode(trace: Trace) -> bytes:
@@ -51,7 +51,11 @@ class _Track(NamedTuple):
     def packed(self) -> bytes:
         """Return differences between rows, by column; high bytes first, which compresses well."""
         steps = np.diff(self.values, axis=0, prepend=self.values[:1] * 0).T
-        halves = np.ascontiguousarray(steps).astype(steps.dtype.newbyteorder(">")).view(np.uint8)
+        halves = (
+            np.ascontiguousarray(steps)
+            .astype(steps.dtype.newbyteorder(">"))
+            .view(np.uint8)
+        )
         return np.ascontiguousarray(halves.reshape(-1, self.values.itemsize).T).tobytes()
 
 
@@ -71,7 +75,9 @@ def _header(of: Trace) -> dict[str, Any]:
         "height": float(first.height),
         "kinds": [clean(kind) for kind in colours],
         "colours": list(colours.values()),
-        "places": [[number_of[place.kind], *map(float, place[1:])] for place in first.places],
+        "places": [
+            [number_of[place.kind], *map(float, place[1:])] for place in first.places
+        ],
         "radii": [float(body.radius) for body in first.bodies],
         "shapes": [body.shape for body in first.bodies],
         "headed": [int(body.heading is not None) for body in first.bodies],
@@ -87,7 +93,11 @@ def _numbered(kinds: Iterable[str]) -> dict[str, int]:
 
 def _tracks(of: Trace) -> list[_Track]:
     tracks, every = _positions(of.frames) if of.frames else [], _numbers_every(of)
-    for name, numbers in (("inputs", of.inputs), ("outputs", of.outputs), ("hidden", of.hidden)):
+    for name, numbers in (
+        ("inputs", of.inputs),
+        ("outputs", of.outputs),
+        ("hidden", of.hidden),
+    ):
         if numbers.size:
             tracks.append(_levels(name, numbers[::every]))
     return tracks

@@ -23,7 +23,9 @@ COLOURS = 128
 def gif(trace: Trace, title: str) -> bytes:
     """Return the file; raise ConfigError if Pillow is missing, or the simulator draws nothing."""
     if not trace.frames:
-        raise ConfigError(f"{clean(title)}: its simulator draws no picture; expected html or csv")
+        raise ConfigError(
+            f"{clean(title)}: its simulator draws no picture; expected html or csv"
+        )
     painter, count = _Painter(trace, clean(title)), len(trace.frames)
     pictures = [
         painter.picture(trace.frames[number], trace.at(number))
@@ -31,12 +33,20 @@ def gif(trace: Trace, title: str) -> bytes:
     ]
     palette = pictures[len(pictures) // 2].quantize(COLOURS)
     undithered = painter.pillow.Dither.NONE
-    pictures = [picture.quantize(palette=palette, dither=undithered) for picture in pictures]
+    pictures = [
+        picture.quantize(palette=palette, dither=undithered) for picture in pictures
+    ]
     each = max(20, round(1000 * film.play_s(count) / len(pictures)))
     durations = [each] * (len(pictures) - 1) + [round(1000 * film.HOLD_S)]
     file, (first, *more) = io.BytesIO(), pictures
     first.save(
-        file, "GIF", save_all=True, append_images=more, duration=durations, loop=0, optimize=False
+        file,
+        "GIF",
+        save_all=True,
+        append_images=more,
+        duration=durations,
+        loop=0,
+        optimize=False,
     )
     return file.getvalue()
 
@@ -66,7 +76,9 @@ class _Painter:
             lambda kind: FINER * 30 + round(self.font.getlength(clean(kind))),
         )
         rows = 1 + max((row for _, _, row in self.legend), default=0)
-        self.height = self.top + self.field_height + FINER * LINE * rows + FINER * LINE // 2
+        self.height = (
+            self.top + self.field_height + FINER * LINE * rows + FINER * LINE // 2
+        )
 
     def picture(self, frame: Frame, at: int) -> Any:
         """Draw one frame."""
@@ -89,7 +101,9 @@ class _Painter:
 
     def _field(self, draw: Any, frame: Frame) -> None:
         for kind, x, y, width, height in self.places:
-            draw.rectangle((x, y, x + max(width, 0), y + max(height, 0)), self.colours[kind])
+            draw.rectangle(
+                (x, y, x + max(width, 0), y + max(height, 0)), self.colours[kind]
+            )
         for line in frame.lines:
             draw.line(line[1:], self.colours[line.kind], FINER * 3)
         for body in reversed(frame.bodies):

@@ -17,7 +17,9 @@ PURPOSE = "unseen"  # of the seeds
 class HeldOutResult(NamedTuple):
     """The trials of a champion."""
 
-    results: np.ndarray  # (trials, participants) float64 fitness: the champion's, then the others'
+    results: (
+        np.ndarray
+    )  # (trials, participants) float64 fitness: the champion's, then the others'
     metrics: np.ndarray  # (trials, metrics) float64
     metric_names: tuple[str, ...]
 
@@ -35,11 +37,18 @@ class HeldOutResult(NamedTuple):
     def fitness_summary(self) -> dict[str, float]:
         """Return mean and quartiles."""
         low, median, high = np.percentile(self.fitness, (25, 50, 75)).tolist()
-        return {"mean": float(self.fitness.mean()), "q25": low, "median": median, "q75": high}
+        return {
+            "mean": float(self.fitness.mean()),
+            "q25": low,
+            "median": median,
+            "q75": high,
+        }
 
     def metric_means(self) -> dict[str, float]:
         """Return the mean of each metric."""
-        return dict(zip(self.metric_names, self.metrics.mean(axis=0).tolist(), strict=True))
+        return dict(
+            zip(self.metric_names, self.metrics.mean(axis=0).tolist(), strict=True)
+        )
 
     def score(self) -> dict[str, int]:
         """Count trials won, tied and lost against the best of the others; NaN loses."""
@@ -77,7 +86,9 @@ def play(
         part = slice(begin, begin + CHUNK)
         players = np.minimum(places[part], 1)
         try:
-            outcomes = evaluate.evaluate(simulator, network, genomes, players, seeds[part])
+            outcomes = evaluate.evaluate(
+                simulator, network, genomes, players, seeds[part]
+            )
         except ValueError as error:
             raise ConfigError(f"the champion does not fit its network: {error}") from None
         if outcomes.error:
@@ -100,7 +111,12 @@ def _check_match(one: Controller, other: Controller, participants: int) -> None:
         raise ConfigError(
             f"{clean(one.simulator)} is played by one participant: --against is for games"
         )
-    for key in ("simulator", "simulator_settings", "representation", "representation_settings"):
+    for key in (
+        "simulator",
+        "simulator_settings",
+        "representation",
+        "representation_settings",
+    ):
         if getattr(one, key) != getattr(other, key):
             raise ConfigError(
                 f"the two champions cannot play each other: not the same {key.replace('_', ' ')}"

@@ -19,7 +19,13 @@ from zswarm.system.text import clean
 
 HERE = files("zswarm.ot.replay") / "pages"
 NAME = "replay.html"
-MODULES = ("decode", "elements", "picture", "panel", "player")  # each imports earlier ones
+MODULES = (
+    "decode",
+    "elements",
+    "picture",
+    "panel",
+    "player",
+)  # each imports earlier ones
 
 
 def page(trace: Trace, title: str) -> str:
@@ -39,7 +45,9 @@ def page(trace: Trace, title: str) -> str:
 
 def player() -> str:
     """Return the modules of the player as one script."""
-    text = "\n".join((HERE / f"{name}.js").read_text(encoding="utf-8") for name in MODULES)
+    text = "\n".join(
+        (HERE / f"{name}.js").read_text(encoding="utf-8") for name in MODULES
+    )
     return re.sub(r"^import .*\n|^export ", "", text, flags=re.MULTILINE)
 
 
@@ -56,13 +64,18 @@ def table(trace: Trace) -> tuple[list[str], Iterator[list[object]]]:
 
 
 def _rows(trace: Trace) -> Iterator[list[object]]:
-    agents, table = len(trace.owners), np.dstack((trace.inputs, trace.outputs, trace.hidden))
+    agents, table = (
+        len(trace.owners),
+        np.dstack((trace.inputs, trace.outputs, trace.hidden)),
+    )
     blank = [None] * table.shape[2]
     for number in range(max(len(trace.frames), len(table))):
         bodies = trace.frames[number].bodies if trace.frames else [None] * agents
         for index, body in enumerate(bodies):
             agent = index if index < agents else None
-            where = [None] * 4 if body is None else [body.kind, body.x, body.y, body.heading]
+            where = (
+                [None] * 4 if body is None else [body.kind, body.x, body.y, body.heading]
+            )
             acts = agent is not None and number < len(table)
             numbers = table[number, index].tolist() if acts else blank
             yield [trace.at(number), agent, index, *where, *numbers]

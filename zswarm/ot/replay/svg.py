@@ -14,12 +14,21 @@ from zswarm.sims.simulator import Body, Frame, Label, Line
 
 NAMESPACE = "http://www.w3.org/2000/svg"  # of a file; not needed within HTML
 SIDE, GAP = 420.0, 28.0  # pixels: of a panel, between two
-TITLE, LINE, LETTER = 24.0, 21.0, 7.0  # pixels: above a panel, a line and a letter of text
+TITLE, LINE, LETTER = (
+    24.0,
+    21.0,
+    7.0,
+)  # pixels: above a panel, a line and a letter of text
 MOST_FRAMES = 400
 MOST_POSITIONS = 100_000  # of all bodies; more would take megabytes
 MOST_TURNS = 200_000  # of a trial, some seconds of computing
 MOST_LABELS = 60  # and changes of labels
-FRAME_S, SHORTEST_S, LONGEST_S, HOLD_S = 0.12, 3.0, 12.0, 1.5  # the last picture stays for HOLD_S
+FRAME_S, SHORTEST_S, LONGEST_S, HOLD_S = (
+    0.12,
+    3.0,
+    12.0,
+    1.5,
+)  # the last picture stays for HOLD_S
 STYLE = (
     ".zs{font:13px system-ui,sans-serif}.zs text,.zs g g text{fill:#333}"
     ".zs .field{fill:#fafafa;stroke:#bbb}.zs .still{display:none}"
@@ -50,7 +59,9 @@ def svg(panels: Sequence[Panel]) -> str:
         height = max(height, frames[0].height * scale)
     width = left - GAP + 1
     legend, top, full = "", TITLE + height + LINE, 0.0
-    for kind, x, row in placed(colour_of, width, 1.0, lambda kind: 30 + LETTER * len(kind)):
+    for kind, x, row in placed(
+        colour_of, width, 1.0, lambda kind: 30 + LETTER * len(kind)
+    ):
         y = top + row * LINE
         box = f'x="{x:g}" y="{y - 10:g}" width="11" height="11" rx="2"'
         legend += f'<rect {box} fill="{colour_of[kind]}"/>'
@@ -123,7 +134,9 @@ class _Film:
 
     def _moving(self, way: Sequence[Body]) -> str:
         start = way[0]
-        fill = self._animated("fill", [self.colours[body.kind] for body in way], discrete=True)
+        fill = self._animated(
+            "fill", [self.colours[body.kind] for body in way], discrete=True
+        )
         if start.shape == "disc" and start.heading is None:
             x = self._animated("cx", [f"{body.x:.4g}" for body in way])
             y = self._animated("cy", [f"{body.y:.4g}" for body in way])
@@ -138,7 +151,9 @@ class _Film:
             f"{self._shape(at, fill)}</g></g>"
         )
 
-    def _animated(self, name: str, values: Sequence[str], *, discrete: bool = False) -> str:
+    def _animated(
+        self, name: str, values: Sequence[str], *, discrete: bool = False
+    ) -> str:
         """Animate an attribute or a transformation; return "" if it does not change."""
         if len(set(values)) == 1:
             return ""
@@ -174,7 +189,9 @@ class _Film:
 
     def _path(self, way: Sequence[Body]) -> str:
         points = " ".join(f"{body.x:.4g},{body.y:.4g}" for body in way)
-        stroke = f'stroke="{self.colours[way[-1].kind]}" stroke-opacity=".35" stroke-width="2"'
+        stroke = (
+            f'stroke="{self.colours[way[-1].kind]}" stroke-opacity=".35" stroke-width="2"'
+        )
         return f'<polyline points="{points}" fill="none" {stroke}/>{self._shape(way[-1])}'
 
     def _line(self, way: Sequence[Line]) -> str:

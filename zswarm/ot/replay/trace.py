@@ -26,7 +26,9 @@ from zswarm.sims import randomized
 from zswarm.sims.simulator import Frame, Outcome, Simulator
 from zswarm.system.text import clean
 
-MOST_FRAMES = 20_000  # of a trial; of a longer one every second frame is dropped, repeatedly
+MOST_FRAMES = (
+    20_000  # of a trial; of a longer one every second frame is dropped, repeatedly
+)
 MOST_POSITIONS = 400_000  # of all bodies in these frames, some 100 MB
 MOST_NUMBERS = 8_000_000  # of agents' inputs, outputs and neurons, 32 MB
 DIGEST = 16  # bytes of a genome's hash
@@ -94,11 +96,16 @@ def trace(
     problem = Problem(run.experiment)
     what = f"trial {trial} of candidate {candidate} in generation {generation}"
     recorded = _recorded(run, problem, (generation, candidate, trial), what)
-    players, number = recorded.get("candidates", [candidate]), recorded.get("trial", trial)
+    players, number = (
+        recorded.get("candidates", [candidate]),
+        recorded.get("trial", trial),
+    )
     seed = int(problem.trial_seeds(generation)[number])
     for player in players:
         if player not in candidates:
-            why = f"candidate {player} played in generation {generation}, and has no genome"
+            why = (
+                f"candidate {player} played in generation {generation}, and has no genome"
+            )
             raise ConfigError(f"{run.shown}: damaged: {why}")
     genomes = [candidates[player]["genome"] for player in players]
     try:
@@ -106,7 +113,10 @@ def trace(
     except ValueError as error:
         why = f"a genome does not fit its network: {error}"
         raise ConfigError(f"{run.shown}: damaged: {why}") from None
-    simulator, network = run.experiment.problem.simulator, run.experiment.representation.kind
+    simulator, network = (
+        run.experiment.problem.simulator,
+        run.experiment.representation.kind,
+    )
     theirs, ours = run.meta.get("version_hash"), version_hash(simulator, network)
     note = _difference(found, recorded)
     if note and theirs != ours:
@@ -146,7 +156,9 @@ def record(
     """
     parameters = representation.parameters(genomes)
     watched = _Watched(simulator, representation)
-    outcome = Outcome([math.nan] * simulator.participants, [math.nan] * len(simulator.metrics))
+    outcome = Outcome(
+        [math.nan] * simulator.participants, [math.nan] * len(simulator.metrics)
+    )
     error = ""
     try:
         played = turns(simulator, watched.network(), parameters, seed)
@@ -157,7 +169,10 @@ def record(
             outcome = Outcome(*([*map(_finite, part)] for part in simulator.outcome()))
     except (EvaluationError, MemoryError):
         raise
-    except (Exception, SystemExit) as raised:  # what a simulator raises is the trial's outcome
+    except (
+        Exception,
+        SystemExit,
+    ) as raised:  # what a simulator raises is the trial's outcome
         error = clean(f"{type(raised).__name__}: {raised}")
     inputs, outputs, hidden = watched.numbers()
     return Trace(
@@ -195,13 +210,20 @@ class _Watched:
     def network(self) -> Representation:
         """Return the network, whose decisions are watched."""
         network, decide = copy.copy(self.representation), self.representation.step
-        hidden = slice(self.representation.hidden_at.start, self.representation.hidden_at.stop)
+        hidden = slice(
+            self.representation.hidden_at.start, self.representation.hidden_at.stop
+        )
 
         def step(
-            parameters: np.ndarray, state: np.ndarray, observation: np.ndarray, output: np.ndarray
+            parameters: np.ndarray,
+            state: np.ndarray,
+            observation: np.ndarray,
+            output: np.ndarray,
         ) -> None:
             decide(parameters, state, observation, output)
-            self._now[self._acting.pop(0)] = np.concatenate((observation, output, state[hidden]))
+            self._now[self._acting.pop(0)] = np.concatenate(
+                (observation, output, state[hidden])
+            )
 
         network.step = step
         return network
@@ -210,7 +232,9 @@ class _Watched:
         """Watch these agents act; a round ends when an agent is about to act a second time."""
         if not self._numbers or not self._acted.isdisjoint(agents):
             self.rounds += bool(self._numbers)
-            self._now = np.full((len(self.simulator.owners), self.width), np.nan, np.float32)
+            self._now = np.full(
+                (len(self.simulator.owners), self.width), np.nan, np.float32
+            )
             if self.rounds % self.every == 0 or not self._numbers:
                 self._add()
             self._acted.clear()
@@ -231,7 +255,10 @@ class _Watched:
     def _add(self) -> None:
         self._draw()
         self._numbers.append(self._now)
-        count, bodies = len(self._numbers), len(self.frames[-1].bodies) if self.frames else 0
+        count, bodies = (
+            len(self._numbers),
+            len(self.frames[-1].bodies) if self.frames else 0,
+        )
         too_many = count >= MOST_FRAMES or count * bodies >= MOST_POSITIONS
         if too_many or count * self._now.size >= MOST_NUMBERS:
             self.frames, self._numbers = self.frames[::2], self._numbers[::2]
@@ -257,7 +284,10 @@ def _recorded(
         for one in run.trials(generation)
         if candidate in one.get("candidates", (one.get("candidate"),))
     ]
-    by_number, count = {one["trial"]: one for one in trials}, problem.experiment.problem.trials
+    by_number, count = (
+        {one["trial"]: one for one in trials},
+        problem.experiment.problem.trials,
+    )
     if problem.simulator.participants > 1:
         by_number, count = dict(enumerate(trials)), len(trials)
     if not 0 <= trial < count:
@@ -300,7 +330,10 @@ def _drawable(frames: Sequence[Frame]) -> bool:
     counts = len(first.bodies), len(first.lines)
     numbers: list[Any] = [first.width, first.height]
     for frame in frames:
-        if min(frame.width, frame.height) <= 0 or (len(frame.bodies), len(frame.lines)) != counts:
+        if (
+            min(frame.width, frame.height) <= 0
+            or (len(frame.bodies), len(frame.lines)) != counts
+        ):
             return False
         for body in frame.bodies:
             numbers += (body.x, body.y, body.radius, body.heading or 0.0)

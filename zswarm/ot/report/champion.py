@@ -40,7 +40,11 @@ def sections(champion: Controller, trials: int) -> dict[str, Any]:
         )
     except (ConfigError, MemoryError):
         return found
-    return found | _film(champion, simulator, network) | {"weights": _weights(champion, network)}
+    return (
+        found
+        | _film(champion, simulator, network)
+        | {"weights": _weights(champion, network)}
+    )
 
 
 def number(value: float | None) -> str:
@@ -56,7 +60,9 @@ def _played(champion: Controller, trials: int) -> dict[str, Any]:
         return {"not_played": clean(str(error)) or "there is not enough memory"}
 
 
-def _film(champion: Controller, simulator: Simulator, network: Representation) -> dict[str, str]:
+def _film(
+    champion: Controller, simulator: Simulator, network: Representation
+) -> dict[str, str]:
     """Film the first held-out trial, or return why that failed; empty if nothing is drawn."""
     seed = held_out.trial_seed(SEED, 0)
     genomes = [champion.genome] * simulator.participants
@@ -76,7 +82,10 @@ def _film(champion: Controller, simulator: Simulator, network: Representation) -
 
 def _weights(champion: Controller, network: Representation) -> Weights | None:
     """Return the weights of a fully-meshed network that fits its genome."""
-    if not isinstance(network, FullyMeshed) or len(champion.genome) != network.genome_bytes:
+    if (
+        not isinstance(network, FullyMeshed)
+        or len(champion.genome) != network.genome_bytes
+    ):
         return None
     table = network.tables([champion.genome])[0].astype(np.float64)
     if table.size > MAX_CELLS or not np.isfinite(table).all():

@@ -146,9 +146,18 @@ def _events(events: Sequence[Row]) -> list[Row]:
     """Count the events of each kind, the gravest first."""
     counts = Counter(event["event"] for event in events)
     last = {event["event"]: event for event in events}
-    grave = [*TROUBLE, *(event for event in RunEvent if event.severity != "info"), *sorted(counts)]
+    grave = [
+        *TROUBLE,
+        *(event for event in RunEvent if event.severity != "info"),
+        *sorted(counts),
+    ]
     return [
-        {"kind": kind, "count": counts[kind], "last": last[kind], "trouble": kind in TROUBLE}
+        {
+            "kind": kind,
+            "count": counts[kind],
+            "last": last[kind],
+            "trouble": kind in TROUBLE,
+        }
         for kind in sorted(counts, key=grave.index)
     ]
 

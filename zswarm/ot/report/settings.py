@@ -41,13 +41,19 @@ def settings_rows(complete: experiment.Experiment) -> list[SettingRow]:
 
 
 def _value(value: Any) -> str:
-    return f"{ranges.words(value)}, by trial" if ranges.is_range(value) else ranges.shown(value)
+    return (
+        f"{ranges.words(value)}, by trial"
+        if ranges.is_range(value)
+        else ranges.shown(value)
+    )
 
 
 def _defaults(struct: type[msgspec.Struct]) -> dict[str, Any]:
     return {
         field.name: msgspec.to_builtins(
-            field.default_factory() if field.default is msgspec.NODEFAULT else field.default
+            field.default_factory()
+            if field.default is msgspec.NODEFAULT
+            else field.default
         )
         for field in msgspec.structs.fields(struct)
         if not field.required

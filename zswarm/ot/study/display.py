@@ -109,11 +109,18 @@ class JsonStudyDisplay(PlainStudyDisplay):
         tables.print_json(
             {
                 "event": "done",
-                **{key: getattr(outcome, key) for key in ("study", "runs", "finished", "seconds")},
+                **{
+                    key: getattr(outcome, key)
+                    for key in ("study", "runs", "finished", "seconds")
+                },
                 "failed": len(outcome.failed),
                 **outcome.whole.numbers(),
                 "settings": [
-                    {"settings": summary.settings, "runs": summary.runs, **summary.numbers()}
+                    {
+                        "settings": summary.settings,
+                        "runs": summary.runs,
+                        **summary.numbers(),
+                    }
                     for summary in outcome.settings
                 ],
             }
@@ -138,7 +145,9 @@ class LiveStudyDisplay(PlainStudyDisplay):
             refresh_per_second=REFRESHES,
             transient=True,
         )
-        self._generations = sum(one.experiment.generations for one in study.left)  # to play
+        self._generations = sum(
+            one.experiment.generations for one in study.left
+        )  # to play
         self._all = self.progress.add_task(
             f"0/{self._planned} runs", total=self._generations, text=""
         )
@@ -192,9 +201,13 @@ def _described(ended: RunEnded) -> str:
 
 def _show(outcome: StudyOutcome) -> None:
     """Print the table of settings, the failed runs, and what can be done next."""
-    table = tables.table("setting", ">runs", ">q25", ">median", ">q75", ">best", ">evaluated")
+    table = tables.table(
+        "setting", ">runs", ">q25", ">median", ">q75", ">best", ">evaluated"
+    )
     for summary in outcome.settings:
-        label = summary.label or ("unchanged" if len(outcome.settings) > 1 else "all runs")
+        label = summary.label or (
+            "unchanged" if len(outcome.settings) > 1 else "all runs"
+        )
         spread = summary.fitness
         values = (spread.q25, spread.median, spread.q75, spread.best)
         numbers = ("" if value is None else f"{value:.6g}" for value in values)

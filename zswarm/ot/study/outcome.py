@@ -30,7 +30,9 @@ class Summary(NamedTuple):
 
     def numbers(self) -> dict[str, Any]:
         """Return what is reported to programs."""
-        found = {name: getattr(self.fitness, name) for name in ("median", "q25", "q75", "best")}
+        found = {
+            name: getattr(self.fitness, name) for name in ("median", "q25", "q75", "best")
+        }
         return {**found, "evaluations": self.evaluations}
 
 
@@ -44,7 +46,9 @@ class StudyOutcome(NamedTuple):
     settings: list[Summary]
     whole: Summary  # over all settings
     seconds: float  # of this program
-    relative: bool  # fitness of some runs is a score, which compares only within one generation
+    relative: (
+        bool  # fitness of some runs is a score, which compares only within one generation
+    )
 
 
 class StudyLogger(Logger):
@@ -74,7 +78,8 @@ def summarize(
     for one in finished:
         by_setting.setdefault(repr(one.planned.settings), []).append(one)  # 1 is not 1.0
     summaries = [
-        _summary(each, label(each, settings), by_setting.get(repr(each), [])) for each in settings
+        _summary(each, label(each, settings), by_setting.get(repr(each), []))
+        for each in settings
     ]
     return StudyOutcome(
         study,
@@ -90,6 +95,8 @@ def summarize(
 
 def _summary(settings: dict[str, Any], words: str, ended: Sequence[RunEnded]) -> Summary:
     results = [one.result for one in ended if one.result is not None]
-    best = np.array([-np.inf if np.isnan(result.best) else result.best for result in results])
+    best = np.array(
+        [-np.inf if np.isnan(result.best) else result.best for result in results]
+    )
     evaluations = sum(result.evaluations for result in results)
     return Summary(settings, words, len(results), spread(best), evaluations)

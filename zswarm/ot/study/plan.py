@@ -25,7 +25,9 @@ class Planned(NamedTuple):
     experiment: Experiment  # complete
 
 
-def plan(complete: Experiment, where: str, found: Mapping[str, str] | None = None) -> list[Planned]:
+def plan(
+    complete: Experiment, where: str, found: Mapping[str, str] | None = None
+) -> list[Planned]:
     """Return the runs of a study: all settings with the first seed, then with the next.
 
     A run's name follows from its setting and seed. Where two settings have the same name, or
@@ -36,7 +38,11 @@ def plan(complete: Experiment, where: str, found: Mapping[str, str] | None = Non
     Raises:
         ConfigError: a setting is impossible.
     """
-    variants, taken, planned = experiment.variants(complete, where), set[str](), list[Planned]()
+    variants, taken, planned = (
+        experiment.variants(complete, where),
+        set[str](),
+        list[Planned](),
+    )
     found = found or {}
     for seed in range(complete.seed, complete.seed + complete.study.repeat):
         for settings, variant in variants:
@@ -64,7 +70,9 @@ def identity(complete: Experiment) -> str:
 def label(settings: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> str:
     """Describe a setting by its changes, such as ``hidden 2, population 50``, in distinct words."""
     paths = {path for setting in others for path in setting}
-    return ", ".join(f"{_short(path, paths)} {_value(value)}" for path, value in settings.items())
+    return ", ".join(
+        f"{_short(path, paths)} {_value(value)}" for path, value in settings.items()
+    )
 
 
 def another(trials: Sequence[int | None], slots: int, *, at_once: int) -> bool:
@@ -85,20 +93,26 @@ def another(trials: Sequence[int | None], slots: int, *, at_once: int) -> bool:
 
 def _names(settings: Mapping[str, Any], seed: int) -> Iterator[str]:
     """Yield names for a run's folder, the best first."""
-    changes = ((path.rpartition(".")[2], _value(value)) for path, value in settings.items())
+    changes = (
+        (path.rpartition(".")[2], _value(value)) for path, value in settings.items()
+    )
     words = "-".join(fold(f"{key} {value}") for key, value in changes)
     words = words[: MAX_ID - len(f"-{'x' * DIGEST}-seed-{seed}")].strip("-")
     yield f"{words}-seed-{seed}".lstrip("-")
     what = json.dumps(settings, default=str)  # as they were written: 1 is not 1.0
     for number in range(1000):
-        digest = hashlib.blake2b(f"{number} {what}".encode(), digest_size=DIGEST // 2).hexdigest()
+        digest = hashlib.blake2b(
+            f"{number} {what}".encode(), digest_size=DIGEST // 2
+        ).hexdigest()
         yield f"{words}-{digest}-seed-{seed}".lstrip("-")
 
 
 def _short(path: str, others: set[str]) -> str:
     """Return the path's last word, if no other path ends in it."""
     last = path.rpartition(".")[2]
-    return clean(last if sum(other.rpartition(".")[2] == last for other in others) == 1 else path)
+    return clean(
+        last if sum(other.rpartition(".")[2] == last for other in others) == 1 else path
+    )
 
 
 def _value(value: Any) -> str:

@@ -42,12 +42,16 @@ STRANDED = {"lock", EXPERIMENT, f"{EXPERIMENT}.part", "run.part", "run.part-jour
 class _Running(Forwarder):
     """A run in progress, and the logger that its thread calls."""
 
-    def __init__(self, planned: Planned, logger: Logger, inbox: "_Inbox", computes: str) -> None:
+    def __init__(
+        self, planned: Planned, logger: Logger, inbox: "_Inbox", computes: str
+    ) -> None:
         self.planned, self.logger = planned, logger
         self.evolution: Evolution | None = None
         self.trials: int | None = None  # of its generation
         self.repeated = computes  # a line that the study logs itself
-        self.routine = False  # the next line is about an event that is not worth one in a study
+        self.routine = (
+            False  # the next line is about an event that is not worth one in a study
+        )
         self._inbox = inbox
         self._reported = (-1, 0.0)  # generation and time of the last progress
 
@@ -96,7 +100,9 @@ class Player:
         try:
             while self._waiting or self._running:
                 trials = [running.trials for running in self._running.values()]
-                if self._waiting and another(trials, self._connection.slots, at_once=at_once):
+                if self._waiting and another(
+                    trials, self._connection.slots, at_once=at_once
+                ):
                     self._begin(self._waiting.popleft())
                     continue
                 with contextlib.suppress(queue.Empty):
@@ -108,10 +114,17 @@ class Player:
             self._leave()
 
     def _begin(self, planned: Planned) -> None:
-        computes, logger = self._connection.who_computes(), self._logger.run_logger(planned)
+        computes, logger = (
+            self._connection.who_computes(),
+            self._logger.run_logger(planned),
+        )
         line = f"{planned.experiment.name}: {computes}"
-        running = self._running[planned.name] = _Running(planned, logger, self._inbox, line)
-        thread = threading.Thread(target=self._run, args=(running,), name=planned.name, daemon=True)
+        running = self._running[planned.name] = _Running(
+            planned, logger, self._inbox, line
+        )
+        thread = threading.Thread(
+            target=self._run, args=(running,), name=planned.name, daemon=True
+        )
         self._threads.append(thread)
         thread.start()
 
@@ -123,7 +136,11 @@ class Player:
             case "broke", (BaseException() as error,):
                 self._fail(running, error)
             case "on_say", (str() as line,):
-                if not running.routine and line != running.repeated and self._is_new(line):
+                if (
+                    not running.routine
+                    and line != running.repeated
+                    and self._is_new(line)
+                ):
                     running.logger.on_say(line)
                 running.routine = False
             case "on_event", (Note() as note,):
@@ -176,7 +193,9 @@ class Player:
                 running.evolution.stop()
         deadline = time.monotonic() + STOP_S
         for thread in self._threads:
-            if thread.is_alive():  # Ctrl-C may have prevented its start: it cannot be joined
+            if (
+                thread.is_alive()
+            ):  # Ctrl-C may have prevented its start: it cannot be joined
                 thread.join(max(0.0, deadline - time.monotonic()))
 
     # ---- a run's thread
@@ -202,7 +221,9 @@ class Player:
         if os.path.lexists(folder):
             _remove(folder)
         complete = planned.experiment
-        return evolution.start(complete, name, self._folder, self._connection, logger, name=name)
+        return evolution.start(
+            complete, name, self._folder, self._connection, logger, name=name
+        )
 
 
 def _lengthen(folder: Path, generations: int) -> None:

@@ -20,7 +20,13 @@ from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
 from zswarm.ot.build import build
 from zswarm.ot.cluster.connection import Connection
-from zswarm.ot.record.folder import DATABASE, EXPERIMENT, load_experiment, lock_folder, new_folder
+from zswarm.ot.record.folder import (
+    DATABASE,
+    EXPERIMENT,
+    load_experiment,
+    lock_folder,
+    new_folder,
+)
 from zswarm.ot.record.results import result_after
 from zswarm.ot.study.outcome import RunEnded, StudyLogger, StudyOutcome, summarize
 from zswarm.ot.study.plan import Planned, first_of_each, identity, label, plan
@@ -51,7 +57,9 @@ class Study:
             if (result := result_after(folder / one.name, one.experiment.generations))
         ]
         found = {path.parent.name for path in folder.glob(f"*/{DATABASE}")}
-        self.others = sorted(clean(name) for name in found - {one.name for one in planned})
+        self.others = sorted(
+            clean(name) for name in found - {one.name for one in planned}
+        )
         self._lock = lock
         self._stop = threading.Event()
         self._player: Player | None = None
@@ -135,7 +143,9 @@ class Study:
             for ended in self.ended:
                 logger.on_run(ended)
             if connection is not None and (left := self.left):
-                player = Player(self.folder, left, connection, logger, self._stop, self.ended)
+                player = Player(
+                    self.folder, left, connection, logger, self._stop, self.ended
+                )
                 self._player = player
                 player.play(self.experiment.study.at_once)
             seconds = time.monotonic() - begin
@@ -147,7 +157,11 @@ class Study:
     def _lines(self, connection: Connection | None) -> Iterator[str]:
         settings = len(first_of_each(self.planned))
         each = f" of {plural(settings, 'setting')}" if settings > 1 else ""
-        computes = f": {connection.who_computes()}" if connection is not None and self.left else ""
+        computes = (
+            f": {connection.who_computes()}"
+            if connection is not None and self.left
+            else ""
+        )
         yield f"{self.experiment.name}, {plural(len(self.planned), 'run')}{each}{computes}"
         if count := len(self.ended):
             yield f"{count} of them {'is' if count == 1 else 'are'} already finished"
@@ -173,7 +187,9 @@ def load_study(folder: Path) -> Experiment:
             f"{clean(str(folder))}: not a study; expected a folder with an {EXPERIMENT} that has a "
             "[study]"
         )
-    return experiment.complete(experiment.load(folder / EXPERIMENT), str(folder / EXPERIMENT))
+    return experiment.complete(
+        experiment.load(folder / EXPERIMENT), str(folder / EXPERIMENT)
+    )
 
 
 def _found(folder: Path) -> dict[str, str]:
@@ -185,7 +201,9 @@ def _found(folder: Path) -> dict[str, str]:
     return found
 
 
-def _checked_plan(complete: Experiment, where: str, found: Mapping[str, str]) -> list[Planned]:
+def _checked_plan(
+    complete: Experiment, where: str, found: Mapping[str, str]
+) -> list[Planned]:
     """Plan the runs, and build the parts of each setting once."""
     planned = plan(complete, where, found)
     for one in first_of_each(planned):

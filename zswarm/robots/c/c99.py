@@ -86,12 +86,16 @@ def pair(controller: Controller, name: str) -> dict[str, str]:
         "steps": STEPS,
         "observations": _rows(steps.observations),
         "actions": _rows(steps.actions),
-        "states": textwrap.fill(digests, WIDTH, initial_indent=INDENT, subsequent_indent=INDENT),
+        "states": textwrap.fill(
+            digests, WIDTH, initial_indent=INDENT, subsequent_indent=INDENT
+        ),
         "guards": GUARDS,
         **source._asdict(),
     }
     kinds = ("h", "c")
-    return {f"{unit.prefix}.{kind}": fill(f"c/controller.{kind}", words) for kind in kinds}
+    return {
+        f"{unit.prefix}.{kind}": fill(f"c/controller.{kind}", words) for kind in kinds
+    }
 
 
 def _names(controller: Controller, macro: str) -> str:
@@ -120,7 +124,10 @@ def _about(controller: Controller) -> list[str]:
 
 
 def _shown(settings: dict[str, object]) -> str:
-    texts = (f"{key} = {msgspec.json.encode(value).decode()}" for key, value in settings.items())
+    texts = (
+        f"{key} = {msgspec.json.encode(value).decode()}"
+        for key, value in settings.items()
+    )
     return ", ".join(texts) or "none"
 
 
@@ -145,7 +152,10 @@ def _call(callee: Callee) -> str:
 def _digests(controller: Controller, observations: np.ndarray) -> list[np.uint32]:
     """Return the digest of the state after each step, as the self-test computes it."""
     network, parameters = controller.network()
-    state, action = np.zeros(network.state_size, np.float32), np.zeros(network.outputs, np.float32)
+    state, action = (
+        np.zeros(network.state_size, np.float32),
+        np.zeros(network.outputs, np.float32),
+    )
     digests = []
     for observation in observations:
         network.step(parameters, state, observation, action)
@@ -159,6 +169,8 @@ def _digests(controller: Controller, observations: np.ndarray) -> list[np.uint32
 
 
 def _rows(table: np.ndarray) -> str:
-    wrapper = textwrap.TextWrapper(WIDTH, initial_indent=INDENT, subsequent_indent=INDENT + " ")
+    wrapper = textwrap.TextWrapper(
+        WIDTH, initial_indent=INDENT, subsequent_indent=INDENT + " "
+    )
     rows = (wrapper.fill(f"{{{', '.join(map(literal, row))}}}") for row in table)
     return ",\n".join(rows)

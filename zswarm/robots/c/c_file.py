@@ -58,7 +58,12 @@ BITS = """static %s {name}(%s)
 }}
 """
 LIBRARY["double_of_bits"] = BITS % ("double", "uint64_t bits", "bits = bits", "number")
-LIBRARY["bits_of_double"] = BITS % ("uint64_t", "double number", "number = number", "bits")
+LIBRARY["bits_of_double"] = BITS % (
+    "uint64_t",
+    "double number",
+    "number = number",
+    "bits",
+)
 
 
 class CSource(NamedTuple):
@@ -89,7 +94,9 @@ class CFile:
         self._bodies: list[str] = []
         self._structs: dict[str, str] = {}
         self._library: dict[str, str] = {}
-        self._tables: dict[tuple[str, bytes, str], tuple[str, str]] = {}  # values: name, text
+        self._tables: dict[
+            tuple[str, bytes, str], tuple[str, str]
+        ] = {}  # values: name, text
 
     def name(self, wanted: str) -> str:
         """Reserve a name in this file."""
@@ -109,13 +116,18 @@ class CFile:
         if key not in self._tables:
             name, of = self.name(spelled(hint)), SCALARS[numbers.dtype.name].c
             texts = [literal(number) for number in numbers]
-            rows = [", ".join(texts[at : at + PER_LINE]) for at in range(0, len(texts), PER_LINE)]
+            rows = [
+                ", ".join(texts[at : at + PER_LINE])
+                for at in range(0, len(texts), PER_LINE)
+            ]
             body = f",\n{INDENT}".join(rows)
             text = f"static const {of} {name}[{len(numbers)}] = {{\n{INDENT}{body}\n}};\n"
             self._tables[key] = name, text
         return self._tables[key][0]
 
-    def struct(self, function: str, of: tuple[Scalar, ...], names: tuple[str, ...]) -> StructType:
+    def struct(
+        self, function: str, of: tuple[Scalar, ...], names: tuple[str, ...]
+    ) -> StructType:
         """Add a struct for the tuple that a function returns."""
         name = self.name(f"{spelled(function)}_result")
         members = zip(of, names, strict=True)
@@ -127,11 +139,15 @@ class CFile:
         """Add a function with its declaration, a comment or "", and its body."""
         if public:
             self._prototypes.append(f"{remark}{head};\n")
-        self._bodies.append(f"{remark}{'' if public else 'static '}{head}\n{{\n{text}\n}}\n")
+        self._bodies.append(
+            f"{remark}{'' if public else 'static '}{head}\n{{\n{text}\n}}\n"
+        )
 
     def source(self) -> CSource:
         """Return the text; tables that no function names are left out."""
-        library = [LIBRARY[which].format(name=name) for which, name in self._library.items()]
+        library = [
+            LIBRARY[which].format(name=name) for which, name in self._library.items()
+        ]
         bodies = [*library, *self._bodies]
         used = _words(bodies)
         tables = [text for name, text in self._tables.values() if name in used]
@@ -139,7 +155,10 @@ class CFile:
         if not _words([*tables, *bodies]) & MATH:
             headers.remove("math")
         results = _words(self._prototypes)
-        structs: dict[bool, list[str]] = {True: [], False: []}  # by whether others need them
+        structs: dict[bool, list[str]] = {
+            True: [],
+            False: [],
+        }  # by whether others need them
         for name, text in self._structs.items():
             structs[name in results].append(text)
         return CSource(

@@ -42,7 +42,9 @@ class Expressions(Operations):
         if value.type == NOTHING:
             raise self.error(f"{quoted(node)}, which returns nothing")
         if value.changes and not may_change:
-            raise self.error(f"{quoted(node)} changes arrays within an expression: give it a line")
+            raise self.error(
+                f"{quoted(node)} changes arrays within an expression: give it a line"
+            )
         return value
 
     def effect(self, node: ast.expr) -> Value:
@@ -61,11 +63,15 @@ class Expressions(Operations):
             case ast.Name(id=name) if name in self.locals:
                 local = self.locals[name]
                 in_lane = isinstance(local.type, LanesType)
-                return Value(local.type, f"{local.name}[{self.lane}]" if in_lane else local.name)
+                return Value(
+                    local.type, f"{local.name}[{self.lane}]" if in_lane else local.name
+                )
             case ast.Name() | ast.Attribute():
                 return self.constant(self.known(node))
             case ast.BinOp(left=left, op=op, right=right) if type(op) in SIGNS:
-                return self.operation(SIGNS[type(op)], self.value(left), self.value(right))
+                return self.operation(
+                    SIGNS[type(op)], self.value(left), self.value(right)
+                )
             case ast.UnaryOp():
                 return self._unary(node)
             case ast.Compare(ops=ops) if all(type(op) in SIGNS for op in ops):
@@ -149,7 +155,9 @@ class Expressions(Operations):
             return Value(of, f"{test.operand} ? {yes.operand} : {no.operand}", loose=True)
         name = self.new("t")
         self.emit(f"{of.c} {name};", sets=name)
-        self.emit(f"if ({test.text})", [*first, CLine(f"{name} = {yes.text};", sets=name)])
+        self.emit(
+            f"if ({test.text})", [*first, CLine(f"{name} = {yes.text};", sets=name)]
+        )
         self.emit("else", [*second, CLine(f"{name} = {no.text};", sets=name)])
         return Value(of, name)
 
@@ -194,7 +202,9 @@ class Expressions(Operations):
             raise self.error()
         begin, length = self.index(cut.lower), None
         match cut.upper:
-            case ast.BinOp(left, ast.Add(), right) if ast.dump(left) == ast.dump(cut.lower):
+            case ast.BinOp(left, ast.Add(), right) if ast.dump(left) == ast.dump(
+                cut.lower
+            ):
                 length = self.index(right).constant
             case ast.expr() if begin.constant is not None:
                 end = self.index(cut.upper).constant
@@ -223,7 +233,9 @@ class Expressions(Operations):
             return intrinsic(self, *arguments)
         return self._call_kernel(node, function, arguments)
 
-    def _call_kernel(self, node: ast.Call, function: Any, arguments: list[Value]) -> Value:
+    def _call_kernel(
+        self, node: ast.Call, function: Any, arguments: list[Value]
+    ) -> Value:
         kinds = {type(each.type) for each in arguments}
         in_lanes = LanesType in kinds
         if in_lanes and Array in kinds:

@@ -68,7 +68,9 @@ def _fill(_: Operations, value: Value) -> Value:
 def _select(to: Operations, test: Value, yes: Value, no: Value) -> Value:
     """Translate ``lanes.select``; C computes only one side, which changes no result."""
     if test.element != BOOL or yes.element != no.element:
-        raise to.error(f"{quoted(to.node)}: expected a condition and two numbers of one type")
+        raise to.error(
+            f"{quoted(to.node)}: expected a condition and two numbers of one type"
+        )
     if test.constant is not None:
         return yes if test.constant else no
     text = f"{test.operand} ? {yes.operand} : {no.operand}"

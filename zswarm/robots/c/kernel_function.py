@@ -44,13 +44,25 @@ class KernelFunction:
     def check(self) -> None:
         """Raise ``ConfigError`` if arguments have defaults or may not be given by position."""
         args = self.tree.args
-        if args.posonlyargs or args.kwonlyargs or args.vararg or args.kwarg or args.defaults:
-            expected = "a function whose arguments have no defaults and may be given by position"
+        if (
+            args.posonlyargs
+            or args.kwonlyargs
+            or args.vararg
+            or args.kwarg
+            or args.defaults
+        ):
+            expected = (
+                "a function whose arguments have no defaults and may be given by position"
+            )
             raise self.error(self.tree, f"`{self.name}`; expected {expected}")
 
     def tested(self) -> set[str]:
         """Return names in conditions: a constant there decides which branch remains."""
-        tests = [each.test for each in ast.walk(self.tree) if isinstance(each, ast.If | ast.IfExp)]
+        tests = [
+            each.test
+            for each in ast.walk(self.tree)
+            if isinstance(each, ast.If | ast.IfExp)
+        ]
         return set().union(*map(names_in, tests))
 
     def measured(self) -> set[str]:

@@ -18,7 +18,9 @@ import numpy as np
 from zswarm.errors import ConfigError
 from zswarm.robots.c.kernel_function import parse, plain
 
-TYPES = set("bool_ int8 int16 int32 int64 uint8 uint16 uint32 uint64 float32 float64".split())
+TYPES = set(
+    "bool_ int8 int16 int32 int64 uint8 uint16 uint32 uint64 float32 float64".split()
+)
 SHOWN = 32  # longer arrays are packed
 WIDTH = 100  # columns of packed numbers
 
@@ -34,7 +36,10 @@ def functions(roots: Iterable[Callable[..., Any]]) -> str:
         gathered.name(root, root)
     for root in plain_roots:
         gathered.add(root)
-    return "\n".join([*gathered.constants, *(f"\n\n{text}" for text in gathered.texts)]) + "\n"
+    return (
+        "\n".join([*gathered.constants, *(f"\n\n{text}" for text in gathered.texts)])
+        + "\n"
+    )
 
 
 def packed(array: np.ndarray) -> str:
@@ -60,7 +65,9 @@ class _Gathered:
         self._names: dict[str, object] = {}  # values: a function, or a constant's text
         self._added: set[FunctionType] = set()
 
-    def name(self, thing: FunctionType | str, function: FunctionType, wanted: str = "") -> str:
+    def name(
+        self, thing: FunctionType | str, function: FunctionType, wanted: str = ""
+    ) -> str:
         """Return the name of a thing: its own if that is free, else with the module's."""
         own, module = wanted or function.__name__, function.__module__
         for name in (own, f"{own}_of_{module.rpartition('.')[2]}"):

@@ -34,7 +34,9 @@ from zswarm.robots.c.c_types import (
 from zswarm.robots.c.kernel_function import KernelFunction, quoted
 from zswarm.robots.c.tree import Callee, CLine, Local, Value, like
 
-Sign = tuple[str, Callable[..., Any]]  # the operator in C, and the function that computes it here
+Sign = tuple[
+    str, Callable[..., Any]
+]  # the operator in C, and the function that computes it here
 
 SIGNS: dict[type[ast.AST], Sign] = {
     ast.Add: ("+", operator.add),
@@ -66,13 +68,17 @@ class Operations:
 
     file: CFile
     source: KernelFunction
-    callee: Callable[["Operations", Any, Sequence[Value]], Callee]  # translates a function
+    callee: Callable[
+        ["Operations", Any, Sequence[Value]], Callee
+    ]  # translates a function
     names: set[str]  # all that the Python source uses
     node: ast.AST = field(default_factory=ast.Pass)  # that is being translated
     constants: dict[str, Value] = field(default_factory=dict)
     locals: dict[str, Local] = field(default_factory=dict)
     lines: list[CLine] = field(default_factory=list)
-    written: set[str] = field(default_factory=set)  # Python names of arrays that it changes
+    written: set[str] = field(
+        default_factory=set
+    )  # Python names of arrays that it changes
     lane: str = "lane"  # the counter in loops over lanes
     made: int = 0  # locals without a name in Python
 
@@ -109,7 +115,9 @@ class Operations:
         yield self.lines
         self.lines = outer
 
-    def emit(self, text: str, body: list[CLine] | None = None, sets: str = "", **how: bool) -> None:
+    def emit(
+        self, text: str, body: list[CLine] | None = None, sets: str = "", **how: bool
+    ) -> None:
         """Add a line; see ``CLine``."""
         self.lines.append(CLine(text, body, sets, **how))
 
@@ -134,7 +142,9 @@ class Operations:
         if value.constant is not None:
             return self.constant(convert(value.constant, to))
         if value.loose and to != BOOL:
-            value = self.named(value)  # MISRA C, rule 10.8: no cast of a composite expression
+            value = self.named(
+                value
+            )  # MISRA C, rule 10.8: no cast of a composite expression
         text = f"{value.operand} != 0" if to == BOOL else f"({to.c}){value.operand}"
         return value._replace(type=like(to, value), text=text, loose=to == BOOL)
 
@@ -146,7 +156,9 @@ class Operations:
             return _binary(BOOL, symbol * 2, left, right)
         if of == BOOL or (symbol in BITWISE and of not in WHOLE):
             raise self._mismatch(symbol, left, right)
-        if symbol in (*BITWISE, *DIVISIONS) and isinstance(like(of, left, right), LanesType):
+        if symbol in (*BITWISE, *DIVISIONS) and isinstance(
+            like(of, left, right), LanesType
+        ):
             raise self._mismatch(symbol, left, right)
         if symbol == "/" and of in WHOLE:
             of = FLOAT64
@@ -186,7 +198,9 @@ class Operations:
         if of in UNSIGNED:
             return _binary(of, symbol[0], left, right)
         if of == FLOAT64 and symbol == "%":
-            return self.apart(Value(of, f"{self.file.library('rest')}({left.text}, {right.text})"))
+            return self.apart(
+                Value(of, f"{self.file.library('rest')}({left.text}, {right.text})")
+            )
         if of != INT64:
             raise self._mismatch(symbol, left, right)
         name = self.file.library("floor_divide" if symbol == "//" else "floor_rest")
@@ -215,7 +229,9 @@ class Operations:
         if of == FLOAT64 and FLOAT32 in (left.element, right.element) and is_single:
             of = FLOAT32
         left, right = self.cast(left, of), self.cast(right, of)
-        return self._folded(function, BOOL, left, right) or _binary(BOOL, symbol, left, right)
+        return self._folded(function, BOOL, left, right) or _binary(
+            BOOL, symbol, left, right
+        )
 
     def all_of(self, symbol: str, parts: list[Value]) -> Value:
         """Join conditions by ``&&`` or ``||``; omit constants that decide nothing."""
@@ -232,7 +248,9 @@ class Operations:
             return remaining[0]
         if any(isinstance(part.type, LanesType) for part in remaining):
             raise self.error("a condition of lanes; use `&` and `select`")
-        return Value(BOOL, f" {symbol} ".join(part.operand for part in remaining), loose=True)
+        return Value(
+            BOOL, f" {symbol} ".join(part.operand for part in remaining), loose=True
+        )
 
     def common(self, yes: Value, no: Value) -> Any:
         """Return the type of a choice between two numbers."""

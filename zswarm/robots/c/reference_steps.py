@@ -38,4 +38,6 @@ def check_steps(controller: Controller, steps: int = STEPS) -> Steps:
     observations = numbers.reshape(steps, -1).astype(np.float32)
     observations[0] = 0.0
     observations[1::3] = np.abs(observations[1::3])  # what most sensors give
-    return Steps(observations, np.stack([driver.act(observation) for observation in observations]))
+    return Steps(
+        observations, np.stack([driver.act(observation) for observation in observations])
+    )

@@ -25,7 +25,9 @@ class Scope:
 def scope(function: ast.FunctionDef, arguments: Collection[str]) -> Scope:
     """Find where the variables of a function, except its arguments, are assigned and used."""
     found = Scope(Counter([*arguments, *assigned(function)]))
-    found.sets.subtract(_counter(each) for each in ast.walk(function) if isinstance(each, ast.For))
+    found.sets.subtract(
+        _counter(each) for each in ast.walk(function) if isinstance(each, ast.For)
+    )
     for name in dict.fromkeys(name for each in function.body for name in _uses(each)):
         if found.sets[name] > 0 and name not in arguments:
             _place(found, function.body, name, None)
@@ -67,7 +69,12 @@ def _uses(statement: ast.stmt) -> list[str]:
 
 def _head(statement: ast.stmt) -> list[str]:
     """Return the names in a statement outside of its blocks."""
-    inner = {id(each) for block in _blocks(statement) for part in block for each in ast.walk(part)}
+    inner = {
+        id(each)
+        for block in _blocks(statement)
+        for part in block
+        for each in ast.walk(part)
+    }
     nodes = (each for each in ast.walk(statement) if id(each) not in inner)
     return [each.id for each in nodes if isinstance(each, ast.Name)]
 

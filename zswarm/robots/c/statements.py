@@ -57,7 +57,9 @@ class Statements(Expressions):
             ):
                 self._assign(target, value)
             case ast.AugAssign(target=target, op=op, value=value):
-                self._assign(target, ast.copy_location(ast.BinOp(target, op, value), node))
+                self._assign(
+                    target, ast.copy_location(ast.BinOp(target, op, value), node)
+                )
             case ast.Expr(value=value):
                 self._expression(value)
             case ast.Break() | ast.Continue():
@@ -90,8 +92,12 @@ class Statements(Expressions):
             case ast.Tuple(elts=targets):
                 names = [each.id for each in targets if isinstance(each, ast.Name)]
                 if len(names) != len(targets):
-                    raise self.error(f"{quoted(self.node)}: expected variables as targets")
-                for name, value in zip(names, self._values(names, expression), strict=True):
+                    raise self.error(
+                        f"{quoted(self.node)}: expected variables as targets"
+                    )
+                for name, value in zip(
+                    names, self._values(names, expression), strict=True
+                ):
                     self._set(name, value, [])
             case _:
                 raise self.error()
@@ -122,7 +128,9 @@ class Statements(Expressions):
         self.emit(text, sets=local.name, changes=value.changes)
 
     def _lane_loop(self, body: list[CLine], sets: str = "") -> CLine:
-        return CLine(f"for (int {self.lane} = 0; {self.lane} < {LANES}; {self.lane}++)", body, sets)
+        return CLine(
+            f"for (int {self.lane} = 0; {self.lane} < {LANES}; {self.lane}++)", body, sets
+        )
 
     def _local(self, name: str, kind: Type) -> Local:
         """Return the local for a variable, of a type that also holds its earlier values."""
@@ -203,7 +211,9 @@ class Statements(Expressions):
         match node:
             case ast.Constant():
                 return
-            case ast.Call(func=func, args=[array, at, numbers]) if self.known(func) is lanes.store:
+            case ast.Call(func=func, args=[array, at, numbers]) if (
+                self.known(func) is lanes.store
+            ):
                 self._store(array, at, numbers)
                 return
         with self.captured() as made:
@@ -258,7 +268,9 @@ class Statements(Expressions):
         self.locals[name] = Local(INT64, counter)
         with self.captured() as made:
             self.block(node.body)
-        del self.locals[name]  # after the loop C's counter has another value than Python's
+        del self.locals[
+            name
+        ]  # after the loop C's counter has another value than Python's
         if outer is not None:
             self.locals[name] = outer
         change = "++" if step == 1 else f" += {step}" if step > 0 else f" -= {-step}"
@@ -269,13 +281,18 @@ class Statements(Expressions):
         """Return begin, end and step of a loop."""
         match node.iter:
             case ast.Call(func=func, args=args, keywords=[]) if self.known(func) is range:
-                bounds = [self.cast(self.whole(each, "a bound of a loop"), INT64) for each in args]
+                bounds = [
+                    self.cast(self.whole(each, "a bound of a loop"), INT64)
+                    for each in args
+                ]
             case _:
                 raise self.error(f"a loop over {quoted(node.iter)}; use range")
         begin, end = bounds[:2] if len(bounds) > 1 else [self.constant(0), bounds[0]]
         step = bounds[2].constant if len(bounds) > 2 else 1
         if not step:
-            raise self.error(f"the step of {quoted(node.iter)}; expected a constant but 0")
+            raise self.error(
+                f"the step of {quoted(node.iter)}; expected a constant but 0"
+            )
         is_plain = not end.loose and "(" not in end.text
         if not is_plain or names_in(node.iter) & set(assigned(node)):
             end = self._stable(end)

@@ -72,13 +72,17 @@ class Translation(CFile):
         if public:  # compilers warn of unused arguments
             void = [f"{INDENT}(void){identifier(names[at])};\n" for at in unread]
             text = "".join(void) + text
-        callee = Callee(name or self.name(spelled(source.name)), takes, writes, body.result)
+        callee = Callee(
+            name or self.name(spelled(source.name)), takes, writes, body.result
+        )
         parameters = [_parameter(names[at], given[at], at in writes) for at in takes]
         head = f"{body.result.c} {callee.name}({', '.join(parameters) or 'void'})"
         self.add(head, _remark(source), text, public=public)
         return callee
 
-    def _callee(self, caller: Operations, function: Any, given: Sequence[Value]) -> Callee:
+    def _callee(
+        self, caller: Operations, function: Any, given: Sequence[Value]
+    ) -> Callee:
         """Return a function for the arguments of a call; translate it if that was not done."""
         source = parse(function)
         names = source.arguments
@@ -92,7 +96,9 @@ class Translation(CFile):
             if isinstance(of, Array) and name not in measured:
                 of = Array(of.element)
             is_inserted = name in tested and not isinstance(of, Array)
-            bound.append(value._replace(type=of, constant=value.constant if is_inserted else None))
+            bound.append(
+                value._replace(type=of, constant=value.constant if is_inserted else None)
+            )
         # By their text: 0.0 equals -0.0, and NaN differs from itself.
         key = (source.plain, *((value.type, repr(value.constant)) for value in bound))
         if key not in self._done:
@@ -117,18 +123,27 @@ class Translation(CFile):
         )
         while body.lane in body.names:
             body.lane += "8"
-        constants = {name: each for name, each in arguments.items() if each.constant is not None}
+        constants = {
+            name: each for name, each in arguments.items() if each.constant is not None
+        }
         for name in arguments.keys() - constants:
             body.locals[name] = Local(arguments[name].type, identifier(name))
         settled, types = False, ""
         while not settled:
             body.constants = constants.copy()
-            body.lines, body.made, body.declared, body.written = [], 0, set(arguments), set()
+            body.lines, body.made, body.declared, body.written = (
+                [],
+                0,
+                set(arguments),
+                set(),
+            )
             ends = body.block(source.tree.body)
             before, types = types, repr((body.locals, body.result))
             settled = types == before
         if body.result != NOTHING and not ends:
-            raise source.error(source.tree, f"`{source.name}`: some path ends without a value")
+            raise source.error(
+                source.tree, f"`{source.name}`: some path ends without a value"
+            )
         return body
 
 
@@ -140,5 +155,7 @@ def _remark(source: KernelFunction) -> str:
 
 def _parameter(name: str, given: Value, is_written: bool) -> str:
     if isinstance(given.type, Array):
-        return f"{'' if is_written else 'const '}{given.type.element.c} *{identifier(name)}"
+        return (
+            f"{'' if is_written else 'const '}{given.type.element.c} *{identifier(name)}"
+        )
     return f"{given.element.c} {identifier(name)}"

@@ -81,7 +81,9 @@ class Callee(NamedTuple):
 
 def like(of: Scalar, *values: Value) -> Type:
     """Return the type of a result of these values: lanes if one of them is."""
-    return LanesType(of) if any(isinstance(each.type, LanesType) for each in values) else of
+    return (
+        LanesType(of) if any(isinstance(each.type, LanesType) for each in values) else of
+    )
 
 
 def inline(value: Value, lines: list[CLine]) -> str:
@@ -123,7 +125,11 @@ def render(lines: list[CLine], indent: str = INDENT) -> list[str]:
         if line.body is None:
             texts.append(indent + line.text)
         elif line.text != "else":
-            texts += [f"{indent}{line.text} {{", *render(line.body, indent + INDENT), f"{indent}}}"]
+            texts += [
+                f"{indent}{line.text} {{",
+                *render(line.body, indent + INDENT),
+                f"{indent}}}",
+            ]
         elif _is_chain(line.body):
             first, *others = render(line.body, indent)
             texts[-1] += f" else {first.lstrip()}"

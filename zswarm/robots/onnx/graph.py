@@ -39,7 +39,9 @@ class OnnxValue:
     __matmul__, __rmatmul__ = _operator("MatMul")
 
     def __getitem__(self, part: slice) -> "OnnxValue":
-        begin, end = (self.graph.constant([at], np.int64) for at in (part.start, part.stop))
+        begin, end = (
+            self.graph.constant([at], np.int64) for at in (part.start, part.stop)
+        )
         return self.op("Slice", begin, end)
 
     def cast(self, dtype: Any) -> "OnnxValue":
@@ -77,11 +79,14 @@ class OnnxGraph:
             self._constants[key] = self.onnx.numpy_helper.from_array(array, name)
         return OnnxValue(self, self._constants[key].name, dtype)
 
-    def op(self, kind: str, *inputs: Any, dtype: Any = None, **attributes: Any) -> OnnxValue:
+    def op(
+        self, kind: str, *inputs: Any, dtype: Any = None, **attributes: Any
+    ) -> OnnxValue:
         """Add an operation; its output has a dtype, or that of the first input."""
         of = next(each.dtype for each in inputs if isinstance(each, OnnxValue))
         values = [
-            each if isinstance(each, OnnxValue) else self.constant(each, of) for each in inputs
+            each if isinstance(each, OnnxValue) else self.constant(each, of)
+            for each in inputs
         ]
         name, names = f"v{len(self._nodes)}", [value.name for value in values]
         self._nodes.append(self.onnx.helper.make_node(kind, names, [name], **attributes))

@@ -124,7 +124,9 @@ def _fully_meshed(
     return Decided(values[neurons - network.outputs : neurons], values)
 
 
-def _layered(network: Layered, genome: bytes, observation: OnnxValue, before: OnnxValue) -> Decided:
+def _layered(
+    network: Layered, genome: bytes, observation: OnnxValue, before: OnnxValue
+) -> Decided:
     values, (hidden, last) = observation, network.activations
     activations = [hidden] * (len(network.widths) - 1) + [last]
     for (table,), activation in zip(network.tables([genome]), activations, strict=True):
@@ -132,10 +134,14 @@ def _layered(network: Layered, genome: bytes, observation: OnnxValue, before: On
     return Decided(values, before)
 
 
-def _ctrnn(network: CTRNN, genome: bytes, observation: OnnxValue, before: OnnxValue) -> Decided:
+def _ctrnn(
+    network: CTRNN, genome: bytes, observation: OnnxValue, before: OnnxValue
+) -> Decided:
     """Write a CTRNN; its memory is y."""
     inputs, neurons, half = network.inputs, network.neurons, np.float32(0.5)
-    rows = network.parameters([genome])[0][2:].reshape(network.sources + 2, -1)[:, :neurons]
+    rows = network.parameters([genome])[0][2:].reshape(network.sources + 2, -1)[
+        :, :neurons
+    ]
 
     def firing(y: OnnxValue) -> OnnxValue:
         return half + half * _tanh(half * (y + rows[-2]))
@@ -146,7 +152,9 @@ def _ctrnn(network: CTRNN, genome: bytes, observation: OnnxValue, before: OnnxVa
     return Decided(firing(y)[neurons - network.outputs : neurons], y)
 
 
-def _hebbian(network: Hebbian, genome: bytes, observation: OnnxValue, before: OnnxValue) -> Decided:
+def _hebbian(
+    network: Hebbian, genome: bytes, observation: OnnxValue, before: OnnxValue
+) -> Decided:
     """Write a Hebbian network; its memory is outputs, weights, and whether the weights are set."""
     graph, neurons, sources = observation.graph, network.neurons, network.sources
     rate = np.float64(network.vectors([genome])[0, -1])
@@ -162,7 +170,9 @@ def _hebbian(network: Hebbian, genome: bytes, observation: OnnxValue, before: On
     change = rate * (values.shaped(neurons, 1).cast(np.float64) - centre)
     heard = graph.concat(observation, values).shaped(1, sources).cast(np.float64)
     deltas = (change * (heard - centre)).cast(np.float32)
-    others = np.ones((neurons, sources), np.float32)  # 0 for the weight of a neuron to itself
+    others = np.ones(
+        (neurons, sources), np.float32
+    )  # 0 for the weight of a neuron to itself
     others[np.arange(neurons), network.inputs + np.arange(neurons)] = 0
     mean = (deltas * others).op("ReduceSum", keepdims=0) / (neurons * (sources - 1))
     plasticity = table[:, sources : 2 * sources] if network.plastic else np.float32(1)
@@ -171,7 +181,9 @@ def _hebbian(network: Hebbian, genome: bytes, observation: OnnxValue, before: On
     return Decided(values[neurons - network.outputs : neurons], after)
 
 
-def _neat(network: Neat, genome: bytes, observation: OnnxValue, before: OnnxValue) -> Decided:
+def _neat(
+    network: Neat, genome: bytes, observation: OnnxValue, before: OnnxValue
+) -> Decided:
     """Write a NEAT network.
 
     The memory is the neurons' values, float64, hidden ones first, then room for those that could
@@ -179,7 +191,9 @@ def _neat(network: Neat, genome: bytes, observation: OnnxValue, before: OnnxValu
     """
     graph, row = observation.graph, network.parameters([genome])[0]
     iterations, hidden, neurons = (int(number) for number in row[:3])
-    per_neuron = row[neat.HEADER :][: neurons * neat.PER_NEURON].reshape(neurons, neat.PER_NEURON)
+    per_neuron = row[neat.HEADER :][: neurons * neat.PER_NEURON].reshape(
+        neurons, neat.PER_NEURON
+    )
     links = row[neat.HEADER + per_neuron.size :].reshape(-1, neat.PER_LINK)
     weights, sources = _doubles(links[:, 1:]), links[:, 0].astype(int)
     biases, factors = _doubles(per_neuron[:, 1:4]), _doubles(per_neuron[:, 4:])
@@ -207,11 +221,15 @@ def _neat(network: Neat, genome: bytes, observation: OnnxValue, before: OnnxValu
 def _doubles(words: np.ndarray) -> np.ndarray:
     """Decode rows of three float32 numbers as ``neat.load_double`` does."""
     high, middle, low = words.astype(np.uint64).T
-    numbers: np.ndarray = (high << neat.HIGH | middle << neat.MIDDLE | low).view(np.float64)
+    numbers: np.ndarray = (high << neat.HIGH | middle << neat.MIDDLE | low).view(
+        np.float64
+    )
     return numbers
 
 
-def _mealy(network: Mealy, genome: bytes, observation: OnnxValue, before: OnnxValue) -> Decided:
+def _mealy(
+    network: Mealy, genome: bytes, observation: OnnxValue, before: OnnxValue
+) -> Decided:
     """Write a Mealy machine, exactly."""
     graph, row = observation.graph, network.parameters([genome])[0]
     states, first, product, table = int(row[0]), int(row[1]), int(row[3]), int(row[5])
@@ -246,9 +264,15 @@ def _class_of(value: OnnxValue, row: np.ndarray) -> tuple[OnnxValue, int]:
     return (steps.cast(np.float32) / [most - least]).cast(np.int64), units + 1
 
 
-def _bulk(network: Bulk, genome: bytes, observation: OnnxValue, before: OnnxValue) -> Decided:
+def _bulk(
+    network: Bulk, genome: bytes, observation: OnnxValue, before: OnnxValue
+) -> Decided:
     """Write all parts; the decision and the new memory of one are chosen."""
-    graph, parts, selector = observation.graph, network.settings.parts, network.settings.input
+    graph, parts, selector = (
+        observation.graph,
+        network.settings.parts,
+        network.settings.input,
+    )
     size, length = len(genome) // parts, memory(network.part).length
     number = _to_int(observation[selector : selector + 1] + np.float32(0.5))
     part = number.op("Min", [parts - 1]).op("Max", [0])

@@ -26,10 +26,16 @@ Positive = Annotated[float, Meta(gt=0, le=1e3)]
 class Topic(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A topic of each robot, or of the simulation."""
 
-    name: Annotated[Name, about("in the robot's namespace; with a slash first, from the root")]
-    reliable: Annotated[bool, about("of ROS 2; false: best effort, as sensors often are")] = True
+    name: Annotated[
+        Name, about("in the robot's namespace; with a slash first, from the root")
+    ]
+    reliable: Annotated[
+        bool, about("of ROS 2; false: best effort, as sensors often are")
+    ] = True
     frame: Annotated[str, about("frame in its header", max_length=200)] = ""
-    child_frame: Annotated[str, about("of odometry: the robot's frame", max_length=200)] = ""
+    child_frame: Annotated[
+        str, about("of odometry: the robot's frame", max_length=200)
+    ] = ""
 
 
 class VelocityTopic(Topic, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -41,7 +47,9 @@ class VelocityTopic(Topic, frozen=True, kw_only=True, forbid_unknown_fields=True
 class ResetTopic(Topic, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The topic or service that begins a trial."""
 
-    service: Annotated[bool, about("a service (std_srvs/Empty), not a topic with the seed")] = False
+    service: Annotated[
+        bool, about("a service (std_srvs/Empty), not a topic with the seed")
+    ] = False
 
 
 class Profile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -49,16 +57,22 @@ class Profile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     description: Annotated[str, about("one line", max_length=200)]
     ros: Annotated[Literal[1, 2], about("1 or 2")]
-    distribution: Annotated[str, about("of ROS: noetic, humble, jazzy", pattern="^[a-z]{3,20}$")]
+    distribution: Annotated[
+        str, about("of ROS: noetic, humble, jazzy", pattern="^[a-z]{3,20}$")
+    ]
     source: Annotated[str, about("where the names are from")] = ""
     tested: Annotated[str, about("what it was tested with")] = ""
-    namespace: Annotated[Name, about("of a robot among several; a single one has none")] = (
-        "robot_{i}"
-    )
-    frame_prefix: Annotated[str, about("of frames of a robot among several", max_length=200)] = ""
+    namespace: Annotated[
+        Name, about("of a robot among several; a single one has none")
+    ] = "robot_{i}"
+    frame_prefix: Annotated[
+        str, about("of frames of a robot among several", max_length=200)
+    ] = ""
     speed: Annotated[Positive, about("m/s that its base can do")]
     turn: Annotated[Positive, about("rad/s that its base can do")]
-    watchdog_s: Annotated[Positive, about("s without a scan or velocity until a robot stops")] = 1.0
+    watchdog_s: Annotated[
+        Positive, about("s without a scan or velocity until a robot stops")
+    ] = 1.0
     velocity: VelocityTopic
     scan: Topic
     odometry: Topic
@@ -69,7 +83,9 @@ class Profile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     @property
     def channels(self) -> tuple[Channel, ...]:
         """The channels that it has."""
-        return tuple(channel for channel in CHANNELS if getattr(self, channel) is not None)
+        return tuple(
+            channel for channel in CHANNELS if getattr(self, channel) is not None
+        )
 
     def topic(self, channel: Channel, robot: int, robots: int) -> str:
         """Return the whole name of a robot's topic, from the root.
@@ -91,7 +107,9 @@ class Profile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     def frame(self, frame: str, robot: int, robots: int) -> str:
         """Return a frame of the profile as that of a robot."""
-        prefix = self.frame_prefix.replace("{i}", str(robot)) if frame and robots > 1 else ""
+        prefix = (
+            self.frame_prefix.replace("{i}", str(robot)) if frame and robots > 1 else ""
+        )
         return prefix + frame
 
 

@@ -88,7 +88,9 @@ class RosFiles(HostingSimulator):
         try:
             return self._play(genomes[0], seed)
         except EvaluationError as error:
-            raise EvaluationError(f"simulator {self.name!r}, trial seed {seed}: {error}") from None
+            raise EvaluationError(
+                f"simulator {self.name!r}, trial seed {seed}: {error}"
+            ) from None
 
     def reset(self, seed: int) -> Turn:  # noqa: ARG002  of the contract
         """Refuse: trials have no turns."""
@@ -125,7 +127,9 @@ class RosFiles(HostingSimulator):
         roslaunch.launch(supervisor, package / manifest.launch, arguments, environment)
         if self._rule == "command":
             command = [*_filled(manifest.command, package), str(results)]
-            return Outcome([logs.given(run("command", command, manifest.command_limit_s))], [])
+            return Outcome(
+                [logs.given(run("command", command, manifest.command_limit_s))], []
+            )
         robots = logs.read(results, len(self.owners))
         fitness = logs.fitness(self._rule, robots)
         known = [robot.distance for robot in robots if robot.distance is not None]
@@ -145,7 +149,9 @@ class RosFiles(HostingSimulator):
     def _write(self, package: Path, genome: bytes, seed: int) -> dict[str, str]:
         """Write parameters and candidate; return the arguments of roslaunch."""
         manifest = self.manifest
-        arguments = {name: _fill(text, package) for name, text in manifest.arguments.items()}
+        arguments = {
+            name: _fill(text, package) for name, text in manifest.arguments.items()
+        }
         files = {
             name: {key: _fill(value, package) for key, value in values.items()}
             for name, values in manifest.parameters.items()
@@ -231,7 +237,9 @@ def _check_launch(manifest: LaunchManifest, package: Path) -> None:
     """Check that there is a launch file, and that it ends."""
     file = package / manifest.launch
     if not file.is_file():
-        raise ConfigError(f"launch: package {manifest.package!r} has no file {manifest.launch}")
+        raise ConfigError(
+            f"launch: package {manifest.package!r} has no file {manifest.launch}"
+        )
     text = file.read_text(encoding="utf-8", errors="replace")
     if "required=" not in text and "<include" not in text:
         raise ConfigError(
@@ -288,4 +296,8 @@ def _filled(command: Sequence[str], package: Path) -> list[str]:
 
 def _fill(value: Any, package: Path) -> Any:
     """Replace {package} in a text by the folder of the package."""
-    return value.replace("{package}", os.fspath(package)) if isinstance(value, str) else value
+    return (
+        value.replace("{package}", os.fspath(package))
+        if isinstance(value, str)
+        else value
+    )

@@ -36,7 +36,9 @@ def read(folder: Path, robots: int) -> list[RobotLog]:
     """Read the logs of a folder, in the order of their names."""
     files = sorted(folder.glob("*.log"))
     if len(files) != robots:
-        shown = [clean(file.name) for file in files[:SHOWN]] + ["..."] * (len(files) > SHOWN)
+        shown = [clean(file.name) for file in files[:SHOWN]] + ["..."] * (
+            len(files) > SHOWN
+        )
         names = f" ({', '.join(shown)})" if shown else ""
         raise LogError(
             f"{folder.name}/ has {len(files)} logs{names}; expected {robots}, one of each robot"
@@ -61,7 +63,9 @@ def read_log(file: Path) -> dict[int, float]:
         match = LINE.fullmatch(line)
         if match is None or not math.isfinite(float(match["distance"])):
             shown = f"not {clean(line)[:60]!r}"
-            raise LogError(f"{name}, line {number}: expected a step, a tab and a distance, {shown}")
+            raise LogError(
+                f"{name}, line {number}: expected a step, a tab and a distance, {shown}"
+            )
         found[int(match["step"])] = float(match["distance"])
     return found
 
@@ -79,7 +83,9 @@ def fitness(rule: str, robots: list[RobotLog]) -> float:
     """
     distances = [robot.distance for robot in robots if robot.distance is not None]
     if rule == "cpswarm-log":
-        filled = [FARTHEST if robot.distance is None else robot.distance for robot in robots]
+        filled = [
+            FARTHEST if robot.distance is None else robot.distance for robot in robots
+        ]
         return cpswarm_log(filled, [robot.steps or LONGEST for robot in robots])
     if empty := len(robots) - len(distances):
         raise LogError(

@@ -30,7 +30,9 @@ DIED = re.compile(
 )
 STARTED = "]: started with pid ["  # in roslaunch's line about a process
 # roslaunch ends: a required node ended, and later ends of nodes mean nothing; or all ended.
-OVER = re.compile(r"Initiating shutdown!|all processes on machine have died, roslaunch will exit")
+OVER = re.compile(
+    r"Initiating shutdown!|all processes on machine have died, roslaunch will exit"
+)
 COLOURS = re.compile(r"\x1b\[[0-9;]*m|\x1b\]2;[^\x07]*\x07")  # and titles of a terminal
 INSTALL = (
     "roslaunch is not installed here, or not on the PATH: apt install ros-core "
@@ -95,7 +97,9 @@ class Supervisor:
         assert self._process.stdout  # noqa: S101  a pipe
         line = self._process.stdout.readline()
         if not line:
-            raise EvaluationError(f"the supervisor of its processes ({SUPERVISOR.name}) was killed")
+            raise EvaluationError(
+                f"the supervisor of its processes ({SUPERVISOR.name}) was killed"
+            )
         answer: dict[str, Any] = json.loads(line)
         return answer
 
@@ -119,7 +123,10 @@ def environment(folder: Path, packages: Path) -> dict[str, str]:
 
 
 def launch(
-    supervisor: Supervisor, file: Path, arguments: Mapping[str, str], environment: Mapping[str, str]
+    supervisor: Supervisor,
+    file: Path,
+    arguments: Mapping[str, str],
+    environment: Mapping[str, str],
 ) -> None:
     """Have roslaunch run a launch file to its end, with a private master."""
     roslaunch = shutil.which("roslaunch", path=environment.get("PATH"))
@@ -130,7 +137,14 @@ def launch(
         Path(folder).mkdir()
     # Another master may take a free port first: with a run_id roslaunch refuses that master.
     port, mark = free_port(), secrets.token_hex(8)
-    command = [roslaunch, "-p", str(port), f"--run_id={mark}", "--skip-log-check", str(file)]
+    command = [
+        roslaunch,
+        "-p",
+        str(port),
+        f"--run_id={mark}",
+        "--skip-log-check",
+        str(file),
+    ]
     command += [f"{name}:={value}" for name, value in arguments.items()]
     with_master = {**environment, "ROS_MASTER_URI": f"http://{LOOPBACK}:{port}"}
     ended = supervisor.run(command, file.parent, with_master)
@@ -139,7 +153,9 @@ def launch(
     over = OVER.search(ended.output)
     if died := DIED.search(ended.output[: over.start() if over else None]):
         own = ended.output[: died.start()].rpartition(STARTED)[2].partition("\n")[2]
-        raise EvaluationError(f"node {clean(died['node'])} {ending(int(died['code']), own)}")
+        raise EvaluationError(
+            f"node {clean(died['node'])} {ending(int(died['code']), own)}"
+        )
     if over is None:
         raise EvaluationError(
             f"roslaunch was told to end before its nodes had ended{wrote(ended.output)}"

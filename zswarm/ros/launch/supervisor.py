@@ -34,7 +34,9 @@ def main() -> None:
     """Run commands until the input ends."""
     ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1)
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_DFL)  # slots ignore them; roslaunch ends nodes by them
+        signal.signal(
+            number, signal.SIG_DFL
+        )  # slots ignore them; roslaunch ends nodes by them
     sweep()
     folder, lock = make_folder()
     try:
@@ -127,7 +129,10 @@ def end_all() -> None:
 
 def children() -> list[int]:
     """Return the children of this process."""
-    return [int(pid) for pid in Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()]
+    return [
+        int(pid)
+        for pid in Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()
+    ]
 
 
 def read_line(source: int) -> bytes:

@@ -62,7 +62,10 @@ class Child:
             text = f"{command[0]} cannot be started for {name}: {error.strerror}"
             raise ConfigError(text) from None
         assert self._process.stdin and self._process.stdout  # noqa: S101, PT018  pipes
-        self._input, self._output = self._process.stdin.fileno(), self._process.stdout.fileno()
+        self._input, self._output = (
+            self._process.stdin.fileno(),
+            self._process.stdout.fileno(),
+        )
         for pipe in (self._input, self._output):
             os.set_blocking(pipe, False)
         self._reading, self._both = select.poll(), select.poll()
@@ -164,6 +167,8 @@ def _python_with(library: str) -> str:
     candidates = (sys.executable, "python3", "/usr/bin/python3")
     for python in candidates:
         with contextlib.suppress(OSError, subprocess.CalledProcessError):
-            subprocess.run([python, "-c", f"import {library}"], capture_output=True, check=True)
+            subprocess.run(
+                [python, "-c", f"import {library}"], capture_output=True, check=True
+            )
             return python
     return candidates[-1]

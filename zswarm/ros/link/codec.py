@@ -72,5 +72,7 @@ def decode(channel: Channel, robot: int, body: bytes) -> Message:
     if channel == "ground_truth":
         fields["truth"] = True
     if channel == "scan":
-        fields["ranges"] = np.frombuffer(body, LITTLE, offset=layout.size).astype(np.float32)
+        fields["ranges"] = np.frombuffer(body, LITTLE, offset=layout.size).astype(
+            np.float32
+        )
     return kind(**fields)

@@ -13,7 +13,9 @@ from zswarm.ros.link.child import Child, command
 
 LinkKind = Literal["rospy", "rclpy", "zenoh"]
 LOOPBACK = "127.0.0.1"
-DOMAINS = range(1, 102)  # their ports are outside the ephemeral ranges of systems (docs of ROS 2)
+DOMAINS = range(
+    1, 102
+)  # their ports are outside the ephemeral ranges of systems (docs of ROS 2)
 # Distributions without ROS_AUTOMATIC_DISCOVERY_RANGE.
 BEFORE_RANGES = ("foxy", "galactic", "humble")
 
@@ -26,7 +28,9 @@ class RosGraph(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     ]
     master: Annotated[str, about("rospy: URI of the master; empty: ROS_MASTER_URI")] = ""
     domain: Annotated[int, about("rclpy, zenoh: ROS domain", ge=0, le=232)] = 0
-    connect: Annotated[list[str], about("zenoh: endpoints such as tcp/127.0.0.1:7447")] = []
+    connect: Annotated[
+        list[str], about("zenoh: endpoints such as tcp/127.0.0.1:7447")
+    ] = []
     listen: Annotated[list[str], about("zenoh: endpoints to listen on")] = []
     local: Annotated[bool, about("nothing leaves this machine")] = True
 

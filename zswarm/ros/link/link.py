@@ -67,7 +67,9 @@ class Link:
             if channels is None or channel in channels
             for robot in range(1 if channel in SHARED else robots)
         ]
-        self._described = [_describe(profile, *topic, robots, side) for topic in self._topics]
+        self._described = [
+            _describe(profile, *topic, robots, side) for topic in self._topics
+        ]
         self._numbers = {
             topic: number
             for number, topic in enumerate(self._topics)
@@ -126,7 +128,9 @@ class Link:
             topic = codec.topic(message)
             number = self._numbers.get(topic)
             if number is None:
-                raise ValueError(f"{topic[0]} of robot {topic[1]} is not published by this link")
+                raise ValueError(
+                    f"{topic[0]} of robot {topic[1]} is not published by this link"
+                )
             body += frames.frame(number, codec.encode(message))
         self._child.write(body)
 
@@ -151,7 +155,9 @@ class Link:
         self._child.write(frames.frame(frames.CONTROL, b""))
         others: list[tuple[int, bytes]] = []
         try:
-            while (frame := self._child.next(max(1.0, deadline - time.monotonic()))) is not None:
+            while (
+                frame := self._child.next(max(1.0, deadline - time.monotonic()))
+            ) is not None:
                 if frame[0] == frames.CONTROL:
                     return [count for (count,) in frames.COUNT.iter_unpack(frame[1])]
                 others.append(frame)
@@ -173,7 +179,12 @@ class Link:
         required = set(open_ if channels is None else channels)
         if either and all(open_[channel] for channel in either):
             required |= set(either)
-        return [number for channel in open_ if channel in required for number in open_[channel]]
+        return [
+            number
+            for channel in open_
+            if channel in required
+            for number in open_[channel]
+        ]
 
     def _shown(self, numbers: list[int]) -> str:
         """Describe topics without another side."""

@@ -24,7 +24,9 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
 ROUTER = "tcp/127.0.0.1:7447"  # where rmw_zenohd listens
-ATTACHMENT = struct.Struct("<qqB16s")  # number, time in ns, length of the id, publisher's id
+ATTACHMENT = struct.Struct(
+    "<qqB16s"
+)  # number, time in ns, length of the id, publisher's id
 HASHLESS = ("humble",)  # distributions without hashes of types
 NO_HASH = "TypeHashNotSupported"
 PUBLISHER, SUBSCRIPTION = "MP", "MS"  # in a token
@@ -60,16 +62,27 @@ class ZenohNode:
     """
 
     def __init__(
-        self, session: zenoh.Session, name: str, *, domain: int = 0, distribution: str = "jazzy"
+        self,
+        session: zenoh.Session,
+        name: str,
+        *,
+        domain: int = 0,
+        distribution: str = "jazzy",
     ) -> None:
         """Announce it in the root's namespace."""
         ros2 = [store for store in Stores if store.name.startswith("ROS2_")]
         known = {store.name.partition("_")[2].lower(): store for store in ros2}
         if distribution not in known:
             names = ", ".join(known)
-            raise ValueError(f"no distribution {distribution!r} of ROS 2; known are {names}")
+            raise ValueError(
+                f"no distribution {distribution!r} of ROS 2; known are {names}"
+            )
         self.store = get_typestore(known[distribution])
-        self._session, self._domain, self._hashed = session, domain, distribution not in HASHLESS
+        self._session, self._domain, self._hashed = (
+            session,
+            domain,
+            distribution not in HASHLESS,
+        )
         self._self = f"@ros2_lv/{domain}/{session.info.zid()}/0"
         self._name = name
         self._numbers = itertools.count(1)
@@ -81,14 +94,21 @@ class ZenohNode:
             live.declare_token(f"{self._self}/0/NN/%/%/{name}"),
         ]
 
-    def publisher(self, topic: str, kind: str, *, reliable: bool = True) -> TopicPublisher:
+    def publisher(
+        self, topic: str, kind: str, *, reliable: bool = True
+    ) -> TopicPublisher:
         """Publish a topic such as ``/robot_0/cmd_vel`` of ``geometry_msgs/msg/Twist``."""
         publisher = TopicPublisher(self, self._session, topic, kind)
         self._declared += [publisher, self._token(PUBLISHER, topic, kind, reliable)]
         return publisher
 
     def subscribe(
-        self, topic: str, kind: str, callback: Callable[[Any], None], *, reliable: bool = True
+        self,
+        topic: str,
+        kind: str,
+        callback: Callable[[Any], None],
+        *,
+        reliable: bool = True,
     ) -> Callable[[], int]:
         """Pass a topic's messages to a callback, on Zenoh's thread; others are dropped.
 
@@ -146,7 +166,9 @@ class ZenohNode:
 class TopicPublisher:
     """Publishes a topic of a node."""
 
-    def __init__(self, node: ZenohNode, session: zenoh.Session, topic: str, kind: str) -> None:
+    def __init__(
+        self, node: ZenohNode, session: zenoh.Session, topic: str, kind: str
+    ) -> None:
         self._node, self._topic, self._kind = node, topic, kind
         self._publisher = session.declare_publisher(
             node.key(topic, kind),
@@ -159,14 +181,20 @@ class TopicPublisher:
     def publish(self, message: Any) -> None:
         """Send a message of rosbags."""
         self._sent += 1
-        attachment = ATTACHMENT.pack(self._sent, time.time_ns(), len(self._gid), self._gid)
+        attachment = ATTACHMENT.pack(
+            self._sent, time.time_ns(), len(self._gid), self._gid
+        )
         body = self._node.store.serialize_cdr(message, self._kind)
         self._publisher.put(bytes(body), attachment=attachment)
 
     def connected(self) -> int:
         """Return the number of subscriptions, once Zenoh has a route to them."""
         status: Any = self._publisher.matching_status  # zenoh's stub calls it a bool
-        return self._node.count(SUBSCRIPTION, self._topic, self._kind) if status.matching else 0
+        return (
+            self._node.count(SUBSCRIPTION, self._topic, self._kind)
+            if status.matching
+            else 0
+        )
 
     def undeclare(self) -> None:
         """Withdraw it."""

@@ -53,7 +53,11 @@ class LockStep:
         if not self._awaited:
             return None
         is_awaited = velocity is not None and velocity.robot in self._awaited
-        if velocity is not None and is_awaited and velocity.stamp_ns in (0, self._stamp_ns):
+        if (
+            velocity is not None
+            and is_awaited
+            and velocity.stamp_ns in (0, self._stamp_ns)
+        ):
             self._velocities[velocity.robot] = velocity
         if len(self._velocities) == len(self._awaited):
             velocities = dict(self._velocities)
@@ -61,6 +65,8 @@ class LockStep:
             return Step(velocities)
         if now < self._due:
             return None
-        silent = Overdue(tuple(sorted(self._awaited - self._velocities.keys())), self._stamp_ns)
+        silent = Overdue(
+            tuple(sorted(self._awaited - self._velocities.keys())), self._stamp_ns
+        )
         self.stop()
         return silent

@@ -100,7 +100,9 @@ class SimulationNode:
         now = time.monotonic()
         if self._options.lock_step:
             return self._link.receive(self._lock.left_s(now, IDLE_S))
-        return self._link.receive(max(0.0, self._next_step - now) if self._stamp_ns else IDLE_S)
+        return self._link.receive(
+            max(0.0, self._next_step - now) if self._stamp_ns else IDLE_S
+        )
 
     def _begin(self, seed: int) -> None:
         wait_for_listeners(self._link, self._options.deadline_s, self._options.channels)
@@ -158,7 +160,9 @@ class SimulationNode:
             self._lock.ask(self._agents, self._stamp_ns, time.monotonic())
 
     def _publish(self, robots: list[int]) -> None:
-        messages: list[Message] = [Clock(stamp_ns=self._stamp_ns)] if self._has_clock else []
+        messages: list[Message] = (
+            [Clock(stamp_ns=self._stamp_ns)] if self._has_clock else []
+        )
         channels = self._options.channels
         for robot in robots:
             odometry = self._odometry(robot)
@@ -174,7 +178,9 @@ class SimulationNode:
         pose = dict(zip("xyzw", self._simulator.poses[robot].tolist(), strict=True))
         linear, angular = float(self._linear[robot]), float(self._angular[robot])
         stamp_ns = self._stamp_ns
-        return Odometry(robot=robot, stamp_ns=stamp_ns, linear=linear, angular=angular, **pose)
+        return Odometry(
+            robot=robot, stamp_ns=stamp_ns, linear=linear, angular=angular, **pose
+        )
 
     def _scan(self, robot: int) -> Scan:
         interface = self._simulator.task.interface
@@ -191,10 +197,14 @@ class SimulationNode:
         )
 
 
-def wait_for_listeners(link: Link, timeout_s: float, channels: tuple[Channel, ...]) -> None:
+def wait_for_listeners(
+    link: Link, timeout_s: float, channels: tuple[Channel, ...]
+) -> None:
     """Wait until channels are connected; of poses one is enough, since controllers use one."""
     poses = [channel for channel in channels if channel in POSES]
-    link.ready(timeout_s, [channel for channel in channels if channel not in POSES], either=poses)
+    link.ready(
+        timeout_s, [channel for channel in channels if channel not in POSES], either=poses
+    )
 
 
 def _end_with_parent() -> None:
@@ -218,17 +228,25 @@ CHANNELS = "published for each robot, separated by commas"
 
 @click.command()
 @click.option("--link", type=LINKS, required=True, help="how to reach ROS")
-@click.option("--profile", required=True, help="names of topics: a bundled profile, or FILE.toml")
+@click.option(
+    "--profile", required=True, help="names of topics: a bundled profile, or FILE.toml"
+)
 @click.option("--master", default="", help="rospy: URI of the master")
 @click.option("--domain", default=0, help="rclpy, zenoh: ROS domain")
 @click.option("--connect", multiple=True, help="zenoh: endpoint to dial")
 @click.option("--listen", multiple=True, help="zenoh: endpoint to listen on")
-@click.option("--local/--not-local", default=True, help="whether nothing leaves this machine")
+@click.option(
+    "--local/--not-local", default=True, help="whether nothing leaves this machine"
+)
 @click.option("--settings", default="{}", help="of turtlebot-exit, as JSON")
 @click.option("--channels", default=",".join(PUBLISHED), help=CHANNELS)
 @click.option("--mode", type=MODES, default="lock-step")
-@click.option("--rate", type=click.FloatRange(1e-3, 1e3), default=1.0, help="free-running: speed")
-@click.option("--deadline-s", type=click.FloatRange(1e-3, 1e6), default=10.0, help="for an answer")
+@click.option(
+    "--rate", type=click.FloatRange(1e-3, 1e3), default=1.0, help="free-running: speed"
+)
+@click.option(
+    "--deadline-s", type=click.FloatRange(1e-3, 1e6), default=10.0, help="for an answer"
+)
 @click.option("--seed", type=SEED, help="play one trial, print its outcome and end")
 @click.option("--poses", type=FILE, help="with --seed: FILE.npy of all poses")
 @click.option("--child", is_flag=True, hidden=True, help="started by a slot")
@@ -256,12 +274,18 @@ def run(given: Any) -> None:
     simulator = TurtlebotExit(convert(parsed, TurtlebotExitSettings, "--settings"))
     reach = {name: getattr(given, name) for name in ("link", "master", "domain", "local")}
     graph = RosGraph(**reach, connect=list(given.connect), listen=list(given.listen))
-    published = tuple(each for each in PUBLISHED if each in names and each in profile.channels)
+    published = tuple(
+        each for each in PUBLISHED if each in names and each in profile.channels
+    )
     used = {*published, "clock", "velocity", "reset"}
-    options = NodeOptions(given.mode == "lock-step", given.rate, given.deadline_s, published)
+    options = NodeOptions(
+        given.mode == "lock-step", given.rate, given.deadline_s, published
+    )
     robots = simulator.settings.robots
     channels = [channel for channel in profile.channels if channel in used]
-    with Link(graph, profile, robots=robots, side="simulation", channels=channels) as link:
+    with Link(
+        graph, profile, robots=robots, side="simulation", channels=channels
+    ) as link:
         node = SimulationNode(simulator, link, profile, options)
         if given.child:
             _end_with_parent()
@@ -273,7 +297,9 @@ def run(given: Any) -> None:
         if given.poses is not None:
             np.save(given.poses, np.stack(node.poses))
         steps = len(node.poses) - 1
-        click.echo(json.dumps({"seed": given.seed, **_outcome(simulator), "steps": steps}))
+        click.echo(
+            json.dumps({"seed": given.seed, **_outcome(simulator), "steps": steps})
+        )
 
 
 def _outcome(simulator: TurtlebotExit) -> dict[str, Any]:

@@ -57,7 +57,14 @@ class Readings:
         reach = np.float32(self._interface.range)
         for robot in robots:
             scan, pose = self._scans[robot], self._poses[robot]
-            fit(scan.ranges, scan.angle_min, scan.angle_increment, view, reach, scans[robot])
+            fit(
+                scan.ranges,
+                scan.angle_min,
+                scan.angle_increment,
+                view,
+                reach,
+                scans[robot],
+            )
             poses[robot] = pose.x, pose.y, pose.z, pose.w
             latest = max(latest, scan.stamp_ns)
         return latest

@@ -36,7 +36,9 @@ SOON = 0.75  # of a step: a scan so much later is the next one; free-running one
 class Simulation:
     """A simulation at work, until it is closed or garbage-collected."""
 
-    def __init__(self, settings: RosSettings, profile: Profile, interface: RobotInterface) -> None:
+    def __init__(
+        self, settings: RosSettings, profile: Profile, interface: RobotInterface
+    ) -> None:
         """Start the link, and the node if it is the slot's own."""
         self._settings, self._profile = settings, profile
         self._robots, self._lock_step = settings.robots, settings.mode == "lock-step"
@@ -57,9 +59,13 @@ class Simulation:
                 opened.callback(self._node.close)
             else:
                 names = ("link", "master", "domain", "connect")
-                here = RosGraph(local=False, **{name: getattr(settings, name) for name in names})
+                here = RosGraph(
+                    local=False, **{name: getattr(settings, name) for name in names}
+                )
                 opened.enter_context(_alone_with(here))
-            link = Link(here, profile, robots=self._robots, side="controllers", channels=used)
+            link = Link(
+                here, profile, robots=self._robots, side="controllers", channels=used
+            )
             self._link = opened.enter_context(link)
             self._link.ready(READY_S)
             self.close = weakref.finalize(self, opened.pop_all().close)
@@ -78,7 +84,9 @@ class Simulation:
             self._await_reset(before_ns)
         self._look(range(self._robots), due_ns, scans, poses)
 
-    def drive(self, robots: Iterable[int], linear: np.ndarray, angular: np.ndarray) -> bool:
+    def drive(
+        self, robots: Iterable[int], linear: np.ndarray, angular: np.ndarray
+    ) -> bool:
         """Publish velocities; return whether the clock was past the scans they are based on."""
         late = False
         if not self._lock_step:
@@ -87,7 +95,9 @@ class Simulation:
         stamp_ns = self.stamp_ns
         self._link.send(
             [
-                Velocity(robot=at, stamp_ns=stamp_ns, linear=linear[at], angular=angular[at])
+                Velocity(
+                    robot=at, stamp_ns=stamp_ns, linear=linear[at], angular=angular[at]
+                )
                 for at in robots
             ]
         )
@@ -104,7 +114,9 @@ class Simulation:
         """Stop robots in a simulation that does not wait."""
         if not self._lock_step:
             still = Velocity(robot=0, stamp_ns=self.stamp_ns, linear=0.0, angular=0.0)
-            self._link.send([msgspec.structs.replace(still, robot=robot) for robot in robots])
+            self._link.send(
+                [msgspec.structs.replace(still, robot=robot) for robot in robots]
+            )
 
     def _look(
         self, robots: Sequence[int], due_ns: int, scans: np.ndarray, poses: np.ndarray

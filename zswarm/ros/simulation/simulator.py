@@ -65,7 +65,10 @@ class TurtlebotExitRos(Simulator):
         with self._running() as simulation:
             late = simulation.drive(agents, self.task.linear, self.task.angular)
             passed = simulation.look(agents, self._scans, self.poses)
-            self._sent, self._late = self._sent + len(agents), self._late + late * len(agents)
+            self._sent, self._late = (
+                self._sent + len(agents),
+                self._late + late * len(agents),
+            )
             turn, out = self.task.go_on(self._scans, self.poses, passed)
             simulation.halt(agents if turn is None else out)
         return turn
@@ -78,7 +81,9 @@ class TurtlebotExitRos(Simulator):
     def frame(self) -> Frame:
         """Return the picture of turtlebot-exit."""
         angles = [2 * atan2(z, w) for _, _, z, w in self.poses.tolist()]
-        return self._inside.picture(np.column_stack([self.poses[:, :2], angles]), self.task.agents)
+        return self._inside.picture(
+            np.column_stack([self.poses[:, :2], angles]), self.task.agents
+        )
 
     def close(self) -> None:
         """End the simulation; the next trial starts it again."""
@@ -91,8 +96,12 @@ class TurtlebotExitRos(Simulator):
         """Provide the simulation; its errors are the machine's, and end it."""
         try:
             if self._simulation is None:
-                self._simulation = Simulation(self.settings, self._profile, self.task.interface)
+                self._simulation = Simulation(
+                    self.settings, self._profile, self.task.interface
+                )
             yield self._simulation
         except (ConfigError, EvaluationError) as error:
             self.close()
-            raise EvaluationError(f"simulator {NAME!r}, trial seed {self._seed}: {error}") from None
+            raise EvaluationError(
+                f"simulator {NAME!r}, trial seed {self._seed}: {error}"
+            ) from None

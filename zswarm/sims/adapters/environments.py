@@ -26,9 +26,15 @@ LIBRARIES = ("gymnasium",)
 HALF_WORD, MASK = 32, 0xFFFFFFFF  # bits and largest of the seeds that environments take
 DEEPEST = 5  # nested tables of options
 TEXT = re.compile(r"\w[\w .+-]*|")  # cannot name a file or a module
-PLANE = 3.0  # width of a picture; agents of most environments start within 1 of its middle
+PLANE = (
+    3.0  # width of a picture; agents of most environments start within 1 of its middle
+)
 NUMBERED = re.compile(r"[ _-]?\d+$")  # the end of an agent's name
-QUIET = {"SDL_VIDEODRIVER": "dummy", "SDL_AUDIODRIVER": "dummy", "PYGAME_HIDE_SUPPORT_PROMPT": "1"}
+QUIET = {
+    "SDL_VIDEODRIVER": "dummy",
+    "SDL_AUDIODRIVER": "dummy",
+    "PYGAME_HIDE_SUPPORT_PROMPT": "1",
+}
 
 Options = Annotated[
     dict[str, Any], about("keyword arguments of the environment, such as `{ N = 5 }`")
@@ -47,9 +53,9 @@ class ParallelSettings(PartSettings, frozen=True):
             "agents, which is a participant: it needs a [ranking](co-evolution.md)"
         ),
     ] = "one"
-    fitness: Annotated[Literal["sum", "mean"], about("mean or sum of a participant's returns")] = (
-        "sum"
-    )
+    fitness: Annotated[
+        Literal["sum", "mean"], about("mean or sum of a participant's returns")
+    ] = "sum"
     steps: Steps = 10_000
 
 
@@ -116,7 +122,9 @@ class ParallelEnvironment(Simulator):
         fitness = [self._total(self.owners, owner) for owner in range(self.participants)]
         if self.settings.fitness == "mean":
             counts = map(self.owners.count, range(self.participants))
-            fitness = [total / count for total, count in zip(fitness, counts, strict=True)]
+            fitness = [
+                total / count for total, count in zip(fitness, counts, strict=True)
+            ]
         means = [
             self._total(self._type_of, type_) / self._type_of.count(type_)
             for type_ in range(len(self.types))

@@ -86,7 +86,9 @@ class Environment(Simulator):
         return environment
 
     def _turn(self, observation: Any) -> Turn:
-        return Turn((0,), self._senses.numbers(observation).astype(np.float32).reshape(1, -1))
+        return Turn(
+            (0,), self._senses.numbers(observation).astype(np.float32).reshape(1, -1)
+        )
 
 
 class Gymnasium(Environment):
@@ -111,7 +113,9 @@ class Gymnasium(Environment):
         """Return the environment that the settings name, one of those registered."""
         gymnasium = need("gymnasium", "gym", "simulator gymnasium")
         name = self.settings.environment
-        environments.check_name(name, gymnasium.registry, "gymnasium")  # refuses "module:name"
+        environments.check_name(
+            name, gymnasium.registry, "gymnasium"
+        )  # refuses "module:name"
         environments.without_window()
         try:
             return gymnasium.make(name, disable_env_checker=True, **options)

@@ -69,7 +69,9 @@ class PettingZoo(ParallelEnvironment):
         module = need(f"{known[name]}.{name}", "gym", name)
         if not hasattr(module, "parallel_env"):
             text = "its agents act one after the other (AEC)"
-            raise ConfigError(f"pettingzoo: {name}: {text}; expected a parallel interface")
+            raise ConfigError(
+                f"pettingzoo: {name}: {text}; expected a parallel interface"
+            )
         return module.parallel_env(**options)
 
 

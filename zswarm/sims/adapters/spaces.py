@@ -32,7 +32,9 @@ def sense(space: Any, where: str) -> Senses:
     """
     spaces = need("gymnasium.spaces", "gym", where)
     if not space.is_np_flattenable:
-        raise ConfigError(f"{where}: expected a fixed number of numbers, not {space!s:.80}")
+        raise ConfigError(
+            f"{where}: expected a fixed number of numbers, not {space!s:.80}"
+        )
     size = spaces.flatdim(space)
     is_box = isinstance(space, spaces.Box)
 
@@ -71,7 +73,9 @@ def act(space: Any, where: str) -> Acts:
             return Acts(bits, flags)
         case spaces.Dict():
             named = dict(space.spaces)
-            return _composed(named, where, lambda made: dict(zip(named, made, strict=True)))
+            return _composed(
+                named, where, lambda made: dict(zip(named, made, strict=True))
+            )
         case spaces.Tuple():
             return _composed(dict(enumerate(space.spaces)), where, tuple)
     raise ConfigError(f"{where}: expected numbers or choices, not {space!s:.80}")
@@ -106,12 +110,16 @@ def _choices(space: Any) -> Acts:
     return Acts(parts[-1].stop, action)
 
 
-def _composed(spaces: dict[Any, Any], where: str, compose: Callable[[list[Any]], Any]) -> Acts:
+def _composed(
+    spaces: dict[Any, Any], where: str, compose: Callable[[list[Any]], Any]
+) -> Acts:
     acts = [act(space, f"{where}: {key}") for key, space in spaces.items()]
     parts = _slices([each.size for each in acts])
 
     def action(outputs: np.ndarray) -> Any:
-        made = [each.action(outputs[part]) for each, part in zip(acts, parts, strict=True)]
+        made = [
+            each.action(outputs[part]) for each, part in zip(acts, parts, strict=True)
+        ]
         return compose(made)
 
     return Acts(sum(each.size for each in acts), action)

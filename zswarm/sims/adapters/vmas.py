@@ -52,10 +52,14 @@ class Vmas(ParallelEnvironment):
         """Return the scenario that the settings name."""
         vmas = need("vmas", "vmas", "simulator vmas")
         name = self.settings.scenario
-        check_name(name, {*vmas.scenarios, *vmas.debug_scenarios, *vmas.mpe_scenarios}, "vmas")
+        check_name(
+            name, {*vmas.scenarios, *vmas.debug_scenarios, *vmas.mpe_scenarios}, "vmas"
+        )
         torch = need("torch", "vmas", "simulator vmas")
         torch.set_num_threads(1)  # a slot is one core; and sums have one order
-        made = vmas.make_env(name, num_envs=1, device="cpu", continuous_actions=True, **options)
+        made = vmas.make_env(
+            name, num_envs=1, device="cpu", continuous_actions=True, **options
+        )
         return OneScenario(made, torch)
 
 
@@ -84,8 +88,12 @@ class OneScenario:
         """Return forces within their range, then messages from 0 to 1."""
         agent = self._agents[name]
         force = np.array(agent.action.u_range_tensor.tolist(), np.float32)
-        words = np.ones(self._scenario.get_agent_action_size(agent) - force.size, np.float32)
-        return self._spaces.Box(np.concatenate([-force, 0 * words]), np.concatenate([force, words]))
+        words = np.ones(
+            self._scenario.get_agent_action_size(agent) - force.size, np.float32
+        )
+        return self._spaces.Box(
+            np.concatenate([-force, 0 * words]), np.concatenate([force, words])
+        )
 
     def reset(self, seed: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Return observations."""

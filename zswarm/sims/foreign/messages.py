@@ -20,7 +20,11 @@ Agents = Annotated[list[Count], Meta(min_length=1, max_length=MAX_AGENTS)]
 
 
 class _Message(
-    msgspec.Struct, frozen=True, kw_only=True, tag_field="type", forbid_unknown_fields=True
+    msgspec.Struct,
+    frozen=True,
+    kw_only=True,
+    tag_field="type",
+    forbid_unknown_fields=True,
 ):
     """A message with its tag."""
 
@@ -61,13 +65,17 @@ class ProgramReady(_Message, frozen=True, tag="ready"):
     inputs: Count  # numbers that an agent observes in one decision
     outputs: Annotated[int, Meta(ge=1, le=MAX_SENSORS)]  # numbers that it sets
     owners: Agents  # per agent the participant that drives it
-    participants: Annotated[int, Meta(ge=1, le=1000)] = 1  # genomes that play one trial together
+    participants: Annotated[int, Meta(ge=1, le=1000)] = (
+        1  # genomes that play one trial together
+    )
     metrics: Annotated[list[Name], Meta(max_length=1000)] = []
     sensors: list[Name] = []
     actuators: list[Name] = []
     # Trials have this seed, the next one, and so on; None: any seeds.
     first_seed: Annotated[int, Meta(ge=0, le=2**62)] | None = None
-    hosts: bool = False  # the program decides for the controllers of the set-up's network itself
+    hosts: bool = (
+        False  # the program decides for the controllers of the set-up's network itself
+    )
 
 
 class TurnMessage(_Message, frozen=True, tag="turn"):

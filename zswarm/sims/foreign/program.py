@@ -41,7 +41,9 @@ Child = subprocess.Popen[bytes]
 R = TypeVar("R", bound=messages.Reply)
 
 _encoder = msgspec.msgpack.Encoder()
-_decoder: msgspec.msgpack.Decoder[messages.Reply] = msgspec.msgpack.Decoder(messages.Reply)
+_decoder: msgspec.msgpack.Decoder[messages.Reply] = msgspec.msgpack.Decoder(
+    messages.Reply
+)
 
 
 class Program:
@@ -62,7 +64,9 @@ class Program:
         self._end = weakref.finalize(self, _end, self._process, guard, self._pidfd)
         _send(guard, f"{self._process.pid}\n")
         pipes = self._process.stdin, self._process.stdout, self._process.stderr
-        self._input, self._output, self._errors = (pipe.fileno() for pipe in pipes if pipe)
+        self._input, self._output, self._errors = (
+            pipe.fileno() for pipe in pipes if pipe
+        )
         for pipe in (self._input, self._output, self._errors):
             os.set_blocking(pipe, False)
         self._poll = select.poll()
@@ -88,10 +92,15 @@ class Program:
 
     def is_there(self) -> bool:
         """Return whether the program still runs, as far as the system tells."""
-        return self.open and not any(ready == self._pidfd for ready, _ in self._poll.poll(0))
+        return self.open and not any(
+            ready == self._pidfd for ready, _ in self._poll.poll(0)
+        )
 
     def ask(
-        self, message: messages.Request, expected: tuple[type[R], ...], limit_s: float = 0.0
+        self,
+        message: messages.Request,
+        expected: tuple[type[R], ...],
+        limit_s: float = 0.0,
     ) -> R | messages.Error:
         """Return the program's answer: one of the expected types, or an error.
 
@@ -107,7 +116,9 @@ class Program:
         with contextlib.suppress(BlockingIOError):  # nothing to read
             self._received += os.read(self._output, CHUNK)
         if self._received:
-            raise self._broken("it sent a message unasked; expected one answer to each message")
+            raise self._broken(
+                "it sent a message unasked; expected one answer to each message"
+            )
         body = _encoder.encode(message)
         if len(body) > MAX_FRAME:
             text = f"has {len(body)} bytes; at most {MAX_FRAME} are sent"
@@ -144,7 +155,9 @@ class Program:
 
     def _answer(self, expected: str, deadline: float | None) -> messages.Reply:
         received = self._received
-        while len(received) < 5 or len(received) < 4 + int.from_bytes(received[:4], "little"):
+        while len(received) < 5 or len(received) < 4 + int.from_bytes(
+            received[:4], "little"
+        ):
             self._check_frame(expected)
             self._wait(expected, deadline)
         self._check_frame(expected)
@@ -170,7 +183,9 @@ class Program:
             shown = printed[0].decode().strip().partition("\n")[0]
             text = f"its standard output has {shown!r}; print to standard error only"
         elif length > MAX_FRAME:
-            text = f"it sent a message of {length} bytes; at most {MAX_FRAME} are accepted"
+            text = (
+                f"it sent a message of {length} bytes; at most {MAX_FRAME} are accepted"
+            )
         else:
             text = "it sent a message that is not a map"
         raise self._broken(f"{text}; expected {expected}")
@@ -226,7 +241,9 @@ def _start(manifest: Manifest, folder: Path) -> tuple[Child, Child]:
     pipe = subprocess.PIPE
     null = subprocess.DEVNULL
     command = ["/bin/sh", "-c", GUARD]
-    guard = subprocess.Popen(command, stdin=pipe, stdout=null, stderr=null, process_group=0)
+    guard = subprocess.Popen(
+        command, stdin=pipe, stdout=null, stderr=null, process_group=0
+    )
     try:
         process = subprocess.Popen(
             manifest.command,
@@ -258,7 +275,9 @@ def _exit_code(process: int) -> int | None:
     The process is not reaped: its number cannot become that of another process yet.
     """
     end = time.monotonic() + ENDING_S
-    while (found := os.waitid(os.P_PID, process, os.WEXITED | os.WNOWAIT | os.WNOHANG)) is None:
+    while (
+        found := os.waitid(os.P_PID, process, os.WEXITED | os.WNOWAIT | os.WNOHANG)
+    ) is None:
         if time.monotonic() > end:
             return None
         time.sleep(0.001)

@@ -65,7 +65,9 @@ class Foreign(HostingSimulator):
 
     def _names(self, key: str, names: Sequence[str], count: int) -> tuple[str, ...]:
         if len(names) not in (0, count):
-            raise self._refusal(f"{key}: expected {count} names or none, not {len(names)}")
+            raise self._refusal(
+                f"{key}: expected {count} names or none, not {len(names)}"
+            )
         return tuple(map(clean, names))
 
     def host(self, kind: str, settings: Mapping[str, Any]) -> bool:
@@ -76,7 +78,9 @@ class Foreign(HostingSimulator):
         ready = self._set_up()
         _release(self._taken, self.spare)
         if msgspec.structs.replace(ready, hosts=self._ready.hosts) != self._ready:
-            raise self._refusal("ready must be the same for each network, except for hosts")
+            raise self._refusal(
+                "ready must be the same for each network, except for hosts"
+            )
         if not ready.hosts:
             self._setup = alone
         return ready.hosts
@@ -149,7 +153,10 @@ class Foreign(HostingSimulator):
         return reply
 
     def _answer(
-        self, message: messages.Request, expected: tuple[type[R], ...], limit_s: float = 0.0
+        self,
+        message: messages.Request,
+        expected: tuple[type[R], ...],
+        limit_s: float = 0.0,
     ) -> R | messages.Error:
         program = self._program()
         with self._located():
@@ -161,7 +168,11 @@ class Foreign(HostingSimulator):
             while self.spare and not self.spare[0].is_there():
                 self.spare.pop().close()
             with self._located():
-                program = self.spare.pop() if self.spare else Program(self.manifest, self.folder)
+                program = (
+                    self.spare.pop()
+                    if self.spare
+                    else Program(self.manifest, self.folder)
+                )
             self._taken[:] = [program]
         return self._taken[0]
 
@@ -213,7 +224,9 @@ def simulator_class(name: str, manifest: Path) -> type[Foreign]:
     return type(name, (Foreign,), members)
 
 
-def settings_struct(entries: Sequence[messages.SettingEntry], where: str) -> type[msgspec.Struct]:
+def settings_struct(
+    entries: Sequence[messages.SettingEntry], where: str
+) -> type[msgspec.Struct]:
     """Return a struct of a program's settings.
 
     Args:
@@ -234,7 +247,9 @@ def settings_struct(entries: Sequence[messages.SettingEntry], where: str) -> typ
         if is_bounded and entry.type not in ("int", "float"):
             raise ConfigError(f"{at}: minimum and maximum are of a number")
         kind: Any = Literal[tuple(entry.choices)] if entry.choices else TYPES[entry.type]
-        meta = Meta(ge=entry.minimum, le=entry.maximum, description=clean(entry.description))
+        meta = Meta(
+            ge=entry.minimum, le=entry.maximum, description=clean(entry.description)
+        )
         try:
             default = msgspec.convert(entry.default, Annotated[kind, meta])
         except (msgspec.ValidationError, TypeError, ValueError) as error:

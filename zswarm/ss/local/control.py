@@ -82,7 +82,9 @@ class Control:
                     path.unlink()
         self.path = here / (server + SUFFIX)
         self._put = put
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
+        self._socket = socket.socket(
+            socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC
+        )
         try:
             self._socket.bind(str(self.path))
             self.path.chmod(0o666)  # ``_reply`` checks who may drain
@@ -90,7 +92,10 @@ class Control:
         except OSError as error:
             self._socket.close()
             # Python gives no number for a path that is too long
-            number, reason = error.errno or errno.ENAMETOOLONG, error.strerror or str(error)
+            number, reason = (
+                error.errno or errno.ENAMETOOLONG,
+                error.strerror or str(error),
+            )
             raise OSError(number, reason, str(self.path)) from None
         self._clients: list[Any] = []  # the tasks that serve them, the oldest first
         self._closing = asyncio.Event()
@@ -109,11 +114,15 @@ class Control:
             runner.run(self._listen())
 
     async def _listen(self) -> None:
-        server = await asyncio.start_unix_server(self._serve, sock=self._socket, limit=MAX_REQUEST)
+        server = await asyncio.start_unix_server(
+            self._serve, sock=self._socket, limit=MAX_REQUEST
+        )
         await self._closing.wait()
         server.close()
 
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _serve(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
         """Serve a client; drop the oldest if there are too many."""
         task = asyncio.current_task()
         self._clients.append(task)
@@ -135,13 +144,17 @@ class Control:
                 self._clients.remove(task)
             writer.transport.abort()
 
-    async def _reply(self, reader: asyncio.StreamReader, user: int) -> tuple[msgspec.Struct, bool]:
+    async def _reply(
+        self, reader: asyncio.StreamReader, user: int
+    ) -> tuple[msgspec.Struct, bool]:
         """Return the answer to a request, and whether the client waits for the server's end."""
         try:
             line = await reader.readuntil(b"\n")
             request = msgspec.json.decode(line, type=LocalRequest)
         except asyncio.LimitOverrunError:
-            return ControlRefused(f"expected one line of at most {MAX_REQUEST} bytes"), False
+            return ControlRefused(
+                f"expected one line of at most {MAX_REQUEST} bytes"
+            ), False
         except (msgspec.DecodeError, RecursionError) as error:
             expected = 'expected {"ask": "status"} or {"ask": "drain"}'
             return ControlRefused(f"{expected}: {error}"), False
@@ -150,7 +163,9 @@ class Control:
             return ControlRefused(f"{allowed}, not the user {user}"), False
         query = LocalQuery(request, Future())
         self._put(query)
-        return await asyncio.wrap_future(query.answer), request.ask == "drain" and request.wait
+        return await asyncio.wrap_future(
+            query.answer
+        ), request.ask == "drain" and request.wait
 
 
 def _make(here: Path) -> None:

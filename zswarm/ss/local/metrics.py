@@ -29,11 +29,15 @@ class Metrics(Collector):
         registry = CollectorRegistry()
         registry.register(self)
         try:
-            self._server = make_server(ADDRESS, port, make_wsgi_app(registry), _Server, _Silent)
+            self._server = make_server(
+                ADDRESS, port, make_wsgi_app(registry), _Server, _Silent
+            )
         except OSError as error:
             text = f"{ADDRESS}:{port} cannot be listened on: {error.strerror}"
             raise ConfigError(f"--metrics {port}: {text}") from None
-        threading.Thread(target=self._server.serve_forever, name="metrics", daemon=True).start()
+        threading.Thread(
+            target=self._server.serve_forever, name="metrics", daemon=True
+        ).start()
 
     def close(self) -> None:
         """Close the port."""
@@ -48,7 +52,10 @@ class Metrics(Collector):
         gauges = {
             "start_time_seconds": (view.since, "Start of this server, Unix time."),
             "warm": (view.warm, "Whether the slots are warm."),
-            "draining": (view.draining, "Whether it finishes what runs and takes nothing new."),
+            "draining": (
+                view.draining,
+                "Whether it finishes what runs and takes nothing new.",
+            ),
             "slots_missed": (len(view.missed), "Slots that have no process for long."),
             "slot_memory_bytes": (
                 view.slot_memory_mb << 20,
@@ -56,18 +63,26 @@ class Metrics(Collector):
             ),
             "leases": (len(view.leases), "Runs that hold slots or wait for some."),
             "waiting_batches": (view.waiting_batches, "Batches that wait for a slot."),
-            "waiting_queries": (view.waiting_queries, "Queries that wait for the server's loop."),
+            "waiting_queries": (
+                view.waiting_queries,
+                "Queries that wait for the server's loop.",
+            ),
         }
         counters = {
             "trials": (view.trials, "Trials evaluated."),
             "busy_seconds": (view.busy_s, "Time that slots spent on batches, summed."),
-            "malformed_messages": (view.malformed, "Messages that were refused as malformed."),
+            "malformed_messages": (
+                view.malformed,
+                "Messages that were refused as malformed.",
+            ),
         }
         for name, (value, text) in gauges.items():
             yield core.GaugeMetricFamily(f"zswarm_ss_{name}", text, value)
         for name, (value, text) in counters.items():
             yield core.CounterMetricFamily(f"zswarm_ss_{name}", text, value)
-        slots = core.GaugeMetricFamily("zswarm_ss_slots", "Slots by state.", labels=["state"])
+        slots = core.GaugeMetricFamily(
+            "zswarm_ss_slots", "Slots by state.", labels=["state"]
+        )
         text = "Slots whose process died or was killed."
         faults = core.CounterMetricFamily("zswarm_ss_faults", text, labels=["kind"])
         for family, counts in ((slots, view.slots), (faults, view.faults)):

@@ -56,7 +56,11 @@ class View(msgspec.Struct, frozen=True, kw_only=True):
     def line(self) -> str:
         """Return it as one line."""
         state = "draining, " if self.draining else "" if self.warm else "starting, "
-        missing = f", slot {self.missed[0].slot}: {self.missed[0].reason}" if self.missed else ""
+        missing = (
+            f", slot {self.missed[0].slot}: {self.missed[0].reason}"
+            if self.missed
+            else ""
+        )
         return (
             f"{state}{self.slots['busy']} of {sum(self.slots.values())} slots busy, "
             f"{len(self.leases)} leases, {self.trials} trials, {self.trials_per_s:.0f}/s{missing}"

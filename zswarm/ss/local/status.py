@@ -73,11 +73,15 @@ def _sockets(name: str) -> list[Path]:
     if session := os.environ.get("XDG_RUNTIME_DIR", ""):
         folders.add(Path(session) / "zswarm")
     found = []
-    for path in sorted(path for folder in folders for path in folder.glob("*" + control.SUFFIX)):
+    for path in sorted(
+        path for folder in folders for path in folder.glob("*" + control.SUFFIX)
+    ):
         if name not in ("", path.stem, path.stem.rpartition("-")[0]):
             continue
         # The socket of a killed server, or of another user, is skipped.
-        with contextlib.suppress(FileNotFoundError, ConnectionRefusedError, PermissionError):
+        with contextlib.suppress(
+            FileNotFoundError, ConnectionRefusedError, PermissionError
+        ):
             _connect(path).close()
             found.append(path)
     if not found:
@@ -132,13 +136,18 @@ def _answer(connection: socket.socket, request: LocalRequest, kind: type[T]) -> 
             raise NoDaemonError(clean(str(fields["error"])))
         return msgspec.convert(fields, kind)
     except msgspec.MsgspecError as error:
-        raise NoDaemonError(f"the daemon is of another version of zswarm: {error}") from None
+        raise NoDaemonError(
+            f"the daemon is of another version of zswarm: {error}"
+        ) from None
 
 
 def _show(view: View) -> None:
     states = ", ".join(f"{count} {state}" for state, count in view.slots.items() if count)
     since = time.strftime("%Y-%m-%d %H:%M", time.localtime(view.since))
-    faults = ", ".join(f"{count} {kind}" for kind, count in sorted(view.faults.items())) or "none"
+    faults = (
+        ", ".join(f"{count} {kind}" for kind, count in sorted(view.faults.items()))
+        or "none"
+    )
     state = "draining" if view.draining else "serves" if view.warm else "starting"
     program = f"zswarm {view.program}, process {view.pid}, since {since}"
     _pair(view.server, f"{state}, realm {view.realm}, {program}")
@@ -159,7 +168,9 @@ def _show(view: View) -> None:
         table.add_column(column, overflow="fold", justify="right")
     for lease in view.leases:
         cells = (lease.user, lease.run, lease.simulator, lease.slots, lease.trials)
-        table.add_row(*(Text(clean(str(cell))) for cell in cells), Text(duration(lease.seconds)))
+        table.add_row(
+            *(Text(clean(str(cell))) for cell in cells), Text(duration(lease.seconds))
+        )
     _print("")
     console().print(table)
 

@@ -75,7 +75,9 @@ class Died(SlotMessage, frozen=True):
 class Tick(msgspec.Struct, frozen=True):
     """Time passed."""
 
-    trials: tuple[int, ...]  # for each slot the trial that it is at, an index in its chunk
+    trials: tuple[
+        int, ...
+    ]  # for each slot the trial that it is at, an index in its chunk
 
 
 class Drain(msgspec.Struct, frozen=True):
@@ -149,7 +151,9 @@ class CommandList(list[Command]):
     def refuse(self, query: Query | None, code: messages.Refusal, reason: str) -> None:
         """Refuse what a query asks for, if one is open."""
         if query is not None:
-            self.answer(query, messages.Refused(code=code, reason=reason[: messages.MAX_TEXT]))
+            self.answer(
+                query, messages.Refused(code=code, reason=reason[: messages.MAX_TEXT])
+            )
 
     def log(self, event: str, **fields: str | int | float) -> None:
         """Write a line to the log."""

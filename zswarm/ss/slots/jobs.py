@@ -20,11 +20,20 @@ from typing import Any
 import msgspec
 
 from zswarm.protocol import codec, messages
-from zswarm.protocol.messages import MAX_TEXT, MAX_TRIALS, Evaluate, Fault, Outcomes, Refused
+from zswarm.protocol.messages import (
+    MAX_TEXT,
+    MAX_TRIALS,
+    Evaluate,
+    Fault,
+    Outcomes,
+    Refused,
+)
 from zswarm.ss.slots.events import Answer, CommandList, Died, Query
 from zswarm.ss.slots.reply_cache import ReplyCache
 
-CHUNK_S = 0.003  # least work in a chunk: some twenty times the time to hand out the next one
+CHUNK_S = (
+    0.003  # least work in a chunk: some twenty times the time to hand out the next one
+)
 SHARED_S = 0.00025  # least work in a chunk where idle slots share little work
 HOLD_QUERY_S = 30.0  # a batch that takes longer is answered "running"
 
@@ -50,7 +59,11 @@ class Job(msgspec.Struct, eq=False):
 
     def unreported(self) -> bool:
         """Return whether a query is open that could report new outcomes."""
-        return self.query is not None and not self.cancelled and self.reported < len(self.parts)
+        return (
+            self.query is not None
+            and not self.cancelled
+            and self.reported < len(self.parts)
+        )
 
     def outcomes(self, first_part: int = 0) -> dict[str, Any]:
         """Return the fields of a message that report outcomes, ordered by trial."""
@@ -99,7 +112,9 @@ class JobQueue(msgspec.Struct, eq=False):
     replies: ReplyCache
     lease: bytes
     jobs: dict[int, Job] = {}  # those that are not answered for good, by batch id
-    waiting: deque[Job] = msgspec.field(default_factory=deque)  # with trials to hand out, in order
+    waiting: deque[Job] = msgspec.field(
+        default_factory=deque
+    )  # with trials to hand out, in order
     trial_s: float = 0.0  # measured duration of a trial, smoothed; 0 if not known
     trials: int = 0  # number of trials with outcomes so far
     _draining: bool = False
@@ -162,7 +177,9 @@ class JobQueue(msgspec.Struct, eq=False):
             job.parts.append((chunk.trials, reply))
             self.trials += count
             measured = reply.seconds / count
-            self.trial_s = 0.7 * self.trial_s + 0.3 * measured if self.trial_s else measured
+            self.trial_s = (
+                0.7 * self.trial_s + 0.3 * measured if self.trial_s else measured
+            )
         self._conclude(job)
         return count
 

@@ -238,7 +238,9 @@ class LeaseTable(dict[tuple[str, str], HeldLease]):
                 slot.lease, slot.deaths = lease, 0
                 lease.slots.append(slot)
 
-    def _take_back(self, shares: dict[HeldLease, int], slots: list[Slot], free: int) -> list[Slot]:
+    def _take_back(
+        self, shares: dict[HeldLease, int], slots: list[Slot], free: int
+    ) -> list[Slot]:
         """Take idle slots of leases that have too many, as far as others have too few."""
         missing = sum(max(0, share - len(lease.slots)) for lease, share in shares.items())
         missing -= free + sum(slot.state == "stopping" for slot in slots)
@@ -247,7 +249,9 @@ class LeaseTable(dict[tuple[str, str], HeldLease]):
             idle = [slot for slot in lease.slots if slot.state in ("ready", "assigned")]
             surplus = min(len(lease.slots) - share, missing - len(taken))
             for slot in idle[: max(0, surplus)]:
-                self._out.log("slot_given_back", user=lease.user, run=lease.run, slot=slot.index)
+                self._out.log(
+                    "slot_given_back", user=lease.user, run=lease.run, slot=slot.index
+                )
                 self.give_back(slot)
                 taken.append(slot)
         return taken

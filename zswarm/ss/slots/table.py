@@ -160,12 +160,22 @@ class Slots:
         elif mismatch := self._mismatch(message):
             return out.refuse(query, "mismatch", mismatch)
         else:
-            out.log("lease_granted", user=user, run=run, wanted=message.slots, free=self.free())
+            out.log(
+                "lease_granted",
+                user=user,
+                run=run,
+                wanted=message.slots,
+                free=self.free(),
+            )
             lease = self.leases.grant(user, run, message)
-        lease.renewals.append(Renewal(query, -1, out.now))  # answered at the end of handle
+        lease.renewals.append(
+            Renewal(query, -1, out.now)
+        )  # answered at the end of handle
         return None
 
-    def _evaluate(self, lease: HeldLease, message: messages.Evaluate, query: events.Query) -> None:
+    def _evaluate(
+        self, lease: HeldLease, message: messages.Evaluate, query: events.Query
+    ) -> None:
         if lease.jobs.ask_again(message.batch, query):
             return
         slots, refuse = len(lease.slots), self._out.refuse
@@ -207,7 +217,9 @@ class Slots:
             case events.Exhausted() if chunk is not None:
                 lease.jobs.exhausted(chunk, event.trial)
             case _:
-                raise LocalProtocolError(f"slot {slot.index} ended a chunk that it does not have")
+                raise LocalProtocolError(
+                    f"slot {slot.index} ended a chunk that it does not have"
+                )
         return None
 
     def _prepared(self, slot: Slot, lease: HeldLease, event: events.Prepared) -> None:
@@ -215,7 +227,9 @@ class Slots:
         if not lease.probe:
             lease.probe, lease.probe_s = event.probe, event.trial_s
             lease.jobs.trial_s = event.trial_s
-            self._out.log("lease_ready", user=lease.user, run=lease.run, trial_s=event.trial_s)
+            self._out.log(
+                "lease_ready", user=lease.user, run=lease.run, trial_s=event.trial_s
+            )
 
     def _died(self, slot: Slot, event: events.Died, chunk: Chunk | None) -> None:
         """Blame the trial at which the process of a slot died; a new process is there."""
@@ -227,7 +241,11 @@ class Slots:
         if lease is None:
             return
         self._out.log(
-            "slot_died", slot=slot.index, kind=event.kind, trial=event.trial, reason=reason
+            "slot_died",
+            slot=slot.index,
+            kind=event.kind,
+            trial=event.trial,
+            reason=reason,
         )
         if state != "assigned":
             self._move(slot, "assigned")
@@ -262,7 +280,9 @@ class Slots:
                 self._kill(slot)
                 self._slot_event(slot, event)
         for lease in self.leases.values():
-            chunks = [(slot.chunk, max(0, slot.trial)) for slot in lease.slots if slot.chunk]
+            chunks = [
+                (slot.chunk, max(0, slot.trial)) for slot in lease.slots if slot.chunk
+            ]
             since = lease.unreported_since
             lease.jobs.report(chunks, idle=since is not None and now - since >= IDLE_S)
 
@@ -272,7 +292,9 @@ class Slots:
         taken_s = now - slot.since
         if slot.state == "stopping" or (chunk is not None and chunk.job.cancelled):
             if taken_s > (STOP_S if chunk is not None else PREPARE_S):
-                return events.Died(slot.index, trial, "it did not stop in time", "stopped")
+                return events.Died(
+                    slot.index, trial, "it did not stop in time", "stopped"
+                )
         elif lease is not None and slot.state == "preparing":
             probe_trials = messages.PROBE_GENOMES * messages.PROBE_SEEDS
             limit_s = PREPARE_S + probe_trials * lease.setup.trial_timeout_s
@@ -302,7 +324,9 @@ class Slots:
             elif lease.probe or not preparing:
                 self._move(slot, "preparing")
                 slot.setup, preparing = lease.setup, True
-                command = events.PrepareSlot(slot.index, lease.setup, not lease.probe, known)
+                command = events.PrepareSlot(
+                    slot.index, lease.setup, not lease.probe, known
+                )
                 self._out.append(command)
 
     def _start(self, lease: HeldLease) -> None:
@@ -313,7 +337,9 @@ class Slots:
             slot = idle.pop(0)
             self._move(slot, "busy")
             slot.chunk, slot.trial = chunk, -1
-            self._out.append(events.RunChunk(slot.index, chunk.work(), chunk.trials.start))
+            self._out.append(
+                events.RunChunk(slot.index, chunk.work(), chunk.trials.start)
+            )
         if not idle or not any(job.unreported() for job in lease.jobs.jobs.values()):
             lease.unreported_since = None
         elif lease.unreported_since is None:

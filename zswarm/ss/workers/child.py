@@ -62,7 +62,9 @@ to_slot: Decoder[ToSlot] = Decoder(ToSlot)
 from_slot: Decoder[FromSlot] = Decoder(FromSlot)
 
 
-def main(pipe: Connection, slot: int, shared: object, memory_mb: int, output: Connection) -> None:
+def main(
+    pipe: Connection, slot: int, shared: object, memory_mb: int, output: Connection
+) -> None:
     """Run the process of a slot.
 
     Args:
@@ -96,7 +98,9 @@ def main(pipe: Connection, slot: int, shared: object, memory_mb: int, output: Co
 class SlotProcess:
     """The loop's state: a problem that was prepared, with a limit of memory."""
 
-    def __init__(self, slot: int, memory_mb: int, pipe: Connection, progress: np.ndarray) -> None:
+    def __init__(
+        self, slot: int, memory_mb: int, pipe: Connection, progress: np.ndarray
+    ) -> None:
         # numba comes with it: imported here, never in the server's process
         from zswarm import evaluate
 
@@ -173,7 +177,9 @@ class SlotProcess:
 
     def _asking(self, command: RunChunk, trial: int) -> Trial:
         trial += command.first
-        return Trial(self._pipe, command.work, trial, self.simulator.outputs, self._setup.asks)
+        return Trial(
+            self._pipe, command.work, trial, self.simulator.outputs, self._setup.asks
+        )
 
     def _trial(self) -> int:
         return max(0, int(self._progress[TRIAL]))
@@ -225,4 +231,6 @@ def _end_with_parent() -> None:
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
         parent = multiprocessing.parent_process()
         if os.getppid() in (1, parent.pid if parent else 1):
-            os._exit(1)  # it ended before the call above, and the server adopted this process
+            os._exit(
+                1
+            )  # it ended before the call above, and the server adopted this process

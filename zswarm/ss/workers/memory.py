@@ -18,7 +18,9 @@ LEAST_MB = 512  # of a slot by default; a fresh one takes about 100
 CGROUPS = Path("/sys/fs/cgroup")
 MEMBERSHIP = Path("/proc/self/cgroup")
 OOM_SCORE = Path("/proc/self/oom_score_adj")
-OOM_RAISE = 500  # of 1000: the kernel ends a slot before the server and before users' programs
+OOM_RAISE = (
+    500  # of 1000: the kernel ends a slot before the server and before users' programs
+)
 
 
 def per_slot_mb(capacity: int) -> int:
@@ -58,7 +60,11 @@ def restrict(limit_mb: int) -> None:
     """Limit the data of this process; ``lift`` takes that back."""
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
     limit = limit_mb << 20
-    _set(resource.RLIMIT_DATA, limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard)
+    _set(
+        resource.RLIMIT_DATA,
+        limit if hard == resource.RLIM_INFINITY else min(limit, hard),
+        hard,
+    )
 
 
 def lift() -> None:

@@ -31,7 +31,10 @@ from zswarm.system.processes import exit_reason
 
 # A slot is one thread; a BLAS takes 40 MB for each.
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.2, 10.0  # before a process that died early again is replaced
+FIRST_PAUSE_S, LONGEST_PAUSE_S = (
+    0.2,
+    10.0,
+)  # before a process that died early again is replaced
 KILLED_S = 0.2  # for a killed process to go, before the loop continues
 EXIT_S = 1.0  # for the fork server to report how a process ended
 
@@ -95,7 +98,9 @@ class Worker:
     @property
     def session(self) -> int:
         """The session of the process and of all that it starts; 0 while there is none."""
-        return (self._process is not None and self.pipe is not None and self._process.pid) or 0
+        return (
+            self._process is not None and self.pipe is not None and self._process.pid
+        ) or 0
 
     @property
     def start_at(self) -> float:
@@ -201,7 +206,9 @@ class Worker:
 
     def receive(self) -> FromSlot | None:
         """Return the next message; Died if the process ended, None if it could not be started."""
-        if self.pipe is None:  # killed by what another descriptor of the same turn brought
+        if (
+            self.pipe is None
+        ):  # killed by what another descriptor of the same turn brought
             return None
         try:
             message = from_slot.decode(self.pipe.recv_bytes())
@@ -253,7 +260,9 @@ class Worker:
         if self._early_deaths > 1:
             pause = min(FIRST_PAUSE_S * 2.0 ** (self._early_deaths - 2), LONGEST_PAUSE_S)
             self._start_at += pause
-            log.warning("slot_pauses", slot=self.slot, reason=reason, seconds=round(pause, 1))
+            log.warning(
+                "slot_pauses", slot=self.slot, reason=reason, seconds=round(pause, 1)
+            )
 
     # ---- pipes
 
@@ -265,7 +274,9 @@ class Worker:
         with contextlib.suppress(OSError):  # it ended, and its closed pipe wakes the loop
             self.pipe.send_bytes(message)
 
-    def _register(self, file: Connection | Output | int, call: Callable[[], None]) -> None:
+    def _register(
+        self, file: Connection | Output | int, call: Callable[[], None]
+    ) -> None:
         self._selector.register(file, selectors.EVENT_READ, call)
 
     def _close_pipes(self) -> None:
@@ -289,7 +300,9 @@ def _starter() -> queue.SimpleQueue[Callable[[], None]]:
     return calls
 
 
-def _start(process: ForkServerProcess, its_ends: tuple[Connection, ...], faults: list[str]) -> None:
+def _start(
+    process: ForkServerProcess, its_ends: tuple[Connection, ...], faults: list[str]
+) -> None:
     try:
         process.start()
         # Python would look at all that it gathers here whenever a process starts, and at its end.

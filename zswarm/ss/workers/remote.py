@@ -19,7 +19,11 @@ from zswarm.errors import EvaluationError
 from zswarm.protocol import codec
 from zswarm.protocol.messages import Asks, Evaluate, Refused, Sensors
 
-AGAIN_S = (0.05, 0.2, 1.0)  # before a lost question is asked again; the last one from then on
+AGAIN_S = (
+    0.05,
+    0.2,
+    1.0,
+)  # before a lost question is asked again; the last one from then on
 AT_ONCE = 12_000  # bytes of open questions of a run that zenoh takes without blocking
 CANCELLED = codec.encode(Refused(code="cancelled", reason="the batch was cancelled"))
 
@@ -125,7 +129,9 @@ class Questions:
         with self._lock:
             self._count += 1
             question = self._pending[slot] = PendingQuestion(self._count, run, body)
-            open_ = sum(len(other.body) for other in self._pending.values() if other.run == run)
+            open_ = sum(
+                len(other.body) for other in self._pending.values() if other.run == run
+            )
         self._send(run, question.number, body, self.answer, open_ < AT_ONCE)
 
     def answer(self, question: int, body: bytes) -> None:
@@ -159,12 +165,16 @@ class Questions:
     def next_time(self) -> float:
         """Return when to call ``ask_again``."""
         with self._lock:
-            return min((pending.again_at for pending in self._pending.values()), default=math.inf)
+            return min(
+                (pending.again_at for pending in self._pending.values()), default=math.inf
+            )
 
     def ask_again(self, now: float) -> None:
         """Send the questions again that are due."""
         with self._lock:
-            due = [pending for pending in self._pending.values() if pending.again_at <= now]
+            due = [
+                pending for pending in self._pending.values() if pending.again_at <= now
+            ]
             for pending in due:
                 pending.again_at = math.inf
         for pending in due:

@@ -16,7 +16,17 @@ from zswarm.ot.commands.shared import catalog as parts
 from zswarm.plugins import registry as plugins
 
 BUNDLED = [(kind, name) for kind in parts.KINDS for name in plugins.BUNDLED[kind]]
-HEAVY = ("ribs", "cmaes", "scipy", "numba", "zenoh", "pettingzoo", "gymnasium", "vmas", "torch")
+HEAVY = (
+    "ribs",
+    "cmaes",
+    "scipy",
+    "numba",
+    "zenoh",
+    "pettingzoo",
+    "gymnasium",
+    "vmas",
+    "torch",
+)
 EVIL = """
 import msgspec
 from zswarm.sims.simulator import Simulator
@@ -44,7 +54,12 @@ def said(*arguments: str, cwd: Path, **environment: str) -> str:
     environment = {"PYTHONPATH": os.pathsep.join(sys.path), "COLUMNS": "80"} | environment
     program = [sys.executable, "-m", "zswarm.ot", *arguments]
     done = subprocess.run(
-        program, cwd=cwd, capture_output=True, text=True, check=True, env=os.environ | environment
+        program,
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        check=True,
+        env=os.environ | environment,
     )
     return done.stdout
 
@@ -54,15 +69,21 @@ def plugged(tmp_path: Path) -> Path:
     """A folder with plug-ins, of which one only can be imported."""
     information = tmp_path / "swarm_evil-1.0.dist-info"
     information.mkdir()
-    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: swarm-evil\nVersion: 1.0\n")
+    (information / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: swarm-evil\nVersion: 1.0\n"
+    )
     (information / "entry_points.txt").write_text(POINTS)
     (tmp_path / "swarm_evil.py").write_text(EVIL)
-    (tmp_path / "swarm_exits.py").write_text("raise SystemExit('not on \x1b[31mthis machine')")
+    (tmp_path / "swarm_exits.py").write_text(
+        "raise SystemExit('not on \x1b[31mthis machine')"
+    )
     return tmp_path
 
 
 @pytest.mark.parametrize(("kind", "name"), BUNDLED)
-def test_every_bundled_part_says_in_a_line_what_it_is(kind: plugins.Kind, name: str) -> None:
+def test_every_bundled_part_says_in_a_line_what_it_is(
+    kind: plugins.Kind, name: str
+) -> None:
     part = parts.entry(kind, name)
     assert part.error == ""
     assert 20 < len(part.about) <= 130
@@ -87,7 +108,11 @@ def test_a_list_loads_neither_compiler_nor_other_libraries(tmp_path: Path) -> No
     code += "cli.command(standalone_mode=False); print(); "
     code += f"print({set(HEAVY)} & set(sys.modules))"
     done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
     )
     assert done.stdout.splitlines()[-1] == "set()"
 
@@ -96,9 +121,9 @@ def test_a_description_has_sheet_facts_and_every_setting(tmp_path: Path) -> None
     shown = " ".join(said("describe", "light", cwd=tmp_path).split())
     assert "light, simulator: A robot on two wheels finds a light" in shown
     assert "Turns: the robot. In a step of" in shown
-    assert "exactly as FREVO's Light. FREVO is at github.com/smartgrids-aau/Frevo" in shown, (
-        "the module's text, too"
-    )
+    assert (
+        "exactly as FREVO's Light. FREVO is at github.com/smartgrids-aau/Frevo" in shown
+    ), "the module's text, too"
     assert "metrics found, steps, distance, x, y sensors light_left, light_right" in shown
     assert "heading_seed int, 0 to 2^48 - 1 1 seed of the generator" in shown
     assert shown.count("A setting may be a range") == 1
@@ -107,7 +132,9 @@ def test_a_description_has_sheet_facts_and_every_setting(tmp_path: Path) -> None
     )
     (described,) = json.loads(said("describe", "nnga", "--json", cwd=tmp_path))["parts"]
     sheet = settings_docs.keys(plugins.load("optimizer", "nnga").settings_type)
-    assert [setting["name"] for setting in described["settings"]] == [key.name for key in sheet]
+    assert [setting["name"] for setting in described["settings"]] == [
+        key.name for key in sheet
+    ]
     assert described["settings"][0] == {
         "name": "population",
         "type": "int, 2 to 1,000,000",
@@ -127,15 +154,23 @@ def test_lists_and_descriptions_fit_the_terminal(
     monkeypatch.setenv("COLUMNS", str(columns))
     for arguments in (
         ["list"],
-        *(["describe", name] for name in ("minisim", "nnga", "xor", "swiss", "fully-meshed")),
+        *(
+            ["describe", name]
+            for name in ("minisim", "nnga", "xor", "swiss", "fully-meshed")
+        ),
     ):
         shown = CliRunner().invoke(command, arguments, catch_exceptions=False).output
         assert shown
         for line in shown.splitlines():
-            assert len(line.rstrip()) <= columns or len(max(line.split(), key=len)) > columns - 24
+            assert (
+                len(line.rstrip()) <= columns
+                or len(max(line.split(), key=len)) > columns - 24
+            )
 
 
-def test_plugins_that_cannot_be_imported_are_reported_in_separate_lines(plugged: Path) -> None:
+def test_plugins_that_cannot_be_imported_are_reported_in_separate_lines(
+    plugged: Path,
+) -> None:
     """And what they say is shown without its escapes; all others are there."""
     path = os.pathsep.join([str(plugged), *sys.path])
     shown = said("list", cwd=plugged, PYTHONPATH=path)
@@ -162,7 +197,9 @@ def test_an_unknown_part_is_reported_with_the_nearest_name() -> None:
         match="xor-neat is not a part but an example; zswarm-ot check xor-neat explains it",
     ):
         parts.find("xor-neat")
-    with pytest.raises(UnknownPlugin, match=r"no part is named 'nng' \(did you mean 'nnga'\?\)"):
+    with pytest.raises(
+        UnknownPlugin, match=r"no part is named 'nng' \(did you mean 'nnga'\?\)"
+    ):
         parts.find("nng")
 
 

@@ -53,7 +53,9 @@ def refusal(folder: Path, content: str | bytes) -> str:
 # ---- what is imported
 
 
-def test_a_population_that_frevo_ranked_is_imported_with_every_bit(tmp_path: Path) -> None:
+def test_a_population_that_frevo_ranked_is_imported_with_every_bit(
+    tmp_path: Path,
+) -> None:
     made = import_(tmp_path, FILE)
     run = Run(made.folder)
     candidates = run.candidates(0)
@@ -61,7 +63,11 @@ def test_a_population_that_frevo_ranked_is_imported_with_every_bit(tmp_path: Pat
     assert [candidate["fitness"] for candidate in candidates] == FITNESS
     champion = run.champion()
     assert champion is not None
-    assert (champion.genome, champion.fitness, made.played) == (GENOMES[0], FITNESS[0], FITNESS[0])
+    assert (champion.genome, champion.fitness, made.played) == (
+        GENOMES[0],
+        FITNESS[0],
+        FITNESS[0],
+    )
     assert (run.best(), run.generations(), run.finished, run.history_hash) == (
         FITNESS[0],
         1,
@@ -74,18 +80,26 @@ def test_a_population_that_frevo_ranked_is_imported_with_every_bit(tmp_path: Pat
     )
 
 
-def test_every_imported_network_has_the_fitness_here_that_frevo_gave_it(tmp_path: Path) -> None:
+def test_every_imported_network_has_the_fitness_here_that_frevo_gave_it(
+    tmp_path: Path,
+) -> None:
     result = frevo.load(write(tmp_path, FILE))
     problem = Problem(result.experiment)
     work = problem.workload(result.genomes, 0)
     played = evaluate.evaluate(
-        problem.simulator, problem.representation, work.genomes, work.participants, work.seeds
+        problem.simulator,
+        problem.representation,
+        work.genomes,
+        work.participants,
+        work.seeds,
     )
     work.fitness[:] = played.fitness
     assert problem.total(work).tobytes() == np.array(FITNESS).tobytes()
 
 
-@pytest.mark.parametrize("net", zre.golden_nets("fullymeshed"), ids=lambda net: str(net["id"]))
+@pytest.mark.parametrize(
+    "net", zre.golden_nets("fullymeshed"), ids=lambda net: str(net["id"])
+)
 def test_a_recorded_net_decides_after_its_import_as_in_frevo(
     tmp_path: Path, net: dict[str, Any]
 ) -> None:
@@ -94,7 +108,9 @@ def test_a_recorded_net_decides_after_its_import_as_in_frevo(
     result = frevo.load(
         write(
             tmp_path,
-            zre.text([written], representation={"iterations": iterations, "hiddenNodes": "7"}),
+            zre.text(
+                [written], representation={"iterations": iterations, "hiddenNodes": "7"}
+            ),
         )
     )
     network = Problem(result.experiment).representation
@@ -118,8 +134,12 @@ def test_the_stadium_of_frevo_has_the_same_fitness_here(tmp_path: Path) -> None:
     nets = {net["id"]: net for net in golden["nets"]}
     for run in [run for run in golden["runs"] if run["field"] == "stadium"]:
         net = nets[run["net"]]
-        written = zre.net(net["weights_into"], net["bias"], run["fitness"], net["activation"])
-        content = zre.text([written], representation={"iterations": str(net["iterations"])})
+        written = zre.net(
+            net["weights_into"], net["bias"], run["fitness"], net["activation"]
+        )
+        content = zre.text(
+            [written], representation={"iterations": str(net["iterations"])}
+        )
         assert import_(tmp_path, content).played == run["fitness"]
 
 
@@ -128,20 +148,31 @@ def test_settings_are_taken_over(tmp_path: Path) -> None:
         [zre.net([[0.5] * 14] * 4, [0.25] * 4, -3.5, "SIGMOID")],
         session={"CustomName": "Böse Räume! 2", "StartingSeed": "77"},
         problem={
-            "fieldsource": "RANDOM_FIELD", "steps": "60", "width": "15", "height": "16",
+            "fieldsource": "RANDOM_FIELD",
+            "steps": "60",
+            "width": "15",
+            "height": "16",
             "seedforEmergencyExits": "3",
-            "NumberofAgents": "4", "NumberofEmergencyExits": "2", "NumberofBlockades": "1",
+            "NumberofAgents": "4",
+            "NumberofEmergencyExits": "2",
+            "NumberofBlockades": "1",
             "NumberofEvaluations": "7",
         },
         method={
-            "populationsize": "40", "populationnumber": "2", "percentage_random": "0.2f",
+            "populationsize": "40",
+            "populationnumber": "2",
+            "percentage_random": "0.2f",
             "percentage_mutate": "0.25f",
-            "percentage_renew": "0f", "percentage_xover": "0.125", "interXover_frequency": "0",
+            "percentage_renew": "0f",
+            "percentage_xover": "0.125",
+            "interXover_frequency": "0",
             "mutationMethod": "2",
-            "mutationseverity": "0.5f", "mutationprobability": "0.75f", "generations": "9",
+            "mutationseverity": "0.5f",
+            "mutationprobability": "0.75f",
+            "generations": "9",
         },
         representation={"iterations": "3"},
-    )  # fmt: skip
+    )
     read = frevo.load(write(tmp_path, content)).experiment
     assert (read.name, read.seed, read.generations, read.problem.trials) == (
         "b-se-r-ume-2",
@@ -150,18 +181,34 @@ def test_settings_are_taken_over(tmp_path: Path) -> None:
         7,
     )
     assert read.problem.settings == {
-        "field": "random", "steps": 60, "width": 15, "height": 16, "agents": 4, "exits": 2,
-        "blockades": 1, "seed": 3,
-    }  # fmt: skip
+        "field": "random",
+        "steps": 60,
+        "width": 15,
+        "height": 16,
+        "agents": 4,
+        "exits": 2,
+        "blockades": 1,
+        "seed": 3,
+    }
     assert read.representation.settings == {
-        "hidden": 2, "iterations": 3, "activation": "sigmoid", "weight_range": 2.0,
+        "hidden": 2,
+        "iterations": 3,
+        "activation": "sigmoid",
+        "weight_range": 2.0,
         "bias_range": 2.0,
-    }  # fmt: skip
+    }
     assert read.optimizer.settings == {
-        "population": 40, "islands": 2, "random": 0.2, "mutation": 0.25, "renew": 0.0,
+        "population": 40,
+        "islands": 2,
+        "random": 0.2,
+        "mutation": 0.25,
+        "renew": 0.0,
         "crossover": 0.125,
-        "exchange_interval": 0, "mutation_method": 2, "severity": 0.5, "probability": 0.75,
-    }  # fmt: skip
+        "exchange_interval": 0,
+        "mutation_method": 2,
+        "severity": 0.5,
+        "probability": 0.75,
+    }
 
 
 def test_a_file_of_another_method_names_it(tmp_path: Path) -> None:
@@ -183,13 +230,20 @@ def test_what_a_file_leaves_out_is_frevos_default(tmp_path: Path) -> None:
 
 
 def test_a_network_that_failed_has_no_fitness(tmp_path: Path) -> None:
-    nets = [zre.net([[0.5] * 14] * 4, [0.25] * 4, fitness) for fitness in (float("nan"), -2.0)]
+    nets = [
+        zre.net([[0.5] * 14] * 4, [0.25] * 4, fitness) for fitness in (float("nan"), -2.0)
+    ]
     made = import_(tmp_path, zre.text(nets).replace('"nan"', '"NaN"'))
-    assert [candidate["fitness"] for candidate in Run(made.folder).candidates(0)] == [None, -2.0]
+    assert [candidate["fitness"] for candidate in Run(made.folder).candidates(0)] == [
+        None,
+        -2.0,
+    ]
     assert made.champion.fitness == -2.0
 
 
-def test_an_imported_run_cannot_be_resumed_and_says_what_can_be_done(tmp_path: Path) -> None:
+def test_an_imported_run_cannot_be_resumed_and_says_what_can_be_done(
+    tmp_path: Path,
+) -> None:
     made = import_(tmp_path, FILE)
     with pytest.raises(
         ConfigError, match=r"was imported, .* can be run again from .*experiment\.toml"
@@ -199,7 +253,8 @@ def test_an_imported_run_cannot_be_resumed_and_says_what_can_be_done(tmp_path: P
 
 def test_a_champion_that_takes_long_is_not_played(tmp_path: Path) -> None:
     content = FILE.replace(
-        'key="steps" type="STRING" value="50"', 'key="steps" type="STRING" value="1000000"'
+        'key="steps" type="STRING" value="50"',
+        'key="steps" type="STRING" value="1000000"',
     )
     assert import_(tmp_path, content).played is None
 
@@ -227,9 +282,14 @@ MIDDLE = "1.00000005960464477539062500000000"
 @example("-" + MIDDLE[:-1] + "1")
 def test_digits_become_the_nearest_float(digits: str) -> None:
     (found,) = frevo_file._singles([digits])
-    beside = (np.nextafter(found, np.float32(-np.inf)), np.nextafter(found, np.float32(np.inf)))
+    beside = (
+        np.nextafter(found, np.float32(-np.inf)),
+        np.nextafter(found, np.float32(np.inf)),
+    )
     error = abs(Fraction(digits) - Fraction(float(found)))
-    assert all(error <= abs(Fraction(digits) - Fraction(float(other))) for other in beside)
+    assert all(
+        error <= abs(Fraction(digits) - Fraction(float(other))) for other in beside
+    )
 
 
 # ---- what is refused
@@ -238,34 +298,70 @@ def test_digits_become_the_nearest_float(digits: str) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('class="emergencyexit.EmergencyExit"', 'class="pong.Pong"',
-        "it is of the problem 'pong.Pong'; only results of"),
-        ('class="emergencyexit.EmergencyExit"', 'class="&#x202e;"',
-        r"it is of the problem '\\x202e'"),
-        ('class="fullyMeshedNet.FullyMeshedNet"', 'class="neat.NEAT"',
-        "it is of networks of the kind 'neat.NEAT'"),
+        (
+            'class="emergencyexit.EmergencyExit"',
+            'class="pong.Pong"',
+            "it is of the problem 'pong.Pong'; only results of",
+        ),
+        (
+            'class="emergencyexit.EmergencyExit"',
+            'class="&#x202e;"',
+            r"it is of the problem '\\x202e'",
+        ),
+        (
+            'class="fullyMeshedNet.FullyMeshedNet"',
+            'class="neat.NEAT"',
+            "it is of networks of the kind 'neat.NEAT'",
+        ),
         ("FullyMeshedNet input", "ThreeLayerNetwork input", "mismatched tag"),
         ("Stadium.ser", "C:\\own\\Hall.ser", "its field is the file"),
-        ('"FIELD_FROM_FILE"', '"MAZE"',
-        "fieldsource: expected FIELD_FROM_FILE or RANDOM_FIELD, not 'MAZE'"),
+        (
+            '"FIELD_FROM_FILE"',
+            '"MAZE"',
+            "fieldsource: expected FIELD_FROM_FILE or RANDOM_FIELD, not 'MAZE'",
+        ),
         ('random_source="false"', 'random_source="true"', "random source"),
-        ('activation_function="LINEAR"', 'activation_function="TANH"',
-        "unknown activation function 'TANH'"),
-        ('<weight from="3">0.5</weight>', "",
-        "node 10 of a network does not have one weight from each of its 14 nodes"),
+        (
+            'activation_function="LINEAR"',
+            'activation_function="TANH"',
+            "unknown activation function 'TANH'",
+        ),
+        (
+            '<weight from="3">0.5</weight>',
+            "",
+            "node 10 of a network does not have one weight from each of its 14 nodes",
+        ),
         ('<weight from="3">', '<weight from="4">', "does not have one weight from each"),
-        ('<weight from="3">0.5', '<weight from="3">NaN',
-        "a weight or bias: expected a finite number, not 'NaN'"),
+        (
+            '<weight from="3">0.5',
+            '<weight from="3">NaN',
+            "a weight or bias: expected a finite number, not 'NaN'",
+        ),
         ('<weight from="3">0.5', '<weight from="3">1e39', "expected a number of 32 bits"),
         ('<weight from="3">0.5', '<weight from="3">1_0', "expected a finite number"),
-        ('<weight from="3">0.5', f'<weight from="3">{"9" * 5000}', "expected a finite number"),
+        (
+            '<weight from="3">0.5',
+            f'<weight from="3">{"9" * 5000}',
+            "expected a finite number",
+        ),
         ("<bias>0.25</bias>", "", "expected a finite number, not ''"),
         ('nodes="14"', 'nodes="15"', "does not hold the nodes that it states"),
-        ('nodes="14"', 'nodes="99999999999999999"', "does not hold the nodes that it states"),
+        (
+            'nodes="14"',
+            'nodes="99999999999999999"',
+            "does not hold the nodes that it states",
+        ),
         ('<node nr="0" ', '<node nr="1" ', "does not hold the nodes that it states"),
-        ('input_nodes="10"', 'input_nodes="-1"', "does not hold the nodes that it states"),
-        ('input_nodes="10"', 'input_nodes="ten"',
-        "input_nodes: expected a whole number, not 'ten'"),
+        (
+            'input_nodes="10"',
+            'input_nodes="-1"',
+            "does not hold the nodes that it states",
+        ),
+        (
+            'input_nodes="10"',
+            'input_nodes="ten"',
+            "input_nodes: expected a whole number, not 'ten'",
+        ),
         ('fitness="-3.5"', 'fitness="Infinity"', "fitness: expected a finite number"),
         ('fitness="-3.5"', 'fitness="NaN"', "none of its networks has a fitness"),
         ('fitness="-3.5"', "", "fitness: expected a finite number, not ''"),
@@ -273,12 +369,17 @@ def test_digits_become_the_nearest_float(digits: str) -> None:
         ('generation="4"', 'generation="four"', "generation: expected a whole number"),
         ('value="12345"', 'value="-1"', "seed: expected int >= 0"),
         ('value="0.3f"', 'value="-1f"', "severity: expected float > 0"),
-        ('"steps" type="STRING" value="50"', '"steps" type="STRING" value="0"',
-        "steps: expected int >= 1"),
+        (
+            '"steps" type="STRING" value="50"',
+            '"steps" type="STRING" value="0"',
+            "steps: expected int >= 1",
+        ),
         ("<frevo>", "<html>", "mismatched tag"),
     ],
-)  # fmt: skip
-def test_what_cannot_be_imported_is_named(tmp_path: Path, old: str, new: str, words: str) -> None:
+)
+def test_what_cannot_be_imported_is_named(
+    tmp_path: Path, old: str, new: str, words: str
+) -> None:
     assert old in ONE
     assert words in refusal(tmp_path, ONE.replace(old, new, 1))
 
@@ -294,17 +395,21 @@ def test_another_representation_is_named_whatever_its_class_says(tmp_path: Path)
 
 def test_networks_of_another_size_than_the_problems_are_refused(tmp_path: Path) -> None:
     net = zre.net([[0.5] * 7] * 4, [0.25] * 4, -3.5, inputs=3)
-    assert "its networks have 3 inputs and 2 outputs; emergency-exit has 10 and 2" in refusal(
-        tmp_path, zre.text([net])
+    assert (
+        "its networks have 3 inputs and 2 outputs; emergency-exit has 10 and 2"
+        in refusal(tmp_path, zre.text([net]))
     )
 
 
 def test_networks_that_differ_are_refused(tmp_path: Path) -> None:
     nets = [
-        zre.net([[0.5] * 14] * 4, [0.25] * 4, -3.5, activation) for activation in ("LINEAR", "RELU")
+        zre.net([[0.5] * 14] * 4, [0.25] * 4, -3.5, activation)
+        for activation in ("LINEAR", "RELU")
     ]
     assert "not all of one kind" in refusal(tmp_path, zre.text(nets))
-    nets = [zre.net([[0.5] * (10 + nodes)] * nodes, [0.25] * nodes, -3.5) for nodes in (3, 4)]
+    nets = [
+        zre.net([[0.5] * (10 + nodes)] * nodes, [0.25] * nodes, -3.5) for nodes in (3, 4)
+    ]
     assert "not all of one kind" in refusal(tmp_path, zre.text(nets))
 
 
@@ -347,13 +452,18 @@ BOMB = f"<!DOCTYPE frevo [{ENTITIES}]><frevo>&b;</frevo>"
         ('<!DOCTYPE frevo SYSTEM "ISave.dtd"><frevo>&x;</frevo>', "it names no problem"),
         ("<a>" * 100_000, "nested deeper than 32"),
         ("<frevo><populations><population><x/>", "it holds 'x'"),
-        ('<?xml version="1.0" encoding="none"?><frevo/>', "damaged, or not XML: unknown encoding"),
+        (
+            '<?xml version="1.0" encoding="none"?><frevo/>',
+            "damaged, or not XML: unknown encoding",
+        ),
         (b"<frevo>\xff</frevo>", "not well-formed"),
         ("<frevo>\x00</frevo>", "not well-formed"),
         ("<frevo \u202e='1'/>", "not well-formed"),
     ],
 )
-def test_invalid_result_files_are_refused(tmp_path: Path, content: str | bytes, words: str) -> None:
+def test_invalid_result_files_are_refused(
+    tmp_path: Path, content: str | bytes, words: str
+) -> None:
     assert words in refusal(tmp_path, content)
 
 
@@ -373,7 +483,9 @@ def test_a_file_that_is_too_large_is_not_read(
         frevo.load(path)
 
 
-@pytest.mark.parametrize("name", ["missing.zre", "", "file/below.zre", "nul\0.zre", "x" * 300])
+@pytest.mark.parametrize(
+    "name", ["missing.zre", "", "file/below.zre", "nul\0.zre", "x" * 300]
+)
 def test_a_path_that_cannot_be_read_is_named(tmp_path: Path, name: str) -> None:
     write(tmp_path, "", "file")
     with pytest.raises(ConfigError, match="cannot be read") as caught:
@@ -382,7 +494,9 @@ def test_a_path_that_cannot_be_read_is_named(tmp_path: Path, name: str) -> None:
 
 
 @settings(
-    derandomize=True, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    derandomize=True,
+    max_examples=150,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 @given(st.integers(0, len(ONE)), st.binary(max_size=8), st.integers(0, 8))
 def test_a_damaged_file_is_imported_or_refused(
@@ -412,9 +526,12 @@ def test_the_command_says_what_it_made(tmp_path: Path) -> None:
     said = CliRunner().invoke(import_command, [str(path), "--out", out, "--json"])
     assert json.loads(said.stdout) == {
         "run": f"{out}/default-2",
-        "imported_from": "best\\x1b[2J.zre: generation 4 of FREVO's nnga.NNGA", "generation": 4,
-        "candidates": 10, "best": FITNESS[0], "played": FITNESS[0],
-    }  # fmt: skip
+        "imported_from": "best\\x1b[2J.zre: generation 4 of FREVO's nnga.NNGA",
+        "generation": 4,
+        "candidates": 10,
+        "best": FITNESS[0],
+        "played": FITNESS[0],
+    }
 
 
 def test_the_command_ends_with_one_line_where_it_cannot(tmp_path: Path) -> None:

@@ -51,20 +51,29 @@ def test_a_new_file_has_the_defaults_whether_they_are_commented_out_or_not(
 def test_every_key_is_in_a_new_file_with_what_it_means(tmp_path: Path) -> None:
     text = template.write(template.blank("new", "minisim", "fully-meshed", "nnga"))
     flat = " ".join(text.replace("\n# ", " ").split())
-    structs = [*experiment.TABLES.values(), plugins.load("simulator", "minisim").settings_type]
+    structs = [
+        *experiment.TABLES.values(),
+        plugins.load("simulator", "minisim").settings_type,
+    ]
     structs += [
         plugins.load("optimizer", "nnga").settings_type,
         plugins.load("representation", "fully-meshed").settings_type,
     ]
     for struct in structs:
         for key in settings_docs.keys(struct):
-            assert key.name == "settings" or re.search(rf"^#?{key.name} = ", text, re.M), key.name
-            assert key.name == "settings" or settings_docs.plain(key.meaning) in flat, key.name
+            assert key.name == "settings" or re.search(
+                rf"^#?{key.name} = ", text, re.M
+            ), key.name
+            assert key.name == "settings" or settings_docs.plain(key.meaning) in flat, (
+                key.name
+            )
     assert max(len(line) for line in text.splitlines()) < 80
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_a_file_from_an_example_says_exactly_what_the_example_says(name: str, here: Path) -> None:
+def test_a_file_from_an_example_says_exactly_what_the_example_says(
+    name: str, here: Path
+) -> None:
     text = init("-", "--from", name)
     empty: dict[str, Any] = {
         table: {} for table in experiment.TABLES
@@ -98,7 +107,10 @@ def test_a_file_that_is_there_is_replaced_by_force_only(here: Path) -> None:
     ("arguments", "text"),
     [
         (["no/such.toml"], "no/such.toml: cannot be written: No such file or directory"),
-        (["--simulator", "minisin"], "unknown simulator 'minisin' (did you mean 'minisim'?)"),
+        (
+            ["--simulator", "minisin"],
+            "unknown simulator 'minisin' (did you mean 'minisim'?)",
+        ),
         (
             ["--from", "stadion"],
             "stadion: no such file or example (did you mean 'stadium'?)",

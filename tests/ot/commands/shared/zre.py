@@ -18,27 +18,46 @@ SESSION = {
     "CurrentSeed": "12345",
 }
 PROBLEM = {
-    "width": "20", "steps": "50", "NumberofEvaluations": "10", "fieldsource": "FIELD_FROM_FILE",
+    "width": "20",
+    "steps": "50",
+    "NumberofEvaluations": "10",
+    "fieldsource": "FIELD_FROM_FILE",
     "height": "20",
-    "seedforEmergencyExits": "0", "NumberofAgents": "10", "NumberofBlockades": "20",
+    "seedforEmergencyExits": "0",
+    "NumberofAgents": "10",
+    "NumberofBlockades": "20",
     "NumberofEmergencyExits": "5",
     "Filename": "Components/Problems/EmergencyExit/emergencyexit/Stadium.ser",
     "length_of_timestep_ms": "200",
-}  # fmt: skip
+}
 METHOD = {
-    "xoverMethod": "1", "mutationseverity": "0.3f", "populationsize": "50", "populationnumber": "1",
-    "percentage_random": "0.10f", "mutationprobability": "1f", "percentage_mutate": "0.40f",
+    "xoverMethod": "1",
+    "mutationseverity": "0.3f",
+    "populationsize": "50",
+    "populationnumber": "1",
+    "percentage_random": "0.10f",
+    "mutationprobability": "1f",
+    "percentage_mutate": "0.40f",
     "saveImprovements": "true",
-    "percentage_elite": "0.15f", "mutationMethod": "1", "percentage_xover": "0.30f",
+    "percentage_elite": "0.15f",
+    "mutationMethod": "1",
+    "percentage_xover": "0.30f",
     "saveinterval": "0",
-    "interXover_frequency": "10", "percentage_renew": "0.05f", "generations": "200",
-}  # fmt: skip
+    "interXover_frequency": "10",
+    "percentage_renew": "0.05f",
+    "generations": "200",
+}
 REPRESENTATION = {
-    "mutation_rate": "0.2f", "variable_mutation_rate": "false", "iterations": "2",
-    "bias_range": "2f", "weight_range": "2f",
-    "random_source": "false", "hiddenNodes": "2", "activationFunction": "LINEAR",
+    "mutation_rate": "0.2f",
+    "variable_mutation_rate": "false",
+    "iterations": "2",
+    "bias_range": "2f",
+    "weight_range": "2f",
+    "random_source": "false",
+    "hiddenNodes": "2",
+    "activationFunction": "LINEAR",
     "random_bias_range": "0.2f",
-}  # fmt: skip
+}
 
 
 def golden_nets(name: str) -> list[dict[str, Any]]:
@@ -69,7 +88,8 @@ def net(
         zip(weights_into, bias, strict=True), start=inputs
     ):
         rows = "\n".join(
-            f'<weight from="{source}">{weight}</weight>' for source, weight in enumerate(weights)
+            f'<weight from="{source}">{weight}</weight>'
+            for source, weight in enumerate(weights)
         )
         written.append(
             f'<node nr="{number}" type="node">\n<bias>{constant}</bias>\n'
@@ -80,7 +100,9 @@ def net(
         'weight_range="2.0" bias_range="2.0" '
         'random_bias_range="0.2" random_source="false" variable_mutation_rate="false" '
         f'activation_function="{activation}" '
-        f'fitness="{fitness}">\n<nodes>\n' + "\n".join(written) + "\n</nodes>\n</FullyMeshedNet>"
+        f'fitness="{fitness}">\n<nodes>\n'
+        + "\n".join(written)
+        + "\n</nodes>\n</FullyMeshedNet>"
     )
 
 
@@ -130,7 +152,8 @@ def trace() -> tuple[str, list[bytes], list[float]]:
     recorded = json.loads((GOLDEN / "nnga_trace.json").read_text())
     ranked = recorded["generations"][-1]["ranked"]
     tables = [
-        np.array(recorded["genomes"][str(number)], "<f4").reshape(4, 15) for number, _ in ranked
+        np.array(recorded["genomes"][str(number)], "<f4").reshape(4, 15)
+        for number, _ in ranked
     ]
     nets = [
         net(table[:, :-1].tolist(), table[:, -1].tolist(), fitness)
@@ -141,4 +164,8 @@ def trace() -> tuple[str, list[bytes], list[float]]:
         problem={"fieldsource": "RANDOM_FIELD", "NumberofEvaluations": "2"},
         method={"populationsize": "10", "generations": "5"},
     )
-    return written, [table.tobytes() for table in tables], [fitness for _, fitness in ranked]
+    return (
+        written,
+        [table.tobytes() for table in tables],
+        [fitness for _, fitness in ranked],
+    )

@@ -31,7 +31,9 @@ class CatalogEntry(NamedTuple):
     about: str = ""  # the first paragraph of its docstring
     reference: tuple[str, ...] = ()  # its other paragraphs, then those of its module
     settings: tuple[Key, ...] = ()
-    facts: tuple[tuple[str, Any], ...] = ()  # attributes of its class, such as ("portable", True)
+    facts: tuple[
+        tuple[str, Any], ...
+    ] = ()  # attributes of its class, such as ("portable", True)
     unstarted: bool = False  # a program that was not started: only its manifest is known
     error: str = ""  # why it cannot be used; then nothing else is known
 
@@ -39,7 +41,9 @@ class CatalogEntry(NamedTuple):
 def installed() -> list[CatalogEntry]:
     """Return all parts, kind by kind, sorted by name; programs are not started."""
     return [
-        _from_manifest(kind, name, programs[name]) if name in programs else entry(kind, name)
+        _from_manifest(kind, name, programs[name])
+        if name in programs
+        else entry(kind, name)
         for kind in KINDS
         for programs in [registry.foreign(kind)]
         for name in registry.names(kind)
@@ -61,7 +65,9 @@ def find(name: str) -> list[CatalogEntry]:
             f"{shown} is not a part but an example; zswarm-ot check {shown} explains it"
         )
     hint = nearest(name, {known for kind in KINDS for known in registry.names(kind)})
-    raise UnknownPlugin(f"no part is named {shown!r}{hint}; zswarm-ot list shows all parts")
+    raise UnknownPlugin(
+        f"no part is named {shown!r}{hint}; zswarm-ot list shows all parts"
+    )
 
 
 def entry(kind: registry.Kind, name: str) -> CatalogEntry:
@@ -70,7 +76,9 @@ def entry(kind: registry.Kind, name: str) -> CatalogEntry:
         loaded = registry.load(kind, name)
         about, *reference = _paragraphs(inspect.getdoc(loaded) or "")
         reference += _paragraphs(inspect.getdoc(sys.modules[loaded.__module__]) or "")
-        settings = tuple(_cleaned(key) for key in settings_docs.keys(loaded.settings_type))
+        settings = tuple(
+            _cleaned(key) for key in settings_docs.keys(loaded.settings_type)
+        )
         facts = tuple(_facts(kind, loaded))
         return CatalogEntry(
             kind, clean(name), about, tuple(filter(None, reference)), settings, facts
@@ -119,7 +127,9 @@ def settings_line(keys: tuple[Key, ...]) -> str:
 
 def default(key: Key) -> str:
     """Return a default as it is written in an experiment file, or "required"."""
-    return "required" if key.required else clean(msgspec.json.encode(key.default).decode())
+    return (
+        "required" if key.required else clean(msgspec.json.encode(key.default).decode())
+    )
 
 
 def _paragraphs(text: str) -> list[str]:

@@ -11,7 +11,9 @@ END_S = 5.0  # until it is killed
 
 
 @contextlib.contextmanager
-def dashboard(folder: Path, say: Callable[[str], None], *, wanted: bool) -> Iterator[None]:
+def dashboard(
+    folder: Path, say: Callable[[str], None], *, wanted: bool
+) -> Iterator[None]:
     """Show the folder of a run or a study while the context is open, if that is wanted.
 
     Args:
@@ -23,7 +25,14 @@ def dashboard(folder: Path, say: Callable[[str], None], *, wanted: bool) -> Iter
         yield
         return
     program = subprocess.Popen(
-        [sys.executable, "-m", "zswarm.ot", "dashboard", str(folder), "--until-stdin-closes"],
+        [
+            sys.executable,
+            "-m",
+            "zswarm.ot",
+            "dashboard",
+            str(folder),
+            "--until-stdin-closes",
+        ],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,

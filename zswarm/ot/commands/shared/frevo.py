@@ -127,7 +127,9 @@ def _play(problem: Problem, genome: bytes) -> float | None:
         return None
     work = problem.workload([genome], 0)
     trials = (work.genomes, work.participants, work.seeds)
-    work.fitness[:] = evaluate.evaluate(problem.simulator, problem.representation, *trials).fitness
+    work.fitness[:] = evaluate.evaluate(
+        problem.simulator, problem.representation, *trials
+    ).fitness
     return float(problem.total(work)[0])
 
 
@@ -161,7 +163,9 @@ def _result(path: Path, body: bytes) -> FrevoResult:
         },
         "optimizer": _optimizer(root, len(nets), notes),
     }
-    complete = experiment.complete(experiment.check(mapping, "its settings"), "its settings")
+    complete = experiment.complete(
+        experiment.check(mapping, "its settings"), "its settings"
+    )
     simulator = Problem(complete).simulator
     if (inputs, outputs) != (simulator.inputs, simulator.outputs):
         raise ConfigError(
@@ -171,7 +175,9 @@ def _result(path: Path, body: bytes) -> FrevoResult:
     fitness = np.array([net.fitness for net in nets]) + 0.0
     if np.isnan(fitness).all():
         raise ConfigError("none of its networks has a fitness")
-    generation = file.integer(populations.get("generation", ""), "populations: generation")
+    generation = file.integer(
+        populations.get("generation", ""), "populations: generation"
+    )
     method = root.find("method").get("class", "?")  # type: ignore[union-attr]  # _optimizer checked it
     source = clean(f"{path.name}: generation {generation} of FREVO's {method}")
     genomes = [net.genome for net in nets]
@@ -180,7 +186,10 @@ def _result(path: Path, body: bytes) -> FrevoResult:
 
 def _problem(root: Element) -> dict[str, Any]:
     entries = file.entries(root, "problem")
-    source, name = entries.get("fieldsource", "FIELD_FROM_FILE"), entries.get("Filename", STADIUM)
+    source, name = (
+        entries.get("fieldsource", "FIELD_FROM_FILE"),
+        entries.get("Filename", STADIUM),
+    )
     if source not in ("FIELD_FROM_FILE", "RANDOM_FIELD"):
         raise ConfigError(
             f"problem: fieldsource: expected FIELD_FROM_FILE or RANDOM_FIELD, not {clean(source)!r}"
@@ -209,12 +218,16 @@ def _optimizer(root: Element, candidates: int, notes: list[str]) -> dict[str, An
     return {"kind": "nnga", "population": max(candidates, 2)}
 
 
-def _settings(root: Element, part: str, known: Mapping[str, tuple[str, Any]]) -> dict[str, Any]:
+def _settings(
+    root: Element, part: str, known: Mapping[str, tuple[str, Any]]
+) -> dict[str, Any]:
     """Read settings; a default that is a whole number stands for a setting that is one."""
     entries, settings = file.entries(root, part), {}
     for name, (key, default) in known.items():
         read = file.integer if isinstance(default, int) else file.number
-        settings[name] = read(entries[key], f"{part}: {key}") if key in entries else default
+        settings[name] = (
+            read(entries[key], f"{part}: {key}") if key in entries else default
+        )
     return settings
 
 
@@ -223,4 +236,6 @@ def _check_class(root: Element, part: str, known: str, what: str) -> None:
     if element is None:
         raise ConfigError(f"damaged, or not a result of FREVO: it names no {part}")
     if (name := element.get("class", "")) != known:
-        raise ConfigError(f"it is {what} {clean(name)!r}; only results of {known} can be imported")
+        raise ConfigError(
+            f"it is {what} {clean(name)!r}; only results of {known} can be imported"
+        )

@@ -57,7 +57,9 @@ def parse(body: bytes) -> tuple[Element, list[Net]]:
             element.clear()
         depth -= 1
 
-    def doctype(_name: str, _system: str | None, _public: str | None, internal: int) -> None:
+    def doctype(
+        _name: str, _system: str | None, _public: str | None, internal: int
+    ) -> None:
         if internal:  # FREVO's names ISave.dtd, which is not read
             raise ConfigError("not a result of FREVO: it declares a document type")
 
@@ -74,7 +76,9 @@ def parse(body: bytes) -> tuple[Element, list[Net]]:
         raise ConfigError(f"damaged, or not XML: {clean(str(error))}") from None
     root = builder.close()
     if root.tag != "frevo":
-        raise ConfigError(f"not a result of FREVO: its outermost element is {clean(root.tag)!r}")
+        raise ConfigError(
+            f"not a result of FREVO: its outermost element is {clean(root.tag)!r}"
+        )
     return root, nets
 
 
@@ -87,9 +91,13 @@ def entries(root: Element, part: str) -> dict[str, str]:
 def _net(element: Element) -> Net:
     """Read a network as ``FullyMeshedNet.exportToXmlElement`` writes it."""
     if element.tag != NET:
-        raise ConfigError(f"it holds {clean(element.tag)!r}; only results of {NET} can be imported")
+        raise ConfigError(
+            f"it holds {clean(element.tag)!r}; only results of {NET} can be imported"
+        )
     shape = ("input_nodes", "output_nodes", "nodes")
-    inputs, outputs, nodes = (integer(element.get(key, ""), f"{NET}: {key}") for key in shape)
+    inputs, outputs, nodes = (
+        integer(element.get(key, ""), f"{NET}: {key}") for key in shape
+    )
     elements = element.findall("nodes/node")
     found = {integer(node.get("nr", ""), "node: nr"): node for node in elements}
     possible = 0 < inputs <= inputs + outputs <= nodes == len(elements)
@@ -123,7 +131,9 @@ def _row(node: Element, index: int, nodes: int) -> bytes:
             f"damaged: node {index} of a network does not have one weight from each of its {nodes} "
             "nodes"
         )
-    return _singles([*(weight.text for weight in weights), node.findtext("bias")]).tobytes()
+    return _singles(
+        [*(weight.text for weight in weights), node.findtext("bias")]
+    ).tobytes()
 
 
 def integer(text: str, what: str) -> int:
@@ -136,7 +146,9 @@ def integer(text: str, what: str) -> int:
 def number(text: str | None, what: str) -> float:
     """Read a number as Java writes it, such as ``-1.0E-4`` or ``0.3f``."""
     text = (text or "").strip()
-    if not NUMBER.fullmatch(text) or not math.isfinite(value := float(text.rstrip("fFdD"))):
+    if not NUMBER.fullmatch(text) or not math.isfinite(
+        value := float(text.rstrip("fFdD"))
+    ):
         raise ConfigError(f"{what}: expected a finite number, not {clean(text)!r}")
     return value
 
@@ -148,7 +160,9 @@ def _singles(texts: Sequence[str | None]) -> np.ndarray:
     with np.errstate(over="ignore"):
         near = values.astype("<f4")
     if not (finite := np.isfinite(near)).all():
-        raise ConfigError(f"{what}: expected a number of 32 bits, not {values[~finite][0]:g}")
+        raise ConfigError(
+            f"{what}: expected a number of 32 bits, not {values[~finite][0]:g}"
+        )
     other = np.nextafter(near, np.where(values > near, np.inf, -np.inf).astype("<f4"))
     middles = (near.astype(float) + other.astype(float)) / 2
     # 64 bits were rounded to the middle between two float32: the digits decide.

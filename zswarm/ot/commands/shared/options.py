@@ -62,7 +62,9 @@ def together(*options: Callable[[F], F]) -> Callable[[F], F]:
 def set_option_of(what: str, example: str) -> Callable[[F], F]:
     """Make a ``--set`` option."""
     text = f"Change a setting of the {what}, such as {example}; may be repeated."
-    return click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help=text)
+    return click.option(
+        "--set", "overrides", multiple=True, metavar="KEY=VALUE", help=text
+    )
 
 
 def output_option(text: str) -> Callable[[F], F]:
@@ -77,22 +79,32 @@ champion_argument = click.argument(
     "path", type=PATH, metavar="RUN|CHAMPION.zsc", shell_complete=suggestions.runs
 )
 paths_argument = click.argument(
-    "paths", nargs=-1, required=True, type=PATH, metavar="RUN|STUDY...",
+    "paths",
+    nargs=-1,
+    required=True,
+    type=PATH,
+    metavar="RUN|STUDY...",
     shell_complete=suggestions.runs,
-)  # fmt: skip
+)
 json_option, json_lines_option = (
     click.option("--json", "as_json", is_flag=True, callback=_json_only, help=text)
     for text in ("Print JSON on stdout.", "Print JSON on stdout, one object per line.")
 )
 dashboard_option = click.option(
-    "--dashboard", "with_dashboard", is_flag=True, callback=_need_dashboard,
+    "--dashboard",
+    "with_dashboard",
+    is_flag=True,
+    callback=_need_dashboard,
     help="Show it live in the browser as well; the address is printed.",
-)  # fmt: skip
+)
 set_option = set_option_of("experiment", "optimizer.population=100")
 out_option = click.option(
-    "--out", type=click.Path(file_okay=False, path_type=Path), default=suggestions.RUNS,
-    show_default=True, help="Folder in which the run's folder is made.",
-)  # fmt: skip
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=suggestions.RUNS,
+    show_default=True,
+    help="Folder in which the run's folder is made.",
+)
 csv_option = click.option(
     "--csv", metavar="FILE", help="Also write the numbers as CSV; - is stdout."
 )
@@ -103,45 +115,60 @@ MULTICAST = "Find servers by multicast.  [default: multicast]"
 # Those that change an experiment's ``[cluster]``.
 cluster_options = together(
     click.option(
-        "--servers", metavar="auto|local|N",
+        "--servers",
+        metavar="auto|local|N",
         help="auto: this machine's slots and all servers found; local: this machine only; N: wait "
         "for N servers.",
     ),
     click.option("--realm", help="Use the servers of this realm."),
     click.option(
-        "--connect", multiple=True, metavar="EP",
+        "--connect",
+        multiple=True,
+        metavar="EP",
         help="Connect to this server or router, such as tcp/192.168.1.5:7467; may be repeated.",
     ),
     click.option("--multicast/--no-multicast", default=None, help=MULTICAST),
     click.option(
-        "--through-router/--no-through-router", default=None,
+        "--through-router/--no-through-router",
+        default=None,
         help="Reach all servers through a router, given by --connect or found by multicast.",
     ),
     click.option(
-        "--require", multiple=True, metavar="LABEL=VALUE",
+        "--require",
+        multiple=True,
+        metavar="LABEL=VALUE",
         help="Use only servers with this label, such as gpu=yes, room=b12|b13, name!=lab-3 or "
         "cores>=8; may be repeated.",
     ),
     click.option(
-        "--rank", multiple=True, metavar="LABEL",
+        "--rank",
+        multiple=True,
+        metavar="LABEL",
         help="Prefer servers: gpu=yes, or cores for the higher number, -cores for the lower; may "
         "be repeated.",
     ),
-    number_option("--max-slots", help="Hold at most this many slots at a time; 0: no limit."),
-)  # fmt: skip
+    number_option(
+        "--max-slots", help="Hold at most this many slots at a time; 0: no limit."
+    ),
+)
 # Those that say where to search for servers, without an experiment.
 search_options = together(
-    click.option("--realm", default="default", show_default=True, help="Realm to search."),
     click.option(
-        "--connect", multiple=True, metavar="EP",
+        "--realm", default="default", show_default=True, help="Realm to search."
+    ),
+    click.option(
+        "--connect",
+        multiple=True,
+        metavar="EP",
         help="Connect to this server or router; may be repeated.",
     ),
     click.option("--multicast/--no-multicast", default=True, help=MULTICAST),
     click.option(
-        "--through-router", is_flag=True,
+        "--through-router",
+        is_flag=True,
         help="Search through a router, given by --connect or found by multicast.",
     ),
-)  # fmt: skip
+)
 
 
 @contextlib.contextmanager
@@ -182,7 +209,12 @@ def complete(name: str, overrides: Sequence[str], cluster: dict[str, Any]) -> Ex
 
 
 def reach(
-    realm: str, connect: Sequence[str], multicast: bool, through_router: bool, *, keys: bool
+    realm: str,
+    connect: Sequence[str],
+    multicast: bool,
+    through_router: bool,
+    *,
+    keys: bool,
 ) -> "Reach":
     """Return how to reach the servers that the search options name.
 
@@ -195,7 +227,9 @@ def reach(
     if not is_id(realm):
         raise ConfigError(f"--realm: expected {ID_RULE}, not {realm!r}")
     endpoint.check(connect, "--connect")
-    return Reach(connect, multicast, through_router, keyring.installed("ot") if keys else None)
+    return Reach(
+        connect, multicast, through_router, keyring.installed("ot") if keys else None
+    )
 
 
 def check_stdout(csv: str | None, *, as_json: bool) -> None:
@@ -223,6 +257,8 @@ def with_cluster(loaded: Experiment, given: dict[str, Any]) -> Experiment:
     }
     if (text := changes.get("servers", "auto")) not in ("auto", "local"):
         if not text.isdigit() or int(text) < 1:
-            raise ConfigError(f"--servers {text}: expected auto, local or a number of servers")
+            raise ConfigError(
+                f"--servers {text}: expected auto, local or a number of servers"
+            )
         changes["servers"] = int(text)
     return experiment.with_cluster(loaded, changes)

@@ -13,7 +13,9 @@ from zswarm.plugins import registry
 RUNS = Path("runs")
 
 
-def experiments(_context: Context, _parameter: Parameter, typed: str) -> list[CompletionItem]:
+def experiments(
+    _context: Context, _parameter: Parameter, typed: str
+) -> list[CompletionItem]:
     """Suggest examples and experiment files; if none fits, the shell suggests its files."""
     names = sorted(path.stem for path in experiment.examples_folder().glob("*.toml"))
     files = sorted(glob.glob(glob.escape(typed) + "*.toml"))
@@ -23,13 +25,19 @@ def experiments(_context: Context, _parameter: Parameter, typed: str) -> list[Co
 def runs(_context: Context, _parameter: Parameter, typed: str) -> list[CompletionItem]:
     """Suggest runs below ``runs`` and in studies; if none fits, the shell suggests its folders."""
     try:
-        found = [path.parent for depth in ("*", "*/*") for path in RUNS.glob(f"{depth}/run.sqlite")]
+        found = [
+            path.parent
+            for depth in ("*", "*/*")
+            for path in RUNS.glob(f"{depth}/run.sqlite")
+        ]
     except OSError:
         found = []
     return _fitting(sorted(map(str, found)), typed) or [CompletionItem(typed, type="dir")]
 
 
-def simulators(_context: Context, _parameter: Parameter, typed: str) -> list[CompletionItem]:
+def simulators(
+    _context: Context, _parameter: Parameter, typed: str
+) -> list[CompletionItem]:
     """Suggest simulators."""
     return _fitting(registry.names("simulator"), typed)
 
@@ -48,4 +56,8 @@ def targets(_context: Context, _parameter: Parameter, typed: str) -> list[Comple
 
 
 def _fitting(names: Iterable[str], typed: str) -> list[CompletionItem]:
-    return [CompletionItem(name) for name in names if name.startswith(typed) and name.isprintable()]
+    return [
+        CompletionItem(name)
+        for name in names
+        if name.startswith(typed) and name.isprintable()
+    ]

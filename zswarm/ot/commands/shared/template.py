@@ -26,7 +26,9 @@ RANGES = (
 )
 
 
-def blank(name: str, simulator: str, representation: str, optimizer: str) -> dict[str, Any]:
+def blank(
+    name: str, simulator: str, representation: str, optimizer: str
+) -> dict[str, Any]:
     """Return the content of a file that sets only what has no default."""
     return {
         "name": name,
@@ -54,7 +56,9 @@ def _lines(content: Mapping[str, Any]) -> Iterator[str]:
     yield from _comment(HEAD)
     yield ""
     top = experiment.top_level()
-    yield from _keys(top, {key.name: content[key.name] for key in top if key.name in content})
+    yield from _keys(
+        top, {key.name: content[key.name] for key in top if key.name in content}
+    )
     for name, struct in experiment.TABLES.items():
         table, known = content.get(name, {}), settings_docs.keys(struct)
         yield from ("", f"[{name}]")
@@ -68,7 +72,9 @@ def _lines(content: Mapping[str, Any]) -> Iterator[str]:
             yield from _comment((inspect.getdoc(loaded) or "").partition("\n\n")[0])
             yield from _comment(RANGES)
             yield "[problem.settings]"
-            yield from _keys(settings_docs.keys(loaded.settings_type), table.get("settings", {}))
+            yield from _keys(
+                settings_docs.keys(loaded.settings_type), table.get("settings", {})
+            )
         elif name in experiment.PARTS:
             settings = dict(table)
             kind = settings.pop("kind", None)
@@ -81,14 +87,20 @@ def _lines(content: Mapping[str, Any]) -> Iterator[str]:
 
 def _keys(known: list[Key], table: Mapping[str, Any]) -> Iterator[str]:
     for key in known:
-        yield from _comment(f"{key.type_text}: {key.meaning}" if key.meaning else key.type_text)
+        yield from _comment(
+            f"{key.type_text}: {key.meaning}" if key.meaning else key.type_text
+        )
         if key.name in table:
             yield f"{_name(key.name)} = {_value(table[key.name])}"
         else:
-            default = "" if key.default is None else _value(msgspec.to_builtins(key.default))
+            default = (
+                "" if key.default is None else _value(msgspec.to_builtins(key.default))
+            )
             yield f"#{_name(key.name)} = {default}".rstrip()
     names = {key.name for key in known}
-    for name in (name for name in table if name not in names):  # tables that a plug-in defines
+    for name in (
+        name for name in table if name not in names
+    ):  # tables that a plug-in defines
         yield f"{_name(name)} = {_value(table[name])}"
 
 
@@ -107,7 +119,9 @@ def _value(value: Any) -> str:
     """Write a value on one line, so that it can be commented out."""
     match value:
         case Mapping():
-            items = ", ".join(f"{_name(key)} = {_value(item)}" for key, item in value.items())
+            items = ", ".join(
+                f"{_name(key)} = {_value(item)}" for key, item in value.items()
+            )
             return f"{{ {items} }}" if value else "{}"
         case list() | tuple():
             return f"[{', '.join(_value(item) for item in value)}]"

@@ -136,7 +136,9 @@ class Driving:
         decision = self._robot.step(self._scan, self._pose)
         if decision is None:
             degrees = f"{self._robot.view_degrees:g} degrees"
-            raise Blind(f"the scanner does not cover the {degrees} that the controller needs")
+            raise Blind(
+                f"the scanner does not cover the {degrees} that the controller needs"
+            )
         if not self._lock_step and decision.distance < self._arrived_m:
             self.arrived = True
             return STOP

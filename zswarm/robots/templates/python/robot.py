@@ -40,7 +40,10 @@ def build(targets=settings.TARGETS, speed=settings.SPEED, turn=settings.TURN):
     count = len(settings.TARGETS)
     if len(targets) != count or not np.isfinite(targets).all():
         raise ValueError(f"targets: expected {count} numbers: x, y of each target in m")
-    for name, value, most in (("speed", speed, settings.SPEED), ("turn", turn, settings.TURN)):
+    for name, value, most in (
+        ("speed", speed, settings.SPEED),
+        ("turn", turn, settings.TURN),
+    ):
         if not 0 <= value <= most:
             raise ValueError(f"{name}: expected 0 to {most:g}, not {value:g}")
     kind = Compiled if os.path.exists(LIBRARY) else Plain
@@ -88,7 +91,10 @@ class Compiled:
     def step(self, scan, pose):
         """Decide; return None if the scanner does not cover what the controller needs."""
         ranges = np.ascontiguousarray(scan.ranges, np.float32)
-        angles, place = (scan.angle_min, scan.angle_increment), (pose.x, pose.y, pose.z, pose.w)
+        angles, place = (
+            (scan.angle_min, scan.angle_increment),
+            (pose.x, pose.y, pose.z, pose.w),
+        )
         robot, decision = ctypes.byref(self._robot), ctypes.byref(self._decision)
         if self._step(robot, ranges.ctypes.data, len(ranges), *angles, *place, decision):
             return None
@@ -102,16 +108,25 @@ class Plain:
     view_degrees = settings.VIEW_DEGREES
 
     def __init__(self, targets, speed, turn):
-        from . import kernels, network  # slow to import, and not needed where it is compiled
+        from . import (
+            kernels,
+            network,
+        )  # slow to import, and not needed where it is compiled
 
-        self._kernels, self._network, self._controller = kernels, network, network.Controller()
+        self._kernels, self._network, self._controller = (
+            kernels,
+            network,
+            network.Controller(),
+        )
         self._targets, self._speed, self._turn = targets, speed, turn
         self._scan = np.zeros(settings.RAYS, np.float32)
         self._observation = np.zeros(self._controller.inputs, np.float32)
 
     def selftest(self):
         """Return whether a step of the self-test differs."""
-        evolved = Plain(np.array(settings.TARGETS, np.float64), settings.SPEED, settings.TURN)
+        evolved = Plain(
+            np.array(settings.TARGETS, np.float64), settings.SPEED, settings.TURN
+        )
         decided = []
         for ranges, pose in zip(settings.CHECK_RANGES, settings.CHECK_POSES):
             scan = driving.Scan(0, ranges, settings.FIRST, settings.BETWEEN)
@@ -128,7 +143,10 @@ class Plain:
         kernels, seen = self._kernels, self._observation
         rays, view, reach = settings.RAYS, settings.VIEW, np.float32(settings.RANGE)
         ranges = np.asarray(scan.ranges, np.float32)
-        angles, place = (scan.angle_min, scan.angle_increment), (pose.x, pose.y, pose.z, pose.w)
+        angles, place = (
+            (scan.angle_min, scan.angle_increment),
+            (pose.x, pose.y, pose.z, pose.w),
+        )
         if not kernels.covers(len(ranges), *angles, view):
             return None
         kernels.fit_scan(ranges, len(ranges), *angles, rays, view, reach, self._scan)
@@ -138,5 +156,8 @@ class Plain:
         drive, turn = self._controller.act(seen)
         linear = float(kernels.velocity(drive, settings.EVOLVED_SPEED))
         angular = float(kernels.velocity(turn, settings.EVOLVED_TURN))
-        limited = kernels.limited(linear, self._speed), kernels.limited(angular, self._turn)
+        limited = (
+            kernels.limited(linear, self._speed),
+            kernels.limited(angular, self._turn),
+        )
         return Decision(*limited, float(distance))

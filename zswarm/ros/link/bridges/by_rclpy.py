@@ -29,9 +29,14 @@ def main() -> None:
     from rclpy.signals import SignalHandlerOptions
 
     set_up = pipe.set_up()
-    arguments, no_handlers = ["--ros-args", "--disable-external-lib-logs"], SignalHandlerOptions.NO
+    arguments, no_handlers = (
+        ["--ros-args", "--disable-external-lib-logs"],
+        SignalHandlerOptions.NO,
+    )
     rclpy.init(args=arguments, signal_handler_options=no_handlers)
-    node = rclpy.create_node(set_up["node"], start_parameter_services=False, enable_rosout=False)
+    node = rclpy.create_node(
+        set_up["node"], start_parameter_services=False, enable_rosout=False
+    )
     topics = RclpyTopics(pipe.write, node)
     topics.connect(set_up["topics"])
     spinning = threading.Thread(target=spin, args=(node,), daemon=True)
@@ -77,29 +82,39 @@ class RclpyTopics(Topics):  # type: ignore[misc]  # found only at run time
     def _subscribe(self, topic: dict[str, Any], received: Send) -> Count:
         """Humble counts all publishers, not the matching ones."""
         name, kind = topic["name"], message_class(topic["type"])
-        subscription = self._node.create_subscription(kind, name, received, _quality(topic))
+        subscription = self._node.create_subscription(
+            kind, name, received, _quality(topic)
+        )
         matched = getattr(subscription, "get_publisher_count", None)
         return matched or (lambda: self._node.count_publishers(subscription.topic_name))
 
     def _call(self, service: str) -> tuple[Send, Count]:
         kind = frames.need("std_srvs.srv", NO_SERVICES).Empty
         client = self._node.create_client(kind, service)
-        return lambda _: client.call_async(kind.Request()), lambda: int(client.service_is_ready())
+        return lambda _: client.call_async(kind.Request()), lambda: int(
+            client.service_is_ready()
+        )
 
     def _offer(self, service: str, called: Callable[[], object]) -> None:
         def answer(_: Any, response: Any) -> Any:
             called()
             return response
 
-        self._node.create_service(frames.need("std_srvs.srv", NO_SERVICES).Empty, service, answer)
+        self._node.create_service(
+            frames.need("std_srvs.srv", NO_SERVICES).Empty, service, answer
+        )
 
 
 def _quality(topic: dict[str, Any]) -> Any:
     """Return a QoS profile: late subscribers get no earlier messages."""
     from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-    policy = ReliabilityPolicy.RELIABLE if topic["reliable"] else ReliabilityPolicy.BEST_EFFORT
-    return QoSProfile(depth=DEPTH, reliability=policy, durability=DurabilityPolicy.VOLATILE)
+    policy = (
+        ReliabilityPolicy.RELIABLE if topic["reliable"] else ReliabilityPolicy.BEST_EFFORT
+    )
+    return QoSProfile(
+        depth=DEPTH, reliability=policy, durability=DurabilityPolicy.VOLATILE
+    )
 
 
 if __name__ == "__main__":

@@ -26,7 +26,9 @@ def main() -> None:
     set_up = pipe.set_up()
     check(set_up)
     warnings.simplefilter("ignore", SyntaxWarning)  # of a publisher without a queue
-    if any(topic["type"] == frames.CLOCKS and topic["publish"] for topic in set_up["topics"]):
+    if any(
+        topic["type"] == frames.CLOCKS and topic["publish"] for topic in set_up["topics"]
+    ):
         rospy.set_param("/use_sim_time", True)
 
     def no_time() -> bool:
@@ -35,8 +37,12 @@ def main() -> None:
         return True
 
     rospy.impl.simtime.init_simtime = no_time
-    rospy.core.configure_logging = lambda *_: None  # no files: errors go to standard error
-    rospy.init_node(set_up["node"], anonymous=True, disable_signals=True, log_level=rospy.ERROR)
+    rospy.core.configure_logging = lambda *_: (
+        None
+    )  # no files: errors go to standard error
+    rospy.init_node(
+        set_up["node"], anonymous=True, disable_signals=True, log_level=rospy.ERROR
+    )
     topics = RospyTopics(pipe.write, rospy)
     topics.connect(set_up["topics"])
     pipe.publish(topics.sending, topics.connected)

@@ -18,7 +18,8 @@ from zswarm.errors import ConfigError
 from zswarm.system import extras
 
 NO_SERVICES = (
-    "the link zenoh calls no services: use a profile whose reset is a topic, or link = rclpy"
+    "the link zenoh calls no services: use a profile whose reset is a topic, "
+    "or link = rclpy"
 )
 
 
@@ -37,10 +38,14 @@ def main() -> None:
     domain, distribution = set_up["domain"], set_up["distribution"]
     try:
         session = open_session(set_up["connect"], set_up["listen"], local=set_up["local"])
-        node = ZenohNode(session, set_up["node"], domain=domain, distribution=distribution)
+        node = ZenohNode(
+            session, set_up["node"], domain=domain, distribution=distribution
+        )
     except (zenoh.ZError, ValueError) as error:
         frames.refuse(f"zenoh: {str(error).split(' at /')[0][:200]}")
-    waiting: queue.SimpleQueue[bytes] = queue.SimpleQueue()  # Zenoh's threads only enqueue
+    waiting: queue.SimpleQueue[bytes] = (
+        queue.SimpleQueue()
+    )  # Zenoh's threads only enqueue
     threading.Thread(target=write, args=(pipe, waiting), daemon=True).start()
     topics = ZenohTopics(waiting.put, node)
     topics.connect(set_up["topics"])
@@ -55,7 +60,9 @@ class ZenohTopics(Topics):  # type: ignore[misc]  # found only at run time
     def __init__(self, write: Callable[[bytes], object], node: Any) -> None:
         # Each message is sent before the next is made: one object of a type serves for all.
         new = functools.cache(lambda kind: empty(node.store, spelled(kind)))
-        super().__init__(write, Conversion(new, floats=lambda raw: np.frombuffer(raw, np.float32)))
+        super().__init__(
+            write, Conversion(new, floats=lambda raw: np.frombuffer(raw, np.float32))
+        )
         self._node = node
 
     def _publish(self, topic: dict[str, Any]) -> tuple[Send, Count]:
@@ -65,7 +72,9 @@ class ZenohTopics(Topics):  # type: ignore[misc]  # found only at run time
 
     def _subscribe(self, topic: dict[str, Any], received: Send) -> Count:
         name, kind = topic["name"], spelled(topic["type"])
-        count: Count = self._node.subscribe(name, kind, received, reliable=topic["reliable"])
+        count: Count = self._node.subscribe(
+            name, kind, received, reliable=topic["reliable"]
+        )
         return count
 
 

@@ -32,7 +32,10 @@ FIELDS = {
         ),
     ),
     frames.TWIST: (frames.VELOCITY, (ZERO, "linear.x", "angular.z")),
-    frames.TWIST_STAMPED: (frames.VELOCITY, (HEADER, "twist.linear.x", "twist.angular.z")),
+    frames.TWIST_STAMPED: (
+        frames.VELOCITY,
+        (HEADER, "twist.linear.x", "twist.angular.z"),
+    ),
     frames.CLOCKS: (frames.CLOCK, ("clock",)),
     frames.SEED: (frames.RESET, ("data",)),
 }
@@ -108,7 +111,9 @@ class Conversion:
         if field == ZERO:
             return lambda *_: None
         parent, _, name = field.rpartition(".")
-        owner: Callable[[Any], Any] = attrgetter(parent) if parent else lambda message: message
+        owner: Callable[[Any], Any] = (
+            attrgetter(parent) if parent else lambda message: message
+        )
         if field not in STAMPS:
             return lambda message, number: setattr(owner(message), name, number)
         seconds, nanoseconds = self._stamp

@@ -22,7 +22,9 @@ HEAD = struct.Struct("<IH")
 MAX_BODY = 1 << 24  # bytes
 # Not a topic. To a bridge: the set-up, then questions about connections. From it: answers.
 CONTROL = 0xFFFF
-COUNT = struct.Struct("<H")  # in an answer, per topic: how many are connected at the other end
+COUNT = struct.Struct(
+    "<H"
+)  # in an answer, per topic: how many are connected at the other end
 CHUNK = 1 << 16
 REFUSED = 2  # exit code: the last line of standard error says what is wrong
 LINGER_S = 2.0  # a bridge whose parent is gone ends within that
@@ -30,12 +32,18 @@ LINGER_S = 2.0  # a bridge whose parent is gone ends within that
 # Bodies. Stamps are nanoseconds.
 # Stamp; angles of the first and last ray, between two; shortest, longest range; float32 ranges.
 SCAN = struct.Struct("<q5f")
-ODOMETRY = struct.Struct("<q6d")  # stamp, x, y, z and w of the quaternion, linear, angular
+ODOMETRY = struct.Struct(
+    "<q6d"
+)  # stamp, x, y, z and w of the quaternion, linear, angular
 VELOCITY = struct.Struct("<q2d")  # stamp (0 in a Twist), linear, angular
 CLOCK = struct.Struct("<q")
 RESET = struct.Struct("<Q")  # seed
 
-LASER_SCAN, ODOMETRIES, CLOCKS = "sensor_msgs/LaserScan", "nav_msgs/Odometry", "rosgraph_msgs/Clock"
+LASER_SCAN, ODOMETRIES, CLOCKS = (
+    "sensor_msgs/LaserScan",
+    "nav_msgs/Odometry",
+    "rosgraph_msgs/Clock",
+)
 TWIST, TWIST_STAMPED = "geometry_msgs/Twist", "geometry_msgs/TwistStamped"
 SEED, EMPTY = "std_msgs/UInt64", "std_srvs/Empty"  # the second is a service
 
@@ -77,7 +85,9 @@ class Pipe:
         return found
 
     def publish(
-        self, sending: dict[int, Callable[[bytes], object]], connected: list[Callable[[], int]]
+        self,
+        sending: dict[int, Callable[[bytes], object]],
+        connected: list[Callable[[], int]],
     ) -> None:
         """Report that the bridge is ready; publish and answer until the parent closes the pipe."""
         self.write(frame(CONTROL, b""))

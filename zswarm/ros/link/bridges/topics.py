@@ -28,7 +28,9 @@ class Topics:
     def connect(self, topics: list[dict[str, Any]]) -> None:
         """Publish, subscribe to, call or offer each."""
         for number, topic in enumerate(topics):
-            connect = self._connect_service if topic["type"] == frames.EMPTY else self._connect
+            connect = (
+                self._connect_service if topic["type"] == frames.EMPTY else self._connect
+            )
             self.connected.append(connect(number, topic))
 
     def _publish(self, topic: dict[str, Any]) -> tuple[Send, Count]:

@@ -21,7 +21,11 @@ class FullyMeshed:
             raise ValueError(
                 f"this node knows the activation clamp only, not {settings['activation']}"
             )
-        self.inputs, self.outputs, self.iterations = inputs, outputs, settings["iterations"]
+        self.inputs, self.outputs, self.iterations = (
+            inputs,
+            outputs,
+            settings["iterations"],
+        )
         neurons = settings["hidden"] + outputs
         row = inputs + neurons + 1  # each neuron's weights, then its bias
         if len(numbers) != neurons * row:
@@ -52,7 +56,10 @@ class Compiled:
     def __init__(self, library, inputs, outputs):
         self.library = ctypes.CDLL(library)
         self.state = ctypes.create_string_buffer(self.library.controller_size())
-        self.observation, self.action = (ctypes.c_float * inputs)(), (ctypes.c_float * outputs)()
+        self.observation, self.action = (
+            (ctypes.c_float * inputs)(),
+            (ctypes.c_float * outputs)(),
+        )
         self.library.controller_reset(self.state)
 
     def act(self, observation):
@@ -70,7 +77,9 @@ def load(parameters):
         with open(parameters["candidate_file"]) as file:
             said = json.load(file)
         kind, settings = said["representation"], said["representation_settings"]
-        numbers = [number for neuron in said["networks"][0]["neurons"] for number in neuron]
+        numbers = [
+            number for neuron in said["networks"][0]["neurons"] for number in neuron
+        ]
     else:
         settings, numbers = parameters["candidate_network"], parameters["candidate"]
         kind = settings["kind"]

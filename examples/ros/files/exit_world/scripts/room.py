@@ -21,7 +21,9 @@ class Room:
 
     def __init__(self, parameters):
         self.half = parameters["half_width"]
-        self.exits = [parameters[f"exit_{number}"] for number in range(parameters["exits"])]
+        self.exits = [
+            parameters[f"exit_{number}"] for number in range(parameters["exits"])
+        ]
         self.step_m, self.epsilon = parameters["step_size"], parameters["epsilon"]
         draw, (x, y) = random.Random(parameters["seed"]), parameters["start"]  # noqa: S311  the trial's seed
         self.places = []
@@ -41,7 +43,8 @@ class Room:
             if number != robot and (robot < 0 or self.inside[number])
         )
         return all(
-            (place[0] - x) * (place[0] - x) + (place[1] - y) * (place[1] - y) >= APART_M * APART_M
+            (place[0] - x) * (place[0] - x) + (place[1] - y) * (place[1] - y)
+            >= APART_M * APART_M
             for x, y in others
         )
 
@@ -57,8 +60,14 @@ class Room:
         """Return the ten inputs of a robot's controller."""
         x, y = self.places[robot]
         _, (to_x, to_y) = self.nearest(robot)
-        around = [(x + self.step_m * east, y + self.step_m * north) for east, north in AROUND]
-        return [to_x - x, to_y - y, *(1.0 if self.free(place, robot) else 0.0 for place in around)]
+        around = [
+            (x + self.step_m * east, y + self.step_m * north) for east, north in AROUND
+        ]
+        return [
+            to_x - x,
+            to_y - y,
+            *(1.0 if self.free(place, robot) else 0.0 for place in around),
+        ]
 
     def move(self, robot, east, north):
         """Move a robot by steps clipped to -1 .. 1. At an exit it leaves."""

@@ -12,7 +12,10 @@ ARGUMENTS = {
     "robot": ("", "the robot's namespace, such as robot_0; none for one that is alone"),
     "speed": ("@{speed}", "m/s at most; lower it for the first drive"),
     "turn": ("@{turn}", "rad/s at most, likewise"),
-    "targets": ("[@{places}]", "x, y of each place to go to, m, in the frame of the odometry"),
+    "targets": (
+        "[@{places}]",
+        "x, y of each place to go to, m, in the frame of the odometry",
+    ),
     "use_sim_time": ("false", "true with a simulation"),
 }
 

@@ -35,16 +35,24 @@ class Node:
         targets = list(node.declare_parameter("targets", list(settings.TARGETS)).value)
         self.lock_step = node.declare_parameter("lock_step", False).value
         if self.lock_step and not node.get_parameter("use_sim_time").value:
-            raise ValueError("lock_step: for simulations; expected use_sim_time to be true")
+            raise ValueError(
+                "lock_step: for simulations; expected use_sim_time to be true"
+            )
         own, text = robot.build(targets, speed, turn)
-        self._driving = driving.Driving(own, settings.WATCHDOG_S, settings.ARRIVED, self.lock_step)
+        self._driving = driving.Driving(
+            own, settings.WATCHDOG_S, settings.ARRIVED, self.lock_step
+        )
         self._type = TwistStamped if settings.STAMPED else Twist
         velocity = settings.VELOCITY_TOPIC
         self._publisher = node.create_publisher(self._type, velocity, QoSProfile(depth=1))
         # Best effort matches all publishers; in lock-step no message may be lost.
         quality = QoSProfile(depth=10) if self.lock_step else qos_profile_sensor_data
-        node.create_subscription(LaserScan, settings.SCAN_TOPIC, self._on_message, quality)
-        node.create_subscription(Odometry, settings.ODOMETRY_TOPIC, self._on_message, quality)
+        node.create_subscription(
+            LaserScan, settings.SCAN_TOPIC, self._on_message, quality
+        )
+        node.create_subscription(
+            Odometry, settings.ODOMETRY_TOPIC, self._on_message, quality
+        )
         if not self.lock_step:
             steady = Clock(clock_type=ClockType.STEADY_TIME)
             node.create_timer(settings.STEP_S, self._on_step)

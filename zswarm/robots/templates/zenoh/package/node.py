@@ -24,7 +24,9 @@ LOCK_STEP = "for simulations that wait for each decision"
 def options():
     """Return what the command line has."""
     about = __doc__.splitlines()[0]
-    parser = argparse.ArgumentParser(prog=f"python3 -m {settings.NAME}.node", description=about)
+    parser = argparse.ArgumentParser(
+        prog=f"python3 -m {settings.NAME}.node", description=about
+    )
     add = parser.add_argument
     endpoints = {"action": "append", "default": [], "metavar": "ENDPOINT"}
     add("--connect", help="to dial, such as tcp/robot:7447", **endpoints)
@@ -34,8 +36,19 @@ def options():
     for name, name_in_ros in TOPICS.items():
         add(f"--{name}", default=name_in_ros, help="topic, default %(default)s")
     for name, (most, unit) in LIMITS.items():
-        add(f"--{name}", type=float, default=most, help=f"{unit} at most, default %(default)s")
-    add("--targets", type=float, nargs="+", default=settings.TARGETS, help="x, y of each, m")
+        add(
+            f"--{name}",
+            type=float,
+            default=most,
+            help=f"{unit} at most, default %(default)s",
+        )
+    add(
+        "--targets",
+        type=float,
+        nargs="+",
+        default=settings.TARGETS,
+        help="x, y of each, m",
+    )
     add("--lock-step", action="store_true", help=LOCK_STEP)
     return parser.parse_args()
 
@@ -45,15 +58,21 @@ class Node:
 
     def __init__(self, session, given):
         own, text = robot.build(given.targets, given.speed, given.turn)
-        self.driving = driving.Driving(own, settings.WATCHDOG_S, settings.ARRIVED, given.lock_step)
+        self.driving = driving.Driving(
+            own, settings.WATCHDOG_S, settings.ARRIVED, given.lock_step
+        )
         self.lock_step = given.lock_step
         self._messages = queue.SimpleQueue()  # Zenoh calls back from its threads
         distribution, domain = settings.DISTRIBUTION, given.domain
-        node = over_zenoh.ZenohNode(session, "drive", domain=domain, distribution=distribution)
+        node = over_zenoh.ZenohNode(
+            session, "drive", domain=domain, distribution=distribution
+        )
         self._types = node.store.types
         kind = "geometry_msgs/msg/" + ("TwistStamped" if settings.STAMPED else "Twist")
         self._publisher = node.publisher(topic(given.velocity, given.namespace), kind)
-        scan, odometry = (topic(name, given.namespace) for name in (given.scan, given.odometry))
+        scan, odometry = (
+            topic(name, given.namespace) for name in (given.scan, given.odometry)
+        )
         node.subscribe(scan, "sensor_msgs/msg/LaserScan", self._messages.put)
         node.subscribe(odometry, "nav_msgs/msg/Odometry", self._messages.put)
         log(text)
@@ -65,7 +84,9 @@ class Node:
         while True:
             now = time.monotonic()
             try:
-                message = self._messages.get(timeout=max(min(step_at, watch_at) - now, 0.0))
+                message = self._messages.get(
+                    timeout=max(min(step_at, watch_at) - now, 0.0)
+                )
                 self.send(self.driving.on_message(time.monotonic(), message))
             except queue.Empty:
                 now = time.monotonic()
@@ -85,10 +106,15 @@ class Node:
             return
         types = self._types
         vector = types["geometry_msgs/msg/Vector3"]
-        linear, angular = vector(velocity.linear, 0.0, 0.0), vector(0.0, 0.0, velocity.angular)
+        linear, angular = (
+            vector(velocity.linear, 0.0, 0.0),
+            vector(0.0, 0.0, velocity.angular),
+        )
         message = types["geometry_msgs/msg/Twist"](linear, angular)
         if settings.STAMPED:
-            stamp = types["builtin_interfaces/msg/Time"](*divmod(time.time_ns(), 1_000_000_000))
+            stamp = types["builtin_interfaces/msg/Time"](
+                *divmod(time.time_ns(), 1_000_000_000)
+            )
             header = types["std_msgs/msg/Header"](stamp, settings.VELOCITY_FRAME)
             message = types["geometry_msgs/msg/TwistStamped"](header, message)
         self._publisher.publish(message)
@@ -96,7 +122,11 @@ class Node:
 
 def topic(name, namespace):
     """Return a topic's whole name."""
-    return name if name.startswith("/") or not namespace else f"/{namespace.strip('/')}/{name}"
+    return (
+        name
+        if name.startswith("/") or not namespace
+        else f"/{namespace.strip('/')}/{name}"
+    )
 
 
 def log(text):
@@ -114,7 +144,9 @@ def main():
     signal.signal(signal.SIGTERM, _end)
     signal.signal(signal.SIGINT, _end)
     node = None
-    with over_zenoh.open_session(given.connect or [over_zenoh.ROUTER], given.listen) as session:
+    with over_zenoh.open_session(
+        given.connect or [over_zenoh.ROUTER], given.listen
+    ) as session:
         try:
             node = Node(session, given)
             node.run()
