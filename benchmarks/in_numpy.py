@@ -139,9 +139,8 @@ class Arena:
         np.multiply(dx, dx, out=square)
         np.multiply(dy, dy, out=part)
         np.add(square, part, out=square)
-        square.reshape(count, -1)[:, :: robots + 1] = (
-            FAR  # nobody is a neighbour of itself
-        )
+        # Nobody is a neighbour of itself.
+        square.reshape(count, -1)[:, :: robots + 1] = FAR
         pairs = np.flatnonzero(square < self.world.sight * self.world.sight)
         return (
             block.start * robots + pairs // robots,

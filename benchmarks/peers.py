@@ -166,9 +166,8 @@ def dask_distributed(slots: int) -> Iterator[list[Way]]:
 @contextmanager
 def ray_local(slots: int) -> Iterator[list[Way]]:
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
-    os.environ["RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO"] = (
-        "0"  # it would warn of a change to come
-    )
+    # It would warn of a change to come.
+    os.environ["RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO"] = "0"
     import ray
 
     ray.init(

@@ -82,9 +82,8 @@ def build(
     """
     simulator_class = plugins.load("simulator", simulator)
     representation_class = plugins.load("representation", representation)
-    network: Representation | None = (
-        None  # until the first simulator says how many inputs it has
-    )
+    # Until the first simulator says how many inputs it has.
+    network: Representation | None = None
 
     def simulator_with(plain: Mapping[str, Any]) -> Simulator:
         what = f"simulator {simulator!r}"

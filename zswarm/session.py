@@ -47,9 +47,8 @@ class Reach(NamedTuple):
 
     connect: Sequence[str] = ()  # endpoints to dial
     multicast: bool = True
-    through_router: bool = (
-        False  # one of ``connect``, or one that multicast finds, carries all
-    )
+    # One of ``connect``, or one that multicast finds, carries all.
+    through_router: bool = False
     keyring: Keyring | None = None  # None: in the clear
 
 

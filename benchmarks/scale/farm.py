@@ -280,9 +280,8 @@ class Farm:
 
 def farm(pipe: Connection, first: int, endpoints: list[str]) -> None:
     """Run a process of servers."""
-    os.environ["ZENOH_RUNTIME"] = (
-        "(tx: (worker_threads: 1))"  # a server of its own has a process of its own
-    )
+    # A server of its own has a process of its own.
+    os.environ["ZENOH_RUNTIME"] = "(tx: (worker_threads: 1))"
     Farm(pipe).run(first, endpoints)
 
 

@@ -24,9 +24,8 @@ from zswarm.protocol.keys import RunKey
 from zswarm.session import Reach
 
 DEADLINE_S = 120.0
-SETTLE_S = (
-    20.0  # without another server or slot, before the optimizer goes on with those it has
-)
+# Without another server or slot, before the optimizer goes on with those it has.
+SETTLE_S = 20.0
 
 
 class Use(NamedTuple):

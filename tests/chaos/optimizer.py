@@ -25,9 +25,8 @@ class Journal:
 
     def __init__(self) -> None:
         self.finished: list[tuple[list[bytes], np.ndarray]] = []
-        self.doubtful = (
-            False  # a server may have computed wrong that could not be found out in time
-        )
+        # A server may have computed wrong that could not be found out in time.
+        self.doubtful = False
         self.counted: list[
             tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray, str]
         ] = []

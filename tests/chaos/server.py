@@ -16,9 +16,8 @@ TICK_S = 0.25
 TRIAL_TIMEOUT_S = 20.0
 PROBE, WRONG_PROBE = b"p" * 16, b"w" * 16
 WRONG, LIAR = "-wrong", "-liar"  # ends of the ids of servers that are
-DEATHS = (
-    2  # of a worker by chance at one trial: one fewer than would put it in quarantine
-)
+# Of a worker by chance at one trial: one fewer than would put it in quarantine.
+DEATHS = 2
 
 
 class Server(Node[events.Event]):

@@ -48,9 +48,8 @@ class Result(NamedTuple):
     seconds: float
     faulted: int
     doubtful: int  # trials of a server that was later proved to compute wrong
-    relative: bool = (
-        False  # best is a score of the last generation, and compares only within it
-    )
+    # Best is a score of the last generation, and compares only within it.
+    relative: bool = False
 
 
 class Logger:

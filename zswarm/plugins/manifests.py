@@ -94,9 +94,8 @@ class LaunchManifest(
     seed: LaunchTarget | None = None  # of a trial; None: the world takes none
     repeatable: bool = True  # the same candidate and seed have the same fitness
     logs: Inside = "log"  # folder of the robots' logs
-    fitness: Literal["last-distance", "cpswarm-log", "command"] = (
-        "last-distance"  # default
-    )
+    # Default.
+    fitness: Literal["last-distance", "cpswarm-log", "command"] = "last-distance"
     command: list[str] = []  # of the fitness "command"
     command_limit_s: Limit = 60.0
     settings: dict[SettingName, PlacedSetting] = {}

@@ -16,9 +16,8 @@ MAX_ID = 63
 MAX_NAME = MAX_ID - 9  # a server's id adds - and 8 hex digits
 ID_RULE = "1 to 63 of a-z, 0-9 and -, not starting with -"
 ROOT = f"zswarm/v{VERSION}"
-ANY_ALIVE = (
-    "zswarm/*/*/ss/*/alive"  # the tokens of all servers of all realms and versions
-)
+# The tokens of all servers of all realms and versions.
+ANY_ALIVE = "zswarm/*/*/ss/*/alive"
 
 RunRequest = ("reserve", "renew", "evaluate", "cancel", "release")
 _ID = f"({ID.pattern})"

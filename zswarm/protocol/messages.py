@@ -93,9 +93,8 @@ class Reserve(Message, frozen=True, tag="reserve"):
     representation: Part
     version_hash: Text
     trial_timeout_s: Annotated[float, Meta(gt=0, le=1e9)]
-    trial_memory_mb: Megabytes = (
-        0  # that a slot's process may take; 0: what the server gives
-    )
+    # That a slot's process may take; 0: what the server gives.
+    trial_memory_mb: Megabytes = 0
     # The controllers stay at the optimizer, which is asked in each turn, or for each agent.
     asks: Asks = ""
 
@@ -159,9 +158,8 @@ class Lease(Message, frozen=True, tag="lease"):
     state: State
     slots: Count  # slots held
     ready: Count  # of them ready to evaluate
-    probe: Annotated[bytes, Meta(max_length=64)] = (
-        b""  # digest of the probe's outcomes, once ready
-    )
+    # Digest of the probe's outcomes, once ready.
+    probe: Annotated[bytes, Meta(max_length=64)] = b""
     trial_s: Seconds = 0.0  # seconds of one trial of the probe
     reason: Text = ""  # of a failure
 

@@ -35,9 +35,8 @@ from zswarm.sims.simulator import (
 )
 
 LANES_REACH = 2**31  # lanes find a cell by a 32-bit index
-FEWEST = (
-    2  # trials from which on playing eight in parallel is faster than one after the other
-)
+# Trials from which on playing eight in parallel is faster than one after the other.
+FEWEST = 2
 
 Length = Annotated[int, Meta(ge=1, le=1_000)]
 JavaSeed = Annotated[int, Meta(ge=0, lt=2**48)]

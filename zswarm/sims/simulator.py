@@ -52,12 +52,10 @@ class Body(NamedTuple):
     x: float  # of its centre
     y: float
     radius: float  # half the side of a square
-    heading: float | None = (
-        None  # radians from the x axis clockwise; a square is turned by it
-    )
-    shape: Literal["disc", "square", "triangle", "diamond"] = (
-        "disc"  # constant; by team or sort
-    )
+    # Radians from the x axis clockwise; a square is turned by it.
+    heading: float | None = None
+    # Constant; by team or sort.
+    shape: Literal["disc", "square", "triangle", "diamond"] = "disc"
 
 
 class Rectangle(NamedTuple):

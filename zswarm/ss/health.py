@@ -36,9 +36,8 @@ class Health(msgspec.Struct, eq=False):
     workers: list[Worker]
     presence: Presence
     notify: Notify  # systemd
-    next_look: float = (
-        0.0  # when to call ``look`` if nothing happens, by the monotonic clock
-    )
+    # When to call ``look`` if nothing happens, by the monotonic clock.
+    next_look: float = 0.0
     _started_at: float = msgspec.field(default_factory=time.time)
     _rate: Rate = msgspec.field(default_factory=lambda: Rate(time.monotonic()))
     _metrics: "Metrics | None" = None

@@ -31,13 +31,11 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     simulators: list[str] = []  # offered; empty: all that are installed
     labels: dict[str, Any] = {}  # in addition to those that it detects
     limits: dict[str, Any] = {}  # of settings, see admission.py
-    slot_memory_mb: Megabytes = (
-        0  # of a slot's process; 0: its share of the machine's memory
-    )
+    # Of a slot's process; 0: its share of the machine's memory.
+    slot_memory_mb: Megabytes = 0
     drain_s: Annotated[float, Meta(ge=0, le=1e6)] = 60.0  # at most, on SIGTERM
-    metrics: Annotated[int, Meta(ge=0, le=65_535)] = (
-        0  # local port for Prometheus; 0: none
-    )
+    # Local port for Prometheus; 0: none.
+    metrics: Annotated[int, Meta(ge=0, le=65_535)] = 0
 
     def __post_init__(self) -> None:
         memory_mb = self.slot_memory_mb

@@ -38,9 +38,8 @@ class Players(Servers):
             tuple[bytes, ...]
         ] = []  # the genomes of each trial, and its seed
         self.fitness = "genes"
-        self.retract_in: tuple[int, int] | None = (
-            None  # a round of a generation, counted from the first handed out
-        )
+        # A round of a generation, counted from the first handed out.
+        self.retract_in: tuple[int, int] | None = None
 
     def play(self, workload: Workload) -> Iterator[Counted | Retracted]:
         genes = np.array(

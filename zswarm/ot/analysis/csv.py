@@ -11,9 +11,8 @@ import click
 from zswarm.system.files import write_for_user
 from zswarm.system.text import clean
 
-EMPTY = (
-    "\0"  # marks an empty cell until its quotes are removed; clean text never contains it
-)
+# Marks an empty cell until its quotes are removed; clean text never contains it.
+EMPTY = "\0"
 # Spreadsheets compute the full-width signs, too.
 FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")  # noqa: RUF001
 

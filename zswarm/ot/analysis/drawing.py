@@ -18,9 +18,8 @@ from zswarm.system.text import clean
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-GREATEST = (
-    1e300  # fitness is clipped there; matplotlib cannot place ticks over a float's range
-)
+# Fitness is clipped there; matplotlib cannot place ticks over a float's range.
+GREATEST = 1e300
 POINT = 72  # per inch
 STEPS = (1, 2, 2.5, 5, 10)  # between ticks
 FONT = "DejaVu Sans"  # comes with matplotlib

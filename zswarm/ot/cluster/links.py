@@ -51,9 +51,8 @@ class Links(msgspec.Struct, eq=False):
 
     key: keys.RunKey
     reach: Reach
-    controllers: (
-        "RemoteControllers | None"  # those that servers ask; None: candidates are sent
-    )
+    # Those that servers ask; None: candidates are sent.
+    controllers: "RemoteControllers | None"
     post: Callable[[Event | Note], None]
     answered: Callable[[Answered], None]  # takes the answers to batches
     failed: Callable[[BaseException], None]  # takes bugs

@@ -67,9 +67,8 @@ class RemoteServer(msgspec.Struct, eq=False):
     id: str
     phase: Phase = Phase.IDLE
     lease: bytes = b""  # while LEASED or LEAVING
-    previous: bytes = (
-        b""  # a lease given up for silence, which may still be valid at the server
-    )
+    # A lease given up for silence, which may still be valid at the server.
+    previous: bytes = b""
     probe: bytes = b""  # digest of its outcomes of the probe
     capacity: int = 0
     place: tuple[float, ...] = ()  # its rank; the lowest comes first

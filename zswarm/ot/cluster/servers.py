@@ -19,13 +19,11 @@ from zswarm.protocol.messages import Lease, Offer, Refused, Release, Renew, Repl
 # A third of the lease time; only the reply to a renewal has the current number of slots.
 RENEW_S = 20.0
 RETRY_S = (0.05, 0.2, 1.0)  # before a query that was not answered is sent again
-ALLOT_AFTER_S = (
-    1.0  # from the first offer until slots are allotted: the best are known then
-)
+# From the first offer until slots are allotted: the best are known then.
+ALLOT_AFTER_S = 1.0
 PAUSE_S = 1.0  # before a server that had no room, or that ended the lease, is asked again
-BACK_OFF_S = (
-    30.0  # before a server that did not answer is asked again, unless it is seen before
-)
+# Before a server that did not answer is asked again, unless it is seen before.
+BACK_OFF_S = 30.0
 # A server that failed this many trials that others could evaluate, and this share of all it
 # evaluated, is backed off for so long.
 BLAMED = 3

@@ -45,9 +45,8 @@ class RecordTail:
         self.state: dict[str, Any] = {"status": "reading"}
         self.events: list[dict[str, Any]] = []
         self.servers: dict[str, dict[str, Any]] = {}
-        self._read_up_to: tuple[Any, ...] | None = (
-            None  # stamp of the record when all was read
-        )
+        # Stamp of the record when all was read.
+        self._read_up_to: tuple[Any, ...] | None = None
         self._began = False
         self._run: Run  # as it was read last
         self._generation, self._event, self._outcome, self._earlier = (

@@ -24,9 +24,8 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
     evaluations: int = 1  # n_eval, simulations of a candidate
     # Candidates of a later generation without a fitness, as NNGA keeps an elite; None: all of them.
     newcomers: int | None = None
-    turns: int = (
-        1  # of a step: 1 if all agents act at once, ``agents`` if one after another
-    )
+    # Of a step: 1 if all agents act at once, ``agents`` if one after another.
+    turns: int = 1
 
     @property
     def batches(self) -> tuple[int, int]:

@@ -56,9 +56,8 @@ class Explanation(msgspec.Struct, frozen=True, kw_only=True):
     games: int  # of the first generation; one for each candidate where none plays another
     optimizer: str
     portable: bool
-    runs: (
-        int  # of its study; all other numbers are about one run with the file's settings
-    )
+    # Of its study; all other numbers are about one run with the file's settings.
+    runs: int
     generations: int
     candidates_first_generation: int
     candidates_later_generations: int

@@ -72,9 +72,8 @@ class CMAES(Adapter):
         self.candidates = self._first if settings.restarts == "none" else self._largest
         self._restarts = 0
         self._grown = 0  # starts with a larger population
-        self._small = (
-            True  # whether this is one of bipop's small starts; the first one counts
-        )
+        # Whether this is one of bipop's small starts; the first one counts.
+        self._small = True
         self._spent = {False: 0, True: 0}  # evaluations of large and small starts
         self._shown: dict[str, float] = {}
         self._search = self._start(self._first, settings.sigma, np.zeros(self.genes))

@@ -55,9 +55,8 @@ ADD_EVENT = (
     "VALUES (?, ?, ?, ?, ?, ?, ?)"
 )
 ADD_CANDIDATES = "INSERT OR REPLACE INTO candidates VALUES "
-CANDIDATES_AT_ONCE = (
-    199  # of five values; every SQLite takes 999 parameters in a statement
-)
+# Of five values; every SQLite takes 999 parameters in a statement.
+CANDIDATES_AT_ONCE = 199
 ADD_GENERATION = "INSERT OR REPLACE INTO generations VALUES (?, ?, ?, ?, ?, ?)"
 SET_OPTIMIZER = "INSERT OR REPLACE INTO optimizer VALUES (0, ?, ?)"
 

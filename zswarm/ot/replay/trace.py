@@ -26,9 +26,8 @@ from zswarm.sims import randomized
 from zswarm.sims.simulator import Frame, Outcome, Simulator
 from zswarm.system.text import clean
 
-MOST_FRAMES = (
-    20_000  # of a trial; of a longer one every second frame is dropped, repeatedly
-)
+# Of a trial; of a longer one every second frame is dropped, repeatedly.
+MOST_FRAMES = 20_000
 MOST_POSITIONS = 400_000  # of all bodies in these frames, some 100 MB
 MOST_NUMBERS = 8_000_000  # of agents' inputs, outputs and neurons, 32 MB
 DIGEST = 16  # bytes of a genome's hash

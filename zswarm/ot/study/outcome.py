@@ -46,9 +46,8 @@ class StudyOutcome(NamedTuple):
     settings: list[Summary]
     whole: Summary  # over all settings
     seconds: float  # of this program
-    relative: (
-        bool  # fitness of some runs is a score, which compares only within one generation
-    )
+    # Fitness of some runs is a score, which compares only within one generation.
+    relative: bool
 
 
 class StudyLogger(Logger):

@@ -49,9 +49,8 @@ class _Running(Forwarder):
         self.evolution: Evolution | None = None
         self.trials: int | None = None  # of its generation
         self.repeated = computes  # a line that the study logs itself
-        self.routine = (
-            False  # the next line is about an event that is not worth one in a study
-        )
+        # The next line is about an event that is not worth one in a study.
+        self.routine = False
         self._inbox = inbox
         self._reported = (-1, 0.0)  # generation and time of the last progress
 

@@ -26,9 +26,8 @@ LIBRARIES = ("gymnasium",)
 HALF_WORD, MASK = 32, 0xFFFFFFFF  # bits and largest of the seeds that environments take
 DEEPEST = 5  # nested tables of options
 TEXT = re.compile(r"\w[\w .+-]*|")  # cannot name a file or a module
-PLANE = (
-    3.0  # width of a picture; agents of most environments start within 1 of its middle
-)
+# Width of a picture; agents of most environments start within 1 of its middle.
+PLANE = 3.0
 NUMBERED = re.compile(r"[ _-]?\d+$")  # the end of an agent's name
 QUIET = {
     "SDL_VIDEODRIVER": "dummy",

@@ -65,17 +65,15 @@ class ProgramReady(_Message, frozen=True, tag="ready"):
     inputs: Count  # numbers that an agent observes in one decision
     outputs: Annotated[int, Meta(ge=1, le=MAX_SENSORS)]  # numbers that it sets
     owners: Agents  # per agent the participant that drives it
-    participants: Annotated[int, Meta(ge=1, le=1000)] = (
-        1  # genomes that play one trial together
-    )
+    # Genomes that play one trial together.
+    participants: Annotated[int, Meta(ge=1, le=1000)] = 1
     metrics: Annotated[list[Name], Meta(max_length=1000)] = []
     sensors: list[Name] = []
     actuators: list[Name] = []
     # Trials have this seed, the next one, and so on; None: any seeds.
     first_seed: Annotated[int, Meta(ge=0, le=2**62)] | None = None
-    hosts: bool = (
-        False  # the program decides for the controllers of the set-up's network itself
-    )
+    # The program decides for the controllers of the set-up's network itself.
+    hosts: bool = False
 
 
 class TurnMessage(_Message, frozen=True, tag="turn"):

@@ -31,9 +31,8 @@ from zswarm.protocol.messages import (
 from zswarm.ss.slots.events import Answer, CommandList, Died, Query
 from zswarm.ss.slots.reply_cache import ReplyCache
 
-CHUNK_S = (
-    0.003  # least work in a chunk: some twenty times the time to hand out the next one
-)
+# Least work in a chunk: some twenty times the time to hand out the next one.
+CHUNK_S = 0.003
 SHARED_S = 0.00025  # least work in a chunk where idle slots share little work
 HOLD_QUERY_S = 30.0  # a batch that takes longer is answered "running"
 

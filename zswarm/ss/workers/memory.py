@@ -18,9 +18,8 @@ LEAST_MB = 512  # of a slot by default; a fresh one takes about 100
 CGROUPS = Path("/sys/fs/cgroup")
 MEMBERSHIP = Path("/proc/self/cgroup")
 OOM_SCORE = Path("/proc/self/oom_score_adj")
-OOM_RAISE = (
-    500  # of 1000: the kernel ends a slot before the server and before users' programs
-)
+# Of 1000: the kernel ends a slot before the server and before users' programs.
+OOM_RAISE = 500
 
 
 def per_slot_mb(capacity: int) -> int:
