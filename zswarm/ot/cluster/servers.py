@@ -43,9 +43,8 @@ class Servers(msgspec.Struct, eq=False):
     terms: Terms
     out: Outbox
     by_id: dict[str, RemoteServer] = {}  # every server ever seen
-    moved: list[
-        RemoteServer
-    ] = []  # their phase or slots changed; the caller takes them out
+    # Their phase or slots changed; the caller takes them out.
+    moved: list[RemoteServer] = []
     leaving: dict[str, RemoteServer] = {}  # those in the phase LEAVING
     probe: bytes = b""  # digest of the probe's outcomes, once known
     _probe_disputed: bool = False
