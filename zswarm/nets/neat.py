@@ -154,10 +154,10 @@ class Neat(Representation):
 
     def distances(self, left: Sequence[bytes], right: Sequence[bytes]) -> np.ndarray:
         """Return the distances of the paper's equation 1: weights, biases and factors count."""
-        sides = [[self._numbers(genome) for genome in side] for side in (left, right)]
+        a, b = ([self._numbers(genome) for genome in side] for side in (left, right))
         settings = self.settings
         return distances(
-            *sides, settings.unmatched_coefficient, settings.weight_coefficient
+            a, b, settings.unmatched_coefficient, settings.weight_coefficient
         )
 
     def structure(self, genome: bytes) -> tuple[int, int]:
