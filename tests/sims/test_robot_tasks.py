@@ -30,9 +30,8 @@ TASKS: dict[str, tuple[type[Simulator], dict[str, Any]]] = {
     "foraging_physical_carry": (ForagingPhysical, {"transport": "carry"}),
 }
 UNSEEN = np.arange(5000, 5100, dtype=np.uint64)
-PUSHERS = json.loads(
-    Path(__file__).with_name("box_pushing_champions.json").read_text()
-)  # of the example, by its seed
+# Of the example, by its seed.
+PUSHERS = json.loads(Path(__file__).with_name("box_pushing_champions.json").read_text())
 
 
 def made(task: str, **settings: Any) -> Any:
