@@ -52,7 +52,7 @@ LONGEST = [
     "tests/integration/test_foreign_programs.py::test_whole_runs",
     "tests/integration/test_turns.py::test_lost_answers_are_requested_again",
     "tests/benchmarks/test_quick_forms.py",
-    "tests/ot/optimizers/test_elites.py::test_they_find_more",
+    "tests/ot/optimizers/test_elites.py::test_quality_diversity_finds_more",
     "tests/ot/optimizers/test_examples.py::test_each_beats_random_search_at_equal_evaluations[neat]",
     "tests/sims/adapters/test_pettingzoo.py::test_evolution",
     "tests/integration/test_wrong_servers.py",

@@ -215,7 +215,7 @@ def test_every_part_survives_a_kill_and_is_the_same_on_four_servers(lab: Lab) ->
 
 @pytest.mark.product
 @pytest.mark.parametrize(("problem", "representation"), pairs())
-def test_all_parts_that_fit_together_do(
+def test_every_compatible_combination_of_parts_runs(
     problem: str, representation: str, lab: Lab
 ) -> None:
     """With every optimizer and every ranking; those that do not fit are refused in one line."""

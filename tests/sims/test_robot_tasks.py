@@ -89,7 +89,7 @@ def test_a_robot_at_an_exit_leaves_and_the_others_continue() -> None:
     assert outcome.fitness[0] == pytest.approx(-0.1 - distances.sum())
 
 
-def test_the_fitness_of_the_papers_logs_is_theirs() -> None:
+def test_the_fitness_of_the_papers_logs_equals_the_papers() -> None:
     """By hand from their formula."""
     assert cpswarm_log([0.1], [9]) == pytest.approx(49.9 / 50 * 100 + 90)
     assert cpswarm_log([0.1, 5.0], [9, 16]) == pytest.approx((99.8 + 90 + 90) / 2)
@@ -264,7 +264,7 @@ def test_random_controllers_do_badly_and_one_written_by_hand_does_better(
 @pytest.mark.parametrize(
     ("task", "good"), [("box_pushing", 1.6), ("foraging_physical", 0.9)]
 )
-def test_a_cleverer_controller_does_better_still(task: str, good: float) -> None:
+def test_a_better_handwritten_controller_scores_higher(task: str, good: float) -> None:
     assert by_hand(task, UNSEEN[:4], f"clever_{task}") > good
 
 
@@ -282,7 +282,9 @@ def on_unseen_seeds(problem: Problem, genome: bytes) -> TrialOutcomes:
     "seed",
     [1, pytest.param(2, marks=pytest.mark.long), pytest.param(3, marks=pytest.mark.long)],
 )
-def test_robots_that_evolved_push_the_box_better_than_by_hand(seed: int) -> None:
+def test_evolved_robots_push_the_box_better_than_the_handwritten_controller(
+    seed: int,
+) -> None:
     """Evaluate champions recorded from the example with three seeds.
 
     Their mean fitness is 1.58, 1.57 and 1.61, that of the handwritten controller 1.46.
