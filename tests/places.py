@@ -1,4 +1,4 @@
-"""The place of the repository."""
+"""Locate the repository."""
 
 from pathlib import Path
 

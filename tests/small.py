@@ -1,4 +1,4 @@
-"""The smallest experiment, as text, for tests of what may stand in an experiment file."""
+"""Define the smallest experiment as text, for tests of experiment files."""
 
 import importlib.util
 from collections.abc import Iterable
@@ -20,20 +20,20 @@ kind = "nnga"
 
 
 def small(folder: Path, more: str = "") -> Path:
-    """Its file, ``small.toml``; more goes on in ``[optimizer]``."""
+    """Write ``small.toml``, with additional lines after ``[optimizer]``."""
     path = folder / "small.toml"
     path.write_text(SMALL + more)
     return path
 
 
 def study(folder: Path, more: str) -> Experiment:
-    """It, complete."""
+    """Return the small experiment with additional lines, complete."""
     path = small(folder, more)
     return complete(load(path), path.name)
 
 
 def vmas_is_here() -> bool:
-    """Whether the packages of the extra ``vmas`` are: they are large, and in ``make vmas`` only."""
+    """Return whether the extra ``vmas`` is installed: it is large, and only in ``make vmas``."""
     return (
         importlib.util.find_spec("vmas") is not None
         and importlib.util.find_spec("torch") is not None

@@ -1,4 +1,4 @@
-"""A connection whose trials have outcomes at once, in this program, to test a run's loop."""
+"""Provide a connection whose trials have outcomes at once, to test a run's loop."""
 
 import contextlib
 from collections.abc import Generator, Iterator
@@ -44,7 +44,7 @@ class Servers:
 
 
 def result(evolution: Generator[Generation, None, Result]) -> Result:
-    """Of a run that is left to go to its end."""
+    """Play a run to its end and return the result."""
     while True:
         try:
             next(evolution)
