@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from tests.small import playable
+from tests.installed_parts import playable
 from zswarm.evaluate import build
 from zswarm.kernels.random import Stream
 from zswarm.plugins import registry as plugins

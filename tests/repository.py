@@ -1,4 +1,4 @@
-"""The place of the repository."""
+"""The folder of the repository."""
 
 from pathlib import Path
 
