@@ -74,9 +74,9 @@ def new_worker() -> Iterator[Callable[..., Worker]]:
 
 
 def prepare(
-    slot: Worker, setup: Reserve, *, probe: bool = False, known: bool = False
+    slot: Worker, wanted: Reserve, *, probe: bool = False, known: bool = False
 ) -> None:
-    slot.prepare(PrepareSlot(0, setup, probe, known))
+    slot.prepare(PrepareSlot(0, wanted, probe, known))
 
 
 def reserve(
