@@ -22,7 +22,7 @@ class FakeConnection:
         self.handed: list[Workload] = []  # in their order
 
     @contextlib.contextmanager
-    def lease(self, *_args: object, **asked: Any) -> "Iterator[FakeConnection]":
+    def cluster(self, *_args: object, **asked: Any) -> "Iterator[FakeConnection]":
         self.asked = asked
         yield self
 
