@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from tests.small import SMALL, small
+from tests.smallest_experiment import SMALL, small
 from zswarm import experiment
 from zswarm.errors import ConfigError, UnknownPlugin
 from zswarm.experiment import Experiment, complete, load, to_toml, with_cluster

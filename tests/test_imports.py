@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import zswarm
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 
 PACKAGE = Path(zswarm.__file__).parent
 MODULES = {

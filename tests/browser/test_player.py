@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from tests.played import played
+from tests.evaluated_record import played
 from zswarm import evaluate
 from zswarm.kernels.random import Stream
 from zswarm.ot.replay import page as replay

@@ -6,7 +6,7 @@ import numpy as np
 
 from zswarm.protocol import codec, messages
 from zswarm.ss.slots import events
-from zswarm.ss.slots.table import Slots
+from zswarm.ss.slots.table import SlotTable
 
 from .network import Link
 from .problem import Trial, outcome, poisonous
@@ -62,7 +62,7 @@ class Server(Node[events.Event]):
             representations=[],
         )
         tokens = itertools.count()
-        self.slots = Slots(
+        self.slots = SlotTable(
             capacity, offer, lambda _: "", lambda: f"{number:8}{next(tokens):8}".encode()
         )
         self.workers = [Worker(self, index) for index in range(capacity)]
@@ -89,7 +89,7 @@ class Server(Node[events.Event]):
         self.pending[query] = (link, question)
         token = getattr(message, "lease", b"")
         if any(
-            lease.token == token and lease.setup.nonce != link.optimizer.nonce
+            lease.token == token and lease.reserve.nonce != link.optimizer.nonce
             for lease in self.slots.leases.values()
         ):
             self.world.fail(f"{self.id}: a lease is used by two")

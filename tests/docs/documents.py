@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 
 DOCUMENTS = [
     *(path for path in sorted(REPOSITORY.glob("*.md")) if path.name != "CHANGELOG.md"),

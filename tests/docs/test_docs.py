@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 from zswarm import experiment, router
 from zswarm.config import sections, settings_docs
 from zswarm.controller import Controller

@@ -14,7 +14,7 @@ import zenoh
 
 from tests.integration import plugin
 from tests.integration.programs import Optimizer, Server, free_port, query, wait_until
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 from zswarm import session
 from zswarm.ot import cli
 

@@ -17,7 +17,7 @@ import pytest
 
 from tests.integration.machines import CLEAN, Machine, Machines
 from tests.integration.programs import Optimizer, query, wait_until
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 
 pytestmark = pytest.mark.machines
 

@@ -22,7 +22,7 @@ from tests.integration.programs import (
     query,
     wait_until,
 )
-from tests.issuing import issued, of, unpacked
+from tests.lab_keys import issued, of, unpacked
 from zswarm import session
 from zswarm.plugins.version_hash import version_hash
 from zswarm.protocol import codec, keys

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import zswarm
-from tests.small import playable
+from tests.installed_parts import playable
 from zswarm.kernels import cache, jit
 from zswarm.kernels.cache import cache_folder
 from zswarm.kernels.lanes import load, store

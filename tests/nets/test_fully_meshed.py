@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 from zswarm.config.decode import convert
 from zswarm.errors import ConfigError
 from zswarm.kernels.jit import interpreted

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 from zswarm.kernels.jit import interpreted
 from zswarm.kernels.random import Stream
 from zswarm.nets.hebbian import HEADER, Hebbian, HebbianSettings

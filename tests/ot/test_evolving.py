@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.ot.cluster.standing import Servers, result
+from tests.ot.cluster.fake_connection import FakeConnection, result
 from zswarm import experiment
 from zswarm.errors import ConfigError
 from zswarm.nets.representation import Representation
@@ -57,7 +57,7 @@ class Measuring(NNGA):
         self.told = [generation.measures for generation in told]
 
 
-class Genes(Servers):
+class Genes(FakeConnection):
     """A candidate's fitness is its first gene, the same for each of its trials."""
 
     def play(self, workload: Workload) -> Iterator[Counted]:

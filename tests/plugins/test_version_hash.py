@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 from zswarm.plugins import registry as plugins
 from zswarm.plugins import version_hash
 

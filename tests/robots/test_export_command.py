@@ -13,8 +13,8 @@ import msgspec
 import pytest
 from click.testing import CliRunner, Result
 
-from tests.places import REPOSITORY
-from tests.played import played
+from tests.evaluated_record import played
+from tests.repository import REPOSITORY
 from tests.robots.controllers import controller
 from zswarm.controller import CHAMPION, load_controller
 from zswarm.errors import ConfigError

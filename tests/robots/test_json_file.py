@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 from tests.robots.controllers import KINDS, controller, named, observed
 from zswarm.robots.json_file import as_json
 

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 from tests.robots.packed import (
     evolved,
     in_process,

@@ -6,7 +6,7 @@ import shutil
 
 import pytest
 
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 
 ROS_2 = REPOSITORY / "build" / "ros2"
 LINKS = ("rospy", "rclpy", "zenoh")

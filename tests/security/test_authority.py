@@ -15,7 +15,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.issuing import LONG_AGO, NOW, TOMORROW, again, authority, issued, of
+from tests.lab_keys import LONG_AGO, NOW, TOMORROW, again, authority, issued, of
 from zswarm.errors import ConfigError, KeysError
 from zswarm.security import certificates, ledger
 from zswarm.security.members import new_holder

@@ -14,7 +14,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.issuing import (
+from tests.lab_keys import (
     ALL,
     LONG_AGO,
     NOW,

@@ -12,7 +12,7 @@ from pathlib import Path
 import click
 import pytest
 
-from tests.issuing import NOW, Machine, again
+from tests.lab_keys import NOW, Machine, again
 from zswarm.errors import KeysError
 from zswarm.security import authority, cli, install, keyring
 from zswarm.system.extras import how

@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 from zswarm.security import keyring
 
 BLOCKS = re.findall(

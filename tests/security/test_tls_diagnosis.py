@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.issuing import installed, issued, of, unpacked
+from tests.lab_keys import installed, issued, of, unpacked
 
 STRICT = ssl.VERIFY_X509_STRICT
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 from zswarm.evaluate import TrialOutcomes, build, evaluate
 
 PROBLEMS: dict[str, Any] = json.loads(

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.places import REPOSITORY
+from tests.installed_parts import playable
+from tests.repository import REPOSITORY
 from tests.sims.naive_emergency_exit import NaiveEmergencyExit, java_below, java_random
-from tests.small import playable
 from zswarm.errors import ConfigError
 from zswarm.evaluate import TrialOutcomes, build, evaluate
 from zswarm.kernels.random import Stream, draw_java

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.ot.written import written
+from tests.ot.invented_record import written
 from zswarm.errors import ConfigError
 from zswarm.ot.analysis import comparison, curves, grouping
 from zswarm.ot.analysis.comparison import Comparison

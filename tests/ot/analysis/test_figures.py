@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 import zswarm
-from tests.ot.written import written
+from tests.ot.invented_record import written
 from zswarm.errors import ConfigError
 from zswarm.ot import cli
 from zswarm.ot.analysis import curves, drawing, figures, grouping

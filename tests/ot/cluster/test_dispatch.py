@@ -5,7 +5,7 @@ from collections import deque
 import numpy as np
 import pytest
 
-from tests.counting import instructions
+from tests.instruction_count import instructions
 from tests.ot.cluster.dispatching import (
     NAN,
     PROBE,

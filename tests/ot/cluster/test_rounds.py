@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.ot.cluster.standing import Servers, result
+from tests.ot.cluster.fake_connection import FakeConnection, result
 from zswarm import experiment
 from zswarm.config.sections import PartConfig
 from zswarm.controller import Controller, load_controller
@@ -28,7 +28,7 @@ from zswarm.plugins import registry as plugins
 GENERATIONS, POPULATION, TRIALS = 3, 7, 2
 
 
-class Players(Servers):
+class Players(FakeConnection):
     """A participant's fitness is its first gene; some trials at a time."""
 
     def __init__(self, at_once: int = 5, stop_after: int | None = None) -> None:

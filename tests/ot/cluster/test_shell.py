@@ -137,7 +137,7 @@ class Asking:
             )
 
     def feed(self, event: Event) -> None:
-        self.cluster._happened(event, may_send=True)
+        self.cluster._happened(event, may_block=True)
 
     def join(self, server: str) -> None:
         self.cluster._links.home[server] = self  # type: ignore[assignment]

@@ -9,7 +9,7 @@ from typing import cast
 import pytest
 from starlette.websockets import WebSocket
 
-from tests.ot.written import written
+from tests.ot.invented_record import written
 from zswarm.ot.dashboard import app, broadcast
 from zswarm.ot.dashboard.broadcast import Broadcaster
 from zswarm.ot.dashboard.run_index import RunIndex

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.ot.written import written
+from tests.ot.invented_record import written
 from zswarm.ot.dashboard import downsample
 from zswarm.ot.dashboard.rows import BatchRow
 from zswarm.ot.record.reader import Run

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.ot.written import written
+from tests.ot.invented_record import written
 from zswarm.errors import ConfigError
 from zswarm.ot.dashboard import endpoints
 from zswarm.ot.record.reader import Run

@@ -4,7 +4,7 @@ import re
 import shutil
 from pathlib import Path
 
-from tests.ot.written import written
+from tests.ot.invented_record import written
 from zswarm.ot.dashboard.run_index import RunIndex
 
 

@@ -8,7 +8,7 @@ import urllib.error
 import urllib.request
 from pathlib import Path
 
-from tests.ot.written import written
+from tests.ot.invented_record import written
 
 COMMAND = [sys.executable, "-m", "zswarm.ot", "dashboard"]
 

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from tests.ot.written import written
+from tests.ot.invented_record import written
 from zswarm.ot.dashboard.run_index import RunIndex
 from zswarm.ot.dashboard.tail import RecordTail
 from zswarm.ot.notes import Note

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from tests.small import playable
+from tests.installed_parts import playable
 from zswarm import experiment
 from zswarm.ot.build import build
 from zswarm.ot.cli import command

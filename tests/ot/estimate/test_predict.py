@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from tests.ot.written import written
+from tests.ot.invented_record import written
 from zswarm import experiment
 from zswarm.ot import cli
 from zswarm.ot.build import Parts, build

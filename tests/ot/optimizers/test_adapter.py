@@ -9,7 +9,7 @@ import pytest
 import threadpoolctl
 
 from tests.ot.optimizers.spheres import evolve, make
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 from zswarm.errors import ConfigError
 from zswarm.ot.optimizers.adapter import FAR, Adapter
 from zswarm.ot.optimizers.optimizer import Optimizer

@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import mannwhitneyu
 
 from tests.ot.optimizers.spheres import Vector, evolve, make
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 from zswarm import experiment
 from zswarm.errors import ConfigError
 from zswarm.evaluate import evaluate

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 from zswarm import evaluate, experiment
 from zswarm.config.decode import convert
 from zswarm.errors import ConfigError

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 from zswarm.errors import ConfigError
 from zswarm.evaluate import build, evaluate
 from zswarm.kernels.random import Stream

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from tests.ot.written import written
+from tests.ot.invented_record import written
 from zswarm.controller import load_controller
 from zswarm.errors import ConfigError
 from zswarm.ot.cli import command

@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner, Result
 from PIL import Image
 
-from tests.played import SHORT, played
+from tests.evaluated_record import SHORT, played
 from zswarm import evaluate
 from zswarm.kernels.random import Stream
 from zswarm.ot import cli

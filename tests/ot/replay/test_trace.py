@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.played import SHORT, played
+from tests.evaluated_record import SHORT, played
 from zswarm import evaluate
 from zswarm.errors import ConfigError
 from zswarm.kernels.random import Stream

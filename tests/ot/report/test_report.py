@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 import zswarm
-from tests.ot.written import written
+from tests.ot.invented_record import written
 from zswarm.controller import CHAMPION, load_controller
 from zswarm.ot import cli
 from zswarm.ot.notes import Note

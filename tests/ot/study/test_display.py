@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from tests.small import small
+from tests.smallest_experiment import small
 from zswarm.experiment import load
 from zswarm.ot.logger import Generation, Result, Started
 from zswarm.ot.study.display import (

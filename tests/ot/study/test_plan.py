@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.small import study
+from tests.smallest_experiment import study
 from zswarm.ot.study.plan import MOST_AT_ONCE, Planned, another, identity, label, plan
 from zswarm.protocol import keys
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from msgspec import structs
 
-from tests.ot.written import EXPERIMENT
+from tests.ot.invented_record import EXPERIMENT
 from zswarm.errors import ConfigError
 from zswarm.ot.cluster.connection import Connection
 from zswarm.ot.logger import Logger

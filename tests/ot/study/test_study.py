@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from msgspec import structs
 
-from tests.ot.written import EXPERIMENT, written
-from tests.small import SMALL, small
+from tests.ot.invented_record import EXPERIMENT, written
+from tests.smallest_experiment import SMALL, small
 from zswarm import experiment
 from zswarm.errors import ConfigError
 from zswarm.experiment import load

@@ -5,7 +5,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 from zswarm.errors import ConfigError
 from zswarm.robots.profiles import profile as profiles
 

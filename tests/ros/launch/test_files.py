@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 from tests.ros.launch import rough_package
 from zswarm import evaluate
 from zswarm.errors import ConfigError, EvaluationError, UnknownPlugin

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import zenoh
 
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 from zswarm.ros.link import bridges, graph
 from zswarm.ros.link.over_zenoh import ATTACHMENT, ZenohNode, open_session
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 from tests.ros.ros_here import LINKS, ROS_2, need
 from zswarm.errors import ConfigError, EvaluationError
 from zswarm.robots.profiles import profile as profiles

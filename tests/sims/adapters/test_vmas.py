@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.installed_parts import vmas_is_here
 from tests.sims.random_controllers import compared
-from tests.small import vmas_is_here
 from zswarm import experiment
 from zswarm.errors import ConfigError
 from zswarm.evaluate import build

@@ -25,7 +25,7 @@ from zswarm.ss.slots.events import (
     RunChunk,
     Tick,
 )
-from zswarm.ss.slots.table import Slots
+from zswarm.ss.slots.table import SlotTable
 
 T = TypeVar("T")
 OFFER = Offer(
@@ -47,7 +47,7 @@ class Server:
 
     def __init__(self, capacity: int = 2, mismatch: str = "") -> None:
         tokens = itertools.count(1)
-        self.slots = Slots(
+        self.slots = SlotTable(
             capacity, OFFER, lambda _: mismatch, lambda: next(tokens).to_bytes(16, "big")
         )
         self.now = 100.0

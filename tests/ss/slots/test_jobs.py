@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from tests.counting import instructions
+from tests.instruction_count import instructions
 from tests.ss.slots.table_server import (
     PROBE,
     Server,

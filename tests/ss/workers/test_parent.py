@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from tests.small import playable
+from tests.installed_parts import playable
 from zswarm.evaluate import build
 from zswarm.kernels.random import Stream
 from zswarm.plugins import registry as plugins
@@ -74,9 +74,9 @@ def new_worker() -> Iterator[Callable[..., Worker]]:
 
 
 def prepare(
-    slot: Worker, setup: Reserve, *, probe: bool = False, known: bool = False
+    slot: Worker, wanted: Reserve, *, probe: bool = False, known: bool = False
 ) -> None:
-    slot.prepare(PrepareSlot(0, setup, probe, known))
+    slot.prepare(PrepareSlot(0, wanted, probe, known))
 
 
 def reserve(

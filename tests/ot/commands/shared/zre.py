@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 
 GOLDEN = REPOSITORY / "tests" / "golden"
 SESSION = {

@@ -1,4 +1,4 @@
-"""Write a run's folder with the outcomes of real trials, without servers."""
+"""Write a run folder whose outcomes are those of real trials, without servers."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Locate the repository."""
+"""Locate the folder of the repository."""
 
 from pathlib import Path
 
