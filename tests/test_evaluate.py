@@ -309,7 +309,7 @@ def raising(error: BaseException) -> Callable[[], Any]:
         (
             "step",
             lambda: Turn((1,), np.zeros((1, 1))),
-            "the trial goes on after 1,000 turns: step must return None when it is over",
+            "the trial continues after 1,000 turns: step must return None when it is over",
         ),
         (
             "step",

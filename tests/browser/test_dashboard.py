@@ -221,7 +221,7 @@ def test_a_run_is_paused_and_stopped_with_the_token_alone(
     page.get_by_role("button", name="Pause").click()
     expect(page.locator(".badge")).to_contain_text("paused")
     assert control.asked(folder) == "pause"
-    page.get_by_role("button", name="Go on").click()
+    page.get_by_role("button", name="Resume").click()
     expect(page.locator(".badge")).to_contain_text("running")
     assert control.asked(folder) == ""
     page.on("dialog", lambda dialog: dialog.accept())

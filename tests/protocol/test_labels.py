@@ -212,7 +212,7 @@ def test_labels_without_a_value_and_repeated_labels_are_refused() -> None:
     )
     assert (
         refusal(labels.assigned, ["gpu=a", "gpu=b"], "--label")
-        == "--label gpu=b: gpu is there twice"
+        == "--label gpu=b: gpu is given twice"
     )
 
 

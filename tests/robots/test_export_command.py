@@ -239,7 +239,7 @@ def test_foreign_and_edited_files_are_not_replaced(file: str) -> None:
     before = Path("f", file).read_text()
     with pytest.raises(
         ConfigError,
-        match=f"f/{file}: exists, and not as it was exported; name another folder by --out",
+        match=f"f/{file}: exists and differs from the exported one; name another folder by --out",
     ):
         folder.write(Path("f"), {"b.c": "two", file: "two"})
     assert Path("f", file).read_text() == before

@@ -369,7 +369,7 @@ def test_a_second_authority_is_refused(desk: Machine) -> None:
         (["lab-01", "--out", "nowhere"], "--out nowhere: no such folder"),
         (
             ["lab-01", "--out", "taken"],
-            "taken/lab-01.zkeys is there already; --force replaces it",
+            "taken/lab-01.zkeys exists already; --force replaces it",
         ),
         (["members"], "take another"),
     ],
@@ -389,7 +389,7 @@ def test_a_name_issued_already_is_renewed_instead(desk: Machine) -> None:
     assert "zswarm-keys renew lab-01 makes new ones" in desk.refuses(
         "issue", "lab-01", "--force"
     )
-    assert "lab-01.zkeys is there already; --force replaces it" in desk.refuses(
+    assert "lab-01.zkeys exists already; --force replaces it" in desk.refuses(
         "renew", "lab-01"
     )
     desk.works("renew", "lab-01", "--force")
@@ -418,7 +418,7 @@ def test_a_bundle_for_another_machine_is_refused_naming_both(
     said = desk.refuses("join", "lab-01.zkeys", "--yes")
     assert "the server lab-01" in said
     assert "this machine is 'lab-07'" in said
-    assert "--name says 'lab-02'" in desk.refuses(
+    assert "--name is 'lab-02'" in desk.refuses(
         "join", "lab-01.zkeys", "--yes", "--name", "lab-02"
     )
     assert not desk.keys.exists()

@@ -273,7 +273,7 @@ AGAIN = "played again, after other trials, has another outcome: "
         (GivesANumber, "GivesANumber.outcome must return an Outcome, not 1.0"),
         (
             NeverEnds,
-            "NeverEnds: the trial goes on after 300 turns: step must return None when it is over",
+            "NeverEnds: the trial continues after 300 turns: step must return None when it is over",
         ),
         (Exits, r"Exits: return None from step to end a trial; do not call exit\(3\)"),
         (

@@ -177,13 +177,13 @@ def test_an_endpoint_in_use_is_reported(here: graph.RosGraph) -> None:
             "rospy",
             "ZSWARM_ROS1_PYTHON",
             "stageros",
-            r"rospy is not there: install it \(Debian: apt install ros-core\)",
+            r"rospy is missing: install it \(Debian: apt install ros-core\)",
         ),
         (
             "rclpy",
             "ZSWARM_ROS2_PYTHON",
             "stage_ros2",
-            "rclpy is not there: source ROS 2's setup.bash, or name the Python",
+            "rclpy is missing: source ROS 2's setup.bash, or name the Python",
         ),
     ],
 )

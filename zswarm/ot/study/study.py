@@ -132,7 +132,7 @@ class Study:
         """Play the runs that are not finished. A run that fails does not stop the others.
 
         Raises:
-            NoServers: the number of servers asked for was not there in time.
+            NoServers: too few servers were found in time.
             EvaluationError: this machine's slots ended.
             Stopped: ``stop`` was called.
         """
