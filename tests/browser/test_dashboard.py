@@ -177,7 +177,7 @@ def test_new_generations_appear_without_a_reload(
 def test_a_page_reconnects_to_a_restarted_dashboard(
     page: Page, watched: Watched, dashboard: Start, tmp_path: Path
 ) -> None:
-    """The page says how old it is, keeps what it shows, and goes on with what came meanwhile."""
+    """The page shows its age, keeps its contents, and catches up after reconnecting."""
     folder = write(tmp_path, finished=False)
     shown = dashboard(tmp_path, options=["--port", "18467"])
     page.goto(f"{shown.url}/run?run=long")
@@ -287,7 +287,7 @@ def test_records_that_cannot_be_read_are_explained(
 
 @pytest.fixture
 def elsewhere() -> Iterator[str]:
-    """A web page of somebody else."""
+    """Serve a web page of another origin."""
 
     class Empty(http.server.BaseHTTPRequestHandler):
         def do_GET(self) -> None:

@@ -202,14 +202,14 @@ class Lab:
         if undone and all(
             optimizer.progressed_at < world.now - BOUND_S for optimizer in standing
         ):
-            world.fail("no run goes on")
+            world.fail("no run makes progress")
         for optimizer in self._standing():
             if (
                 not optimizer.left
                 and max(optimizer.progressed_at, optimizer.unserved_at)
                 < world.now - BOUND_S
             ):
-                world.fail(f"{optimizer.run} has slots and does not go on")
+                world.fail(f"{optimizer.run} has slots and makes no progress")
         world.run(END_S, self._done)
         world.run(world.now + 120.0)
         end = self.end()

@@ -378,7 +378,7 @@ def test_a_run_survives_a_pulled_cable_and_a_power_cut(site: Site, alone: str) -
 
 
 def test_a_killed_server_is_restarted(site: Site, alone: str) -> None:
-    """With all its slots; the run goes on with it."""
+    """It returns with all its slots, and the run continues on it."""
     first = site.servers[0]
     restarts = int(show(first, "NRestarts")[0])
     run = site.run_on(first)

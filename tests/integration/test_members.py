@@ -56,7 +56,7 @@ SMALL = (
 
 
 class Lab(NamedTuple):
-    """An authority, and the installed keys of its members, each in a folder of its own."""
+    """An authority, and the installed keys of its members, each in its own folder."""
 
     folder: Path
 

@@ -212,7 +212,7 @@ def test_a_killed_slot_and_a_stopped_optimizer_do_not_change_the_history(
 
 @pytest.mark.faults
 def test_lost_answers_are_requested_again(tmp_path: Path) -> None:
-    """The link is reset again and again in the middle of trials; states go on where they were."""
+    """The link is reset repeatedly in the middle of trials; states continue unchanged."""
     expected = reference(tmp_path, "emergency-exit", 4)
     server = Server(tmp_path, "ss", capacity=2).ready()
     with Proxy(server.endpoint) as link:

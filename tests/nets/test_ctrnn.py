@@ -38,7 +38,7 @@ def logistic(x: float) -> float:
 def integrated(
     built: CTRNN, genome: bytes, observations: np.ndarray, finer: int = 1
 ) -> np.ndarray:
-    """The same by Beer's equation with numpy's float64, with so many times more steps."""
+    """Compute the same with Beer's equation in float64, in many more steps."""
     table = np.frombuffer(genome, "<f4").astype(float).reshape(built.neurons, -1)
     from_inputs, inner, bias, gene = (
         table[:, : built.inputs],

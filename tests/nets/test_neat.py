@@ -70,7 +70,7 @@ def decide(
 
 
 def evolved(built: Neat, generations: int = 30, count: int = 20) -> list[bytes]:
-    """Genomes after so many mutations and crossovers."""
+    """Return genomes after this many mutations and crossovers."""
     stream = Stream(1)
     genomes = built.random(count, stream)
     for _ in range(generations):

@@ -257,7 +257,7 @@ def measuring(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 def test_measures_are_means_of_metrics_in_trial_order_told_hashed_and_recorded(
     tmp_path: Path, servers: Genes
 ) -> None:
-    """Also to an optimizer that goes on from the record; what they are added in changes bits."""
+    """An optimizer that resumes from the record also gets them in order; the order changes bits."""
     complete = loaded(
         "optimizer.kind=measuring",
         "optimizer.measures=['rounds', 'escaped']",

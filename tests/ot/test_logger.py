@@ -144,7 +144,7 @@ def test_an_error_of_a_logger_is_reported_once_and_it_gets_later_events(
 def test_a_slow_logger_delays_nothing_and_receives_the_number_of_missed_calls(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """No more than so many calls wait for it; progress is left out as long as it is behind."""
+    """A limited number of calls wait for it; progress is omitted while it is behind."""
     monkeypatch.setattr(loggers, "WAITING", 10)
     slow, said = threading.Event(), list[str]()
 

@@ -111,7 +111,7 @@ def test_the_watchdog_stops_the_robot_when_steps_no_longer_come(free: Any) -> No
 def test_the_robot_stops_when_stamps_go_back_and_one_sensor_stays_silent(
     free: Any,
 ) -> None:
-    """Such as of a driver that was started anew, of which odometry died."""
+    """This happens when a driver is restarted and its odometry dies."""
     free.on_scan(0.0, scan(5))
     free.on_pose(0.0, pose(5))
     assert free.on_step(0.0) == (1, 5)

@@ -1,4 +1,4 @@
-"""A controller as JSON: whoever reads it needs docs/export.md and nothing of zswarm."""
+"""Test controllers as JSON: a reader needs docs/export.md and nothing of zswarm."""
 
 import base64
 import json

@@ -321,7 +321,7 @@ def test_a_request_is_signed_and_renewed_for_its_own_key(tmp_path: Path) -> None
 
 
 def test_a_request_that_its_key_did_not_sign_is_refused(tmp_path: Path) -> None:
-    """Else somebody's public key could be had certified under another name."""
+    """Otherwise a foreign public key could be certified under another name."""
     pem = make_request(of("ss", "lab-01"), [], certificates.new_key())
     der = x509.load_pem_x509_csr(pem).public_bytes(serialization.Encoding.DER)
     changed = x509.load_der_x509_csr(

@@ -325,7 +325,7 @@ def test_a_users_own_keys_come_before_the_systems_that_it_may_not_read(
 def test_keys_that_may_not_be_read_are_found_and_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A program that may not read the system's keys does not go on in the clear."""
+    """A program that may not read the system's keys does not continue unencrypted."""
     (tmp_path / "etc").mkdir()
     hidden(monkeypatch, tmp_path / "etc")
     found = keyring.find()

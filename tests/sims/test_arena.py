@@ -293,7 +293,7 @@ def test_a_room_of_a_thousand_robots_is_played() -> None:
 
 
 def by_hand(task: str, seeds: np.ndarray, controller: str = "") -> float:
-    """Mean fitness of a controller that somebody wrote; it has the task's name if no other."""
+    """Return the mean fitness of a handwritten controller, by default the task's namesake."""
     policy, fitness = getattr(arena_controllers, controller or task), []
     simulator = Arena(ArenaSettings(task=task))  # type: ignore[arg-type]
     for seed in seeds:

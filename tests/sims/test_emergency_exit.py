@@ -116,7 +116,7 @@ def play(
 def controller(
     built: FullyMeshed, parameters: np.ndarray, agents: int
 ) -> Callable[[int, Any], list[float]]:
-    """Decides for each agent with a state of its own."""
+    """Decide for each agent, with a separate state each."""
     states = np.zeros((agents, built.state_size), np.float32)
 
     def decide(agent: int, observation: Any) -> list[float]:

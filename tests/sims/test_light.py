@@ -109,7 +109,7 @@ def test_a_sensor_sees_a_quarter_of_a_right_angle_to_each_side(
 
 
 def test_a_wall_stops_the_robot_from_every_direction() -> None:
-    """It does not slide along the wall, and goes on turning."""
+    """It does not slide along the wall, and continues to turn."""
     simulator = begun(x=95.0, heading=45.0, light_x=0.0, light_y=0.0)
     simulator.step(np.array([[1.0, 1.0]], np.float32))
     assert simulator.world.state[:3].tolist() == [95.0, 0.0, 45.0]

@@ -40,7 +40,7 @@ def made(task: str, **settings: Any) -> Any:
 
 
 def by_hand(task: str, seeds: np.ndarray, controller: str = "") -> float:
-    """Mean fitness of a controller that somebody wrote; it has the task's name if no other."""
+    """Return the mean fitness of a handwritten controller, by default the task's namesake."""
     policy, fitness, simulator = (
         getattr(robot_controllers, controller or task),
         [],

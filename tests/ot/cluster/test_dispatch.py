@@ -134,7 +134,7 @@ def choosing(
 
 
 def offers(optimizer: Optimizer, capacity: int, **cores: int) -> None:
-    """Servers appear and offer so many slots each."""
+    """Let servers appear and offer this many slots each."""
     for server, count in cores.items():
         (ask,) = optimizer.feed(Seen(server))
         assert optimizer.answer(ask, offer(capacity, cores=str(count))) == []
@@ -1039,7 +1039,7 @@ def test_a_batch_fits_into_a_message_even_with_large_genomes() -> None:
 
 
 def test_outcomes_with_many_metrics_fit_into_a_message() -> None:
-    """One that is too large is dropped whenever it is asked for: the run would not go on."""
+    """A message that is too large is dropped at every request: the run would not continue."""
     optimizer = Optimizer(metrics=1000)
     optimizer.join("a", slots=64, trial_s=1e-4)
     count = 1500
@@ -1240,7 +1240,7 @@ def test_finished_trials_of_a_batch_that_ends_in_a_fault_are_counted() -> None:
 
 
 def test_a_fault_of_a_finished_trial_is_attributed_to_another() -> None:
-    """Which no server says; it must not end in a trial that nobody has."""
+    """No server sends this; it must not leave a trial without a server."""
     optimizer = Optimizer()
     optimizer.join("a", trial_s=0.01)
     (ask,) = optimizer.work(2)

@@ -61,7 +61,7 @@ def test_a_run_without_requests_runs_to_its_end(tmp_path: Path) -> None:
 
 
 def test_a_run_stops_after_its_generation(tmp_path: Path) -> None:
-    """What it has begun is closed, and whoever follows is told that there is no result."""
+    """Everything that it began is closed, and loggers learn that there is no result."""
     logger, closed = Follower(tmp_path), list[int]()
     control.ask(tmp_path, "drain")
     generations = iter(evolution(tmp_path, logger, closed))

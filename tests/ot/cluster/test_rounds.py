@@ -350,7 +350,7 @@ def test_incompatible_parts_are_refused_in_one_line(
 def test_the_record_of_a_file_without_a_ranking_has_no_ranking(
     tmp_path: Path,
 ) -> None:
-    """So runs of before can be resumed; a ranking that is added since is a change."""
+    """So runs from before rankings can be resumed; a ranking added since is a change."""
     complete = experiment.complete(experiment.load(experiment.find("stadium")), "test")
     with Record.create(tmp_path, complete, "0" * 32) as record:
         assert "ranking" not in record.meta("experiment")

@@ -56,7 +56,7 @@ def sending_to(server: str) -> bool:
 
 
 def test_the_sender_to_a_server_ends_with_it() -> None:
-    """A server that starts anew is another one: without this, a long run would gather threads."""
+    """A restarted server is a new one: without this, a long run would accumulate threads."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     listening, _ = session.open_server([endpoint], Reach([], multicast=False))
     with Cluster(KEY, terms(slots=1), reach=Reach([endpoint], multicast=False)):

@@ -183,7 +183,7 @@ def test_outcomes_of_a_wrong_server_are_evaluated_again() -> None:
 
 
 def test_a_check_of_retracted_trials_may_arrive_after_the_end() -> None:
-    """The trials were counted anew by others; by these checks they are not verified again."""
+    """Other servers evaluated the trials again; these checks do not verify them again."""
     optimizer = Optimizer(verify=0.3)
     optimizer.join("a", slots=3)
     (ask,) = optimizer.work(3)

@@ -43,7 +43,7 @@ def test_a_reconnected_tab_gets_the_missed_changes() -> None:
 
 
 def test_an_error_in_the_dashboard_leaves_no_tab_waiting() -> None:
-    """It is told to come again, and the next one that comes begins anew."""
+    """It is told to reconnect, and the next tab starts again."""
     looks = iter([{"n": 1}])
 
     async def scenario() -> None:

@@ -98,7 +98,7 @@ def test_a_foreign_name_that_resolves_to_this_machine_is_refused(host: str) -> N
 def test_requests_that_change_something_need_the_pages_origin_and_the_token(
     method: str,
 ) -> None:
-    """An allow-list of methods: what nobody thought of is refused, too."""
+    """Methods are an allow-list: unknown ones are refused, too."""
     right = {"authorization": f"Bearer {TOKEN}"}
     assert ask(method)[0] == 403
     assert ask(method, **right)[0] == 403

@@ -177,7 +177,7 @@ def test_a_mistake_is_reported_in_one_line(arguments: list[str], told: str) -> N
 
 
 def with_times(folder: Path, seconds: float) -> Run:
-    """The generations of a run, so many seconds apart."""
+    """Set the times of a run's generations, this many seconds apart."""
     with sqlite3.connect(folder / "run.sqlite") as database:
         begun = database.execute(
             "SELECT value FROM meta WHERE key = 'created_at'"

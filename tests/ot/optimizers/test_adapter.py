@@ -89,7 +89,7 @@ def test_tell_receives_the_evaluated_vectors() -> None:
 
 
 def test_a_failed_candidate_is_as_bad_as_the_worst_of_its_generation() -> None:
-    """And its measures, which nobody knows, stay NaN; where all failed, all are equal."""
+    """Its unknown measures stay NaN; if all candidates failed, all are equal."""
     optimizer = make(Measured, 7)
     assert isinstance(optimizer, Measured)
     optimizer.ask()

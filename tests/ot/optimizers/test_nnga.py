@@ -177,7 +177,7 @@ def test_shares_that_leave_nothing_to_the_elite_are_refused(share: str) -> None:
     "settings", [{"population": 2}, {"mutation": 0.0, "crossover": 0.0, "renew": 0.0}]
 )
 def test_shares_without_new_individuals_are_refused(settings: dict[str, Any]) -> None:
-    """Else all are elite, and after the first generation nobody is asked."""
+    """Otherwise all are elite, and after the first generation no candidate is asked for."""
     with pytest.raises(
         ConfigError, match=r"make no new individual of .*; expected at least one in all"
     ):
@@ -726,7 +726,7 @@ def test_populations_lose_their_diversity_as_fast_as_frevos() -> None:
     ],
 )
 def test_proposals_equal_recorded_ones(settings: NNGASettings, expected: str) -> None:
-    """Made once: a run that was begun with an earlier zswarm goes on as it would have there."""
+    """Recorded once: a run begun with an earlier zswarm continues as it would have there."""
     optimizer, stream, history = (
         NNGA(settings, FullyMeshed(FullyMeshedSettings(), 10, 2), 5),
         Stream(6),

@@ -148,7 +148,7 @@ YESTERDAY = {
 
 @pytest.mark.parametrize("name", YESTERDAY)
 def test_proposals_equal_recorded_ones_on_every_machine(name: str) -> None:
-    """Made once: a run that was begun with an earlier zswarm goes on as it would have there."""
+    """Recorded once: a run begun with an earlier zswarm continues as it would have there."""
     loaded, network, stream, history = (
         plugins.load("optimizer", name),
         FullyMeshed(FullyMeshedSettings(), 4, 2),

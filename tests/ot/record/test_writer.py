@@ -318,7 +318,7 @@ def test_wrong_outcomes_of_a_server_are_dropped_or_marked(record: Record) -> Non
 
 
 def test_restored_outcomes_are_known_by_their_server(record: Record) -> None:
-    """A server found to compute wrong after a resume loses those of before it, too."""
+    """A server found to be wrong after a resume also loses its outcomes from before it."""
     work = workload()
     record.begin(0, work)
     record.add(count(work, [2], 1.0), work)

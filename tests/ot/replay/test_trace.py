@@ -31,7 +31,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def changed(folder: Path, to: Path, sql: str, *values: Any) -> Run:
-    """A copy of a run whose record somebody changed."""
+    """Return a copy of a run with a changed record."""
     to.mkdir()
     for name in ("experiment.toml", "run.sqlite"):
         (to / name).write_bytes((folder / name).read_bytes())

@@ -171,7 +171,7 @@ def test_a_wrong_manifest_is_reported_in_one_line(
 
 
 def test_a_launch_file_that_would_not_end_is_refused(rough: Path) -> None:
-    """roslaunch goes on as long as its master does, though all nodes of the file ended."""
+    """roslaunch runs as long as its master, even after all nodes of the file have ended."""
     rough_package.write(rough)
     launch = rough / "rough" / "rough.launch"
     launch.write_text(launch.read_text().replace('required="true"', ""))

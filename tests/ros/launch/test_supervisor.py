@@ -93,7 +93,7 @@ def test_the_program_receives_signals_that_a_slot_ignores(
 def test_no_process_remains_of_an_ended_program(
     supervisor: Supervisor, how: str, tmp_path: Path
 ) -> None:
-    """Not even what has a session of its own, and the supervisor goes on."""
+    """Not even one with its own session, and the supervisor continues."""
     supervisor.run(["sh", "-c", LEAVES + how], tmp_path, ENVIRONMENT)
     assert not alive(left(tmp_path))
     assert supervisor.run(["true"], tmp_path, ENVIRONMENT).code == 0

@@ -187,7 +187,7 @@ def test_invalid_messages_are_dropped(
 
 
 def wait_for_tokens(session: zenoh.Session, count: int) -> list[str]:
-    """All tokens of the domain, as soon as there are so many."""
+    """Return all tokens of the domain, once there are this many."""
     for _ in range(TIMEOUT_S * 20):
         replies = session.liveliness().get("@ros2_lv/7/**")
         found = [str(reply.ok.key_expr) for reply in replies if reply.ok]

@@ -235,7 +235,7 @@ def test_a_service_without_arguments_begins_a_trial() -> None:
 
 
 def test_bytes_and_hashes_are_still_those_of_ros_2() -> None:
-    """What tests/ros compares with, made anew by rclpy itself."""
+    """rclpy itself computes again what tests/ros compares with."""
     need("rclpy")
     known = json.loads(GOLDEN.read_text())
     bodies = json.dumps({kind: entry["body"] for kind, entry in known.items()})

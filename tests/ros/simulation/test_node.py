@@ -168,7 +168,7 @@ def test_impossible_settings_are_reported_in_one_line(
 def test_a_free_running_simulation_stops_a_robot_without_commands(
     here: RosGraph,
 ) -> None:
-    """After 0.2 s of its time, the profile's watchdog_s; its clock goes on."""
+    """After 0.2 s of its time, the profile's watchdog_s; its clock continues."""
     with node(
         here,
         "--mode",

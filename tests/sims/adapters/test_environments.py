@@ -330,7 +330,7 @@ class Stranger(Visitors):
 
 
 class Strange(Visit):
-    """An agent nobody announced."""
+    """Return an agent that was not announced."""
 
     def make(self, **options: Any) -> Visitors:
         return Stranger(**options)

@@ -1,4 +1,4 @@
-"""Environments that nobody here wrote, of PettingZoo, MPE2 and Gymnasium.
+"""Test environments of other packages: PettingZoo, MPE2 and Gymnasium.
 
 Each keeps the contract, and evolution beats random controllers in it, on held-out seeds.
 """

@@ -374,7 +374,7 @@ def test_trials_one_after_the_other_have_one_program(install: Install) -> None:
 
 
 def test_a_program_and_its_children_end_with_their_parent(tmp_path: Path) -> None:
-    """Also by SIGKILL, and though it does not care that nobody is there."""
+    """It is ended by SIGKILL if necessary, even if it ignores that its reader is gone."""
     code = (
         "import sys; from pathlib import Path; from zswarm.plugins.manifests import Manifest\n"
         "from zswarm.sims.foreign.program import Program\n"
