@@ -12,12 +12,11 @@ from msgspec import Meta
 
 from zswarm.config.meta import about
 from zswarm.kernels.jit import STEP_SIGNATURE, inline, kernel
-from zswarm.kernels.lanes import LANES, fill, load, store
+from zswarm.kernels.lanes import LANES, load, store
 from zswarm.kernels.portable import tanh
 from zswarm.nets import vector
 from zswarm.nets.meshed import Meshed, MeshedSettings
 from zswarm.nets.neurons import (
-    ZERO,
     copy_lanes,
     copy_outputs,
     parameter_rows,
@@ -72,15 +71,14 @@ def step(parameters, state, observation, output):  # type: ignore[no-untyped-def
     inner = HEADER + inputs * row
     biases = inner + neurons * row
     speeds = biases + row
-    for first in range(0, row, LANES):
-        sums = fill(ZERO)
-        sums = weigh(sums, parameters, HEADER + first, row, observation, 0, inputs)
-        store(state, from_inputs + first, sums)
+    weigh(parameters, HEADER, row, observation, 0, inputs, state, from_inputs)
     fire(state, firing, parameters, biases, row)
     for _ in range(iterations):
         for first in range(0, row, LANES):  # equation 1
             sums = load(state, from_inputs + first)
-            sums = weigh(sums, parameters, inner + first, row, state, firing, neurons)
+            for neuron in range(neurons):
+                weights = load(parameters, inner + neuron * row + first)
+                sums = sums + weights * state[firing + neuron]
             y = load(state, first)
             store(state, first, y + load(parameters, speeds + first) * (sums - y))
         fire(state, firing, parameters, biases, row)

@@ -25,7 +25,6 @@ from zswarm.nets.neurons import (
     copy_lanes,
     copy_outputs,
     put,
-    weigh,
     weigh_lanes,
 )
 
@@ -74,7 +73,9 @@ def step(parameters, state, observation, output):  # type: ignore[no-untyped-def
         biases = weights + sources * row
         for first in range(0, row, LANES):
             sums = fill(ZERO)
-            sums = weigh(sums, parameters, weights + first, row, state, here, sources)
+            for source in range(sources):
+                kept = load(parameters, weights + source * row + first)
+                sums = sums + kept * state[here + source]
             store(state, there + first, load(parameters, biases + first) + sums)
             activate(
                 activation, state, there + first, there + first, min(LANES, nodes - first)

@@ -18,7 +18,6 @@ from zswarm.nets import neurons, vector
 from zswarm.nets.meshed import Meshed, MeshedSettings
 from zswarm.nets.neurons import (
     ONE,
-    ZERO,
     activate,
     add,
     copy_lanes,
@@ -60,14 +59,14 @@ def step(parameters, state, observation, output):  # type: ignore[no-untyped-def
     from_inputs, fresh = row, 2 * row  # behind the outputs
     inner = HEADER + inputs * row
     biases = inner + neurons * row
-    for first in range(0, row, LANES):
-        sums = fill(ZERO)
-        sums = weigh(sums, parameters, HEADER + first, row, observation, 0, inputs)
-        store(state, from_inputs + first, sums)
+    weigh(parameters, HEADER, row, observation, 0, inputs, state, from_inputs)
     for _ in range(iterations):
         for first in range(0, row, LANES):
             sums = load(state, from_inputs + first)
-            sums = weigh(sums, parameters, inner + first, row, state, 0, neurons)
+            for neuron in range(neurons):
+                sums = (
+                    sums + load(parameters, inner + neuron * row + first) * state[neuron]
+                )
             store(state, fresh + first, load(parameters, biases + first) + sums)
         for first in range(0, row, LANES):
             activate(activation, state, fresh + first, first, min(LANES, neurons - first))

@@ -12,7 +12,7 @@ import numpy as np
 
 from zswarm.config.meta import about
 from zswarm.kernels.jit import STEP_SIGNATURE, float32, kernel
-from zswarm.kernels.lanes import LANES, fill, load, store
+from zswarm.kernels.lanes import LANES, load, store
 from zswarm.nets import vector
 from zswarm.nets.meshed import Meshed, MeshedSettings
 from zswarm.nets.neurons import (
@@ -65,10 +65,11 @@ def step(parameters, state, observation, output):  # type: ignore[no-untyped-def
         for place in range(table):
             state[weights + place] = parameters[HEADER + place]
     for _ in range(iterations):
+        weigh(state, weights, row, observation, 0, inputs, state, fresh)
         for first in range(0, row, LANES):
-            sums = fill(ZERO)
-            sums = weigh(sums, state, weights + first, row, observation, 0, inputs)
-            sums = weigh(sums, state, inner + first, row, state, 0, neurons)
+            sums = load(state, fresh + first)
+            for neuron in range(neurons):
+                sums = sums + load(state, inner + neuron * row + first) * state[neuron]
             store(state, fresh + first, load(parameters, biases + first) + sums)
         for first in range(0, row, LANES):
             activate(CLAMP, state, fresh + first, first, LANES)

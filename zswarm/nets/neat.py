@@ -15,11 +15,11 @@ from msgspec import Meta
 from zswarm.config.meta import PartSettings, about, within
 from zswarm.kernels.random import Stream
 from zswarm.nets.graph import Edge, Graph, numbered
+from zswarm.nets.neat_distance import Numbers, distances
 from zswarm.nets.neat_genome import (
     LINK,
     NODE,
     Genes,
-    Innovation,
     first_of_each_id,
     new_id,
     reachable,
@@ -153,32 +153,12 @@ class Neat(Representation):
         return hers.genome()
 
     def distances(self, left: Sequence[bytes], right: Sequence[bytes]) -> np.ndarray:
-        """Return the distances of the paper's equation 1, with c1 = c2 and N = 1.
-
-        N would be the size of the larger genome; the paper allows 1 for small ones, and distances
-        would jump between the two. All numbers count: weights, biases, and factors of outputs.
-        """
+        """Return the distances of the paper's equation 1: weights, biases and factors count."""
+        a, b = ([self._numbers(genome) for genome in side] for side in (left, right))
         settings = self.settings
-        sides = [[self._numbers(genome) for genome in side] for side in (left, right)]
-        # Sorted, so that a sum does not depend on which other genomes there are.
-        keys = sorted({key for side in sides for numbers in side for key in numbers})
-        columns = {key: column for column, key in enumerate(keys)}
-        (a, in_a), (b, in_b) = (_tables(side, columns) for side in sides)
-        is_link = np.array([key[0] > 0 for key in keys], bool)[:, None]
-        links_a, links_b = (_count(present & is_link) for present in (in_a, in_b))
-        found = np.empty((len(left), len(right)))
-        for row in range(len(left)):
-            both = in_a[:, row, None] & in_b
-            # Along its first axis numpy adds row after row; ``_tables`` has at least two columns.
-            total = np.add.reduce(
-                np.where(both, np.abs(a[:, row, None] - b), 0.0), axis=0
-            )
-            unmatched = links_a[row] + links_b - 2 * _count(both & is_link)
-            mean = total / np.maximum(_count(both), 1)
-            distance = settings.unmatched_coefficient * unmatched  # eq. 1
-            distance = distance + settings.weight_coefficient * mean
-            found[row] = distance[: len(right)]
-        return found
+        return distances(
+            a, b, settings.unmatched_coefficient, settings.weight_coefficient
+        )
 
     def structure(self, genome: bytes) -> tuple[int, int]:
         """Count hidden neurons and enabled links."""
@@ -295,16 +275,11 @@ class Neat(Representation):
         if not (neurons < targets).all() and sorted_forward(range(hidden), pairs) is None:
             raise ValueError(f"a genome has links in a circle; {allow}")
 
-    def _numbers(self, genome: bytes) -> dict[Innovation, float]:
-        """Return all numbers by innovation.
-
-        Keys are (source, target, which of equal links) for a weight, (0, node, 0) for a bias, and
-        (0, output, 1) for its factor.
-        """
+    def _numbers(self, genome: bytes) -> Numbers:
+        """Return all numbers of a genome, as ``distances`` compares them."""
         genes = Genes.copied(genome)
-        numbers = dict(
-            zip(genes.innovations(), genes.links["weight"].tolist(), strict=True)
-        )
+        weights = genes.links["weight"].tolist()
+        numbers = dict(zip(genes.innovations(), weights, strict=True))
         for id_, bias, factor in genes.nodes.tolist():
             numbers[0, id_, 0] = bias
             if id_ < self._first_hidden:
@@ -379,9 +354,8 @@ class Neat(Representation):
         ids = genes.nodes["id"].tolist()
         outputs, hidden = ids[: self.outputs], ids[self.outputs :]
         sources, taken = [*range(1, self.inputs + 1), *hidden], set(genes.pairs())
-        closing: dict[
-            int, set[int]
-        ] = {}  # per target the sources that would close a circle
+        # Per target the sources that would close a circle.
+        closing: dict[int, set[int]] = {}
         if self.settings.recurrent:
             sources += outputs
         else:
@@ -392,24 +366,3 @@ class Neat(Representation):
             for target in [*hidden, *outputs]
             if (source, target) not in taken and source not in closing.get(target, ())
         ]
-
-
-def _tables(
-    side: list[dict[Innovation, float]], columns: dict[Innovation, int]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return (columns, genomes) float64 numbers, and bool where a genome has them.
-
-    There are at least two columns of genomes.
-    """
-    numbers = np.zeros((len(columns), max(2, len(side))))
-    present = np.zeros(numbers.shape, bool)
-    for genome, found in enumerate(side):
-        rows = [columns[key] for key in found]
-        numbers[rows, genome] = list(found.values())
-        present[rows, genome] = True
-    return numbers, present
-
-
-def _count(present: np.ndarray) -> np.ndarray:
-    counts: np.ndarray = np.add.reduce(present, axis=0, dtype=np.int64)
-    return counts

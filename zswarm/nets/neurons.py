@@ -69,14 +69,19 @@ def copy_outputs(state, end, output):  # type: ignore[no-untyped-def]  # compile
 
 
 @inline(counts=False)
-def weigh(sums, parameters, at, row, values, begin, count):  # type: ignore[no-untyped-def]  # compiled
-    """Add ``count`` values from ``begin``, in order, times their weights to eight sums.
+def weigh(parameters, at, row, values, begin, count, state, to):  # type: ignore[no-untyped-def]  # compiled
+    """Store sums of ``count`` values from ``begin``, in order, times weights, for all neurons.
 
-    The weights of the first value begin at ``at``, those of the next ``row`` numbers later.
+    The weights of the first value, ``row`` numbers, begin at ``at``; those of the next follow.
     """
-    for source in range(count):
-        sums = sums + load(parameters, at + source * row) * values[begin + source]
-    return sums
+    for first in range(0, row, LANES):
+        sums = fill(ZERO)
+        for source in range(count):
+            sums = (
+                sums
+                + load(parameters, at + source * row + first) * values[begin + source]
+            )
+        store(state, to + first, sums)
 
 
 # ---- eight agents, four neurons at once
