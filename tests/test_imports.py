@@ -37,7 +37,7 @@ experiment:         BASE plugins protocol
 evaluate:           BASE kernels nets plugins protocol sims
 controller:         BASE nets plugins
 security:           BASE protocol
-session:            errors protocol security
+session:            errors protocol security system
 router:             BASE security session
 api:                errors experiment ot ot.analysis ot.cluster ot.record ot.study
 ot:                 BASE controller evaluate experiment kernels ot.cluster ot.commands.shared

@@ -184,9 +184,7 @@ def evaluate(
     expected = len(seeds), simulator.participants
     if participants.shape != expected:
         raise ValueError(f"participants must be {expected}, not {participants.shape}")
-    if participants.size and not 0 <= participants.min() <= participants.max() < len(
-        genomes
-    ):
+    if ((participants < 0) | (participants >= len(genomes))).any():
         raise ValueError(f"a participant is not among the {len(genomes)} genomes")
     if remote is None and len(seeds):
         parameters = representation.parameters(genomes)
@@ -300,10 +298,8 @@ def _play_varied(varied: Varied, trials: _Assignment) -> str:
             begin = time.process_time()
             failed = _play_alike(part)
             varied.took(time.process_time() - begin)
-            batch.fitness[some], batch.metrics[some] = (
-                part.batch.fitness,
-                part.batch.metrics,
-            )
+            batch.fitness[some] = part.batch.fitness
+            batch.metrics[some] = part.batch.metrics
             error = error or failed
             played += len(some)
     return error
@@ -386,24 +382,6 @@ def _play_probe(
         else None
     )
     return evaluate(simulator, network, genomes, participants, seeds, remote=remote)
-
-
-def play_in_turns(
-    simulator: Simulator,
-    representation: Representation,
-    parameters: np.ndarray,
-    seed: int,
-    fitness: np.ndarray,
-    metrics: np.ndarray,
-) -> None:
-    """Play one trial through the simulator's turns.
-
-    Args:
-        parameters: (participants, P) float32.
-        fitness: (participants,) float64, filled.
-        metrics: (metrics,) float64, filled.
-    """
-    play_turns(simulator, Networks(representation, parameters), seed, fitness, metrics)
 
 
 def turns(

@@ -10,8 +10,6 @@ import json
 import os
 import queue
 import resource
-import socket
-import struct
 import threading
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
@@ -23,9 +21,8 @@ from zswarm.protocol import endpoint
 from zswarm.security import access, keyring, refusals
 from zswarm.security.keyring import Keyring
 from zswarm.security.members import Role
+from zswarm.system import scouting
 
-# Not zenoh's default group, on which every ROS 2 robot of the lab would join.
-SCOUTING_GROUP = "224.0.0.225:7467"
 PORT = 7467
 PORTS = 100  # tried from PORT on if none is given
 ROUTER = "0.0.0.0:7466"  # where a router listens by default
@@ -82,7 +79,7 @@ def watch(opened: Session, listen: Sequence[str], reach: Reach, who: str) -> Non
     import structlog  # imports rich, which an optimizer does not need
 
     log = structlog.get_logger()
-    if reach.multicast and (fault := multicast_fault()):
+    if reach.multicast and (fault := scouting.fault()):
         log.warning("multicast_unavailable", reason=fault, listen=listen)
     if reach.keyring is not None:
         refusals.watch_members(opened, reach.keyring)
@@ -128,49 +125,6 @@ def open_router(listen: Sequence[str], reach: Reach) -> tuple[Session, list[str]
 
 def _protocol(reach: Reach) -> str:
     return "tcp" if reach.keyring is None else "tls"
-
-
-def multicast_fault() -> str:
-    """Return why this machine cannot find or be found by multicast; "" if it can.
-
-    Zenoh scouts on every interface except loopback that is up, has an IPv4 address and supports
-    multicast. It needs no route.
-    """
-    try:
-        interfaces = scouting_interfaces()
-    except (
-        OSError
-    ) as error:  # such as netlink forbidden by systemd's RestrictAddressFamilies
-        return f"the network interfaces cannot be listed ({error.strerror})"
-    group = socket.inet_aton(SCOUTING_GROUP.partition(":")[0])
-    fault = "no network interface is up that has an IPv4 address and multicast"
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        for index, name in interfaces:
-            member = struct.pack("=4s4si", group, bytes(4), index)
-            try:
-                probe.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
-            except OSError as error:
-                fault = (
-                    f"{name} cannot join the group {SCOUTING_GROUP} ({error.strerror})"
-                )
-            else:
-                return ""
-    return fault
-
-
-def scouting_interfaces() -> list[tuple[int, str]]:
-    """Return number and name of the interfaces that Zenoh scouts on."""
-    import psutil  # slows the start
-
-    stats, addresses = psutil.net_if_stats(), psutil.net_if_addrs()
-    return [
-        (index, name)
-        for index, name in socket.if_nameindex()
-        if name in stats
-        and {"up", "running", "multicast"} <= (flags := set(stats[name].flags.split(",")))
-        and "loopback" not in flags
-        and any(address.family == socket.AF_INET for address in addresses.get(name, ()))
-    ]
 
 
 def _open(
@@ -231,16 +185,6 @@ def _config(
         timeout_ms: for dialing; -1: keep trying in the background (a client would wait forever).
     """
     found = {mode: ["router"] if mode == "client" else ["peer", "router"] if dial else []}
-    blocked = {"wait_before_close": WAIT_BEFORE_CLOSE_S * 1_000_000}
-    link: dict[str, Any] = {
-        "tx": {
-            "lease": LINK_TIMEOUT_S * 1000,
-            "keep_alive": 4,
-            "batch_size": 16384,
-            "queue": {"congestion_control": {"block": blocked}},
-        },
-        "rx": {"max_message_size": 64 << 20},
-    }
     config: dict[str, Any] = {
         "mode": mode,
         "listen": {"endpoints": {mode: list(listen)}},
@@ -258,7 +202,7 @@ def _config(
             "delay": 500,
             "multicast": {
                 "enabled": reach.multicast,
-                "address": SCOUTING_GROUP,
+                "address": scouting.GROUP,
                 "autoconnect": found,
             },
             "gossip": {
@@ -276,16 +220,32 @@ def _config(
                 "max_sessions": 4096,
             },
             "shared_memory": {"enabled": False},
-            "link": link,
+            "link": _link(reach.keyring),
         },
         "adminspace": {"enabled": False},
     }
     if timeout_ms > 0:
         config["scouting"]["timeout"] = timeout_ms
     if reach.keyring is not None:
-        link.update({"protocols": ["tls"], "tls": _tls(reach.keyring)})
         config["access_control"] = access.rules(reach.keyring.role, reach.keyring.members)
     return config
+
+
+def _link(keyring: Keyring | None) -> dict[str, Any]:
+    """Return the settings of each link."""
+    blocked = {"wait_before_close": WAIT_BEFORE_CLOSE_S * 1_000_000}
+    link: dict[str, Any] = {
+        "tx": {
+            "lease": LINK_TIMEOUT_S * 1000,
+            "keep_alive": 4,
+            "batch_size": 16384,
+            "queue": {"congestion_control": {"block": blocked}},
+        },
+        "rx": {"max_message_size": 64 << 20},
+    }
+    if keyring is not None:
+        link |= {"protocols": ["tls"], "tls": _tls(keyring)}
+    return link
 
 
 def _tls(keyring: Keyring) -> dict[str, Any]:

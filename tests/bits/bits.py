@@ -23,8 +23,10 @@ from zswarm.errors import ConfigError
 from zswarm.kernels import random as draws
 from zswarm.kernels.lanes import LANES
 from zswarm.kernels.random import Stream
+from zswarm.nets.networks import Networks
 from zswarm.ot.record.history_hash import History
 from zswarm.plugins import registry as plugins
+from zswarm.sims.turns import play_turns
 
 FEW = sys.argv[1:] == ["few"]
 STEPS = (
@@ -140,14 +142,8 @@ def played(simulator: Any, network: Any) -> tuple[bytes, int]:
         simulator, network, genomes, participants, np.tile(SEEDS, GENOMES)
     )
     fitness, metrics = np.empty(simulator.participants), np.empty(len(simulator.metrics))
-    evaluate.play_in_turns(
-        simulator,
-        network,
-        network.parameters(genomes)[participants[0]],
-        int(SEEDS[0]),
-        fitness,
-        metrics,
-    )
+    controllers = Networks(network, network.parameters(genomes)[participants[0]])
+    play_turns(simulator, controllers, int(SEEDS[0]), fitness, metrics)
     numbers = np.concatenate([outcomes.fitness, outcomes.metrics], axis=1)
     different = {row.tobytes() for row in numbers[:: len(SEEDS)]}
     return b"".join(array.tobytes() for array in (numbers, fitness, metrics)), len(

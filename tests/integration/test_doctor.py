@@ -18,13 +18,13 @@ from packaging.requirements import Requirement
 
 from tests.integration.lab import Lab
 from tests.integration.programs import Optimizer, Server, wait_until
-from zswarm import session
 from zswarm.kernels import cache
 from zswarm.ot.doctor import machine, network
 from zswarm.ot.doctor.examination import examine
 from zswarm.ot.doctor.finding import Finding
 from zswarm.protocol.messages import Requirements
 from zswarm.session import Reach
+from zswarm.system import scouting
 
 pytestmark = pytest.mark.programs
 
@@ -172,7 +172,7 @@ def test_other_traffic_does_not_hide_a_missing_echo(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """However much they send, it ends."""
-    group, port = session.SCOUTING_GROUP.split(":")
+    group, port = scouting.GROUP.split(":")
     monkeypatch.setattr(network.secrets, "token_bytes", Unheard)
     monkeypatch.setattr(network, "HEARD_S", 0.3)
     index = socket.if_nametoindex("lo")
@@ -248,7 +248,7 @@ def test_missing_multicast_is_found(lab: Lab) -> None:
     on, off = lab.host(lab.network()), lab.host()
     heard, deaf = (host.run(sys.executable, "-c", script) for host in (on, off))
     assert "'ok'" in heard
-    assert f"{session.SCOUTING_GROUP} is sent and heard through eth0" in heard
+    assert f"{scouting.GROUP} is sent and heard through eth0" in heard
     assert "'warning'" in deaf
     assert "--connect" in deaf
 

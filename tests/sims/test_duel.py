@@ -9,11 +9,13 @@ import pytest
 from tests import examples
 from tests.sims.naive_duel import NaiveDuel
 from zswarm.errors import ConfigError
-from zswarm.evaluate import build, evaluate, play_in_turns
+from zswarm.evaluate import build, evaluate
 from zswarm.kernels.random import Stream
+from zswarm.nets.networks import Networks
 from zswarm.nets.representation import Representation
 from zswarm.ot.replay import held_out as unseen
 from zswarm.sims.minisim import Minisim, MinisimSettings
+from zswarm.sims.turns import play_turns
 from zswarm.testing import check_simulator
 
 UNUSUAL: list[dict[str, int]] = [
@@ -79,7 +81,8 @@ def test_kernel_turns_and_a_naive_reference_have_the_same_bits(
     for trial, (pair, seed) in enumerate(zip(participants, seeds, strict=True)):
         told = np.concatenate([outcomes.fitness[trial], outcomes.metrics[trial]])
         fitness, metrics = np.zeros(2), np.zeros(3)
-        play_in_turns(simulator, network, parameters[pair], int(seed), fitness, metrics)
+        controllers = Networks(network, parameters[pair])
+        play_turns(simulator, controllers, int(seed), fitness, metrics)
         assert told.tobytes() == np.concatenate([fitness, metrics]).tobytes()
         decide = deciding(network, parameters[pair], simulator.settings.robots)
         assert told.tolist() == list(

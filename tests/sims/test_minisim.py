@@ -9,10 +9,12 @@ import pytest
 
 from tests.sims.naive_minisim import NaiveMinisim
 from zswarm.errors import ConfigError
-from zswarm.evaluate import TrialOutcomes, build, evaluate, play_in_turns
+from zswarm.evaluate import TrialOutcomes, build, evaluate
 from zswarm.kernels.random import Stream
 from zswarm.nets.fully_meshed import FullyMeshed
+from zswarm.nets.networks import Networks
 from zswarm.sims.minisim import Minisim, MinisimSettings
+from zswarm.sims.turns import play_turns
 
 CHAMPION = json.loads(Path(__file__).with_name("minisim_champion.json").read_text())
 UNSEEN = np.arange(10**9, 10**9 + 100, dtype=np.uint64)
@@ -152,9 +154,8 @@ def test_turns_give_the_same_bits_as_the_kernel(settings: dict[str, int]) -> Non
     for parameters in network.parameters(genomes):
         for seed in seeds:
             fitness, metrics = np.zeros(1), np.zeros(3)
-            play_in_turns(
-                simulator, network, parameters[None], int(seed), fitness, metrics
-            )
+            controllers = Networks(network, parameters[None])
+            play_turns(simulator, controllers, int(seed), fitness, metrics)
             assert fitness.tobytes() == outcomes.fitness[trial].tobytes()
             assert metrics.tobytes() == outcomes.metrics[trial].tobytes()
             trial += 1

@@ -10,6 +10,7 @@ from zswarm.kernels.portable import PI
 from zswarm.kernels.random import Stream
 from zswarm.sims.physics import Metres, Movable, Robots
 from zswarm.sims.physics_kernels import SCAN
+from zswarm.sims.physics_picture import picture
 from zswarm.sims.placing import Area
 from zswarm.sims.simulator import Frame, Outcome, Rectangle, Steps, Turn
 from zswarm.sims.transport import Transport, TransportSettings
@@ -119,7 +120,7 @@ class BoxPushing(Transport):
         side = self.settings.side
         goal = self.settings.goal
         places = [Rectangle("goal", side - goal, 0.0, goal, side)]
-        return self._world.frame(places, ["robot"] * self.settings.robots, ["box"])
+        return picture(self._world, places, ["robot"] * self.settings.robots, ["box"])
 
     def _reached(self) -> bool:
         return bool(self._world.things[0, 0] >= self._goal)

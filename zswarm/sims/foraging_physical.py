@@ -9,6 +9,7 @@ from zswarm.errors import ConfigError
 from zswarm.kernels.random import Stream
 from zswarm.sims.physics import Metres, Movable, Robots, Side
 from zswarm.sims.physics_kernels import SCAN, SECTORS
+from zswarm.sims.physics_picture import picture
 from zswarm.sims.placing import Area, require_room, strew
 from zswarm.sims.simulator import Frame, Outcome, Rectangle, Steps, Turn
 from zswarm.sims.transport import Transport, TransportSettings
@@ -145,6 +146,7 @@ class ForagingPhysical(Transport):
 
     def frame(self) -> Frame:
         """Return the room with nest, robots and pucks; delivered pucks stay where they came in."""
+        nest = Rectangle("nest", 0.0, 0.0, self.settings.nest, self.settings.side)
         robots = [
             "robot" if puck < 0 else "robot with a puck" for puck in self._holds.tolist()
         ]
@@ -152,11 +154,7 @@ class ForagingPhysical(Transport):
             "puck in the nest" if delivered else "puck"
             for delivered in (self._gone == DELIVERED).tolist()
         ]
-        return self._world.frame(
-            [Rectangle("nest", 0.0, 0.0, self.settings.nest, self.settings.side)],
-            robots,
-            pucks,
-        )
+        return picture(self._world, [nest], robots, pucks)
 
     def _count(self) -> int:
         """Return how many pucks were delivered."""

@@ -26,7 +26,7 @@ from zswarm.config.meta import PartSettings, about, above, within
 from zswarm.kernels.portable import PI, cos, exp, sin
 from zswarm.sims.physics_kernels import ANGLE, SECTORS, X, command, look, push
 from zswarm.sims.placing import Area
-from zswarm.sims.simulator import Body, Frame, Ray, Rectangle, Steps
+from zswarm.sims.simulator import Steps
 
 LIBRARIES = ("pymunk",)  # its machine code plays the trials
 GRAVITY = 9.81  # m/s^2
@@ -102,7 +102,9 @@ class RobotWorld:
     """Robots, walls and things, from the start of a trial on.
 
     Attributes:
+        room: an ``Area``.
         walls: (walls, 4) float64, an ``Area`` each, those around the room included.
+        movables: what the things are.
         inside: (robots,) int64, 0 for those that were taken out.
         poses: (robots, 3) float64: x, y, angle; of one that was taken out, where that was.
         headings: (robots, 2) float64, unit vectors.
@@ -126,7 +128,7 @@ class RobotWorld:
             (right, low, right + RIM, high),
         ]
         self.settings = settings
-        self._of = tuple(things)
+        self.movables = tuple(things)
         self.walls = np.array([*around, *walls])
         self._moment = (
             0.5 * settings.mass * settings.radius * settings.radius
@@ -183,7 +185,7 @@ class RobotWorld:
         for pose in poses.tolist():
             body = self._body(settings.mass, self._moment, pose)
             self._touching(pymunk.Circle(body, settings.radius))
-        for thing, pose in zip(self._of, things.tolist(), strict=True):
+        for thing, pose in zip(self.movables, things.tolist(), strict=True):
             self._put(thing, pose)
         self._linear[:] = self._angular[:] = 0
         self.inside[:] = 1
@@ -255,7 +257,7 @@ class RobotWorld:
         joint.error_bias = self._left
         self._space.add(joint)
         self._joints[robot] = joint
-        arm = self.settings.radius + self._of[thing].size
+        arm = self.settings.radius + self.movables[thing].size
 
         def turn(c: float, s: float) -> None:
             joint.anchor_a = arm * c, arm * s
@@ -275,64 +277,6 @@ class RobotWorld:
     def take_out_thing(self, thing: int) -> None:
         """Remove a thing from this world; pictures show it where it was."""
         self._move_outside(self.settings.robots + thing)
-
-    def frame(
-        self, places: Sequence[Rectangle], robots: Sequence[str], things: Sequence[str]
-    ) -> Frame:
-        """Return a picture.
-
-        Args:
-            places: areas besides the walls; x and y, in this world's axes, are the least corner.
-            robots: the kind of each robot.
-            things: the kind of each thing.
-        """
-        left, low, right, high = self.room
-        top = high + RIM
-        walls = [
-            Rectangle("wall", x, y, to_x - x, to_y - y)
-            for x, y, to_x, to_y in self.walls.tolist()
-        ]
-        shown = [
-            Rectangle(
-                place.kind,
-                place.x - left + RIM,
-                top - place.y - place.height,
-                place.width,
-                place.height,
-            )
-            for place in (*places, *walls)
-        ]
-        bodies = [
-            Body(kind, x - left + RIM, top - y, self.settings.radius, -angle)
-            for kind, (x, y, angle) in zip(robots, self.poses.tolist(), strict=True)
-        ]
-        bodies += [
-            Body(
-                kind,
-                x - left + RIM,
-                top - y,
-                thing.size,
-                -angle,
-                "square" if thing.is_box else "diamond",
-            )
-            for kind, thing, (x, y, angle) in zip(
-                things, self._of, self.things.tolist(), strict=True
-            )
-        ]
-        view = self.settings.view * PI / 180
-        rays = [
-            Ray(
-                sector,
-                view * (0.5 - (sector + 0.5) / SECTORS),
-                self.settings.range,
-                0.0,
-                view / SECTORS,
-            )
-            for sector in range(SECTORS)
-        ]
-        return Frame(
-            right - left + 2 * RIM, high - low + 2 * RIM, shown, bodies, rays=rays
-        )
 
     def _put(self, thing: Movable, pose: Sequence[float]) -> None:
         """Add a thing; its friction with the ground is a joint with limited force."""

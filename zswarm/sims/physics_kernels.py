@@ -41,6 +41,21 @@ def to_rectangle(left, low, right, high, per_x, per_y, most):
 
 
 @inline
+def to_square(x, y, c, s, size, dx, dy, most):
+    """Return a ray's length to a square that is turned, at most ``most``.
+
+    Its centre is relative to the ray's start, ``c`` and ``s`` are cosine and sine of its angle,
+    and ``size`` is half its side.
+    """
+    along = c * x + s * y
+    aside = c * y - s * x
+    left, right = along - size, along + size
+    low, high = aside - size, aside + size
+    per_along, per_aside = inverse(c * dx + s * dy), inverse(c * dy - s * dx)
+    return to_rectangle(left, low, right, high, per_along, per_aside, most)
+
+
+@inline
 def to_disc(x, y, dx, dy, radius, most):
     """Return a ray's length to a disc, at most ``most``; its centre is relative to the start."""
     along = x * dx + y * dy
@@ -178,19 +193,12 @@ def look(
                 until_y = walls[wall, 3] - y
                 far = to_rectangle(from_x, from_y, until_x, until_y, per_x, per_y, far)
             for box in range(boxes.shape[0]):
+                to_x = things[boxes[box], X] - x
+                to_y = things[boxes[box], Y] - y
                 c = squares[box, 0]
                 s = squares[box, 1]
                 size = squares[box, 2]
-                to_x = things[boxes[box], X] - x
-                to_y = things[boxes[box], Y] - y
-                along = c * to_x + s * to_y
-                aside = c * to_y - s * to_x
-                from_x, from_y = along - size, aside - size
-                until_x, until_y = along + size, aside + size
-                per_along, per_aside = inverse(c * dx + s * dy), inverse(c * dy - s * dx)
-                far = to_rectangle(
-                    from_x, from_y, until_x, until_y, per_along, per_aside, far
-                )
+                far = to_square(to_x, to_y, c, s, size, dx, dy, far)
             for other in range(robots):
                 if other != robot and inside[other]:
                     far = to_disc(

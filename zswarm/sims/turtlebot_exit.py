@@ -17,6 +17,7 @@ from zswarm.kernels.signatures import Float32Rows, Float64Rows, Float64s
 from zswarm.sims.exit_fitness import cpswarm_log, last_distance
 from zswarm.sims.physics import Metres, RobotSettings, RobotWorld
 from zswarm.sims.physics_kernels import SCAN, SECTORS, command
+from zswarm.sims.physics_picture import picture
 from zswarm.sims.placing import Area, require_room, shrunk, strew
 from zswarm.sims.robot_interface import observe
 from zswarm.sims.simulator import (
@@ -262,7 +263,7 @@ class TurtlebotExit(Simulator):
             "robot" if robot in agents else "robot that is out"
             for robot in range(self.settings.robots)
         ]
-        return self._world.frame(exits, kinds, [])
+        return picture(self._world, exits, kinds, [])
 
 
 @kernel(void(Float64Rows, Float64Rows))

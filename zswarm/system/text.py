@@ -1,8 +1,10 @@
 """Make text from other machines and programs safe to show."""
 
 import unicodedata
+from typing import Any
 
 MAX_LENGTH = 500  # characters
+NESTED = 32  # levels of tables and lists
 # Unicode categories: controls, formats, surrogates, private use, unassigned, line separators.
 UNSAFE = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}
 
@@ -12,6 +14,25 @@ def clean(text: str) -> str:
     if text.isascii() and text.isprintable():
         return text[:MAX_LENGTH]
     return "".join(map(_escaped, text))[:MAX_LENGTH]
+
+
+def clean_all(value: Any, levels: int = NESTED) -> Any:
+    """Return a value, table or list with its texts made safe to show.
+
+    Raises:
+        RecursionError: it is nested deeper than anything that zswarm writes.
+    """
+    if isinstance(value, str):
+        return clean(value)
+    if not isinstance(value, dict | list):
+        return value
+    if not levels:
+        raise RecursionError(f"nested deeper than {NESTED} levels")
+    if isinstance(value, dict):
+        return {
+            clean(str(key)): clean_all(item, levels - 1) for key, item in value.items()
+        }
+    return [clean_all(item, levels - 1) for item in value]
 
 
 def _escaped(character: str) -> str:

@@ -19,12 +19,13 @@ import numpy as np
 import psutil
 
 from zswarm.config.decode import convert, is_struct
-from zswarm.evaluate import evaluate, play_in_turns, turns
+from zswarm.evaluate import evaluate, turns
 from zswarm.kernels.lanes import LANES
 from zswarm.kernels.random import Stream
+from zswarm.nets.networks import Networks
 from zswarm.nets.representation import Representation
 from zswarm.sims.simulator import CompiledSimulator, Simulator
-from zswarm.sims.turns import BrokenContractError
+from zswarm.sims.turns import BrokenContractError, play_turns
 from zswarm.testing.proxies import CheckedSimulator, Speed, TimedSimulator
 from zswarm.testing.rules import BrokenRule, checking, fully_meshed, require
 
@@ -129,8 +130,9 @@ class _CheckedTrials:
             int(self.seeds[trial]),
         )
         fitness, metrics = np.zeros(len(parameters)), np.zeros(self.metrics)
+        controllers = Networks(self.network, parameters)
         try:
-            play_in_turns(player, self.network, parameters, seed, fitness, metrics)
+            play_turns(player, controllers, seed, fitness, metrics)
         except BrokenContractError as error:
             raise BrokenRule(f": {error}") from None
         except SystemExit as error:

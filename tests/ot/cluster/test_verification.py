@@ -24,8 +24,8 @@ from zswarm.ot.cluster.events import (
     Seen,
     Work,
 )
-from zswarm.ot.cluster.remote_server import Phase
-from zswarm.ot.cluster.servers import BLAMED, FAULTY_S, PAUSE_S
+from zswarm.ot.cluster.remote_server import BLAMED, Phase
+from zswarm.ot.cluster.servers import FAULTY_S, PAUSE_S
 from zswarm.ot.workload import Workload
 from zswarm.protocol.messages import Refused, verb
 

@@ -21,7 +21,8 @@ from zswarm.ot.notes import Note
 from zswarm.ot.record import database as database_module
 from zswarm.ot.record.folder import load_experiment
 from zswarm.ot.record.history_hash import History
-from zswarm.ot.record.writer import CANDIDATES_AT_ONCE, Record
+from zswarm.ot.record.statements import CANDIDATES_AT_ONCE
+from zswarm.ot.record.writer import Record
 from zswarm.ot.workload import Workload
 
 STATISTICS = {"best": 1.0, "mean": float("-inf")}

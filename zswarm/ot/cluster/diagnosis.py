@@ -20,6 +20,7 @@ from zswarm.protocol.keys import ServerKey
 from zswarm.security import tls_diagnosis
 from zswarm.security.keyring import Keyring
 from zswarm.session import Reach
+from zswarm.system import scouting
 
 DIAL_S = 2.0  # for one endpoint to answer
 SCOUT_S = 1.0  # for answers to multicast
@@ -60,7 +61,7 @@ def diagnose(
     seen = {key for one in opened for key in _tokens(one)}
     groups = [[text] for text in reach.connect]  # of endpoints that lead to one program
     if not reach.connect:
-        silent = bool(seen or session.multicast_fault())
+        silent = bool(seen or scouting.fault())
         groups = [] if silent else _scout(routers=reach.through_router)
         if not groups:
             lines += _no_multicast(reach, tcp, answered=bool(seen))
@@ -76,7 +77,7 @@ def diagnose(
 
 
 def _no_multicast(reach: Reach, tcp: str, *, answered: bool) -> list[str]:
-    if fault := session.multicast_fault():
+    if fault := scouting.fault():
         name = "name a server or router with --connect"
         return [f"multicast does not work on this machine: {fault}; {name}"]
     if answered:
@@ -84,7 +85,7 @@ def _no_multicast(reach: Reach, tcp: str, *, answered: bool) -> list[str]:
     who, port = ("router", 7466) if reach.through_router else ("server", session.PORT)
     return [
         f"no {who} answers to multicast: none runs, or the network does not carry it"
-        f" (UDP {session.SCOUTING_GROUP}); name one with --connect {tcp}/HOST:{port}"
+        f" (UDP {scouting.GROUP}); name one with --connect {tcp}/HOST:{port}"
     ]
 
 
@@ -105,7 +106,7 @@ def _not_used(seen: Iterable[ServerKey], realm: str) -> list[str]:
 def _scout(*, routers: bool) -> list[list[str]]:
     """Return the endpoints of each server and router that answers to multicast."""
     config = zenoh.Config()
-    config.insert_json5("scouting/multicast/address", f'"{session.SCOUTING_GROUP}"')
+    config.insert_json5("scouting/multicast/address", f'"{scouting.GROUP}"')
     scout = zenoh.scout(what="router" if routers else "peer|router", config=config)
     time.sleep(SCOUT_S)
     answers: dict[str, list[str]] = {}

@@ -11,7 +11,7 @@ from zswarm.ot.cluster.batches import Batches
 from zswarm.ot.cluster.events import Answered, Command, Event, OpenQuery, Outbox
 from zswarm.ot.cluster.matching import Terms
 from zswarm.ot.cluster.remote_server import Phase, RemoteServer, SentBatch
-from zswarm.ot.cluster.servers import RETRY_S, Servers, not_an_answer
+from zswarm.ot.cluster.servers import RETRY_S, Servers
 from zswarm.ot.cluster.verification import Checks
 from zswarm.ot.notes import RunEvent
 from zswarm.protocol.messages import Fault, Outcomes, Refused, Reply, Running
@@ -145,7 +145,7 @@ class Dispatch:
                     batches.give_back(batch)
                     self._refused(server, reply)
                 case _:
-                    raise RemoteProtocolError(not_an_answer(reply, "evaluate"))
+                    raise RemoteProtocolError(query.not_answered_by(reply))
         except RemoteProtocolError as error:
             server.batches.pop(batch.id, None)
             batches.give_back(batch)

@@ -115,6 +115,10 @@ class OpenQuery(msgspec.Struct, frozen=True):
     batch: int = 0
     question: int = 0
 
+    def not_answered_by(self, reply: Reply | None) -> str:
+        """Describe a reply of a kind that does not answer the query."""
+        return f"{type(reply).__name__} is not an answer to {self.verb}"
+
 
 class Outbox(msgspec.Struct, eq=False):
     """Collect the commands of one event; remember open queries and those to repeat later."""

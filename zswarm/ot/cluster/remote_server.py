@@ -9,10 +9,17 @@ One that does not match, refuses or fails is IDLE until its token appears again.
 wrong outcomes is BANNED for good.
 """
 
+from collections.abc import Collection
 from enum import Enum, auto
+from typing import Self
 
 import msgspec
 import numpy as np
+
+# A server is faulty that failed this many trials that others could evaluate, and this share of all
+# it evaluated.
+BLAMED = 3
+BLAMED_SHARE = 0.01
 
 
 class Phase(Enum):
@@ -88,6 +95,16 @@ class RemoteServer(msgspec.Struct, eq=False):
     empties: int = 0  # queries in a row, but for batches, that ended without an answer
     silent: bool = False  # and the user knows
 
+    def taken(self) -> int:
+        """Return how many slots the run has here, or asked for."""
+        if self.phase == Phase.RESERVING:
+            return self.wanted
+        return self.slots if self.phase == Phase.LEASED else 0
+
+    def fails_too_much(self) -> bool:
+        """Return whether so many trials failed here that others could evaluate."""
+        return self.blamed >= max(BLAMED, BLAMED_SHARE * self.counted)
+
 
 class Standing(msgspec.Struct, frozen=True):
     """How a run stands with its servers."""
@@ -98,3 +115,17 @@ class Standing(msgspec.Struct, frozen=True):
     spare: int = 0  # servers that match and whose slots are not wanted
     slots: int = 0  # that are ready
     probe: bytes = b""  # digest of the probe's outcomes, once known
+
+    @classmethod
+    def of(cls, servers: Collection[RemoteServer], probe: bytes) -> Self:
+        """Summarize all servers of a run."""
+        leased = [server for server in servers if server.phase == Phase.LEASED]
+        preparing = [server for server in leased if server.slots and not server.ready]
+        return cls(
+            serving=[server.id for server in leased if server.ready],
+            preparing=[server.id for server in preparing],
+            leased=len(leased),
+            spare=sum(server.phase == Phase.SPARE for server in servers),
+            slots=sum(server.ready for server in leased),
+            probe=probe,
+        )

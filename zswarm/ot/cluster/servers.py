@@ -24,11 +24,7 @@ ALLOT_AFTER_S = 1.0
 PAUSE_S = 1.0  # before a server that had no room, or that ended the lease, is asked again
 # Before a server that did not answer is asked again, unless it is seen before.
 BACK_OFF_S = 30.0
-# A server that failed this many trials that others could evaluate, and this share of all it
-# evaluated, is backed off for so long.
-BLAMED = 3
-BLAMED_SHARE = 0.01
-FAULTY_S = 600.0
+FAULTY_S = 600.0  # the same for a server on which too many trials failed
 # A query is of use only while its server is in this phase.
 ASKED_IN: dict[Verb, Phase] = {
     "offer": Phase.SEEN,
@@ -58,17 +54,7 @@ class Servers(msgspec.Struct, eq=False):
 
     def standing(self) -> Standing:
         """Return how the run stands with its servers."""
-        leased = self._leased()
-        return Standing(
-            serving=[server.id for server in leased if server.ready],
-            preparing=[
-                server.id for server in leased if server.slots and not server.ready
-            ],
-            leased=len(leased),
-            spare=sum(server.phase == Phase.SPARE for server in self.by_id.values()),
-            slots=sum(server.ready for server in leased),
-            probe=self.probe,
-        )
+        return Standing.of(self.by_id.values(), self.probe)
 
     def serving(self) -> dict[str, RemoteServer]:
         """Return the servers that can be given work, those that rank first in front."""
@@ -134,7 +120,7 @@ class Servers(msgspec.Struct, eq=False):
             case "renew", Refused():
                 self.drop(server, RunEvent.SERVER_REFUSED, reply.reason)
             case _:
-                self.out.note(RunEvent.MALFORMED, server.id, not_an_answer(reply, verb))
+                self.out.note(RunEvent.MALFORMED, server.id, query.not_answered_by(reply))
                 self._not_answered(server, query)
 
     def repeat(self, query: OpenQuery) -> None:
@@ -217,11 +203,7 @@ class Servers(msgspec.Struct, eq=False):
             return
         servers = sorted(self.by_id.values(), key=lambda server: server.place)
         # A lease may have no slot now, because other runs hold them, and get some later.
-        room = self.terms.choice.max_slots
-        room -= sum(
-            server.wanted for server in servers if server.phase == Phase.RESERVING
-        )
-        room -= sum(server.slots for server in servers if server.phase == Phase.LEASED)
+        room = self.terms.choice.max_slots - sum(server.taken() for server in servers)
         for server in reversed(servers):
             if room < 0 and server.phase == Phase.LEASED and server.slots:
                 room += server.slots
@@ -279,12 +261,8 @@ class Servers(msgspec.Struct, eq=False):
     def lease_lost(self, server: RemoteServer, reason: str) -> None:
         """Reserve again, after a pause, at a server that ended the lease."""
         leaving = server.phase == Phase.LEAVING
-        self._end(
-            server,
-            Phase.IDLE if leaving else Phase.BACKED_OFF,
-            RunEvent.LEASE_LOST,
-            reason,
-        )
+        to = Phase.IDLE if leaving else Phase.BACKED_OFF
+        self._end(server, to, RunEvent.LEASE_LOST, reason)
         if not leaving:
             self._offer_in(PAUSE_S, server)
 
@@ -359,8 +337,7 @@ class Servers(msgspec.Struct, eq=False):
         """Back off a server on which too many trials fail, if there is another one."""
         server = self.by_id[name]
         server.blamed += 1
-        too_many = max(BLAMED, BLAMED_SHARE * server.counted)
-        if server.phase != Phase.LEASED or server.blamed < too_many:
+        if server.phase != Phase.LEASED or not server.fails_too_much():
             return
         if set(self.standing().serving) - {name}:
             text = f"{server.blamed} trials that failed on it did not fail elsewhere"
@@ -417,8 +394,3 @@ class Servers(msgspec.Struct, eq=False):
     def _allot_soon(self) -> None:
         if self.terms.choice.max_slots:
             self._allot_at = 0.0
-
-
-def not_an_answer(reply: Reply | None, verb: Verb) -> str:
-    """Describe a reply of a kind that does not answer the request."""
-    return f"{type(reply).__name__} is not an answer to {verb}"

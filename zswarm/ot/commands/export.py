@@ -87,20 +87,15 @@ def command(
         files = targets.files(target, controller, name, profile)
     out = out or Path(f"{name}-{target}")
     written = folder.write(out, files)
-    _, parameters = controller.network()
+    digest = sha256(controller.network()[1])
     if as_json:
-        what = {
-            "target": target,
-            "name": f"zs_{name}",
-            "folder": str(out),
-            "files": list(files),
-        }
-        who = {"run": controller.run, "fitness": controller.fitness}
-        tables.print_json({**what, **who, "sha256": sha256(parameters)})
+        what = {"target": target, "name": f"zs_{name}", "folder": str(out)}
+        who = {"run": controller.run, "fitness": controller.fitness, "sha256": digest}
+        tables.print_json({**what, "files": list(files), **who})
         return
     for file in written:
         tables.line(clean(str(file)))
     about = f"of {controller.run}, fitness {controller.fitness:.6g}, {controller.representation}"
     tables.entry("controller", about)
-    tables.line(f"{'parameters':12}sha256 {sha256(parameters)}")
+    tables.line(f"{'parameters':12}sha256 {digest}")
     tables.line(f"{'next':12}{targets.on(target, name, out)}")

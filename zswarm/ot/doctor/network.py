@@ -21,6 +21,7 @@ from zswarm.ot.doctor.finding import Findings, broken, ok, warning
 from zswarm.plugins.version_hash import version_hash, versions
 from zswarm.protocol.messages import Requirements
 from zswarm.session import Reach
+from zswarm.system import scouting
 from zswarm.system.format import plural
 from zswarm.system.text import clean
 
@@ -86,15 +87,15 @@ def multicast(reach: Reach) -> Findings:
     if not reach.multicast:
         yield ok("off")
         return
-    if fault := session.multicast_fault():
+    if fault := scouting.fault():
         yield warning(
             fault, f"name a server or router: --connect tcp/HOST:{PORT} ({DOCUMENT})"
         )
         return
-    faults = {name: _echo_fault(index) for index, name in session.scouting_interfaces()}
+    faults = {name: _echo_fault(index) for index, name in scouting.interfaces()}
     deaf = ", ".join(f"{name} ({fault})" for name, fault in faults.items() if fault)
     heard = ", ".join(name for name, fault in faults.items() if not fault)
-    group = session.SCOUTING_GROUP
+    group = scouting.GROUP
     if deaf:
         yield warning(
             f"packets to {group} do not come back through {deaf}",
@@ -106,7 +107,7 @@ def multicast(reach: Reach) -> Findings:
 
 def _echo_fault(index: int) -> str:
     """Return why this machine does not hear itself through an interface; "" if it does."""
-    group, number = session.SCOUTING_GROUP.split(":")
+    group, number = scouting.GROUP.split(":")
     address = (group, int(number))
     member = struct.pack("=4s4si", socket.inet_aton(group), bytes(4), index)
     word = secrets.token_bytes(8)

@@ -20,6 +20,7 @@ from zswarm.experiment import Experiment
 from zswarm.ot.record.database import Statement, transact
 from zswarm.ot.record.folder import DATABASE, EXPERIMENT
 from zswarm.ot.record.schema import CREATE, SCHEMA_VERSION, check_version
+from zswarm.ot.record.statements import SET_META
 from zswarm.system.files import sync
 from zswarm.system.text import clean
 from zswarm.system.version import VERSION
@@ -29,7 +30,6 @@ NOT_DECISIVE = (
     "cluster",
     "study",
 )  # these may change while a run is stopped
-SET_META = "INSERT OR REPLACE INTO meta VALUES (?, ?)"
 
 
 def new_meta(

@@ -23,13 +23,12 @@ from zswarm.ot.record.database import UNREADABLE, describe, outage, read_only
 from zswarm.ot.record.folder import DATABASE, EXPERIMENT, check_run, is_running
 from zswarm.ot.record.schema import check_version
 from zswarm.system.extras import need
-from zswarm.system.text import clean
+from zswarm.system.text import clean, clean_all
 
 if TYPE_CHECKING:
     import pandas
     import polars
 
-NESTED = 32  # levels of tables and lists in a text
 NAMES = ("run", "simulator", "representation", "sensors", "actuators")  # of a controller
 
 T = TypeVar("T")
@@ -88,7 +87,7 @@ class Run:
                 for name, part in parts.items()
             },
             "generations": file.generations,
-            "cluster": _cleaned(msgspec.to_builtins(file.cluster)),
+            "cluster": clean_all(msgspec.to_builtins(file.cluster)),
         }
         return experiment.check(mapping, f"{self.shown}/{DATABASE}")
 
@@ -101,7 +100,7 @@ class Run:
         """
         file = experiment.load(self.folder / EXPERIMENT)
         try:
-            now = _cleaned(msgspec.to_builtins(file))
+            now = clean_all(msgspec.to_builtins(file))
         except RecursionError as error:
             raise ConfigError(f"{self.shown}/{EXPERIMENT}: {error}") from None
         return sorted(key for key, value in self._began.items() if now.get(key) != value)
@@ -345,7 +344,7 @@ class Run:
             absolute = {"kind": ABSOLUTE, "settings": {}}
             began = {
                 "ranking": absolute,
-                **_cleaned(json.loads(self._meta["experiment"])),
+                **clean_all(json.loads(self._meta["experiment"])),
             }
             for part in experiment.PARTS:
                 _ = {**began[part]["settings"]}, began[part]["kind"]
@@ -364,7 +363,7 @@ class Run:
 
     def _statistics(self, text: str) -> Row:
         try:
-            found: Row = _cleaned(msgspec.json.decode(text, type=dict[str, Any]))
+            found: Row = clean_all(msgspec.json.decode(text, type=dict[str, Any]))
         except (msgspec.DecodeError, RecursionError):
             raise self._damaged(
                 "the statistics of a generation are not a JSON object"
@@ -377,7 +376,7 @@ class Run:
 
 def cleaned(controller: Controller, *fields: str) -> Controller:
     """Return a controller with the texts of these fields safe to show."""
-    texts = {field: _cleaned(getattr(controller, field)) for field in fields}
+    texts = {field: clean_all(getattr(controller, field)) for field in fields}
     return msgspec.structs.replace(controller, **texts)
 
 
@@ -387,28 +386,7 @@ def _plain(text: str) -> bool:
 
 def _named(names: str, rows: Iterable[Sequence[Any]]) -> list[Row]:
     """Return rows by the names of their columns, with texts that are safe to show."""
-    return [dict(zip(names.split(), map(_clean, row), strict=True)) for row in rows]
-
-
-def _clean(value: Any) -> Any:
-    return clean(value) if isinstance(value, str) else value
-
-
-def _cleaned(value: Any, levels: int = NESTED) -> Any:
-    """Return a table or list with its texts made safe to show.
-
-    Raises:
-        RecursionError: it is nested deeper than anything that zswarm writes.
-    """
-    if not isinstance(value, dict | list):
-        return _clean(value)
-    if not levels:
-        raise RecursionError(f"nested deeper than {NESTED} levels")
-    if isinstance(value, dict):
-        return {
-            clean(str(key)): _cleaned(item, levels - 1) for key, item in value.items()
-        }
-    return [_cleaned(item, levels - 1) for item in value]
+    return [dict(zip(names.split(), map(clean_all, row), strict=True)) for row in rows]
 
 
 def _numbers(raw: bytes, *shape: int) -> list[Any]:

@@ -20,17 +20,15 @@ import msgspec
 import numpy as np
 
 from zswarm import experiment
-from zswarm.config.decode import to_json
 from zswarm.controller import CHAMPION, Controller
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
 from zswarm.ot.cluster.events import Counted
 from zswarm.ot.notes import Note, RunEvent
 from zswarm.ot.optimizers.optimizer import Told
-from zswarm.ot.record import opening
+from zswarm.ot.record import opening, statements
 from zswarm.ot.record.database import (
     Database,
-    Statement,
     connect,
     describe,
     on_network,
@@ -44,21 +42,10 @@ from zswarm.ot.record.folder import (
     new_folder,
 )
 from zswarm.ot.record.history_hash import History
-from zswarm.ot.record.opening import SET_META
+from zswarm.ot.record.statements import ADD_OUTCOMES, SET_META
 from zswarm.ot.workload import Workload
 from zswarm.system.files import write_whole
 from zswarm.system.text import clean
-
-ADD_OUTCOMES = f"INSERT OR REPLACE INTO outcomes VALUES ({', '.join('?' * 14)})"  # noqa: S608  ours
-ADD_EVENT = (
-    "INSERT OR REPLACE INTO events (rowid, at, generation, event, server, text, count) "
-    "VALUES (?, ?, ?, ?, ?, ?, ?)"
-)
-ADD_CANDIDATES = "INSERT OR REPLACE INTO candidates VALUES "
-# Of five values; every SQLite takes 999 parameters in a statement.
-CANDIDATES_AT_ONCE = 199
-ADD_GENERATION = "INSERT OR REPLACE INTO generations VALUES (?, ?, ?, ?, ?, ?)"
-SET_OPTIMIZER = "INSERT OR REPLACE INTO optimizer VALUES (0, ?, ?)"
 
 
 class Resumed(NamedTuple):
@@ -209,24 +196,9 @@ class Record:
 
     def add(self, counted: Counted, workload: Workload) -> None:
         """Add outcomes."""
-        trials = counted.trials
-        values = (
-            next(self._outcomes),
-            self._generation,
-            self._asked,
-            len(trials),
-            (workload.first + trials).astype("<u4").tobytes(),
-            workload.fitness[trials].astype("<f8").tobytes(),
-            workload.metrics[trials].astype("<f8").tobytes(),
-            int(workload.faulted[trials].sum()),
-            counted.server,
-            counted.seconds,
-            time.time(),
-            0,
-            workload.round,
-            _games(workload, trials),
-        )
-        self._database.write((ADD_OUTCOMES, values))
+        row, at = next(self._outcomes), time.time()
+        of = (self._generation, self._asked)
+        self._database.write(statements.outcomes(counted, workload, row, *of, at))
 
     def retract(self, server: str) -> None:
         """Delete a faulty server's outcomes of this round, and mark its earlier ones doubtful."""
@@ -251,9 +223,8 @@ class Record:
 
     def note(self, note: Note) -> None:
         """Add an event."""
-        when = (next(self._events), time.time(), self._generation)
-        values = (*when, note.event, note.server, note.text, note.count)
-        self._database.write((ADD_EVENT, values))
+        row, at = next(self._events), time.time()
+        self._database.write(statements.event(note, row, self._generation, at))
 
     def finish(
         self,
@@ -270,26 +241,12 @@ class Record:
             fitness, measures: as the optimizer was told.
             state: None: the optimizer was another program's, and the run cannot be resumed.
         """
-        packed: Iterator[bytes | None] = itertools.repeat(None)
-        if measures is not None and measures.size:
-            packed = map(bytes, measures.astype("<f8"))
-        numbers, count = itertools.repeat(generation), len(genomes)
-        rows = list(
-            zip(numbers, range(count), genomes, fitness.tolist(), packed, strict=False)
+        self._database.write_now(
+            *statements.candidates(generation, genomes, fitness, measures),
+            *statements.generation_end(
+                generation, len(genomes), statistics, state, time.time()
+            ),
         )
-        statements: list[Statement] = []
-        for begin in range(0, count, CANDIDATES_AT_ONCE):
-            part = rows[begin : begin + CANDIDATES_AT_ONCE]
-            sql = ADD_CANDIDATES + ", ".join(["(?, ?, ?, ?, ?)"] * len(part))
-            statements.append((sql, tuple(itertools.chain.from_iterable(part))))
-        best, mean = statistics["best"], statistics["mean"]
-        row = (generation, time.time(), best, mean, count, to_json(statistics))
-        statements.append((ADD_GENERATION, row))
-        if state is not None:
-            statements.append(
-                (SET_OPTIMIZER, (generation, msgspec.msgpack.encode(state)))
-            )
-        self._database.write_now(*statements)
 
     def flush(self) -> None:
         """Commit if the last commit was 0.1 s ago; during a disk outage data wait."""
@@ -336,7 +293,8 @@ class Record:
             self._round,
         ):
             indices = np.frombuffer(trials, "<u4").astype(np.int64) - workload.first
-            if asked != self._asked or participants != _games(workload, indices):
+            played = statements.games(workload, indices)
+            if asked != self._asked or participants != played:
                 raise ConfigError(
                     f"{self.folder}: generation {self._generation} was begun with other candidates "
                     "or games: this program proposes differently than the one that began the run"
@@ -345,9 +303,8 @@ class Record:
             workload.fitness[indices] = np.frombuffer(fitness, "<f8").reshape(count, -1)
             workload.metrics[indices] = np.frombuffer(metrics, "<f8").reshape(count, -1)
             workload.counted[indices], workload.source[indices] = True, server
-            workload.faulted[indices] = bool(
-                faulted
-            )  # faulted trials are counted one by one
+            # Faulted trials are counted one by one.
+            workload.faulted[indices] = bool(faulted)
             restored += count
         return restored
 
@@ -406,12 +363,6 @@ class Record:
         self.say(line)
         if waited_s is not None:
             self.note(Note(RunEvent.DISK_WAITED, count=round(waited_s)))
-
-
-def _games(workload: Workload, trials: np.ndarray) -> bytes | None:
-    """Return who played in trials; None if candidates are judged by themselves."""
-    players = workload.participants[trials]
-    return players.astype("<u4").tobytes() if players.shape[1] > 1 else None
 
 
 def _first_free(connection: sqlite3.Connection, table: str) -> int:

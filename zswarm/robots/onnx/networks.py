@@ -18,7 +18,8 @@ from zswarm.nets.ctrnn import CTRNN
 from zswarm.nets.feed_forward import Layered
 from zswarm.nets.fully_meshed import FullyMeshed
 from zswarm.nets.hebbian import Hebbian
-from zswarm.nets.mealy import HEADER, PER_INPUT, Mealy
+from zswarm.nets.mealy import Mealy
+from zswarm.nets.mealy_kernel import HEADER, PER_INPUT
 from zswarm.nets.neat import Neat
 from zswarm.nets.neurons import Activation
 from zswarm.nets.representation import Representation
