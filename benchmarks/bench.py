@@ -31,9 +31,8 @@ ALONE = ("scale", "methods")  # without peers: in the environment of this
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    usual = [
-        name for name in COMMANDS if name != "methods"
-    ]  # which takes no time of anything
+    # Methods measure no time.
+    usual = [name for name in COMMANDS if name != "methods"]
     parser.add_argument(
         "--only",
         help=f"parts, with commas between: methods, or [default] {', '.join(usual)}",

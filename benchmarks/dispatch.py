@@ -32,14 +32,10 @@ HERE = Path(__file__).resolve().parent
 PEERS_FOLDER = HERE.parent / "build" / "peers"
 POPULATIONS, SLOTS, ROUNDS = (50, 400), (1, 2, 4, 8, 16), 3
 WHOLE = 4, 400  # the slots and the population that all ways are measured with
-WARM, WARM_S = (
-    3,
-    0.5,
-)  # generations before anything is measured: so many at least, and for so long
-GENERATIONS, GENERATIONS_S = (
-    5,
-    0.5,
-)  # measured in one round: so many, or as many as that takes
+# Generations before anything is measured: so many at least, and for so long.
+WARM, WARM_S = 3, 0.5
+# Measured in one round: so many, or as many as that takes.
+GENERATIONS, GENERATIONS_S = 5, 0.5
 PEER_S = 180.0  # in one round, before it is ended
 
 
@@ -73,13 +69,11 @@ def main() -> None:
     parser.add_argument(
         "--folder", type=Path, help="where the results go [default: build/bench]"
     )
-    parser.add_argument(
-        "--one", help=argparse.SUPPRESS
-    )  # measures one peer once, and prints JSON
+    # Measures one peer once, and prints JSON.
+    parser.add_argument("--one", help=argparse.SUPPRESS)
     parser.add_argument("--works", default=",".join(WORKS), help=argparse.SUPPRESS)
-    parser.add_argument(
-        "--begun", type=float, help=argparse.SUPPRESS
-    )  # time.monotonic() of the start of this process
+    # The time.monotonic() of the start of this process.
+    parser.add_argument("--begun", type=float, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.one:
         print(json.dumps(measured(options)))

@@ -37,9 +37,8 @@ class Arena:
         weights = rows[:, HEADER:].reshape(candidates, INPUTS + NEURONS + 1, NEURONS)
         self.weights = np.ascontiguousarray(weights.transpose(0, 2, 1))
         starts = [start(Stream(seed), robots, self.world) for seed in seeds.tolist()]
-        self.starts = np.array(starts, np.float32).transpose(
-            2, 0, 1
-        )  # x, y, heading x, heading y
+        # x, y, heading x, heading y.
+        self.starts = np.array(starts, np.float32).transpose(2, 0, 1)
         together = max(1, BLOCK // robots**2)
         self._blocks = [
             slice(first, first + together) for first in range(0, candidates, together)

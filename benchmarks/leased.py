@@ -97,7 +97,8 @@ def daemon(slots: int, endpoint: str, *more: str) -> Iterator["subprocess.Popen[
         [sys.executable, "-m", "zswarm.ss", *options, "--until-stdin-closes"],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
-    ) as process:  # leaving closes its stdin and waits
+    ) as process:
+        # Leaving closes its stdin and waits.
         yield process
 
 

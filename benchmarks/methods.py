@@ -50,9 +50,8 @@ TASKS = {
         "arena-aggregation", 2_000, measures(spread=(0, 2, 20), neighbours=(0, 15, 15))
     ),
 }
-NETWORKS = {
-    "neat": {"kind": "neat"}
-}  # of methods that search another kind of network than the example's
+# Of methods that search another kind of network than the example's.
+NETWORKS = {"neat": {"kind": "neat"}}
 
 
 class Run(NamedTuple):

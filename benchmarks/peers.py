@@ -12,12 +12,8 @@ import leased
 from by_mqtt import STEPS, Broker
 from work import WORKS, each
 
-BY_ITSELF, ONE, QUARTERS, WHOLES = (
-    "automatic",
-    "1",
-    "4 per worker",
-    "1 per worker",
-)  # how a generation is cut into messages
+# How a generation is cut into messages.
+BY_ITSELF, ONE, QUARTERS, WHOLES = "automatic", "1", "4 per worker", "1 per worker"
 CUTS = (ONE, QUARTERS, WHOLES)
 
 
@@ -129,9 +125,8 @@ def joblib_loky(slots: int) -> Iterator[list[Way]]:
 
         def evaluate(genomes: list[bytes], work: str, chunk: int) -> list[float]:
             if chunk not in opened:
-                how: Any = (
-                    {"batch_size": chunk, "pre_dispatch": "all"} if chunk else {}
-                )  # by itself it learns as it sends
+                # By itself it learns as it sends.
+                how: Any = {"batch_size": chunk, "pre_dispatch": "all"} if chunk else {}
                 opened[chunk] = stack.enter_context(
                     Parallel(slots, backend="loky", **how)
                 )
@@ -260,9 +255,8 @@ class Known(NamedTuple):
 
     peer: Peer
     distributions: tuple[str, ...] = ()  # none: Python's own
-    slots: tuple[
-        int, ...
-    ] = ()  # numbers of workers that it is measured with, where not all
+    # Numbers of workers that it is measured with, where not all.
+    slots: tuple[int, ...] = ()
 
 
 PEERS = {

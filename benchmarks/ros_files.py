@@ -56,9 +56,8 @@ def measure(name: str) -> list[float]:
         )
         _, read_s = timed(lambda: logs.fitness("cpswarm-log", logs.read(results, 10)))
         rows.append((export_s, compile_s, launch_s, read_s))
-    return [
-        statistics.median(column) for column in zip(*rows[1:], strict=True)
-    ]  # the first fills caches
+    # The first fills caches.
+    return [statistics.median(column) for column in zip(*rows[1:], strict=True)]
 
 
 def timed(function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:

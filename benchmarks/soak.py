@@ -35,11 +35,8 @@ WARM_UP_S = 90.0
 WATCHED_S = 300.0
 EVALUATIONS = 1_000_000
 SLOPE_MB = 0.5  # a minute
-GROWTH = {
-    "descriptors": 4,
-    "threads": 2,
-    "shm": 0,
-}  # between the quiet samples of the first and last third
+# Between the quiet samples of the first and last third.
+GROWTH = {"descriptors": 4, "threads": 2, "shm": 0}
 LIMIT_S = 1800.0
 COMING_AND_GOING = 4
 ENOUGH = 8  # samples

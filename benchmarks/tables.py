@@ -7,10 +7,8 @@ Found = dict[str, Any]  # what a script left: see machine.py
 Row = dict[str, Any]
 
 FLAGSHIP = "arena-aggregation"  # the kernel that is measured beside all others
-FREVO = {
-    "stadium": 838.0,
-    "random": 12_740.0,
-}  # simulations per second, quoted: measured elsewhere, on two cores of an EPYC
+# Simulations per second, quoted: measured elsewhere, on two cores of an EPYC.
+FREVO = {"stadium": 838.0, "random": 12_740.0}
 TASKS = ("stadium", "xor", "aggregation")  # on which methods are compared
 ARGOS = 107_000.0  # agent-steps per second and core, quoted: ARGoS 3, diffusion of 8 foot-bots
 
@@ -49,10 +47,8 @@ def missing(rows: Iterable[Row], name: str) -> str:
 
 # ---- dispatch ----------------------------------------------------------------------------------
 
-ONE_BY_ONE = (
-    "automatic",
-    "1",
-)  # where a peer chooses how many candidates go into a message, that; else one
+# Where a peer chooses how many candidates go into a message, that; else one.
+ONE_BY_ONE = ("automatic", "1")
 WORKS = {
     "noop": "No-op, us per candidate",
     "sleep": "Sleep 5 ms, efficiency",

@@ -27,15 +27,14 @@ exclude_patterns = ["pictures"]
 nitpicky = True
 smartquotes = False  # "fixed" is what is typed
 nitpick_ignore_regex = [
-    (
-        "py:.*",
-        r"(?!zswarm\.).*",
-    ),  # types of libraries, which are not looked up in the network, and shapes in words
+    # Types of libraries, which are not looked up in the network, and shapes in words.
+    ("py:.*", r"(?!zswarm\.).*"),
     ("py:class", r"zswarm\..*\.T"),  # type variables
+    # Told elsewhere, or nobody's to use.
     (
         "py:.*",
         r"zswarm\.(config|experiment|ot\.(run|record|workload|discovery|embedding))\..*",
-    ),  # told elsewhere, or nobody's to use
+    ),
 ]
 
 myst_enable_extensions = ["amsmath", "colon_fence", "dollarmath"]

@@ -99,11 +99,12 @@ def experiment_page() -> str:
 def profiles_page() -> str:
     """docs/profiles.md, its tables made anew."""
     sheets = {
+        # All but tables.
         "## Keys": [
             key
             for key in settings_docs.keys(profiles.Profile)
             if key.type_text != "value"
-        ],  # but for tables
+        ],
         "### Topics": settings_docs.keys(profiles.Topic),
         "### `[velocity]`": settings_docs.keys(profiles.VelocityTopic)[-1:],
         "### `[reset]`": settings_docs.keys(profiles.ResetTopic)[-1:],

@@ -18,9 +18,8 @@ settings.load_profile("ci" if os.environ.get("CI") else "local")
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
-if (
-    signal.getsignal(signal.SIGINT) is signal.SIG_IGN
-):  # begun in the background of a shell: programs that tests start hear Ctrl-C
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # Begun in the background of a shell: programs that tests start hear Ctrl-C.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 EVERY_KERNEL = """
@@ -83,17 +82,17 @@ def pytest_collection_modifyitems(
 
 def pytest_configure(config: pytest.Config) -> None:
     """Compile kernels once on all cores, before several workers each compile all of them."""
-    whole = (
-        config.args_source is pytest.Config.ArgsSource.TESTPATHS
-    )  # not some files of it
+    # Not some files of it.
+    whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS
     if (
         whole
         and not hasattr(config, "workerinput")
         and config.getoption("numprocesses", None)
     ):
+        # What fails fails in its test.
         subprocess.run(
             [sys.executable, "-c", EVERY_KERNEL], capture_output=True, check=False
-        )  # what fails fails in its test
+        )
 
 
 @pytest.fixture(scope="module", autouse=True)

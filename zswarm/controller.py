@@ -49,10 +49,8 @@ class Controller(
         try:
             built: Representation = kind(settings, self.inputs, self.outputs)
             return built, built.parameters([self.genome])[0]
-        except (
-            ValueError,
-            MemoryError,
-        ) as error:  # MemoryError: the file has absurd sizes
+        except (ValueError, MemoryError) as error:
+            # A file with absurd sizes raises MemoryError.
             raise ConfigError(f"the champion does not fit its network: {error}") from None
 
     def driver(self) -> "Driver":

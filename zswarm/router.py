@@ -91,9 +91,8 @@ def serve(read_options: Callable[[], RouterOptions]) -> int:
     logger = structlog.get_logger()
     notify = systemd.Notify()
     signals = {signal.SIGTERM, signal.SIGINT, signal.SIGHUP}
-    signal.pthread_sigmask(
-        signal.SIG_BLOCK, signals
-    )  # before zenoh's threads, which inherit it
+    # Before zenoh's threads, which inherit it.
+    signal.pthread_sigmask(signal.SIG_BLOCK, signals)
     # After a failed opening zenoh has threads that do not block signals, and may get them.
     received: list[int] = []
     for each in signals:

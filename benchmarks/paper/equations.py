@@ -41,9 +41,8 @@ def crossing(plan: Plan, constants: Constants, *, against: Way = external) -> in
         )
 
     low, high = 0, 1
-    while not above(
-        high
-    ):  # both times are linear in steps: the ratio passes 1 once at most
+    # Both times are linear in steps: the ratio passes 1 once at most.
+    while not above(high):
         low, high = high, 2 * high
         if high > 1 << 40:
             return None

@@ -25,9 +25,8 @@ HERE = Path(__file__).resolve().parent
 EXAMPLE = HERE.parents[1] / "examples" / "foreign" / "c"
 FLAGS = ("-O2", "-std=c11", "-D_POSIX_C_SOURCE=200809L", "-ffp-contract=off")
 BUILDS = {"cc": "gcc", "catkin": "catkin_make"}  # and the program that each needs
-SYSTEM = {
-    "PATH": "/usr/local/bin:/usr/bin:/bin"
-}  # catkin's modules are those of the system's Python
+# Modules of catkin are those of the system's Python.
+SYSTEM = {"PATH": "/usr/local/bin:/usr/bin:/bin"}
 PACKAGE = """<package format="2"><name>exit_world</name><version>1.0.0</version>
 <description>Emergency exit</description>
 <maintainer email="nobody@example.org">nobody</maintainer><license>Apache-2.0</license>

@@ -23,9 +23,8 @@ from zswarm.ot.problem import Problem
 from zswarm.ot.workload import Workload
 
 Row = dict[str, Any]
-Optimize = Callable[
-    [World, Size, int], tuple[Optimized, Row]
-]  # on so many servers; what else there is to say
+# On so many servers; what else there is to say.
+Optimize = Callable[[World, Size, int], tuple[Optimized, Row]]
 
 ONE = Size(1, 3)  # a generation, the smallest that NNGA takes
 
@@ -40,11 +39,8 @@ class Plan(NamedTuple):
     grid_steps: tuple[int, ...] = (10, 20, 30)
     grid_step_s: float = PAPER_STEP_S
     message_agents: tuple[int, ...] = (1, 2, 4, 8, 16)
-    message_steps: tuple[int, ...] = (
-        10,
-        60,
-        210,
-    )  # the difference is of messages alone; the slow broker has the first two
+    # The difference is of messages alone; the slow broker has the first two.
+    message_steps: tuple[int, ...] = (10, 60, 210)
     servers: tuple[int, ...] = (1, 2, 4, 8, 16)
     scaling_steps: tuple[int, ...] = (10, 20)
     scaling_step_s: float = 0.05

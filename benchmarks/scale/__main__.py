@@ -34,11 +34,8 @@ TAILS = {
 }
 
 
-LOADS = [
-    (1.0, 10, 16, 1024),
-    (0.1, 50, 16, 64),
-    (4.0, 5, 256, 1024),
-]  # s of a trial, trials per slot, from and up to servers
+# s of a trial, trials per slot, from and up to servers.
+LOADS = [(1.0, 10, 16, 1024), (0.1, 50, 16, 64), (4.0, 5, 256, 1024)]
 
 
 def measure(*, quick: bool) -> Results:

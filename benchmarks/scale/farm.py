@@ -46,9 +46,8 @@ class Server:
         self.index = index
         self.id = keys.new_server_id(f"s{index}")
         self.queries: dict[int, zenoh.Query] = {}
-        self.turns = [
-            0
-        ] * CAPACITY  # a slot's timer counts when it is of the slot's last turn
+        # A slot's timer counts when it is of the slot's last turn.
+        self.turns = [0] * CAPACITY
         self.running = [(0.0, 0.0)] * CAPACITY  # since when, and seconds of work
         self.tick_at = float("inf")  # before the next one of the clock
         self.clear()
@@ -86,9 +85,8 @@ class Server:
         self.sent: Counter[str] = Counter()
         self.bytes = [0, 0]  # received, sent; of payload
         self.when: dict[str, float] = {}  # the first offered, leased, all ready
-        self.ran: list[
-            tuple[int, float, float, float]
-        ] = []  # slot, from, to, seconds of work
+        # Slot, from, to, seconds of work.
+        self.ran: list[tuple[int, float, float, float]] = []
 
 
 def _holder(sample: zenoh.Sample) -> events.Event:

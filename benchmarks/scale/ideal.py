@@ -83,9 +83,8 @@ def _free(count: int, servers: int, takes: Any) -> tuple[float, float]:
         if sooner:  # if not, nor later
             late = max(sooner, key=ends.__getitem__)
             ends[late] = now + takes(late, slot // CAPACITY)
-            free = [
-                (time, slot) for time, slot in free if slot not in slots_of[late]
-            ]  # they give it up then
+            # They give it up then.
+            free = [(time, slot) for time, slot in free if slot not in slots_of[late]]
             slots_of[late].append(slot)
             free += [(ends[late], slot) for slot in slots_of[late]]
             heapq.heapify(free)

@@ -42,9 +42,8 @@ class MySimulator(Simulator):
 
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings)
-        self.owners = (
-            0,
-        ) * settings.robots  # the trial's only genome, 0, drives every robot
+        # The trial's only genome, 0, drives every robot.
+        self.owners = (0,) * settings.robots
 
     def reset(self, seed: int) -> Turn:
         """Place the robots. All random numbers come from the seed."""
@@ -59,9 +58,8 @@ class MySimulator(Simulator):
         )
         moves = speed * STEP_S
         self._x += moves
-        for move in np.abs(
-            moves
-        ).tolist():  # a fixed order gives the same bits on every machine
+        # A fixed order gives the same bits on every machine.
+        for move in np.abs(moves).tolist():
             self._way += move / self.settings.robots
         self._steps += 1
         return self._turn() if self._steps < self.settings.steps else None

@@ -29,26 +29,22 @@ from zswarm.plugins import registry as plugins
 from zswarm.sims.turns import play_turns
 
 FEW = sys.argv[1:] == ["few"]
-STEPS = (
-    25 if sys.argv[1:] else None
-)  # of a trial, if not as many as the simulator's settings say
+# Of a trial, if not as many as the simulator's settings say.
+STEPS = 25 if sys.argv[1:] else None
 GENOMES = 2 if FEW else 6
 SEEDS = np.array([1] if FEW else [1, 2**63 + 5], np.uint64)
 GENERATIONS = 3
-SIMULATOR, NETWORK, SMALLEST = (
-    "arena",
-    "fully-meshed",
-    "xor",
-)  # partners: whose metrics show every bit of what is decided, lanes
+# Partners: whose metrics show every bit of what is decided, lanes.
+SIMULATOR, NETWORK, SMALLEST = "arena", "fully-meshed", "xor"
+# Environments of other packages have bits of theirs; what ROS plays has those of turtlebot-exit.
 SIMULATORS = [
     name
     for name in plugins.names("simulator")
     if set(plugins.libraries(plugins.source_files("simulator", name))) <= {"pymunk"}
     and name != "turtlebot-exit-ros"
-]  # environments of other packages have bits of theirs; what ROS plays has those of turtlebot-exit
-SMALL: dict[
-    str, dict[str, Any]
-] = {  # settings of short trials in which what genomes do makes a difference
+]
+# Settings of short trials in which what genomes do makes a difference.
+SMALL: dict[str, dict[str, Any]] = {
     "box-pushing": {
         "robots": 2,
         "rays": 8,
@@ -68,9 +64,8 @@ SMALL: dict[
     },
     "turtlebot-exit": {"robots": 2, "rays": 8},
 }
-NEEDED = {
-    ("minisim", "teams"): {"defenders": 0}
-}  # by other settings than the one that names choices
+# By other settings than the one that names choices.
+NEEDED = {("minisim", "teams"): {"defenders": 0}}
 
 
 def ways(settings: Any) -> Iterator[dict[str, Any]]:
@@ -227,9 +222,8 @@ def results() -> Iterator[tuple[str, bytes | int]]:
                     if key in optimizer_class.settings_type.__struct_fields__
                 }
                 if optimizer_class.portable:
-                    with contextlib.suppress(
-                        ConfigError
-                    ):  # it does not take such a network
+                    # It may not take such a network.
+                    with contextlib.suppress(ConfigError):
                         optimizer = optimizer_class(
                             msgspec.convert(known, optimizer_class.settings_type),
                             network,

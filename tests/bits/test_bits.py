@@ -12,25 +12,22 @@ import sys
 from pathlib import Path
 
 import pytest
-from numpy._core import (
-    _multiarray_umath as compiled_numpy,
-)  # the only place where numpy says what it chooses from
+
+# The only place where numpy says what it chooses from.
+from numpy._core import _multiarray_umath as compiled_numpy
 
 from tests.places import REPOSITORY
 
-OLDEST = {
-    "NUMBA_CPU_NAME": "generic",
-    "NUMBA_CPU_FEATURES": "",
-}  # of its architecture: no AVX, no FMA
+# The oldest of its architecture: no AVX, no FMA.
+OLDEST = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
 NUMPY_FEATURES = [
     name
     for name in compiled_numpy.__cpu_dispatch__
     if compiled_numpy.__cpu_features__[name]
 ]
 OLDEST_NUMPY = {"NPY_DISABLE_CPU_FEATURES": " ".join(NUMPY_FEATURES)}
-OLDEST_C_LIBRARY = {
-    "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-AVX512F,-FMA,-FMA4"
-}  # pymunk asks it for sines and powers
+# It is asked by pymunk for sines and powers.
+OLDEST_C_LIBRARY = {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-AVX512F,-FMA,-FMA4"}
 SETTINGS: dict[str, dict[str, str]] = {
     "plain": {"ZSWARM_PLAIN": "1"},
     "plain, numba there": {"NUMBA_DISABLE_JIT": "1"},

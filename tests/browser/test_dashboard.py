@@ -200,9 +200,8 @@ def test_a_reopened_page_shows_the_same(
     write(tmp_path)
     shown = dashboard(tmp_path)
     page.goto(f"{shown.url}/#token={shown.token}")
-    expect(page).to_have_url(
-        f"{shown.url}/"
-    )  # the token stands in no address for longer than it takes to read it
+    # The token stands in no address for longer than it takes to read it.
+    expect(page).to_have_url(f"{shown.url}/")
     page.get_by_role("link", name="long").click()
     expect(page.locator(".tile", has_text="generation")).to_contain_text("100 / 100")
     page.reload()

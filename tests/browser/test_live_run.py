@@ -121,9 +121,8 @@ def test_a_killed_server_disappears_and_the_run_continues(
     expect(rows["far"]).to_contain_text(re.compile("left|lost"), timeout=SLOW_MS)
     expect(rows["near"]).to_contain_text("computing")
     far = serve("far", ports[1])
-    expect(rows["far"]).to_have_count(
-        2, timeout=SLOW_MS
-    )  # it is another one: the old one stays in the table as lost
+    # It is another one: the old one stays in the table as lost.
+    expect(rows["far"]).to_have_count(2, timeout=SLOW_MS)
     expect(page.locator("#servers tbody tr", has_text="computing")).to_have_count(
         2, timeout=SLOW_MS
     )

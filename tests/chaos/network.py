@@ -108,9 +108,8 @@ class Link:
         if self.state in ("up", "slow"):
             self._travel(lambda: self._arrive(question, reply))
         if world.chance(world.failing):
-            world.at(
-                1.0, lambda: self.optimizer.handle(Answered(question, reply))
-            )  # once more
+            # Once more.
+            world.at(1.0, lambda: self.optimizer.handle(Answered(question, reply)))
 
     def _arrive(self, question: int, reply: messages.Reply | str | None) -> None:
         if self.open.pop(question, None) is not None:

@@ -73,9 +73,8 @@ class Optimizer(Node[events.Event]):
         self.superseded = False  # another one goes on with its run
         self.progressed_at = self.unserved_at = world.now
         self._verified, self._missed = 0, False
-        choice = Choice(
-            max_slots=0 if verify else world.random.choice([0, 0, 1, 3])
-        )  # a check needs a second server
+        # A check needs a second server.
+        choice = Choice(max_slots=0 if verify else world.random.choice([0, 0, 1, 3]))
         reserve = messages.Reserve(
             nonce=self.nonce,
             epoch=epoch,
@@ -168,9 +167,8 @@ class Optimizer(Node[events.Event]):
                 case events.ProbeDisputed():
                     world.at(2.0, lambda: self.handle(events.ProbeArbitrated(PROBE)))
                 case events.Retracted():
-                    self.journal.doubtful |= bool(
-                        self.journal.finished
-                    )  # earlier generations were told what it computed
+                    # Earlier generations were told what it computed.
+                    self.journal.doubtful |= bool(self.journal.finished)
                     self.journal.counted = [
                         row for row in self.journal.counted if row[-1] != command.server
                     ]

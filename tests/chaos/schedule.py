@@ -26,9 +26,8 @@ class End(NamedTuple):
     world: World
     runs: list[str]
     done: list[str]
-    histories: dict[
-        str, str
-    ]  # hash by run, of those that no server could have lied to unnoticed
+    # Hash by run, of those that no server could have lied to unnoticed.
+    histories: dict[str, str]
     undisturbed: dict[str, str]  # what these should be
     slots_taken: int
     leases: int
@@ -46,12 +45,10 @@ class Lab:
         self.optimizers: list[Optimizer] = []
         self._deaths: dict[Trial, int] = {}
         self._numbers = itertools.count()
-        self.alone = (
-            draw.random() < 0.15
-        )  # one server that never ends, for one run: nothing is ever run twice
-        self.liar = (
-            not self.alone and draw.random() < 0.15
-        )  # one server computes some trials wrong, and all are verified
+        # One server that never ends, for one run: nothing is ever run twice.
+        self.alone = draw.random() < 0.15
+        # One server computes some trials wrong, and all are verified.
+        self.liar = not self.alone and draw.random() < 0.15
         if self.alone:
             self.add_server(sound=True).alone = True
             self._add_run("run-1")

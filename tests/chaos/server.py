@@ -35,22 +35,19 @@ class Server(Node[events.Event]):
         super().__init__(world)
         self.links: dict[str, Link] = {}  # by optimizer
         self.deaths = deaths
-        self.wrong = (
-            not sound and world.random.random() < 0.05
-        )  # computes other numbers, which the probe shows
+        # It computes other numbers, which the probe shows.
+        self.wrong = not sound and world.random.random() < 0.05
         # Share of the trials with other numbers; the probe is never among them.
         self.lies = lies
         self.id = f"ss-{number}{WRONG if self.wrong else LIAR if lies else ''}"
         self.broken = not sound and world.random.random() < 0.05  # cannot be prepared
-        self.faulty = (
-            not sound and world.random.random() < 0.05
-        )  # every third trial ends its process
+        # Every third trial ends its process.
+        self.faulty = not sound and world.random.random() < 0.05
         self.trial_s = world.random.choice([0.001, 0.03, 0.2, 0.8, 16.0])
         self.prepare_deaths = 0
         self.pending: dict[int, tuple[Link, int]] = {}  # queries to answer
-        self.ran: set[tuple[bytes, int, tuple[Trial, ...]]] = (
-            set()
-        )  # lease, batch, trials
+        # Lease, batch, trials.
+        self.ran: set[tuple[bytes, int, tuple[Trial, ...]]] = set()
         self.alone = False  # the only server of the world, for one run
         self.finished: set[tuple[bytes, Trial]] = set()  # trials by lease
         capacity = world.random.randint(1, 3)
@@ -130,9 +127,8 @@ class Server(Node[events.Event]):
 
     def _tick(self) -> None:
         if self.frozen:
-            self.when_awake(
-                lambda: self.world.at(0.0, self._tick)
-            )  # after all that came meanwhile
+            # After all that came meanwhile.
+            self.when_awake(lambda: self.world.at(0.0, self._tick))
             return
         self._ticking = False
         if self.slots.busy() or self.slots.draining:
@@ -246,9 +242,8 @@ class Worker:
         for index, trial in enumerate(self.trials):
             if poisonous(trial) or self._dies_at(trial):
                 if world.random.random() < 0.3:
-                    self.trials = self.trials[
-                        : index + 1
-                    ]  # it hangs there, until it is killed
+                    # It hangs there, until it is killed.
+                    self.trials = self.trials[: index + 1]
                 else:
                     self._later(
                         index * self.trial_s, events.Died(self.index, index, "crash")

@@ -21,9 +21,8 @@ class World:
 
     def __init__(self, seed: int) -> None:
         self.seed, self.random, self.now = seed, random.Random(seed), 0.0
-        self.failing = self.random.choice(
-            [0.0, 0.002, 0.02]
-        )  # share of messages that get no answer, and of trials that die
+        # Share of messages that get no answer, and of trials that die.
+        self.failing = self.random.choice([0.0, 0.002, 0.02])
         self.faults = 0  # that happened
         self.trace: deque[tuple[object, ...]] = deque(maxlen=60)
         self._queue: list[tuple[float, int, Callable[[], None]]] = []

@@ -65,9 +65,8 @@ def test_the_script_for_many_machines_does_what_the_document_says(
     lines = lines.replace('[ ! "$keys" ] || ', "").replace(
         'join --yes "$keys"', "join ~/lab-01.zkeys"
     )
-    lines = re.sub(
-        r" \|\| \{.*\}$", "", lines, flags=re.M
-    )  # what it does where pip fails
+    # Without what it does where pip fails.
+    lines = re.sub(r" \|\| \{.*\}$", "", lines, flags=re.M)
     assert (
         lines
         == re.findall(

@@ -449,9 +449,8 @@ def test_the_example_ranking_ranks(
     ranking = rivals.Rivals(rivals.Settings(games=2), 2)
     games = ranking.next_games(5, [])
     assert np.bincount(games.ravel()).tolist() == [4] * 5
-    results = np.where(
-        games == 4, np.nan, games.astype(float)
-    )  # the higher number is better, but the highest fails
+    # The higher number is better, but the highest fails.
+    results = np.where(games == 4, np.nan, games.astype(float))
     played = [Round(games, results)]
     assert ranking.next_games(5, played) is None
     np.testing.assert_array_equal(ranking.scores(5, played), [1, 2, 3, 4, np.nan])

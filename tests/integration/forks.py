@@ -161,9 +161,8 @@ def play(task: dict[str, Any]) -> None:
         ) as run:
             for generation in run:
                 if task["killed"] and generation.generation == KILLED_IN:
-                    os.kill(
-                        os.getpid(), signal.SIGKILL
-                    )  # results came in one message; the next generation is on its way
+                    # Results came in one message; the next generation is on its way.
+                    os.kill(os.getpid(), signal.SIGKILL)
                 if generation.generation == 0:
                     wait_until(
                         lambda: connection.slots == len(servers), "all servers are ready"

@@ -27,18 +27,16 @@ from tests.integration.programs import (
 SERVERS = 3  # of one slot
 LOOK_S = 0.03  # between two looks at a process: three ticks of its processor time
 BUSY_S, SLOW_S = 0.03, 0.3  # of a trial; the second while the run is ahead of the killer
-STOPPED_S = (
-    0.5,
-    2.0,
-    10.0,
-)  # of a stopped server; the last is longer than the link timeout
+# Of a stopped server; the last is longer than the link timeout.
+STOPPED_S = (0.5, 2.0, 10.0)
+# What is killed, and how often, in percent.
 TARGETS = {
     "slot": 45,
     "server": 20,
     "fork server": 10,
     "optimizer": 20,
     "stopped server": 5,
-}  # and how often, in percent
+}
 
 
 def size(kills: int) -> Size:
@@ -220,7 +218,6 @@ class Campaign:
 
     def _count(self) -> int:
         rows = query(self._scene.run, "SELECT coalesce(sum(count), 0) FROM outcomes")
-        self._counted = max(
-            self._counted, *(count for (count,) in rows), 0
-        )  # no rows: not readable just now
+        # No rows: not readable just now.
+        self._counted = max(self._counted, *(count for (count,) in rows), 0)
         return self._counted

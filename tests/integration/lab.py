@@ -28,12 +28,8 @@ class Host:
 
     def __init__(self, lab: "Lab", networks: tuple["Network", ...]) -> None:
         self.namespace = lab.add_namespace()
-        self.inside = [
-            "ip",
-            "netns",
-            "exec",
-            self.namespace,
-        ]  # put before a command; the process is the command's own
+        # Put before a command; the process is the command's own.
+        self.inside = ["ip", "netns", "exec", self.namespace]
         self._networks = networks
         self.addresses = [
             network.plug(self, f"eth{number}") for number, network in enumerate(networks)

@@ -372,9 +372,8 @@ class Scene:
     ) -> None:
         """Check that the history is the undisturbed one and every trial counts once."""
         assert done["history_hash"] == undisturbed.history_hash
-        facts = check_run(
-            run or self.run, sample=0
-        )  # this process has no plug-in to evaluate anything again
+        # This process has no plug-in to evaluate anything again.
+        facts = check_run(run or self.run, sample=0)
         assert facts.finished
         assert facts.history_hash == undisturbed.history_hash
         assert len(facts.outcomes) == undisturbed.trials

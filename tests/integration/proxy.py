@@ -20,9 +20,8 @@ class Proxy:
         host, port = target.removeprefix("tcp/").split(":")
         self._target, self._rate = (host, int(port)), rate
         self._listener = socket.create_server(("127.0.0.1", 0), backlog=8)
-        self._listener.setsockopt(
-            socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER
-        )  # inherited by what it accepts
+        # Inherited by what it accepts.
+        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER)
         self.endpoint = f"tcp/127.0.0.1:{self._listener.getsockname()[1]}"
         self.connections = 0
         self.there, self.back = 0, 0  # bytes forwarded to the target, and from it

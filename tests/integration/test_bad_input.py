@@ -47,9 +47,8 @@ def rough(tmp_path: Path) -> str:
 def evolve_rough(tmp_path: Path, rough: str, how: str, *options: str) -> Optimizer:
     file = plugin.experiment(tmp_path, how)
     arguments = ["run", str(file), "--json", "--servers", "local", *options]
-    return Optimizer(
-        tmp_path, how, arguments, PYTHONPATH=rough, ZSWARM_PLAIN="1"
-    )  # it plays in Python, and little
+    # It plays in Python, and little.
+    return Optimizer(tmp_path, how, arguments, PYTHONPATH=rough, ZSWARM_PLAIN="1")
 
 
 @pytest.mark.parametrize(

@@ -265,18 +265,16 @@ def test_a_disk_that_becomes_read_only_loses_nothing_recorded(
     subprocess.run(
         ["mount", "-o", "remount,abort", str(disk)], check=True, capture_output=True
     )
-    wait_until_said(
-        optimizer, "the disk of disk/on-disk "
-    )  # newer kernels do not call it read-only
+    # Newer kernels do not call it read-only.
+    wait_until_said(optimizer, "the disk of disk/on-disk ")
     rows = query(at, ROWS)
     optimizer.kill(signal.SIGINT)
     assert optimizer.wait() == 130
     assert said(optimizer, "trials again") == 1
     assert said(optimizer, "Resume with: zswarm-ot resume disk/on-disk") == 1
     subprocess.run(["umount", str(disk)], check=True)
-    repaired = shutil.copy(
-        image, tmp_path / "repaired"
-    )  # programs in other mount namespaces may hold the broken one
+    # Programs in other mount namespaces may hold the broken one.
+    repaired = shutil.copy(image, tmp_path / "repaired")
     assert subprocess.run(
         ["e2fsck", "-fy", str(repaired)], capture_output=True
     ).returncode in (

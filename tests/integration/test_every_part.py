@@ -70,27 +70,13 @@ SOME = {
     "pettingzoo",
     "turtlebot-exit",
 }
-LARGE = {
-    "vmas",
-    "turtlebot-exit-ros",
-}  # not installed here: tests/sims/adapters/test_vmas.py, test_ros_programs.py
-VECTORS = {
-    "cma-me",
-    "cmaes",
-    "cuckoo",
-    "map-elites",
-    "openai-es",
-    "pso",
-}  # optimizers that search vectors of numbers
+# Not installed here: tests/sims/adapters/test_vmas.py, test_ros_programs.py.
+LARGE = {"vmas", "turtlebot-exit-ros"}
+# Optimizers that search vectors of numbers.
+VECTORS = {"cma-me", "cmaes", "cuckoo", "map-elites", "openai-es", "pso"}
 NO_VECTORS = {"mealy", "neat"}  # genomes that are none
-COMPETING = {
-    "cea2d",
-    "cmaes",
-    "neat",
-    "nnga",
-    "openai-es",
-    "random",
-}  # optimizers that take scores of a tournament
+# Optimizers that take scores of a tournament.
+COMPETING = {"cea2d", "cmaes", "neat", "nnga", "openai-es", "random"}
 
 
 class Parts(NamedTuple):

@@ -66,9 +66,8 @@ NETWORKS = [
     {"activation": "relu", "hidden": 5},
     {"activation": "tanh", "hidden": 9, "iterations": 3},
 ]
-ROUGH = (
-    REPOSITORY / "tests" / "sims" / "foreign" / "rough_program.py"
-)  # trial k does what stands at k
+# Trial k does what stands at k.
+ROUGH = REPOSITORY / "tests" / "sims" / "foreign" / "rough_program.py"
 NAN = ("error", "short", "no-agent", "nan")
 HARMLESS = ("floods", "fine")
 FAULTS = {
@@ -97,10 +96,11 @@ trial_memory_mb = 512
 on_fault = "quarantine"
 """
 
+# The compiler javac takes long.
 BOTH = [
     ("emergency-exit-c", "in_c"),
     pytest.param("emergency-exit-java", "in_java", marks=pytest.mark.long),
-]  # javac takes long
+]
 
 
 @pytest.fixture(scope="module")
@@ -196,9 +196,8 @@ def evolve_and_kill(
             ),
             "some trials are counted",
         )
-        while not server.events(
-            "slot_died"
-        ):  # of one that is killed between two trials nobody takes notice
+        # Of one that is killed between two trials nobody takes notice.
+        while not server.events("slot_died"):
             (victim, *_), ended = victims(), optimizer.process.poll()
             assert ended is None, "no program was killed within a trial"
             os.kill(victim, signal.SIGKILL)

@@ -13,12 +13,10 @@ from zswarm.session import LINK_TIMEOUT_S
 
 pytestmark = pytest.mark.faults
 
-LARGE = Size(
-    generations=1, population=10, trials=4, hidden=200
-)  # a genome has 164,000 bytes
-HUGE = Size(
-    generations=1, population=60, trials=1, hidden=500, compiled=True
-)  # a genome has 1 MB, a batch 4 MB
+# A genome has 164,000 bytes.
+LARGE = Size(generations=1, population=10, trials=4, hidden=200)
+# A genome has 1 MB, a batch 4 MB.
+HUGE = Size(generations=1, population=60, trials=1, hidden=500, compiled=True)
 
 
 def wait_for(seconds: float) -> None:

@@ -32,9 +32,8 @@ def test_reading_a_running_record_does_not_disturb_the_run(tmp_path: Path) -> No
         assert run.going_on
         while watched.process.poll() is None:
             with contextlib.suppress(subprocess.TimeoutExpired):
-                watched.process.wait(
-                    0.03
-                )  # reading all the time would take the time of the run
+                # Reading all the time would take the time of the run.
+                watched.process.wait(0.03)
             now = Run(folder)
             seen.append(now.history())
             assert len(now.trials(len(seen[-1]))) <= 50 * 20

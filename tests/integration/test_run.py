@@ -111,9 +111,8 @@ def test_a_stopped_optimizer_prints_how_to_resume(
     assert stopped.wait() == code
     assert "zswarm-ot resume runs/disturbed" in stopped.err.read_text()
     assert "Traceback" not in stopped.err.read_text()
-    (tmp_path / "runs" / "disturbed" / "fitness.png").unlink(
-        missing_ok=True
-    )  # a picture, if a generation was finished
+    # A picture, if a generation was finished.
+    (tmp_path / "runs" / "disturbed" / "fitness.png").unlink(missing_ok=True)
     arguments = ["resume", "runs/disturbed", "--json", "--servers", "local"]
     done = Optimizer(tmp_path, "resumed", arguments, picture=True).done()
     assert done["history_hash"] == ALONE

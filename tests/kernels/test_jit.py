@@ -195,9 +195,8 @@ def test_the_warming_up_compiles_all_that_a_trial_of_any_part_needs(
     lazy: str, tmp_path: Path
 ) -> None:
     """With nothing in the cache."""
-    names = playable(
-        [*(plugins.BUNDLED["simulator"].keys() - {"pettingzoo"}), "lazy"]
-    )  # whose 18 inputs are too many for mealy
+    # Its 18 inputs are too many for mealy.
+    names = playable([*(plugins.BUNDLED["simulator"].keys() - {"pettingzoo"}), "lazy"])
     said = run(WARM_UP, tmp_path, tmp_path / "cache", ",".join(names), PYTHONPATH=lazy)
     assert set(said[::4]) == set(names)
     assert "True" in said[2::4], "there was something to compile"

@@ -198,9 +198,8 @@ def test_atan2_is_within_one_and_a_third_units_in_the_last_place() -> None:
         ):
             angle = atan2(y, x)
             s, c = sine(Decimal(angle)), sine(Decimal(angle) + PI / 2)
-            off = (Decimal(y) * c - Decimal(x) * s) / (
-                Decimal(x) * c + Decimal(y) * s
-            )  # its tangent
+            # The tangent of the error.
+            off = (Decimal(y) * c - Decimal(x) * s) / (Decimal(x) * c + Decimal(y) * s)
             assert abs(off) <= Decimal(1.3 * math.ulp(angle))
 
 

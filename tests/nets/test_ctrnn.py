@@ -92,9 +92,8 @@ def test_a_neuron_alone_approaches_its_input_by_its_time_constant() -> None:
     built = network(
         hidden=0, inputs=1, outputs=1, iterations=100, tau_min=5.0, tau_max=5.0
     )
-    genome = np.array(
-        [1, 0, 0, 0], "<f4"
-    ).tobytes()  # from the input, to itself, bias, time constant
+    # From the input, to itself, bias, time constant.
+    genome = np.array([1, 0, 0, 0], "<f4").tobytes()
     decided = decide(built, genome, [[1.0]] * 20)[:, 0]
     expected = [logistic(1 - math.exp(-t / 5)) for t in range(1, 21)]
     assert np.abs(decided - expected).max() < 1e-3

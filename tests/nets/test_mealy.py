@@ -375,11 +375,12 @@ def test_a_deleted_state_is_led_to_no_more_and_the_others_keep_their_transitions
 ):
     """In FREVO transitions still lead to it, and to the last one, which has another number now."""
     for before, after in mutants(machines(delete_state=1.0, **STILL), 50):
+        # The random outputs tell.
         (lost,) = [
             state
             for state in range(6)
             if same(np.delete(before.outputs, state, axis=1), after.outputs)
-        ]  # the random outputs tell
+        ]
         kept = np.delete(before.following, lost, axis=1)
         expected = kept - (kept > lost)
         assert same(after.following[kept != lost], expected[kept != lost])

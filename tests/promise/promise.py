@@ -34,9 +34,8 @@ class Facts(NamedTuple):
 
     finished: bool
     told: list[str]  # the history's hash after each finished generation
-    outcomes: dict[
-        tuple[int, int], bytes
-    ]  # (generation, trial): fitness and metrics, bit by bit
+    # (generation, trial): fitness and metrics, bit by bit.
+    outcomes: dict[tuple[int, int], bytes]
     rows: list[tuple[Any, ...]]  # outcomes as recorded
     servers: set[str]
     requeued: int
@@ -105,14 +104,12 @@ class _Check:
                 f"generation {generation}: candidate {candidate} comes after {len(of) - 1}",
             )
             of.append((genome, fitness))
-            self.measures.setdefault(generation, []).append(
-                (*measures, None)[0] or b""
-            )  # none in schema 3
+            # None in schema 3.
+            self.measures.setdefault(generation, []).append((*measures, None)[0] or b"")
         rows = database.execute("SELECT * FROM outcomes ORDER BY id").fetchall()
         self.rows = [(*row, 0)[:12] for row in rows]  # nothing is doubtful in schema 1
-        self.players: dict[
-            tuple[int, int], list[int]
-        ] = {}  # candidates that played a trial, where they play each other
+        # Candidates that played a trial, where they play each other.
+        self.players: dict[tuple[int, int], list[int]] = {}
         self.each = 1  # participants of a trial
         for _, generation, _, count, trials, *_, participants in (
             row for row in rows if len(row) == 14 and row[13] is not None
@@ -129,9 +126,8 @@ class _Check:
         ).fetchall()
         self.optimizer = database.execute("SELECT generation FROM optimizer").fetchall()
         self.outcomes: dict[tuple[int, int], bytes] = {}
-        self.unsure: set[tuple[int, int]] = (
-            set()
-        )  # faulted or doubtful: no outcome of the genome
+        # Faulted or doubtful: no outcome of the genome.
+        self.unsure: set[tuple[int, int]] = set()
         self.asked: dict[int, bytes] = {}
 
     def claim(self, true: bool, text: str) -> None:
@@ -229,9 +225,8 @@ class _Check:
                     self.claim(
                         blamed != server
                         or generation > since
-                        or (
-                            (generation < since or self.relative) and doubtful == 1
-                        ),  # relative: of an earlier round
+                        # Relative: of an earlier round.
+                        or ((generation < since or self.relative) and doubtful == 1),
                         f"{where}: {server} computed wrong in generation {since}, and this is "
                         "counted as if it had not",
                     )

@@ -38,13 +38,11 @@ from zswarm.protocol.messages import (
 from zswarm.system.text import clean
 
 T = TypeVar("T")
-FUZZ = settings(
-    derandomize=True, max_examples=500 if os.environ.get("CI") else 100
-)  # the same every time, and short
+# The same every time, and short.
+FUZZ = settings(derandomize=True, max_examples=500 if os.environ.get("CI") else 100)
 pack = msgspec.msgpack.encode
-SHOWN = st.text(
-    st.characters(categories=("L", "N", "P", "S", "Zs")), max_size=40
-)  # clean() leaves these as they are
+# Characters that clean() leaves as they are.
+SHOWN = st.text(st.characters(categories=("L", "N", "P", "S", "Zs")), max_size=40)
 TOKENS = st.binary(min_size=16, max_size=16)
 COUNTS = st.integers(0, 2**53)
 SECONDS = st.floats(0, 1e9)
@@ -320,9 +318,8 @@ def test_any_bytes_end_in_a_message_or_the_peers_fault(body: bytes) -> None:
 
 
 HOSTILE = [
-    *(
-        bytes([header]) + b"\xff\xff\xff\xff" for header in (0xC6, 0xC9, 0xDB, 0xDD, 0xDF)
-    ),  # four thousand million of it
+    # Four thousand million of it.
+    *(bytes([header]) + b"\xff\xff\xff\xff" for header in (0xC6, 0xC9, 0xDB, 0xDD, 0xDF)),
     *(b"\xdc\xff\xff", b"\xde\xff\xff", b"\xd9\xff", b"\xc4\xff"),
     *(b"\x91" * 3000, b"\x81\xa1a" * 3000, b"\x81" * 3000),
     *(
@@ -589,10 +586,8 @@ def with_settings(raw: bytes, which: str) -> bytes:
 @pytest.mark.parametrize(
     ("raw", "text"),
     [
-        (
-            b"\xdd\xff\xff\xff\xff",
-            "truncated",
-        ),  # headers that promise four thousand million of something
+        # Headers that promise four thousand million of something.
+        (b"\xdd\xff\xff\xff\xff", "truncated"),
         (b"\xdf\xff\xff\xff\xff", "truncated"),
         (b"\xc6\xff\xff\xff\xff", "truncated"),
         (b"\xdb\xff\xff\xff\xff", "truncated"),

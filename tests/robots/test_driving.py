@@ -12,12 +12,8 @@ from tests.ros.ros_here import LINKS, need
 from tests.sims import robot_controllers
 
 pytestmark = pytest.mark.robots
-CROWD = {
-    "robots": 5,
-    "steps": 60,
-    "map": "open",
-    "epsilon": 0.5,
-}  # by hand some are out early, one after the other
+# By hand some are out early, one after the other.
+CROWD = {"robots": 5, "steps": 60, "map": "open", "epsilon": 0.5}
 
 
 @pytest.fixture(params=LINKS)
@@ -70,9 +66,8 @@ def test_poses_and_fitness_have_the_same_bits(link: str) -> None:
 
 def test_one_robot_alone_has_no_namespace_and_the_same_bits(link: str) -> None:
     settings: dict[str, Any] = {"robots": 1, "steps": 20}
-    here = by_network(
-        built("turtlebot-exit", **settings), 4
-    )  # first: it compiles the kernels
+    # First: it compiles the kernels.
+    here = by_network(built("turtlebot-exit", **settings), 4)
     there = built("turtlebot-exit-ros", link=link, **settings)
     assert by_network(there, 4).bits == here.bits
     there.close()

@@ -233,9 +233,8 @@ def test_a_packed_robot_drives_in_ros_as_evolved(
                 and nodes[-1].poll() is None
                 and ask(here, "lookupNode", f"/robot_{robot}/drive")[0] != 1
             ):
-                time.sleep(
-                    0.05
-                )  # two programs of roslaunch that begin at once refuse each other
+                # Two programs of roslaunch that begin at once refuse each other.
+                time.sleep(0.05)
         done = simulated(here, target.profile, tmp_path / "poses.npy")
         assert done.returncode == 0, (done.stderr, [node.poll() for node in nodes])
     told = json.loads(done.stdout)
@@ -361,9 +360,8 @@ def test_velocities_are_stamped_where_the_profile_says_so(
     limits = profiles.read(profile)
     with alone(built) as (robot, _):
         came = robot.drives(3)
-        assert all(
-            velocity.stamp_ns > 1e18 for velocity in came
-        )  # the time of this machine
+        # The time of this machine.
+        assert all(velocity.stamp_ns > 1e18 for velocity in came)
         assert 0 < max(abs(velocity.linear) for velocity in came) <= limits.speed
         assert max(abs(velocity.angular) for velocity in came) <= limits.turn
 

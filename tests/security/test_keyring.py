@@ -161,9 +161,8 @@ def test_what_the_library_only_warns_of_is_refused(tmp_path: Path) -> None:
             serialization.Encoding.DER
         )
     )
-    at = (
-        der.index(bytes.fromhex("a003020102")) + 7
-    )  # behind the version: the serial number's first byte
+    # Behind the version: the serial number's first byte.
+    at = der.index(bytes.fromhex("a003020102")) + 7
     der[at] |= 0x80
     text = base64.encodebytes(bytes(der)).decode()
     changed = f"-----BEGIN CERTIFICATE-----\n{text}-----END CERTIFICATE-----\n"
@@ -431,8 +430,7 @@ def test_extreme_files_are_refused(lab: Path, damage: Callable[[bytes], bytes]) 
     for file in ("authority.pem", "members.json"):
         before = (lab / file).read_bytes()
         (lab / file).write_bytes(damage(before))
-        if not (
-            file.endswith("pem") and damage(b"x") == b"xx"
-        ):  # the first certificate of several counts
+        # Of several certificates the first one counts.
+        if not (file.endswith("pem") and damage(b"x") == b"xx"):
             assert file in refusal(lab)
         (lab / file).write_bytes(before)

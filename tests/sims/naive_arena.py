@@ -118,9 +118,8 @@ class NaiveArena:
                 int(robot.x * per_metre), cells - 1
             )
 
-        ordered = sorted(
-            self.robots, key=cell
-        )  # which leaves those of a cell as they are
+        # The order of those of a cell stays.
+        ordered = sorted(self.robots, key=cell)
         for robot in self.robots:
             near = [
                 other

@@ -5,9 +5,8 @@ Each maps (robots, inputs) to (robots, 2), float32.
 
 import numpy as np
 
-CENTRES = np.radians(
-    (np.arange(8) + 0.5) * 270 / 8 - 135
-)  # of the laser's eighths, counter-clockwise
+# Of the laser's eighths, counter-clockwise.
+CENTRES = np.radians((np.arange(8) + 0.5) * 270 / 8 - 135)
 VIEW = np.column_stack([np.cos(CENTRES), np.sin(CENTRES)])
 
 
@@ -46,9 +45,8 @@ def behind(
     offset = to_thing * ((1 - seen[:, 10:11]) * reach)
     lies_before = (to_thing * way).sum(axis=1)
     spot = offset - way * behind_m
-    aside = unit(
-        lies_before[:, None] * to_thing - way
-    )  # across the way to the thing, away from where it is to go
+    # Across the way to the thing, away from where it is to go.
+    aside = unit(lies_before[:, None] * to_thing - way)
     near = np.hypot(offset[:, 0], offset[:, 1]) < clear_m
     around = np.where(near[:, None], aside - 0.3 * to_thing, spot)
     pushing = lies_before > 0.85

@@ -21,6 +21,7 @@ from zswarm.testing import check_simulator
 
 UNUSUAL: list[dict[str, Any]] = [
     *({"task": task} for task in TASKS),
+    # 6 x 6 cells.
     {
         "task": "consensus",
         "robots": 40,
@@ -28,7 +29,8 @@ UNUSUAL: list[dict[str, Any]] = [
         "sight": 1.1,
         "noise": 0.0,
         "steps": 12,
-    },  # 6 x 6 cells
+    },
+    # 5 x 5 cells, many overlap.
     {
         "task": "dispersion",
         "robots": 30,
@@ -36,7 +38,7 @@ UNUSUAL: list[dict[str, Any]] = [
         "sight": 0.5,
         "radius": 0.2,
         "steps": 12,
-    },  # 5 x 5 cells, many overlap
+    },
     {
         "task": "foraging",
         "robots": 5,
@@ -219,19 +221,16 @@ def test_wheels_move_a_robot_as_its_speed_says() -> None:
 def test_rays_see_the_nearest_thing_and_nothing_behind_it() -> None:
     simulator = Arena(ArenaSettings(robots=3, side=4.0, sight=2.5))
     near, far = 1 - 0.9 / 2.5, 1 - 1.0 / 2.5
-    seen = put(
-        simulator, (1.0, 2.0), (2.0, 2.0), (2.6, 2.0)
-    )  # robots in a row, looking along it
-    np.testing.assert_allclose(
-        seen[0, [0, 4]], [near, far], rtol=1e-5
-    )  # the middle robot's rim; the wall behind
+    # Robots in a row, looking along it.
+    seen = put(simulator, (1.0, 2.0), (2.0, 2.0), (2.6, 2.0))
+    # The middle robot's rim; the wall behind.
+    np.testing.assert_allclose(seen[0, [0, 4]], [near, far], rtol=1e-5)
     np.testing.assert_allclose(
         seen[1, [0, 2, 4, 6]], [1 - 0.5 / 2.5, 0.2, near, 0.2], rtol=1e-5
     )
     np.testing.assert_allclose(seen[2, 0], 1 - 1.4 / 2.5, rtol=1e-5)  # the wall
-    turned = put(
-        simulator, (1.0, 2.0), (2.0, 2.0), (2.6, 2.0), heading=(0.0, 1.0)
-    )  # all turned by 90 degrees
+    # All turned by 90 degrees.
+    turned = put(simulator, (1.0, 2.0), (2.0, 2.0), (2.6, 2.0), heading=(0.0, 1.0))
     np.testing.assert_allclose(np.roll(turned[:, :8], 2, axis=1), seen[:, :8], atol=1e-6)
     np.testing.assert_allclose(seen[0, 8:10], [1.3 / 2.5, 0], atol=1e-6)
     np.testing.assert_allclose(turned[0, 8:10], [0, -1.3 / 2.5], atol=1e-6)
@@ -251,9 +250,8 @@ def test_words_reach_neighbours_only_and_a_step_later() -> None:
     stay[:, 2] = [0.25, 0.5, 0.75]
     turn = simulator.step(stay)
     assert turn is not None
-    np.testing.assert_array_equal(
-        turn.observations[:, 11], np.float32([0.5, 0.5, 0.5])
-    )  # the middle one hears .25 and .75
+    # The middle one hears .25 and .75.
+    np.testing.assert_array_equal(turn.observations[:, 11], np.float32([0.5, 0.5, 0.5]))
     stay[:, 2] = [1, 0, 0]
     assert simulator.step(stay).observations[:, 11].tolist() == [0, 0.5, 0]
     simulator = Arena(ArenaSettings(task="consensus", robots=2, side=9.0, sight=2.0))
@@ -365,10 +363,11 @@ def test_the_example_evolves_a_better_controller_than_the_one_written_by_hand(
         ),
         ({"task": "agregation"}, "problem.settings: task: "),
         ({"robots": 0}, "problem.settings: robots: expected int >= 1"),
+        # It would turn by no number.
         (
             {"radius": 1e-30, "sight": 1e-29},
             "problem.settings: radius: expected float >= 0.001",
-        ),  # it would turn by no number
+        ),
         ({"speed": -1.0}, "problem.settings: speed: "),
     ],
 )

@@ -97,9 +97,8 @@ def test_observations_agree_with_the_naive_reference_at_every_step() -> None:
     simulator, naive = Minisim(settings), NaiveDuel(settings, 11)
 
     def act(observations: np.ndarray) -> np.ndarray:
-        return np.concatenate(
-            [greedy(observations[:5]), guarding(observations[5:])]
-        )  # a team each
+        # A team each.
+        return np.concatenate([greedy(observations[:5]), guarding(observations[5:])])
 
     turn = simulator.reset(11)
     observations = [turn.observations]

@@ -129,9 +129,8 @@ def test_the_ground_holds_a_heavy_thing_against_one_robot_but_not_two(
     A movable yields by less than the overlap that bodies may have.
     """
     thing = Movable("it", 0.4, 10.0, 0.25, is_box)
-    poses = [
-        (4.42, 5 + 0.19 * (2 * robot - robots + 1), 0.0) for robot in range(robots)
-    ]  # they touch it
+    # They touch it.
+    poses = [(4.42, 5 + 0.19 * (2 * robot - robots + 1), 0.0) for robot in range(robots)]
     built = world(*poses, things=[(thing, (5.0, 5.0, 0.0))], friction=0.0)
     drive(built, [0.65] * robots, [0] * robots, 50)
     moved = built.things[0, 0] - 5

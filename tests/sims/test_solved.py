@@ -64,9 +64,8 @@ def at_random(problem: Problem) -> np.ndarray:
 def test_xor_is_right_soon_and_without_error_later(seed: int) -> None:
     evolved = Evolved("xor", seed)
     assert at_random(evolved.problem).mean() == pytest.approx(-0.69, abs=0.02)
-    assert (
-        evolved.history[19] > -0.25
-    )  # no case is wrong: one with an error of .5 would make it -.25
+    # No case is wrong: one with an error of .5 would make it -.25.
+    assert evolved.history[19] > -0.25
     assert evolved.history[-1] == 0.0
     assert evolved.metrics(np.zeros(1, np.uint64))["correct"] == 4
 

@@ -23,14 +23,8 @@ MAY_DATE = {
     ),
     "security/report.py",  # how long certificates are valid
 }
-WALL = {
-    "time",
-    "time_ns",
-    "localtime",
-    "gmtime",
-    "ctime",
-    "strftime",
-}  # of the module time
+# Of the module time.
+WALL = {"time", "time_ns", "localtime", "gmtime", "ctime", "strftime"}
 
 
 def test_only_modules_that_date_ask_for_the_time_of_day() -> None:

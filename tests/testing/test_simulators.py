@@ -307,9 +307,8 @@ def test_a_seeded_generator_of_ones_own_and_caches_are_no_mistake() -> None:
 
         def reset(self, seed: int) -> Turn:
             self.table = np.ones(100_000) if self.table is None else self.table
-            self.kept += (
-                [bytes(9_000)] if len(self.kept) < 25 else []
-            )  # filled by several trials
+            # Filled by several trials.
+            self.kept += [bytes(9_000)] if len(self.kept) < 25 else []
             turn: Turn = super().reset(seed)
             self.x[0] += np.random.default_rng(seed).uniform()
             return turn

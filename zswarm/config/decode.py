@@ -46,9 +46,8 @@ def overridden(
         given: from click; None and () stand for options that were not given.
     """
     mapping: dict[str, Any] = read(path) if path else {}
-    convert(
-        mapping, kind, str(path)
-    )  # refuse a mistake in the file even if it is overridden
+    # Refuse a mistake in the file even if it is overridden.
+    convert(mapping, kind, str(path))
     mapping |= {name: value for name, value in given.items() if value not in (None, ())}
     return convert(mapping, kind, str(path or program))
 

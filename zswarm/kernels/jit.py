@@ -77,9 +77,8 @@ class Compiled:
     @functools.cached_property
     def dispatcher(self) -> Any:
         """Return numba's dispatcher; compile the function on first access."""
-        from zswarm.kernels import (
-            compiler,
-        )  # imports numba, which takes a third of a second
+        # It imports numba, which takes a third of a second.
+        from zswarm.kernels import compiler
 
         return compiler.compiled(self.py_func, self.signature, self.options)
 

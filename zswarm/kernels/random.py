@@ -115,9 +115,8 @@ class Stream:
     def __init__(self, seed: int, position: int = 0) -> None:
         self.seed = seed & MASK_64
         self.position = position
-        self._ahead: list[
-            int
-        ] = []  # upper halves of the words from the position ``_ahead_from`` on
+        # Upper halves of the words from the position ``_ahead_from`` on.
+        self._ahead: list[int] = []
         self._ahead_from = 0
 
     def words(self, count: int) -> np.ndarray:

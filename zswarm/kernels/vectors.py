@@ -254,10 +254,11 @@ def _any_of(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     )
 
 
+# Per bits of true lanes all lanes, true ones first.
 ORDERS = [
     sorted(range(LANES), key=lambda lane: not bits >> lane & 1)
     for bits in range(1 << LANES)
-]  # true lanes first
+]
 
 
 @_operation(

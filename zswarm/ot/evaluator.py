@@ -69,9 +69,8 @@ class CandidateEvaluator:
     ) -> None:
         self._lease, self._wait, self._wanted = lease, wait, wanted
         self._stop = threading.Event()
-        self._turn = (
-            threading.Lock()
-        )  # held by the thread that evaluates; it guards what follows
+        # Held by the thread that evaluates; it guards what follows.
+        self._turn = threading.Lock()
         self._held = ExitStack()
         self._cluster: Cluster | None = None
         self._of = b""  # what the lease is for
@@ -200,9 +199,8 @@ class CandidateEvaluator:
                 self.release()
 
     def _forget(self, call: _Call) -> None:
-        with contextlib.suppress(
-            ValueError
-        ):  # the thread that waited may have been interrupted
+        # The thread that waited may have been interrupted.
+        with contextlib.suppress(ValueError):
             self._calls.remove(call)
 
     def _drop(self) -> None:

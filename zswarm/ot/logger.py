@@ -160,10 +160,8 @@ class InBackground(Forwarder):
             method, arguments = call
             try:
                 getattr(self._logger, method)(*arguments)
-            except (
-                Exception,
-                SystemExit,
-            ) as error:  # in the user's code: the run continues
+            except (Exception, SystemExit) as error:
+                # In the user's code: the run continues.
                 if not self._raised:
                     reason = f"{type(error).__name__}: {error}"
                     self._say(f"logger {self._name}: {reason}; the run continues")

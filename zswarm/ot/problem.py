@@ -94,9 +94,8 @@ class Problem:
         sums = np.cumsum(workload.fitness.reshape(-1, trials, participants), axis=1)[
             :, -1
         ]
-        return Round(
-            workload.participants[::trials], sums + 0.0
-        )  # SQLite drops the sign of -0.0
+        # SQLite drops the sign of -0.0.
+        return Round(workload.participants[::trials], sums + 0.0)
 
     def total(self, workload: Workload) -> np.ndarray:
         """Return the sums over the trials of candidates that play alone, (candidates,) float64."""

@@ -63,9 +63,8 @@ def evolve(
                 notebook.follow(cluster.evaluate(assessment.workload), assessment)
             ended = assessment
             state = notebook.tell(ended)
-            if (
-                generation + 1 < last
-            ):  # servers have work while this generation is recorded
+            if generation + 1 < last:
+                # Servers have work while this generation is recorded.
                 assessment = Assessment(problem, optimizer.ask(), generation + 1)
                 items = cluster.evaluate(assessment.workload)
             yield notebook.finish(ended, state, cluster)

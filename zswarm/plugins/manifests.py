@@ -23,9 +23,8 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,62}")
 Texts = Annotated[list[str], Meta(min_length=1)]
 Count = Annotated[int, Meta(ge=1, le=100_000)]
 Limit = Annotated[float, Meta(gt=0, le=86400)]  # seconds
-Inside = Annotated[
-    str, Meta(pattern=r"^(?!/|.*(^|/)\.\.(/|$)).+$")
-]  # a path in a package
+# A path in a package.
+Inside = Annotated[str, Meta(pattern=r"^(?!/|.*(^|/)\.\.(/|$)).+$")]
 RosName = Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 SettingName = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,62}$")]
 
@@ -68,9 +67,8 @@ class ControllerFile(
 
     form: Literal["yaml", "json", "c99"]
     file: Inside
-    rebuild: list[
-        str
-    ] = []  # command, run in the package before each trial, without a shell
+    # A command, run in the package before each trial, without a shell.
+    rebuild: list[str] = []
     limit_s: Limit = 600.0  # for the command
 
 
@@ -79,9 +77,8 @@ class LaunchManifest(
 ):
     """The manifest of a launch file."""
 
-    package: Annotated[
-        str, Meta(min_length=1)
-    ]  # a folder next to this file, or known to ROS
+    # A folder next to this file, or known to ROS.
+    package: Annotated[str, Meta(min_length=1)]
     launch: Inside
     files: Texts  # as in Manifest
     description: str = ""
@@ -100,9 +97,8 @@ class LaunchManifest(
     command_limit_s: Limit = 60.0
     settings: dict[SettingName, PlacedSetting] = {}
     arguments: dict[RosName, str] = {}  # fixed ones, of roslaunch
-    parameters: dict[
-        Inside, dict[RosName, Any]
-    ] = {}  # fixed ones, by YAML file of the package
+    # Fixed ones, by YAML file of the package.
+    parameters: dict[Inside, dict[RosName, Any]] = {}
 
 
 def find() -> dict[str, Path]:

@@ -112,9 +112,8 @@ class Evaluate(Message, frozen=True, tag="evaluate"):
 
     lease: Token
     batch: BatchId
-    genomes: Annotated[
-        list[Genome], Meta(max_length=MAX_GENOMES)
-    ]  # empty: see Reserve.asks
+    # Empty: see Reserve.asks.
+    genomes: Annotated[list[Genome], Meta(max_length=MAX_GENOMES)]
     participants: bytes  # (trials, k) uint32, indices into genomes
     seeds: bytes  # (trials,) uint64
 

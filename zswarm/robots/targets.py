@@ -11,9 +11,8 @@ from zswarm.controller import Controller
 from zswarm.errors import ConfigError
 from zswarm.robots.c.c_types import folded
 
-Files = dict[
-    str, str | bytes
-]  # by path in a folder; what begins with #! is made executable
+# By path in a folder; what begins with #! is made executable.
+Files = dict[str, str | bytes]
 
 
 class Target(NamedTuple):

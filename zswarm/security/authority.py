@@ -235,9 +235,8 @@ class Authority:
             )
             signed.append(certificate.public_bytes(Encoding.PEM).decode())
             entries.append(entry)
-        self._write(
-            [*self.ledger.issued, *entries]
-        )  # first: no certificate is unrecorded
+        # First: no certificate is unrecorded.
+        self._write([*self.ledger.issued, *entries])
         members = self.members()
         return [
             Bundle(

@@ -335,9 +335,8 @@ def check_members(
         raise KeysError(
             f"{where}: the list of another authority ({clean(other)[:60]}); expected {own}"
         )
-    key = cast(
-        ec.EllipticCurvePublicKey, authority.public_key()
-    )  # by ``read_certificate``
+    # ``read_certificate`` checked its type.
+    key = cast(ec.EllipticCurvePublicKey, authority.public_key())
     try:
         signature = base64.b64decode(signed.signature, validate=True)
         key.verify(signature, _canonical(signed.members), ec.ECDSA(HASH()))

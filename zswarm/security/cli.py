@@ -112,9 +112,8 @@ def issue(
     holders = [new_holder(role, name) for role, each in by_role.items() for name in each]
     wanted = options.addresses_of(holders, addresses)
     with at.open() as authority:
-        authority.check_new(
-            holders
-        )  # before files: --force is no remedy for a name that is taken
+        # Before files: --force is no remedy for a name that is taken.
+        authority.check_new(holders)
         at.check_out([holder.name for holder in holders])
         at.hand_out(authority, holders, authority.issue(wanted, at.days))
 

@@ -117,9 +117,8 @@ def read(path: Path, *, secret: bool = False) -> str:
         secret: refuse a file that others than its owner may read.
     """
     try:
-        opened = os.open(
-            path, os.O_RDONLY | os.O_NONBLOCK
-        )  # a pipe would wait for its other end
+        # A pipe would wait for its other end.
+        opened = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
         with os.fdopen(opened, "rb") as file:
             found = os.fstat(opened)
             if not stat.S_ISREG(found.st_mode):

@@ -204,9 +204,8 @@ def meet(world, robot, near, observations, at):
         heard += queue[QUEUE_SAID, other]
         centre = ahead * ray_x + aside * ray_y
         off = aside * ray_x - ahead * ray_y
-        chord = (
-            disc - off * off
-        )  # square of half of what the ray's line has within the robot
+        # The square of half of what the ray's line has within the robot.
+        chord = disc - off * off
         hit = centre - sqrt(at_least(chord, ZERO))
         reach = select((chord > ZERO) & (centre > ZERO) & (hit < reach), hit, reach)
         square = dx * dx + dy * dy

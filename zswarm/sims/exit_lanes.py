@@ -27,9 +27,8 @@ class Lanes8(NamedTuple):
     offsets: np.ndarray  # (8,) int32, from a cell in ``grid`` to its numbers in ``exits``
     cells: np.ndarray  # (8 agents,) int32, in ``grid``
     nearest: np.ndarray  # (16 agents,) float32, dx and dy to the nearest exit
-    rounds: (
-        np.ndarray
-    )  # (8,) int32, filled: the first round after which all agents were out
+    # (8,) int32, filled: the first round after which all agents were out.
+    rounds: np.ndarray
     observation: np.ndarray
     action: np.ndarray
 
@@ -140,9 +139,8 @@ def play_lanes(step, fields, rows, batch, stride, steps):
     states = np.zeros((agents, LANES * batch.state_size), np.float32)
     lanes = Lanes8(
         np.empty(batch.parameters.shape[1] * LANES, np.float32),
-        np.empty(
-            size * LANES + 4, np.float32
-        ),  # windows of the last cells reach behind them
+        # Windows of the last cells reach behind them.
+        np.empty(size * LANES + 4, np.float32),
         fields.to_exit.reshape(fields.to_exit.size),
         np.empty(LANES, np.int32),
         np.empty(agents * LANES, np.int32),

@@ -23,10 +23,8 @@ from zswarm.sims.trial import OneAgent, problem, world
 RADIUS = 0.08  # m, of the robot
 SIGHT = 1.0  # m, of a range finder
 NEAR = 0.05  # m from the goal at which it is reached
-FASTEST, ACCELERATION = (
-    0.03,
-    0.01,
-)  # m per step; the speed changes by at most half of the second
+# m per step; the speed changes by at most half of the second.
+FASTEST, ACCELERATION = 0.03, 0.01
 TURN_FASTEST, TURN_ACCELERATION = 3.0, 1.0  # degrees per step, likewise
 RADIANS = PI / 180.0
 ROOT_HALF = 0.7071067811865476

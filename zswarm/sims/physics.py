@@ -130,9 +130,8 @@ class RobotWorld:
         self.settings = settings
         self.movables = tuple(things)
         self.walls = np.array([*around, *walls])
-        self._moment = (
-            0.5 * settings.mass * settings.radius * settings.radius
-        )  # kg m^2, of a disc
+        # kg m^2, of a disc.
+        self._moment = 0.5 * settings.mass * settings.radius * settings.radius
         self._substep_s = settings.step_s / settings.substeps
         robots = settings.robots
         self._rows = np.zeros((robots + len(things) + 1, 6))

@@ -18,14 +18,8 @@ MOST_TOGETHER = 256  # trials
 MAX_CORNERS = 16  # combinations of ends that are all tried; otherwise only some
 TOGETHER_S = 0.02  # of trials played in one call; a fault is blamed on the first of them
 UNIT = 2.0**-53
-SAME = (
-    "participants",
-    "inputs",
-    "outputs",
-    "sensors",
-    "actuators",
-    "metrics",
-)  # in all trials
+# The same in all trials.
+SAME = ("participants", "inputs", "outputs", "sensors", "actuators", "metrics")
 
 
 def drawn(settings: Mapping[str, Any], seed: int) -> dict[str, Any]:

@@ -69,9 +69,8 @@ def shortest_around(ranges, readings, angle_min, angle_increment, angle, half, r
         near = 0.5
     if not abs(place) + near < MOST_PLACES:
         return shortest
-    around = int(
-        2.0 * PI / spacing + 0.5
-    )  # readings in a full turn: some scanners begin ahead, others behind
+    # Readings in a full turn: some scanners begin ahead, others behind.
+    around = int(2.0 * PI / spacing + 0.5)
     for step in range(int(place - near) - 1, int(place + near) + 2):
         if abs(step - place) <= near:
             which = step

@@ -19,9 +19,8 @@ from zswarm.sims.simulator import Body, Frame, Rectangle, Steps
 from zswarm.sims.trial import OneAgent, problem, world
 
 ONE, TWO = np.float32(1), np.float32(2)
-STEPS, WIDTH, HEIGHT, AGENT_X, AGENT_Y, EXIT_X, EXIT_Y = range(
-    7
-)  # ``rules``: the settings
+# Of ``rules``: the settings.
+STEPS, WIDTH, HEIGHT, AGENT_X, AGENT_Y, EXIT_X, EXIT_Y = range(7)
 X, Y, DECISIONS = range(3)  # ``counts``
 
 Length = Annotated[int, Meta(ge=1, le=1_000_000)]

@@ -121,9 +121,8 @@ class RobotInterface(msgspec.Struct, frozen=True, kw_only=True):
     view: float  # radians from the first ray, on the right, to the last, half of them to each side
     range: float  # m; read where nothing is nearer
     sectors: int  # parts of the scan that are observed, from the right to the left
-    targets: tuple[
-        tuple[float, float], ...
-    ]  # m: x, y; the direction of the nearest is observed
+    # m: x, y; the direction of the nearest is observed.
+    targets: tuple[tuple[float, float], ...]
     arrived: float  # m from a target at which a robot is done
     speed: float  # m/s at most
     turn: float  # rad/s at most

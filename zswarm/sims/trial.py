@@ -19,9 +19,8 @@ from zswarm.kernels.signatures import Float64Rows, Float64s, Int64s, UInt64s
 from zswarm.sims.simulator import CompiledSimulator, KernelBatch, Outcome, Turn
 
 SPARE = 3  # numbers behind all observations: four are read at once
-SPARE_ACTIONS = np.zeros(
-    LANES, np.float32
-)  # behind those of all agents: eight are read at once
+# Behind those of all agents: eight are read at once.
+SPARE_ACTIONS = np.zeros(LANES, np.float32)
 LANE_NUMBERS = np.arange(LANES, dtype=np.int32)
 
 

@@ -209,12 +209,10 @@ class TurtlebotExit(Simulator):
         self.task = ExitTask(settings)
         self.robot = self.task.interface
         self._world = RobotWorld(settings, ROOM, WALLS[settings.map])
-        self.scans = (
-            self._world.ranges
-        )  # (robots, rays) float32, m; of one that is out the last
-        self.poses = np.zeros(
-            (settings.robots, 4)
-        )  # x, y, and z, w of the quaternion, likewise
+        # (robots, rays) float32, m; of one that is out the last.
+        self.scans = self._world.ranges
+        # x, y, and z, w of the quaternion, likewise.
+        self.poses = np.zeros((settings.robots, 4))
 
     def reset(self, seed: int) -> Turn:
         """Put the robots around (0, -1)."""

@@ -54,9 +54,8 @@ class PeerQuery:
         self._query.drop()
 
 
-Item = (
-    PeerQuery | LocalQuery | Unheard | events.Event | int
-)  # an int: the number of a signal
+# An int is the number of a signal.
+Item = PeerQuery | LocalQuery | Unheard | events.Event | int
 
 
 class Inbox:
@@ -155,9 +154,8 @@ class Presence(msgspec.Struct, eq=False):
             key, message = codec.decode_query(query.key, query.body)
         except RemoteProtocolError as error:
             self.malformed += 1
-            if (
-                self.malformed & (self.malformed - 1) == 0
-            ):  # a flood must not fill the disk
+            if self.malformed & (self.malformed - 1) == 0:
+                # A flood must not fill the disk.
                 fields = {"key": clean(query.key), "reason": str(error)}
                 log.warning("malformed", **fields, count=self.malformed)
             self.answer(query, codec.encode(Refused(code="malformed", reason=str(error))))

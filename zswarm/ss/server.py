@@ -70,9 +70,8 @@ class Server:
         self._presence = Presence(
             options.realm, self.id, self._inbox, private=self._private
         )
-        self._selector = (
-            selectors.PollSelector()
-        )  # which takes a stdin that is a file, too
+        # This one takes a stdin that is a file, too.
+        self._selector = selectors.PollSelector()
         memory_mb = options.slot_memory_mb or memory.per_slot_mb(capacity)
         limits = read(options.limits, offered(options), "limits")
         self.workers = [

@@ -78,9 +78,8 @@ class Notify:
             contextlib.suppress(OSError),
             socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender,
         ):
-            sender.setblocking(
-                False
-            )  # drop the message if systemd is gone or its queue is full
+            # Drop the message if systemd is gone or its queue is full.
+            sender.setblocking(False)
             sender.sendto("\n".join(lines).encode(), self._address)
 
 

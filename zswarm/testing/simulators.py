@@ -219,9 +219,8 @@ class _CheckedTrials:
 
         def play(begin: int, end: int, progress: np.ndarray | None = None) -> list[bytes]:
             part = slice(begin, end)
-            stopped = progress is not None and bool(
-                progress[1]
-            )  # before a simulator resets it
+            # Before a simulator resets it.
+            stopped = progress is not None and bool(progress[1])
             found = evaluate(
                 simulator,
                 network,

@@ -13,16 +13,8 @@ from zswarm.ot.analysis import csv as spreadsheet
 
 @pytest.mark.parametrize(
     "text",
-    [
-        "=1+1",
-        "+1",
-        "-1",
-        "@SUM(A1)",
-        "\t=1",
-        "\r=1",
-        "\n=1",
-        "\uff1d1",
-    ],  # the last is a fullwidth =
+    # The last is a fullwidth =.
+    ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1", "\n=1", "\uff1d1"],
 )
 def test_no_text_is_a_formula(text: str) -> None:
     """It begins with a quote, or with what a control character is shown as."""

@@ -34,9 +34,8 @@ class Players(Servers):
     def __init__(self, at_once: int = 5, stop_after: int | None = None) -> None:
         super().__init__()
         self.at_once, self.left = at_once, stop_after
-        self.played: list[
-            tuple[bytes, ...]
-        ] = []  # the genomes of each trial, and its seed
+        # The genomes of each trial, and its seed.
+        self.played: list[tuple[bytes, ...]] = []
         self.fitness = "genes"
         # A round of a generation, counted from the first handed out.
         self.retract_in: tuple[int, int] | None = None

@@ -88,9 +88,8 @@ def test_examples_have_no_likely_mistakes(name: str) -> None:
 def test_a_simulator_that_always_fails_is_reported(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(
-        Minisim, "play_lanes", lambda *_arguments: None
-    )  # the outcomes stay NaN
+    # The outcomes stay NaN.
+    monkeypatch.setattr(Minisim, "play_lanes", lambda *_arguments: None)
     (warning,) = explained("minisim").warnings
     assert warning.startswith("every trial that was tried failed: Minisim, trial seed ")
     assert warning.endswith(": fitness must be finite, not [nan]; nothing can evolve")

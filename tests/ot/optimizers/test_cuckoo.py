@@ -32,9 +32,8 @@ def test_the_power_2_3_is_right_to_the_last_bits() -> None:
     numbers = np.concatenate(
         [Stream(1).normal(0.0, 1.0, 20_000), 2.0 ** np.arange(-50.0, 5.0)]
     )
-    exact = np.cbrt(
-        np.longdouble(numbers * numbers)
-    )  # some C libraries' cbrt is off by 2 bits
+    # Some C libraries' cbrt is off by 2 bits.
+    exact = np.cbrt(np.longdouble(numbers * numbers))
     assert np.abs(_two_thirds(numbers) / exact - 1.0).max() < 5e-16
 
 

@@ -228,9 +228,8 @@ def test_recorded_crossovers_were_rejected_only_where_the_child_existed() -> Non
     rejected = 0
     for generation in TRACE["generations"]:
         ids = [individual["id"] for individual in generation["next"]]
-        existing = {
-            genome(id_) for id_ in ids if id_ in ids[:7]
-        }  # elite, random, mutation
+        # Elite, random, mutation.
+        existing = {genome(id_) for id_ in ids if id_ in ids[:7]}
         for child, mother, father, first, taken in generation["xover_attempts"]:
             begin, end = first * row, (first + taken) * row
             made = (

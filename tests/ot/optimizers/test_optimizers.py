@@ -65,16 +65,16 @@ def turned(genomes: Sequence[bytes]) -> list[bytes]:
 
 
 GRID = {"lows": [-2, -2], "highs": [2, 2], "cells": [10, 10]}
-NEEDED: dict[
-    str, dict[str, Any]
-] = {  # settings without a default, and smaller populations where a large one takes long
+# Settings without a default, and smaller populations where a large one takes long.
+NEEDED: dict[str, dict[str, Any]] = {
     "cma-me": GRID | {"emitters": 2},
     "map-elites": GRID,
     "neat": {"population": 40},
 }
+# Of those that take no others.
 OWN_NETWORKS = {
     "neat": Neat(convert({"add_node": 0.2}, Neat.settings_type, "settings"), 3, 1)
-}  # of those that take no others
+}
 
 
 @pytest.mark.parametrize("name", plugins.names("optimizer"))

@@ -55,9 +55,8 @@ def test_particles_move_by_the_equations(settings: PsoSettings) -> None:
                 )
         x = np.clip(x + v, -settings.bound, settings.bound)
         assert np.abs(places(optimizer.ask()) - x).max() < 1e-5
-        told(
-            optimizer, [0.0, 0.0, 9.0 + generation, 0.0]
-        )  # one finds a better place each time, the others none
+        # One finds a better place each time, the others none.
+        told(optimizer, [0.0, 0.0, 9.0 + generation, 0.0])
         p[2], best = x[2], 2
 
 

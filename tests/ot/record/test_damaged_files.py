@@ -77,9 +77,8 @@ def ends_well(path: Path, *overrides: str) -> bool:
     """Return whether it is refused in a safe line, or the same after writing and reading it."""
     found = read(path, *overrides)
     if isinstance(found, str):
-        return found.isprintable() or bool(
-            overrides
-        )  # what the user typed is shown as it is
+        # What the user typed is shown as it is.
+        return found.isprintable() or bool(overrides)
     written = experiment.to_toml(found)
     (path.parent / "again.toml").write_text(written, encoding="utf-8")
     again = read(path.parent / "again.toml")
@@ -220,9 +219,8 @@ def test_a_damaged_champion_is_read_or_refused(
     )
 
 
-PROMISES = [
-    bytes([header]) + b"\xff\xff\xff\xff" for header in (0xC6, 0xDD, 0xDF)
-]  # four thousand million of it
+# Each promises four thousand million of something.
+PROMISES = [bytes([header]) + b"\xff\xff\xff\xff" for header in (0xC6, 0xDD, 0xDF)]
 
 
 @pytest.mark.parametrize(

@@ -225,9 +225,8 @@ def test_hostile_texts_stay_texts(tmp_path: Path) -> None:
     assert page.text.count(SHOWN) >= 8
     assert "<img src=x onerror=alert(1)> $(reboot)" in page.text
     assert "zswarm-ot resume" not in page.text
-    assert re.search(
-        r"zswarm-ot plot '[^']*<img[^']*\$\(reboot\)'", page.text
-    )  # copying it reboots nothing
+    # Copying it reboots nothing.
+    assert re.search(r"zswarm-ot plot '[^']*<img[^']*\$\(reboot\)'", page.text)
     assert "\x1b" not in text
     assert "\u202e" not in text
 

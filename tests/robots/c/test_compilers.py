@@ -18,13 +18,8 @@ pytestmark = pytest.mark.robots
 STEPS = 1000
 SIZES = ((4, 3), (13, 1), (1, 9))  # inputs and outputs; other genomes with each
 ARM64, ARM = ("aarch64-linux-gnu-gcc",), ("arm-linux-gnueabihf-gcc", "-mfpu=neon-vfpv4")
-LOOSE = (
-    "-std=gnu11",
-    "-O3",
-    "-Wall",
-    "-Wextra",
-    "-Werror",
-)  # joins products and sums where the source does not forbid it
+# Products and sums are joined where the source does not forbid it.
+LOOSE = ("-std=gnu11", "-O3", "-Wall", "-Wextra", "-Werror")
 OFF = "-ffp-contract=off"
 WAYS = [
     *(

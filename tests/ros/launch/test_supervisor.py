@@ -173,9 +173,8 @@ def test_a_supervisor_that_was_killed_is_a_fault_and_its_folder_is_swept_by_the_
         killed.run(["true"], tmp_path, ENVIRONMENT)
     killed._process.wait()
     assert killed.folder.exists()
-    half = killed.folder.with_name(
-        f"{killed.folder.name}-half"
-    )  # its supervisor was killed when it had deleted the lock
+    # Its supervisor was killed when it had deleted the lock.
+    half = killed.folder.with_name(f"{killed.folder.name}-half")
     half.mkdir()
     third = Supervisor()
     assert not killed.folder.exists()

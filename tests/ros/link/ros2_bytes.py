@@ -12,10 +12,8 @@ sys.path.insert(
 from conversion import Conversion
 from rclpy.serialization import serialize_message
 
-TOPICS = {
-    "frame": "robot_1/ray",
-    "child_frame": "robot_1/hub",
-}  # of lengths that need no padding, which ROS 2 leaves as it was
+# Of lengths that need no padding, which ROS 2 leaves as it was.
+TOPICS = {"frame": "robot_1/ray", "child_frame": "robot_1/hub"}
 
 
 def new(kind):

@@ -16,16 +16,14 @@ from tests.places import REPOSITORY
 from zswarm.ros.link import bridges, graph
 from zswarm.ros.link.over_zenoh import ATTACHMENT, ZenohNode, open_session
 
-sys.path.append(
-    str(Path(bridges.__file__).parent)
-)  # its programs import each other so, in other Pythons
+# Its programs import each other so, in other Pythons.
+sys.path.append(str(Path(bridges.__file__).parent))
 
 from by_zenoh import empty, spelled  # type: ignore[import-not-found]
 from conversion import Conversion  # type: ignore[import-not-found]
 
-GOLDEN = json.loads(
-    (REPOSITORY / "tests" / "golden" / "ros2_bytes.json").read_text()
-)  # robots/ros2_bytes.py made it
+# Made by robots/ros2_bytes.py.
+GOLDEN = json.loads((REPOSITORY / "tests" / "golden" / "ros2_bytes.json").read_text())
 TOPIC = {"frame": "robot_1/ray", "child_frame": "robot_1/hub"}
 TWIST = "geometry_msgs/msg/Twist"
 LITTLE_ENDIAN_CDR = b"\x00\x01\x00\x00"

@@ -22,14 +22,12 @@ pytestmark = [
     pytest.mark.filterwarnings(
         "ignore:The old environment creation API:DeprecationWarning"
     ),
-    pytest.mark.filterwarnings(
-        "ignore:builtin type [Ss]wig:DeprecationWarning"
-    ),  # as an error it crashes Box2D's import
+    # As an error it crashes Box2D's import.
+    pytest.mark.filterwarnings("ignore:builtin type [Ss]wig:DeprecationWarning"),
 ]
 TWO_NETS = {"kind": "bulk", "parts": 2, "of": {"kind": "feed-forward", "hidden": []}}
-EVOLVED: list[
-    tuple[str, dict[str, Any], dict[str, Any]]
-] = [  # environment, options, whatever else
+# Environment, options, whatever else.
+EVOLVED: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
     ("simple_v3", {}, {"generations": 20, "trials": 6, "search": True}),
     ("simple_spread_v3", {}, {"generations": 8, "trials": 4}),
     ("simple_formation_v1", {}, {"generations": 8}),

@@ -25,9 +25,10 @@ from zswarm.ss.slots.table import Slots
 
 SEEDS = 60
 STEPS = 400
+# With the codes of refusals.
 ANSWERS: dict[
     type[messages.Request], tuple[tuple[type[messages.Reply], ...], set[str]]
-] = {  # with the codes of refusals
+] = {
     messages.Requirements: ((Offer,), set()),
     Reserve: ((Lease,), {"superseded", "draining", "mismatch"}),
     messages.Renew: ((Lease,), {"lease-lost"}),

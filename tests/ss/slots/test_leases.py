@@ -163,9 +163,8 @@ def test_a_slot_prepared_for_the_same_problem_is_ready_at_once() -> None:
     first = server.ready("a", slots=2)
     server.ready("b", slots=1)
     server.ask(reserve(slots=3), "c")
-    assert server.commands == [
-        PrepareSlot(0, reserve(slots=3), probe=True, known=True)
-    ]  # its probe is not known yet
+    # Its probe is not known yet.
+    assert server.commands == [PrepareSlot(0, reserve(slots=3), probe=True, known=True)]
     server.ask(Release(lease=first), "a")
     assert server.feed(Prepared(0, PROBE, 0.5)) == []
     assert server.reserve("c").ready == 2

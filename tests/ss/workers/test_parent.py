@@ -116,9 +116,8 @@ def answer(of: Worker) -> FromSlot | None:
     return of.receive()
 
 
-TOO_LARGE = {
-    ("pettingzoo", "mealy")
-}  # a machine's table has a row for each combination of 18 inputs
+# A machine's table has a row for each combination of 18 inputs.
+TOO_LARGE = {("pettingzoo", "mealy")}
 
 
 def pairs() -> Iterator[Any]:

@@ -25,11 +25,8 @@ MAX_PAIRS = 1000
 EXACT = 100  # runs of a group up to which the exact distribution is computed
 KRUSKAL = 5  # runs of each group from which on its asymptotic distribution is accurate
 UNEQUAL = 1.1  # ratio of evaluations from which on a note warns
-EFFECTS = (
-    (0.56, "negligible"),
-    (0.64, "small"),
-    (0.71, "medium"),
-)  # by A12; above: large
+# By A12; above, an effect is large.
+EFFECTS = ((0.56, "negligible"), (0.64, "small"), (0.71, "medium"))
 SCORES = (
     "candidates of these runs played each other: their fitness is a score, which compares within "
     "one generation only; zswarm-ot evaluate RUN --against RUN has two champions play each other"
@@ -69,9 +66,8 @@ class Comparison(NamedTuple):
     at: float  # generations or evaluations
     rows: list[Row]
     pairs: list[Pair]
-    kruskal_p: (
-        float | None
-    )  # over all groups, if there are more than two and large enough
+    # Over all groups, if there are more than two and large enough.
+    kruskal_p: float | None
     untested: str  # why there is no test, or ""
     notes: list[str]  # for the reader of the numbers
 

@@ -33,9 +33,8 @@ DASHES: tuple[Any, ...] = (
 )
 GREY, PALE = "#555555", "#DDDDDD"
 MAX_GROUPS = len(COLOURS) * len(DASHES)
-LOCK = (
-    threading.Lock()
-)  # matplotlib's settings are global, and runs of a study end in threads
+# Matplotlib's settings are global, and runs of a study end in threads.
+LOCK = threading.Lock()
 
 
 class FigureStyle(NamedTuple):
@@ -250,9 +249,8 @@ def _legend(
         labelspacing=0.3,
     )
     for shown, label in zip(legend.get_texts(), labels, strict=True):
-        shown.set_text(
-            label
-        )  # set later: otherwise labels that begin with _ are not shown
+        # Set later: otherwise labels that begin with _ are not shown.
+        shown.set_text(label)
 
 
 def _columns(labels: Sequence[str], style: FigureStyle) -> int:

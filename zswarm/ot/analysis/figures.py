@@ -123,9 +123,8 @@ def save_picture(folder: Path, say: Callable[[str], None]) -> None:
         groups, _ = curves.load(grouping.groups(runs_below([folder], [])))
         if curves.started(groups):
             save(of_series(groups, title=folder.resolve().name), folder / PICTURE)
-    except (
-        Exception
-    ) as error:  # the run is over and safe: nothing that drawing raises may end it
+    except Exception as error:
+        # The run is over and safe: nothing that drawing raises may end it.
         what = (
             str(error)
             if isinstance(error, ConfigError)

@@ -41,9 +41,8 @@ class Batches(msgspec.Struct, eq=False):
     queue: TrialQueue = msgspec.field(default_factory=TrialQueue)
     workload: Workload | None = None  # the present one
     uncounted: int = 0  # number of its trials that are not counted
-    blamed: list[
-        str
-    ] = []  # servers that failed a trial, once for each; the caller takes them out
+    # Servers that failed a trial, once for each; the caller takes them out.
+    blamed: list[str] = []
     refill: bool = False  # any server may have room for trials that wait, not only one
     _serving: dict[str, RemoteServer] = {}  # servers that can be given work
     _slots: int = 0  # of these

@@ -27,9 +27,8 @@ from zswarm.security.keyring import Keyring
 from zswarm.session import Reach
 
 if TYPE_CHECKING:
-    from zswarm.ot.cluster.remote_controllers import (
-        RemoteControllers,
-    )  # which loads the compiler
+    # It loads the compiler.
+    from zswarm.ot.cluster.remote_controllers import RemoteControllers
 
 RETRY_S = 0.1  # between two attempts to reach a router
 QUERY_S: dict[Verb, float] = {

@@ -28,9 +28,8 @@ from zswarm.protocol.messages import Outcomes, Running
 from zswarm.session import Reach
 
 if TYPE_CHECKING:
-    from zswarm.ot.cluster.remote_controllers import (
-        RemoteControllers,
-    )  # which loads the compiler
+    # It loads the compiler.
+    from zswarm.ot.cluster.remote_controllers import RemoteControllers
 
 FLUSH_S = 0.1  # a waiting caller gets a None this often
 MAX_HELD_BACK = 100  # commands for the caller that are held back while more events wait
@@ -84,9 +83,8 @@ class Cluster:
         )
         self._alone = threading.Timer(ALONE_S, self._on_alone)
         self._alone.daemon = True
-        self._owner = (
-            threading.Lock()
-        )  # of the state: the dispatch, and all up to the outbox
+        # Of the state: the dispatch, and all up to the outbox.
+        self._owner = threading.Lock()
         self._inbox: queue.SimpleQueue[Event | None] = queue.SimpleQueue()
         # Commands for the caller, held back until the standing shows their effect.
         self._held_back: list[ForCaller] = []
@@ -232,9 +230,8 @@ class Cluster:
             self._handle(event, may_send=may_send)
             self._publish()
             if self._dispatch.next_time() < self._awake_at:
-                self._inbox.put(
-                    events.TimePassed()
-                )  # the thread looks at the clock earlier
+                # The thread looks at the clock earlier.
+                self._inbox.put(events.TimePassed())
         except BaseException as error:
             if may_send:  # most often Ctrl-C, which the caller is to get now
                 raise
@@ -255,9 +252,8 @@ class Cluster:
                         return
                     with self._owner:
                         self._handle(event, may_send=True)
-        except (
-            BaseException
-        ) as error:  # a bug, or a panic in zenoh, which is not an Exception
+        except BaseException as error:
+            # A bug, or a panic in zenoh, which is not an Exception.
             self._stop(error)
 
     def _publish(self) -> None:

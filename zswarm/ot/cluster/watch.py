@@ -30,9 +30,8 @@ class Watch(msgspec.Struct, eq=False):
     check: Callable[[], None]  # raises Stopped when the run is to end
     _begun: float = msgspec.field(default_factory=time.monotonic)
     _met: bool = False  # a server of the network
-    _served_at: float = msgspec.field(
-        default_factory=time.monotonic
-    )  # or when the workload began
+    # Or when the workload began.
+    _served_at: float = msgspec.field(default_factory=time.monotonic)
     _served: bool = False
     _said: str = ""
 

@@ -63,9 +63,8 @@ def command(file: Path, source: str | None, force: bool, **parts: str | None) ->
                 f"--from names the {next(iter(given))}: omit --{next(iter(given))}"
             )
         path = experiment.find(source)
-        experiment.complete(
-            experiment.load(path), str(path)
-        )  # raises what is wrong with it
+        # Raises what is wrong with it.
+        experiment.complete(experiment.load(path), str(path))
         content = read(path)
     else:
         name = keys.fold(file.stem) if file.stem not in ("", "-") else "experiment"

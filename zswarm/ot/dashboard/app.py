@@ -26,20 +26,14 @@ from zswarm.ot.record import control_file
 from zswarm.ot.record.reader import Run
 
 SHELL = Path(__file__).parent / "pages" / "index.html"
-PAGES = (
-    "/",
-    "/run",
-    "/cluster",
-    "/candidate",
-)  # all SHELL, whose script looks at the address
+# All are SHELL, whose script looks at the address.
+PAGES = ("/", "/run", "/cluster", "/candidate")
 FILES: list[str | tuple[str, str]] = [
     ("zswarm.ot.dashboard", "pages"),
     ("zswarm.ot.replay", "pages"),
 ]
-NO_SUCH_RUN, TRY_LATER = (
-    4404,
-    1013,
-)  # close codes; the latter: behind, or one tab too many
+# Close codes; the latter: behind, or one tab too many.
+NO_SUCH_RUN, TRY_LATER = 4404, 1013
 STUCK_S = 10.0  # that a tab may take for a message
 
 

@@ -104,9 +104,8 @@ class Channel:
             message = self._encoded(new)
             if new:
                 self._last.append((self._seq, message))
-            if (
-                new or quiet >= TICK_S
-            ) and self._first.is_set():  # else all tabs wait for hello
+            # Before it is set, all tabs wait for hello.
+            if (new or quiet >= TICK_S) and self._first.is_set():
                 quiet = 0.0
                 for tab in self.tabs:
                     tab.put(message)

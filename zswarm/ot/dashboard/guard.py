@@ -82,9 +82,8 @@ class Guard:
                 "refused: this request does not come from the dashboard's own page",
             )
         given = headers.get("authorization", "").removeprefix("Bearer ")
-        for word in (
-            scope["subprotocols"] if websocket else ()
-        ):  # all that browsers can send
+        # All that browsers can send.
+        for word in scope["subprotocols"] if websocket else ():
             given = word.removeprefix(TOKEN) if word.startswith(TOKEN) else given
         private = websocket or scope["path"].startswith("/api/")
         needed = (self._closed and private) or not (reads or websocket)

@@ -28,9 +28,8 @@ class ReplayCache:
     """The last encoded traces."""
 
     def __init__(self) -> None:
-        self._traces: dict[
-            tuple[Path, int, int, int], bytes
-        ] = {}  # the last used one is last
+        # The last used one is last.
+        self._traces: dict[tuple[Path, int, int, int], bytes] = {}
         self._lock = asyncio.Lock()
 
     async def get(

@@ -26,9 +26,8 @@ class RunIndex:
     def __init__(self, roots: Sequence[Path]) -> None:
         self._roots = list(roots)
         self._folders: dict[str, Path] = {}
-        self._rows: dict[
-            str, tuple[tuple[Any, ...], dict[str, Any]]
-        ] = {}  # with their stamps
+        # With their stamps.
+        self._rows: dict[str, tuple[tuple[Any, ...], dict[str, Any]]] = {}
 
     def folder(self, id_: str) -> Path | None:
         """Return the folder of a run, or None."""

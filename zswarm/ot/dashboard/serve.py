@@ -93,9 +93,8 @@ def _listen(host: str, port: int | None) -> socket.socket:
         except OSError as error:
             if port is None and error.errno == errno.EADDRINUSE:
                 continue
-            why, _, _ = str(error.strerror or error).partition(
-                " (while"
-            )  # added by create_server
+            # The rest was added by create_server.
+            why, _, _ = str(error.strerror or error).partition(" (while")
             raise ConfigError(f"{host}:{number}: cannot be listened at: {why}") from None
     last = PORT + PORTS - 1
     raise ConfigError(

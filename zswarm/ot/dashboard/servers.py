@@ -132,9 +132,8 @@ class ServerTable(dict[str, ServerState]):
     def add_events(self, events: Iterable[EventRow]) -> None:
         """Follow events, in order."""
         for event in events:
-            if (
-                event.event == RunEvent.BEGAN
-            ):  # after a resume, servers have to join again
+            if event.event == RunEvent.BEGAN:
+                # After a resume, servers have to join again.
                 for server in self.values():
                     server.leased = server.slots = 0
                     if server.state in HOLDING:

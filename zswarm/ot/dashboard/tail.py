@@ -49,12 +49,8 @@ class RecordTail:
         self._read_up_to: tuple[Any, ...] | None = None
         self._began = False
         self._run: Run  # as it was read last
-        self._generation, self._event, self._outcome, self._earlier = (
-            -1,
-            0,
-            0,
-            0,
-        )  # read last
+        # What was read last.
+        self._generation, self._event, self._outcome, self._earlier = -1, 0, 0, 0
         self._finished: deque[float] = deque(maxlen=PACE + 1)  # when generations were
         self._best: float | None = None
         self._mean: float | None = None

@@ -37,10 +37,8 @@ def examine(realm: str, out: Path, reach: Reach) -> Findings:
         try:
             for finding in check():
                 yield finding._replace(check=name)
-        except (
-            ConfigError,
-            OSError,
-        ) as error:  # such as a file system that was unmounted
+        except (ConfigError, OSError) as error:
+            # Such as a file system that was unmounted.
             fault = broken(str(error), "fix what is named, and run doctor again")
             yield fault._replace(check=name)
 

@@ -121,9 +121,8 @@ def _echo_fault(index: int) -> str:
             receiver.bind(address)
             receiver.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
             sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, member)
-            sender.setsockopt(
-                socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0
-            )  # stay on this machine
+            # Stay on this machine.
+            sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
             sender.sendto(word, address)
             end = time.monotonic() + HEARD_S  # however much others send to the group
             while (rest := end - time.monotonic()) > 0:

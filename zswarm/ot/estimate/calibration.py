@@ -130,9 +130,8 @@ def _time_trials(
     problem: Problem, connection: Connection, genomes: list[bytes]
 ) -> tuple[float, float]:
     """Return the seconds that a trial takes of a slot, and of this program."""
-    connection.evaluate(
-        problem, genomes
-    )  # afterwards kernels are compiled and slots are ready
+    # Afterwards kernels are compiled and slots are ready.
+    connection.evaluate(problem, genomes)
     _wait_for_slots(connection)
     candidates = genomes
     while True:

@@ -88,9 +88,8 @@ class CMAES(Adapter):
         measures: np.ndarray,  # noqa: ARG002  unused
     ) -> None:
         search = self._search
-        search.tell(
-            list(zip(solutions, (-fitness).tolist(), strict=True))
-        )  # it minimizes
+        # It minimizes.
+        search.tell(list(zip(solutions, (-fitness).tolist(), strict=True)))
         stops = search.should_stop()
         axes = search._D  # square roots of the covariance's eigenvalues, by should_stop
         self._shown = {

@@ -77,9 +77,8 @@ class CuckooSearch(BaseOptimizer):
         space, count = self._space, len(self._nests)
         best = self._nests[np.argsort(-self._fitness, kind="stable")[0]]
         normal = space.normal(count, stream)
-        levy = (
-            DEVIATION * normal / _two_thirds(space.normal(count, stream))
-        )  # Mantegna, eq. 5
+        # Mantegna, eq. 5.
+        levy = DEVIATION * normal / _two_thirds(space.normal(count, stream))
         steps: np.ndarray = self.settings.step * levy * (self._nests - best)  # eq. 2
         steps *= space.normal(count, stream)
         return steps

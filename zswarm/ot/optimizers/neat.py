@@ -140,9 +140,8 @@ class NEAT(BaseOptimizer):
             self._improved = self.generation
         self._species = self._speciated()
         for species in self._species:
-            species.members.sort(
-                key=lambda member: member.rank
-            )  # stable: ties stay in order
+            # The sort is stable: ties stay in order.
+            species.members.sort(key=lambda member: member.rank)
             best = species.members[0].fitness
             if best > species.best:
                 species.best, species.improved = best, self.generation

@@ -81,9 +81,8 @@ class NNGA(BaseOptimizer):
             )
         self.counts = {"elite": elite, **counts}
         self.candidates = size * settings.islands
-        self._islands: list[
-            list[Individual]
-        ] = []  # last generation told, each ranked, best first
+        # The last generation told, each ranked, best first.
+        self._islands: list[list[Individual]] = []
         self._population: list[list[Individual]] = []  # generation asked for
 
     def _ask(self) -> list[bytes]:
@@ -165,9 +164,8 @@ class NNGA(BaseOptimizer):
         while len(children) < self.counts["crossover"]:
             mother, island = stream.integer(len(mothers)), stream.integer(len(islands))
             suitors = [stream.integer(len(islands[island])) for _ in range(SUITORS)]
-            father = max(
-                suitors, key=distances[island][mother].item
-            )  # the first of equals
+            # The first of equals.
+            father = max(suitors, key=distances[island][mother].item)
             child = self.representation.crossover(
                 mothers[mother], islands[island][father], stream
             )

@@ -19,10 +19,8 @@ from zswarm.ot.optimizers.base import BaseOptimizer, Measures, check_measures
 from zswarm.ot.optimizers.breeding import MutationSettings, Share, mutants
 from zswarm.ot.optimizers.sums import mean
 
-MANY, RAISE = (
-    4,
-    1.2,
-)  # more new entries of the archive in a generation raise the threshold
+# More new entries of the archive in a generation raise the threshold.
+MANY, RAISE = 4, 1.2
 PATIENCE, LOWER = 10, 0.95  # so many generations without an entry lower it
 
 
@@ -126,9 +124,8 @@ class Novelty(BaseOptimizer):
         for column in range(behaviours.shape[1]):
             difference = behaviours[known, column][:, None] - others[:, column]
             squares += difference * difference
-        squares[
-            np.arange(len(known)), np.arange(len(known))
-        ] = -1.0  # the individual itself
+        # The individual itself is no neighbour.
+        squares[np.arange(len(known)), np.arange(len(known))] = -1.0
         distances = np.sqrt(np.sort(squares, axis=1)[:, 1 : nearest + 1])
         sparseness[known] = np.cumsum(distances, axis=1)[:, -1] / nearest  # eq. 1
         return sparseness

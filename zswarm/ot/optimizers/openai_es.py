@@ -77,9 +77,8 @@ class OpenAIES(BaseOptimizer):
         shaped = _centred_ranks(fitness[1:])
         weights = shaped[:pairs] - shaped[pairs:]
         scale = settings.population * settings.deviation
-        gradient = (
-            total(weights[:, None] * self._directions()) / scale
-        )  # algorithm 1, line 7
+        # Algorithm 1, line 7.
+        gradient = total(weights[:, None] * self._directions()) / scale
         self._count(
             fitness,
             centre=float(fitness[0]),

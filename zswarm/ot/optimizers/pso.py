@@ -73,9 +73,8 @@ class PSO(BaseOptimizer):
         social = settings.social * space.uniform(0.0, 1.0, count, stream) * (leader - x)
         velocities = settings.inertia * self._velocities + cognitive + social  # eq. 1a
         self._velocities = np.clip(velocities, -settings.speed, settings.speed)
-        self._positions = np.clip(
-            x + self._velocities, -settings.bound, settings.bound
-        )  # eq. 1b
+        # Eq. 1b.
+        self._positions = np.clip(x + self._velocities, -settings.bound, settings.bound)
         return space.genomes(self._positions)
 
     def _tell(self, fitness: np.ndarray, measures: np.ndarray) -> None:  # noqa: ARG002  unused

@@ -12,9 +12,8 @@ class Round(NamedTuple):
     """Games that were played in parallel."""
 
     games: np.ndarray  # (games, participants) int64, candidates
-    results: (
-        np.ndarray
-    )  # (games, participants) float64, fitness summed over trials; NaN: failed
+    # (games, participants) float64, fitness summed over trials; NaN: failed.
+    results: np.ndarray
 
 
 class Ranking(ABC):

@@ -25,11 +25,8 @@ from zswarm.system.files import sync
 from zswarm.system.text import clean
 from zswarm.system.version import VERSION
 
-NOT_DECISIVE = (
-    "generations",
-    "cluster",
-    "study",
-)  # these may change while a run is stopped
+# These may change while a run is stopped.
+NOT_DECISIVE = ("generations", "cluster", "study")
 
 
 def new_meta(

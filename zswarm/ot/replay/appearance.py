@@ -26,9 +26,8 @@ COLOURS = {
     "c7": "#f0e442",
     "c8": "#000000",
 }
-AGENT = re.compile(
-    r"(robot|opponent|cart|defender)\b(?!.*says)"
-)  # in the colours of the palette
+# They are in the colours of the palette.
+AGENT = re.compile(r"(robot|opponent|cart|defender)\b(?!.*says)")
 KNOWN = {
     "^opponents' home": "home-2",
     "^opponents' flag": "flag-2",

@@ -17,9 +17,8 @@ PURPOSE = "unseen"  # of the seeds
 class HeldOutResult(NamedTuple):
     """The trials of a champion."""
 
-    results: (
-        np.ndarray
-    )  # (trials, participants) float64 fitness: the champion's, then the others'
+    # (trials, participants) float64 fitness: the champion's, then the others'.
+    results: np.ndarray
     metrics: np.ndarray  # (trials, metrics) float64
     metric_names: tuple[str, ...]
 

@@ -19,13 +19,8 @@ from zswarm.system.text import clean
 
 HERE = files("zswarm.ot.replay") / "pages"
 NAME = "replay.html"
-MODULES = (
-    "decode",
-    "elements",
-    "picture",
-    "panel",
-    "player",
-)  # each imports earlier ones
+# Each imports earlier ones.
+MODULES = ("decode", "elements", "picture", "panel", "player")
 
 
 def page(trace: Trace, title: str) -> str:

@@ -14,21 +14,14 @@ from zswarm.sims.simulator import Body, Frame, Label, Line
 
 NAMESPACE = "http://www.w3.org/2000/svg"  # of a file; not needed within HTML
 SIDE, GAP = 420.0, 28.0  # pixels: of a panel, between two
-TITLE, LINE, LETTER = (
-    24.0,
-    21.0,
-    7.0,
-)  # pixels: above a panel, a line and a letter of text
+# Pixels: above a panel, a line and a letter of text.
+TITLE, LINE, LETTER = 24.0, 21.0, 7.0
 MOST_FRAMES = 400
 MOST_POSITIONS = 100_000  # of all bodies; more would take megabytes
 MOST_TURNS = 200_000  # of a trial, some seconds of computing
 MOST_LABELS = 60  # and changes of labels
-FRAME_S, SHORTEST_S, LONGEST_S, HOLD_S = (
-    0.12,
-    3.0,
-    12.0,
-    1.5,
-)  # the last picture stays for HOLD_S
+# The last picture stays for HOLD_S.
+FRAME_S, SHORTEST_S, LONGEST_S, HOLD_S = 0.12, 3.0, 12.0, 1.5
 STYLE = (
     ".zs{font:13px system-ui,sans-serif}.zs text,.zs g g text{fill:#333}"
     ".zs .field{fill:#fafafa;stroke:#bbb}.zs .still{display:none}"

@@ -168,10 +168,8 @@ def record(
             outcome = Outcome(*([*map(_finite, part)] for part in simulator.outcome()))
     except (EvaluationError, MemoryError):
         raise
-    except (
-        Exception,
-        SystemExit,
-    ) as raised:  # what a simulator raises is the trial's outcome
+    except (Exception, SystemExit) as raised:
+        # What a simulator raises is the trial's outcome.
         error = clean(f"{type(raised).__name__}: {raised}")
     inputs, outputs, hidden = watched.numbers()
     return Trace(

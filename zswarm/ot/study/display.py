@@ -145,9 +145,8 @@ class LiveStudyDisplay(PlainStudyDisplay):
             refresh_per_second=REFRESHES,
             transient=True,
         )
-        self._generations = sum(
-            one.experiment.generations for one in study.left
-        )  # to play
+        # Those to play.
+        self._generations = sum(one.experiment.generations for one in study.left)
         self._all = self.progress.add_task(
             f"0/{self._planned} runs", total=self._generations, text=""
         )

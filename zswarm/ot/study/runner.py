@@ -192,9 +192,8 @@ class Player:
                 running.evolution.stop()
         deadline = time.monotonic() + STOP_S
         for thread in self._threads:
-            if (
-                thread.is_alive()
-            ):  # Ctrl-C may have prevented its start: it cannot be joined
+            # Ctrl-C may have prevented its start: then it cannot be joined.
+            if thread.is_alive():
                 thread.join(max(0.0, deadline - time.monotonic()))
 
     # ---- a run's thread

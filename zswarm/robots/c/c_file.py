@@ -94,9 +94,8 @@ class CFile:
         self._bodies: list[str] = []
         self._structs: dict[str, str] = {}
         self._library: dict[str, str] = {}
-        self._tables: dict[
-            tuple[str, bytes, str], tuple[str, str]
-        ] = {}  # values: name, text
+        # Values: name, text.
+        self._tables: dict[tuple[str, bytes, str], tuple[str, str]] = {}
 
     def name(self, wanted: str) -> str:
         """Reserve a name in this file."""
@@ -155,10 +154,8 @@ class CFile:
         if not _words([*tables, *bodies]) & MATH:
             headers.remove("math")
         results = _words(self._prototypes)
-        structs: dict[bool, list[str]] = {
-            True: [],
-            False: [],
-        }  # by whether others need them
+        # By whether others need them.
+        structs: dict[bool, list[str]] = {True: [], False: []}
         for name, text in self._structs.items():
             structs[name in results].append(text)
         return CSource(

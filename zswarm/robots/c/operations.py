@@ -34,9 +34,8 @@ from zswarm.robots.c.c_types import (
 from zswarm.robots.c.kernel_function import KernelFunction, quoted
 from zswarm.robots.c.tree import Callee, CLine, Local, Value, like
 
-Sign = tuple[
-    str, Callable[..., Any]
-]  # the operator in C, and the function that computes it here
+# The operator in C, and the function that computes it here.
+Sign = tuple[str, Callable[..., Any]]
 
 SIGNS: dict[type[ast.AST], Sign] = {
     ast.Add: ("+", operator.add),
@@ -68,17 +67,15 @@ class Operations:
 
     file: CFile
     source: KernelFunction
-    callee: Callable[
-        ["Operations", Any, Sequence[Value]], Callee
-    ]  # translates a function
+    # Translates a function.
+    callee: Callable[["Operations", Any, Sequence[Value]], Callee]
     names: set[str]  # all that the Python source uses
     node: ast.AST = field(default_factory=ast.Pass)  # that is being translated
     constants: dict[str, Value] = field(default_factory=dict)
     locals: dict[str, Local] = field(default_factory=dict)
     lines: list[CLine] = field(default_factory=list)
-    written: set[str] = field(
-        default_factory=set
-    )  # Python names of arrays that it changes
+    # Python names of arrays that it changes.
+    written: set[str] = field(default_factory=set)
     lane: str = "lane"  # the counter in loops over lanes
     made: int = 0  # locals without a name in Python
 
@@ -142,9 +139,8 @@ class Operations:
         if value.constant is not None:
             return self.constant(convert(value.constant, to))
         if value.loose and to != BOOL:
-            value = self.named(
-                value
-            )  # MISRA C, rule 10.8: no cast of a composite expression
+            # MISRA C, rule 10.8: no cast of a composite expression.
+            value = self.named(value)
         text = f"{value.operand} != 0" if to == BOOL else f"({to.c}){value.operand}"
         return value._replace(type=like(to, value), text=text, loose=to == BOOL)
 

@@ -268,9 +268,8 @@ class Statements(Expressions):
         self.locals[name] = Local(INT64, counter)
         with self.captured() as made:
             self.block(node.body)
-        del self.locals[
-            name
-        ]  # after the loop C's counter has another value than Python's
+        # After the loop C's counter has another value than Python's.
+        del self.locals[name]
         if outer is not None:
             self.locals[name] = outer
         change = "++" if step == 1 else f" += {step}" if step > 0 else f" -= {-step}"

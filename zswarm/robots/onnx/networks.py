@@ -171,9 +171,8 @@ def _hebbian(
     change = rate * (values.shaped(neurons, 1).cast(np.float64) - centre)
     heard = graph.concat(observation, values).shaped(1, sources).cast(np.float64)
     deltas = (change * (heard - centre)).cast(np.float32)
-    others = np.ones(
-        (neurons, sources), np.float32
-    )  # 0 for the weight of a neuron to itself
+    # 0 for the weight of a neuron to itself.
+    others = np.ones((neurons, sources), np.float32)
     others[np.arange(neurons), network.inputs + np.arange(neurons)] = 0
     mean = (deltas * others).op("ReduceSum", keepdims=0) / (neurons * (sources - 1))
     plasticity = table[:, sources : 2 * sources] if network.plastic else np.float32(1)

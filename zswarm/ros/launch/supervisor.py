@@ -34,9 +34,8 @@ def main() -> None:
     """Run commands until the input ends."""
     ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1)
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(
-            number, signal.SIG_DFL
-        )  # slots ignore them; roslaunch ends nodes by them
+        # Slots ignore them; roslaunch ends nodes by them.
+        signal.signal(number, signal.SIG_DFL)
     sweep()
     folder, lock = make_folder()
     try:

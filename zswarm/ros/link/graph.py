@@ -13,9 +13,8 @@ from zswarm.ros.link.child import Child, command
 
 LinkKind = Literal["rospy", "rclpy", "zenoh"]
 LOOPBACK = "127.0.0.1"
-DOMAINS = range(
-    1, 102
-)  # their ports are outside the ephemeral ranges of systems (docs of ROS 2)
+# Their ports are outside the ephemeral ranges of systems (docs of ROS 2).
+DOMAINS = range(1, 102)
 # Distributions without ROS_AUTOMATIC_DISCOVERY_RANGE.
 BEFORE_RANGES = ("foxy", "galactic", "humble")
 

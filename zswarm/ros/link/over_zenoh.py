@@ -24,9 +24,8 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
 ROUTER = "tcp/127.0.0.1:7447"  # where rmw_zenohd listens
-ATTACHMENT = struct.Struct(
-    "<qqB16s"
-)  # number, time in ns, length of the id, publisher's id
+# Number, time in ns, length of the id, publisher's id.
+ATTACHMENT = struct.Struct("<qqB16s")
 HASHLESS = ("humble",)  # distributions without hashes of types
 NO_HASH = "TypeHashNotSupported"
 PUBLISHER, SUBSCRIPTION = "MP", "MS"  # in a token

@@ -113,9 +113,8 @@ class Gymnasium(Environment):
         """Return the environment that the settings name, one of those registered."""
         gymnasium = need("gymnasium", "gym", "simulator gymnasium")
         name = self.settings.environment
-        environments.check_name(
-            name, gymnasium.registry, "gymnasium"
-        )  # refuses "module:name"
+        # Refuses "module:name".
+        environments.check_name(name, gymnasium.registry, "gymnasium")
         environments.without_window()
         try:
             return gymnasium.make(name, disable_env_checker=True, **options)

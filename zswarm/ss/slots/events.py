@@ -75,9 +75,8 @@ class Died(SlotMessage, frozen=True):
 class Tick(msgspec.Struct, frozen=True):
     """Time passed."""
 
-    trials: tuple[
-        int, ...
-    ]  # for each slot the trial that it is at, an index in its chunk
+    # For each slot the trial that it is at, an index in its chunk.
+    trials: tuple[int, ...]
 
 
 class Drain(msgspec.Struct, frozen=True):

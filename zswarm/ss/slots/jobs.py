@@ -111,9 +111,8 @@ class JobQueue(msgspec.Struct, eq=False):
     replies: ReplyCache
     lease: bytes
     jobs: dict[int, Job] = {}  # those that are not answered for good, by batch id
-    waiting: deque[Job] = msgspec.field(
-        default_factory=deque
-    )  # with trials to hand out, in order
+    # With trials to hand out, in order.
+    waiting: deque[Job] = msgspec.field(default_factory=deque)
     trial_s: float = 0.0  # measured duration of a trial, smoothed; 0 if not known
     trials: int = 0  # number of trials with outcomes so far
     _draining: bool = False

@@ -168,9 +168,8 @@ class Slots:
                 free=self.free(),
             )
             lease = self.leases.grant(user, run, message)
-        lease.renewals.append(
-            Renewal(query, -1, out.now)
-        )  # answered at the end of handle
+        # Answered at the end of handle.
+        lease.renewals.append(Renewal(query, -1, out.now))
         return None
 
     def _evaluate(

@@ -231,6 +231,5 @@ def _end_with_parent() -> None:
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
         parent = multiprocessing.parent_process()
         if os.getppid() in (1, parent.pid if parent else 1):
-            os._exit(
-                1
-            )  # it ended before the call above, and the server adopted this process
+            # It ended before the call above, and the server adopted this process.
+            os._exit(1)

@@ -31,10 +31,8 @@ from zswarm.system.processes import exit_reason
 
 # A slot is one thread; a BLAS takes 40 MB for each.
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-FIRST_PAUSE_S, LONGEST_PAUSE_S = (
-    0.2,
-    10.0,
-)  # before a process that died early again is replaced
+# Before a process that died early again is replaced.
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.2, 10.0
 KILLED_S = 0.2  # for a killed process to go, before the loop continues
 EXIT_S = 1.0  # for the fork server to report how a process ended
 
@@ -206,9 +204,8 @@ class Worker:
 
     def receive(self) -> FromSlot | None:
         """Return the next message; Died if the process ended, None if it could not be started."""
-        if (
-            self.pipe is None
-        ):  # killed by what another descriptor of the same turn brought
+        if self.pipe is None:
+            # Killed by what another descriptor of the same turn brought.
             return None
         try:
             message = from_slot.decode(self.pipe.recv_bytes())

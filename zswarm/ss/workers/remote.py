@@ -19,11 +19,8 @@ from zswarm.errors import EvaluationError
 from zswarm.protocol import codec
 from zswarm.protocol.messages import Asks, Evaluate, Refused, Sensors
 
-AGAIN_S = (
-    0.05,
-    0.2,
-    1.0,
-)  # before a lost question is asked again; the last one from then on
+# Before a lost question is asked again; the last one from then on.
+AGAIN_S = (0.05, 0.2, 1.0)
 AT_ONCE = 12_000  # bytes of open questions of a run that zenoh takes without blocking
 CANCELLED = codec.encode(Refused(code="cancelled", reason="the batch was cancelled"))
 

@@ -75,9 +75,8 @@ def test_a_file_from_an_example_says_exactly_what_the_example_says(
     name: str, here: Path
 ) -> None:
     text = init("-", "--from", name)
-    empty: dict[str, Any] = {
-        table: {} for table in experiment.TABLES
-    }  # those that it does not have
+    # Those that it does not have.
+    empty: dict[str, Any] = {table: {} for table in experiment.TABLES}
     example = empty | tomllib.loads(experiment.find(name).read_text())
     example["problem"].setdefault("settings", {})
     assert tomllib.loads(text) == example

@@ -31,9 +31,8 @@ class CatalogEntry(NamedTuple):
     about: str = ""  # the first paragraph of its docstring
     reference: tuple[str, ...] = ()  # its other paragraphs, then those of its module
     settings: tuple[Key, ...] = ()
-    facts: tuple[
-        tuple[str, Any], ...
-    ] = ()  # attributes of its class, such as ("portable", True)
+    # Attributes of its class, such as ("portable", True).
+    facts: tuple[tuple[str, Any], ...] = ()
     unstarted: bool = False  # a program that was not started: only its manifest is known
     error: str = ""  # why it cannot be used; then nothing else is known
 

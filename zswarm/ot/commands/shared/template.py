@@ -98,9 +98,8 @@ def _keys(known: list[Key], table: Mapping[str, Any]) -> Iterator[str]:
             )
             yield f"#{_name(key.name)} = {default}".rstrip()
     names = {key.name for key in known}
-    for name in (
-        name for name in table if name not in names
-    ):  # tables that a plug-in defines
+    # Tables that a plug-in defines.
+    for name in (name for name in table if name not in names):
         yield f"{_name(name)} = {_value(table[name])}"
 
 

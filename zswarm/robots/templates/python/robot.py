@@ -108,10 +108,8 @@ class Plain:
     view_degrees = settings.VIEW_DEGREES
 
     def __init__(self, targets, speed, turn):
-        from . import (
-            kernels,
-            network,
-        )  # slow to import, and not needed where it is compiled
+        # Slow to import, and not needed where it is compiled.
+        from . import kernels, network
 
         self._kernels, self._network, self._controller = (
             kernels,

@@ -37,9 +37,8 @@ def main() -> None:
         return True
 
     rospy.impl.simtime.init_simtime = no_time
-    rospy.core.configure_logging = lambda *_: (
-        None
-    )  # no files: errors go to standard error
+    # No files: errors go to standard error.
+    rospy.core.configure_logging = lambda *_: None
     rospy.init_node(
         set_up["node"], anonymous=True, disable_signals=True, log_level=rospy.ERROR
     )

@@ -43,9 +43,8 @@ def main() -> None:
         )
     except (zenoh.ZError, ValueError) as error:
         frames.refuse(f"zenoh: {str(error).split(' at /')[0][:200]}")
-    waiting: queue.SimpleQueue[bytes] = (
-        queue.SimpleQueue()
-    )  # Zenoh's threads only enqueue
+    # Zenoh's threads only enqueue.
+    waiting: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=write, args=(pipe, waiting), daemon=True).start()
     topics = ZenohTopics(waiting.put, node)
     topics.connect(set_up["topics"])

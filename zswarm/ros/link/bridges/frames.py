@@ -22,9 +22,8 @@ HEAD = struct.Struct("<IH")
 MAX_BODY = 1 << 24  # bytes
 # Not a topic. To a bridge: the set-up, then questions about connections. From it: answers.
 CONTROL = 0xFFFF
-COUNT = struct.Struct(
-    "<H"
-)  # in an answer, per topic: how many are connected at the other end
+# In an answer, per topic: how many are connected at the other end.
+COUNT = struct.Struct("<H")
 CHUNK = 1 << 16
 REFUSED = 2  # exit code: the last line of standard error says what is wrong
 LINGER_S = 2.0  # a bridge whose parent is gone ends within that
@@ -32,9 +31,8 @@ LINGER_S = 2.0  # a bridge whose parent is gone ends within that
 # Bodies. Stamps are nanoseconds.
 # Stamp; angles of the first and last ray, between two; shortest, longest range; float32 ranges.
 SCAN = struct.Struct("<q5f")
-ODOMETRY = struct.Struct(
-    "<q6d"
-)  # stamp, x, y, z and w of the quaternion, linear, angular
+# Stamp, x, y, z and w of the quaternion, linear, angular.
+ODOMETRY = struct.Struct("<q6d")
 VELOCITY = struct.Struct("<q2d")  # stamp (0 in a Twist), linear, angular
 CLOCK = struct.Struct("<q")
 RESET = struct.Struct("<Q")  # seed

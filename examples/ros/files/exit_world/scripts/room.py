@@ -3,16 +3,8 @@
 import math
 import random
 
-AROUND = [
-    (1, 0),
-    (1, 1),
-    (0, 1),
-    (-1, 1),
-    (-1, 0),
-    (-1, -1),
-    (0, -1),
-    (1, -1),
-]  # from the east counter-clockwise
+# From the east counter-clockwise.
+AROUND = [(1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1)]
 APART_M = 0.2  # robots are discs
 
 
