@@ -80,7 +80,7 @@ def main() -> None:
         "--folder", type=Path, help="where the results go [default: build/bench]"
     )
     options = parser.parse_args()
-    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # of the processes: as many as cores
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # in processes: as many as cores
     begin = time.monotonic()
     names = options.only.split(",") if options.only else methods()
     seeds = 1 if options.quick else options.seeds

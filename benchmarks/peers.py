@@ -125,7 +125,7 @@ def joblib_loky(slots: int) -> Iterator[list[Way]]:
 
         def evaluate(genomes: list[bytes], work: str, chunk: int) -> list[float]:
             if chunk not in opened:
-                # By itself it learns as it sends.
+                # Without it, it learns while it sends.
                 how: Any = {"batch_size": chunk, "pre_dispatch": "all"} if chunk else {}
                 opened[chunk] = stack.enter_context(
                     Parallel(slots, backend="loky", **how)

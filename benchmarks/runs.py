@@ -1,4 +1,4 @@
-"""Simulations per second of whole runs: NNGA with 50 individuals and 200 generations.
+"""Measure simulations per second of whole runs: NNGA, 50 individuals and 200 generations.
 
 From the end of the first generation to that of the last, as FREVO's figures are without its start;
 and from the slots' start on.

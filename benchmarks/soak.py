@@ -51,7 +51,7 @@ SMALL = [
     "--no-multicast",
 ]
 
-Actor = Iterator[float]  # yields the seconds until it goes on
+Actor = Iterator[float]  # yields the seconds until it continues
 
 
 class Grown(NamedTuple):

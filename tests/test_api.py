@@ -165,7 +165,7 @@ def test_arguments_of_a_wrong_type_are_refused_with_what_was_expected(
         call()
 
 
-def test_a_run_without_its_block_says_that_it_needs_one() -> None:
+def test_finishing_a_run_outside_a_with_block_explains_the_error() -> None:
     with pytest.raises(AttributeError, match=r"with zswarm\.start"):
         zswarm.start("stadium").finish()  # type: ignore[attr-defined]
 
@@ -382,7 +382,7 @@ def test_fresh_trials_are_those_of_the_generation(cluster: zswarm.Connection) ->
     assert not same_bits(first, second)
 
 
-def test_threads_that_evaluate_in_parallel_get_their_own_results(
+def test_parallel_threads_get_their_own_results(
     cluster: zswarm.Connection,
 ) -> None:
     """Of two problems, with different numbers of candidates."""

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from tests.small import SMALL, small, study
+from tests.smallest_experiment import SMALL, small, study
 from zswarm import experiment
 from zswarm.config.sections import StudyConfig
 from zswarm.errors import ConfigError, UnknownPlugin

@@ -21,7 +21,7 @@ from scale.pretended import CAPACITY, Times, draws, durations, salt, speed
 from zswarm import session
 from zswarm.protocol import codec, keys, messages
 from zswarm.ss.slots import events
-from zswarm.ss.slots.table import Slots
+from zswarm.ss.slots.table import SlotTable
 
 REALM = "scale"
 TICK_S = 1.0
@@ -31,7 +31,7 @@ spawn = multiprocessing.get_context("spawn")
 
 
 class Kind(msgspec.Struct):
-    """What a message says of its kind."""
+    """The kind of a message, decoded alone."""
 
     type: str
 
@@ -61,7 +61,9 @@ class Server:
             simulators=["pretended"],
             representations=["none"],
         )
-        self.slots = Slots(CAPACITY, offer, lambda _: "", lambda: secrets.token_bytes(16))
+        self.slots = SlotTable(
+            CAPACITY, offer, lambda _: "", lambda: secrets.token_bytes(16)
+        )
         self.session, _ = session.open_server(
             [endpoint], session.Reach([], multicast=False)
         )
@@ -230,7 +232,7 @@ class Farm:
         batch = command.work
         participants, seeds = codec.trials(batch, 1)
         times = msgspec.convert(
-            server.slots.slots[command.slot].setup.simulator.settings, Times
+            server.slots.slots[command.slot].prepared_for.simulator.settings, Times
         )
         taken = durations(
             times, draws(batch.genomes, participants, seeds, salt(times, server.index))
@@ -287,7 +289,8 @@ class Servers:
     """Processes of servers."""
 
     def __init__(self, count: int) -> None:
-        net = f"127.{secrets.randbelow(253) + 1}"  # two benchmarks at a time do not meet
+        # Random, so that two benchmarks at a time do not meet.
+        net = f"127.{secrets.randbelow(253) + 1}"
         self.endpoints = [
             f"tcp/{net}.{i // 128}.1:{20000 + i % 128}" for i in range(count)
         ]

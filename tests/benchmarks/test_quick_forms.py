@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 
 DEADLINE_S = 1500
 QUICK = {  # target: what it runs, small

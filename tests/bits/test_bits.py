@@ -16,7 +16,7 @@ import pytest
 # The only place where numpy says what it chooses from.
 from numpy._core import _multiarray_umath as compiled_numpy
 
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 
 # The oldest of its architecture: no AVX, no FMA.
 OLDEST = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}

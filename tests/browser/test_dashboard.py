@@ -306,7 +306,7 @@ def elsewhere() -> Iterator[str]:
     server.server_close()
 
 
-def test_a_page_of_another_origin_can_neither_read_nor_send(
+def test_a_page_of_another_origin_can_neither_read_nor_write(
     page: Page, watched: Watched, dashboard: Start, elsewhere: str, tmp_path: Path
 ) -> None:
     """Not by a request, a form, a WebSocket, a frame or a script; not even with the token."""
@@ -390,7 +390,7 @@ def test_a_long_run_is_shown_as_soon_as_a_short_one(
 
 @pytest.mark.parametrize("path", PAGES)
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_pages_fit_a_telephone(
+def test_pages_fit_on_a_phone(
     page: Page, dashboard: Start, tmp_path: Path, path: str, scheme: str
 ) -> None:
     """At 400 pixels only tables and curves scroll sideways, and texts have enough contrast."""

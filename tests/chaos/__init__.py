@@ -1,1 +1,1 @@
-"""Deterministic fault simulation of ``Dispatch`` and ``Slots``, with faulty networks and clocks."""
+"""Fault simulation of ``Dispatch`` and ``SlotTable``: a seed decides what fails, and when."""

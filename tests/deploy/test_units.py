@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 from zswarm import router
 from zswarm.config.decode import convert
 from zswarm.ss.server import Options

@@ -1,10 +1,10 @@
-"""The documents as tests see them: their code blocks, and the commands in these."""
+"""Read the documents for tests: their code blocks, and the commands in these."""
 
 import re
 from pathlib import Path
 from typing import NamedTuple
 
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 
 DOCUMENTS = [
     *(path for path in sorted(REPOSITORY.glob("*.md")) if path.name != "CHANGELOG.md"),

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 
 NOTEBOOK = REPOSITORY / "examples" / "python" / "first_steps.ipynb"
 EXECUTE = """

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 import zswarm
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 from zswarm import errors
 
 TEXT = (REPOSITORY / "docs" / "python.md").read_text(encoding="utf-8")

@@ -6,7 +6,7 @@ from types import ModuleType
 
 import pytest
 
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 
 EXAMPLES = REPOSITORY / "examples" / "python"
 

@@ -14,7 +14,7 @@ import zenoh
 
 from tests.integration import plugin
 from tests.integration.programs import Optimizer, Server, free_port, query, wait_until
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 from zswarm import session
 from zswarm.ot import cli
 
@@ -368,7 +368,7 @@ def test_quarantine_counts_the_guilty_trials_and_no_other(
 
 
 @pytest.mark.faults
-def test_a_simulator_that_ends_its_process_once_or_leaks_changes_nothing(
+def test_a_simulator_that_ends_its_process_once_or_leaks_does_not_change_the_history(
     tmp_path: Path, rough: str
 ) -> None:
     """72 trials leave 20 MB behind each, where 512 are allowed: nobody is blamed."""

@@ -315,7 +315,7 @@ def test_check_names_the_servers_that_match_and_why_others_do_not(tmp_path: Path
         ),
     ],
 )
-def test_a_run_that_finds_no_server_says_what_to_do(
+def test_a_run_that_finds_no_server_prints_how_to_fix_it(
     options: list[str], words: str, tmp_path: Path
 ) -> None:
     """Once."""

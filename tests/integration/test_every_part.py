@@ -265,7 +265,7 @@ def test_every_two_parts_that_fit_are_played_together() -> None:
 
 @pytest.mark.product
 @pytest.mark.parametrize(("problem", "representation"), pairs())
-def test_all_parts_that_fit_together_do(
+def test_every_compatible_combination_of_parts_runs(
     problem: str, representation: str, lab: Lab
 ) -> None:
     """Those that do not fit are refused in one line."""

@@ -22,7 +22,7 @@ from tests.integration.programs import (
     query,
     wait_until,
 )
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 from zswarm import evaluate, experiment
 from zswarm.kernels.random import Stream
 from zswarm.ot.build import build

@@ -17,7 +17,7 @@ import pytest
 
 from tests.integration.machines import CLEAN, Machine, Machines
 from tests.integration.programs import Optimizer, query, wait_until
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 
 pytestmark = pytest.mark.machines
 
@@ -262,7 +262,7 @@ def restart_counted(machine: Machine, restarts: int) -> None:
 # ---- the document
 
 
-def test_the_document_is_followed_word_by_word(
+def test_the_documented_commands_install_upgrade_and_uninstall(
     lab: Machines, workstation: Machine
 ) -> None:
     """Installed, looked at, upgraded and uninstalled, as it says; then nothing is left of it."""

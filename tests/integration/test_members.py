@@ -22,7 +22,7 @@ from tests.integration.programs import (
     query,
     wait_until,
 )
-from tests.issuing import issued, of, unpacked
+from tests.lab_keys import issued, of, unpacked
 from zswarm import session
 from zswarm.plugins.version_hash import version_hash
 from zswarm.protocol import codec, keys
@@ -384,7 +384,7 @@ def test_invalid_keys_are_refused_with_a_reason_on_both_sides(
 
 
 @pytest.mark.faults
-def test_a_server_that_goes_without_keys_is_named(lab: Lab, tmp_path: Path) -> None:
+def test_a_server_without_keys_is_named(lab: Lab, tmp_path: Path) -> None:
     server = Server(tmp_path, "open", ZSWARM_KEYS="none", ZSWARM_PLAIN="1").ready()
     try:
         said = look(

@@ -21,7 +21,7 @@ from tests.integration.programs import (
     status,
     wait_until,
 )
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 from zswarm.kernels.random import derive_seed
 from zswarm.plugins import registry as plugins
 from zswarm.ros.launch.roslaunch import Supervisor

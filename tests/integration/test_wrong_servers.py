@@ -6,7 +6,7 @@ import pytest
 
 from tests.integration import plugin
 from tests.integration.programs import Optimizer, Program, Server, query
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 
 pytestmark = pytest.mark.faults
 

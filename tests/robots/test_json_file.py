@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 from tests.robots.controllers import KINDS, controller, named, observed
 from zswarm.robots.json_file import as_json
 
@@ -119,7 +119,7 @@ def test_every_field_is_documented_in_its_order() -> None:
     assert [name for row in rows for name in row] == list(read("ctrnn"))
 
 
-def test_numbers_that_json_does_not_have_are_null() -> None:
+def test_numbers_that_json_lacks_become_null() -> None:
     evolved = msgspec.structs.replace(
         controller("mealy"), fitness=float("nan"), simulator_settings={"x": float("inf")}
     )

@@ -382,7 +382,7 @@ def test_a_robot_stops_when_its_sensors_fall_silent(
 
 
 @pytest.mark.parametrize("name", ["cmake", "ros2", "zenoh"])
-def test_a_scanner_that_covers_less_ends_the_drive(
+def test_a_scanner_with_too_small_a_view_ends_the_drive(
     packages: Callable[[str], Built], name: str
 ) -> None:
     """And the robot stands then."""

@@ -1,4 +1,4 @@
-"""What of ROS is on this machine; tests that need what is not are skipped, and say so."""
+"""Detect which parts of ROS are on this machine; tests that need missing ones are skipped."""
 
 import importlib.util
 import os
@@ -6,14 +6,14 @@ import shutil
 
 import pytest
 
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 
 ROS_2 = REPOSITORY / "build" / "ros2"
 LINKS = ("rospy", "rclpy", "zenoh")
 
 
 def need(link: str) -> None:
-    """Skip the test where a link cannot work."""
+    """Skip the test if a link cannot work."""
     if link == "rospy" and shutil.which("rosmaster") is None:
         pytest.skip(
             "no ROS 1 here: apt-get install ros-core and the Python packages of its messages"

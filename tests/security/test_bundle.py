@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.issuing import LONG_AGO, NOW, TOMORROW, again, authority, issued, of
+from tests.lab_keys import LONG_AGO, NOW, TOMORROW, again, authority, issued, of
 from zswarm.errors import KeysError
 from zswarm.security import bundle, certificates
 

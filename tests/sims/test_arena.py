@@ -169,7 +169,7 @@ def test_the_frame_shows_robots_items_and_the_nest() -> None:
     "actions",
     [[1, 1], [1, 0.9], [0, 0], [np.nan, np.inf], [-np.inf, 1e30], [0.3, np.nan]],
 )
-def test_no_robot_leaves_the_room_or_loses_its_heading_whatever_a_controller_says(
+def test_no_controller_moves_a_robot_out_of_the_room_or_breaks_its_heading(
     actions: list[float],
 ) -> None:
     simulator = Arena(ArenaSettings(robots=30, steps=300, side=3.0))
@@ -218,7 +218,7 @@ def test_wheels_move_a_robot_as_its_speed_says() -> None:
     )
 
 
-def test_rays_see_the_nearest_thing_and_nothing_behind_it() -> None:
+def test_rays_see_only_the_nearest_body() -> None:
     simulator = Arena(ArenaSettings(robots=3, side=4.0, sight=2.5))
     near, far = 1 - 0.9 / 2.5, 1 - 1.0 / 2.5
     # Robots in a row, looking along it.
@@ -236,13 +236,13 @@ def test_rays_see_the_nearest_thing_and_nothing_behind_it() -> None:
     np.testing.assert_allclose(turned[0, 8:10], [0, -1.3 / 2.5], atol=1e-6)
 
 
-def test_a_diagonal_ray_meets_a_corner_where_it_is() -> None:
+def test_a_diagonal_ray_measures_the_distance_to_a_corner() -> None:
     seen = put(Arena(ArenaSettings(robots=1, side=4.0, sight=3.0)), (3.0, 3.0))
     np.testing.assert_allclose(seen[0, 1], 1 - np.sqrt(2) / 3, rtol=1e-5)
     np.testing.assert_allclose(seen[0, 5], 0, atol=1e-6)
 
 
-def test_words_reach_neighbours_only_and_a_step_later() -> None:
+def test_messages_reach_only_neighbours_one_step_later() -> None:
     simulator = Arena(ArenaSettings(task="consensus", robots=3, side=9.0, sight=2.0))
     put(simulator, (1.0, 1.0), (2.9, 1.0), (4.8, 1.0))
     simulator.world.robots[SAID] = 0

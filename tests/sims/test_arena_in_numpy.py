@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 from zswarm.evaluate import build, evaluate
 from zswarm.kernels.random import Stream
 

@@ -123,7 +123,7 @@ def test_observations_agree_with_the_naive_reference_at_every_step() -> None:
     assert all(outcome.metrics), "captures, steals and tagged robots were compared"
 
 
-def test_sides_do_not_matter() -> None:
+def test_swapping_sides_does_not_change_fitness() -> None:
     """Whoever changes sides has the same fitness, bit for bit; a team that plays itself ties."""
     simulator, network = built({})
     genomes = network.random(30, Stream(1))

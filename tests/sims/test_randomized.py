@@ -352,7 +352,7 @@ class Host(HostingSimulator):
         return Outcome([self.settings.robots * 1000 + genomes[0][0]], [])
 
 
-def test_a_hosting_simulator_is_prepared_with_each_of_its_settings(
+def test_a_simulator_that_hosts_the_controller_is_prepared_for_each_drawn_setting(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     load = plugins.load

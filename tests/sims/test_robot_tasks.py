@@ -82,7 +82,7 @@ def test_a_robot_at_an_exit_leaves_and_the_others_continue() -> None:
     assert outcome.fitness[0] == pytest.approx(-0.1 - distances.sum())
 
 
-def test_the_fitness_of_the_papers_logs_is_theirs() -> None:
+def test_the_fitness_of_the_papers_logs_equals_the_papers() -> None:
     """By hand from their formula."""
     assert cpswarm_log([0.1], [9]) == pytest.approx(49.9 / 50 * 100 + 90)
     assert cpswarm_log([0.1, 5.0], [9, 16]) == pytest.approx((99.8 + 90 + 90) / 2)
@@ -257,7 +257,7 @@ def test_random_controllers_do_badly_and_one_written_by_hand_does_better(
 @pytest.mark.parametrize(
     ("task", "good"), [("box_pushing", 1.6), ("foraging_physical", 0.9)]
 )
-def test_a_cleverer_controller_does_better_still(task: str, good: float) -> None:
+def test_a_better_handwritten_controller_scores_higher(task: str, good: float) -> None:
     assert by_hand(task, UNSEEN[:4], f"clever_{task}") > good
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 from zswarm import experiment
 from zswarm.errors import ConfigError
 from zswarm.ss import detected_labels, options

@@ -42,7 +42,7 @@ def example() -> dict[str, Any]:
 Gather: Any = example()["Gather"]
 
 
-def test_the_contract_is_one_screen_with_a_whole_simulator() -> None:
+def test_a_whole_simulator_fits_on_one_screen_and_passes_the_check() -> None:
     """It passes, and the check says how fast it is."""
     assert len(Simulator.__doc__.splitlines()) <= MOST_LINES
     speed = check_simulator(Gather)
@@ -316,7 +316,7 @@ def test_a_seeded_generator_of_ones_own_and_caches_are_no_mistake() -> None:
     check_simulator(Cautious)
 
 
-def test_clocks_and_generators_are_as_before() -> None:
+def test_the_check_restores_clocks_and_generators() -> None:
     state, before = random.getstate(), time.time
     check_simulator(Gather)
     assert random.getstate() == state

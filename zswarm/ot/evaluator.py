@@ -56,18 +56,18 @@ class CandidateEvaluator:
     """Evaluates one problem at a time, for any thread.
 
     Args:
-        lease: leases slots for a problem: ``Connection.lease``.
+        cluster: holds leases for a problem: ``Connection.cluster``.
         wait: waits for the number of servers that is asked for: ``Connection.wait``.
         wanted: tells whether a run waits for the slots.
     """
 
     def __init__(
         self,
-        lease: Callable[..., AbstractContextManager[Cluster]],
+        cluster: Callable[..., AbstractContextManager[Cluster]],
         wait: Callable[[Cluster], Any],
         wanted: Callable[[], bool],
     ) -> None:
-        self._lease, self._wait, self._wanted = lease, wait, wanted
+        self._new_cluster, self._wait, self._wanted = cluster, wait, wanted
         self._stop = threading.Event()
         # Held by the thread that evaluates; it guards what follows.
         self._turn = threading.Lock()
@@ -179,9 +179,11 @@ class CandidateEvaluator:
         if self._cluster is None or self._of != of or slots > self._slots:
             self._drop()
             run = f"evaluate-{secrets.token_hex(4)}"
-            lease = self._lease(problem, run=run, slots=slots, say=_say, stop=self._stop)
+            held = self._new_cluster(
+                problem, run=run, slots=slots, say=_say, stop=self._stop
+            )
             self._cluster, self._of, self._slots = (
-                self._held.enter_context(lease),
+                self._held.enter_context(held),
                 of,
                 slots,
             )

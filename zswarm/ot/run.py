@@ -39,7 +39,7 @@ def evolve(
     begin, (problem, optimizer) = time.monotonic(), parts
     notebook = _Notebook(parts, record, logger)
     first, last = notebook.resume(connection), problem.experiment.generations
-    lease = connection.lease(
+    leased = connection.cluster(
         problem,
         run=notebook.run_id,
         epoch=record.meta("epoch"),
@@ -48,7 +48,7 @@ def evolve(
         say=logger.on_say,
         stop=stop,
     )
-    with lease as cluster:
+    with leased as cluster:
         for early in connection.wait(cluster):
             notebook.take(early)
         if first < last:

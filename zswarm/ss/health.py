@@ -14,7 +14,7 @@ import structlog
 
 from zswarm.ss.local.snapshot import LeaseView, MissingSlot, Rate, View, slot_states
 from zswarm.ss.network import Presence
-from zswarm.ss.slots.table import Slots
+from zswarm.ss.slots.table import SlotTable
 from zswarm.ss.workers import orphans
 from zswarm.ss.workers.parent import Worker
 from zswarm.system.systemd import Notify
@@ -32,7 +32,7 @@ log = structlog.get_logger()
 class Health(msgspec.Struct, eq=False):
     """Watches the slots of a server, and reports on it."""
 
-    slots: Slots
+    slots: SlotTable
     workers: list[Worker]
     presence: Presence
     notify: Notify  # systemd
@@ -157,7 +157,7 @@ class Health(msgspec.Struct, eq=False):
                 LeaseView(
                     lease.user,
                     lease.run,
-                    lease.setup.simulator.kind,
+                    lease.reserve.simulator.kind,
                     len(lease.slots),
                     lease.jobs.trials,
                     now - lease.since,

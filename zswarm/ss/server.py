@@ -31,7 +31,7 @@ from zswarm.ss.local.control import Control, Draining, LocalQuery, LocalRequest
 from zswarm.ss.network import Inbox, PeerQuery, Presence
 from zswarm.ss.options import AT_START, Options, offered
 from zswarm.ss.slots import events
-from zswarm.ss.slots.table import Slots
+from zswarm.ss.slots.table import SlotTable
 from zswarm.ss.workers import memory, orphans
 from zswarm.ss.workers.child import Here
 from zswarm.ss.workers.output import LINE_WIDTH
@@ -82,7 +82,7 @@ class Server:
         self._admission = Admission(offered(options), limits, memory_mb)
         offer = self._admission.offer(self.id, capacity, options.labels)
         new_token = functools.partial(secrets.token_bytes, 16)
-        self.slots = Slots(capacity, offer, self._admission.mismatch, new_token)
+        self.slots = SlotTable(capacity, offer, self._admission.mismatch, new_token)
         self._questions = Questions(
             self._presence.ask, lambda slot, body: self.workers[slot].answer(body)
         )
@@ -265,8 +265,8 @@ class Server:
     def on_output(self, worker: Worker) -> None:
         """Log what a simulator wrote."""
         slot = self.slots.slots[worker.slot]
-        setup = slot.lease.setup if slot.lease is not None else slot.setup
-        simulator = setup.simulator.kind if setup is not None else ""
+        problem = slot.lease.reserve if slot.lease is not None else slot.prepared_for
+        simulator = problem.simulator.kind if problem is not None else ""
         for line in worker.read_output():
             text = clean(line[:LINE_WIDTH])
             log.info("slot_said", slot=worker.slot, simulator=simulator, text=text)

@@ -137,7 +137,7 @@ class Asking:
             )
 
     def feed(self, event: Event) -> None:
-        self.cluster._happened(event, may_send=True)
+        self.cluster._happened(event, may_block=True)
 
     def join(self, server: str) -> None:
         self.cluster._links.home[server] = self  # type: ignore[assignment]
@@ -189,7 +189,7 @@ class Asking:
 @pytest.mark.parametrize(
     ("through_router", "second"), [(False, "this one"), (True, "send-lab-2")]
 )
-def test_a_batch_goes_at_once_while_nothing_is_unanswered_on_its_link(
+def test_a_batch_is_sent_at_once_if_its_link_has_no_unanswered_batch(
     through_router: bool, second: str
 ) -> None:
     """Behind a router, all servers share a link, on which a large batch may wait."""
@@ -209,9 +209,7 @@ def test_a_batch_waits_for_the_servers_thread_while_one_is_unanswered() -> None:
     asking.close()
 
 
-def test_a_server_that_is_back_is_not_taken_for_one_that_owes_answers_or_has_too_many_given() -> (
-    None
-):
+def test_a_server_that_returned_owes_no_answers_and_has_no_batches() -> None:
     asking = Asking()
     asking.join("lab-1")
     asking.work(1)

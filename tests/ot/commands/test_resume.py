@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 import zswarm
-from tests.ot.written import written
+from tests.ot.invented_record import written
 from zswarm.errors import ConfigError
 from zswarm.ot.cli import command
 from zswarm.ot.cluster import connection

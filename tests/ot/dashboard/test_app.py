@@ -9,7 +9,7 @@ from typing import cast
 import pytest
 from starlette.websockets import WebSocket
 
-from tests.ot.written import written
+from tests.ot.invented_record import written
 from zswarm.ot.dashboard import app, broadcast
 from zswarm.ot.dashboard.broadcast import Broadcaster
 from zswarm.ot.dashboard.run_index import RunIndex
@@ -71,7 +71,7 @@ def test_a_tab_that_is_stuck_is_closed(
     assert watched._channels == {}
 
 
-def test_there_are_so_many_tabs_and_no_more(
+def test_a_tab_beyond_the_limit_is_closed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(broadcast, "TABS", 0)

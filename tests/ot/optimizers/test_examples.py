@@ -142,7 +142,7 @@ def late(parts: Parts, genome: bytes) -> float:
 
 
 @pytest.mark.long
-def test_a_network_that_learns_finds_out_what_is_food_and_others_do_not() -> None:
+def test_only_a_learning_network_finds_out_what_is_food() -> None:
     """Others: the champion without its learning rate, and networks that keep their weights."""
     for seed in range(1, 5):
         parts, _ = played("food-or-poison", [f"seed={seed}"])
@@ -170,7 +170,7 @@ def test_a_network_without_memory_balances_a_pole() -> None:
 
 
 @pytest.mark.long
-def test_the_baseline_says_what_an_optimizer_is_worth() -> None:
+def test_the_baseline_has_the_documented_medians() -> None:
     """The medians in the comment of the example."""
     told = {
         kind: [

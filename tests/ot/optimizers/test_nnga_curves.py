@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 from zswarm.evaluate import evaluate
 from zswarm.nets.fully_meshed import FullyMeshed, FullyMeshedSettings
 from zswarm.ot.optimizers.nnga import NNGA, NNGASettings

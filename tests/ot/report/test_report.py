@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 import zswarm
-from tests.ot.written import written
+from tests.ot.invented_record import written
 from zswarm.controller import CHAMPION, load_controller
 from zswarm.ot import cli
 from zswarm.ot.notes import Note
@@ -145,7 +145,7 @@ SAME = "anyone who runs this experiment with the same code gets the same one"
         ),
     ],
 )
-def test_a_history_that_others_cannot_repeat_is_not_said_to_be_repeated(
+def test_the_report_claims_repeatability_only_if_others_can_repeat_the_run(
     tmp_path: Path, sql: str, words: str
 ) -> None:
     folder = written(tmp_path, [1, 2])
@@ -265,7 +265,7 @@ def test_a_run_without_a_generation_has_a_page(tmp_path: Path) -> None:
     assert "zswarm-ot resume" in page.text
 
 
-def test_many_events_are_folded_and_some_left_out(tmp_path: Path) -> None:
+def test_many_events_are_folded_and_some_omitted(tmp_path: Path) -> None:
     folder = written(
         tmp_path,
         [1],

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.places import REPOSITORY
+from tests.repository import REPOSITORY
 from tests.ros.ros_here import LINKS, ROS_2, need
 from zswarm.errors import ConfigError, EvaluationError
 from zswarm.robots.profiles import profile as profiles
@@ -152,7 +152,7 @@ def check_hundred(came: list[Message], first: int) -> None:
             ]
 
 
-def test_who_is_not_there_is_named(here: graph.RosGraph) -> None:
+def test_missing_nodes_are_named(here: graph.RosGraph) -> None:
     described = profiles.read(profile(here.link))
     with (
         Link(
@@ -166,7 +166,7 @@ def test_who_is_not_there_is_named(here: graph.RosGraph) -> None:
         link.ready(0.3)
 
 
-def test_a_bridge_that_is_killed_is_named_and_another_begins(
+def test_a_killed_bridge_is_named_and_replaced(
     here: graph.RosGraph,
 ) -> None:
     described = profiles.read(profile(here.link))

@@ -74,7 +74,7 @@ def controllers(here: RosGraph) -> Link:
     )
 
 
-def test_one_trial_leaves_its_poses_and_its_outcome(
+def test_a_trial_records_its_poses_and_its_outcome(
     here: RosGraph, tmp_path: Path
 ) -> None:
     """The velocities are those that drive the world in this process."""
@@ -165,7 +165,7 @@ def test_impossible_settings_are_reported_in_one_line(
     assert done.stderr.startswith(f"zswarm.ros.simulation.node: {said}")
 
 
-def test_a_free_running_simulation_stops_a_robot_that_nobody_tells_anything(
+def test_a_free_running_simulation_stops_a_robot_without_commands(
     here: RosGraph,
 ) -> None:
     """After 0.2 s of its time, the profile's watchdog_s; its clock goes on."""
@@ -209,7 +209,7 @@ def test_a_free_running_simulation_stops_a_robot_that_nobody_tells_anything(
     assert not any(turning[-5:]), "and then stands"
 
 
-def test_a_free_running_simulation_tells_how_late_the_controllers_are() -> None:
+def test_a_free_running_simulation_reports_how_late_the_controllers_are() -> None:
     """In real time few are; at 1,000 times most are, and steps are missed."""
     need("zenoh")
     late, turns = [], []
@@ -245,7 +245,7 @@ def test_a_simulation_that_runs_is_driven_by_one_slot(here: RosGraph) -> None:
         other.close()
 
 
-def test_a_simulation_that_is_not_there_is_named(
+def test_a_missing_simulation_is_named(
     here: RosGraph, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(simulation, "READY_S", 2.0)

@@ -336,7 +336,7 @@ class Strange(Visit):
         return Stranger(**options)
 
 
-def test_an_agent_that_was_not_announced_makes_the_trial_fail_and_is_named() -> None:
+def test_an_unannounced_agent_fails_the_trial_and_is_named() -> None:
     _, network = build("xor", {}, "fully-meshed", {})
     network = type(network)(network.settings, 6, 3)
     genomes = network.random(1, Stream(1))

@@ -132,7 +132,7 @@ def test_evolution_of_one_agent_is_better_than_random_ones(environment: str) -> 
         ("gymnasium", {"environment": "Ant-v5"}, "gymnasium: Ant-v5 needs more: "),
     ],
 )
-def test_what_is_not_there_is_refused_in_a_line(
+def test_unknown_environments_and_settings_are_refused_in_one_line(
     simulator: str, settings: dict[str, Any], reason: str
 ) -> None:
     with pytest.raises(ConfigError, match=f"^{reason}") as refusal:
@@ -192,7 +192,7 @@ assert threading.active_count() == 1
 """
 
 
-def test_environments_say_nothing_and_leave_nothing_behind() -> None:
+def test_environments_print_nothing_and_leave_nothing_behind() -> None:
     """They print nothing and leave no window, threads or files."""
     without = {
         name: value

@@ -21,7 +21,7 @@ from zswarm.protocol.messages import (
     Running,
 )
 from zswarm.ss.slots import events
-from zswarm.ss.slots.table import Slots
+from zswarm.ss.slots.table import SlotTable
 
 SEEDS = 60
 STEPS = 400
@@ -95,7 +95,7 @@ class Server:
             simulators=[],
             representations=[],
         )
-        self.slots = Slots(capacity, offer, self._mismatch, self._token)
+        self.slots = SlotTable(capacity, offer, self._mismatch, self._token)
 
     def _mismatch(self, asked: messages.Requirements | Reserve) -> str:
         return (
@@ -287,7 +287,7 @@ class Server:
                 f"slot {slot.index} is {slot.state}, its process does {process.does!r}"
             )
             assert slot.state not in ("ready", "busy") or process.prepared
-            assert process.prepared or slot.setup is None or process.does, (
+            assert process.prepared or slot.prepared_for is None or process.does, (
                 "a fresh process is taken for prepared"
             )
         shares = self.slots.leases.shares(len(self.slots.slots))

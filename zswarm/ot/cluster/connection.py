@@ -37,16 +37,16 @@ class Connection:
     Attributes:
         options: which servers.
         local: this machine's slots; None where none are asked for.
-        runs: the threads of the runs that hold slots now.
-        using: the clusters that hold leases now.
+        run_threads: ids of the threads whose runs hold slots now.
+        clusters: those that hold leases now.
         closed: for good; what still runs ends within a moment.
     """
 
     def __init__(self, options: ClusterConfig) -> None:
         self.options = options
         self.local: LocalServer | None = None
-        self.runs: list[int] = []
-        self.using: set[Cluster] = set()
+        self.run_threads: list[int] = []
+        self.clusters: set[Cluster] = set()
         self.closed = False
         self._hinted = threading.Event()  # the user knows that no server is found
         self._evaluator: CandidateEvaluator | None = None
@@ -145,16 +145,16 @@ class Connection:
         self._refuse_waiting_for_itself()
         self.open()
         thread = threading.get_ident()
-        self.runs.append(thread)
+        self.run_threads.append(thread)
         try:
             if self._evaluator is not None:
                 self._evaluator.release()
             yield
         finally:
-            self.runs.remove(thread)
+            self.run_threads.remove(thread)
 
     @contextlib.contextmanager
-    def lease(
+    def cluster(
         self,
         problem: "Problem",
         *,
@@ -165,7 +165,7 @@ class Connection:
         epoch: int = 0,
         probe: bytes = b"",
     ) -> "Iterator[Cluster]":
-        """Lease slots of servers for a problem.
+        """Hold leases of all servers that match a problem, within a ``with`` block.
 
         Args:
             run, epoch: how servers know the holder of the leases.
@@ -209,11 +209,11 @@ class Connection:
             watch=watch,
         )
         with cluster:
-            self.using.add(cluster)
+            self.clusters.add(cluster)
             try:
                 yield cluster
             finally:
-                self.using.discard(cluster)
+                self.clusters.discard(cluster)
 
     def wait(self, cluster: "Cluster") -> "Iterator[Item | None]":
         """Wait for the number of servers that is asked for; see ``Cluster.wait``."""
@@ -227,7 +227,7 @@ class Connection:
     @property
     def slots(self) -> int:
         """Slots that are ready, of all leases together."""
-        return sum(cluster.standing.slots for cluster in list(self.using))
+        return sum(cluster.standing.slots for cluster in list(self.clusters))
 
     @functools.cached_property
     def reach(self) -> "Reach":
@@ -265,7 +265,7 @@ class Connection:
             self._refuse_closed()
             if self._evaluator is None:
                 self._evaluator = CandidateEvaluator(
-                    self.lease, self.wait, lambda: bool(self.runs)
+                    self.cluster, self.wait, lambda: bool(self.run_threads)
                 )
         return self._evaluator
 
@@ -274,7 +274,7 @@ class Connection:
             raise RuntimeError("this connection is closed: connect again")
 
     def _refuse_waiting_for_itself(self) -> None:
-        if threading.get_ident() in self.runs:
+        if threading.get_ident() in self.run_threads:
             raise RuntimeError(
                 "a run that this thread began holds the slots of this connection: leave its block"
                 " first, or use another connection, such as zswarm.connect('local')"

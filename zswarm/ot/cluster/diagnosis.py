@@ -28,8 +28,8 @@ NAMED = 5  # servers or endpoints that a line names
 VERSION = f"v{keys.VERSION}"
 
 
-class DiscoveryResult(NamedTuple):
-    """What is at an endpoint."""
+class DialResult(NamedTuple):
+    """What dialling an endpoint showed."""
 
     at: str
     fault: str  # why nothing there can be asked; "" if it can
@@ -66,7 +66,7 @@ def diagnose(
         if not groups:
             lines += _no_multicast(reach, tcp, answered=bool(seen))
     with ThreadPoolExecutor(16) as pool:
-        results = list(pool.map(partial(_look, ring=reach.keyring), groups))
+        results = list(pool.map(partial(_dial, ring=reach.keyring), groups))
     faults: defaultdict[str, list[str]] = defaultdict(list)
     for result in results:
         seen |= result.servers
@@ -116,7 +116,7 @@ def _scout(*, routers: bool) -> list[list[str]]:
     return [ends for ends in answers.values() if ends]  # an optimizer has none
 
 
-def _look(group: list[str], ring: Keyring | None) -> DiscoveryResult:
+def _dial(group: list[str], ring: Keyring | None) -> DialResult:
     """Return what is at the first of these endpoints that can be dialled."""
     for text in group:
         at = endpoint.parse(text)
@@ -124,7 +124,7 @@ def _look(group: list[str], ring: Keyring | None) -> DiscoveryResult:
         if not fault:
             break
     else:
-        return DiscoveryResult(text, fault)
+        return DialResult(text, fault)
     reach = Reach([text], multicast=False, keyring=ring)
     try:
         opened = session.open_through_router(reach, timeout_s=DIAL_S)  # or a server
@@ -135,9 +135,9 @@ def _look(group: list[str], ring: Keyring | None) -> DiscoveryResult:
                 "the program there lets in members only: have keys issued, and install them with"
                 " zswarm-keys join"
             )
-        return DiscoveryResult(text, fault)
+        return DialResult(text, fault)
     try:
-        return DiscoveryResult(
+        return DialResult(
             text, "", bool(list(opened.info.routers_zid())), _tokens(opened)
         )
     finally:
@@ -171,7 +171,7 @@ def _unreachable(at: Endpoint) -> str:
     return ""
 
 
-def _misplaced(result: DiscoveryResult, realm: str, known: set[str], reach: Reach) -> str:
+def _misplaced(result: DialResult, realm: str, known: set[str], reach: Reach) -> str:
     """Return what is wrong with an endpoint that answers; "" if nothing is."""
     member = reach.keyring.name if reach.keyring is not None else ""
     if not result.servers:

@@ -1,4 +1,7 @@
-"""The servers of a network and their offers."""
+"""Survey a network: which servers are there, what they offer, and how fast they answer.
+
+``diagnosis`` finds out why servers are missing.
+"""
 
 import queue
 import time
@@ -21,7 +24,7 @@ from zswarm.protocol.messages import Offer, Reply, Requirements
 from zswarm.session import Reach
 
 OFFER_S = 3.0  # for an offer, at most
-TRIPS_WAIT_S = 1.0  # until all servers are there whose answers are timed
+ROUND_TRIPS_WAIT_S = 1.0  # until all servers are there whose answers are timed
 
 
 class Found(msgspec.Struct, frozen=True):
@@ -145,7 +148,7 @@ def read_reply(body: bytes) -> Reply | str:
         return str(error)
 
 
-class Trips(NamedTuple):
+class RoundTrips(NamedTuple):
     """Queries to servers and their answers, one after another."""
 
     servers: int
@@ -153,9 +156,9 @@ class Trips(NamedTuple):
     busy_s: float  # that this program computed for one of them
 
 
-def trips(
+def round_trips(
     realm: str, reach: Reach, local: str, *, requirements: Requirements, times: int
-) -> Trips:
+) -> RoundTrips:
     """Measure how long servers that match take to answer, each asked so many times.
 
     Args:
@@ -178,19 +181,19 @@ def trips(
             )
             stack.callback(session.close, sessions[-1])
         for opened in sessions:
-            _, found = _ask_all(opened, realm, requirements, TRIPS_WAIT_S)
+            _, found = _ask_all(opened, realm, requirements, ROUND_TRIPS_WAIT_S)
             names = [name for name, server in found.items() if server.offer is not None]
             servers += len(names)
             begun = time.process_time()
             for name in names:
                 seconds += [
-                    _trip(opened, realm, name, requirements) for _ in range(times)
+                    _round_trip(opened, realm, name, requirements) for _ in range(times)
                 ]
             busy_s += time.process_time() - begun
-    return Trips(servers, seconds, busy_s / max(1, len(seconds)))
+    return RoundTrips(servers, seconds, busy_s / max(1, len(seconds)))
 
 
-def _trip(
+def _round_trip(
     opened: zenoh.Session, realm: str, server: str, requirements: Requirements
 ) -> float:
     inbox: _Inbox = queue.SimpleQueue()

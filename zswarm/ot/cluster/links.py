@@ -104,11 +104,11 @@ class Links(msgspec.Struct, eq=False):
         if server := self._unanswered.pop(question, ""):
             self._waited_for[server] -= 1
 
-    def ask(self, ask: Ask, *, may_send: bool) -> None:
+    def ask(self, ask: Ask, *, may_block: bool) -> None:
         """Send a query.
 
         Args:
-            may_send: this thread may wait for one of zenoh's locks.
+            may_block: this thread may wait for one of zenoh's locks; zenoh's own must not.
         """
         key, server, message, controllers = (
             self.key,
@@ -153,7 +153,7 @@ class Links(msgspec.Struct, eq=False):
                 if self.reach.through_router
                 else self._waited_for[server]
             )
-            at_once = may_send and len(body) < AT_ONCE and not link_busy
+            at_once = may_block and len(body) < AT_ONCE and not link_busy
             self._unanswered[ask.question] = server
             self._waited_for[server] += 1
         if not self.senders[server].send(send, at_once=at_once):

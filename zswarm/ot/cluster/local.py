@@ -5,6 +5,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+NAME = "local"  # of the server; its id is this, "-" and 8 hex digits
 LOG_TAIL = 1000  # characters shown if it ended by itself
 
 
@@ -16,7 +17,7 @@ class LocalServer:
         self._folder = tempfile.TemporaryDirectory(prefix="zswarm-")  # mode 0700
         self.endpoint = f"unixsock-stream/{Path(self._folder.name) / 'ss.sock'}"
         self._log = Path(self._folder.name) / "log"
-        server = ["--name", "local", "--capacity", str(slots), "--realm", realm]
+        server = ["--name", NAME, "--capacity", str(slots), "--realm", realm]
         private = ["--listen", self.endpoint, "--no-multicast", "--until-stdin-closes"]
         with self._log.open("wb") as log:
             self._process = subprocess.Popen(
@@ -53,3 +54,8 @@ class LocalServer:
         if code is None:
             return ""
         return f"exit code {code}: {self._log.read_text(errors='replace')[-LOG_TAIL:].strip()}"
+
+
+def is_local(server: str) -> bool:
+    """Return whether a server is this machine's own."""
+    return server.startswith(f"{NAME}-")

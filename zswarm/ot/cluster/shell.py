@@ -1,4 +1,4 @@
-"""The optimizer's side of the network: a shell around ``Dispatch``.
+"""Threads, queues and a clock around ``Dispatch``; ``links`` has the sessions of zenoh.
 
 The state belongs to the thread that holds its lock. The caller's thread hands in a workload and
 takes what is counted, in order. An event that arrives while no other one is handled is handled in
@@ -18,9 +18,10 @@ from zswarm.ot.cluster.debounce import Newcomers
 from zswarm.ot.cluster.dispatch import Dispatch
 from zswarm.ot.cluster.events import Answered, Ask, Complete, Counted, Event, Retracted
 from zswarm.ot.cluster.links import RELEASE_S, Links
+from zswarm.ot.cluster.local import is_local
 from zswarm.ot.cluster.matching import Terms
 from zswarm.ot.cluster.remote_server import Phase, Standing
-from zswarm.ot.cluster.watch import Watch, is_local
+from zswarm.ot.cluster.watch import Watch
 from zswarm.ot.notes import Note, RunEvent
 from zswarm.ot.workload import Workload
 from zswarm.protocol.keys import RunKey
@@ -77,7 +78,7 @@ class Cluster:
             reach,
             controllers,
             post=self._post,
-            answered=lambda event: self._happened(event, may_send=False),
+            answered=lambda event: self._happened(event, may_block=False),
             failed=self._stop,
             slots=self._slots,
         )
@@ -89,7 +90,7 @@ class Cluster:
         # Commands for the caller, held back until the standing shows their effect.
         self._held_back: list[ForCaller] = []
         self._changed = False  # the standing
-        self._awake_at = 0.0  # the thread looks at the clock then
+        self._awake_at = 0.0  # the thread wakes then, if nothing happens before
         self._newcomers = Newcomers()
         self._outbox: queue.SimpleQueue[ForCaller | BaseException] = queue.SimpleQueue()
         self._workload: Workload | None = None
@@ -126,13 +127,13 @@ class Cluster:
         """
         if self._watch is not None:
             self._watch.begin()
-        self._happened(events.Work(workload), may_send=True)
+        self._happened(events.Work(workload), may_block=True)
         return self._until_complete()
 
     def _until_complete(self) -> Iterator[Item | None]:
         while not isinstance(item := self._next(FLUSH_S), Complete):
             yield item
-            if self._watch is not None and self._watch.look(item, self.standing):
+            if self._watch is not None and self._watch.report(item, self.standing):
                 self.diagnose()
 
     def wait(self, servers: int, timeout_s: float) -> Iterator[Item | None]:
@@ -169,14 +170,14 @@ class Cluster:
     def diagnose(self) -> None:
         """Find out why servers are missing; the findings come as notes, some seconds later."""
 
-        def look() -> None:
+        def post_findings() -> None:
             sessions, known = list(self._links.sessions), list(self._links.home)
             for line in diagnosis.diagnose(
                 self._key.realm, sessions, self._reach, known=known
             ):
                 self._post(Note(RunEvent.DIAGNOSIS, "", line))
 
-        threading.Thread(target=look, name="diagnosis", daemon=True).start()
+        threading.Thread(target=post_findings, name="diagnosis", daemon=True).start()
 
     def _next(self, timeout_s: float) -> Item | Complete | None:
         try:
@@ -217,23 +218,23 @@ class Cluster:
 
     # ---- the owner of the state
 
-    def _happened(self, event: Event, *, may_send: bool) -> None:
+    def _happened(self, event: Event, *, may_block: bool) -> None:
         """Handle an event here and now if nothing else happens, or have it handled.
 
         Args:
-            may_send: this is the caller's thread, which may wait for one of zenoh's locks.
+            may_block: this thread may wait for one of zenoh's locks; zenoh's own must not.
         """
         if not self._inbox.empty() or not self._owner.acquire(blocking=False):
             self._inbox.put(event)
             return
         try:
-            self._handle(event, may_send=may_send)
+            self._handle(event, may_block=may_block)
             self._publish()
             if self._dispatch.next_time() < self._awake_at:
-                # The thread looks at the clock earlier.
+                # Wake the thread: it is to wait for less long.
                 self._inbox.put(events.TimePassed())
         except BaseException as error:
-            if may_send:  # most often Ctrl-C, which the caller is to get now
+            if may_block:  # most often Ctrl-C, which the caller is to get now
                 raise
             self._stop(error)
         finally:
@@ -243,7 +244,7 @@ class Cluster:
         """Handle events until the end; the thread's function."""
         try:
             while True:
-                # The standing costs a look at all servers: not for every event.
+                # The standing is computed from all servers: not for every event.
                 if self._inbox.empty() or len(self._held_back) >= MAX_HELD_BACK:
                     with self._owner:
                         self._publish()
@@ -251,7 +252,7 @@ class Cluster:
                     if event is None:
                         return
                     with self._owner:
-                        self._handle(event, may_send=True)
+                        self._handle(event, may_block=True)
         except BaseException as error:
             # A bug, or a panic in zenoh, which is not an Exception.
             self._stop(error)
@@ -263,7 +264,7 @@ class Cluster:
             self._outbox.put(item)
         self._held_back.clear()
 
-    def _handle(self, event: Event, *, may_send: bool) -> None:
+    def _handle(self, event: Event, *, may_block: bool) -> None:
         batch_answered = False
         match event:
             case events.Work():
@@ -278,7 +279,7 @@ class Cluster:
         lost = isinstance(event, events.Gone)
         for command in commands:
             if isinstance(command, Ask):
-                self._links.ask(command, may_send=may_send)
+                self._links.ask(command, may_block=may_block)
             else:
                 self._held_back.append(command)
                 lost |= (
@@ -291,7 +292,7 @@ class Cluster:
                     self._links.hang_up(name)
 
     def _take(self) -> list[Event | None]:
-        """Wait for the next events, or for the time to look at the clock."""
+        """Wait for the next events, at most until the dispatch or newcomers are due."""
         now = time.monotonic()
         if new := self._newcomers.take(now):
             return [events.Seen(server) for server in new]

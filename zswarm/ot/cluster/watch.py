@@ -8,7 +8,7 @@ import msgspec
 
 from zswarm.config.sections import ClusterConfig
 from zswarm.errors import EvaluationError
-from zswarm.ot.cluster.local import LocalServer
+from zswarm.ot.cluster.local import LocalServer, is_local
 from zswarm.ot.cluster.remote_server import Standing
 from zswarm.ot.notes import Note, RunEvent
 
@@ -63,7 +63,7 @@ class Watch(msgspec.Struct, eq=False):
             alone = ": this machine's slots compute alone" if local is not None else ""
             self.say(f"no server found in realm {options.realm}{alone}; {HINT}")
 
-    def look(self, item: object, standing: Standing) -> bool:
+    def report(self, item: object, standing: Standing) -> bool:
         """Report what a run waits for; return whether to find out why.
 
         Raises:
@@ -90,8 +90,3 @@ class Watch(msgspec.Struct, eq=False):
     def _tell(self, line: str) -> None:
         self._said = line
         self.say(line)
-
-
-def is_local(server: str) -> bool:
-    """Return whether a server is this machine's own."""
-    return server.startswith("local-")

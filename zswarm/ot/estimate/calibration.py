@@ -49,7 +49,7 @@ def calibrate(parts: Parts, connection: Connection) -> Calibration:
     slots = connection.slots
     later, breed_s = breed(optimizer, len(genomes))
     evolve_s = breed_s + _gap(problem, connection, later, trial_s)
-    trips = discovery.trips(
+    trips = discovery.round_trips(
         complete.cluster.realm,
         connection.reach,
         connection.local.endpoint if connection.local is not None else "",

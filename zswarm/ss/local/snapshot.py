@@ -4,7 +4,7 @@ from collections import Counter, deque
 
 import msgspec
 
-from zswarm.ss.slots.table import Slots
+from zswarm.ss.slots.table import SlotTable
 from zswarm.ss.workers.parent import Worker
 
 RATE_S = 10.0  # trials per second are counted over these
@@ -67,7 +67,7 @@ class View(msgspec.Struct, frozen=True, kw_only=True):
         )
 
 
-def slot_states(slots: Slots, workers: list[Worker], now: float) -> dict[str, int]:
+def slot_states(slots: SlotTable, workers: list[Worker], now: float) -> dict[str, int]:
     """Return how many slots are in which state."""
     shown = {"assigned": "preparing", "ready": "waiting"}
     counts: Counter[str] = Counter()

@@ -76,7 +76,7 @@ class Tick(msgspec.Struct, frozen=True):
     """Time passed."""
 
     # For each slot the trial that it is at, an index in its chunk.
-    trials: tuple[int, ...]
+    positions: tuple[int, ...]
 
 
 class Drain(msgspec.Struct, frozen=True):
@@ -100,7 +100,7 @@ class Answer(msgspec.Struct, frozen=True):
 class PrepareSlot(SlotMessage, frozen=True):
     """Prepare the slot for a problem; Prepared, Unprepared or Died follows."""
 
-    setup: messages.Reserve
+    reserve: messages.Reserve  # with the problem
     probe: bool  # play the probe, too
     known: bool = False  # its process is prepared for this problem already
 

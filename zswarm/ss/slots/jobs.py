@@ -43,9 +43,9 @@ class Job(msgspec.Struct, eq=False):
     work: Evaluate
     query: Query | None
     asked_at: float
-    trials: int
+    count: int  # of its trials
     cuttable: bool  # else a slot gets it whole, and refuses it as malformed
-    waiting: list[range]  # trials to hand out, never cut across two ranges
+    waiting: list[range]  # trials to hand out; a chunk never spans two of these
     running: int = 0  # chunks in slots
     parts: list[tuple[range, Outcomes]] = []  # trials with their outcomes
     reported: int = 0  # parts that a running answer contained
@@ -85,7 +85,7 @@ class Job(msgspec.Struct, eq=False):
             return msgspec.structs.replace(self.failure, **fields)
         if not self.parts:
             return None
-        if sum(len(trials) for trials, _ in self.parts) == self.trials:
+        if sum(len(trials) for trials, _ in self.parts) == self.count:
             fields["trials"] = b""  # all
         return Outcomes(batch=self.work.batch, **fields)
 
@@ -94,14 +94,14 @@ class Chunk(msgspec.Struct, eq=False):
     """Trials of a job that a slot evaluates."""
 
     job: Job
-    trials: range
+    positions: range  # of its trials in the batch
     begun: float
 
     def work(self) -> Evaluate:
         """Return the request to evaluate these trials."""
         if not self.job.cuttable:
             return self.job.work
-        return codec.cut(self.job.work, self.trials.start, self.trials.stop)
+        return codec.cut(self.job.work, self.positions.start, self.positions.stop)
 
 
 class JobQueue(msgspec.Struct, eq=False):
@@ -130,14 +130,14 @@ class JobQueue(msgspec.Struct, eq=False):
 
     def add(self, work: Evaluate, query: Query) -> None:
         """Append a job."""
-        trials = len(work.seeds) // 8
+        count = len(work.seeds) // 8
         cuttable = (
-            1 <= trials <= MAX_TRIALS
+            1 <= count <= MAX_TRIALS
             and len(work.seeds) % 8 == 0
-            and len(work.participants) % (4 * trials) == 0
+            and len(work.participants) % (4 * count) == 0
         )
-        trials = max(1, trials)
-        job = Job(work, query, self.out.now, trials, cuttable, [range(trials)])
+        count = max(1, count)
+        job = Job(work, query, self.out.now, count, cuttable, [range(count)])
         self.jobs[work.batch] = job
         self.waiting.append(job)
 
@@ -155,12 +155,12 @@ class JobQueue(msgspec.Struct, eq=False):
         size = math.ceil(max(shared, min(max(rest / (2 * slots), least), rest / idle)))
         if not job.cuttable or len(first) - size < shared / 2:
             size = len(first)
-        trials, later = first[:size], first[size:]
+        positions, later = first[:size], first[size:]
         job.waiting[:1] = [later] if later else []
         if not job.waiting:
             self.waiting.popleft()
         job.running += 1
-        return Chunk(job, trials, self.out.now)
+        return Chunk(job, positions, self.out.now)
 
     # ---- ends of chunks; the slot has given the chunk back
 
@@ -169,10 +169,10 @@ class JobQueue(msgspec.Struct, eq=False):
         job, count = chunk.job, 0
         if isinstance(reply, Refused):
             job.failure = reply
-            self._close(job)
+            self._hand_out_no_more(job)
         elif not job.cancelled:
-            count = len(chunk.trials)
-            job.parts.append((chunk.trials, reply))
+            count = len(chunk.positions)
+            job.parts.append((chunk.positions, reply))
             self.trials += count
             measured = reply.seconds / count
             self.trial_s = (
@@ -183,9 +183,13 @@ class JobQueue(msgspec.Struct, eq=False):
 
     def exhausted(self, chunk: Chunk, trial: int) -> None:
         """Hand out an exhausted chunk again, before all else, with one trial by itself."""
-        job, trials = chunk.job, chunk.trials
+        job, positions = chunk.job, chunk.positions
         if not (job.cancelled or job.failure or self._draining):
-            parts = (trials[:trial], trials[trial : trial + 1], trials[trial + 1 :])
+            parts = (
+                positions[:trial],
+                positions[trial : trial + 1],
+                positions[trial + 1 :],
+            )
             job.waiting[:0] = [part for part in parts if part]
             if job in self.waiting:
                 self.waiting.remove(job)
@@ -202,10 +206,10 @@ class JobQueue(msgspec.Struct, eq=False):
             job.failure = Fault(
                 batch=job.work.batch,
                 kind=event.kind,
-                trial=chunk.trials.start + event.trial,
+                trial=chunk.positions.start + event.trial,
                 reason=reason[:MAX_TEXT],
             )
-            self._close(job)
+            self._hand_out_no_more(job)
         self._conclude(job)
 
     # ---- ends and answers
@@ -216,7 +220,7 @@ class JobQueue(msgspec.Struct, eq=False):
         jobs = [job for job in jobs if not job.cancelled]
         for job in jobs:
             job.cancelled = True
-            self._close(job)
+            self._hand_out_no_more(job)
             self._conclude(job)
         return jobs
 
@@ -224,7 +228,7 @@ class JobQueue(msgspec.Struct, eq=False):
         """Hand out no more trials."""
         self._draining = True
         for job in list(self.waiting):
-            self._close(job)
+            self._hand_out_no_more(job)
             self._conclude(job)
 
     def clear(self, code: messages.Refusal, reason: str) -> None:
@@ -256,8 +260,7 @@ class JobQueue(msgspec.Struct, eq=False):
             self.out.answer(job.query, running)
             job.query, job.reported = None, len(job.parts)
 
-    def _close(self, job: Job) -> None:
-        """Hand out no more of a job."""
+    def _hand_out_no_more(self, job: Job) -> None:
         if job in self.waiting:
             self.waiting.remove(job)
         job.waiting = []

@@ -78,7 +78,7 @@ class Slot(msgspec.Struct, eq=False):
     state: SlotState = "free"
     since: float = 0.0  # when the state, or the trial, began
     lease: "HeldLease | None" = None
-    setup: Reserve | None = None  # the problem that its process is prepared for
+    prepared_for: Reserve | None = None  # whose problem its process is prepared for
     chunk: Chunk | None = None
     trial: int = -1  # that it is at, an index in the chunk; -1 if not known yet
     deaths: int = 0  # in a row, while it was prepared for this lease
@@ -108,7 +108,7 @@ class HeldLease(msgspec.Struct, eq=False):
     token: bytes
     user: str
     run: str
-    setup: Reserve
+    reserve: Reserve  # the message that asked for it
     wanted: int  # slots
     since: float
     last_message: float
@@ -150,7 +150,9 @@ class HeldLease(msgspec.Struct, eq=False):
 
     def prepared(self, slot: Slot) -> bool:
         """Return whether the process of a slot is prepared for the problem of this lease."""
-        return slot.setup is not None and _problem(slot.setup) == _problem(self.setup)
+        return slot.prepared_for is not None and _problem(slot.prepared_for) == _problem(
+            self.reserve
+        )
 
 
 class LeaseTable(dict[tuple[str, str], HeldLease]):
@@ -171,16 +173,16 @@ class LeaseTable(dict[tuple[str, str], HeldLease]):
             return f"another program holds the lease of epoch {epoch}"
         return f"the run was taken over: its epoch is {highest}, not {epoch}"
 
-    def grant(self, user: str, run: str, setup: Reserve) -> HeldLease:
+    def grant(self, user: str, run: str, reserve: Reserve) -> HeldLease:
         """Add a lease, in the place of the previous lease of the run if there is one."""
-        self._epochs[user, run] = setup.epoch
+        self._epochs[user, run] = reserve.epoch
         self._epochs.move_to_end((user, run))
         while len(self._epochs) > MAX_EPOCHS:
             self._epochs.popitem(last=False)
         previous = self.get((user, run))
         now, token = self._out.now, self._new_token()
         jobs = JobQueue(self._out, self.replies, token)
-        lease = HeldLease(token, user, run, setup, setup.slots, now, now, jobs)
+        lease = HeldLease(token, user, run, reserve, reserve.slots, now, now, jobs)
         self[user, run] = lease
         if previous is not None:
             self._close(previous, "taken over")
@@ -272,6 +274,6 @@ class LeaseTable(dict[tuple[str, str], HeldLease]):
         return shares
 
 
-def _problem(setup: Reserve) -> tuple[object, ...]:
-    parts = setup.simulator, setup.representation
-    return *parts, setup.version_hash, setup.trial_memory_mb, setup.asks
+def _problem(reserve: Reserve) -> tuple[object, ...]:
+    parts = reserve.simulator, reserve.representation
+    return *parts, reserve.version_hash, reserve.trial_memory_mb, reserve.asks

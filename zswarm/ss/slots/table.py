@@ -32,7 +32,7 @@ STALL_S = 2.0  # without an event: the server itself stood still, and no slot is
 PREPARE_ATTEMPTS = 3  # of a slot whose process dies while it is prepared
 
 
-class Slots:
+class SlotTable:
     """The state machine; ``handle`` is its only entry.
 
     Args:
@@ -76,8 +76,8 @@ class Slots:
             case events.HolderAlive(user, run, alive):
                 if (lease := self.leases.get((user, run))) is not None:
                     lease.gone_since = None if alive else now
-            case events.Tick(trials):
-                self._tick(trials)
+            case events.Tick(positions):
+                self._tick(positions)
             case events.Drain():
                 self.draining = True
                 for lease in self.leases.values():
@@ -151,7 +151,7 @@ class Slots:
     def _reserve(self, event: events.Asked, message: messages.Reserve) -> None:
         user, run, query, out = event.user, event.run, event.query, self._out
         lease = self.leases.get((user, run))
-        if lease is not None and lease.setup.nonce == message.nonce:
+        if lease is not None and lease.reserve.nonce == message.nonce:
             lease.renew(out.now)
         elif reason := self.leases.outdated(user, run, message.epoch):
             return out.refuse(query, "superseded", reason)
@@ -199,13 +199,13 @@ class Slots:
             case events.Died():
                 return self._died(slot, event, chunk)
             case events.Unprepared():
-                slot.setup = None
+                slot.prepared_for = None
             case events.Exhausted() | events.Finished(recycle=True):
                 self._out.log("slot_worn", slot=slot.index)
                 self._kill(slot)
         if lease is None:
             return self._move(slot, "free")
-        self._move(slot, "assigned" if slot.setup is None else "ready")
+        self._move(slot, "assigned" if slot.prepared_for is None else "ready")
         match event:
             case events.Prepared():
                 self._prepared(slot, lease, event)
@@ -233,7 +233,7 @@ class Slots:
     def _died(self, slot: Slot, event: events.Died, chunk: Chunk | None) -> None:
         """Blame the trial at which the process of a slot died; a new process is there."""
         lease, state, reason = slot.lease, slot.state, event.reason
-        slot.setup = None
+        slot.prepared_for = None
         self.faults[event.kind] += 1
         if state == "stopping":
             self._move(slot, "free")
@@ -249,7 +249,7 @@ class Slots:
         if state != "assigned":
             self._move(slot, "assigned")
         if chunk is not None:
-            lease.jobs.failed(chunk, event, lease.setup.simulator.kind)
+            lease.jobs.failed(chunk, event, lease.reserve.simulator.kind)
         slot.deaths += state == "preparing"
         if slot.deaths < PREPARE_ATTEMPTS:
             return
@@ -263,18 +263,18 @@ class Slots:
 
     def _kill(self, slot: Slot) -> None:
         self._out.append(events.KillSlot(slot.index))
-        slot.setup = None
+        slot.prepared_for = None
 
     def _move(self, slot: Slot, state: SlotState) -> None:
         slot.move(state, self._out.now)
 
     # ---- time
 
-    def _tick(self, trials: tuple[int, ...]) -> None:
+    def _tick(self, positions: tuple[int, ...]) -> None:
         now = self._out.now
         for lease in [lease for lease in self.leases.values() if lease.expired(now)]:
             self.leases.end(lease, "expired")
-        for slot, trial in zip(self.slots, trials, strict=True):
+        for slot, trial in zip(self.slots, positions, strict=True):
             if (event := self._overdue(slot, trial)) is not None:
                 self._kill(slot)
                 self._slot_event(slot, event)
@@ -296,12 +296,12 @@ class Slots:
                 )
         elif lease is not None and slot.state == "preparing":
             probe_trials = messages.PROBE_GENOMES * messages.PROBE_SEEDS
-            limit_s = PREPARE_S + probe_trials * lease.setup.trial_timeout_s
+            limit_s = PREPARE_S + probe_trials * lease.reserve.trial_timeout_s
             if taken_s > limit_s:
                 reason = f"the simulator's first trials took longer than {limit_s:g} s"
                 return events.Unprepared(slot.index, reason)
         elif lease is not None and slot.state == "busy":
-            timeout_s = lease.setup.trial_timeout_s
+            timeout_s = lease.reserve.trial_timeout_s
             if trial != slot.trial:
                 slot.trial, slot.since = trial, now
             elif taken_s > timeout_s:
@@ -322,9 +322,9 @@ class Slots:
                 self._move(slot, "ready")
             elif lease.probe or not preparing:
                 self._move(slot, "preparing")
-                slot.setup, preparing = lease.setup, True
+                slot.prepared_for, preparing = lease.reserve, True
                 command = events.PrepareSlot(
-                    slot.index, lease.setup, not lease.probe, known
+                    slot.index, lease.reserve, probe=not lease.probe, known=known
                 )
                 self._out.append(command)
 
@@ -337,7 +337,7 @@ class Slots:
             self._move(slot, "busy")
             slot.chunk, slot.trial = chunk, -1
             self._out.append(
-                events.RunChunk(slot.index, chunk.work(), chunk.trials.start)
+                events.RunChunk(slot.index, chunk.work(), chunk.positions.start)
             )
         if not idle or not any(job.unreported() for job in lease.jobs.jobs.values()):
             lease.unreported_since = None

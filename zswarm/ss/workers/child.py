@@ -127,32 +127,32 @@ class SlotProcess:
 
     def _prepare(self, command: PrepareSlot) -> Prepared:
         """Build a problem, and compile or load all that a trial needs."""
-        self._setup = setup = command.setup
-        _check_version(setup)
-        limit_mb = setup.trial_memory_mb or self._memory_mb
+        self._reserve = reserve = command.reserve
+        _check_version(reserve)
+        limit_mb = reserve.trial_memory_mb or self._memory_mb
         memory.restrict(limit_mb)
         parts = self.simulator, self.representation = self._evaluate.build(
-            setup.simulator.kind,
-            setup.simulator.settings,
-            setup.representation.kind,
-            setup.representation.settings,
-            hosting=not setup.asks,
+            reserve.simulator.kind,
+            reserve.simulator.settings,
+            reserve.representation.kind,
+            reserve.representation.settings,
+            hosting=not reserve.asks,
         )
-        probe, trial_s, in_turns = b"", 0.0, bool(setup.asks)
+        probe, trial_s, in_turns = b"", 0.0, bool(reserve.asks)
         if command.probe:
             probe, trial_s = self._evaluate.probe(*parts, in_turns=in_turns)
         else:
             self._evaluate.warm_up(*parts, in_turns=in_turns)
         self._recycle_at = (memory.used() + (limit_mb << 20)) // 2
         # The probe's trials do not ask the optimizer; those of the run take longer.
-        return Prepared(self._slot, probe, 0.0 if setup.asks else trial_s)
+        return Prepared(self._slot, probe, 0.0 if reserve.asks else trial_s)
 
     def _run(self, command: RunChunk) -> Finished:
         begin, work = time.perf_counter(), command.work
         reply: Outcomes | Refused
         try:
             participants, seeds = codec.trials(work, self.simulator.participants)
-            asking = partial(self._asking, command) if self._setup.asks else None
+            asking = partial(self._asking, command) if self._reserve.asks else None
             found = self._evaluate.evaluate(
                 self.simulator,
                 self.representation,
@@ -178,7 +178,7 @@ class SlotProcess:
     def _asking(self, command: RunChunk, trial: int) -> Trial:
         trial += command.first
         return Trial(
-            self._pipe, command.work, trial, self.simulator.outputs, self._setup.asks
+            self._pipe, command.work, trial, self.simulator.outputs, self._reserve.asks
         )
 
     def _trial(self) -> int:
@@ -192,7 +192,7 @@ class SlotProcess:
         return memory.used() > self._recycle_at
 
     def _too_much(self) -> str:
-        if asked_mb := self._setup.trial_memory_mb:
+        if asked_mb := self._reserve.trial_memory_mb:
             return (
                 f"it needs more than the {asked_mb} MB of cluster.trial_memory_mb: raise that, "
                 "if servers have more"
@@ -203,10 +203,10 @@ class SlotProcess:
         )
 
 
-def _check_version(setup: Reserve) -> None:
+def _check_version(reserve: Reserve) -> None:
     """Check that files, which this process loads now, are those that the server offered."""
-    simulator, representation = setup.simulator.kind, setup.representation.kind
-    if version_hash(simulator, representation) != setup.version_hash:
+    simulator, representation = reserve.simulator.kind, reserve.representation.kind
+    if version_hash(simulator, representation) != reserve.version_hash:
         raise ConfigError(
             f"files of {simulator}, {representation} or zswarm changed after the server was "
             "started; start the server again, for a run must not continue with other code"

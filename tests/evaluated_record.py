@@ -1,4 +1,4 @@
-"""A run's folder whose outcomes are those of real trials, without servers."""
+"""Write a run folder whose outcomes are those of real trials, without servers."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -29,7 +29,7 @@ def played(
     version: str | None = None,
     games: np.ndarray | None = None,
 ) -> Path:
-    """A run of random candidates; games as in ``Problem.workload``."""
+    """Play a run of random candidates; games as in ``Problem.workload``."""
     complete = experiment.complete(
         experiment.load(
             experiment.find(example),

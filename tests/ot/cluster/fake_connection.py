@@ -1,4 +1,4 @@
-"""A connection whose trials have outcomes at once, in this program, to test a run's loop."""
+"""Fake a connection without servers, to test a run's loop: this program fills in the outcomes."""
 
 import contextlib
 from collections.abc import Generator, Iterator
@@ -11,8 +11,8 @@ from zswarm.ot.logger import Generation, Result
 from zswarm.ot.workload import Workload
 
 
-class Servers:
-    """Connection and cluster in one; a child class decides the outcomes."""
+class FakeConnection:
+    """Connection and cluster in one; a subclass decides the outcomes."""
 
     standing = Standing(serving=["lab-1"], slots=2, probe=b"digest")
     options = ClusterConfig()
@@ -22,7 +22,7 @@ class Servers:
         self.handed: list[Workload] = []  # in their order
 
     @contextlib.contextmanager
-    def lease(self, *_args: object, **asked: Any) -> "Iterator[Servers]":
+    def cluster(self, *_args: object, **asked: Any) -> "Iterator[FakeConnection]":
         self.asked = asked
         yield self
 
@@ -44,7 +44,7 @@ class Servers:
 
 
 def result(evolution: Generator[Generation, None, Result]) -> Result:
-    """Of a run that is left to go to its end."""
+    """Play a run to its end and return the result."""
     while True:
         try:
             next(evolution)
