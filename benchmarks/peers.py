@@ -4,7 +4,7 @@ import functools
 import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -62,7 +62,7 @@ def zswarm_here(slots: int) -> Iterator[list[Way]]:
 
     with (
         leased.bench_simulator(),
-        LocalServer(slots, "default") as local,
+        closing(LocalServer(slots, "default")) as local,
         leased.Lease(local.endpoint, slots) as lease,
     ):
         yield [Way("this machine's slots", BY_ITSELF, lease.evaluate)]

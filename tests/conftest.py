@@ -42,8 +42,6 @@ with multiprocessing.get_context("fork").Pool() as pool:
 # The longest tests start first, so that none of them runs alone at the end.
 LONGEST = [
     "tests/integration/test_kills.py",
-    "tests/sims/test_arena.py::test_evolving_beats",
-    "tests/sims/test_robot_tasks.py::test_evolving_beats",
     "tests/bits/test_bits.py::test_the_bits_are_the_same",
     "tests/ot/optimizers/test_examples.py::test_novelty_finds",
     "tests/docs/test_notebook.py",

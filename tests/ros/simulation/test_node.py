@@ -119,7 +119,7 @@ def test_a_trial_records_its_poses_and_its_outcome(
 def test_a_robot_that_never_answers_is_named(here: RosGraph) -> None:
     with (
         node(
-            here, "--seed", "5", "--channels", "scan,odometry", "--deadline-s", "1"
+            here, "--seed", "5", "--channels", "scan,odometry", "--deadline-s", "5"
         ) as started,
         controllers(here) as link,
     ):
@@ -130,7 +130,7 @@ def test_a_robot_that_never_answers_is_named(here: RosGraph) -> None:
     assert started.returncode == 1
     assert (
         errors
-        == "zswarm.ros.simulation.node: no velocity of robot 1 at 0.2 s within 1 s (deadline_s)\n"
+        == "zswarm.ros.simulation.node: no velocity of robot 1 at 0.2 s within 5 s (deadline_s)\n"
     )
 
 
@@ -210,10 +210,10 @@ def test_a_free_running_simulation_stops_a_robot_without_commands(
 
 
 def test_a_free_running_simulation_reports_how_late_the_controllers_are() -> None:
-    """At twice real time few are; at 1,000 times most are, and steps are missed."""
+    """In real time few are; at 1,000 times most are, and steps are missed."""
     need("zenoh")
     late, turns = [], []
-    for rate in (2.0, 1000.0):
+    for rate in (1.0, 1000.0):
         simulator = built("turtlebot-exit-ros", mode="free-running", rate=rate, **ROOM)
         played = by_policy(simulator, robot_controllers.turtlebot_exit, 3)
         simulator.close()

@@ -30,13 +30,17 @@ TWO_NETS = {"kind": "bulk", "parts": 2, "of": {"kind": "feed-forward", "hidden":
 EVOLVED: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
     ("simple_v3", {}, {"generations": 20, "trials": 6, "search": True}),
     ("simple_spread_v3", {}, {"generations": 8, "trials": 4}),
-    ("simple_formation_v1", {}, {"generations": 8}),
+    ("simple_formation_v1", {}, {"generations": 6, "runs": 4, "others": 12}),
     (
         "simple_speaker_listener_v4",
         {},
         {"generations": 10, "trials": 4, "representation": TWO_NETS},
     ),
-    ("multiwalker_v9", {"max_cycles": 80}, {"generations": 8, "trials": 2, "unseen": 10}),
+    (
+        "multiwalker_v9",
+        {"max_cycles": 60},
+        {"generations": 6, "runs": 4, "trials": 2, "unseen": 6, "others": 12},
+    ),
 ]
 KEPT = {
     "pettingzoo": [

@@ -106,13 +106,14 @@ def test_silent_unresponsive_and_disconnected_clients_are_dropped(
     server: Control, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(control, "CLIENT_S", 0.5)
-    silent, half, deaf, gone = (connected(server) for _ in range(4))
+    # The time of ``silent`` begins last: when it is over, that of ``deaf`` is over, too.
+    deaf, gone, half, silent = (connected(server) for _ in range(4))
     half.send(b'{"ask": ')
     deaf.send(b'{"ask": "status"}\n')
     gone.send(b'{"ask": "status"}\n')
     gone.close()
     assert asked(server, b'{"ask": "status"}\n')["ask"] == "status"
-    assert (rest(silent), rest(half)) == (b"", b"")
+    assert (rest(half), rest(silent)) == (b"", b"")
     assert not rest(deaf).endswith(b"\n")
     for connection in (silent, half, deaf):
         connection.close()
