@@ -1,12 +1,11 @@
-"""What it costs to have a candidate evaluated by zswarm and by others, measured side by side.
+"""Measure what it costs to have a candidate evaluated by zswarm and by others.
 
-Generations of distinct candidates of 1152 bytes that do nothing (*noop*), sleep 5 ms (*sleep*) or
-take 5 ms of a core (*cpu*);
-for the first microseconds per candidate are found, for the others efficiency: ideal time / time.
-Each round starts every peer in a process of its own, has it warm up, measures, and stops it before
-the next one starts, so that none idles beside another; the order shifts from round to round.
-Written are medians over the rounds, with the least and the most. Every answer is compared with what
-it must be. Nothing else should run meanwhile.
+Generations of distinct candidates of 1152 bytes do nothing (*noop*), sleep 5 ms (*sleep*) or take
+5 ms of a core (*cpu*). The first gives microseconds per candidate, the others efficiency: ideal
+time / time. Each round starts every peer in its own process, warms it up, measures it, and stops it
+before the next one starts, so that none idles next to another; the order shifts from round to
+round. The results are medians over the rounds, with the least and the most. Every answer is checked.
+Nothing else should run meanwhile.
 """
 
 import argparse

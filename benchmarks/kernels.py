@@ -1,4 +1,4 @@
-"""How fast whole simulations are on one core, beside other ways to compute the same.
+"""Measure whole simulations on one core, compared with other ways to compute the same.
 
 Agent-steps per second of ``arena`` (aggregation; a robot per m2; 8 -> 6 + 2 neurons of tanh, 152
 genes; 500 steps), compiled by numba, in plain Python, in C (``kernels/arena.c``, -O3 -march=native)

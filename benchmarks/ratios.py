@@ -26,7 +26,7 @@ KERNEL_S = 300.0
 
 
 class Size(NamedTuple):
-    """How much is measured."""
+    """The amount of work to measure."""
 
     rounds: int
     population: int

@@ -55,7 +55,7 @@ Actor = Iterator[float]  # yields the seconds until it continues
 
 
 class Grown(NamedTuple):
-    """What a process did over the time it was watched."""
+    """The growth of a process while it was watched."""
 
     name: str
     slope: float  # MB a minute
@@ -94,7 +94,7 @@ def judge(name: str, samples: list[tuple[float, Usage]]) -> Grown:
 
 
 class Programs:
-    """What was started, in a folder of its own; all of it ends with this."""
+    """The started programs, in a separate folder; all end with this context."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder

@@ -1,11 +1,11 @@
-"""Which simulators and examples the installed packages can play."""
+"""List the simulators and examples that the installed packages can play."""
 
 import importlib.util
 from collections.abc import Iterable
 
 
 def vmas_is_here() -> bool:
-    """Whether the packages of the extra ``vmas`` are: they are large, and in ``make vmas`` only."""
+    """Return whether the extra ``vmas`` is installed: it is large, and only in ``make vmas``."""
     return (
         importlib.util.find_spec("vmas") is not None
         and importlib.util.find_spec("torch") is not None

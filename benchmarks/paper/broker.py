@@ -30,7 +30,7 @@ START_S = 120.0  # of a server, which may compile first
 
 
 class Message(msgspec.Struct, tag=True):
-    """What each begins with."""
+    """The fields that each message begins with."""
 
     server: str
     simulation: str

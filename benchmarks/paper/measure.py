@@ -30,7 +30,7 @@ ONE = Size(1, 3)  # a generation, the smallest that NNGA takes
 
 
 class Plan(NamedTuple):
-    """How much is measured."""
+    """The amount of work to measure."""
 
     rounds: int = 3  # of the four designs
     designs_steps: int = 50

@@ -57,7 +57,7 @@ class Size(NamedTuple):
 
 
 class Optimized(NamedTuple):
-    """What an optimization took, and what came of it."""
+    """The cost and the result of an optimization."""
 
     seconds: float
     simulations: int

@@ -29,7 +29,7 @@ SETTLE_S = 20.0
 
 
 class Use(NamedTuple):
-    """Of slot time in a generation, as shares of slots x wall time."""
+    """The use of slot time in a generation, as shares of slots x wall time."""
 
     efficiency: float  # ideal time / time
     wall_s: float
@@ -43,7 +43,7 @@ class Use(NamedTuple):
 
 
 class Found(NamedTuple):
-    """How the servers were found, from before opening the session on."""
+    """The result of discovery, measured from before the session opens."""
 
     servers: int
     offered_s: float

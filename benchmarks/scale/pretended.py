@@ -13,7 +13,7 @@ GENOME = 400  # bytes
 
 
 class Times(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How long trials take: the settings of the pretended simulator."""
+    """The duration of trials: settings of the simulated work."""
 
     mean_s: float = 1.0
     # Or uniform: 0.5 to 1.5 times the mean; heavy: a Pareto tail, up to 20 times the mean

@@ -30,7 +30,7 @@ SERVER = re.compile(r"[a-z0-9][a-z0-9-]{0,62}")
 
 
 class Facts(NamedTuple):
-    """What a folder that keeps the promise says."""
+    """The facts that a folder's record states."""
 
     finished: bool
     told: list[str]  # the history's hash after each finished generation
