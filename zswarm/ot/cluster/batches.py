@@ -96,17 +96,17 @@ class Batches(msgspec.Struct, eq=False):
         """Resume, strand or forget a server's batches, as its phase requires."""
         self.refill = True
         if server.phase == Phase.LEASED:
-            if server.previous not in (b"", server.lease):
+            if server.resumable_lease not in (b"", server.lease):
                 self._forget_stranded(server)
             else:
                 self._resume(server)
-            server.previous = b""
+            server.resumable_lease = b""
             return
         for batch in list(server.batches.values()):
             # A leaving server will not answer a batch that it has already failed to answer once.
-            if server.phase != Phase.LEAVING or batch.empties:
+            if server.phase != Phase.LEAVING or batch.unanswered:
                 self.strand(batch)
-        if not server.lease and not server.previous:
+        if not server.lease and not server.resumable_lease:
             self._forget_stranded(server)
         if server.phase == Phase.BANNED and self.workload is not None:
             trials = self.workload.retract(server.id)
@@ -136,7 +136,7 @@ class Batches(msgspec.Struct, eq=False):
             batch.server.unwanted.append(batch.id)
             self.give_back(batch)
         else:
-            batch.empties = batch.question = 0
+            batch.unanswered = batch.question = 0
             self._requeue(QueuedTrials(batch.rest(), batch.avoid, batch))
 
     def _cancel(self, server: RemoteServer, batches: list[int]) -> None:
@@ -193,7 +193,7 @@ class Batches(msgspec.Struct, eq=False):
         """
         batches, serving = server.batches.values(), len(self._serving)
         missing = depth * server.ready - sum(batch.missing for batch in batches)
-        enough = missing <= 0 and sum(not batch.given for batch in batches) >= depth
+        enough = missing <= 0 and sum(not batch.all_started for batch in batches) >= depth
         if enough or len(batches) >= DEPTH * server.ready:
             return 0
         size = max(1, missing)

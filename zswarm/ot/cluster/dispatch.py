@@ -52,7 +52,7 @@ class Dispatch:
                 servers.arbitrate_probe(event.digest)
             case events.TimePassed():
                 self._repeat()
-                servers.renew_due()
+                servers.ask_due()
             case events.Leave():
                 batches.end()
                 servers.leave()
@@ -80,14 +80,13 @@ class Dispatch:
             out.commands.append(events.Complete())
 
     def _follow(self) -> None:
-        while self.servers.moved:
-            self.batches.follow(self.servers.moved.pop(0))
+        changed, self.servers.changed = self.servers.changed, {}
+        for server in changed.values():
+            self.batches.follow(server)
 
     def _repeat(self) -> None:
         for query in self.out.due():
-            if not query.batch:
-                self.servers.repeat(query)
-            elif (batch := self._sent(query)) is not None:
+            if (batch := self._sent(query)) is not None:
                 self.batches.ask(batch)
 
     def _answered(self, event: Answered) -> None:
@@ -116,9 +115,9 @@ class Dispatch:
         if reply is None:
             if server.phase == Phase.LEAVING:
                 batches.strand(batch)
-            elif batch.empties < len(RETRY_S):
-                self.out.later(RETRY_S[batch.empties], query)
-                batch.empties += 1
+            elif batch.unanswered < len(RETRY_S):
+                self.out.later(RETRY_S[batch.unanswered], query)
+                batch.unanswered += 1
             else:
                 servers.back_off(server, "evaluate")
             return
@@ -127,7 +126,8 @@ class Dispatch:
         try:
             match reply:
                 case Running():
-                    batch.empties, batch.given = 0, batch.given or reply.given
+                    batch.unanswered = 0
+                    batch.all_started = batch.all_started or reply.given
                     batches.count(batch, reply)
                     if batch.missing:
                         batches.ask(batch)

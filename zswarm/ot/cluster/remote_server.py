@@ -9,6 +9,7 @@ One that does not match, refuses or fails is IDLE until its token appears again.
 wrong outcomes is BANNED for good.
 """
 
+import math
 from collections.abc import Collection
 from enum import Enum, auto
 from typing import Self
@@ -59,8 +60,8 @@ class SentBatch(msgspec.Struct, eq=False):
     avoid: frozenset[str] = frozenset()  # servers on which one of them ended in a fault
     check: bool = False  # they are counted already, and evaluated again for comparison
     question: int = 0  # the query that asked for it last
-    empties: int = 0  # queries in a row that ended without an answer
-    given: bool = False  # none of it waits for a slot any more
+    unanswered: int = 0  # queries in a row that ended without an answer
+    all_started: bool = False  # none of it waits for a slot any more
 
     def rest(self) -> np.ndarray:
         """Return the trials whose outcome did not come."""
@@ -75,7 +76,7 @@ class RemoteServer(msgspec.Struct, eq=False):
     phase: Phase = Phase.IDLE
     lease: bytes = b""  # while LEASED or LEAVING
     # A lease given up for silence, which may still be valid at the server.
-    previous: bytes = b""
+    resumable_lease: bytes = b""
     probe: bytes = b""  # digest of its outcomes of the probe
     capacity: int = 0
     place: tuple[float, ...] = ()  # its rank; the lowest comes first
@@ -84,16 +85,19 @@ class RemoteServer(msgspec.Struct, eq=False):
     slots: int = 0
     ready: int = 0  # slots that can evaluate
     trial_s: float = 0.0  # measured; 0.0: not yet
-    renew_at: float = 0.0  # when its lease is to be asked for again
-    renewing: bool = False
-    paused_until: float = 0.0  # it had no room for a batch
+    # Its open query for an offer, a reservation or a renewal; 0: none.
+    question: int = 0
+    asked_at: float = 0.0  # when that was sent
+    ask_at: float = math.inf  # when the query of its phase is due
+    # It had no room for a batch: no other is sent before.
+    paused_until: float | None = None
     batches: dict[int, SentBatch] = {}
     unwanted: list[int] = []  # batches to cancel that the server may still have
     counted: int = 0  # trials
     blamed: int = 0  # trials that failed here and were evaluated elsewhere
     faulty: bool = False  # backed off for that
-    empties: int = 0  # queries in a row, but for batches, that ended without an answer
-    silent: bool = False  # and the user knows
+    unanswered: int = 0  # queries in a row, but for batches, that ended without an answer
+    silence_reported: bool = False  # to the user
 
     def taken(self) -> int:
         """Return how many slots the run has here, or asked for."""
