@@ -203,9 +203,9 @@ class Connection:
             RunKey(options.realm, user, run),
             asked,
             reach=reach,
+            arbitrate=functools.partial(arbitrate, problem),
             local=local.endpoint if local is not None else "",
             controllers=controllers,
-            arbitrate=functools.partial(arbitrate, problem),
             watch=watch,
         )
         with cluster:
