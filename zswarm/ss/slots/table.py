@@ -70,7 +70,7 @@ class SlotTable:
         stalled_s, out.now = now - out.now, now
         if stalled_s > STALL_S:
             for slot in self.slots:
-                slot.since = min(slot.since + stalled_s, now)
+                slot.timed_from = min(slot.timed_from + stalled_s, now)
         match event:
             case events.Asked():
                 self._asked(event)
@@ -143,7 +143,7 @@ class SlotTable:
                 cancelled = lease.jobs.cancel(set(message.batches))
                 for slot in lease.slots:
                     if slot.chunk is not None and slot.chunk.job in cancelled:
-                        slot.since = out.now
+                        slot.timed_from = out.now
                         out.append(events.StopSlot(slot.index))
                 out.answer(query, messages.Done())
             case messages.Release():
@@ -291,7 +291,7 @@ class SlotTable:
     def _overdue(self, slot: Slot, trial: int) -> events.Died | events.Unprepared | None:
         """Return the event that ends a slot's work if it takes too long; else None."""
         lease, chunk, now = slot.lease, slot.chunk, self._out.now
-        taken_s = now - slot.since
+        taken_s = now - slot.timed_from
         if slot.state == "stopping" or (chunk is not None and chunk.job.cancelled):
             if taken_s > (STOP_S if chunk is not None else PREPARE_S):
                 return events.Died(
@@ -306,7 +306,7 @@ class SlotTable:
         elif lease is not None and slot.state == "busy":
             timeout_s = lease.reserve.trial_timeout_s
             if trial != slot.trial:
-                slot.trial, slot.since = trial, now
+                slot.trial, slot.timed_from = trial, now
             elif taken_s > timeout_s:
                 reason = f"one trial took longer than {timeout_s:g} s (cluster.trial_timeout_s)"
                 return events.Died(slot.index, trial, reason, "timeout")
