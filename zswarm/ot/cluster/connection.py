@@ -1,4 +1,4 @@
-"""The servers that a user's runs and evaluations share.
+"""The servers that a user's runs and evaluations share; each of these has its own ``Cluster``.
 
 This machine's slots start first, and load while this program does; so heavy modules are imported
 when they are needed.

@@ -17,13 +17,17 @@ class Seen(msgspec.Struct, frozen=True):
 
 
 class Gone(msgspec.Struct, frozen=True):
-    """A server's liveliness token vanished."""
+    """A server's liveliness token vanished: it drains or ended, or its link is cut."""
 
     server: str
 
 
 class Answered(msgspec.Struct, frozen=True):
-    """A query ended: with a reply, without one (None), or with why the reply could not be read."""
+    """A query ended: with a reply, without one (None), or with why the reply could not be read.
+
+    Zenoh ends a query without a reply when its time is over, and earlier when the link breaks, or
+    if no program is there to answer.
+    """
 
     question: int
     reply: Reply | str | None
@@ -94,7 +98,7 @@ class Retracted(msgspec.Struct, frozen=True):
 
 
 class Complete(msgspec.Struct, frozen=True):
-    """All trials of the workload are counted."""
+    """All trials of the workload are counted, and checked if they are to be."""
 
 
 class Failed(msgspec.Struct, frozen=True):

@@ -1,12 +1,39 @@
 """The run's view of a server: its phase, its lease, and the batches that it has.
 
-A server is IDLE until its liveliness token appears; then it is SEEN and asked for its offer. If it
-matches, it is SPARE until its slots are wanted, RESERVING until it grants a lease, and LEASED from
-then on; answers to renewals report how many slots the lease has, and how many are ready. If its
-token vanishes, it is LEAVING until all its queries have ended: it may drain, or the link may
-return. A server that does not answer, or that ended the lease, is BACKED_OFF and asked again later.
-One that does not match, refuses or fails is IDLE until its token appears again. One that computes
-wrong outcomes is BANNED for good.
+==========  =====================================  =============================================
+phase       the server ...                         it leaves the phase when ...
+==========  =====================================  =============================================
+IDLE        is not used: it has no token, does     its token appears (SEEN)
+            not match, refused, or sent nonsense
+SEEN        is asked for its offer                 it offers what is required (SPARE)
+SPARE       matches; its slots are not wanted      its slots are wanted (RESERVING), or its
+                                                   token appears again (SEEN)
+RESERVING   is asked for slots                     it grants a lease (LEASED)
+LEASED      granted a lease, which is renewed; it  its token vanishes (LEAVING), or the run
+            may have no slot yet                   holds enough slots without it (SPARE)
+LEAVING     has no token any more: it drains or    its token is back (LEASED), or none of its
+            died, or the link is cut               batches is out (IDLE)
+BACKED_OFF  is given a rest: it did not answer or  the pause is over, or its token appears
+            ended the lease, too many trials       (SEEN)
+            failed on it, or its probe is
+            disputed
+BANNED      computes wrong outcomes                never
+==========  =====================================  =============================================
+
+Besides, one that refuses, or whose token vanishes while it is not LEASED, becomes IDLE, one that
+does not answer BACKED_OFF, and one that is found to compute wrong BANNED. ``MOVES`` has all allowed
+changes.
+
+Only a LEASED server is sent batches. Those that are out when it becomes LEAVING may still be
+answered. When it leaves these two phases, its batches wait for any server:
+
+- It was silent, or its link was cut: the batches are *stranded* there. If the server grants the
+  same lease again (``resumable_lease``), it is asked again for those that no other server took,
+  under their ids, and computes nothing twice. The others are cancelled there.
+- Its lease ended in another way: nothing is resumed.
+- It is BANNED: what was counted for it in this workload is evaluated again, too.
+
+When a lease can be resumed: docs/protocol.md, "Times of a lease".
 """
 
 import math
@@ -24,7 +51,7 @@ BLAMED_SHARE = 0.01
 
 
 class Phase(Enum):
-    """How far a server is."""
+    """How far a server is; see the table above."""
 
     IDLE = auto()
     SEEN = auto()
@@ -36,15 +63,15 @@ class Phase(Enum):
     BANNED = auto()
 
 
-_ENDS = {Phase.IDLE, Phase.BACKED_OFF, Phase.BANNED}
+_ENDS = {Phase.IDLE, Phase.BANNED}
 MOVES = {
     Phase.IDLE: {Phase.SEEN, Phase.BANNED},
-    Phase.SEEN: {Phase.SPARE, *_ENDS},
+    Phase.SEEN: {Phase.SPARE, Phase.BACKED_OFF, *_ENDS},
     Phase.SPARE: {Phase.SEEN, Phase.RESERVING, *_ENDS},
-    Phase.RESERVING: {Phase.LEASED, *_ENDS},
-    Phase.LEASED: {Phase.LEAVING, Phase.SPARE, *_ENDS},
+    Phase.RESERVING: {Phase.LEASED, Phase.BACKED_OFF, *_ENDS},
+    Phase.LEASED: {Phase.LEAVING, Phase.SPARE, Phase.BACKED_OFF, *_ENDS},
     Phase.LEAVING: {Phase.LEASED, *_ENDS},
-    Phase.BACKED_OFF: {Phase.SEEN, Phase.IDLE, Phase.BANNED},
+    Phase.BACKED_OFF: {Phase.SEEN, *_ENDS},
     Phase.BANNED: set[Phase](),
 }
 
@@ -72,12 +99,15 @@ class SentBatch(msgspec.Struct, eq=False):
 class RemoteServer(msgspec.Struct, eq=False):
     """What a run knows of a server."""
 
-    id: str
+    id: str  # a server that is restarted has another one
     phase: Phase = Phase.IDLE
     lease: bytes = b""  # while LEASED or LEAVING
     # A lease given up for silence, which may still be valid at the server.
     resumable_lease: bytes = b""
-    probe: bytes = b""  # digest of its outcomes of the probe
+    # Digest of its outcomes of the probe: some trials that every server plays. Equal code computes
+    # equal bits on all machines (docs/architecture.md, "Determinism"): a server that differs from
+    # this machine is wrong.
+    probe: bytes = b""
     capacity: int = 0
     place: tuple[float, ...] = ()  # its rank; the lowest comes first
     mismatch: str = ""  # as last reported to the user
