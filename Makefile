@@ -21,9 +21,9 @@ long: $(READY)
 programs: $(READY)
 	$(BIN)/python -m pytest $(TESTS) -m programs $(ARGS)
 
-# Every combination of simulators, networks, optimizers and rankings, with real programs: five minutes on two cores.
+# Every combination of simulators, networks, optimizers and rankings, with real programs.
 product: $(READY)
-	$(BIN)/python -m pytest $(TESTS) -m product $(ARGS)
+	EVERY_PART=1 $(BIN)/python -m pytest $(TESTS) -m product $(ARGS)
 
 # Scenarios of VMAS, in an environment of their own: torch is large.
 vmas: build/vmas/ready

@@ -1,4 +1,4 @@
-"""The targets, and whether the results of the scripts meet them."""
+"""List the targets and decide whether the results of the scripts meet them."""
 
 from collections.abc import Callable, Iterator
 from typing import NamedTuple

@@ -13,7 +13,7 @@ from zswarm.ot.build import build
 
 
 def simulations_per_s(field: str, generations: int) -> float:
-    """Of the same candidates in the same order."""
+    """Evolve as ``runs.py`` does, and return simulations per second."""
     example = experiment.find(FIELDS[field])
     problem, optimizer = build(
         experiment.complete(experiment.load(example), str(example))
@@ -23,7 +23,7 @@ def simulations_per_s(field: str, generations: int) -> float:
     begin = time.perf_counter()
     for generation in range(generations):
         if generation == 1:
-            simulations, begin = 0, time.perf_counter()  # kernels are there
+            simulations, begin = 0, time.perf_counter()  # kernels are compiled
         workload = problem.workload(optimizer.ask(), generation)
         played = evaluate.evaluate(
             simulator,

@@ -91,7 +91,7 @@ def main() -> None:
 
 
 def merged(names: list[str], folder: Path, file: Path) -> Path:
-    """What was measured anew in the place of what was there before."""
+    """Return the previous results, with those measured again replaced."""
     results = json.loads(file.read_text()) if file.exists() else {}
     for name in names:
         if (left := folder / f"{name}.json").exists():

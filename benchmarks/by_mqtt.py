@@ -37,7 +37,7 @@ WORK = {work: number for number, work in enumerate(WORKS)}
 
 
 def mosquitto() -> str:
-    """The broker's program."""
+    """Return the path of the broker's program."""
     if (found := program_of("mosquitto")) is None:
         raise FileNotFoundError(
             "mosquitto is not installed (Debian: apt install mosquitto)"
@@ -46,7 +46,7 @@ def mosquitto() -> str:
 
 
 def connected(port: int, nodelay: bool) -> Any:
-    """A client with its connection open."""
+    """Return a client with its connection open."""
     from paho.mqtt.client import Client
     from paho.mqtt.enums import CallbackAPIVersion
 
@@ -191,7 +191,7 @@ class Broker(AbstractContextManager["Broker"]):
 
 
 def broker(stack: ExitStack, nodelay: bool) -> int:
-    """A mosquitto of its own on loopback, until the stack is left: its port."""
+    """Start a private mosquitto on loopback until the stack is left; return its port."""
     program, port = mosquitto(), free_port()
     settings = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "mosquitto.conf"
     settings.write_text(
@@ -204,7 +204,7 @@ def broker(stack: ExitStack, nodelay: bool) -> int:
 
 
 def started(stack: ExitStack, command: list[str], stdin: bytes = b"") -> None:
-    """A program that reads this from its standard input, until the stack is left."""
+    """Start a program that reads this from its standard input, until the stack is left."""
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)
     assert process.stdin is not None
     with contextlib.suppress(BrokenPipeError):
@@ -223,7 +223,7 @@ def started(stack: ExitStack, command: list[str], stdin: bytes = b"") -> None:
 
 
 def wait_for_port(port: int, seconds: float) -> None:
-    """Until somebody listens at a port of this machine."""
+    """Wait until a program listens at a port of this machine."""
     deadline = time.monotonic() + seconds
     while True:
         try:
@@ -236,7 +236,7 @@ def wait_for_port(port: int, seconds: float) -> None:
 
 
 def serve(port: int, number: int, nodelay: bool) -> None:
-    """A slot: answers whole evaluations, and plays the paper's simulations, until it is ended."""
+    """Serve as a slot: answer whole evaluations and play the paper's simulations until ended."""
     client = connected(port, nodelay)
     me = struct.pack("<I", number)
     genome, turns, busy = b"", 0, False

@@ -48,7 +48,7 @@ ASIDE = ("zswarm (TCP)", "no dispatch")
 
 
 def draw(results: Results, folder: Path) -> None:
-    """All for which there are results."""
+    """Draw all charts for which there are results."""
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -80,7 +80,7 @@ def draw(results: Results, folder: Path) -> None:
 
 
 def dispatch(found: Found, figure: Any) -> None:
-    """400 candidates, one in a message where the peer does not choose."""
+    """Draw the cost of 400 candidates, one in a message where the peer does not choose."""
     noop, sleep = figure.subplots(1, 2)
     slots = sorted({row["slots"] for row in found["rows"] if "work" in row})
     named = [peer for peer in tables.peers(found) if peer not in ASIDE]
@@ -115,7 +115,7 @@ def dispatch(found: Found, figure: Any) -> None:
 def line(
     axes: "Axes", points: list[tuple[float, float]], number: int, label: str
 ) -> None:
-    """Ours, the first, is the thick one."""
+    """Draw a line; ours, the first, is thick."""
     x, y = zip(*points, strict=True)
     width = 2.5 if number == 0 else 1.3
     axes.plot(
@@ -207,7 +207,7 @@ def kernels(found: Found, figure: Any) -> None:
 
 
 def scaling(found: Found, figure: Any) -> None:
-    """Seconds over servers, with the ideal."""
+    """Draw seconds over servers, with the ideal."""
     sleep, real = figure.subplots(1, 2)
     cores = found["machine"]["cores"]
     for axes, work, title in (
@@ -248,7 +248,7 @@ def scaling(found: Found, figure: Any) -> None:
 
 
 def methods(found: Found, figure: Any, task: str) -> None:
-    """A small one for each method: its median and quartiles, before the medians of the others."""
+    """Draw a small chart per method: its median and quartiles, before the medians of the others."""
     rows = [row for row in found["rows"] if row["task"] == task]
     down = -(-len(rows) // ACROSS)
     figure.set_size_inches(11, 1.0 + 1.9 * down)

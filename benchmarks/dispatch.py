@@ -105,19 +105,19 @@ def main() -> None:
 
 
 def numbers(text: str) -> tuple[int, ...]:
-    """Of an option."""
+    """Return the numbers of a comma-separated option."""
     return tuple(int(each) for each in text.split(",") if each)
 
 
 def shown(values: tuple[int, ...]) -> str:
-    """For a help text."""
+    """Format numbers for a help text."""
     return ",".join(map(str, values))
 
 
 def one_round(
     number: int, names: list[str], options: argparse.Namespace
 ) -> list[dict[str, Any]]:
-    """Every peer once with each number of slots."""
+    """Measure every peer once with each number of slots."""
     turn = number * len(names) // max(1, options.rounds)
     found = []
     print(
@@ -126,7 +126,7 @@ def one_round(
     )
     for slots in options.slots:
         if slots == 1 and number:
-            continue  # once: it takes longest and says least
+            continue  # once: it takes longest and is least informative
         for name in [*names[turn:], *names[:turn]]:
             if slots not in (PEERS[name].slots or options.slots):
                 continue
@@ -150,7 +150,7 @@ def in_own_process(
     warm_s: float,
     works: Sequence[str] = tuple(WORKS),
 ) -> list[dict[str, Any]]:
-    """The rows that a process of its own measures; one with ``missing``: why it did not."""
+    """Measure in a new process and return its rows; a row with ``missing`` says why it failed."""
     command = [
         sys.executable,
         str(HERE / "dispatch.py"),
@@ -205,7 +205,7 @@ def in_own_process(
 
 
 def why_not_installed(name: str, folder: Path = PEERS_FOLDER) -> str:
-    """What pip said, where it could not install the peer."""
+    """Return what pip printed if it could not install the peer."""
     refused = [
         folder / f"{distribution}.refused" for distribution in PEERS[name].distributions
     ]
@@ -215,7 +215,7 @@ def why_not_installed(name: str, folder: Path = PEERS_FOLDER) -> str:
 
 
 def measured(options: argparse.Namespace) -> list[dict[str, Any]]:
-    """The rows of one peer, from start to stop; without populations only those of its start."""
+    """Return the rows of one peer from start to stop; without populations, only of its start."""
     name, slots, populations = options.one, options.slots[0], options.populations
     with PEERS[name].peer(slots) as ways:
         checked(ways[0], leased.random_genomes(1), "noop", slots)
@@ -259,7 +259,7 @@ def worth(way: Way, work: str, population: int, slots: int) -> bool:
 
 
 def cost(way: Way, work: str, population: int, slots: int) -> dict[str, Any]:
-    """Microseconds per no-op, or efficiency, after a generation that does not count."""
+    """Return microseconds per no-op, or efficiency, after a generation that does not count."""
     size = min(population, way.most)
     checked(
         way,
@@ -285,7 +285,7 @@ def cost(way: Way, work: str, population: int, slots: int) -> dict[str, Any]:
 
 
 def checked(way: Way, genomes: list[bytes], work: str, slots: int) -> float:
-    """Seconds for a generation whose answers are right."""
+    """Return the seconds of a generation, whose answers must be right."""
     size = chunk(way.cut, len(genomes), slots)
     begin = time.perf_counter()
     fitness = way.evaluate(genomes, work, size)

@@ -49,7 +49,7 @@ class Way:
         self.play(16)  # warms up
 
     def play(self, trials: int) -> bytes:
-        """Fitness of so many trials, as bytes."""
+        """Play that many trials and return their fitness as bytes."""
         rows, seeds = (
             np.arange(trials).reshape(-1, 1) % 16,
             np.arange(trials, dtype=np.uint64),
@@ -59,7 +59,7 @@ class Way:
         ).fitness.tobytes()
 
     def microseconds(self) -> float:
-        """Of CPU time per trial."""
+        """Return the CPU time per trial in microseconds."""
         trials = 16
         while True:
             begin = self.spent()
@@ -69,7 +69,7 @@ class Way:
             trials *= 2 if elapsed > LEAST_S / 8 else 8
 
     def spent(self) -> float:
-        """CPU time of both, in seconds; that of the program in hundredths."""
+        """Return the CPU time of both processes in seconds; the program's comes in hundredths."""
         spare: Any = getattr(self.simulator, "spare", None)
         if spare is None:
             return time.process_time()

@@ -1,4 +1,4 @@
-"""The kernels of zswarm once more in C, ``kernels/*.c``: compiled here, called through ctypes.
+"""Compile the kernels of zswarm written in C, ``kernels/*.c``, and call them through ctypes.
 
 Compiled with ``EXACT`` they have the same bits as zswarm's; ``FAST`` is what they are timed with.
 """
@@ -18,12 +18,12 @@ SOURCES = Path(__file__).parent / "kernels"
 
 
 def compiler() -> str | None:
-    """The C compiler of this machine, if there is one."""
+    """Return the C compiler of this machine, if there is one."""
     return shutil.which("gcc") or shutil.which("cc")
 
 
 def library(name: str, options: tuple[str, ...]) -> ctypes.CDLL:
-    """``kernels/<name>.c``, compiled and loaded."""
+    """Compile and load ``kernels/<name>.c``."""
     with tempfile.TemporaryDirectory() as folder:
         built = Path(folder) / f"{name}.so"
         command = [
@@ -55,7 +55,7 @@ class Arena:
         participants: np.ndarray,
         seeds: np.ndarray,
     ) -> Any:
-        """Fitness (trials,) and metrics (trials, 3)."""
+        """Return fitness (trials,) and metrics (trials, 3)."""
         rows = np.ascontiguousarray(network.parameters(genomes)[participants[:, 0]])
         seeds = seeds.astype(np.uint64)
         fitness, metrics = np.empty(len(seeds)), np.empty((len(seeds), 3))
@@ -95,7 +95,7 @@ class EmergencyExit:
         participants: np.ndarray,
         seeds: np.ndarray,
     ) -> Any:
-        """Fitness (trials,) and metrics (trials, 2)."""
+        """Return fitness (trials,) and metrics (trials, 2)."""
         rows = np.ascontiguousarray(network.parameters(genomes)[participants[:, 0]])
         laid_out = simulator.fields
         field_of_trial = laid_out.rows(seeds)

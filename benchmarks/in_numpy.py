@@ -21,7 +21,7 @@ BLOCK = 1 << 17  # pairs that are measured at once: they stay in the processor's
 
 
 class Arena:
-    """Trials of one simulator that are played together, each by a candidate of its own."""
+    """Play trials of one simulator together, each with its own candidate."""
 
     def __init__(
         self,
@@ -48,7 +48,7 @@ class Arena:
         )
 
     def play(self) -> tuple[np.ndarray, np.ndarray]:
-        """Fitness (trials,) and metrics (trials, 3)."""
+        """Return fitness (trials,) and metrics (trials, 3)."""
         candidates, robots = self.shape
         self.x, self.y, self.heading_x, self.heading_y = self.starts.reshape(4, -1).copy()
         # What the network hears: what a robot observes, what its neurons said before, and 1 for the
@@ -138,7 +138,7 @@ class Arena:
         np.multiply(dx, dx, out=square)
         np.multiply(dy, dy, out=part)
         np.add(square, part, out=square)
-        # Nobody is a neighbour of itself.
+        # No robot is its own neighbour.
         square.reshape(count, -1)[:, :: robots + 1] = FAR
         pairs = np.flatnonzero(square < self.world.sight * self.world.sight)
         return (
@@ -149,7 +149,7 @@ class Arena:
         )
 
     def _to_walls(self) -> np.ndarray:
-        """How far it is along the eight rays to a wall."""
+        """Return the distances to a wall along the eight rays."""
         half = self.world.side * np.float32(0.5)
         reaches = []
         for place, way in (
@@ -190,7 +190,7 @@ class Arena:
 def start(
     stream: Stream, robots: int, world: ArenaWorld
 ) -> list[tuple[float, float, float, float]]:
-    """Where robots are, and their headings."""
+    """Return the positions and headings of robots at the start."""
 
     def draw(low: float, high: float) -> float:
         return low + stream.integer(1 << 24) * 2.0**-24 * (high - low)
@@ -207,12 +207,12 @@ def start(
 
 
 def cut(x: np.ndarray, low: float, high: float) -> np.ndarray:
-    """What ``np.clip`` gives, sooner."""
+    """Clip like ``np.clip``, but faster."""
     return np.minimum(np.maximum(x, low), high)
 
 
 def tanh(x: np.ndarray) -> np.ndarray:
-    """zswarm's, a rational function."""
+    """Return zswarm's tanh, a rational function."""
     size = np.minimum(np.abs(x), np.float32(20))
     root = 1 + size * (T1 + size * (T2 + size * (T3 + size * T4)))
     root *= root

@@ -46,7 +46,7 @@ def timed(
     agent_steps: int,
     least_s: float = LEAST_S,
 ) -> Row:
-    """A row: so many simulations and agent-steps are in one call, which is repeated for a while."""
+    """Repeat a call for a while; return a row with its simulations and agent-steps per second."""
     work()
     calls, begin = 0, time.thread_time()
     while (elapsed := time.thread_time() - begin) < least_s:
@@ -62,7 +62,7 @@ def timed(
 
 
 def problem(kernel: str, agents: int) -> tuple[Any, Any]:
-    """Simulator and network."""
+    """Build a simulator and a network."""
     from zswarm.evaluate import build
 
     if kernel.startswith("arena-"):
@@ -103,7 +103,7 @@ def trials(kernel: str, agents: int, count: int) -> tuple[Any, ...]:
 
 
 def candidates(kernel: str, agents: int) -> int:
-    """In one call."""
+    """Return the number of candidates in one call."""
     return BATCH if kernel.startswith("emergency-exit") else max(256 // agents, 4)
 
 
@@ -253,7 +253,7 @@ def with_pymunk(_: str, agents: int) -> Row:
 
 
 def with_vmas(_: str, agents: int) -> Row:
-    """Its flocking, whose robots have 12 rays, 512 environments; a small network in torch."""
+    """Simulate VMAS's flocking: robots with 12 rays, 512 environments, a small network in torch."""
     try:
         import torch
         import vmas
@@ -301,7 +301,7 @@ OTHERS = {  # and how many agents they have
 
 
 def quoted() -> list[Row]:
-    """What others measured elsewhere, for one core; in FREVO all agents act in all rounds."""
+    """Return figures that others published, for one core; in FREVO all agents act in all rounds."""
     rows: list[Row] = [
         {
             "kernel": FLAGSHIP,
@@ -330,7 +330,7 @@ def quoted() -> list[Row]:
 
 
 def wanted(*, quick: bool) -> list[tuple[str, str, int]]:
-    """Kernel, variant, agents."""
+    """Yield kernel, variant and number of agents of each measurement."""
     exits = [
         (kernel, agents)
         for kernel, agents in OTHERS.items()
@@ -358,7 +358,7 @@ def wanted(*, quick: bool) -> list[tuple[str, str, int]]:
 
 
 def measured(kernel: str, variant: str, agents: int) -> Row:
-    """One measurement, in a process of its own."""
+    """Measure once in a separate process."""
     python = PEERS if variant == "vmas flocking" and PEERS.exists() else sys.executable
     environment = os.environ | {
         "ZSWARM_PLAIN": "" if variant == "numba" else "1",
@@ -379,7 +379,7 @@ def measured(kernel: str, variant: str, agents: int) -> Row:
 
 
 def one(kernel: str, variant: str, agents: int) -> None:
-    """The process of a measurement."""
+    """Run one measurement in this process."""
     try:
         row = WAYS[variant](kernel, agents)
     except NotThereError as error:

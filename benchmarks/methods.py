@@ -74,18 +74,18 @@ def main() -> None:
     parser.add_argument(
         "--quick",
         action="store_true",
-        help="two seeds of some hundred evaluations: whether it works",
+        help="one seed, a hundred evaluations: whether it works",
     )
     parser.add_argument(
         "--folder", type=Path, help="where the results go [default: build/bench]"
     )
     options = parser.parse_args()
-    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # of the processes: as many as cores
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # in processes: as many as cores
     begin = time.monotonic()
     names = options.only.split(",") if options.only else methods()
-    seeds = 2 if options.quick else options.seeds
+    seeds = 1 if options.quick else options.seeds
     runs = [
-        Run(task, method, seed, 300 if options.quick else TASKS[task].evaluations)
+        Run(task, method, seed, 100 if options.quick else TASKS[task].evaluations)
         for task in TASKS
         for method in names
         for seed in range(1, seeds + 1)

@@ -4,7 +4,7 @@ import functools
 import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -62,7 +62,7 @@ def zswarm_here(slots: int) -> Iterator[list[Way]]:
 
     with (
         leased.bench_simulator(),
-        LocalServer(slots, "default") as local,
+        closing(LocalServer(slots, "default")) as local,
         leased.Lease(local.endpoint, slots) as lease,
     ):
         yield [Way("this machine's slots", BY_ITSELF, lease.evaluate)]
@@ -125,7 +125,7 @@ def joblib_loky(slots: int) -> Iterator[list[Way]]:
 
         def evaluate(genomes: list[bytes], work: str, chunk: int) -> list[float]:
             if chunk not in opened:
-                # By itself it learns as it sends.
+                # Without it, it learns while it sends.
                 how: Any = {"batch_size": chunk, "pre_dispatch": "all"} if chunk else {}
                 opened[chunk] = stack.enter_context(
                     Parallel(slots, backend="loky", **how)

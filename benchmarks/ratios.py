@@ -1,4 +1,4 @@
-"""Ratios of this machine beside those that are checked in, in two minutes: `make bench-quick`.
+"""Compare ratios of this machine with the recorded ones, in two minutes: `make bench-quick`.
 
 Each is of two things measured here and now, in turns, so that most of what differs between machines
 cancels out. One that is worse than ``ratios.json`` says by more than its tolerance ends this with
@@ -39,7 +39,7 @@ ONCE = Size(rounds=1, population=50, seconds=0.0, generations=5)
 
 
 class Ratio(NamedTuple):
-    """What was found beside what is kept; higher is better.
+    """A measured ratio and the recorded one; higher is better.
 
     Attributes:
         kept: None: nothing is.
@@ -53,7 +53,7 @@ class Ratio(NamedTuple):
 
     @property
     def worse(self) -> bool:
-        """Return whether it is worse by more than its tolerance."""
+        """Return whether the ratio is worse by more than its tolerance."""
         return self.kept is not None and self.found < self.kept * (1 - self.tolerance)
 
     def __str__(self) -> str:

@@ -1,11 +1,11 @@
-"""How soon the first result is there, and what programs take of memory.
+"""Measure how soon the first result is there, and the memory of programs.
 
 - From pressing return to the first generation of ``zswarm-ot run stadium`` on two slots of this
   machine, each time a new program: with a warm cache of compiled kernels, and with an empty one
   (*cold*).
 - The same of others, on two worker processes: to the first answer of a function that does nothing
 (``dispatch.py``'s).
-- Memory while a run goes on: what each program has for itself alone, and with its share of what it
+- Memory during a run: what each program has for itself alone, and with its share of what it
 shares (PSS).
 """
 
@@ -115,7 +115,7 @@ def run(
         try:
             yield process
         finally:
-            # Not as Ctrl-C does: whoever was begun in the background of a shell does not hear it
+            # Unlike Ctrl-C, this also reaches a program that a shell started in the background
             process.terminate()
             process.communicate()
 

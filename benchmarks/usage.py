@@ -1,4 +1,4 @@
-"""What a process uses, as the kernel tells it in /proc."""
+"""Read from /proc what a process uses."""
 
 import contextlib
 import os
@@ -10,7 +10,7 @@ PAGE = os.sysconf("SC_PAGE_SIZE")
 
 
 class Usage(NamedTuple):
-    """At one moment."""
+    """Use of a process at one moment."""
 
     rss_mb: float
     descriptors: int

@@ -1,4 +1,4 @@
-"""What each peer's workers do with a candidate; the answer is the genome's first number."""
+"""Define what each peer's workers do with a candidate; the answer is the genome's first number."""
 
 import os
 import struct

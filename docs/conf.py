@@ -1,4 +1,4 @@
-"""How Sphinx makes the site, `make docs`: offline, and every warning is an error.
+"""Configure Sphinx for the site, `make docs`: offline, and every warning is an error.
 
 The pages are plain Markdown and can be read as such: links to files that the site does not have
 lead there all the same.
@@ -30,7 +30,7 @@ nitpick_ignore_regex = [
     # Types of libraries, which are not looked up in the network, and shapes in words.
     ("py:.*", r"(?!zswarm\.).*"),
     ("py:class", r"zswarm\..*\.T"),  # type variables
-    # Told elsewhere, or nobody's to use.
+    # Documented elsewhere, or not for users.
     (
         "py:.*",
         r"zswarm\.(config|experiment|ot\.(run|record|workload|discovery|embedding))\..*",
@@ -71,7 +71,7 @@ BY_FILE = re.compile(
 
 
 def within_the_site(app: Sphinx, page: str, source: list[str]) -> None:  # noqa: ARG001  Sphinx calls it so
-    """Let links to files that became pages lead to these, and those of such a file to pages."""
+    """Redirect links to files that became pages; give links named after a file the page's title."""
     name = next(
         (name for name, made in FROM_THE_REPOSITORY.items() if made == page), None
     )
@@ -101,6 +101,6 @@ def within_the_site(app: Sphinx, page: str, source: list[str]) -> None:  # noqa:
 
 
 def setup(app: Sphinx) -> None:
-    """What Sphinx calls."""
+    """Connect to Sphinx's events."""
     app.add_lexer("hex", TextLexer)
     app.connect("source-read", within_the_site)

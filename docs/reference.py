@@ -1,6 +1,6 @@
-"""Writes the parts of the documents that are made from the code: `make reference`.
+"""Write the parts of the documents that are made from the code: `make reference`.
 
-docs/help.md: what each command says with --help. docs/experiment.md and docs/profiles.md: the
+docs/help.md: the help of each command. docs/experiment.md and docs/profiles.md: the
 tables of keys, from the structs, and that of profiles. A test compares.
 """
 
@@ -42,7 +42,7 @@ TABLE = re.compile(r"^\| key \| type \| default \| meaning \|\n(?:\|.*\n)+", re.
 def helps(
     command: click.Command, name: str, parent: click.Context | None = None
 ) -> Iterator[tuple[str, str]]:
-    """The full name and the help of a command, then those of its own commands."""
+    """Return the full name and the help of a command, then those of its subcommands."""
     context = click.Context(
         command,
         parent,
@@ -60,7 +60,7 @@ def helps(
 
 
 def help_page() -> str:
-    """docs/help.md."""
+    """Return docs/help.md."""
     parts = [HELP]
     for program, command in PROGRAMS.items():
         for name, said in helps(command, program):
@@ -72,7 +72,7 @@ def help_page() -> str:
 
 
 def experiment_page() -> str:
-    """docs/experiment.md, its tables made anew."""
+    """Return docs/experiment.md with its tables made again."""
     sheets = {("## Top level",): experiment.top_level()}
     for name in ("problem", "cluster", "study"):
         if name in experiment.Experiment.__struct_fields__:
@@ -97,9 +97,9 @@ def experiment_page() -> str:
 
 
 def profiles_page() -> str:
-    """docs/profiles.md, its tables made anew."""
+    """Return docs/profiles.md with its tables made again."""
     sheets = {
-        # All but tables.
+        # Keep everything except tables.
         "## Keys": [
             key
             for key in settings_docs.keys(profiles.Profile)
@@ -121,7 +121,7 @@ def profiles_page() -> str:
 
 
 def profile_table() -> str:
-    """The bundled profiles: what a robot among several has."""
+    """Return the table of bundled profiles, for a robot among several."""
     lines = [
         "| profile | ROS | velocity | scan | odometry | ground truth | clock | m/s, rad/s |",
         "| --- " * 8 + "|",

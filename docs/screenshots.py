@@ -29,7 +29,7 @@ VIEWS = {  # by the name of the picture: address, width, light or dark
 
 
 def free_port() -> int:
-    """Return a port that nobody listens at now."""
+    """Return a free local port."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])

@@ -19,7 +19,7 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-    # Begun in the background of a shell: programs that tests start hear Ctrl-C.
+    # Even if a shell started pytest in the background, programs of tests must receive Ctrl-C.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 EVERY_KERNEL = """
@@ -39,11 +39,9 @@ with multiprocessing.get_context("fork").Pool() as pool:
 """
 
 
-# Begun first, so that none of them is left alone at the end: the longest, with their shares of it.
+# The longest tests start first, so that none of them runs alone at the end.
 LONGEST = [
     "tests/integration/test_kills.py",
-    "tests/sims/test_arena.py::test_evolving_beats",
-    "tests/sims/test_robot_tasks.py::test_evolving_beats",
     "tests/bits/test_bits.py::test_the_bits_are_the_same",
     "tests/ot/optimizers/test_examples.py::test_novelty_finds",
     "tests/docs/test_notebook.py",
@@ -52,7 +50,7 @@ LONGEST = [
     "tests/integration/test_foreign_programs.py::test_whole_runs",
     "tests/integration/test_turns.py::test_lost_answers_are_requested_again",
     "tests/benchmarks/test_quick_forms.py",
-    "tests/ot/optimizers/test_elites.py::test_they_find_more",
+    "tests/ot/optimizers/test_elites.py::test_quality_diversity_finds_more",
     "tests/ot/optimizers/test_examples.py::test_each_beats_random_search_at_equal_evaluations[neat]",
     "tests/sims/adapters/test_pettingzoo.py::test_evolution",
     "tests/integration/test_wrong_servers.py",
@@ -84,14 +82,14 @@ def pytest_collection_modifyitems(
 
 def pytest_configure(config: pytest.Config) -> None:
     """Compile kernels once on all cores, before several workers each compile all of them."""
-    # Not some files of it.
+    # Only if all tests run.
     whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS
     if (
         whole
         and not hasattr(config, "workerinput")
         and config.getoption("numprocesses", None)
     ):
-        # What fails fails in its test.
+        # A failure shows up in its test.
         subprocess.run(
             [sys.executable, "-c", EVERY_KERNEL], capture_output=True, check=False
         )

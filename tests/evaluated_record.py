@@ -29,7 +29,7 @@ def played(
     version: str | None = None,
     games: np.ndarray | None = None,
 ) -> Path:
-    """A run of random candidates; games as in ``Problem.workload``."""
+    """Play a run of random candidates; games as in ``Problem.workload``."""
     complete = experiment.complete(
         experiment.load(
             experiment.find(example),

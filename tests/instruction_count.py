@@ -1,4 +1,4 @@
-"""How much a call does, in a number that is the same on every machine."""
+"""Count the work of a call, in a number that is the same on every machine."""
 
 import gc
 import sys
@@ -8,7 +8,7 @@ from typing import Any
 
 
 def instructions(call: Callable[[], object]) -> int:
-    """Of Python, that it takes; what compiled code does in one is one."""
+    """Return the number of Python instructions of a call; compiled code counts as one."""
     count = 0
 
     def trace(frame: FrameType, event: str, _: Any) -> Any:

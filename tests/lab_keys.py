@@ -1,4 +1,4 @@
-"""Make a lab's authority and install its keys, by the command's parts or the command."""
+"""Make a lab's authority and install its keys, with the parts of the command or the command."""
 
 import json
 from datetime import UTC, datetime, timedelta
@@ -18,19 +18,19 @@ ALL: dict[Role, str] = {"ss": "lab-01", "ot": "alice", "router": "gate"}
 
 
 def authority(folder: Path, *, now: datetime | None = None) -> Authority:
-    """A new one."""
+    """Create an authority."""
     return Authority.create(folder, "lab", now=now)
 
 
 def again(folder: Path, now: datetime) -> Authority:
-    """One that is there already, at another time."""
+    """Open an existing authority at another time."""
     return Authority(folder, now=now)
 
 
 def issued(
     folder: Path, *holders: Holder, days: int = 365, now: datetime | None = None
 ) -> list[certificates.Bundle]:
-    """Keys of the authority in a folder, which is made where there is none."""
+    """Issue keys of the authority in a folder, which is created if necessary."""
     opened = (
         Authority(folder, now=now)
         if (folder / "key.pem").exists()
@@ -41,7 +41,7 @@ def issued(
 
 
 def installed(folder: Path, content: certificates.Bundle) -> Path:
-    """The folder of keys that a bundle makes."""
+    """Install a bundle and return the folder of keys."""
     file = folder.with_suffix(".zkeys")
     folder.parent.mkdir(parents=True, exist_ok=True)
     bundle.write(file, content)
@@ -50,7 +50,7 @@ def installed(folder: Path, content: certificates.Bundle) -> Path:
 
 
 def unpacked(folder: Path, content: certificates.Bundle) -> Path:
-    """The same, without a check of what the bundle holds."""
+    """Unpack a bundle into a folder without checking its contents."""
     folder.mkdir(parents=True, mode=0o700)
     (folder / "key.pem").touch(0o600)
     (folder / "authority.pem").write_text(content.authority)
@@ -61,7 +61,7 @@ def unpacked(folder: Path, content: certificates.Bundle) -> Path:
 
 
 class Machine:
-    """A machine of its own: where the command runs, with its own home."""
+    """A machine with its own home, where the command runs."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -85,7 +85,7 @@ class Machine:
         return self.home / ".local/share/zswarm/authority"
 
     def run(self, *arguments: str | Path, answer: str = "") -> Result:
-        """``zswarm-keys`` with these; no traceback is ever its answer."""
+        """Run ``zswarm-keys``; it must not print a traceback."""
         done = CliRunner().invoke(
             cli.command,
             [str(part) for part in arguments],
@@ -104,7 +104,7 @@ class Machine:
         return str(done.output)
 
     def refuses(self, *arguments: str | Path, answer: str = "") -> str:
-        """The one line that says why, on stderr."""
+        """Run a command that is refused and return the line on stderr."""
         done = self.run(*arguments, answer=answer)
         assert done.exit_code == 2, done.output
         last = done.stderr.splitlines()[-1]

@@ -1,4 +1,4 @@
-"""The folder of the repository."""
+"""Locate the folder of the repository."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The smallest experiment, as text, for tests of what may stand in an experiment file."""
+"""Define the smallest experiment as text, for tests of experiment files."""
 
 from pathlib import Path
 
@@ -18,13 +18,13 @@ kind = "nnga"
 
 
 def small(folder: Path, more: str = "") -> Path:
-    """Its file, ``small.toml``; more goes on in ``[optimizer]``."""
+    """Write ``small.toml``, with additional lines after ``[optimizer]``."""
     path = folder / "small.toml"
     path.write_text(SMALL + more)
     return path
 
 
 def study(folder: Path, more: str) -> Experiment:
-    """It, complete."""
+    """Return the small experiment with additional lines, complete."""
     path = small(folder, more)
     return complete(load(path), path.name)

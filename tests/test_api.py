@@ -165,7 +165,7 @@ def test_arguments_of_a_wrong_type_are_refused_with_what_was_expected(
         call()
 
 
-def test_a_run_without_its_block_says_that_it_needs_one() -> None:
+def test_finishing_a_run_outside_a_with_block_explains_the_error() -> None:
     with pytest.raises(AttributeError, match=r"with zswarm\.start"):
         zswarm.start("stadium").finish()  # type: ignore[attr-defined]
 
@@ -301,7 +301,7 @@ def test_servers_compute_the_bits_of_this_process(cluster: zswarm.Connection) ->
 
 
 def test_candidates_of_a_game_play_each_other(cluster: zswarm.Connection) -> None:
-    """The results are their scores, as in a run; no candidate has trials by itself."""
+    """The results are their scores, as in a run; no candidate has trials of its own."""
     problem = zswarm.problem(zswarm.load("minisim-duel", {"problem.settings.steps": 40}))
     genomes = problem.random(5)
     assessment = Assessment(problem, genomes, 0)
@@ -382,7 +382,7 @@ def test_fresh_trials_are_those_of_the_generation(cluster: zswarm.Connection) ->
     assert not same_bits(first, second)
 
 
-def test_threads_that_evaluate_in_parallel_get_their_own_results(
+def test_parallel_threads_get_their_own_results(
     cluster: zswarm.Connection,
 ) -> None:
     """Of two problems, with different numbers of candidates."""
@@ -452,7 +452,7 @@ def test_results_of_an_interrupted_call_do_not_reach_the_next(
 
 
 def test_idle_slots_are_released(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody keeps a lab's servers by an open notebook; the next call reserves anew."""
+    """An open notebook does not keep a lab's servers; the next call reserves them again."""
     monkeypatch.setattr(evaluator, "IDLE_S", 0.05)
     problem = zswarm.problem("stadium", settings={"steps": 20})
     with zswarm.connect("local", local_slots=1) as cluster:

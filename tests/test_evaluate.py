@@ -159,7 +159,7 @@ def test_the_state_of_a_robot_lasts_a_trial_and_no_longer(network: FullyMeshed) 
     assert alone.fitness[0, 0] == by_hand[0] - by_hand[1]
 
 
-def test_seeds_of_64_bits_reach_the_simulator_whole(
+def test_seeds_of_64_bits_reach_the_simulator_unchanged(
     duel: Duel, network: FullyMeshed
 ) -> None:
     play(duel, network, [[0, 1], [0, 1]], [2**64 - 1, 2**63])
@@ -167,7 +167,7 @@ def test_seeds_of_64_bits_reach_the_simulator_whole(
     assert all(type(seed) is int for seed in duel.played)
 
 
-def test_no_trials_have_no_outcomes(duel: Duel, network: FullyMeshed) -> None:
+def test_zero_trials_give_empty_outcomes(duel: Duel, network: FullyMeshed) -> None:
     outcomes = evaluate(
         duel, network, [], np.zeros((0, 2), np.int64), np.zeros(0, np.uint64)
     )
@@ -220,7 +220,7 @@ def test_the_first_error_of_a_batch_is_reported(duel: Duel, network: FullyMeshed
 
 
 @pytest.mark.parametrize("seed", [INFINITE, ODD_NAN])
-def test_a_number_that_is_not_finite_becomes_the_one_nan(
+def test_a_nonfinite_number_becomes_the_canonical_nan(
     duel: Duel, network: FullyMeshed, seed: int
 ) -> None:
     outcomes = play(duel, network, [[0, 1]], [seed])
@@ -309,7 +309,7 @@ def raising(error: BaseException) -> Callable[[], Any]:
         (
             "step",
             lambda: Turn((1,), np.zeros((1, 1))),
-            "the trial goes on after 1,000 turns: step must return None when it is over",
+            "the trial continues after 1,000 turns: step must return None when it is over",
         ),
         (
             "step",

@@ -49,7 +49,7 @@ def test_every_example_loads_and_is_named_after_its_file(path: Path) -> None:
     assert experiment.find(path.stem) == path
 
 
-def test_there_are_examples() -> None:
+def test_bundled_examples_are_found() -> None:
     assert {"emergency-exit", "minisim", "stadium"} <= {path.stem for path in EXAMPLES}
 
 
@@ -361,7 +361,7 @@ def test_a_mistake_in_an_override_has_no_line(file: Path) -> None:
     assert refusal(load, file, ["seed=true"]).startswith(f"{file}: seed: expected int")
 
 
-def test_a_file_that_cannot_be_read_says_why(tmp_path: Path) -> None:
+def test_an_unreadable_file_is_refused_with_the_reason(tmp_path: Path) -> None:
     assert (
         refusal(load, tmp_path / "none.toml")
         == f"{tmp_path}/none.toml: cannot be read: No such file or directory"

@@ -174,7 +174,7 @@ def test_imports_stay_within_the_walls(module: str) -> None:
         assert {target, room(target)} & allowed, f"{module} must not import {target}"
 
 
-def test_walls_are_as_narrow_as_the_code_allows() -> None:
+def test_every_allowed_import_is_used() -> None:
     """A room or module in the table that is no longer imported is removed from it."""
     used = collections.defaultdict(set)
     for module, path in MODULES.items():
@@ -185,7 +185,7 @@ def test_walls_are_as_narrow_as_the_code_allows() -> None:
     assert {name: unused for name, unused in wide.items() if unused} == {}
 
 
-def test_no_module_is_imported_in_a_circle() -> None:
+def test_no_module_is_imported_circularly() -> None:
     """Imports inside of functions and under TYPE_CHECKING count, too."""
     waiting = {module: own(path) - {module} for module, path in MODULES.items()}
     while free := {
@@ -220,7 +220,7 @@ def test_files_and_functions_are_short() -> None:
     assert long == []
 
 
-def test_modules_are_found() -> None:
+def test_the_import_test_finds_the_modules() -> None:
     expected = {
         "errors",
         "evaluate",
@@ -257,7 +257,7 @@ def test_the_document_names_the_files_that_import_zenoh() -> None:
 
 
 @pytest.mark.parametrize("module", PURE)
-def test_pure_modules_know_no_clock_thread_or_network(module: str) -> None:
+def test_pure_modules_import_no_clock_thread_or_network(module: str) -> None:
     assert not {name.split(".")[0] for name in imported(MODULES[module])} & IMPURE
 
 
@@ -375,7 +375,7 @@ def test_networks_and_simulators_compute_the_same_bits_everywhere(module: str) -
     )
 
 
-def test_there_are_kernels_to_look_at() -> None:
+def test_the_import_test_finds_the_kernels() -> None:
     kernels = [
         node.name
         for module in COMPUTING
@@ -414,7 +414,7 @@ def test_the_check_finds_what_differs(line: str, found: bool) -> None:
     assert bool(differing(line)) == found
 
 
-def test_the_compiler_is_asked_for_nothing_loose() -> None:
+def test_the_compiler_uses_neither_fast_math_nor_threads() -> None:
     source = "".join(
         MODULES[module].read_text() for module in ("kernels.jit", "kernels.compiler")
     )

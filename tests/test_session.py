@@ -34,7 +34,7 @@ def opened() -> Iterator[Callable[[zenoh.Session], zenoh.Session]]:
 
 
 def free(protocol: str = "tcp") -> str:
-    """An endpoint on loopback that nobody uses."""
+    """Return an unused endpoint on loopback."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return f"{protocol}/127.0.0.1:{probe.getsockname()[1]}"

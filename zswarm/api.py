@@ -144,7 +144,7 @@ def connect(
 
     Args:
         servers: "auto": this machine's slots and every server found; "local": this machine only;
-            a number: wait for so many.
+            a number: wait for that many.
 
     Raises:
         ConfigError: an impossible value.

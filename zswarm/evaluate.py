@@ -285,7 +285,7 @@ def _play_varied(varied: Varied, trials: _Assignment) -> str:
                 return error
             try:
                 simulator = varied.of(seed)
-            except ConfigError as refused:  # an outcome, as whatever a simulator raises
+            except ConfigError as refused:  # an outcome, like any error of a simulator
                 error = error or _error_text(varied.first, seed, refused)
                 break
             in_kernel = isinstance(simulator, CompiledSimulator) and trials.remote is None

@@ -1,4 +1,4 @@
-"""The command ``zswarm-router``: a zenoh session in router mode, which works by itself."""
+"""The command ``zswarm-router``: a zenoh session in router mode, which needs no further code."""
 
 import signal
 import sys

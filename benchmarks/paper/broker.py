@@ -37,14 +37,14 @@ class Message(msgspec.Struct, tag=True):
 
 
 class Discovery(Message):
-    """1: which simulator is wanted, for how many agents; to all servers, so ``server`` is empty."""
+    """1: the wanted simulator and number of agents; sent to all servers, so ``server`` is empty."""
 
     simulator: str
     agents: int
 
 
 class Server(Message):
-    """2: a server that is idle and meets what is wanted, and what it can."""
+    """2: a server that is idle and meets the requirements, and its abilities."""
 
     simulators: list[str]
 

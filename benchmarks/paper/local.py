@@ -6,7 +6,7 @@ from zswarm.ot.workload import Workload
 
 
 class Local:
-    """Simulates, and counts.
+    """Simulate and count.
 
     Attributes:
         turns: in which agents acted.

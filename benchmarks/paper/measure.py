@@ -1,4 +1,4 @@
-"""Measures all designs on the same optimizations; what the numbers say is ``findings.py``'s.
+"""Measure all designs on the same optimizations; ``findings.py`` interprets the numbers.
 
 Each row is one optimization: which part of the measurements it belongs to, design, world, servers,
 and what it took.

@@ -1,4 +1,4 @@
-"""What the designs are called in results, and what they have in common."""
+"""Name the designs as results do, and define what they have in common."""
 
 from zswarm.ot.estimate.cost_model import TABLE_I
 

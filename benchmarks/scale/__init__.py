@@ -1,1 +1,1 @@
-"""How zswarm scales: many servers that are true to the protocol, one optimizer, on one machine."""
+"""Measure how zswarm scales: many protocol-true servers and one optimizer on one machine."""

@@ -31,7 +31,7 @@ spawn = multiprocessing.get_context("spawn")
 
 
 class Kind(msgspec.Struct):
-    """What a message says of its kind."""
+    """The kind of a message, decoded alone."""
 
     type: str
 
@@ -289,7 +289,8 @@ class Servers:
     """Processes of servers."""
 
     def __init__(self, count: int) -> None:
-        net = f"127.{secrets.randbelow(253) + 1}"  # two benchmarks at a time do not meet
+        # Random, so that two benchmarks at a time do not meet.
+        net = f"127.{secrets.randbelow(253) + 1}"
         self.endpoints = [
             f"tcp/{net}.{i // 128}.1:{20000 + i % 128}" for i in range(count)
         ]

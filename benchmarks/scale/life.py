@@ -24,7 +24,7 @@ from zswarm.protocol.keys import RunKey
 from zswarm.session import Reach
 
 DEADLINE_S = 120.0
-# Without another server or slot, before the optimizer goes on with those it has.
+# Without another server or slot, before the optimizer continues with those it has.
 SETTLE_S = 20.0
 
 

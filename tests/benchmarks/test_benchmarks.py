@@ -279,7 +279,7 @@ def test_renewed_ratios_keep_their_tolerances(ratios: ModuleType) -> None:
 
 
 @pytest.mark.parametrize("script", SCRIPTS)
-def test_a_script_says_what_it_does(script: str) -> None:
+def test_the_help_of_a_script_names_it_and_its_defaults(script: str) -> None:
     said = subprocess.run(
         [sys.executable, BENCHMARKS / f"{script}.py", "--help"],
         capture_output=True,

@@ -112,7 +112,7 @@ def test_a_different_history_is_reported(results: dict[str, Any]) -> None:
     assert agrees(results, "The place of the controller") is False
 
 
-def test_a_message_more_than_the_equation_gives_is_reported(
+def test_one_message_more_than_the_equation_predicts_is_reported(
     results: dict[str, Any],
 ) -> None:
     assert agrees(results, "Messages of a simulation") is True
@@ -128,7 +128,7 @@ def test_a_message_more_than_the_equation_gives_is_reported(
     assert agrees(results, "Messages of a simulation") is False
 
 
-def test_whether_two_servers_beat_one_is_measured(results: dict[str, Any]) -> None:
+def test_the_benefit_of_a_second_server_is_measured(results: dict[str, Any]) -> None:
     for seconds, verdict in ((10.0, False), (5.0, True)):
         change(
             results, "s", lambda _row: 10.0, part="scaling", design="broker", servers=1
@@ -144,7 +144,7 @@ def test_whether_two_servers_beat_one_is_measured(results: dict[str, Any]) -> No
         assert agrees(results, "Two servers are much faster than one (broker)") is verdict
 
 
-def test_whether_more_than_two_servers_are_useful_is_measured(
+def test_the_benefit_of_more_than_two_servers_is_measured(
     results: dict[str, Any],
 ) -> None:
     change(results, "s", lambda _row: 5.0, part="scaling", design="broker")
@@ -153,7 +153,7 @@ def test_whether_more_than_two_servers_are_useful_is_measured(
     assert agrees(results, "More than two servers are not useful (broker)") is False
 
 
-def test_whether_time_is_linear_in_steps_is_measured(results: dict[str, Any]) -> None:
+def test_the_linearity_of_time_in_steps_is_measured(results: dict[str, Any]) -> None:
     change(
         results,
         "s",
@@ -172,7 +172,7 @@ def test_whether_time_is_linear_in_steps_is_measured(results: dict[str, Any]) ->
     assert agrees(results, "Time grows linearly with steps (broker)") is False
 
 
-def test_whether_parameters_are_faster_is_measured(results: dict[str, Any]) -> None:
+def test_the_benefit_of_parameters_is_measured(results: dict[str, Any]) -> None:
     change(
         results,
         "s",
@@ -184,7 +184,7 @@ def test_whether_parameters_are_faster_is_measured(results: dict[str, Any]) -> N
     assert agrees(results, "Parameters in a message") is False
 
 
-def test_whether_more_servers_are_useful_with_one_discovery_is_measured(
+def test_the_benefit_of_more_servers_with_one_discovery_is_measured(
     results: dict[str, Any],
 ) -> None:
     for verdict, seconds in (
@@ -235,7 +235,7 @@ def test_slower_messages_over_zenoh_are_explained(
         ) is told
 
 
-def test_a_faster_design_than_zswarm_is_named(results: dict[str, Any]) -> None:
+def test_a_design_that_is_faster_than_zswarm_is_named(results: dict[str, Any]) -> None:
     for seconds, told in ((99.0, True), (0.1, False)):
         change(
             results,

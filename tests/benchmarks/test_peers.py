@@ -91,7 +91,7 @@ def test_a_peer_that_could_not_be_installed_is_named_with_the_reason(
     assert dispatch.why_not_installed("joblib (loky)", tmp_path) == ""
 
 
-def test_rounds_come_together_as_medians_and_a_round_that_failed_is_kept_apart(
+def test_rounds_are_summarized_by_their_median_and_failed_rounds_stay_separate(
     dispatch: ModuleType,
 ) -> None:
     noop = {

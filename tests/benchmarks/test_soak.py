@@ -50,7 +50,7 @@ def noisy(slope_mb: float, seed: int) -> np.ndarray:
     )
 
 
-def test_the_slope_of_a_line_is_exact_whatever_a_few_points_do(soak: ModuleType) -> None:
+def test_a_few_outliers_do_not_change_the_fitted_slope(soak: ModuleType) -> None:
     times = np.arange(50) * 2.0
     values = 3.0 + 0.25 * times
     values[::7] += 1000.0
@@ -58,7 +58,7 @@ def test_the_slope_of_a_line_is_exact_whatever_a_few_points_do(soak: ModuleType)
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_a_leak_of_one_mb_a_minute_is_found_and_noise_is_none(
+def test_a_leak_of_one_mb_a_minute_is_found_and_noise_is_not_reported(
     soak: ModuleType, seed: int
 ) -> None:
     """The limit is 0.5; noise of 1 MB moves the slope by 0.1 or so."""
@@ -72,7 +72,7 @@ def test_a_leak_of_one_mb_a_minute_is_found_and_noise_is_none(
     assert "memory" in leaking.complaints[0]
 
 
-def test_threads_files_and_shared_memory_that_come_and_go_are_no_leak(
+def test_fluctuating_threads_files_and_shared_memory_are_not_a_leak(
     soak: ModuleType,
 ) -> None:
     busy = 20 + np.random.default_rng(1).integers(0, 5, 150)
@@ -85,7 +85,9 @@ def test_threads_files_and_shared_memory_that_come_and_go_are_no_leak(
 
 
 @pytest.mark.parametrize("what", ["descriptors", "threads", "shm"])
-def test_what_stays_each_time_is_a_leak(soak: ModuleType, what: str) -> None:
+def test_a_steady_growth_of_files_or_threads_is_a_leak(
+    soak: ModuleType, what: str
+) -> None:
     busy = np.random.default_rng(1).integers(0, 5, 150)
     growing = 20 + busy + np.arange(150) // 10
     complaints = soak.judge(

@@ -36,7 +36,7 @@ SEEDS = np.array([1] if FEW else [1, 2**63 + 5], np.uint64)
 GENERATIONS = 3
 # Partners: whose metrics show every bit of what is decided, lanes.
 SIMULATOR, NETWORK, SMALLEST = "arena", "fully-meshed", "xor"
-# Environments of other packages have bits of theirs; what ROS plays has those of turtlebot-exit.
+# Environments of other packages have their own bits; trials in ROS have those of turtlebot-exit.
 SIMULATORS = [
     name
     for name in plugins.names("simulator")
@@ -64,12 +64,12 @@ SMALL: dict[str, dict[str, Any]] = {
     },
     "turtlebot-exit": {"robots": 2, "rays": 8},
 }
-# By other settings than the one that names choices.
+# Selected by settings other than the one that names choices.
 NEEDED = {("minisim", "teams"): {"defenders": 0}}
 
 
 def ways(settings: Any) -> Iterator[dict[str, Any]]:
-    """The defaults, and each other choice of a settings struct that names its choices."""
+    """Yield the default settings, and each other choice of settings that name their choices."""
     yield {}
     for field in msgspec.structs.fields(settings):
         kind = field.type
@@ -86,7 +86,7 @@ def ways(settings: Any) -> Iterator[dict[str, Any]]:
 
 
 def problems() -> Iterator[tuple[str, Any, Any]]:
-    """Each simulator and each network in all ways, with a partner; then all pairs by default."""
+    """Yield each simulator and network in all ways with a partner, then all pairs by default."""
     for simulator in SIMULATORS:
         for chosen in ways(plugins.load("simulator", simulator).settings_type):
             yield problem(
@@ -104,7 +104,7 @@ def problems() -> Iterator[tuple[str, Any, Any]]:
 def problem(
     simulator: str, network: str, rules: dict[str, Any], shape: dict[str, Any]
 ) -> tuple[str, Any, Any]:
-    """Its name, and both of its parts."""
+    """Return the name and both parts of a problem."""
     name = " ".join(
         [
             simulator,
@@ -147,7 +147,7 @@ def played(simulator: Any, network: Any) -> tuple[bytes, int]:
 
 
 def operated(network: Any) -> bytes:
-    """What the operators that optimizers use make of random genomes."""
+    """Return the results of the optimizers' operators on random genomes."""
     stream = Stream(4)
     genomes = network.random(50, stream)
     for method in (1, 2):
@@ -166,7 +166,7 @@ def operated(network: Any) -> bytes:
 
 
 def evolved(optimizer: Any, simulator: Any, network: Any) -> bytes:
-    """The history hash of a short run, with the optimizer's state and statistics at its end."""
+    """Return the history hash of a short run, and the optimizer's final state and statistics."""
     history = History()
     for _ in range(GENERATIONS):
         genomes = optimizer.ask()
@@ -186,7 +186,7 @@ def evolved(optimizer: Any, simulator: Any, network: Any) -> bytes:
 
 
 def drawn() -> bytes:
-    """Random numbers of every kind."""
+    """Return random numbers of every kind."""
     stream = Stream(draws.derive_seed(1, "bits", 2))
     numbers = (
         stream.words(1000),
@@ -201,7 +201,7 @@ def drawn() -> bytes:
 
 
 def results() -> Iterator[tuple[str, bytes | int]]:
-    """Name and bytes of everything, and how many outcomes differ."""
+    """Yield name and bytes of everything, and how many outcomes differ."""
     yield "draws", drawn()
     for name, simulator, network in problems():
         outcomes, different = played(simulator, network)
@@ -236,7 +236,7 @@ def results() -> Iterator[tuple[str, bytes | int]]:
 
 
 def digest(value: bytes | int) -> str | int:
-    """Of bytes."""
+    """Return a digest of bytes."""
     return (
         value
         if isinstance(value, int)

@@ -105,7 +105,7 @@ def test_plain_python_gives_the_same_bits_as_the_kernels() -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("setting", SETTINGS)
 def test_the_bits_are_the_same_on_another_processor(setting: str, tmp_path: Path) -> None:
-    """A cache of its own: numba tells processors apart in it, but not how much it optimizes."""
+    """Use a separate cache: numba distinguishes processors in it, but not optimization levels."""
     trials = TRIALS[setting]
     expected = here(trials)
     assert all(

@@ -19,7 +19,7 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or "chro
 
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
-    """The distribution's, without a window."""
+    """Start the distribution's browser without a window."""
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(
             executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"]
@@ -29,13 +29,13 @@ def browser() -> Iterator[Browser]:
 
 
 class Watched(NamedTuple):
-    """What a page did that it should not."""
+    """Forbidden actions of a page."""
 
     errors: list[str]
     requests: list[str]
 
     def watch(self, page: Page) -> Page:
-        """Have it noted."""
+        """Record errors and foreign requests of a page."""
         page.on(
             "console",
             lambda said: (
@@ -49,20 +49,20 @@ class Watched(NamedTuple):
         return page
 
     def forgive(self, page: Page) -> None:
-        """What a test provoked, once nothing more of it comes."""
+        """Drop the errors that a test provoked, once no more of them come."""
         page.goto("about:blank")
         self.errors.clear()
 
 
 @pytest.fixture
 def watched() -> Watched:
-    """Of all pages of a test; a test that provokes an error forgives it."""
+    """Watch all pages of a test; a test that provokes an error forgives it."""
     return Watched([], [])
 
 
 @pytest.fixture
 def page(browser: Browser, watched: Watched, dashboard: object) -> Iterator[Page]:
-    """A new tab, closed before dashboards end; it must not fail or request other machines."""
+    """Open a new tab, closed before dashboards end; it must not fail or request other machines."""
     context = browser.new_context(viewport={"width": 1280, "height": 800})
     yield watched.watch(context.new_page())
     context.close()
@@ -88,7 +88,7 @@ class Dashboard:
         self.start()
 
     def start(self) -> None:
-        """Begin, or begin again."""
+        """Start, or start again."""
         self._program = subprocess.Popen(
             [sys.executable, "-m", "zswarm.ot", "dashboard", *self._arguments],
             stdin=subprocess.DEVNULL,
@@ -107,7 +107,7 @@ class Dashboard:
         self._listener.start()
 
     def stop(self) -> str:
-        """End it; what it said since it began."""
+        """End the program; return its output since the start."""
         self._program.terminate()
         self._program.wait(30)
         self._listener.join()
@@ -117,18 +117,18 @@ class Dashboard:
 
     @property
     def port(self) -> int:
-        """Where it listens."""
+        """Return the port."""
         return int(urlsplit(self.url).port or 0)
 
     def memory(self) -> int:
-        """Bytes that it holds."""
+        """Return the memory of the process in bytes."""
         status = Path(f"/proc/{self._program.pid}/status").read_text()
         return 1024 * int(re.findall(r"VmRSS:\s+(\d+)", status)[0])
 
 
 @pytest.fixture
 def dashboard() -> Iterator[Callable[..., Dashboard]]:
-    """Starts dashboards of folders; at the end none has anything to say, for it had no error."""
+    """Start dashboards of folders; at the end none may have printed an error."""
     begun: list[Dashboard] = []
 
     def start(*folders: Path, options: Sequence[str] = ()) -> Dashboard:

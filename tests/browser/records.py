@@ -1,4 +1,4 @@
-"""Records as long or as strange as a test wants, written at once; nothing is evaluated."""
+"""Write records as long or as strange as a test needs; nothing is evaluated."""
 
 import math
 import random
@@ -29,7 +29,7 @@ def write(
     seed: int = 1,
     finished: bool = True,
 ) -> Path:
-    """A run whose fitness rises, a second per generation; servers take turns."""
+    """Write a run whose fitness rises, a second per generation; servers take turns."""
     loaded = experiment.load(
         experiment.find("stadium"),
         [f"generations={generations if finished else generations + 5}", f"seed={seed}"],
@@ -128,7 +128,7 @@ def write(
 
 
 def grow(folder: Path, generation: int, best: float) -> None:
-    """One more generation, as a run that goes on would write it."""
+    """Add a generation, as an active run would."""
     with sqlite3.connect(folder / "run.sqlite", timeout=30) as database:
         database.execute(
             "INSERT INTO generations VALUES (?, ?, ?, ?, ?, ?)",
@@ -139,7 +139,7 @@ def grow(folder: Path, generation: int, best: float) -> None:
 
 
 def from_the_future(folder: Path) -> None:
-    """A record of a newer zswarm."""
+    """Write a record of a newer zswarm."""
     with sqlite3.connect(folder / "run.sqlite") as database:
         database.execute(
             "UPDATE meta SET value = ? WHERE key = 'schema_version'",

@@ -177,7 +177,7 @@ def test_new_generations_appear_without_a_reload(
 def test_a_page_reconnects_to_a_restarted_dashboard(
     page: Page, watched: Watched, dashboard: Start, tmp_path: Path
 ) -> None:
-    """The page says how old it is, keeps what it shows, and goes on with what came meanwhile."""
+    """The page shows its age, keeps its contents, and catches up after reconnecting."""
     folder = write(tmp_path, finished=False)
     shown = dashboard(tmp_path, options=["--port", "18467"])
     page.goto(f"{shown.url}/run?run=long")
@@ -221,7 +221,7 @@ def test_a_run_is_paused_and_stopped_with_the_token_alone(
     page.get_by_role("button", name="Pause").click()
     expect(page.locator(".badge")).to_contain_text("paused")
     assert control.asked(folder) == "pause"
-    page.get_by_role("button", name="Go on").click()
+    page.get_by_role("button", name="Resume").click()
     expect(page.locator(".badge")).to_contain_text("running")
     assert control.asked(folder) == ""
     page.on("dialog", lambda dialog: dialog.accept())
@@ -287,7 +287,7 @@ def test_records_that_cannot_be_read_are_explained(
 
 @pytest.fixture
 def elsewhere() -> Iterator[str]:
-    """A web page of somebody else."""
+    """Serve a web page of another origin."""
 
     class Empty(http.server.BaseHTTPRequestHandler):
         def do_GET(self) -> None:
@@ -306,7 +306,7 @@ def elsewhere() -> Iterator[str]:
     server.server_close()
 
 
-def test_a_page_of_another_origin_can_neither_read_nor_send(
+def test_a_page_of_another_origin_can_neither_read_nor_write(
     page: Page, watched: Watched, dashboard: Start, elsewhere: str, tmp_path: Path
 ) -> None:
     """Not by a request, a form, a WebSocket, a frame or a script; not even with the token."""
@@ -390,7 +390,7 @@ def test_a_long_run_is_shown_as_soon_as_a_short_one(
 
 @pytest.mark.parametrize("path", PAGES)
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_pages_fit_a_telephone(
+def test_pages_fit_on_a_phone(
     page: Page, dashboard: Start, tmp_path: Path, path: str, scheme: str
 ) -> None:
     """At 400 pixels only tables and curves scroll sideways, and texts have enough contrast."""

@@ -172,7 +172,7 @@ def test_a_running_run_is_shown_live(
     expect(page.locator(".badge")).to_contain_text("running", timeout=SLOW_MS)
     page.get_by_role("button", name="Pause").click()
     expect(page.locator(".badge")).to_contain_text("paused")
-    page.get_by_role("button", name="Go on").click()
+    page.get_by_role("button", name="Resume").click()
     expect(page.locator(".badge")).to_contain_text("running")
     page.on("dialog", lambda dialog: dialog.accept())
     page.goto("about:blank")

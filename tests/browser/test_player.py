@@ -46,7 +46,7 @@ def said(page: Page) -> str:
     return page.locator(".zp-clock").inner_text()
 
 
-def test_it_plays_by_itself_to_the_end(page: Page, tmp_path: Path) -> None:
+def test_the_player_plays_to_the_end(page: Page, tmp_path: Path) -> None:
     opened(page, of("minisim", steps=20, width=5), tmp_path)
     page.get_by_role("combobox", name="speed").select_option("16")
     expect(page.locator(".zp-clock")).to_have_text("20 / 20")
@@ -54,7 +54,7 @@ def test_it_plays_by_itself_to_the_end(page: Page, tmp_path: Path) -> None:
     assert page.evaluate("player.frames") > 2
 
 
-def test_it_is_played_by_the_keyboard(page: Page, tmp_path: Path) -> None:
+def test_the_keyboard_controls_the_player(page: Page, tmp_path: Path) -> None:
     paused(page, of("minisim", steps=100), tmp_path)
     assert said(page) == "0 / 100"
     for key, shown in (
@@ -79,7 +79,7 @@ def test_it_is_played_by_the_keyboard(page: Page, tmp_path: Path) -> None:
     expect(page.get_by_role("button", name="play", exact=True)).to_be_visible()
 
 
-def test_every_control_has_a_name_and_is_reached_by_tab(
+def test_every_control_has_a_label_and_can_be_reached_with_the_tab_key(
     page: Page, tmp_path: Path
 ) -> None:
     paused(page, of("maze", steps=50), tmp_path)
@@ -99,7 +99,9 @@ def test_every_control_has_a_name_and_is_reached_by_tab(
     assert {"round", "play", "a round ahead", "speed", "sensors", "agent"} <= set(names)
 
 
-def test_the_player_shows_the_trace(page: Page, tmp_path: Path) -> None:
+def test_the_player_shows_the_chosen_agents_numbers_and_describes_the_picture(
+    page: Page, tmp_path: Path
+) -> None:
     """Numbers of the chosen agent at a round, and the picture in words."""
     trace = of("turtlebot-exit", steps=30, robots=3)
     paused(page, trace, tmp_path)
@@ -119,7 +121,7 @@ def test_the_player_shows_the_trace(page: Page, tmp_path: Path) -> None:
     assert page.locator(".zp-name").all_inner_texts()[:2] == ["scan_0", "scan_1"]
 
 
-def test_an_agent_is_chosen_by_a_touch(browser: Browser, tmp_path: Path) -> None:
+def test_a_touch_selects_an_agent(browser: Browser, tmp_path: Path) -> None:
     trace = of("turtlebot-exit", steps=5, robots=4)
     context = browser.new_context(
         viewport={"width": 400, "height": 800}, has_touch=True, reduced_motion="reduce"
@@ -153,7 +155,7 @@ def test_nothing_is_wider_than_a_phone(
     assert light == (scheme == "light")
 
 
-def test_the_colours_change_by_a_button(page: Page, tmp_path: Path) -> None:
+def test_a_button_switches_the_colour_theme(page: Page, tmp_path: Path) -> None:
     paused(page, of("minisim", steps=5, width=4), tmp_path)
     picture = "document.querySelector('.zp-canvas').toDataURL()"
     before = page.evaluate(picture)
@@ -172,7 +174,7 @@ def test_reduced_motion_is_respected(page: Page, tmp_path: Path) -> None:
     assert said(page) == "0 / 20"
 
 
-def test_names_are_text(page: Page, tmp_path: Path) -> None:
+def test_names_are_shown_as_text(page: Page, tmp_path: Path) -> None:
     trace = of("minisim", steps=5, width=4)
     frames = [
         frame._replace(bodies=[body._replace(kind=HOSTILE) for body in frame.bodies])

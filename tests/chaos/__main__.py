@@ -1,4 +1,4 @@
-"""``make chaos``: fresh schedules until the time is up, or ``SEED=17`` to replay one."""
+"""Play fresh schedules until the time is up (``make chaos``), or replay one with ``SEED=17``."""
 
 import argparse
 import concurrent.futures
@@ -13,7 +13,7 @@ CHUNK = 50
 
 
 def failures(seeds: range) -> list[str]:
-    """What went wrong, in the words to print."""
+    """Return the failures as text."""
     found = []
     for seed in seeds:
         try:
@@ -24,7 +24,7 @@ def failures(seeds: range) -> list[str]:
 
 
 def main() -> int:
-    """The program; its exit code."""
+    """Run the program and return its exit code."""
     parser = argparse.ArgumentParser(prog="make chaos", description=__doc__)
     parser.add_argument("--seed", type=int, help="replay this one schedule")
     parser.add_argument("--seconds", type=float, default=300.0, help="how long to look")

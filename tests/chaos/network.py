@@ -1,4 +1,4 @@
-"""A link between a server and an optimizer, which breaks in the ways that links do."""
+"""Simulate a link between a server and an optimizer, which breaks in the ways that links do."""
 
 from typing import TYPE_CHECKING, Literal
 
@@ -29,12 +29,12 @@ State = Literal["up", "down", "mute", "deaf", "slow"]
 
 
 class Link:
-    """The way between two programs."""
+    """A link between two programs."""
 
     def __init__(self, world: World, server: "Server", optimizer: "Optimizer") -> None:
         self.world, self.server, self.optimizer = world, server, optimizer
         self.state: State = "up"
-        self.breaks = 0  # what is on the way then is lost
+        self.breaks = 0  # messages in transit then are lost
         self.open: dict[int, str] = {}  # questions
         server.links[f"{optimizer.run} {optimizer.epoch}"] = optimizer.links[
             server.id
@@ -42,7 +42,7 @@ class Link:
         self._meet()
 
     def _meet(self) -> None:
-        """Each sees the other's token."""
+        """Let each side see the other's token."""
         if not self.server.slots.draining:
             self._travel(lambda: self.optimizer.handle(Seen(self.server.id)))
         self._travel(lambda: self._holder(alive=True))
@@ -60,7 +60,7 @@ class Link:
             world.soon(arrive)
 
     def set(self, state: State) -> None:
-        """Break the link, or mend it; what is on the way is lost."""
+        """Break or restore the link; messages in transit are lost."""
         world = self.world
         if self.server.ended:
             state = "down"
@@ -86,11 +86,11 @@ class Link:
         self.server.handle(events.HolderAlive("user", self.optimizer.run, alive))
 
     def undeclare(self) -> None:
-        """The server's token goes."""
+        """Undeclare the server's token."""
         self._travel(lambda: self.optimizer.handle(Gone(self.server.id)))
 
     def ask(self, question: int, message: messages.Request) -> None:
-        """From the optimizer to the server."""
+        """Send from the optimizer to the server."""
         world = self.world
         self.open[question] = verb = messages.verb(message)
         world.at(QUERY_S[verb], lambda: self._arrive(question, None))
@@ -100,7 +100,7 @@ class Link:
             self._travel(lambda: self.server.receive(self, question, message))
 
     def answer(self, question: int, body: bytes) -> None:
-        """From the server to the optimizer."""
+        """Send from the server to the optimizer."""
         world = self.world
         reply: messages.Reply | str | None = codec.decode_reply(body)
         if world.chance(world.failing):

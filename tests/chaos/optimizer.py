@@ -1,4 +1,4 @@
-"""An optimizer: the real dispatch, a run of some generations, and what it has recorded."""
+"""Run the real dispatch in a simulated optimizer, with some generations and a record."""
 
 import copy
 
@@ -21,18 +21,18 @@ COMMIT_S = 0.1
 
 
 class Journal:
-    """What a run has recorded: finished generations, and the outcomes of the one that runs."""
+    """The record of a run: finished generations, and outcomes of the current one."""
 
     def __init__(self) -> None:
         self.finished: list[tuple[list[bytes], np.ndarray]] = []
-        # A server may have computed wrong that could not be found out in time.
+        # Wrong outcomes of a server may have remained undetected.
         self.doubtful = False
         self.counted: list[
             tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray, str]
         ] = []
 
     def survives(self, now: float) -> "Journal":
-        """What is on the disk after a crash: all but the last tenth of a second."""
+        """Return what is on the disk after a crash: all but the last tenth of a second."""
         left = Journal()
         left.doubtful = self.doubtful
         left.finished = list(self.finished)
@@ -40,7 +40,7 @@ class Journal:
         return copy.deepcopy(left)
 
     def history(self) -> str:
-        """The history hash."""
+        """Return the history hash."""
         history = History()
         for genomes, fitness in self.finished:
             history.add(genomes, fitness)
@@ -48,7 +48,7 @@ class Journal:
 
 
 class Optimizer(Node[events.Event]):
-    """One program that runs, or goes on with, an experiment."""
+    """A program that starts or resumes an experiment."""
 
     def __init__(
         self,
@@ -70,7 +70,7 @@ class Optimizer(Node[events.Event]):
         self.journal = journal or Journal()
         self.links: dict[str, Link] = {}  # by server
         self.left = False  # it is done
-        self.superseded = False  # another one goes on with its run
+        self.superseded = False  # another one has resumed its run
         self.progressed_at = self.unserved_at = world.now
         self._verified, self._missed = 0, False
         # A check needs a second server.
@@ -118,7 +118,7 @@ class Optimizer(Node[events.Event]):
         self.handle(events.Work(self.workload))
 
     def _slots_held(self) -> int:
-        """Slots that it has a lease for, and that it asks for."""
+        """Return the slots that it has leased or requested."""
         phases = {Phase.LEASED: "slots", Phase.RESERVING: "wanted"}
         servers = self.dispatch.servers.by_id.values()
         return sum(
@@ -128,7 +128,7 @@ class Optimizer(Node[events.Event]):
         )
 
     def react(self, event: events.Event) -> None:
-        """Give the dispatch an event, and carry out what it says."""
+        """Give the dispatch an event and execute its commands."""
         world = self.world
         if not isinstance(event, events.TimePassed):
             world.tell(
@@ -167,7 +167,7 @@ class Optimizer(Node[events.Event]):
                 case events.ProbeDisputed():
                     world.at(2.0, lambda: self.handle(events.ProbeArbitrated(PROBE)))
                 case events.Retracted():
-                    # Earlier generations were told what it computed.
+                    # Earlier generations already used its outcomes.
                     self.journal.doubtful |= bool(self.journal.finished)
                     self.journal.counted = [
                         row for row in self.journal.counted if row[-1] != command.server
@@ -217,7 +217,7 @@ class Optimizer(Node[events.Event]):
         self.progressed_at = self.world.now
 
     def _finish(self) -> None:
-        """A generation ended: it must be what an undisturbed run has."""
+        """End a generation, which must equal that of an undisturbed run."""
         world, load = self.world, self.workload
         fitness, poison = self.experiment.expected(load)
         if not load.counted.all():
@@ -251,13 +251,13 @@ class Optimizer(Node[events.Event]):
         self.world.at(0.1, self.end)
 
     def end(self) -> None:
-        """It ends or crashes; its token vanishes."""
+        """End or crash; the token vanishes."""
         self.ended, self.frozen = True, False
         for link in self.links.values():
             link.set("down")
 
     def resume(self) -> "Optimizer":
-        """Another one that goes on with what is recorded, whether this one ended or not."""
+        """Start another program that resumes from the record, even if this one still runs."""
         self.superseded = True
         journal = self.journal.survives(self.world.now)
         return Optimizer(
@@ -269,7 +269,7 @@ class Optimizer(Node[events.Event]):
         )
 
     def _check(self) -> None:
-        """Every trial is in one place."""
+        """Check that every trial is in one place."""
         servers, batches = self.dispatch.servers.by_id.values(), self.dispatch.batches
         if batches.workload is not None:
             places = [entry.trials for entry in batches.queue.entries]

@@ -1,4 +1,4 @@
-"""A problem whose outcomes depend only on genome and seed, and the history that it must have."""
+"""Define a problem whose outcomes depend only on genome and seed, and its expected history."""
 
 import functools
 import hashlib
@@ -13,7 +13,7 @@ Trial = tuple[bytes, int]  # genome and seed
 
 @functools.cache
 def outcome(trial: Trial) -> float:
-    """Fitness and metric of a trial; sometimes NaN."""
+    """Return fitness and metric of a trial; sometimes NaN."""
     number = hashlib.blake2b(
         trial[0] + trial[1].to_bytes(8, "little"), digest_size=4
     ).digest()
@@ -21,12 +21,12 @@ def outcome(trial: Trial) -> float:
 
 
 def poisonous(trial: Trial) -> bool:
-    """Whether a trial ends every process that plays it."""
+    """Return whether a trial ends every process that plays it."""
     return outcome(trial) % 1.0 < 0.02
 
 
 class Experiment:
-    """A run's generations: the genomes of one follow from the fitness of the one before."""
+    """The generations of a run: each follows from the fitness of the previous one."""
 
     def __init__(
         self, name: str, seed: int, *, generations: int, population: int, trials: int
@@ -35,7 +35,7 @@ class Experiment:
         self._seed, self._population, self._trials = seed, population, trials
 
     def workload(self, before: np.ndarray | None) -> Workload:
-        """The generation after the one with this fitness."""
+        """Return the generation after the one with this fitness."""
         root = (b"" if before is None else before.tobytes()) + self._seed.to_bytes(
             8, "little"
         )
@@ -50,7 +50,7 @@ class Experiment:
         )
 
     def expected(self, workload: Workload) -> tuple[np.ndarray, np.ndarray]:
-        """Fitness of each trial, NaN where it is poisonous, and which are."""
+        """Return the fitness of each trial, NaN if it is poisonous, and which trials are."""
         trials = [
             (workload.genomes[i], int(seed))
             for (i,), seed in zip(workload.participants, workload.seeds, strict=True)
@@ -59,11 +59,11 @@ class Experiment:
         return np.where(poison, np.nan, [outcome(trial) for trial in trials]), poison
 
     def fitness(self, trials: np.ndarray) -> np.ndarray:
-        """(population,) from (trials,): added in trial order."""
+        """Return (population,) from (trials,), added in trial order."""
         return np.cumsum(trials.reshape(-1, self._trials), axis=1)[:, -1]
 
     def undisturbed(self) -> str:
-        """The history hash of a run to which nothing happens."""
+        """Return the history hash of a run without faults."""
         history, fitness = History(), None
         for _ in range(self.generations):
             workload = self.workload(fitness)

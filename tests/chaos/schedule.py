@@ -1,4 +1,4 @@
-"""One seeded schedule: its programs, their faults, and what must be true at the end."""
+"""Play one seeded schedule of programs and faults, and check what must hold at the end."""
 
 import itertools
 from typing import NamedTuple
@@ -21,7 +21,7 @@ FAULTS = [
 
 
 class End(NamedTuple):
-    """What a schedule left, on servers that are up."""
+    """The state after a schedule, on running servers."""
 
     world: World
     runs: list[str]
@@ -62,7 +62,7 @@ class Lab:
             self._add_run(run)
 
     def add_server(self, *, sound: bool = False, lies: float = 0.0) -> Server:
-        """A server starts."""
+        """Start a server."""
         server = Server(
             self.world, next(self._numbers), self._deaths, sound=sound, lies=lies
         )
@@ -85,7 +85,7 @@ class Lab:
         self.add_optimizer(Optimizer(self.world, experiment, verify=verify))
 
     def add_optimizer(self, optimizer: Optimizer) -> None:
-        """An optimizer starts."""
+        """Start an optimizer."""
         self.optimizers.append(optimizer)
         for server in self.servers:
             if not server.ended:
@@ -94,7 +94,7 @@ class Lab:
     # ---- faults
 
     def fail_something(self) -> None:
-        """One fault, and another one later."""
+        """Cause one fault, and schedule another."""
         world, draw = self.world, self.world.random
         if world.now > CHAOS_S:
             return
@@ -168,7 +168,7 @@ class Lab:
     def _freeze(
         self, node: Server | Optimizer, links: list[Link], lasts_s: float
     ) -> None:
-        """SIGSTOP, and later SIGCONT: after the link timeout the others take it for gone."""
+        """Stop a program (SIGSTOP), resume it later; after the link timeout it counts as gone."""
         node.frozen = True
         if lasts_s > LINK_TIMEOUT_S:
             for link in links:
@@ -184,7 +184,7 @@ class Lab:
     # ---- what must have come of it
 
     def play(self) -> None:
-        """Let everything happen.
+        """Play the schedule to its end.
 
         Raises:
             AssertionError: a rule was broken.
@@ -202,14 +202,14 @@ class Lab:
         if undone and all(
             optimizer.progressed_at < world.now - BOUND_S for optimizer in standing
         ):
-            world.fail("no run goes on")
+            world.fail("no run makes progress")
         for optimizer in self._standing():
             if (
                 not optimizer.left
                 and max(optimizer.progressed_at, optimizer.unserved_at)
                 < world.now - BOUND_S
             ):
-                world.fail(f"{optimizer.run} has slots and does not go on")
+                world.fail(f"{optimizer.run} has slots and makes no progress")
         world.run(END_S, self._done)
         world.run(world.now + 120.0)
         end = self.end()
@@ -230,7 +230,7 @@ class Lab:
         )
 
     def end(self) -> End:
-        """What is left when it is over."""
+        """Return what the schedule left, once it is over."""
         trusted = [
             optimizer for optimizer in self._standing() if not optimizer.journal.doubtful
         ]

@@ -1,4 +1,4 @@
-"""A server: the real slot table, and workers that fail."""
+"""Run the real slot table in a simulated server, with workers that fail."""
 
 import itertools
 
@@ -70,7 +70,7 @@ class Server(Node[events.Event]):
         self._ticking = False
 
     def good(self) -> bool:
-        """Whether runs can count on it."""
+        """Return whether runs can rely on this server."""
         return not (
             self.ended
             or self.wrong
@@ -81,7 +81,7 @@ class Server(Node[events.Event]):
         )
 
     def receive(self, link: Link, question: int, message: messages.Request) -> None:
-        """A request arrived."""
+        """Handle a request."""
         if self.frozen:
             self.when_awake(lambda: self.receive(link, question, message))
             return
@@ -96,7 +96,7 @@ class Server(Node[events.Event]):
         self.handle(events.Asked(query, "user", link.optimizer.run, message))
 
     def react(self, event: events.Event) -> None:
-        """Give the slot table an event, and carry out what it says."""
+        """Give the slot table an event and execute its commands."""
         world = self.world
         if not isinstance(event, events.Tick):
             world.tell(self.id, getattr(event, "message", event))
@@ -127,7 +127,7 @@ class Server(Node[events.Event]):
 
     def _tick(self) -> None:
         if self.frozen:
-            # After all that came meanwhile.
+            # After all events that came meanwhile.
             self.when_awake(lambda: self.world.at(0.0, self._tick))
             return
         self._ticking = False
@@ -135,7 +135,7 @@ class Server(Node[events.Event]):
             self.handle(events.Tick(tuple(worker.progress() for worker in self.workers)))
 
     def _check(self) -> None:
-        """A slot belongs to one lease or none, and works when the table says so."""
+        """Check that a slot belongs to at most one lease and works when the table says so."""
         held = set()
         for lease in self.slots.leases.values():
             for slot in lease.slots:
@@ -154,17 +154,17 @@ class Server(Node[events.Event]):
                 )
 
     def disappear(self) -> None:
-        """Its links are gone, for good."""
+        """Remove its links for good."""
         for link in self.links.values():
             link.set("down")
 
     def end(self) -> None:
-        """It crashes or is killed."""
+        """Crash or be killed."""
         self.ended, self.frozen = True, False
         self.disappear()
 
     def drain(self) -> None:
-        """It is told to stop: its token goes first."""
+        """Drain: the token goes first."""
         for link in self.links.values():
             link.undeclare()
         self.handle(events.Drain())
@@ -175,18 +175,18 @@ class Worker:
 
     def __init__(self, server: Server, index: int) -> None:
         self.server, self.index = server, index
-        self.life = 0  # what was to come from an earlier life does not
+        self.life = 0  # events from before a restart are dropped
         self.since: float | None = None  # it works since then
         self.trials: list[Trial] = []  # of its chunk
         self.lease = b""
         self.trial_s = 1.0
 
     def restart(self) -> None:
-        """It is killed, and a new one is there."""
+        """Kill the server and start a new one."""
         self.life, self.since = self.life + 1, None
 
     def die(self) -> None:
-        """Somebody else kills it."""
+        """Die because another process killed it."""
         self.life += 1
         self._later(0.0, events.Died(self.index, self.progress(), "killed"))
 
@@ -264,7 +264,7 @@ class Worker:
         return float(self.server.wrong or outcome(trial) % 0.1 < 0.1 * self.server.lies)
 
     def _dies_at(self, trial: Trial) -> bool:
-        """By chance, but not so often that the trial is taken for poisonous."""
+        """Choose at random where it dies, but rarely enough that no trial goes to quarantine."""
         server = self.server
         deaths = server.deaths.get(trial, 0)
         dies = server.world.chance(server.world.failing) or (
@@ -276,7 +276,7 @@ class Worker:
         return True
 
     def stop(self) -> None:
-        """The present trial ends; one in three times it takes too long."""
+        """End the current trial; one in three times this takes too long."""
         if self.since is not None and self.server.world.random.random() < 0.7:
             self._later(
                 self.trial_s,
@@ -286,7 +286,7 @@ class Worker:
             )
 
     def progress(self) -> int:
-        """The trial it is at."""
+        """Return the current trial."""
         if self.since is None or not self.trials:
             return 0
         played = int((self.server.world.now - self.since) / self.trial_s)

@@ -125,12 +125,12 @@ def a_batch_is_not_kept(patch: pytest.MonkeyPatch) -> None:
 
 
 def a_cut_link_forgets(patch: pytest.MonkeyPatch) -> None:
-    """A server that is back is given anew what it still has."""
+    """Forget work that a returned server still has, and send it again."""
     patch.setattr(Batches, "_resume", Batches._forget_stranded)
 
 
 def a_lie_is_believed(patch: pytest.MonkeyPatch) -> None:
-    """Whoever is wrong in a dispute, nobody is found out."""
+    """Never ban a server that was found to be wrong."""
     patch.setattr(Servers, "ban", lambda *_: None)
 
 

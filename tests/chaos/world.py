@@ -1,4 +1,4 @@
-"""Simulated time, what happens when, and the rules that must hold. A seed decides everything."""
+"""Simulate time and events, and check rules. A seed decides everything."""
 
 import heapq
 import itertools
@@ -17,7 +17,7 @@ EVENTS = 3000  # in a second; more is a loop without delay
 
 
 class World:
-    """The time, what happens when, and what happened last."""
+    """Simulated time, scheduled events, and a log of recent ones."""
 
     def __init__(self, seed: int) -> None:
         self.seed, self.random, self.now = seed, random.Random(seed), 0.0
@@ -29,23 +29,23 @@ class World:
         self._order = itertools.count()
 
     def at(self, delay: float, call: Callable[[], None]) -> None:
-        """Have something happen after a time."""
+        """Schedule a call after a time."""
         heapq.heappush(self._queue, (self.now + delay, next(self._order), call))
 
     def soon(self, call: Callable[[], None]) -> None:
-        """After the way through the network; a later message may overtake."""
+        """Schedule a call after the network's delay; a later message may overtake."""
         self.at(0.0001 + 0.02 * self.random.random(), call)
 
     def chance(self, share: float) -> bool:
-        """Whether something of that probability goes wrong now."""
+        """Return whether something of that probability goes wrong now."""
         return self.now < CHAOS_S and self.random.random() < share
 
     def tell(self, *words: object) -> None:
-        """Remember what happened."""
+        """Add a line to the log."""
         self.trace.append((self.now, *words))
 
     def fail(self, text: str) -> NoReturn:
-        """A rule was broken: the seed, the line that replays it, and what happened last."""
+        """Raise for a broken rule, with the seed, the line that replays it, and recent events."""
         lines = (
             f"{time:9.4f} " + " ".join(str(word)[:150] for word in words)
             for time, *words in self.trace
@@ -80,29 +80,29 @@ class Node(Generic[E]):
         self._held: list[Callable[[], None]] = []
 
     def clock(self) -> float:
-        """The time that it reads."""
+        """Return the time on its own clock."""
         return self.world.now + self.offset
 
     def handle(self, event: E) -> None:
-        """Have it react to an event, now or when it goes on; one that ended does not."""
+        """Handle an event now or when the program resumes; drop it if the program ended."""
         if self.frozen:
             self.when_awake(lambda: self.handle(event))
         elif not self.ended:
             self.react(event)
 
     def react(self, event: E) -> None:
-        """Give the state machine an event, and carry out what it says."""
+        """Give the state machine an event and execute its commands."""
         raise NotImplementedError
 
     def when_awake(self, call: Callable[[], None]) -> None:
-        """Call it now, or when the program goes on."""
+        """Call now, or when the program resumes."""
         if self.frozen:
             self._held.append(call)
         else:
             call()
 
     def wake(self) -> None:
-        """Go on, with everything that came meanwhile."""
+        """Resume, with everything that came meanwhile."""
         self.frozen, held, self._held = False, self._held, []
         for call in held:
             call()

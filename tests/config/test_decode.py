@@ -28,7 +28,7 @@ class Outer(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     bare: Bare = Bare()
 
 
-def test_what_fits_is_taken_with_its_defaults() -> None:
+def test_a_valid_mapping_is_converted_and_gets_defaults() -> None:
     assert convert({"count": 2, "inner": {"depth": 3}}, Outer, "file") == Outer(
         count=2, inner=Inner(depth=3.0)
     )
@@ -88,7 +88,7 @@ def test_what_fits_is_taken_with_its_defaults() -> None:
         ({"count": 2, "bare": {"x": 1}}, "file: bare: unknown key 'x'; there are none"),
     ],
 )
-def test_what_does_not_fit_is_refused_in_one_clear_line(
+def test_an_invalid_mapping_is_refused_in_one_clear_line(
     mapping: dict[str, Any], text: str
 ) -> None:
     with pytest.raises(ConfigError) as refusal:

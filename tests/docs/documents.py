@@ -1,4 +1,4 @@
-"""The documents as tests see them: their code blocks, and the commands in these."""
+"""Read the documents for tests: their code blocks, and the commands in these."""
 
 import re
 from pathlib import Path

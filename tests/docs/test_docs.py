@@ -268,7 +268,7 @@ def test_an_example_of_the_wire_decodes_to_what_the_text_says(
     )
 
 
-def test_there_are_examples_of_the_wire() -> None:
+def test_every_step_of_the_protocol_has_an_example() -> None:
     """One of each step from the first question to the outcomes."""
     assert [json.loads(meaning)["type"] for _, meaning in EXAMPLES] == [
         "requirements",
@@ -327,7 +327,7 @@ def test_every_key_of_an_experiment_is_documented(
         *(settings(kind, name) for kind, name in PARTS),
     ],
 )
-def test_every_key_of_an_experiment_says_what_it_means(
+def test_every_key_of_an_experiment_has_a_description(
     struct: type[msgspec.Struct],
 ) -> None:
     assert [key.name for key in settings_docs.keys(struct) if not key.meaning] == []

@@ -81,7 +81,7 @@ def test_files_of_the_repository_are_pages_with_a_link_in_plain_markdown() -> No
         assert (DOCS / f"{page}.md").read_text() == f"[{name}.md](../{name}.md)\n"
 
 
-def test_links_by_a_file_s_name_have_the_title_of_the_page_on_the_site() -> None:
+def test_links_named_after_a_file_show_the_title_of_its_page() -> None:
     source = [
         "see [record.md](record.md#meta), [docs/keys.md](keys.md) and [its tables](record.md)"
     ]
@@ -197,7 +197,7 @@ def table_rows(text: str, heading: str, option: str) -> list[list[str]]:
 
 
 @pytest.mark.parametrize(("command", "option", "default"), defaults())
-def test_a_default_is_what_the_document_says(
+def test_every_documented_default_is_the_real_default(
     command: str, option: str, default: str
 ) -> None:
     """In the table of commands.md that has the option, or in the one above that it refers to."""

@@ -1,4 +1,4 @@
-"""What several modules of real programs need."""
+"""Define fixtures for several modules of real programs."""
 
 from collections.abc import Iterator
 from pathlib import Path

@@ -34,7 +34,7 @@ class Forks:
                 stderr=errors,
                 cwd=folder,
                 text=True,
-                # Nothing is computed here that is worth compiling; ribs would compile for seconds.
+                # Compiling would not pay off here; ribs would compile for seconds.
                 env=os.environ | {"ZSWARM_PLAIN": "1", "NUMBA_DISABLE_JIT": "1"},
             )
 

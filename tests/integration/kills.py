@@ -1,10 +1,9 @@
 """Kill and stop busy processes again and again during one run, by a seed.
 
-What was killed is started anew: a server on its port, an optimizer by ``resume``. Before it strikes
-the killer makes sure that it hits work. A slot, its server or its fork server: the slot's process
-used processor time between two looks. The
-optimizer: it recorded trials since its start. ``kills.jsonl`` in the scene's folder has each strike
-with its evidence.
+Killed processes are started again: a server on its port, an optimizer by ``resume``. The killer
+makes sure that it hits a busy process: a slot, its server or its fork server only when the slot's
+process used processor time between two looks, the optimizer only when it recorded trials since its
+start. ``kills.jsonl`` in the scene's folder has each strike with its evidence.
 """
 
 import json

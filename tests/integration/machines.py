@@ -2,9 +2,9 @@
 
 A machine is this machine's own file system with an overlay in memory, booted by systemd-nspawn: the
 same programs, nothing downloaded, everything written is thrown away. All mounts, the switch and the
-machines live in namespaces of one process. When that ends, and it ends with the tests, the kernel
-takes everything away; but for the machines' control groups, which then are empty and are removed by
-whoever comes next.
+machines live in namespaces of one process. When it ends, at the latest with the tests, the kernel
+removes everything except the machines' control groups. These are then empty, and the next lab
+removes them.
 """
 
 import os

@@ -126,7 +126,7 @@ class Played(NamedTuple):
 
 
 class Pace:
-    """What the tests hold in hand of one server: its ``PACED_FOLDER``."""
+    """Control one server from a test through its ``PACED_FOLDER``."""
 
     def __init__(self, folder: Path, seconds: float = 0.02, how: str = "asleep") -> None:
         self.folder = folder
@@ -170,7 +170,7 @@ class Pace:
 
 
 class Size(NamedTuple):
-    """How much there is to play."""
+    """The amount of work."""
 
     generations: int = 3
     population: int = 20
@@ -195,7 +195,7 @@ class Size(NamedTuple):
 
 
 class Undisturbed(NamedTuple):
-    """What a run is compared to."""
+    """The result that a run is compared with."""
 
     history_hash: str
     trials: int

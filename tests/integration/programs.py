@@ -192,7 +192,7 @@ def query(run: Path, sql: str) -> list[tuple[Any, ...]]:
 
 
 class Status(NamedTuple):
-    """What the kernel says of a process."""
+    """The state of a process according to the kernel."""
 
     state: str  # R runs, S sleeps, T is stopped, Z has ended
     parent: int

@@ -368,10 +368,10 @@ def test_quarantine_counts_the_guilty_trials_and_no_other(
 
 
 @pytest.mark.faults
-def test_a_simulator_that_ends_its_process_once_or_leaks_changes_nothing(
+def test_a_simulator_that_ends_its_process_once_or_leaks_does_not_change_the_history(
     tmp_path: Path, rough: str
 ) -> None:
-    """72 trials leave 20 MB behind each, where 512 are allowed: nobody is blamed."""
+    """72 trials leak 20 MB each, where 512 are allowed: no trial is blamed."""
     hashes = set()
     for how in ("fine", "exits-once", "segfault-once", "leaks"):
         done = evolve_rough(tmp_path, rough, how).done()

@@ -191,7 +191,7 @@ def test_other_traffic_does_not_hide_a_missing_echo(
     talking = threading.Thread(target=talk)
     talking.start()
     try:
-        assert network._echo_fault(index) == "nothing heard"
+        assert network._echo_fault(index) == "nothing received"
     finally:
         done.set()
         talking.join()
@@ -248,7 +248,7 @@ def test_missing_multicast_is_found(lab: Lab) -> None:
     on, off = lab.host(lab.network()), lab.host()
     heard, deaf = (host.run(sys.executable, "-c", script) for host in (on, off))
     assert "'ok'" in heard
-    assert f"{scouting.GROUP} is sent and heard through eth0" in heard
+    assert f"{scouting.GROUP} is sent and received through eth0" in heard
     assert "'warning'" in deaf
     assert "--connect" in deaf
 
@@ -315,7 +315,7 @@ def test_check_names_the_servers_that_match_and_why_others_do_not(tmp_path: Path
         ),
     ],
 )
-def test_a_run_that_finds_no_server_says_what_to_do(
+def test_a_run_that_finds_no_server_prints_how_to_fix_it(
     options: list[str], words: str, tmp_path: Path
 ) -> None:
     """Once."""
@@ -329,7 +329,7 @@ def test_a_run_that_finds_no_server_says_what_to_do(
     ]
     started = Optimizer(tmp_path, "ot", [*long, *options])
     try:
-        hint = words + "zswarm-ot doctor says why, docs/network.md what to do\n"
+        hint = words + "zswarm-ot doctor explains why, docs/network.md what to do\n"
         wait_until(
             lambda: started.err.read_text().partition(hint)[2].count("\n"),
             "the hint, and a line after it",

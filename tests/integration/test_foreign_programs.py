@@ -226,7 +226,7 @@ def evolve_and_kill(
 def test_c_evolves_as_the_bundled_simulator_does_though_it_is_killed(
     tmp_path: Path, in_c: Path
 ) -> None:
-    """In the stadium, in whole trials with a network of its own."""
+    """It plays whole trials in the stadium with its own network."""
     assert evolve_and_kill(tmp_path, in_c, "emergency-exit-c", STADIUM) == history(
         tmp_path, STADIUM
     )

@@ -21,7 +21,7 @@ def read(folder: Path) -> Run | None:
 
 
 def test_reading_a_running_record_does_not_disturb_the_run(tmp_path: Path) -> None:
-    """What is read later goes on from what was read before; at the end all is there."""
+    """Later reads continue from earlier ones; in the end everything was read."""
     local = ["--servers", "local", "--set", "cluster.local_slots=1", "--json"]
     experiment = evacuation.write(tmp_path, "watched", 1500)
     watched = Optimizer(tmp_path, "watched", ["run", experiment, *local])

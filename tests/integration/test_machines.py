@@ -262,7 +262,7 @@ def restart_counted(machine: Machine, restarts: int) -> None:
 # ---- the document
 
 
-def test_the_document_is_followed_word_by_word(
+def test_the_documented_commands_install_upgrade_and_uninstall(
     lab: Machines, workstation: Machine
 ) -> None:
     """Installed, looked at, upgraded and uninstalled, as it says; then nothing is left of it."""
@@ -378,7 +378,7 @@ def test_a_run_survives_a_pulled_cable_and_a_power_cut(site: Site, alone: str) -
 
 
 def test_a_killed_server_is_restarted(site: Site, alone: str) -> None:
-    """With all its slots; the run goes on with it."""
+    """It returns with all its slots, and the run continues on it."""
     first = site.servers[0]
     restarts = int(show(first, "NRestarts")[0])
     run = site.run_on(first)

@@ -56,7 +56,7 @@ SMALL = (
 
 
 class Lab(NamedTuple):
-    """An authority, and the installed keys of its members, each in a folder of its own."""
+    """An authority, and the installed keys of its members, each in its own folder."""
 
     folder: Path
 
@@ -384,7 +384,7 @@ def test_invalid_keys_are_refused_with_a_reason_on_both_sides(
 
 
 @pytest.mark.faults
-def test_a_server_that_goes_without_keys_is_named(lab: Lab, tmp_path: Path) -> None:
+def test_a_server_without_keys_is_named(lab: Lab, tmp_path: Path) -> None:
     server = Server(tmp_path, "open", ZSWARM_KEYS="none", ZSWARM_PLAIN="1").ready()
     try:
         said = look(

@@ -15,7 +15,7 @@ def router(folder: Path, name: str, *options: str) -> Program:
 @pytest.mark.parametrize(
     ("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)]
 )
-def test_a_signal_ends_it_cleanly(tmp_path: Path, number: int, code: int) -> None:
+def test_a_signal_ends_the_router_cleanly(tmp_path: Path, number: int, code: int) -> None:
     place = f"tcp/127.0.0.1:{free_port()}"
     program = router(tmp_path, "router", "--no-multicast", "--listen", place)
     try:

@@ -160,7 +160,7 @@ def test_a_stopped_fork_server_is_reported_when_a_slot_needs_a_process(
 def test_a_copy_that_is_resumed_takes_over_from_a_stopped_optimizer(
     scene: Scene, undisturbed: Undisturbed
 ) -> None:
-    """The stopped one goes on later: it ends with one line, and its record is as good as before."""
+    """The stopped program continues later: it ends with one line, and its record is intact."""
     server, pace = scene.server("ss", capacity=2)
     old = scene.optimizer(server.endpoint)
     wait_until(lambda: scene.counted() > 30, "some trials are counted")

@@ -123,7 +123,7 @@ def test_help_fits_the_terminal(name: str, columns: int) -> None:
         "zswarm-ss",
     ],
 )
-def test_help_teaches_by_example(name: str) -> None:
+def test_every_help_text_has_an_example(name: str) -> None:
     assert f"\n    {name} " in CliRunner().invoke(
         COMMANDS[name], ["--help"], prog_name=name
     ).output.replace("\n      ", "\n    ")

@@ -180,7 +180,7 @@ def lazy(tmp_path: Path) -> str:
     return os.pathsep.join([str(tmp_path), str(PACKAGE.parent)])
 
 
-def test_what_is_compiled_when_it_is_first_called_is_compiled_by_the_warming_up(
+def test_warming_up_compiles_functions_that_compile_on_their_first_call(
     lazy: str, tmp_path: Path
 ) -> None:
     """So no batch waits for it."""
@@ -191,7 +191,7 @@ def test_what_is_compiled_when_it_is_first_called_is_compiled_by_the_warming_up(
 
 
 @pytest.mark.long
-def test_the_warming_up_compiles_all_that_a_trial_of_any_part_needs(
+def test_warming_up_compiles_everything_that_a_trial_of_any_part_needs(
     lazy: str, tmp_path: Path
 ) -> None:
     """With nothing in the cache."""
@@ -203,7 +203,7 @@ def test_the_warming_up_compiles_all_that_a_trial_of_any_part_needs(
     assert set(said[3::4]) == {"0"}
 
 
-def test_what_numba_loads_for_the_first_kernel_is_loaded_with_it() -> None:
+def test_modules_that_numba_loads_for_the_first_kernel_are_loaded_in_advance() -> None:
     """So the fork server has it: slots that load it themselves take 20 MB more each."""
     code = (
         "import sys, zswarm.evaluate, zswarm.kernels.compiler; before = set(sys.modules);"
@@ -257,7 +257,7 @@ def choices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
     ]
 
 
-def test_a_place_that_cannot_be_written_makes_way_for_the_next(
+def test_an_unwritable_cache_folder_is_skipped_for_the_next(
     choices: list[Path],
 ) -> None:
     for choice in choices:
@@ -271,7 +271,7 @@ def test_a_place_that_cannot_be_written_makes_way_for_the_next(
     assert last.parent == choices[0].parent
 
 
-def test_a_folder_without_the_right_to_write_is_passed_over(
+def test_a_cache_folder_without_write_permission_is_skipped(
     choices: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     allowed = os.access
@@ -283,7 +283,7 @@ def test_a_folder_without_the_right_to_write_is_passed_over(
     assert cache_folder() == choices[1] / cache_hash()
 
 
-def test_places_that_are_not_named_are_not_tried(
+def test_unset_and_empty_cache_variables_are_ignored(
     choices: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("ZSWARM_CACHE")
@@ -291,7 +291,7 @@ def test_places_that_are_not_named_are_not_tried(
     assert cache_folder() == choices[2] / cache_hash()
 
 
-def test_who_is_nowhere_at_home_has_a_temporary_place(
+def test_a_user_without_a_home_gets_a_temporary_cache_folder(
     choices: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Use a temporary directory for a user without a home, such as one in a container.
@@ -312,7 +312,7 @@ def test_who_is_nowhere_at_home_has_a_temporary_place(
     assert cache_folder() == choices[3] / cache_hash()
 
 
-def test_a_named_place_is_used_where_nothing_temporary_can_be_written(
+def test_a_named_folder_is_used_if_the_temporary_folder_is_not_writable(
     choices: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse() -> str:
@@ -327,7 +327,9 @@ def test_the_folder_is_closed_to_other_users(choices: list[Path]) -> None:
     assert cache_folder().stat().st_mode & 0o077 == 0
 
 
-def test_the_cache_is_ours_when_the_program_imported_numba_before(tmp_path: Path) -> None:
+def test_the_cache_folder_is_used_even_if_numba_was_imported_earlier(
+    tmp_path: Path,
+) -> None:
     """A notebook may have; numba's own cache would give old results after a change."""
     code = (
         "import numba, zswarm.kernels.compiler; "

@@ -232,7 +232,7 @@ def test_atan2_has_the_right_quadrants_and_limits(
 
 
 @pytest.mark.parametrize("function", [sin, cos])
-def test_sin_and_cos_of_what_is_not_finite_are_nan(
+def test_sin_and_cos_of_nonfinite_numbers_are_nan(
     function: Callable[[float], float],
 ) -> None:
     assert all(math.isnan(function(x)) for x in (math.nan, math.inf, -math.inf))
@@ -246,7 +246,7 @@ def test_sin_is_odd_and_cos_is_even_and_both_stay_within_one(x: float) -> None:
     assert sin(x) ** 2 + cos(x) ** 2 == pytest.approx(1.0, abs=1e-15)
 
 
-def test_sin_far_out_is_that_of_an_angle_a_little_off() -> None:
+def test_sin_of_a_large_angle_has_the_error_of_float64_pi() -> None:
     """By 4e-17 of it: what float64's pi lacks, as often as it is in the angle."""
     with localcontext(prec=60):
         for angle in Stream(11).uniform(FAR, 1e12, 200).tolist():
@@ -256,13 +256,13 @@ def test_sin_far_out_is_that_of_an_angle_a_little_off() -> None:
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False), st.floats(1e-300, 1e300))
-def test_remainder_is_exact_and_has_the_sign_of_what_was_divided(
+def test_remainder_is_exact_and_has_the_sign_of_the_dividend(
     x: float, divisor: float
 ) -> None:
     assert remainder(x, divisor) == math.fmod(x, divisor)
 
 
-def test_remainder_of_what_is_not_finite_is_nan() -> None:
+def test_remainder_of_nonfinite_numbers_is_nan() -> None:
     assert all(math.isnan(remainder(x, 360.0)) for x in (math.nan, math.inf, -math.inf))
 
 
@@ -284,7 +284,7 @@ def test_functions_of_angles_have_the_same_bits_in_python_and_compiled(
         assert str(compiled) == str(plain) == str(float(single))
 
 
-def test_angles_have_the_bits_of_every_other_machine() -> None:
+def test_angles_have_the_same_bits_on_every_machine() -> None:
     """A digest of many values, made once, as below."""
     values = [
         [sin(x), cos(x), atan2(x, 3.0), atan2(2.0, x), remainder(x, 360.0)]
@@ -296,7 +296,7 @@ def test_angles_have_the_bits_of_every_other_machine() -> None:
     )
 
 
-def test_the_bits_are_those_of_every_other_machine() -> None:
+def test_the_bits_are_the_same_on_every_machine() -> None:
     """Compare a digest of many values with a recorded one.
 
     Changing the arithmetic changes the behaviour of evolved controllers.
@@ -311,7 +311,7 @@ def test_the_bits_are_those_of_every_other_machine() -> None:
     )
 
 
-def test_the_logarithm_has_the_bits_of_every_other_machine() -> None:
+def test_the_logarithm_has_the_same_bits_on_every_machine() -> None:
     numbers = np.arange(1, 5000) / 1000.0
     assert (
         hashlib.blake2b(log(numbers).astype("<f8").tobytes(), digest_size=8).hexdigest()

@@ -33,12 +33,12 @@ def reference(seed: int, count: int) -> list[int]:
     return words
 
 
-def test_the_words_are_the_published_ones() -> None:
+def test_the_words_equal_the_published_ones() -> None:
     assert Stream(1234567).words(5).tolist() == KNOWN
 
 
 @given(st.integers(0, MASK), st.integers(0, 50))
-def test_the_words_are_those_of_the_reference(seed: int, count: int) -> None:
+def test_the_words_equal_those_of_the_reference(seed: int, count: int) -> None:
     assert Stream(seed).words(count).tolist() == reference(seed, count)
 
 
@@ -60,7 +60,7 @@ def test_seed_and_position_are_the_whole_state() -> None:
     )
 
 
-def test_a_seed_beyond_64_bits_is_cut() -> None:
+def test_a_seed_beyond_64_bits_is_truncated() -> None:
     assert Stream(2**64 + 5).words(3).tolist() == Stream(5).words(3).tolist()
     assert Stream(-1).words(3).tolist() == Stream(MASK).words(3).tolist()
 
@@ -133,7 +133,7 @@ def test_integers_are_drawn_evenly_and_reach_both_ends() -> None:
     assert np.allclose(np.bincount(drawn, minlength=6) / drawn.size, 1 / 6, atol=0.01)
 
 
-def test_one_integer_is_one_of_many() -> None:
+def test_an_integer_drawn_alone_equals_one_drawn_in_bulk() -> None:
     one_by_one, at_once = Stream(3), Stream(3)
     assert [one_by_one.integer(100) for _ in range(2 * AHEAD + 1)] == at_once.integers(
         100, 2 * AHEAD + 1
@@ -207,7 +207,7 @@ def test_derived_seeds_are_the_same_on_every_machine() -> None:
     ]
 
 
-def test_any_seed_of_64_bits_can_be_derived_from() -> None:
+def test_a_seed_can_be_derived_from_any_64_bit_seed() -> None:
     assert derive_seed(MASK, "trial", MASK) != derive_seed(MASK - 1, "trial", MASK)
 
 

@@ -37,7 +37,7 @@ def decide(built: Any, genome: bytes, observations: Any) -> np.ndarray:
     ("value", "part"),
     [(0, 0), (1, 1), (2, 2), (0.4, 0), (0.6, 1), (-3, 0), (7, 2), (1e30, 2), (-1e30, 0)],
 )
-def test_the_part_decides_that_the_input_is_nearest_to(value: float, part: int) -> None:
+def test_the_input_selects_the_nearest_part(value: float, part: int) -> None:
     built = network(activation="tanh")
     genome = np.frombuffer(built.random(1, Stream(1))[0], "<f4").reshape(3, 4, 9).copy()
     genome[:, :, 1] = 0  # the input chooses, and is not heard
@@ -49,7 +49,7 @@ def test_the_part_decides_that_the_input_is_nearest_to(value: float, part: int) 
     ]
 
 
-def test_a_part_remembers_its_own_decisions_only() -> None:
+def test_a_part_remembers_only_its_own_decisions() -> None:
     built = network(parts=2, hidden=3)
     (genome,) = built.random(1, Stream(2))
     seen = Stream(3).uniform(-1.0, 1.0, 4 * 12).reshape(12, 4)
@@ -104,7 +104,7 @@ def test_impossible_settings_are_refused(settings: dict[str, Any], text: str) ->
         convert(settings, BulkSettings, "representation")
 
 
-def test_an_input_that_is_not_there_is_refused() -> None:
+def test_a_nonexistent_input_is_refused() -> None:
     with pytest.raises(
         ConfigError, match=r"^representation: input: expected 0 to 3, not 4$"
     ):
@@ -132,7 +132,9 @@ def test_every_part_mutates() -> None:
     assert np.frombuffer(mutant, "<f4").all()
 
 
-def test_a_child_has_first_parts_of_the_mother_and_last_ones_of_the_father() -> None:
+def test_a_child_takes_its_first_parts_from_the_mother_and_its_last_from_the_father() -> (
+    None
+):
     built = network(parts=4)
     mother, father = (np.full(built.genes, value, "<f4").tobytes() for value in (1, 2))
     stream, cuts = Stream(1), set()
@@ -145,7 +147,7 @@ def test_a_child_has_first_parts_of_the_mother_and_last_ones_of_the_father() -> 
     assert cuts == {(1, 2, 2, 2), (1, 1, 2, 2), (1, 1, 1, 2)}
 
 
-def test_a_single_part_is_crossed_as_its_kind_does() -> None:
+def test_a_single_part_is_crossed_like_a_network_of_its_kind() -> None:
     built = network(parts=1)
     mother, father = built.random(2, Stream(1))
     assert built.crossover(mother, father, Stream(2)) == built.part.crossover(

@@ -38,7 +38,7 @@ def logistic(x: float) -> float:
 def integrated(
     built: CTRNN, genome: bytes, observations: np.ndarray, finer: int = 1
 ) -> np.ndarray:
-    """The same by Beer's equation with numpy's float64, with so many times more steps."""
+    """Compute the same with Beer's equation in float64, in many more steps."""
     table = np.frombuffer(genome, "<f4").astype(float).reshape(built.neurons, -1)
     from_inputs, inner, bias, gene = (
         table[:, : built.inputs],
@@ -87,7 +87,7 @@ def test_more_iterations_come_nearer_to_the_continuous_network() -> None:
     assert errors[0] > 3 * errors[1] > 9 * errors[2]
 
 
-def test_a_neuron_alone_approaches_its_input_by_its_time_constant() -> None:
+def test_a_single_neuron_approaches_its_input_with_its_time_constant() -> None:
     """y follows 1 - e^(-t / tau)."""
     built = network(
         hidden=0, inputs=1, outputs=1, iterations=100, tau_min=5.0, tau_max=5.0
@@ -108,7 +108,7 @@ def test_any_number_gives_a_time_constant_within_the_bounds(
     assert parameters[-8] == np.float32(1 / (4 * tau))
 
 
-def test_outputs_and_state_stay_bounded_whatever_the_genome() -> None:
+def test_outputs_and_state_stay_bounded_for_every_genome() -> None:
     """A step goes a part of the way to the weighted sum, never beyond it."""
     built = network(hidden=5, tau_min=0.5, tau_max=0.5)
     wild = np.frombuffer(built.random(1, Stream(1))[0], "<f4") * 1000
@@ -122,7 +122,7 @@ def test_outputs_and_state_stay_bounded_whatever_the_genome() -> None:
     assert decided.max() <= 1
 
 
-def test_what_was_seen_is_remembered() -> None:
+def test_the_network_remembers_earlier_inputs() -> None:
     built = network()
     genome = built.random(1, Stream(1))[0]
     quiet, seen = np.zeros((6, 3)), np.zeros((6, 3))
@@ -155,7 +155,7 @@ def test_other_settings_keep_the_contract(settings: dict[str, Any]) -> None:
         ({"tau_max": 0.9}, "tau_max: expected at least tau_min = 1.0, not 0.9"),
     ],
 )
-def test_time_constants_that_cannot_be_are_refused(
+def test_impossible_time_constants_are_refused(
     settings: dict[str, Any], text: str
 ) -> None:
     with pytest.raises(ConfigError, match=f"representation: {text}"):

@@ -133,7 +133,7 @@ def test_all_settings_keep_the_contract(hidden: list[int], activation: str) -> N
     )
 
 
-def test_nothing_is_remembered() -> None:
+def test_a_feed_forward_network_remembers_nothing() -> None:
     built = network([4, 4])
     (genome,) = built.random(1, Stream(1))
     once = decide(built, genome, [[1, 2, 3]], built.step)
@@ -162,7 +162,7 @@ def test_impossible_settings_are_refused(settings: dict[str, Any], text: str) ->
 # ---- operators
 
 
-def test_crossover_takes_whole_nodes_whatever_their_layer() -> None:
+def test_crossover_takes_whole_nodes_from_every_layer() -> None:
     """A node of the father comes with all its weights and its bias; blocks span layers."""
     built = network([3, 2], inputs=4, outputs=1)
     assert np.diff(built.blocks).tolist() == [5, 5, 5, 4, 4, 3]

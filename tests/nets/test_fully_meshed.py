@@ -111,7 +111,7 @@ def test_plain_python_decides_the_same_bits_as_the_compiled_step(
 @pytest.mark.parametrize("activation", ["clamp", "sigmoid", "relu", "tanh"])
 @pytest.mark.parametrize("hidden", [0, 2, 7, 15])
 @pytest.mark.parametrize("wild", [1.0, 1e38])
-def test_eight_agents_side_by_side_decide_as_one_by_one(
+def test_eight_agents_in_lanes_decide_as_one_by_one(
     activation: str, hidden: int, wild: float
 ) -> None:
     """Also with sums that are infinite or no number, which become outputs that are none."""
@@ -188,7 +188,7 @@ def test_a_genome_has_a_number_for_every_weight_and_bias() -> None:
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_a_number_that_is_not_finite_is_refused_wherever_it_stands(bad: float) -> None:
+def test_a_nonfinite_number_is_refused_in_any_field(bad: float) -> None:
     built = network(hidden=0, inputs=3, outputs=1)
     for place in range(5):
         genome = np.zeros(5, "<f4")
@@ -197,7 +197,7 @@ def test_a_number_that_is_not_finite_is_refused_wherever_it_stands(bad: float) -
             built.parameters([genome.tobytes()])
 
 
-def test_the_refusal_of_a_length_says_both_lengths() -> None:
+def test_the_refusal_of_a_genome_names_both_lengths() -> None:
     with pytest.raises(
         ValueError, match="a genome has 239 bytes; this network takes 240"
     ):
@@ -358,7 +358,7 @@ def test_crossover_of_a_single_neuron_is_the_father() -> None:
     assert built.crossover(mother, father, Stream(2)) == father
 
 
-def test_a_recorded_crossover_is_a_child_of_ours() -> None:
+def test_crossover_can_produce_every_recorded_child() -> None:
     """For each recorded child some stream gives the same bytes and the recorded block."""
     built = network()
     children = [

@@ -77,7 +77,7 @@ def test_a_meshed_networks_weights_stand_where_its_genome_has_them() -> None:
     assert graph.nodes[INPUTS].text == f"bias {table[0, -1]:.4g}"
 
 
-def test_a_ctrnns_neurons_tell_their_time_constants() -> None:
+def test_the_graph_of_a_ctrnn_shows_time_constants() -> None:
     network = CTRNN(CtrnnSettings(tau_min=2.0, tau_max=6.0), INPUTS, OUTPUTS)
     genome = np.zeros(network.genes, "<f4").tobytes()
     assert {node.text for node in network.graph(genome).nodes[INPUTS:]} == {

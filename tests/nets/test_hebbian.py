@@ -115,7 +115,7 @@ def test_a_weight_without_plasticity_stays_and_one_of_half_learns_half() -> None
     assert np.allclose(changes[0.5], changes[1.0] / 2, atol=1e-6)
 
 
-def test_what_fires_together_is_wired_together() -> None:
+def test_weights_between_active_neurons_grow_most() -> None:
     """A weight between two active nodes grows most, and the mean change is 0."""
     built = network(hidden=0, inputs=2, outputs=1, iterations=1)
     state = np.zeros(built.state_size, np.float32)

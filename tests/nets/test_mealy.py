@@ -287,7 +287,7 @@ def same(one: Any, other: Any) -> bool:
     return np.array_equal(one, other)
 
 
-def test_without_chances_nothing_changes() -> None:
+def test_zero_probabilities_change_nothing() -> None:
     assert all(
         before.genome() == after.genome() for before, after in mutants(machines(**STILL))
     )
@@ -338,7 +338,7 @@ def test_a_deleted_transition_stays_in_its_state() -> None:
         assert same(after.following, np.tile(np.arange(6), (4, 1)))
 
 
-def test_thresholds_change_behind_an_input_without_any() -> None:
+def test_thresholds_change_after_an_input_that_has_none() -> None:
     """In FREVO that fails."""
     pairs = mutants(
         machines(
@@ -354,7 +354,7 @@ def test_thresholds_change_behind_an_input_without_any() -> None:
         assert set(after.thresholds) <= {-50, -20, 10, 40, 70}
 
 
-def test_another_first_state_is_one_that_there_is() -> None:
+def test_a_changed_first_state_is_an_existing_state() -> None:
     firsts = {
         after.first
         for _, after in mutants(machines(**{**STILL, "change_first_state": 1.0}))
@@ -370,9 +370,7 @@ def test_a_new_state_leaves_the_others_as_they_are() -> None:
         assert after.following.shape == (4, 7)
 
 
-def test_a_deleted_state_is_led_to_no_more_and_the_others_keep_their_transitions() -> (
-    None
-):
+def test_deleting_a_state_removes_transitions_to_it_and_keeps_the_others() -> None:
     """In FREVO transitions still lead to it, and to the last one, which has another number now."""
     for before, after in mutants(machines(delete_state=1.0, **STILL), 50):
         # The random outputs tell.
@@ -388,7 +386,7 @@ def test_a_deleted_state_is_led_to_no_more_and_the_others_keep_their_transitions
         assert after.first < 5
 
 
-def test_states_stay_between_one_and_the_most() -> None:
+def test_the_number_of_states_stays_between_one_and_the_maximum() -> None:
     built = machines(add_state=0.6, delete_state=0.6, states=2, max_states=4, **STILL)
     genomes, stream, seen = built.random(10, Stream(1)), Stream(2), set()
     for _ in range(30):

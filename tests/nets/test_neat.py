@@ -70,7 +70,7 @@ def decide(
 
 
 def evolved(built: Neat, generations: int = 30, count: int = 20) -> list[bytes]:
-    """Genomes after so many mutations and crossovers."""
+    """Return genomes after this many mutations and crossovers."""
     stream = Stream(1)
     genomes = built.random(count, stream)
     for _ in range(generations):
@@ -90,7 +90,7 @@ BOTH = [(1, 3, 0.5, 1), (2, 3, -0.5, 1)]
 # ---- decisions
 
 
-def test_the_recorded_nets_have_whatever_frevo_makes() -> None:
+def test_the_recorded_nets_cover_every_structure_that_frevo_creates() -> None:
     """Disabled links, duplicate nodes and links, and a link from a neuron to itself."""
     links = [[(link["from"], link["to"]) for link in net["links"]] for net in NETS]
     ids = [[node["id"] for node in net["nodes"]] for net in NETS]
@@ -151,7 +151,7 @@ def test_all_settings_keep_the_contract(settings: dict[str, Any]) -> None:
         float("nan"),
     ],
 )
-def test_three_float32_keep_every_float64(number: float) -> None:
+def test_three_float32_store_any_float64(number: float) -> None:
     kept = np.full(5, 7, np.float32)
     getattr(neat_kernel.store_double, "py_func", neat_kernel.store_double)(
         kept, 1, number
@@ -246,9 +246,7 @@ def test_a_malformed_genome_is_refused(
         built.parameters([good, genome(nodes, links)])
 
 
-def test_circles_are_fine_where_the_network_is_recurrent_and_any_order_without_them() -> (
-    None
-):
+def test_cycles_are_allowed_in_recurrent_networks_and_any_order_without_cycles() -> None:
     network(recurrent=True).parameters(
         [genome([PLAIN_NODE, (4, 0, 0)], [(4, 4, 1.0, 1), (3, 4, 1.0, 1)])]
     )
@@ -328,7 +326,7 @@ def test_a_mutation_of_numbers_changes_the_child() -> None:
     assert 0 < abs(nodes[0][2] - nodes_before[0][2]) <= 0.3
 
 
-def test_factors_stay_where_their_range_is_zero() -> None:
+def test_factors_with_an_empty_range_do_not_change() -> None:
     built = network(add_node=0.0, add_link=0.0)
     assert all(
         taken_apart(mutant(built, each))[0][0][2] == -4.9
@@ -362,7 +360,7 @@ def test_a_redrawn_number_fills_its_range() -> None:
     assert -3 <= min(weights) < -2.9
 
 
-def test_method_2_leaves_the_structure_alone() -> None:
+def test_method_2_does_not_change_the_structure() -> None:
     built = network(add_node=1.0, add_link=1.0)
     parent = built.random(1, Stream(1))[0]
     assert built.structure(mutant(built, parent, method=2)) == (0, 2)
@@ -381,7 +379,7 @@ def test_a_new_node_splits_a_link_that_is_disabled_by_it() -> None:
     assert child_links == [(1, 3, 0.5, 0), (1, new, 1.0, 1), (new, 3, 0.5, 1)]
 
 
-def test_the_same_change_has_the_same_number_wherever_it_happens() -> None:
+def test_the_same_change_has_the_same_number_everywhere() -> None:
     encoded, other = (
         genome([PLAIN_NODE], [(1, 3, 0.5, 1)]),
         genome([PLAIN_NODE, (7, 0, 0)], [(1, 7, 2.0, 0), (1, 3, 0.1, 1)]),
@@ -430,7 +428,7 @@ def test_a_network_with_all_links_changes_its_numbers_instead() -> None:
 
 
 @pytest.mark.parametrize("recurrent", [False, True])
-def test_evolution_keeps_to_the_greatest_size_and_makes_circles_only_where_they_may_be(
+def test_evolution_respects_the_size_limit_and_makes_cycles_only_if_allowed(
     recurrent: bool,
 ) -> None:
     built = network(2, 2, max_hidden=4, recurrent=recurrent, **GROWING)
@@ -477,7 +475,7 @@ def test_a_child_has_the_mothers_structure_and_either_parents_numbers_where_both
     assert len(seen) == 8, "each number by itself"
 
 
-def test_a_gene_disabled_in_one_parent_is_mostly_disabled_in_the_child() -> None:
+def test_a_gene_disabled_in_one_parent_is_usually_disabled_in_the_child() -> None:
     built, stream = network(), Stream(1)
     children = [
         taken_apart(built.crossover(MOTHER, FATHER, stream))[1] for _ in range(1000)

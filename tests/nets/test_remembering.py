@@ -43,7 +43,7 @@ def found(seed: int, *overrides: str) -> float:
     ("seed", "remembering", "forgetful"),
     [(1, 0.82, 0.75), (2, 0.89, 0.74), (3, 0.88, 0.74), (4, 0.72, 0.73)],
 )
-def test_what_remembers_finds_more_lights_with_most_seeds(
+def test_a_network_with_memory_finds_more_lights_with_most_seeds(
     seed: int, remembering: float, forgetful: float
 ) -> None:
     """The numbers are those of the example's comment."""

@@ -29,7 +29,7 @@ def test_every_representation_keeps_the_contract(
 
 
 @pytest.mark.parametrize("name", plugins.names("representation"))
-def test_the_first_line_of_a_data_sheet_says_what_it_is(name: str) -> None:
+def test_a_data_sheet_begins_with_a_one_line_summary(name: str) -> None:
     lines = (plugins.load("representation", name).__doc__ or "").split("\n")
     assert 20 < len(lines[0]) < 130
     assert lines[0].endswith(".")
@@ -37,7 +37,7 @@ def test_the_first_line_of_a_data_sheet_says_what_it_is(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", plugins.BUNDLED["representation"])
-def test_the_page_says_what_every_representation_is(name: str) -> None:
+def test_the_page_names_every_representation(name: str) -> None:
     assert f"`{name}`" in PAGE.read_text(encoding="utf-8")
 
 

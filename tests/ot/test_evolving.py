@@ -122,7 +122,7 @@ def with_cmaes(*overrides: str) -> experiment.Experiment:
 
 
 @pytest.mark.parametrize("complete", [loaded(), with_cmaes()], ids=["nnga", "cmaes"])
-def test_a_run_left_in_its_loop_resumes_with_the_same_result(
+def test_a_run_abandoned_in_its_loop_resumes_with_the_same_result(
     tmp_path: Path, servers: Genes, complete: experiment.Experiment
 ) -> None:
     """Of the generation that servers had by then nothing is recorded; it is asked for again."""
@@ -146,7 +146,7 @@ def test_a_run_left_in_its_loop_resumes_with_the_same_result(
     assert servers.handed[-2].genomes == left
 
 
-def test_a_finished_run_asks_for_nothing(tmp_path: Path, servers: Genes) -> None:
+def test_a_finished_run_requests_no_evaluations(tmp_path: Path, servers: Genes) -> None:
     complete = loaded()
     with created(tmp_path, complete) as record:
         first = result(begun(record, complete, servers))
@@ -172,7 +172,7 @@ def test_slots_are_wanted_for_the_candidates_of_all_islands(
     assert servers.asked["slots"] == slots
 
 
-def test_what_is_written_of_a_generation_is_one_transaction(
+def test_a_generation_is_written_in_one_transaction(
     tmp_path: Path, servers: Genes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its outcomes are not older than 0.1 s: they wait for it."""
@@ -257,7 +257,7 @@ def measuring(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 def test_measures_are_means_of_metrics_in_trial_order_told_hashed_and_recorded(
     tmp_path: Path, servers: Genes
 ) -> None:
-    """Also to an optimizer that goes on from the record; what they are added in changes bits."""
+    """An optimizer that resumes from the record also gets them in order; the order changes bits."""
     complete = loaded(
         "optimizer.kind=measuring",
         "optimizer.measures=['rounds', 'escaped']",
@@ -308,7 +308,7 @@ def test_measures_that_are_no_metric_are_refused_with_those_that_are(
 
 @pytest.mark.usefixtures("measuring")
 @pytest.mark.parametrize("metrics", [[np.nan, 1.0], [1.7e308, 1.7e308], [-np.inf, 1.0]])
-def test_a_mean_that_is_not_finite_is_the_one_nan(metrics: list[float]) -> None:
+def test_a_nonfinite_mean_becomes_the_canonical_nan(metrics: list[float]) -> None:
     problem = build(loaded("problem.trials=2")).problem
     assessment = Assessment(problem, problem.random(2), 0)
     assessment.workload.metrics[:] = 0.5

@@ -104,7 +104,7 @@ def test_a_logger_that_overrides_nothing_follows_a_run() -> None:
     assert without_progress(hearing.heard) == ALL
 
 
-def test_all_loggers_hear_all() -> None:
+def test_every_logger_receives_every_call() -> None:
     first, second = Hearing(), Hearing()
     tell(Loggers([first, second]))
     assert first.heard == second.heard
@@ -112,7 +112,7 @@ def test_all_loggers_hear_all() -> None:
     assert ("progress", (2, 50, 50)) in first.heard
 
 
-def test_a_logger_in_the_background_hears_all_in_order_in_one_thread_of_its_own() -> None:
+def test_a_background_logger_receives_all_calls_in_order_in_one_thread() -> None:
     """When ``on_end`` returns, it heard it."""
     hearing, said = Hearing(), list[str]()
     tell(InBackground(hearing, said.append))
@@ -141,10 +141,10 @@ def test_an_error_of_a_logger_is_reported_once_and_it_gets_later_events(
     assert without_progress(raising.heard) == ALL
 
 
-def test_a_slow_logger_delays_nothing_and_learns_how_much_it_missed(
+def test_a_slow_logger_delays_nothing_and_receives_the_number_of_missed_calls(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """No more than so many calls wait for it; progress is left out as long as it is behind."""
+    """A limited number of calls wait for it; progress is omitted while it is behind."""
     monkeypatch.setattr(loggers, "WAITING", 10)
     slow, said = threading.Event(), list[str]()
 
@@ -171,7 +171,9 @@ def test_a_slow_logger_delays_nothing_and_learns_how_much_it_missed(
     assert said[0].startswith("logger Slow was too slow: 2")
 
 
-def test_a_logger_that_hangs_is_left_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_hanging_logger_is_abandoned_at_the_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """With room in its queue or without; if it continues, it gets the last call and ends."""
     monkeypatch.setattr(loggers, "LAST_CALLS_S", 0.05)
     for waiting in (2, 100):
@@ -192,7 +194,7 @@ def test_a_logger_that_hangs_is_left_at_the_end(monkeypatch: pytest.MonkeyPatch)
         assert hanging.heard[-1] == ("end", RESULT)
 
 
-def test_a_run_that_did_not_begin_ends_without_a_call() -> None:
+def test_a_run_that_did_not_begin_ends_without_a_logger_call() -> None:
     hearing = Hearing()
     InBackground(hearing, print).on_end(None)
     assert hearing.heard == []

@@ -19,7 +19,7 @@ os._exit(0)
 
 
 @pytest.mark.parametrize("begun", ["in the foreground", "in the background"])
-def test_ctrl_c_while_it_still_loads_ends_it_in_silence(
+def test_ctrl_c_during_start_up_ends_the_program_silently(
     tmp_path: Path, begun: str
 ) -> None:
     """What a shell began in the background does not hear Ctrl-C."""

@@ -117,7 +117,7 @@ def test_a_change_in_a_file_that_computes_changes_both_hashes(
     assert before[1] != after[1]
 
 
-def test_a_network_of_networks_is_of_another_version_when_one_of_them_is(
+def test_a_network_of_networks_has_a_new_version_when_a_part_changes(
     copy: Path,
 ) -> None:
     """Settings say which they are; the hash is asked for without."""
@@ -313,14 +313,14 @@ def test_each_kind_of_processor_has_its_own_cache(
     assert {problem for problem, _ in hashes} == {before[0]}
 
 
-def test_an_unknown_processor_has_a_cache_too(
+def test_an_unknown_processor_also_has_a_cache(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(version_hash, "CPUINFO", tmp_path / "none")
     assert fresh() == fresh()
 
 
-def test_what_differs_between_two_versions_is_named(copy: Path) -> None:
+def test_differences_between_two_versions_are_named(copy: Path) -> None:
     """By the parts that the version hash covers; equal versions have no difference."""
     before = version_hash.versions("emergency-exit", "fully-meshed")
     assert version_hash.differing(before, dict(before)) == []

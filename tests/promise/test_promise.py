@@ -64,7 +64,7 @@ def copy(run: Path, to: Path) -> Path:
     return Path(shutil.copytree(run, to / "copy"))
 
 
-def test_a_good_run_keeps_the_promise_to_the_last_trial(run: Path) -> None:
+def test_a_correct_run_passes_the_check_of_every_trial(run: Path) -> None:
     facts = check_run(run, sample=ALL)
     assert facts.finished
     assert len(facts.told) == 3
@@ -78,7 +78,7 @@ def test_a_good_run_keeps_the_promise_to_the_last_trial(run: Path) -> None:
         )
 
 
-def test_the_sample_is_as_large_as_asked_for(run: Path) -> None:
+def test_the_sample_has_the_requested_size(run: Path) -> None:
     assert check_run(run, sample=7).again == 7
 
 
@@ -207,7 +207,7 @@ def change_a_metric(database: sqlite3.Connection) -> None:
     ],
     ids=lambda value: value.__name__ if callable(value) else "",
 )
-def test_a_record_that_was_tampered_with_breaks_it(
+def test_a_manipulated_record_fails_the_check(
     run: Path,
     tmp_path: Path,
     tamper: str | Callable[[sqlite3.Connection], None],
@@ -235,7 +235,7 @@ def test_a_part_of_another_history_is_refused(run: Path, tmp_path: Path) -> None
         check_prefix(Facts(False, ["0" * 32], {}, [], set(), 0, 0), whole)
 
 
-def test_the_checker_is_a_program_too(run: Path, tmp_path: Path) -> None:
+def test_the_check_can_be_run_as_a_program(run: Path, tmp_path: Path) -> None:
     broken = copy(run, tmp_path)
     with opened(broken) as database:
         change_a_genome(database)

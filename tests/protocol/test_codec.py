@@ -212,17 +212,17 @@ def test_every_message_is_tested() -> None:
 
 
 @given(ANY_REQUEST)
-def test_a_request_comes_through_whole(message: messages.Request) -> None:
+def test_a_request_round_trips(message: messages.Request) -> None:
     assert codec.decode_request(codec.encode(message)) == message
 
 
 @given(ANY_REPLY)
-def test_a_reply_comes_through_whole(message: messages.Reply) -> None:
+def test_a_reply_round_trips(message: messages.Reply) -> None:
     assert codec.decode_reply(codec.encode(message)) == message
 
 
 @given(ANY_SENSORS, ANY_REACTION)
-def test_sensors_and_what_they_are_answered_come_through_whole(
+def test_sensors_and_their_answers_round_trip(
     sensors: messages.Sensors, reaction: messages.Reaction
 ) -> None:
     assert codec.decode_sensors(codec.encode(sensors)) == sensors
@@ -313,7 +313,7 @@ def ends_well_all_ways(body: bytes) -> bool:
 
 @FUZZ
 @given(st.binary(max_size=200))
-def test_any_bytes_end_in_a_message_or_the_peers_fault(body: bytes) -> None:
+def test_any_bytes_decode_to_a_message_or_raise_a_remote_error(body: bytes) -> None:
     assert ends_well_all_ways(body)
 
 
@@ -385,7 +385,7 @@ def damaged(draw: st.DrawFn, message: st.SearchStrategy[messages.Message]) -> by
 
 @FUZZ
 @given(damaged(ANY))
-def test_a_damaged_message_ends_so_too(body: bytes) -> None:
+def test_a_damaged_message_decodes_or_raises_a_remote_error(body: bytes) -> None:
     assert ends_well_all_ways(body)
 
 
@@ -407,7 +407,7 @@ VALUES = st.recursive(
 
 @FUZZ
 @given(ANY, st.data())
-def test_a_message_with_any_value_in_a_field_ends_so_too(
+def test_any_value_in_a_field_decodes_or_raises_a_remote_error(
     message: messages.Message, data: st.DataObject
 ) -> None:
     key = data.draw(
@@ -532,7 +532,7 @@ KEYS = st.one_of(
         st.binary(max_size=100), ANY_REQUEST.map(codec.encode), damaged(ANY_REQUEST)
     ),
 )
-def test_any_key_with_any_bytes_is_a_request_or_the_peers_fault(
+def test_any_key_with_any_bytes_decodes_or_raises_a_remote_error(
     key: str, body: bytes
 ) -> None:
     decoded = ending(codec.decode_query, key, body)
@@ -551,7 +551,7 @@ def test_any_key_with_any_bytes_is_a_request_or_the_peers_fault(
 
 @FUZZ
 @given(ANY_REQUEST, st.data())
-def test_a_message_under_its_own_key_comes_in_and_under_another_does_not(
+def test_a_message_is_accepted_only_under_its_own_key(
     message: messages.Request, data: st.DataObject
 ) -> None:
     tag = str(type(message).__struct_config__.tag)
@@ -685,7 +685,7 @@ def test_a_field_beyond_its_bounds_is_refused(
     assert safe_to_show(refusal(changed(message, **changes)))
 
 
-def test_nothing_in_a_reply_is_beyond_its_bounds() -> None:
+def test_fields_of_a_reply_beyond_their_bounds_are_refused() -> None:
     lease = messages.Lease(lease=bytes(16), state="ready", slots=1, ready=1)
     for changes in (
         {"state": "gone"},
@@ -727,7 +727,7 @@ def test_nothing_in_a_reply_is_beyond_its_bounds() -> None:
 
 
 @pytest.mark.parametrize("version", [0, 2, 99])
-def test_a_message_of_another_version_is_named_so_whatever_else_it_holds(
+def test_a_message_of_another_version_is_reported_regardless_of_its_contents(
     version: int,
 ) -> None:
     expected = (
@@ -743,9 +743,7 @@ def test_a_message_of_another_version_is_named_so_whatever_else_it_holds(
         assert refusal(body, codec.decode_reply) == expected
 
 
-def test_only_messages_by_which_programs_meet_pass_over_what_a_later_version_says() -> (
-    None
-):
+def test_only_discovery_messages_ignore_unknown_fields() -> None:
     """The two of phase 1: a program with one field more is not refused for it."""
     wanted = messages.Requirements(simulator="minisim")
     assert codec.decode_request(changed(wanted, more=[1])) == wanted
@@ -753,7 +751,7 @@ def test_only_messages_by_which_programs_meet_pass_over_what_a_later_version_say
     assert "more" in refusal(changed(messages.Done(), more=1), codec.decode_reply)
 
 
-def test_a_message_that_says_no_version_is_of_this_one() -> None:
+def test_a_message_without_a_version_has_the_current_one() -> None:
     assert codec.decode_reply(pack({"type": "done"})) == messages.Done()
 
 
@@ -891,7 +889,7 @@ def test_a_nasty_text_is_harmless_in_a_note(text: str) -> None:
         assert not dangerous(note.text)
 
 
-def test_a_lone_surrogate_cannot_come_in_and_is_spelt_out_in_our_own_texts() -> None:
+def test_a_lone_surrogate_is_refused_on_input_and_escaped_in_our_texts() -> None:
     assert clean("a\ud800") == "a\\xd800"
     body = pack({"type": "refused", "code": "busy", "reason": "?"}).replace(
         b"\xa1?", b"\xa3\xed\xa0\x80"
@@ -961,7 +959,7 @@ def test_every_text_of_a_reply_is_cleaned_where_it_comes_in(
 @given(
     st.binary(max_size=70), st.binary(max_size=70), st.integers(0, 4), st.integers(1, 3)
 )
-def test_any_arrays_of_a_batch_are_in_shape_or_the_peers_fault(
+def test_any_arrays_of_a_batch_fit_or_raise_a_remote_error(
     seeds: bytes, participants: bytes, genomes: int, k: int
 ) -> None:
     batch = evaluate(seeds=seeds, participants=participants, genomes=[b""] * genomes)
@@ -986,7 +984,7 @@ def test_any_arrays_of_a_batch_are_in_shape_or_the_peers_fault(
     st.integers(0, 2),
     st.integers(0, 2),
 )
-def test_any_outcomes_are_in_shape_and_not_infinite_or_the_peers_fault(
+def test_any_outcomes_fit_without_infinities_or_raise_a_remote_error(
     fitness: list[float], metrics: bytes, count: int, k: int, m: int
 ) -> None:
     reply = Outcomes(
@@ -1004,7 +1002,7 @@ def test_any_outcomes_are_in_shape_and_not_infinite_or_the_peers_fault(
 
 @FUZZ
 @given(st.lists(st.integers(0, 6), max_size=5), st.integers(0, 6))
-def test_any_trials_that_are_told_are_some_of_the_batch_in_order_or_the_peers_fault(
+def test_any_reported_trials_are_in_order_or_raise_a_remote_error(
     numbers: list[int], count: int
 ) -> None:
     running = messages.Running(
@@ -1035,9 +1033,7 @@ def test_a_part_of_a_batch_has_its_trials_and_the_genomes_that_they_need() -> No
     assert codec.cut(batch, 0, 3) == batch
 
 
-def test_a_part_of_a_batch_with_a_participant_that_is_not_there_is_refused_as_the_whole() -> (
-    None
-):
+def test_a_part_of_a_batch_with_an_unknown_participant_is_refused() -> None:
     batch = evaluate(participants=struct.pack("<2I", 0, 7))
     with pytest.raises(RemoteProtocolError, match="is not among 0 genomes"):
         codec.trials(codec.cut(batch, 1, 2), 1)
@@ -1045,7 +1041,7 @@ def test_a_part_of_a_batch_with_a_participant_that_is_not_there_is_refused_as_th
 
 @FUZZ
 @given(st.binary(max_size=40), st.sampled_from(["<u4", "<u8", "<f4", "<f8"]))
-def test_any_bytes_are_numbers_or_the_peers_fault(raw: bytes, dtype: str) -> None:
+def test_any_bytes_are_an_array_or_raise_a_remote_error(raw: bytes, dtype: str) -> None:
     try:
         assert codec.array(raw, dtype).tobytes() == raw
     except RemoteProtocolError:

@@ -24,7 +24,7 @@ from zswarm.protocol.endpoint import Endpoint
         ),
     ],
 )
-def test_an_endpoint_has_a_protocol_and_a_place(text: str, parsed: Endpoint) -> None:
+def test_an_endpoint_has_a_protocol_and_an_address(text: str, parsed: Endpoint) -> None:
     assert endpoint.parse(text) == parsed
 
 
@@ -49,7 +49,7 @@ def test_an_endpoint_has_a_protocol_and_a_place(text: str, parsed: Endpoint) -> 
         ("unixsock-stream/zswarm.sock", "must begin with /"),
     ],
 )
-def test_anything_else_is_refused_in_one_line(text: str, words: str) -> None:
+def test_any_other_endpoint_is_refused_in_one_line(text: str, words: str) -> None:
     with pytest.raises(ConfigError) as refused:
         endpoint.check(["tcp/192.168.1.5:7467", text], "connect")
     told = str(refused.value)

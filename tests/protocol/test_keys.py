@@ -37,7 +37,7 @@ VERBS = ["reserve", "renew", "evaluate", "cancel", "release"]
 
 
 @given(IDS)
-def test_an_id_is_a_safe_name_of_a_file(text: str) -> None:
+def test_an_id_is_a_safe_file_name(text: str) -> None:
     assert keys.is_id(text)
     assert "/" not in text
     assert text not in (".", "..")
@@ -201,7 +201,7 @@ PARTS = st.lists(
 
 @settings(derandomize=True, max_examples=500 if os.environ.get("CI") else 100)
 @given(st.one_of(st.text(), PARTS.map("/".join)))
-def test_any_text_is_a_key_or_the_peers_fault(text: str) -> None:
+def test_any_text_parses_as_a_key_or_raises_a_remote_error(text: str) -> None:
     for parse, count in ((keys.parse_server_key, 6), (keys.parse_run_key, 2)):
         try:
             parsed = parse(text)

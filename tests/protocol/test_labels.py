@@ -58,7 +58,7 @@ def test_a_requirement_holds_of_a_server_or_not(text: str, holds: bool) -> None:
     assert labels.unmet([term], LAB) == ("" if holds else labels.unmet([term], LAB))
 
 
-def test_what_a_server_does_not_meet_is_named_with_what_it_has() -> None:
+def test_unmet_requirements_are_named_with_the_servers_labels() -> None:
     terms = requirements("gpu=yes", "cores>=64", "tpu=v4|v5")
     told = (
         "the experiment requires cores>=64 (it has cores=16), tpu=v4|v5 (it has no tpu)"
@@ -93,7 +93,7 @@ def test_an_invalid_requirement_is_refused_with_the_expected_form(text: str) -> 
 
 
 @pytest.mark.parametrize("text", ["cores>=many", "cores>=1|2", "cores<=b12"])
-def test_a_bound_is_one_number(text: str) -> None:
+def test_a_bound_must_be_one_number(text: str) -> None:
     assert (
         refusal(requirements, text)
         == f"cluster.require: {text}: expected one number after {text[5:7]}"
@@ -135,7 +135,7 @@ def test_requirements_that_a_server_can_meet_are_not_refused() -> None:
     )
 
 
-def test_servers_stand_by_the_first_preference_that_tells_them_apart() -> None:
+def test_servers_are_ordered_by_the_first_preference_that_distinguishes_them() -> None:
     """The higher number first, with a minus the lower; those without a number last."""
     rank = labels.preferences(["gpu=yes", "-load", "cores"], "cluster.rank")
     servers = [
@@ -205,18 +205,18 @@ def test_an_invalid_label_is_refused(values: dict[str, object], told: str) -> No
     assert refusal(labels.labels, values, "labels", ("name", "cores")) == told
 
 
-def test_what_assigns_nothing_or_twice_is_refused() -> None:
+def test_labels_without_a_value_and_repeated_labels_are_refused() -> None:
     assert (
         refusal(labels.assigned, ["gpu"], "--label")
         == "--label gpu: expected NAME=VALUE, such as gpu=yes"
     )
     assert (
         refusal(labels.assigned, ["gpu=a", "gpu=b"], "--label")
-        == "--label gpu=b: gpu is there twice"
+        == "--label gpu=b: gpu is given twice"
     )
 
 
-def test_an_experiment_with_impossible_wishes_is_refused_with_its_line(
+def test_impossible_requirements_of_an_experiment_are_refused_with_their_line(
     tmp_path: object,
 ) -> None:
     """The file's line and key; ``--set`` and options are told without one."""

@@ -1,4 +1,4 @@
-"""Evolved controllers of every kind, as runs leave them."""
+"""Create evolved controllers of every kind, as runs do."""
 
 from typing import Any
 
@@ -33,7 +33,7 @@ KINDS: list[tuple[str, dict[str, Any]]] = [
 
 
 def named(kind: tuple[str, dict[str, Any]]) -> str:
-    """For a test's id."""
+    """Return a test's id."""
     return "-".join(
         [kind[0], *(f"{key}={value}" for key, value in kind[1].items())]
     ).replace(" ", "")
@@ -47,7 +47,7 @@ def controller(
     inputs: int = 4,
     outputs: int = 3,
 ) -> Controller:
-    """One with a random genome, which mutated some times where that changes its structure."""
+    """Return a controller with a random genome, mutated sometimes if that changes its structure."""
     part = plugins.load("representation", kind)
     complete = msgspec.convert(settings or {}, part.settings_type)
     network = part(complete, inputs, outputs)
@@ -74,7 +74,7 @@ def controller(
 
 
 def observed(inputs: int, steps: int, seed: int = 3) -> np.ndarray:
-    """(steps, inputs) float32: what sensors give, and now and then something far out."""
+    """Return (steps, inputs) float32: sensor values, some of them extreme."""
     stream = Stream(seed)
     seen = stream.uniform(-1.0, 2.0, steps * inputs)
     far = stream.uniform(0.0, 1.0, steps * inputs) < 0.02

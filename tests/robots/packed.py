@@ -1,4 +1,4 @@
-"""Packages of evolved controllers, written to a folder and loaded from there."""
+"""Write packages of evolved controllers to a folder and load them from there."""
 
 import importlib
 import sys
@@ -19,7 +19,7 @@ from zswarm.sims.turtlebot_exit import TurtlebotExit
 
 
 def evolved(kind: str = "fully-meshed", seed: int = 4, **settings: Any) -> Controller:
-    """A controller of TurtleBots that leave a room, with a random genome."""
+    """Return a controller of TurtleBots that leave a room, with a random genome."""
     simulator, network = evaluate.build("turtlebot-exit", settings, kind, {})
     return Controller(
         simulator="turtlebot-exit",
@@ -37,7 +37,7 @@ def evolved(kind: str = "fully-meshed", seed: int = 4, **settings: Any) -> Contr
 
 
 def simulator(controller: Controller) -> TurtlebotExit:
-    """The simulator that it was evolved in."""
+    """Return the simulator that the controller was evolved in."""
     built, _ = evaluate.build(
         controller.simulator,
         controller.simulator_settings,
@@ -49,7 +49,7 @@ def simulator(controller: Controller) -> TurtlebotExit:
 
 
 def write(files: Files, folder: Path) -> Path:
-    """The folder with a package in it."""
+    """Write a package into a folder and return the folder."""
     for path, content in files.items():
         file = folder / path
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -58,7 +58,7 @@ def write(files: Files, folder: Path) -> Path:
 
 
 def load(folder: Path, name: str, *modules: str) -> list[ModuleType]:
-    """Modules of a Python package in a folder, read anew."""
+    """Import modules of a Python package in a folder again."""
     for module in [one for one in sys.modules if one.split(".")[0] == name]:
         del sys.modules[module]
     sys.path.insert(0, str(folder))
@@ -70,7 +70,7 @@ def load(folder: Path, name: str, *modules: str) -> list[ModuleType]:
 
 
 def scanner(robot: RobotInterface) -> tuple[float, float]:
-    """``angle_min`` and ``angle_increment`` as a laser scan carries them: float32."""
+    """Return ``angle_min`` and ``angle_increment`` as a laser scan carries them: float32."""
     return float(np.float32(-robot.view / 2)), float(
         np.float32(robot.view / (robot.rays - 1))
     )
@@ -79,7 +79,7 @@ def scanner(robot: RobotInterface) -> tuple[float, float]:
 def played(
     world: TurtlebotExit, seed: int, decide: Callable[[int, int], tuple[float, float]]
 ) -> tuple[list[bytes], list[float]]:
-    """The poses of all robots in each step of a trial, and its fitness and metrics.
+    """Return the poses of all robots in each step of a trial, and its fitness and metrics.
 
     Args:
         decide: (step, robot) -> m/s ahead, rad/s counter-clockwise.
@@ -97,7 +97,7 @@ def played(
 
 
 def in_process(controller: Controller, seed: int) -> tuple[list[bytes], list[float]]:
-    """The same of the controller as it is evolved."""
+    """Return the same for the controller as it was evolved."""
     world = simulator(controller)
     drivers = [controller.driver() for _ in range(world.settings.robots)]
     turn, poses = world.reset(seed), [world.poses.tobytes()]

@@ -63,7 +63,9 @@ def events(count: int) -> list[tuple[str, float, int, float]]:
 
 
 @pytest.mark.parametrize("lock_step", [False, True])
-def test_both_decide_and_stop_alike(tmp_path: Path, lock_step: bool) -> None:
+def test_the_cpp_and_python_nodes_decide_and_stop_alike(
+    tmp_path: Path, lock_step: bool
+) -> None:
     if shutil.which("c++") is None:
         pytest.skip("no C++ compiler here: apt-get install g++")
     controller, watchdog_s, arrived_m = evolved(epsilon=1.5), 0.4, 1.5

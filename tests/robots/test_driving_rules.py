@@ -75,7 +75,7 @@ def test_a_robot_decides_in_each_step_by_what_is_newest(free: Any) -> None:
 
 
 @pytest.mark.parametrize("silent", ["scan", "pose"])
-def test_it_stops_when_its_sensors_fall_silent_and_drives_when_they_come_again(
+def test_the_robot_stops_when_sensors_fall_silent_and_drives_when_they_return(
     free: Any, silent: str
 ) -> None:
     free.on_scan(0.0, scan(1))
@@ -97,7 +97,7 @@ def test_it_stops_when_its_sensors_fall_silent_and_drives_when_they_come_again(
     assert not free.silent
 
 
-def test_the_watchdog_stops_it_where_no_step_comes_any_more(free: Any) -> None:
+def test_the_watchdog_stops_the_robot_when_steps_no_longer_come(free: Any) -> None:
     """Such as in a simulation whose clock stands, which its steps follow."""
     free.on_scan(0.0, scan(1))
     free.on_pose(0.0, pose(1))
@@ -108,10 +108,10 @@ def test_the_watchdog_stops_it_where_no_step_comes_any_more(free: Any) -> None:
     assert free.on_watch(WATCHDOG_S + 0.01) == STOP
 
 
-def test_it_stops_when_stamps_go_back_and_one_of_both_does_not_come_again(
+def test_the_robot_stops_when_stamps_go_back_and_one_sensor_stays_silent(
     free: Any,
 ) -> None:
-    """Such as of a driver that was started anew, of which odometry died."""
+    """This happens when a driver is restarted and its odometry dies."""
     free.on_scan(0.0, scan(5))
     free.on_pose(0.0, pose(5))
     assert free.on_step(0.0) == (1, 5)
@@ -134,7 +134,7 @@ def test_a_driver_that_repeats_its_last_scan_is_silent(free: Any) -> None:
     assert free.on_step(1.9) == STOP
 
 
-def test_it_stops_for_good_at_a_target(robot: Decided, free: Any) -> None:
+def test_the_robot_stops_for_good_at_a_target(robot: Decided, free: Any) -> None:
     free.on_scan(0.0, scan(1))
     free.on_pose(0.0, pose(1))
     robot.distance = ARRIVED_M
@@ -146,7 +146,7 @@ def test_it_stops_for_good_at_a_target(robot: Decided, free: Any) -> None:
     assert free.arrived
 
 
-def test_in_lock_step_it_decides_once_for_scan_and_pose_of_one_stamp(locked: Any) -> None:
+def test_a_lock_step_robot_decides_once_per_stamp(locked: Any) -> None:
     assert locked.on_scan(0.0, scan(0)) is None
     assert locked.on_pose(0.0, pose(0)) == (1, 0)
     assert locked.on_pose(0.0, pose(200)) is None
@@ -157,7 +157,7 @@ def test_in_lock_step_it_decides_once_for_scan_and_pose_of_one_stamp(locked: Any
     assert locked.on_watch(99.0) is None
 
 
-def test_in_lock_step_the_simulation_names_the_present_robots(
+def test_a_lock_step_simulation_names_the_present_robots(
     robot: Decided, locked: Any
 ) -> None:
     robot.distance = 0.0

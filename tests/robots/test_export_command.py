@@ -135,7 +135,7 @@ def test_another_candidate_is_named_as_in_replay(run: Path) -> None:
     assert told["fitness"] == rows[0][3]["fitness"]
 
 
-def test_a_champion_alone_is_enough(run: Path, tmp_path: Path) -> None:
+def test_a_champion_file_alone_can_be_exported(run: Path, tmp_path: Path) -> None:
     alone = tmp_path / "mine.zsc"
     alone.write_bytes((run / CHAMPION).read_bytes())
     assert typed(alone, "--to", "json").exit_code == 0
@@ -162,11 +162,13 @@ def test_a_champion_alone_is_enough(run: Path, tmp_path: Path) -> None:
         (["--to", "json", "--out", "/dev/null/x"], "cannot be written: Not a directory"),
     ],
 )
-def test_mistakes_are_named(run: Path, arguments: list[str], why: str) -> None:
+def test_invalid_exports_are_refused_with_the_reason(
+    run: Path, arguments: list[str], why: str
+) -> None:
     assert why in refused(run, *arguments)
 
 
-def test_what_has_no_champion_is_named(tmp_path: Path) -> None:
+def test_a_missing_or_invalid_champion_is_reported(tmp_path: Path) -> None:
     assert "expected a run that finished a generation" in refused(
         played(tmp_path), "--to", "json"
     )
@@ -237,7 +239,7 @@ def test_foreign_and_edited_files_are_not_replaced(file: str) -> None:
     before = Path("f", file).read_text()
     with pytest.raises(
         ConfigError,
-        match=f"f/{file}: exists, and not as it was exported; name another folder by --out",
+        match=f"f/{file}: exists and differs from the exported one; name another folder by --out",
     ):
         folder.write(Path("f"), {"b.c": "two", file: "two"})
     assert Path("f", file).read_text() == before

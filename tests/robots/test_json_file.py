@@ -1,4 +1,4 @@
-"""A controller as JSON: whoever reads it needs docs/export.md and nothing of zswarm."""
+"""Test controllers as JSON: a reader needs docs/export.md and nothing of zswarm."""
 
 import base64
 import json
@@ -119,7 +119,7 @@ def test_every_field_is_documented_in_its_order() -> None:
     assert [name for row in rows for name in row] == list(read("ctrnn"))
 
 
-def test_numbers_that_json_does_not_have_are_null() -> None:
+def test_numbers_that_json_lacks_become_null() -> None:
     evolved = msgspec.structs.replace(
         controller("mealy"), fitness=float("nan"), simulator_settings={"x": float("inf")}
     )

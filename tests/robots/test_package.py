@@ -80,7 +80,7 @@ def test_a_packed_robot_drives_as_evolved(tmp_path: Path, how: str) -> None:
     assert played(world, 7, decide) == in_process(controller, 7)
 
 
-def test_a_scanner_that_covers_less_decides_nothing(tmp_path: Path) -> None:
+def test_a_scanner_with_too_small_a_view_decides_nothing(tmp_path: Path) -> None:
     controller = evolved()
     write(ros2(controller, "x", "stage_ros2"), tmp_path)
     robot, driving = load(tmp_path, "zs_x", "robot", "driving")
@@ -114,7 +114,7 @@ def test_a_scanner_that_covers_less_decides_nothing(tmp_path: Path) -> None:
         ({"targets": [1.0, 2.0, 3.0, float("inf")]}, "targets: expected 4 numbers"),
     ],
 )
-def test_nothing_raises_a_limit(
+def test_no_parameter_raises_a_limit(
     tmp_path: Path, given: dict[str, Any], expected: str
 ) -> None:
     write(ros2(evolved(), "x", "stage_ros2"), tmp_path)
@@ -178,7 +178,7 @@ def test_packages_are_the_same_each_time(target: str) -> None:
 
 
 @pytest.mark.parametrize("target", TARGETS)
-def test_no_word_is_left_and_all_files_are_well_formed(target: str) -> None:
+def test_no_placeholder_remains_and_all_files_are_well_formed(target: str) -> None:
     make, profile = TARGETS[target]
     for path, content in make(evolved(), "x", profile).items():
         assert isinstance(content, str)
@@ -196,7 +196,7 @@ def test_no_word_is_left_and_all_files_are_well_formed(target: str) -> None:
 
 
 @pytest.mark.parametrize("target", TARGETS)
-def test_what_others_wrote_stays_text(target: str, tmp_path: Path) -> None:
+def test_foreign_texts_stay_text(target: str, tmp_path: Path) -> None:
     """Names that would end a comment, a string, a tag or a cell."""
     make, profile = TARGETS[target]
     hostile = '*/ ]]> </description> """ `|` @{name} \\" ??/ ${x} ü'
@@ -226,7 +226,7 @@ def test_what_others_wrote_stays_text(target: str, tmp_path: Path) -> None:
     assert table.count("`") == 4
 
 
-def test_what_fits_no_robot_is_refused_in_one_line() -> None:
+def test_controllers_that_fit_no_robot_are_refused_in_one_line() -> None:
     from tests.robots.controllers import controller
 
     with pytest.raises(

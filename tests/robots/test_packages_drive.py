@@ -81,7 +81,7 @@ class Built(NamedTuple):
 
     @contextlib.contextmanager
     def started(self, here: RosGraph, more: str = "") -> Iterator[subprocess.Popen[str]]:
-        """The node, in a process group of its own; it is ended with the block."""
+        """Run the node in its own process group until the block ends."""
         environment = self.environment | here.environment(
             profiles.read(self.target.profile).distribution
         )
@@ -289,7 +289,7 @@ class Robot:
         return came
 
     def drives(self, decisions: int) -> list[Velocity]:
-        """Publish until so many velocities came that are not zero, and return them."""
+        """Publish until this many nonzero velocities came, and return them."""
         deadline, came = time.monotonic() + DECIDES_S, list[Velocity]()
         while len(came) < decisions:
             assert time.monotonic() < deadline, f"{len(came)} of {decisions} decisions"
@@ -382,7 +382,7 @@ def test_a_robot_stops_when_its_sensors_fall_silent(
 
 
 @pytest.mark.parametrize("name", ["cmake", "ros2", "zenoh"])
-def test_a_scanner_that_covers_less_ends_the_drive(
+def test_a_scanner_with_too_small_a_view_ends_the_drive(
     packages: Callable[[str], Built], name: str
 ) -> None:
     """And the robot stands then."""
@@ -416,7 +416,7 @@ def test_a_node_whose_self_test_fails_does_not_drive(tmp_path: Path, name: str) 
 
 
 def test_lock_step_is_refused_on_a_robot(packages: Callable[[str], Built]) -> None:
-    """Where there is no simulated time there is nobody who waits, and the watchdog is needed."""
+    """Without simulated time nothing waits for the robot, and the watchdog is needed."""
     for name, more in (
         ("cmake", "_lock_step:=true"),
         ("ros2", "--ros-args -p lock_step:=true"),

@@ -61,7 +61,7 @@ def played(interpreter: str | Path, folder: Path, numpy: str = "") -> Any:
     return json.loads(done.stdout)
 
 
-def test_files_decide_the_same_bits_without_zswarm(tmp_path: Path) -> None:
+def test_files_give_the_same_bits_without_zswarm(tmp_path: Path) -> None:
     decided = exported(tmp_path)
     found = played(sys.executable, tmp_path, str(Path(np.__file__).parents[1]))
     assert found == {name: [0, acted, True] for name, acted in decided.items()}
@@ -103,7 +103,7 @@ def run(file: Path) -> "subprocess.CompletedProcess[str]":
     )
 
 
-def test_a_file_checks_itself_and_notices_a_changed_number(tmp_path: Path) -> None:
+def test_a_file_checks_itself_and_detects_a_changed_number(tmp_path: Path) -> None:
     """Of the parameters, and of what was decided."""
     text = python(controller("ctrnn"), "mine")["zs_mine.py"]
     file = tmp_path / "zs_mine.py"
@@ -169,7 +169,7 @@ def missing(x):  # type: ignore[no-untyped-def]
     return x + nowhere  # type: ignore[name-defined]  # noqa: F821
 
 
-def test_functions_bring_what_they_use() -> None:
+def test_collected_functions_include_their_dependencies() -> None:
     text = kernel_source.functions([limited])
     found: dict[str, Any] = {"np": np}
     exec(text, found)  # noqa: S102  our own text
@@ -186,7 +186,7 @@ def test_functions_bring_what_they_use() -> None:
         (len, "its source cannot be read"),
     ],
 )
-def test_what_cannot_be_gathered_is_named(function: Any, why: str) -> None:
+def test_functions_that_cannot_be_collected_are_named(function: Any, why: str) -> None:
     with pytest.raises(ConfigError) as raised:
         kernel_source.functions([function])
     assert why in str(raised.value)

@@ -1,4 +1,4 @@
-"""One trial of the room with its robots, in this process or in ROS: all poses, and the outcome."""
+"""Play one trial of the room, in this process or in ROS: all poses, and the outcome."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -13,24 +13,24 @@ Policy = Callable[[np.ndarray], np.ndarray]  # (robots, inputs) -> (robots, 2), 
 
 
 class Played(NamedTuple):
-    """What became of it."""
+    """The poses and the outcome of a trial."""
 
     poses: np.ndarray  # (steps + 1, robots, 4) float64
     outcome: Outcome
 
     @property
     def bits(self) -> bytes:
-        """Of all poses and the fitness."""
+        """Return all poses and the fitness as bytes."""
         return self.poses.tobytes() + np.array(self.outcome.fitness).tobytes()
 
 
 def built(simulator: str, **settings: Any) -> Any:
-    """A simulator, by name."""
+    """Build a simulator by name."""
     return evaluate.build(simulator, settings, "fully-meshed", {})[0]
 
 
 def by_policy(simulator: Any, policy: Policy, seed: int) -> Played:
-    """A trial in which robots do what somebody wrote."""
+    """Play a trial with a handwritten policy."""
     turn, poses = simulator.reset(seed), [simulator.poses.copy()]
     while turn is not None:
         turn = simulator.step(policy(turn.observations))
@@ -41,7 +41,7 @@ def by_policy(simulator: Any, policy: Policy, seed: int) -> Played:
 def by_network(
     simulator: Any, seed: int, network: str = "fully-meshed", **shape: Any
 ) -> Played:
-    """A trial of a random recurrent network."""
+    """Play a trial of a random recurrent network."""
     _, drawn = evaluate.build("turtlebot-exit", {}, network, shape)
     parameters = drawn.parameters(drawn.random(1, Stream(seed)))
     poses = [

@@ -1,4 +1,4 @@
-"""What of ROS is on this machine; tests that need what is not are skipped, and say so."""
+"""Detect which parts of ROS are on this machine; tests that need missing ones are skipped."""
 
 import importlib.util
 import os
@@ -13,7 +13,7 @@ LINKS = ("rospy", "rclpy", "zenoh")
 
 
 def need(link: str) -> None:
-    """Skip the test where a link cannot work."""
+    """Skip the test if a link cannot work."""
     if link == "rospy" and shutil.which("rosmaster") is None:
         pytest.skip(
             "no ROS 1 here: apt-get install ros-core and the Python packages of its messages"

@@ -72,7 +72,7 @@ def test_a_second_authority_in_the_same_folder_is_refused(tmp_path: Path) -> Non
     assert again(tmp_path / "authority", NOW).fingerprint == first
 
 
-def test_a_folder_of_other_files_does_not_become_an_authoritys(tmp_path: Path) -> None:
+def test_a_folder_with_other_files_is_refused_for_an_authority(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").touch()
     tmp_path.chmod(0o755)
     with pytest.raises(
@@ -91,7 +91,7 @@ def test_an_authority_is_opened_by_one_program_at_a_time(tmp_path: Path) -> None
     again(tmp_path / "authority", NOW)
 
 
-def test_a_certificate_says_whose_it_is_and_what_for(tmp_path: Path) -> None:
+def test_a_certificate_names_its_holder_role_and_addresses(tmp_path: Path) -> None:
     with authority(tmp_path / "authority") as made:
         (content,) = made.issue(
             {of("ss", "lab-01"): ["10.0.0.5", "lab-01.uni.edu", "fe80::1", "10.0.0.5"]},
@@ -121,7 +121,7 @@ def test_a_certificate_says_whose_it_is_and_what_for(tmp_path: Path) -> None:
     assert abs(lasts - timedelta(days=365, minutes=5)) < timedelta(minutes=1)
 
 
-def test_a_user_is_dialled_by_no_name_of_a_host() -> None:
+def test_the_certificate_of_a_user_has_no_host_names() -> None:
     """Else a user lab-01 could pose as the server lab-01."""
     assert alternative_names(of("ot", "lab-01"), []) == ["localhost", "127.0.0.1"]
 
@@ -191,7 +191,7 @@ def test_the_name_of_the_list_file_is_reserved() -> None:
         new_holder("ot", "members")
 
 
-def test_a_name_is_given_once(tmp_path: Path) -> None:
+def test_each_name_is_issued_once(tmp_path: Path) -> None:
     issued(tmp_path / "authority", of("ss", "lab-01"))
     with again(tmp_path / "authority", NOW) as made:
         with pytest.raises(
@@ -240,7 +240,7 @@ def test_the_list_of_members_grows_in_number_with_every_change_of_it(
     assert (members.servers, members.users) == (["lab-02"], [])
 
 
-def test_the_ledger_says_what_was_issued(tmp_path: Path) -> None:
+def test_the_ledger_records_issued_certificates(tmp_path: Path) -> None:
     (content,) = issued(tmp_path / "authority", of("ss", "lab-01"))
     (entry,) = json.loads((tmp_path / "authority" / "issued.json").read_text())["issued"]
     read = certificate(content)
@@ -252,7 +252,7 @@ def test_the_ledger_says_what_was_issued(tmp_path: Path) -> None:
     assert entry["revoked_at"] is None
 
 
-def test_what_was_signed_is_in_the_ledger_first(
+def test_the_ledger_is_written_before_keys_are_given_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A ledger that cannot be written gives no keys out."""
@@ -277,7 +277,7 @@ def test_a_damaged_ledger_is_refused(tmp_path: Path, damage: bytes) -> None:
         again(tmp_path / "authority", NOW)
 
 
-def test_a_ledger_of_a_strange_name_is_refused(tmp_path: Path) -> None:
+def test_a_ledger_with_an_invalid_name_is_refused(tmp_path: Path) -> None:
     issued(tmp_path / "authority", of("ss", "lab-01"))
     path = tmp_path / "authority" / "issued.json"
     path.write_text(path.read_text().replace("ss.lab-01", "ss.*"))
@@ -321,7 +321,7 @@ def test_a_request_is_signed_and_renewed_for_its_own_key(tmp_path: Path) -> None
 
 
 def test_a_request_that_its_key_did_not_sign_is_refused(tmp_path: Path) -> None:
-    """Else somebody's public key could be had certified under another name."""
+    """Otherwise a foreign public key could be certified under another name."""
     pem = make_request(of("ss", "lab-01"), [], certificates.new_key())
     der = x509.load_pem_x509_csr(pem).public_bytes(serialization.Encoding.DER)
     changed = x509.load_der_x509_csr(
@@ -352,7 +352,7 @@ def test_a_damaged_request_is_refused(tmp_path: Path, body: bytes) -> None:
     ("common_name", "dialled"),
     [("ss.lab-01", "*.uni.edu"), ("ss.*", "x"), ("root", "x"), ("ot.members", "x")],
 )
-def test_a_request_of_somebody_elses_making_is_checked_as_ones_own(
+def test_a_request_made_by_another_program_is_checked(
     tmp_path: Path, common_name: str, dialled: str
 ) -> None:
     subject = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, common_name)])

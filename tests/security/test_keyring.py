@@ -97,7 +97,7 @@ def test_a_damaged_file_is_named(lab: Path, file: str) -> None:
 
 
 @pytest.mark.parametrize("file", FILES)
-def test_special_files_are_not_waited_for(lab: Path, file: str) -> None:
+def test_reading_special_files_does_not_block(lab: Path, file: str) -> None:
     (lab / file).unlink()
     os.mkfifo(lab / file, 0o600)
     assert "not a file" in refusal(lab)
@@ -153,7 +153,7 @@ def test_a_self_signed_certificate_is_not_accepted_as_authority(tmp_path: Path) 
         assert "authority.pem: not the certificate of an authority" in refusal(folder)
 
 
-def test_what_the_library_only_warns_of_is_refused(tmp_path: Path) -> None:
+def test_contents_that_the_library_only_warns_about_are_refused(tmp_path: Path) -> None:
     """Such as a serial number below 0: one line, no warning on the terminal."""
     (mine,) = issued(tmp_path / "authority", of("ss", "lab-01"))
     der = bytearray(
@@ -275,7 +275,7 @@ def test_a_name_of_another_role_gives_no_access(tmp_path: Path) -> None:
 # ---- where they are
 
 
-def test_nothing_installed_is_nothing_found() -> None:
+def test_without_installed_keys_none_are_found() -> None:
     assert keyring.find() is None
 
 
@@ -325,7 +325,7 @@ def test_a_users_own_keys_come_before_the_systems_that_it_may_not_read(
 def test_keys_that_may_not_be_read_are_found_and_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A program that may not read the system's keys does not go on in the clear."""
+    """A program that may not read the system's keys does not continue unencrypted."""
     (tmp_path / "etc").mkdir()
     hidden(monkeypatch, tmp_path / "etc")
     found = keyring.find()
@@ -363,7 +363,7 @@ def test_any_bytes_are_refused(
     st.binary(max_size=4),
     st.integers(0, 4),
 )
-def test_damage_within_the_pem_is_read_or_refused(
+def test_damage_within_the_pem_is_accepted_or_refused(
     tmp_path_factory: pytest.TempPathFactory, file: str, place: int, put: bytes, lost: int
 ) -> None:
     """It reaches the reading of certificates and keys."""

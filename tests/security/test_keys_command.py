@@ -47,7 +47,9 @@ def mode(path: Path) -> int:
 # ---- as it is meant
 
 
-def test_a_lab_of_twenty_machines_and_a_person(tmp_path: Path, desk: Machine) -> None:
+def test_keys_are_issued_for_twenty_machines_and_a_person(
+    tmp_path: Path, desk: Machine
+) -> None:
     told = desk.works(
         "issue",
         *LAB,
@@ -137,9 +139,7 @@ def test_a_person_and_a_machine_are_added_and_revoked(
     assert keyring.load(lab_01.keys, "ss").members.users == ["bob"]
 
 
-def test_a_bundle_does_not_bring_an_older_list_back(
-    tmp_path: Path, desk: Machine
-) -> None:
+def test_a_bundle_does_not_restore_an_older_list(tmp_path: Path, desk: Machine) -> None:
     desk.works("issue", "lab-01", "--optimizer", "alice")
     lab_01 = machine(tmp_path, "lab-01")
     bundle = (desk.folder / "lab-01.zkeys").read_bytes()
@@ -151,7 +151,7 @@ def test_a_bundle_does_not_bring_an_older_list_back(
     assert keyring.load(lab_01.keys, "ss").members.users == []
 
 
-def test_a_revoked_holder_cannot_join_where_that_is_known(
+def test_a_revoked_holder_cannot_join_with_the_new_list(
     tmp_path: Path, desk: Machine
 ) -> None:
     desk.works("issue", "lab-01", "lab-02")
@@ -186,7 +186,9 @@ def test_keys_are_renewed(tmp_path: Path, desk: Machine) -> None:
     assert (entry["state"], entry["names"][-1]) == ("valid", "10.0.0.5")
 
 
-def test_a_key_that_never_leaves_its_machine(tmp_path: Path, desk: Machine) -> None:
+def test_a_request_keeps_the_private_key_on_its_machine(
+    tmp_path: Path, desk: Machine
+) -> None:
     lab_01 = machine(tmp_path, "lab-01")
     told = lab_01.works("request", "--name", "lab-01", "--address", "10.0.0.5")
     assert "zswarm-keys sign lab-01.zrequest" in told
@@ -213,7 +215,7 @@ def test_a_key_that_never_leaves_its_machine(tmp_path: Path, desk: Machine) -> N
     assert (lab_01.keys / "key.pem").read_text() == key
 
 
-def test_a_users_and_a_routers_key_may_stay_where_they_are_too(
+def test_keys_of_users_and_routers_may_also_stay_on_their_machines(
     tmp_path: Path, desk: Machine
 ) -> None:
     for role, arguments in (
@@ -228,7 +230,7 @@ def test_a_users_and_a_routers_key_may_stay_where_they_are_too(
         assert keyring.load(there.keys, role).name == name
 
 
-def test_what_is_not_wanted_is_not_signed(desk: Machine) -> None:
+def test_a_declined_request_is_not_signed(desk: Machine) -> None:
     desk.works("request", "--name", "lab-01")
     assert desk.refuses("sign", "lab-01.zrequest", answer="n\n") == "nothing was signed"
     assert desk.status()["authority"]["issued"] == []
@@ -306,7 +308,7 @@ def test_keys_are_installed_for_the_system_by_root_and_else_for_the_user(
 # ---- mistakes
 
 
-def test_without_an_authority_its_commands_say_how_to_make_one(
+def test_without_an_authority_its_commands_print_how_to_create_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     there = machine(tmp_path, "there")
@@ -327,7 +329,7 @@ def test_without_an_authority_its_commands_say_how_to_make_one(
     assert not there.authority.exists()
 
 
-def test_a_lab_is_named_as_its_holders_are(
+def test_the_name_of_a_lab_follows_the_rules_for_holders(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     there = machine(tmp_path, "there")
@@ -336,7 +338,7 @@ def test_a_lab_is_named_as_its_holders_are(
     assert not there.authority.exists()
 
 
-def test_an_empty_name_is_no_default(desk: Machine) -> None:
+def test_an_empty_name_is_refused(desk: Machine) -> None:
     for option in ("--name", "--optimizer"):
         assert "'': expected" in desk.refuses("request", option, "")
 
@@ -367,12 +369,12 @@ def test_a_second_authority_is_refused(desk: Machine) -> None:
         (["lab-01", "--out", "nowhere"], "--out nowhere: no such folder"),
         (
             ["lab-01", "--out", "taken"],
-            "taken/lab-01.zkeys is there already; --force replaces it",
+            "taken/lab-01.zkeys exists already; --force replaces it",
         ),
         (["members"], "take another"),
     ],
 )
-def test_nothing_is_issued_by_mistake(
+def test_invalid_arguments_of_issue_are_refused_before_anything_is_issued(
     desk: Machine, arguments: list[str], said: str
 ) -> None:
     (desk.folder / "taken").mkdir()
@@ -387,7 +389,7 @@ def test_a_name_issued_already_is_renewed_instead(desk: Machine) -> None:
     assert "zswarm-keys renew lab-01 makes new ones" in desk.refuses(
         "issue", "lab-01", "--force"
     )
-    assert "lab-01.zkeys is there already; --force replaces it" in desk.refuses(
+    assert "lab-01.zkeys exists already; --force replaces it" in desk.refuses(
         "renew", "lab-01"
     )
     desk.works("renew", "lab-01", "--force")
@@ -416,7 +418,7 @@ def test_a_bundle_for_another_machine_is_refused_naming_both(
     said = desk.refuses("join", "lab-01.zkeys", "--yes")
     assert "the server lab-01" in said
     assert "this machine is 'lab-07'" in said
-    assert "--name says 'lab-02'" in desk.refuses(
+    assert "--name is 'lab-02'" in desk.refuses(
         "join", "lab-01.zkeys", "--yes", "--name", "lab-02"
     )
     assert not desk.keys.exists()
@@ -455,7 +457,7 @@ def test_damaged_keys_are_replaced_by_force_only(desk: Machine) -> None:
     assert desk.status()["installed"]["error"] is None
 
 
-def test_a_join_that_was_cut_short_is_done_again(
+def test_an_interrupted_join_is_repeated(
     desk: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     desk.works("issue", "--optimizer", "alice")
@@ -477,7 +479,7 @@ def test_a_join_that_was_cut_short_is_done_again(
     assert keyring.load(desk.keys, "ot").name == "alice"
 
 
-def test_a_folder_of_other_files_takes_no_keys(desk: Machine) -> None:
+def test_a_folder_with_other_files_is_refused_for_keys(desk: Machine) -> None:
     desk.works("issue", "--optimizer", "alice")
     assert "expected a folder for keys alone" in desk.refuses(
         "join", "alice.zkeys", "--yes", "--keys", desk.folder
@@ -497,7 +499,7 @@ def test_a_list_of_members_is_not_accepted_as_keys(tmp_path: Path, desk: Machine
     )
 
 
-def test_a_second_request_does_not_forget_the_first(desk: Machine) -> None:
+def test_a_second_request_does_not_replace_the_first(desk: Machine) -> None:
     desk.works("request", "--optimizer", "alice")
     before = (desk.keys / "request.pem").read_bytes()
     assert "--force forgets it" in desk.refuses("request", "--optimizer", "alice")
@@ -519,7 +521,7 @@ def test_a_bundle_that_others_could_read_is_installed_with_a_warning(
     )
 
 
-def test_a_name_of_a_file_does_not_reach_the_terminal(desk: Machine) -> None:
+def test_control_characters_of_a_file_name_are_escaped(desk: Machine) -> None:
     Path("x\x1b]0;title\x07\u202e").write_text("x")
     assert "x\\x1b]0;title\\x07\\x202e: not a bundle" in desk.refuses(
         "join", "x\x1b]0;title\x07\u202e"
@@ -593,7 +595,7 @@ def test_a_misplaced_secret_is_not_printed(desk: Machine) -> None:
 # ---- the program
 
 
-def test_the_program_itself(tmp_path: Path) -> None:
+def test_the_program_has_documented_exit_codes_and_streams(tmp_path: Path) -> None:
     """As a process: exit codes, streams, and no traceback."""
     environment = os.environ | {
         "XDG_DATA_HOME": str(tmp_path),
@@ -680,6 +682,6 @@ def test_no_option_takes_a_secret() -> None:
     }
 
 
-def test_a_folder_says_what_it_is_for(tmp_path: Path) -> None:
+def test_a_folder_without_an_authority_is_refused(tmp_path: Path) -> None:
     with pytest.raises(KeysError, match="no authority here"):
         authority.Authority(tmp_path)

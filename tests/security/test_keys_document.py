@@ -36,7 +36,7 @@ def programs(folder: Path, machine: str) -> Path:
     return folder
 
 
-def test_what_the_document_says_works(tmp_path: Path) -> None:
+def test_the_documented_commands_work(tmp_path: Path) -> None:
     """All files lie in one folder, as if they were brought at once."""
     files = tmp_path / "files"
     files.mkdir()

@@ -100,7 +100,7 @@ def test_the_keys_of_another_authority_are_refused_by_both_sides(
         greet(context(server, server=True), blind, "lab-01")
 
 
-def test_who_has_no_keys_is_refused(lab: tuple[Path, Path]) -> None:
+def test_clients_without_keys_are_refused(lab: tuple[Path, Path]) -> None:
     bare = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     bare.load_verify_locations(lab[0] / "authority.pem")
     with pytest.raises((ssl.SSLError, ConnectionError)):

@@ -6,7 +6,7 @@ RAYS = np.array([[np.cos(a), np.sin(a)] for a in np.arange(8) * np.pi / 4])
 
 
 def steer(goal: np.ndarray, slow: np.ndarray | float = 1.0) -> np.ndarray:
-    """Wheels that turn robots towards a direction in their frame and drive them there."""
+    """Drive wheels that turn robots towards a direction in their frame and move them there."""
     ahead, aside = goal[:, 0], goal[:, 1]
     length = np.maximum(np.hypot(ahead, aside), 1e-9)
     turn, forward = aside / length, np.maximum(ahead / length, 0.0) * slow
@@ -25,7 +25,7 @@ def ahead(seen: np.ndarray) -> np.ndarray:
 
 
 def aggregation(seen: np.ndarray) -> np.ndarray:
-    """To the neighbours; whoever sees none goes straight on and avoids walls."""
+    """Drive to the neighbours; a robot that sees none goes straight on and avoids walls."""
     others = seen[:, 8:10]
     alone = (others == 0).all(axis=1, keepdims=True)
     return steer(
@@ -34,13 +34,13 @@ def aggregation(seen: np.ndarray) -> np.ndarray:
 
 
 def dispersion(seen: np.ndarray) -> np.ndarray:
-    """Away from the neighbours and from walls."""
+    """Drive away from the neighbours and from walls."""
     goal = -seen[:, 8:10] + away_from_what_is_near(seen, 0.4)
     return steer(goal, np.minimum(1.0, 3 * np.hypot(goal[:, 0], goal[:, 1])))
 
 
 def foraging(seen: np.ndarray) -> np.ndarray:
-    """To the nest with an item, else to an item, else straight on; around what is near."""
+    """Drive to the nest with an item, else to an item, else straight on; around obstacles."""
     item, nest, carries = seen[:, 10:12], seen[:, 12:14], seen[:, 14:15] > 0
     sees = (item != 0).any(axis=1, keepdims=True)
     goal = np.where(carries, nest, np.where(sees, item, ahead(seen)))
@@ -48,7 +48,7 @@ def foraging(seen: np.ndarray) -> np.ndarray:
 
 
 def consensus(seen: np.ndarray) -> np.ndarray:
-    """Robots drive about and say the mean of what they read and what they hear."""
+    """Drive about and send the mean of what is read and heard."""
     return np.column_stack(
         [strolling(seen), 0.5 * seen[:, 10] + 0.5 * seen[:, 11]]
     ).astype(np.float32)

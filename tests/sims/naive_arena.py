@@ -107,7 +107,7 @@ class NaiveArena:
         return self.outcome()
 
     def meet(self) -> None:
-        """In the order of cells."""
+        """Let robots meet in the order of cells."""
         s = self.settings
         cells = min(int(0.999 * s.side / s.sight), int(s.robots**0.5))
         cells = 1 if cells < 3 else cells
@@ -118,7 +118,7 @@ class NaiveArena:
                 int(robot.x * per_metre), cells - 1
             )
 
-        # The order of those of a cell stays.
+        # The order within a cell is kept.
         ordered = sorted(self.robots, key=cell)
         for robot in self.robots:
             near = [
@@ -290,5 +290,5 @@ class NaiveArena:
 
 
 def travelled(places: list[tuple[float, float]]) -> float:
-    """The longest way between two places in a row."""
+    """Return the longest distance between two successive positions."""
     return max(np.hypot(b[0] - a[0], b[1] - a[1]) for a, b in pairwise(places))

@@ -22,7 +22,7 @@ class Robot:
 
 
 class Team:
-    """``stand`` is that of its own flag; ``thief`` is who carries it."""
+    """A team: ``stand`` is that of its own flag; ``thief`` is the robot that carries it."""
 
     def __init__(self, settings: MinisimSettings, far: bool) -> None:
         self.settings, self.far = settings, far
@@ -33,7 +33,7 @@ class Team:
         self.columns: list[int] = []
 
     def view(self, place: Place) -> Place:
-        """A place of the field as this team sees it, and back."""
+        """Convert a place of the field to this team's frame, and back."""
         return (
             (self.settings.width - 1 - place[0], self.settings.height - 1 - place[1])
             if self.far

@@ -12,7 +12,7 @@ AROUND = [(0, -1), (1, -1), (1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1)]
 
 
 def java_random(seed: int) -> Iterator[int]:
-    """The upper 31 bits of the standard generator of Java, one number after another."""
+    """Yield the upper 31 bits of Java's standard generator."""
     state = seed % 2**48 ^ 0x5DEECE66D
     while True:
         state = (state * 0x5DEECE66D + 11) % 2**48
@@ -20,7 +20,7 @@ def java_random(seed: int) -> Iterator[int]:
 
 
 def java_below(bound: int, bits: Iterator[int]) -> int:
-    """Uniform below a bound, as ``java.util.Random.nextInt`` is documented."""
+    """Draw uniformly below a bound, as ``java.util.Random.nextInt`` is documented."""
     if bound.bit_count() == 1:
         return bound * next(bits) // 2**31
     while True:
@@ -74,7 +74,7 @@ class NaiveEmergencyExit:
         return (steps - first) / steps - distances, escaped, min(first + 1, steps)
 
     def play_round(self, decide: Callable[[int, list[float]], list[float]]) -> bool:
-        """Let the agents act one after another; whether everybody is out then."""
+        """Let the agents act one after another; return whether all are out."""
         for agent in sorted(self.agents):
             if not self.is_out(agent):
                 vx, vy = map(velocity, decide(agent, self.observe(agent)))

@@ -12,7 +12,7 @@ Wall = tuple[Point, Point]
 
 
 class Maze:
-    """One trial; walls are those inside, the rim comes by itself."""
+    """One trial; walls are those inside, the rim is added."""
 
     def __init__(
         self, size: Point, inside: list[Wall], start: Point, goal: Point, steps: int
@@ -42,7 +42,7 @@ class Maze:
         ]
 
     def free(self, direction: float) -> float:
-        """Both sides of start + t d = a + s (b - a), by Cramer's rule."""
+        """Return the distance to the nearest wall in a direction, at most 1, by Cramer's rule."""
         dx, dy = math.cos(math.radians(direction)), math.sin(math.radians(direction))
         nearest = 1.0
         for (ax, ay), (bx, by) in self.walls:
@@ -68,7 +68,7 @@ class Maze:
         return True
 
     def act(self, action: np.ndarray) -> bool:
-        """Whether the trial goes on."""
+        """Drive one step; return whether the trial continues."""
         turn, drive = (float(output) - 0.5 for output in action)
         self.turning = max(-3.0, min(3.0, self.turning + turn))
         self.speed = max(-0.03, min(0.03, self.speed + 0.01 * drive))

@@ -15,7 +15,7 @@ from zswarm.sims.simulator import Simulator
 
 
 class Comparison(NamedTuple):
-    """Mean fitness on the same unseen seeds."""
+    """Mean fitness on the same held-out seeds."""
 
     evolved: np.ndarray  # of the champion of each run
     # Of the best of random search with as many evaluations, on the same trials; none without.
@@ -103,7 +103,7 @@ def best(
     population: int,
     evaluations: int,
 ) -> tuple[Problem, bytes, int]:
-    """The problem, the best genome after so many evaluations at least, and how many there were."""
+    """Return the problem, the best genome after at least that many evaluations, their number."""
     file = {
         "name": "it",
         "seed": seed,
@@ -128,7 +128,7 @@ def best(
 
 
 def mean(problem: Problem, genome: bytes, seeds: np.ndarray) -> float:
-    """Fitness of a genome on some seeds."""
+    """Return the fitness of a genome on some seeds."""
     return float(
         played(problem, [genome], np.zeros((len(seeds), 1), np.int64), seeds).mean()
     )
@@ -137,7 +137,7 @@ def mean(problem: Problem, genome: bytes, seeds: np.ndarray) -> float:
 def played(
     problem: Problem, genomes: list[bytes], participants: np.ndarray, seeds: np.ndarray
 ) -> np.ndarray:
-    """(trials, participants) fitness."""
+    """Return (trials, participants) fitness."""
     return evaluate(
         problem.simulator, problem.representation, genomes, participants, seeds
     ).fitness

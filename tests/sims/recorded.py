@@ -1,4 +1,4 @@
-"""Small problems as FREVO played them: its recordings, and the same networks in our simulators."""
+"""Replay FREVO's recordings of small problems, with the same networks in our simulators."""
 
 import json
 from typing import Any
@@ -17,7 +17,7 @@ ACTIVATIONS = {"LINEAR": "clamp", "SIGMOID": "sigmoid", "RELU": "relu"}
 def play(
     simulator: str, settings: dict[str, Any], net: dict[str, Any], seeds: list[int]
 ) -> TrialOutcomes:
-    """A recorded network on some seeds."""
+    """Play a recorded network on some seeds."""
     shape = {
         "hidden": net["hidden"],
         "iterations": net["iterations"],

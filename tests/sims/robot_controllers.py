@@ -26,26 +26,26 @@ def away_from_what_is_near(seen: np.ndarray, from_nearness: float) -> np.ndarray
 
 
 def turtlebot_exit(seen: np.ndarray) -> np.ndarray:
-    """To the exit, around what is near."""
+    """Drive to the exit, around obstacles."""
     return steer(seen[:, 8:10] + 8 * away_from_what_is_near(seen, 0.85))
 
 
 def behind(
     seen: np.ndarray, way: np.ndarray, reach: float, behind_m: float, clear_m: float
 ) -> np.ndarray:
-    """To the side of a thing from which it is pushed in a direction, and then straight on.
+    """Drive to the side of a body from which to push it in a direction, and then straight on.
 
     Args:
         way: (robots, 2) where it is to be pushed, in the robots' frame.
         reach: m that robots see.
         behind_m: from its middle to where pushing begins.
-        clear_m: from its middle; nearer nobody goes around it.
+        clear_m: from its middle; a robot that is nearer does not go around it.
     """
     to_thing = seen[:, 8:10]
     offset = to_thing * ((1 - seen[:, 10:11]) * reach)
     lies_before = (to_thing * way).sum(axis=1)
     spot = offset - way * behind_m
-    # Across the way to the thing, away from where it is to go.
+    # Across the way to the body, away from its destination.
     aside = unit(lies_before[:, None] * to_thing - way)
     near = np.hypot(offset[:, 0], offset[:, 1]) < clear_m
     around = np.where(near[:, None], aside - 0.3 * to_thing, spot)
@@ -56,19 +56,19 @@ def behind(
 
 
 def from_behind(seen: np.ndarray) -> np.ndarray:
-    """To a thing that lies where it is to be pushed; who is on the wrong side of it drives back."""
+    """Push a body that lies in the right direction; drive back if on its wrong side."""
     to_thing, way = seen[:, 8:10], seen[:, 11:13]
     before = (to_thing * way).sum(axis=1, keepdims=True) > 0.3
     return np.where(before, to_thing, -way)
 
 
 def box_pushing(seen: np.ndarray) -> np.ndarray:
-    """Robots push the box if it lies before them, and else get behind it."""
+    """Push the box if it lies ahead, else get behind it."""
     return steer(from_behind(seen))
 
 
 def clever_box_pushing(seen: np.ndarray) -> np.ndarray:
-    """Behind the box, around it, and push."""
+    """Drive behind the box, around it, and push."""
     return steer(behind(seen, seen[:, 11:13], 4.0, 0.55, 0.75))
 
 
@@ -88,7 +88,7 @@ def foraging_physical(seen: np.ndarray) -> np.ndarray:
 
 
 def clever_foraging_physical(seen: np.ndarray) -> np.ndarray:
-    """Behind the nearest puck, around it, and push."""
+    """Drive behind the nearest puck, around it, and push."""
     goal = behind(seen, seen[:, 11:13], 4.0, 0.35, 0.4)
     return steer(
         np.where((seen[:, 8:10] != 0).any(axis=1, keepdims=True), goal, strolling(seen))
@@ -96,7 +96,7 @@ def clever_foraging_physical(seen: np.ndarray) -> np.ndarray:
 
 
 def foraging_physical_carry(seen: np.ndarray) -> np.ndarray:
-    """To a puck, and home with it, around what is near."""
+    """Drive to a puck, and home with it, around obstacles."""
     goal = np.where(seen[:, 13:14] > 0, seen[:, 11:13], seen[:, 8:10])
     goal = np.where((goal != 0).any(axis=1, keepdims=True), goal, [[1.0, 0.0]])
     return steer(goal + 8 * away_from_what_is_near(seen, 0.85))

@@ -6,15 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests import examples
 from tests.sims.naive_duel import NaiveDuel
-from zswarm import experiment
 from zswarm.errors import ConfigError
 from zswarm.evaluate import build, evaluate
 from zswarm.kernels.random import Stream
 from zswarm.nets.networks import Networks
 from zswarm.nets.representation import Representation
-from zswarm.ot.build import build as build_parts
-from zswarm.ot.generation import Assessment
 from zswarm.ot.replay import held_out as unseen
 from zswarm.sims.minisim import Minisim, MinisimSettings
 from zswarm.sims.turns import play_turns
@@ -125,7 +123,7 @@ def test_observations_agree_with_the_naive_reference_at_every_step() -> None:
     assert all(outcome.metrics), "captures, steals and tagged robots were compared"
 
 
-def test_sides_do_not_matter() -> None:
+def test_swapping_sides_does_not_change_fitness() -> None:
     """Whoever changes sides has the same fitness, bit for bit; a team that plays itself ties."""
     simulator, network = built({})
     genomes = network.random(30, Stream(1))
@@ -169,25 +167,11 @@ def test_two_guards_beat_a_team_that_only_attacks() -> None:
 @pytest.mark.parametrize("seed", [1, 2])
 def test_later_champions_of_the_example_beat_earlier_ones(seed: int) -> None:
     """Those of generations 0, 10 and 30 on 100 unseen starts; some seconds of computing each."""
-    example = experiment.load(experiment.find("minisim-duel"), [f"seed={seed}"])
-    problem, optimizer = build_parts(experiment.complete(example, "test"))
-    champions = []
-    for generation in range(example.generations):
-        assessment = Assessment(problem, optimizer.ask(), generation)
-        while True:
-            work = assessment.workload
-            played = evaluate(
-                problem.simulator,
-                problem.representation,
-                work.genomes,
-                work.participants,
-                work.seeds,
-            )
-            work.fitness[:], work.metrics[:] = played.fitness, played.metrics
-            if not assessment.advance():
-                break
-        optimizer.tell(assessment.fitness(), assessment.measures(optimizer.measures))
-        champions.append(problem.controller(optimizer.best()[0], optimizer.best()[1], ""))
+    champions = {}
+    for generation in (0, 10, 30):
+        changes = [f"seed={seed}", f"generations={generation + 1}"]
+        (problem, optimizer), _ = examples.played("minisim-duel", changes)
+        champions[generation] = problem.controller(*optimizer.best(), "")
     last = champions[30]
     assert unseen.play(last, 100, 0, champions[0]).score()["won"] > 80
     assert unseen.play(last, 100, 0, champions[10]).score()["won"] > 50

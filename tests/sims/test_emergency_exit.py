@@ -116,7 +116,7 @@ def play(
 def controller(
     built: FullyMeshed, parameters: np.ndarray, agents: int
 ) -> Callable[[int, Any], list[float]]:
-    """Decides for each agent with a state of its own."""
+    """Decide for each agent, with a separate state each."""
     states = np.zeros((agents, built.state_size), np.float32)
 
     def decide(agent: int, observation: Any) -> list[float]:
@@ -281,7 +281,7 @@ def test_the_kernel_agrees_with_a_naive_reference_bit_for_bit(
             trial += 1
 
 
-def test_the_comparison_met_moves_blocks_and_escapes() -> None:
+def test_the_compared_trials_include_moves_blocks_and_escapes() -> None:
     """The hand-made net, straight to the exit, gets some agents out and leaves others blocked."""
     counts = Counter()
     for seed in range(12):
@@ -328,7 +328,7 @@ for activation in ("clamp", "sigmoid", "relu", "tanh"):
 
 
 @pytest.mark.long
-def test_plain_python_gives_the_same_bits_as_eight_trials_side_by_side() -> None:
+def test_plain_python_gives_the_same_bits_as_eight_lanes() -> None:
     printed = {}
     for form, options in (
         ("compiled", {}),
@@ -351,7 +351,7 @@ def test_plain_python_gives_the_same_bits_as_eight_trials_side_by_side() -> None
 
 @pytest.mark.parametrize("activation", ["clamp", "relu", "sigmoid", "tanh"])
 @pytest.mark.parametrize("wild", [1.0, 1e19, 1e38])
-def test_trials_side_by_side_end_as_those_one_after_another(
+def test_trials_played_in_lanes_equal_trials_played_in_sequence(
     activation: str, wild: float
 ) -> None:
     """Vary the number of trials and when agents leave, and overflow the sums in the network."""
@@ -383,7 +383,7 @@ def test_trials_side_by_side_end_as_those_one_after_another(
     assert len(rounds) > 1 or activation != "clamp", "some were out before others"
 
 
-def test_fields_are_laid_out_again_when_too_many_were_kept(
+def test_fields_are_generated_again_when_dropped_from_the_cache(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     simulator, built = build("emergency-exit", {"steps": 5}, "fully-meshed", {})
@@ -411,7 +411,7 @@ def test_fields_are_laid_out_again_when_too_many_were_kept(
     assert len(simulator.fields.row_of) == 3
 
 
-def test_one_seed_lays_out_one_field_whatever_else_is_in_the_batch() -> None:
+def test_a_seed_determines_the_field_independently_of_the_batch() -> None:
     seeds = [3, 1, 3, 2**64 - 1, 1]
     together = play({}, NETS[2], seeds)
     alone = [play({}, NETS[2], [seed]).fitness[0, 0] for seed in seeds]

@@ -60,7 +60,7 @@ def naive(
 
 @pytest.mark.parametrize(("kinds", "items"), [(6, 60), (1, 1), (3, 7)])
 @pytest.mark.parametrize("seed", range(4))
-def test_a_trial_is_what_a_second_program_makes_of_it(
+def test_a_trial_equals_an_independent_implementation(
     seed: int, kinds: int, items: int
 ) -> None:
     """Whoever decides by chance is shown the same items and tastes, and judged alike."""
@@ -83,7 +83,7 @@ class Learner:
         return self.known.get(kind, True)
 
 
-def test_who_remembers_the_taste_of_each_kind_is_wrong_once_per_poison() -> None:
+def test_a_controller_that_learns_each_kind_errs_once_per_poison() -> None:
     for seed in range(20):
         learner = Learner()
         _, outcome = played(seed, learner)
@@ -93,7 +93,9 @@ def test_who_remembers_the_taste_of_each_kind_is_wrong_once_per_poison() -> None
 
 
 @pytest.mark.parametrize("eaten", [(), range(6), (0, 2, 4)])
-def test_who_does_not_learn_is_right_as_often_as_wrong(eaten: Sequence[int]) -> None:
+def test_a_controller_that_does_not_learn_is_right_half_the_time(
+    eaten: Sequence[int],
+) -> None:
     """Whatever it eats: nothing, all, some kinds; over 100 trials."""
     fitness = [
         played(seed, lambda kind, _: kind in eaten)[1].fitness[0] for seed in range(100)
@@ -101,13 +103,13 @@ def test_who_does_not_learn_is_right_as_often_as_wrong(eaten: Sequence[int]) -> 
     assert np.mean(fitness) == pytest.approx(0.0, abs=0.4 * np.std(fitness))
 
 
-def test_what_is_said_while_tasting_has_no_effect() -> None:
+def test_actions_while_tasting_have_no_effect() -> None:
     _, silent = played(3, lambda kind, taste: kind < 3 and not taste)
     _, loud = played(3, lambda kind, taste: kind < 3 or bool(taste))
     assert silent == loud
 
 
-def test_a_controller_that_says_nan_eats_nothing() -> None:
+def test_a_controller_that_returns_nan_eats_nothing() -> None:
     simulator = FoodOrPoison(FoodOrPoisonSettings(items=9))
     simulator.reset(1)
     for _ in range(8):

@@ -100,7 +100,9 @@ def test_an_unpushed_pendulum_hangs_and_has_fitness_zero() -> None:
         (-370, -100),
     ],
 )
-def test_an_angle_reads_as_in_the_data_sheet(degrees: float, angle: float) -> None:
+def test_angles_are_converted_as_the_data_sheet_states(
+    degrees: float, angle: float
+) -> None:
     """Agree up to float32 rounding.
 
     The last case is FREVO's: its remainder has the sign of the dividend.
@@ -142,7 +144,7 @@ def test_upright_counts_the_steps_near_the_top() -> None:
         assert simulator.outcome().metrics[0] == share
 
 
-def test_the_frame_shows_cart_and_mass_and_says_when_the_cart_is_elsewhere() -> None:
+def test_the_frame_shows_cart_and_mass_and_notes_when_the_cart_is_outside() -> None:
     simulator = begun({}, phi=math.pi, position=1.0)
     cart, mass = simulator.frame().bodies
     (rod,) = simulator.frame().lines

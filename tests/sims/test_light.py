@@ -51,7 +51,7 @@ def test_lights_and_headings_are_frevos(evaluation: int) -> None:
 
 
 @pytest.mark.parametrize(("seed", "heading_seed"), [(1234, 1), (0, 0), (2**48 - 1, 77)])
-def test_headings_follow_one_another_in_javas_generator(
+def test_headings_are_successive_draws_of_javas_generator(
     seed: int, heading_seed: int
 ) -> None:
     simulator = Light(LightSettings(seed=seed, heading_seed=heading_seed))
@@ -68,7 +68,7 @@ def test_light_keeps_the_contract(settings: dict[str, int]) -> None:
     check_simulator(Light, settings)
 
 
-def test_no_light_in_view_reads_as_if_it_were_touched() -> None:
+def test_sensors_without_light_in_view_read_like_a_touched_light() -> None:
     """FREVO's reading, kept: 1 - 0 / 70."""
     assert seen(heading=180.0, light_x=0.0, light_y=-50.0) == [1.0, 1.0]
 
@@ -86,7 +86,7 @@ def test_a_light_ahead_is_seen_by_both_sensors_the_nearer_the_brighter() -> None
 
 
 @pytest.mark.parametrize(("light_y", "left"), [(-69.9, 1 - 69.9 / 70), (-70.1, 1.0)])
-def test_a_sensor_sees_seventy_far(light_y: float, left: float) -> None:
+def test_a_sensor_has_a_range_of_seventy(light_y: float, left: float) -> None:
     """From its own place on the robot's left edge."""
     assert seen(heading=0.0, light_x=-5.0, light_y=light_y)[0] == pytest.approx(
         left, abs=1e-6
@@ -108,8 +108,8 @@ def test_a_sensor_sees_a_quarter_of_a_right_angle_to_each_side(
     assert (seen(heading=heading, light_x=x, light_y=y)[0] < 1.0) == is_seen
 
 
-def test_a_wall_holds_the_robot_whatever_way_it_came() -> None:
-    """It does not slide along the wall, and goes on turning."""
+def test_a_wall_stops_the_robot_from_every_direction() -> None:
+    """It does not slide along the wall, and continues to turn."""
     simulator = begun(x=95.0, heading=45.0, light_x=0.0, light_y=0.0)
     simulator.step(np.array([[1.0, 1.0]], np.float32))
     assert simulator.world.state[:3].tolist() == [95.0, 0.0, 45.0]
@@ -118,7 +118,7 @@ def test_a_wall_holds_the_robot_whatever_way_it_came() -> None:
     assert simulator.world.state[2] > 45.0
 
 
-def test_who_does_nothing_has_the_fitness_of_the_data_sheet() -> None:
+def test_an_idle_robot_has_the_fitness_of_the_data_sheet() -> None:
     simulator = begun()
     while simulator.step(STOP) is not None:
         pass
@@ -137,7 +137,7 @@ def test_a_trial_ends_when_the_light_is_touched_but_not_in_the_first_step() -> N
     assert simulator.frame().bodies[0].kind == "robot at the light"
 
 
-def test_a_trial_has_a_step_more_than_count() -> None:
+def test_a_trial_has_one_step_more_than_the_setting() -> None:
     simulator = Light(LightSettings(steps=3))
     simulator.reset(1)
     assert [simulator.step(STOP) is None for _ in range(4)] == [False, False, False, True]

@@ -42,7 +42,7 @@ def test_maze_keeps_the_contract(settings: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("name", ["medium", "hard"])
 @pytest.mark.parametrize("seed", range(5))
-def test_a_robot_that_drives_about_is_where_a_second_program_has_it(
+def test_a_driving_robot_follows_an_independent_implementation(
     name: Any, seed: int
 ) -> None:
     """Compare sensors, positions and fitness with the naive implementation of the reference.
@@ -72,7 +72,7 @@ def test_a_robot_that_drives_about_is_where_a_second_program_has_it(
     assert bumps
 
 
-def test_the_settings_name_the_mazes_that_there_are() -> None:
+def test_the_settings_name_every_maze() -> None:
     assert (
         set(get_args(MazeSettings.__annotations__["map"].__origin__))
         == set(PLANS)
@@ -88,7 +88,7 @@ def test_walls_are_given_from_the_left_or_from_above(name: Any) -> None:
 
 
 @pytest.mark.parametrize("name", list(PLANS))
-def test_there_is_a_way_to_the_goal_and_time_enough(name: Any) -> None:
+def test_the_goal_can_be_reached_in_time(name: Any) -> None:
     """Flood-fill the maze on a grid of a few centimetres.
 
     Even without diagonals, the path found is shorter than the robot can drive.
@@ -119,7 +119,7 @@ def test_there_is_a_way_to_the_goal_and_time_enough(name: Any) -> None:
     )
 
 
-def test_a_robot_behind_the_wall_of_the_hard_maze_is_nearer_than_most_of_the_way_round() -> (
+def test_the_dead_end_of_the_hard_maze_is_nearer_to_the_goal_than_most_of_the_detour() -> (
     None
 ):
     """What deceives who breeds for nearness."""
@@ -188,14 +188,14 @@ def test_reaching_the_goal_in_the_last_step_beats_not_reaching_it() -> None:
     assert simulator.outcome().fitness == [1.0]
 
 
-def test_who_stays_where_it_starts_has_the_distance_over_the_diagonal() -> None:
+def test_a_resting_robot_has_the_documented_fitness() -> None:
     simulator = begun()
     while simulator.step(REST) is not None:
         pass
     assert simulator.outcome().fitness[0] == pytest.approx(1 - 1.5 / math.hypot(2, 2))
 
 
-def test_a_controller_that_says_nan_fails_its_trial_without_noise() -> None:
+def test_a_controller_that_returns_nan_fails_its_trial_without_warnings() -> None:
     simulator = begun()
     while simulator.step(np.full((1, 2), np.nan, np.float32)) is not None:
         pass

@@ -161,7 +161,7 @@ def test_turns_give_the_same_bits_as_the_kernel(settings: dict[str, int]) -> Non
             trial += 1
 
 
-def test_a_seed_decides_the_trial_whatever_was_played_before() -> None:
+def test_a_seed_determines_the_trial_independently_of_earlier_trials() -> None:
     simulator, network = built({})
     alone = play(simulator, network, [champion()], UNSEEN[7:8])
     after_others = play(simulator, network, [champion()], UNSEEN[:8])

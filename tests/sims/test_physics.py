@@ -74,7 +74,7 @@ def test_motors_speed_up_with_their_force_and_no_more() -> None:
     np.testing.assert_allclose(speeds[-5:], 1.0, rtol=1e-9)
 
 
-def test_what_controllers_decide_is_cut_to_what_robots_can() -> None:
+def test_decisions_are_limited_to_the_robots_abilities() -> None:
     actions = np.array(
         [[np.nan, 0.5], [7, -3], [np.inf, -np.inf], [0.5, 0.75]], np.float32
     )
@@ -84,7 +84,7 @@ def test_what_controllers_decide_is_cut_to_what_robots_can() -> None:
     assert angular.tolist() == [0, -3.14, -3.14, 9, 1.57]
 
 
-def test_a_driver_cuts_commands_too() -> None:
+def test_a_driver_also_limits_commands() -> None:
     built, other = world((2, 5, 0)), world((2, 5, 0))
     assert (
         drive(built, [7], [-50], 9).tobytes()
@@ -121,7 +121,7 @@ def test_restitution_is_the_share_of_speed_after_a_bump() -> None:
 
 @pytest.mark.parametrize(("robots", "moves"), [(1, False), (2, True)])
 @pytest.mark.parametrize("is_box", [True, False])
-def test_the_ground_holds_a_heavy_thing_against_one_robot_but_not_two(
+def test_friction_holds_a_heavy_box_against_one_robot_but_not_two(
     robots: int, moves: bool, is_box: bool
 ) -> None:
     """Each robot pushes with 15 N against 24.5 N of friction.
@@ -138,7 +138,7 @@ def test_the_ground_holds_a_heavy_thing_against_one_robot_but_not_two(
     assert moves or abs(moved) < 0.003
 
 
-def test_what_slides_is_stopped_by_friction_with_the_ground() -> None:
+def test_friction_stops_sliding_bodies() -> None:
     """After speed squared / (2 g times the coefficient)."""
     puck = Movable("puck", 0.1, 0.5, 0.4, is_box=False)
     built = world((1, 1, 0), things=[(puck, (3.0, 5.0, 0.0))], step_s=0.01, substeps=1)
@@ -248,7 +248,7 @@ def test_a_scan_agrees_with_points_walked_along_each_ray() -> None:
 # ---- trials ----------------------------------------------------------------------------
 
 
-def test_what_was_played_before_makes_no_difference() -> None:
+def test_earlier_trials_make_no_difference() -> None:
     """Bodies and contacts of earlier trials lie elsewhere in memory, and some are gone."""
     box = Movable("box", 0.4, 5.0, 0.2, is_box=True)
     crowd = [

@@ -288,7 +288,7 @@ def test_trials_per_call_adapt_to_their_time() -> None:
 
 
 def test_the_number_of_agents_may_differ_by_trial() -> None:
-    """In turns each has a state of its own, and a picture all of them."""
+    """In turns each robot has its own state, and a picture shows all of them."""
     varied, genomes = herd(robots={"from": 1, "to": 5}), NETWORK.random(1, Stream(1))
     assert varied.agents == (1, 5)
     seeds = np.arange(30, dtype=np.uint64)
@@ -352,7 +352,7 @@ class Host(HostingSimulator):
         return Outcome([self.settings.robots * 1000 + genomes[0][0]], [])
 
 
-def test_a_hosting_simulator_is_prepared_with_each_of_its_settings(
+def test_a_simulator_that_hosts_the_controller_is_prepared_for_each_drawn_setting(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     load = plugins.load

@@ -34,7 +34,7 @@ def fitted(
 
 @pytest.mark.parametrize("rays", [8, 36, 181, 1081])
 @pytest.mark.parametrize("degrees", [90.0, 270.0, 360.0])
-def test_a_scan_of_the_controllers_own_scanner_stays_as_it_is(
+def test_a_scan_that_fits_the_controller_is_not_changed(
     rays: int, degrees: float
 ) -> None:
     """Angles are float32 in a message, so they are not quite those of the rays."""
@@ -58,7 +58,7 @@ def test_an_invalid_reading_counts_as_no_obstacle(nothing: float) -> None:
     assert (np.delete(found, 7) == 2).all()
 
 
-def test_what_is_too_close_to_be_measured_is_at_0() -> None:
+def test_ranges_below_the_minimum_become_0() -> None:
     ranges = np.full(36, 2.0)
     ranges[7] = -np.inf
     assert fitted(ranges, -VIEW / 2, VIEW / 35).tolist() == [2.0] * 7 + [0.0] + [2.0] * 28
@@ -74,7 +74,7 @@ def test_what_is_too_close_to_be_measured_is_at_0() -> None:
         (2 * PI, -PI / 180),
     ],
 )
-def test_scanners_that_look_all_around_begin_where_they_like(
+def test_full_circle_scans_may_begin_at_any_angle(
     angle_min: float, increment: float
 ) -> None:
     """Something is at 57 to 63 degrees on the left, and at 2 on the right of straight ahead."""
@@ -98,7 +98,7 @@ def test_a_scanner_that_looks_ahead_only_sees_nothing_behind() -> None:
     assert (found[np.abs(seen) > 35] == REACH).all()
 
 
-def test_a_few_rays_are_read_by_those_that_look_almost_there() -> None:
+def test_few_measured_rays_fill_all_rays_of_the_controller() -> None:
     assert (fitted(np.ones(10), -VIEW / 2, VIEW / 9) == 1).all()
 
 
@@ -110,7 +110,7 @@ def test_impossible_angles_see_nothing(angles: tuple[float, float]) -> None:
     assert (fitted(np.ones(36), *angles) == REACH).all()
 
 
-def test_the_nearest_target_is_seen_in_the_robots_frame() -> None:
+def test_the_nearest_target_is_given_in_the_robots_frame() -> None:
     """Look up from (1, 1), a rotation by 90 degrees as a quaternion.
 
     The nearer of two exits is 2 m to the left of the robot.
@@ -143,7 +143,7 @@ def test_a_tilted_robot_sees_a_unit_vector() -> None:
     assert np.hypot(observation[1], observation[2]) == pytest.approx(1, abs=1e-6)
 
 
-def test_a_decision_is_cut_to_what_the_robot_can() -> None:
+def test_a_decision_is_limited_to_the_robots_abilities() -> None:
     shares = np.array([0, 0.5, 1, -3, 7, np.inf, -np.inf, np.nan, 0.75], np.float32)
     assert [velocity(share, 2.0) for share in shares] == [-2, 0, 2, -2, 2, 2, -2, 0, 1]
 
@@ -170,7 +170,7 @@ def test_compiled_and_plain_have_the_same_bits() -> None:
         )
 
 
-def test_the_world_tells_all_that_its_controllers_observe_by_messages() -> None:
+def test_messages_carry_everything_that_controllers_observe() -> None:
     simulator = TurtlebotExit(TurtlebotExitSettings(robots=3))
     turn = simulator.reset(5)
     assert simulator.robot is not None

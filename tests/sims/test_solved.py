@@ -61,7 +61,7 @@ def at_random(problem: Problem) -> np.ndarray:
 
 
 @pytest.mark.parametrize("seed", range(1, 6))
-def test_xor_is_right_soon_and_without_error_later(seed: int) -> None:
+def test_xor_is_solved_early_and_exact_later(seed: int) -> None:
     evolved = Evolved("xor", seed)
     assert at_random(evolved.problem).mean() == pytest.approx(-0.69, abs=0.02)
     # No case is wrong: one with an error of .5 would make it -.25.
@@ -90,7 +90,7 @@ def test_xor_is_solved_from_every_seed() -> None:
 
 
 @pytest.mark.parametrize("example", ["xor-layers", "xor-roles"])
-def test_xor_is_solved_without_loops_but_not_without_parts(example: str) -> None:
+def test_xor_needs_a_hidden_layer_or_two_networks(example: str) -> None:
     """By a hidden layer, or by two networks in turn; not by one network without a hidden layer."""
     for seed in range(1, 6):
         assert Evolved(example, seed).history[-1] > -0.01
@@ -128,7 +128,7 @@ def test_a_robot_finds_lights_that_it_never_saw_in_evolution() -> None:
 
 
 @pytest.mark.long
-def test_who_was_evolved_in_many_kinds_of_rooms_is_better_in_unseen_ones() -> None:
+def test_champions_of_varied_rooms_do_better_in_held_out_rooms() -> None:
     """Compare ten champions of varied rooms with ten of fixed rooms; all ten are better in both.
 
     Varied rooms differ in their numbers of agents, exits and blockades.

@@ -40,7 +40,7 @@ def test_the_install_command_works_without_pip_and_without_zswarm_in_an_index(
     assert how("keys").endswith(" 'zswarm[keys]'")
 
 
-def test_a_package_that_lacks_a_dependency_names_it(
+def test_a_package_with_a_missing_dependency_names_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Installing the extra would not help."""

@@ -27,7 +27,7 @@ MAY_DATE = {
 WALL = {"time", "time_ns", "localtime", "gmtime", "ctime", "strftime"}
 
 
-def test_only_modules_that_date_ask_for_the_time_of_day() -> None:
+def test_only_listed_modules_read_the_time_of_day() -> None:
     asking = set()
     for path in PACKAGE.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):

@@ -42,7 +42,7 @@ def example() -> dict[str, Any]:
 Gather: Any = example()["Gather"]
 
 
-def test_the_contract_is_one_screen_with_a_whole_simulator() -> None:
+def test_a_whole_simulator_fits_on_one_screen_and_passes_the_check() -> None:
     """It passes, and the check says how fast it is."""
     assert len(Simulator.__doc__.splitlines()) <= MOST_LINES
     speed = check_simulator(Gather)
@@ -273,7 +273,7 @@ AGAIN = "played again, after other trials, has another outcome: "
         (GivesANumber, "GivesANumber.outcome must return an Outcome, not 1.0"),
         (
             NeverEnds,
-            "NeverEnds: the trial goes on after 300 turns: step must return None when it is over",
+            "NeverEnds: the trial continues after 300 turns: step must return None when it is over",
         ),
         (Exits, r"Exits: return None from step to end a trial; do not call exit\(3\)"),
         (
@@ -316,7 +316,7 @@ def test_a_seeded_generator_of_ones_own_and_caches_are_no_mistake() -> None:
     check_simulator(Cautious)
 
 
-def test_clocks_and_generators_are_as_before() -> None:
+def test_the_check_restores_clocks_and_generators() -> None:
     state, before = random.getstate(), time.time
     check_simulator(Gather)
     assert random.getstate() == state

@@ -25,7 +25,6 @@ from zswarm.nets.neurons import (
     copy_lanes,
     copy_outputs,
     put,
-    weigh,
     weigh_lanes,
 )
 
@@ -72,9 +71,11 @@ def step(parameters, state, observation, output):  # type: ignore[no-untyped-def
         row = (nodes + LANES - 1) // LANES * LANES
         activation = int(parameters[2 if layer == layers - 1 else 1])
         biases = weights + sources * row
-        weigh(parameters, weights, row, state, here, sources, state, there)
         for first in range(0, row, LANES):
-            sums = load(state, there + first)
+            sums = fill(ZERO)
+            for source in range(sources):
+                kept = load(parameters, weights + source * row + first)
+                sums = sums + kept * state[here + source]
             store(state, there + first, load(parameters, biases + first) + sums)
             activate(
                 activation, state, there + first, there + first, min(LANES, nodes - first)

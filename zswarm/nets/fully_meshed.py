@@ -1,9 +1,9 @@
 """Fully-meshed recurrent network, exactly FREVO's ``FullyMeshedNet``.
 
 Source: FREVO 1.5, github.com/smartgrids-aau/Frevo. Nodes are inputs, hidden, outputs; each node but
-the inputs hears every node. A decision repeats ``iterations`` times: compute all activations from
-the previous outputs, then set all outputs. Outputs last from one decision to the next. Genome and
-what differs from FREVO: docs/representations.md.
+the inputs receives the outputs of all nodes. A decision repeats ``iterations`` times: compute all
+activations from the previous outputs, then set all outputs. Outputs last from one decision to the
+next. Genome and what differs from FREVO: docs/representations.md.
 """
 
 from collections.abc import Sequence
@@ -96,7 +96,7 @@ def step_lanes(parameters, state, observation, output):  # type: ignore[no-untyp
 
 
 class FullyMeshed(Meshed):
-    """Recurrent network, FREVO's, in which every node hears every node."""
+    """Recurrent network, FREVO's, in which every node is connected to every node."""
 
     settings_type = FullyMeshedSettings
     step = staticmethod(step)

@@ -82,7 +82,7 @@ def of_layers(inputs: int, tables: Sequence[np.ndarray]) -> Graph:
 def of_meshed(
     inputs: int, outputs: int, weights: np.ndarray, texts: Sequence[str]
 ) -> Graph:
-    """Return the graph of a network whose neurons hear all inputs and all neurons.
+    """Return the graph of a network whose neurons are connected to all inputs and neurons.
 
     Args:
         inputs: numbers that the network observes.

@@ -1,4 +1,4 @@
-"""Genomes of recurrent networks whose neurons hear all inputs and all neurons."""
+"""Genomes of recurrent networks whose neurons are connected to all inputs and neurons."""
 
 from collections.abc import Sequence
 

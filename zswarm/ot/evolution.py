@@ -116,7 +116,7 @@ def start(
     *,
     name: str = "",
 ) -> Iterator[Evolution]:
-    """Start one run in a new folder, whatever the experiment's study says.
+    """Start one run in a new folder, ignoring the experiment's study.
 
     Args:
         loaded, where: the experiment, and its name in errors.

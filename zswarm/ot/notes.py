@@ -14,7 +14,7 @@ Severity = Literal["info", "warning", "error"]
 
 
 class RunEvent(StrEnum):
-    """What happened: its name, how severe it is, and the line that tells it to a user, if any."""
+    """An event of a run: its name, its severity, and the line that reports it to a user, if any."""
 
     BEGAN = "began"  # the run, or resumed
     DIAGNOSIS = "diagnosis", "warning", "{text}"

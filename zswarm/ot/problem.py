@@ -84,7 +84,7 @@ class Problem:
         return Workload(genomes, participants, trials, len(self.simulator.metrics))
 
     def trials_at_once(self, candidates: int | None) -> int | None:
-        """Return the trials in the first round of so many candidates; None if that is unknown."""
+        """Return the trials in the first round of some candidates; None if that is unknown."""
         games = None if candidates is None else self.ranking.next_games(candidates, ())
         return None if games is None else len(games) * self.experiment.problem.trials
 

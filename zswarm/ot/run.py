@@ -33,7 +33,7 @@ def evolve(
 
     Raises:
         EvaluationError: trials cannot be evaluated.
-        NoServers: the number of servers asked for was not there in time.
+        NoServers: too few servers were found in time.
         Stopped: ``stop`` was set.
     """
     begin, (problem, optimizer) = time.monotonic(), parts

@@ -115,7 +115,7 @@ def assigned(texts: Sequence[str], where: str) -> dict[str, str]:
                 f"{where} {clean(text)}: expected NAME=VALUE, such as gpu=yes"
             )
         if name in values:
-            raise ConfigError(f"{where} {clean(text)}: {clean(name)} is there twice")
+            raise ConfigError(f"{where} {clean(text)}: {clean(name)} is given twice")
         values[name] = value
     return values
 

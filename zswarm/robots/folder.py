@@ -58,8 +58,8 @@ def write(folder: Path, files: Mapping[str, str | bytes]) -> list[Path]:
                 continue
             if _hash(at.read_bytes()) not in (known.get(path), new):
                 raise ConfigError(
-                    f"{at}: exists, and not as it was exported; name another folder by --out, "
-                    "or remove it"
+                    f"{at}: exists and differs from the exported one; name another folder by "
+                    "--out, or remove it"
                 )
         for path, content in contents.items():
             at = folder / path

@@ -27,7 +27,7 @@ from zswarm.robots.drive_checks import STEPS, DriveSteps, drive_steps, first_and
 from zswarm.robots.profiles import profile as profiles
 from zswarm.sims import robot_interface
 
-SILENT_STEPS = 3  # the watchdog waits at least so many steps for a message
+SILENT_STEPS = 3  # the watchdog waits at least this many steps for a message
 Types = dict[str, Type]
 Files = dict[str, str | bytes]  # path in the package's folder -> content
 Words = dict[str, object]

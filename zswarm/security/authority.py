@@ -35,7 +35,7 @@ class Authority:
     def __init__(self, folder: Path, *, now: datetime | None = None) -> None:
         key, certificate = folder / KEY, folder / AUTHORITY
         if not key.exists():
-            remedy = "zswarm-keys init makes one, --authority DIR says where it is"
+            remedy = "zswarm-keys init makes one, --authority DIR names its folder"
             raise KeysError(f"{folder}: no authority here; {remedy}")
         self.folder = folder
         self._now = now or datetime.now(UTC)

@@ -85,7 +85,7 @@ def init(lab: str | None, folder: Path | None, as_json: bool) -> None:
         say(
             "Tell it to those who set up machines: zswarm-keys join shows it there, to compare."
         )
-        say("Keep a copy of that folder in a safe place; who has it can let anyone in.")
+        say("Keep a copy of that folder in a safe place: its holder can admit anyone.")
         say("Next: zswarm-keys issue lab-01 lab-02 --optimizer alice")
 
 
@@ -181,7 +181,7 @@ def request(
 
     if user is not None and (router or name is not None):
         raise KeysError(
-            "--optimizer USER says role and name: leave --router and --name out"
+            "--optimizer USER gives role and name: leave --router and --name out"
         )
     role: Role = "ot" if user is not None else "router" if router else "ss"
     chosen = name if user is None else user
@@ -305,9 +305,9 @@ def _check_machine(holder: Holder, file: Path, name: str | None) -> None:
     names = [name] if name else [keys.fold(platform.node()), keys.fold(_host())]
     if holder.role != "ss" or holder.name in names:
         return
-    here = f"this machine is {_host()!r}; if it is right, say --name {holder.name}"
+    here = f"this machine is {_host()!r}; if it is right, use --name {holder.name}"
     if name:
-        here = f"--name says {name[:80]!r}"
+        here = f"--name is {name[:80]!r}"
     raise KeysError(f"{file} holds the keys of {holder}, and {here}")
 
 

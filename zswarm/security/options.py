@@ -71,7 +71,7 @@ class AuthorityOptions(NamedTuple):
         check_folder(self.out)
         for path in (self.out / f"{name}.zkeys" for name in names):
             if path.exists() and not self.force:
-                raise KeysError(f"{path} is there already; --force replaces it")
+                raise KeysError(f"{path} exists already; --force replaces it")
 
     def hand_out(
         self,

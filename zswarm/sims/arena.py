@@ -33,7 +33,7 @@ from zswarm.sims.simulator import Body, Frame, Label, Ray, Rectangle, Steps
 from zswarm.sims.trial import Teams, play_many, problem
 
 ITEM_RADIUS = 0.05  # m, in pictures
-ABOUT = 0.1  # of the truth: who says so, says what is true
+ABOUT = 0.1  # of the truth: an opinion within this range counts as right
 
 Metres = Annotated[float, Meta(ge=1e-3, le=1e4)]
 

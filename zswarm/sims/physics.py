@@ -35,7 +35,7 @@ SLOP = 0.001  # m that bodies may overlap; without any, contacts come and go
 # 1/s: overlap beyond ``SLOP``, and the distance to a thing held, decay as exp(-PARTING t).
 PARTING = 6.3
 RIM = 0.1  # m, thickness of the walls around a room
-OUTSIDE = 1e6  # m from here robots and things stand that were taken out, each at a place of its own
+OUTSIDE = 1e6  # m; bodies that were taken out are beyond this, each at a separate place
 
 READ = (
     BodyFields.POSITION

@@ -20,7 +20,7 @@ def shrunk(area: Area, by: float) -> Area:
 
 
 def require_room(where: str, what: str, number: int, radius: float, area: Area) -> None:
-    """Check that so many discs can be strewn over an area, which their centres do not leave.
+    """Check that this many discs, with their centres in an area, can be placed at random.
 
     Raises:
         ConfigError: they do not fit.

@@ -169,7 +169,7 @@ class Varied(Simulator):
 
 
 def _corners(found: Mapping[Path, Mapping[str, Any]]) -> Iterator[dict[Path, Any]]:
-    """Yield the first ends, each other end by itself, and combinations of the outer ends."""
+    """Yield the first ends, each other end alone, and combinations of the outer ends."""
     first = {path: ranges.ends(one)[0] for path, one in found.items()}
     yield first
     for path, one in found.items():

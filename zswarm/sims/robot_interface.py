@@ -17,7 +17,7 @@ from zswarm.kernels.jit import array, float32, float64, inline, kernel, sqrt, vo
 from zswarm.kernels.portable import PI
 
 ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
-# Radians; a scan whose rays are nearer to each other than that says nothing.
+# Radians; a scan whose rays are closer than this is not usable.
 FINEST = 1e-6
 MOST_PLACES = 1e7
 # Readings below are ROS's minus infinity (REP 117): nearer than the scanner can measure.

@@ -70,7 +70,7 @@ def take_turns(
         if turn is None:
             return
     raise BrokenContractError(
-        f"the trial goes on after {MAX_TURNS:,} turns: step must return None when it is over"
+        f"the trial continues after {MAX_TURNS:,} turns: step must return None when it is over"
     )
 
 

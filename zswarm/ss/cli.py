@@ -111,7 +111,7 @@ def status(name: str, as_json: bool) -> None:
 @name_option
 @option("--wait", is_flag=True, help="Wait until it has ended.")
 def drain(name: str, wait: bool) -> None:
-    """Have this machine's daemon finish what runs and end; for its own user and root."""
+    """Tell this machine's daemon to finish running work and end; for its own user and root."""
     from zswarm.ss.local import status
 
     _try(lambda: status.drain(name, wait=wait))

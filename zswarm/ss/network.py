@@ -86,7 +86,7 @@ class Inbox:
             os.read(self._wake, 4096)
 
     def take(self) -> Iterator[Item]:
-        """Remove and yield the items that are there."""
+        """Remove and yield the waiting items."""
         for _ in range(len(self._items)):
             yield self._items.popleft()
 

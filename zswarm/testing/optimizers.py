@@ -45,7 +45,7 @@ def check_optimizer(
             the setting ``measures`` gets two unless they are named here.
         representation: what to evolve; by default a small fully-meshed network. If its genomes are
             not plain numbers, decisions near 1/4 are good instead of weights near zero.
-        generations: the best fitness must have improved after so many.
+        generations: the best fitness must have improved after this many.
 
     Raises:
         AssertionError: a rule is broken; the text names it.

@@ -38,7 +38,7 @@ def test_a_row_has_median_and_quartiles_of_the_runs() -> None:
     assert row == ("a", 5, 3.0, 2.0, 4.0, 5.0, 1.0, 50.0, 1.0)
 
 
-def test_runs_of_unequal_length_are_compared_where_all_have_been() -> None:
+def test_runs_of_unequal_length_are_compared_at_the_shortest_length() -> None:
     """At the largest number of generations that all have; a note reports it."""
     found = comparison.of_series({"a": [run(1, 2, 3)], "b": [run(1, 5)]}, "generations")
     assert found.at == 2
@@ -64,7 +64,7 @@ def test_a_note_names_groups_of_different_cost() -> None:
     assert any("different numbers of evaluations" in note for note in found.notes)
 
 
-def test_no_common_number_of_evaluations_is_one_line() -> None:
+def test_runs_without_a_common_number_of_evaluations_are_reported_in_one_line() -> None:
     with pytest.raises(
         ConfigError, match="no number of evaluations is common to all runs"
     ):
@@ -82,7 +82,7 @@ def test_a_run_in_which_all_failed_is_the_worst() -> None:
     assert "runs in which every candidate failed count as the worst" in found.notes
 
 
-def test_nothing_finished_is_one_line() -> None:
+def test_no_finished_generation_is_reported_in_one_line() -> None:
     with pytest.raises(ConfigError, match="no run finished a generation yet"):
         comparison.of_series({"a": [run()]}, "generations")
 
@@ -126,7 +126,7 @@ def test_a_small_sample_is_tested_exactly(
     assert pair.p == pytest.approx(exact_p(a, b))
 
 
-def test_a12_is_how_often_a_run_of_the_first_is_better() -> None:
+def test_a12_is_the_probability_that_a_run_of_the_first_group_is_better() -> None:
     (pair,) = comparison.of_series(
         {"a": ended([1, 2, 3, 4]), "b": ended([1, 5, 6, 7])}, "generations"
     ).pairs
@@ -134,7 +134,7 @@ def test_a12_is_how_often_a_run_of_the_first_is_better() -> None:
     assert comparison.effect(pair.a12) == comparison.effect(1 - pair.a12) == "large"
 
 
-def test_equal_groups_differ_by_chance() -> None:
+def test_equal_groups_do_not_differ_significantly() -> None:
     found = comparison.of_series({name: ended([7] * 6) for name in "abc"}, "generations")
     assert {pair.p_holm for pair in found.pairs} == {1.0}
     assert found.kruskal_p == 1.0
@@ -177,7 +177,7 @@ def test_very_many_groups_are_tested_over_all_only() -> None:
     assert found.kruskal_p < comparison.LEVEL
 
 
-def test_without_scipy_the_table_is_there_and_a_line_says_what_to_install(
+def test_without_scipy_the_table_is_shown_with_an_install_hint(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def missing(module: str, extra: str, what: str) -> None:
@@ -199,7 +199,7 @@ def test_without_scipy_the_table_is_there_and_a_line_says_what_to_install(
 # ---- recorded runs
 
 
-def test_a_run_that_is_given_twice_is_one_sample(tmp_path: Path) -> None:
+def test_a_run_given_twice_counts_as_one_sample(tmp_path: Path) -> None:
     """By folder, and by history: a second run of the same seed is no second sample."""
     first, again = written(tmp_path, [1, 2]), written(tmp_path, [1, 2])
     other = written(tmp_path, [1, 3], seed=2)
@@ -237,14 +237,14 @@ def test_the_summary_needs_no_scipy(
 # ---- curves
 
 
-def test_a_curve_is_the_median_where_all_runs_have_been() -> None:
+def test_a_curve_is_the_median_up_to_the_shortest_run() -> None:
     drawn = curves.curve("a", [run(1, 2, 3), run(3, 4), run(2, 3, 9)], "generation")
     assert drawn.x.tolist() == [1, 2]
     assert drawn.median.tolist() == [2, 3]
     assert drawn.low.tolist() == [1.5, 2.5]
 
 
-def test_a_curve_over_evaluations_takes_what_each_run_had_by_then() -> None:
+def test_a_curve_over_evaluations_uses_the_latest_value_of_each_run() -> None:
     drawn = curves.curve("a", [run(1, 2, 3), run(5, 6, per_generation=75)], "evaluations")
     assert drawn.x.tolist() == [75, 100, 150]
     assert drawn.median.tolist() == [3, 3.5, 4.5]
@@ -262,7 +262,7 @@ def test_a_long_curve_keeps_its_ends_and_its_extremes() -> None:
     assert (np.diff(kept_x) > 0).all()
 
 
-def test_a_difference_that_no_pair_shows_is_explained() -> None:
+def test_a_difference_without_a_significant_pair_is_explained() -> None:
     """Kruskal-Wallis finds one, Mann-Whitney with Holm's correction does not."""
     groups = {
         "a": ended([4, 8, 9, 11, 12]),

@@ -16,7 +16,7 @@ from zswarm.ot.analysis import csv as spreadsheet
     # The last is a fullwidth =.
     ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1", "\n=1", "\uff1d1"],
 )
-def test_no_text_is_a_formula(text: str) -> None:
+def test_no_text_can_become_a_formula(text: str) -> None:
     """It begins with a quote, or with what a control character is shown as."""
     (row,) = csv.reader(
         io.StringIO(spreadsheet.to_csv(["a"], [[text]]).partition("\n")[2])
@@ -24,7 +24,7 @@ def test_no_text_is_a_formula(text: str) -> None:
     assert row[0][0] in "'\\"
 
 
-def test_texts_are_quoted_numbers_are_not_and_what_is_no_number_is_empty() -> None:
+def test_texts_are_quoted_numbers_are_not_and_nonfinite_numbers_are_empty() -> None:
     rows = [
         ['x,"y"', 1, -2.5],
         ["", None, float("nan")],
@@ -35,7 +35,7 @@ def test_texts_are_quoted_numbers_are_not_and_what_is_no_number_is_empty() -> No
     )
 
 
-def test_a_link_or_a_device_stays_what_it_is(tmp_path: Path) -> None:
+def test_a_link_or_device_is_not_replaced_by_a_file(tmp_path: Path) -> None:
     """Such as /dev/stdout, which is a link to one."""
     file, link, pipe = tmp_path / "table.csv", tmp_path / "link", tmp_path / "pipe"
     link.symlink_to(file)

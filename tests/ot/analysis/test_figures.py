@@ -97,14 +97,14 @@ def test_all_kinds_of_runs_are_drawn(
     )
 
 
-def test_more_groups_than_can_be_distinguished_are_refused() -> None:
+def test_more_groups_than_colours_can_distinguish_are_refused() -> None:
     with pytest.raises(ConfigError, match="are too many for one figure"):
         figures.of_series(
             {str(number): repeats(1) for number in range(drawing.MAX_GROUPS + 1)}
         )
 
 
-def test_a_long_run_makes_no_large_file() -> None:
+def test_a_long_run_makes_a_small_file() -> None:
     noisy = np.random.default_rng(1).normal(0, 1, 50_000)
     drawn = run(np.maximum.accumulate(noisy).tolist())._replace(mean=noisy)
     assert len(figures.render(figures.of_series({"a": [drawn]}), "svg")) < 100_000
@@ -137,7 +137,7 @@ def test_runs_may_be_drawn_in_threads() -> None:
     assert [found[number] for number in range(4)] == alone
 
 
-def test_a_name_that_says_no_format_is_one_line(tmp_path: Path) -> None:
+def test_a_name_without_a_known_format_is_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(
         ConfigError, match=r"expected a name that ends in \.pdf, \.svg or \.png"
     ):
@@ -147,7 +147,7 @@ def test_a_name_that_says_no_format_is_one_line(tmp_path: Path) -> None:
 # ---- in the run's folder
 
 
-def test_a_picture_is_left_in_the_folder(tmp_path: Path) -> None:
+def test_a_picture_is_saved_in_the_folder(tmp_path: Path) -> None:
     said: list[str] = []
     folder = written(tmp_path, [1, 2, 3], finished=False)
     figures.save_picture(folder, said.append)
@@ -224,7 +224,7 @@ def test_generations_in_csv_are_those_of_the_record(study: Path) -> None:
     assert [row[2] for row in rows] == recorded * 2
 
 
-def test_plot_says_what_does_not_compare_and_where_a_curve_is_cut(tmp_path: Path) -> None:
+def test_plot_reports_incomparable_groups_and_where_a_curve_ends(tmp_path: Path) -> None:
     written(tmp_path / "a", [1.0, 2.0, 3.0])
     written(tmp_path / "b", [1.0, 2.0], seed=2)
     said = invoke("plot", tmp_path, "-o", tmp_path / "figure.svg")
@@ -286,7 +286,7 @@ def test_plot_leaves_other_programs_figures_alone(
     assert (study / "plain.png").read_bytes() == (study / "styled.png").read_bytes()
 
 
-def test_compare_shows_the_groups_and_what_the_test_says(
+def test_compare_shows_the_groups_and_the_result_of_the_test(
     study: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")
@@ -322,7 +322,7 @@ def test_compare_as_csv_is_the_table(study: Path) -> None:
     assert said[1].startswith('"hidden 1",4,1.1875,1.09375,1.28125,1.375,1.0,6.0,')
 
 
-def test_reading_leaves_the_runs_as_they_are(study: Path) -> None:
+def test_reading_does_not_change_the_runs(study: Path) -> None:
     def contents() -> dict[Path, bytes]:
         return {path: path.read_bytes() for path in study.rglob("*") if path.is_file()}
 
@@ -346,7 +346,7 @@ def test_figures_of_unknown_axes_and_sizes_are_refused_with_the_choices(
         zswarm.plot(run, size="huge")  # type: ignore[arg-type]
 
 
-def test_without_matplotlib_the_numbers_are_written_all_the_same(
+def test_the_numbers_are_written_even_without_matplotlib(
     study: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
@@ -368,7 +368,7 @@ def test_a_figure_and_a_page_are_named_after_what_they_show(
         invoke("report", "hidden-1", "-o", "page.pdf")
 
 
-def test_what_is_piped_is_not_folded(study: Path) -> None:
+def test_piped_output_is_not_folded(study: Path) -> None:
     """Names of any length stay whole."""
     long = study / ("a-long-name-" * 12)
     (study / "hidden-1").rename(long)

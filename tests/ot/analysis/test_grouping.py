@@ -76,7 +76,7 @@ def test_groups_are_named_by_what_differs(
     assert all(len(runs) == 1 for runs in together.values())
 
 
-def test_groups_of_other_problems_are_labelled_by_their_simulators(
+def test_groups_with_different_problems_are_labelled_by_simulator(
     tmp_path: Path,
 ) -> None:
     make(tmp_path, "lab")

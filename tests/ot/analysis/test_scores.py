@@ -58,7 +58,9 @@ def written(parent: Path, seed: int = 1) -> Path:
         return record.folder
 
 
-def test_the_best_of_such_a_run_is_that_of_its_last_generation(tmp_path: Path) -> None:
+def test_the_best_score_of_a_relative_run_is_that_of_its_last_generation(
+    tmp_path: Path,
+) -> None:
     folder = written(tmp_path)
     assert Run(folder).relative
     assert Run(folder).best() == list_runs(tmp_path)[0]["best"] == SCORES[-1]
@@ -70,7 +72,9 @@ def test_the_best_of_such_a_run_is_that_of_its_last_generation(tmp_path: Path) -
     assert "fitness" not in Run(folder)._repr_html_()
 
 
-def test_its_curve_is_of_generations_and_says_so(tmp_path: Path) -> None:
+def test_the_curve_of_a_relative_run_is_labelled_as_scores_per_generation(
+    tmp_path: Path,
+) -> None:
     folder = written(tmp_path)
     assert curves.series(Run(folder)).best.tolist() == SCORES
     figure = zswarm.plot(Run(folder))
@@ -81,7 +85,7 @@ def test_its_curve_is_of_generations_and_says_so(tmp_path: Path) -> None:
     ]
 
 
-def test_such_runs_are_not_compared(tmp_path: Path) -> None:
+def test_relative_runs_are_not_compared(tmp_path: Path) -> None:
     """What there is instead is named."""
     folders = [str(written(tmp_path, seed)) for seed in (1, 2)]
     refused = CliRunner().invoke(command, ["compare", *folders])
@@ -89,7 +93,7 @@ def test_such_runs_are_not_compared(tmp_path: Path) -> None:
     assert "evaluate RUN --against RUN" in str(refused.exception)
 
 
-def test_its_report_says_what_the_score_is_and_whom_the_champion_played(
+def test_the_report_of_a_relative_run_explains_the_score_and_names_the_opponent(
     tmp_path: Path,
 ) -> None:
     folder = written(tmp_path)
@@ -102,7 +106,7 @@ def test_its_report_says_what_the_score_is_and_whom_the_champion_played(
     assert "<h2>Comparison</h2>" not in study
 
 
-def test_the_last_line_of_a_run_says_that_it_is_a_score() -> None:
+def test_the_summary_of_a_relative_run_shows_a_score() -> None:
     ended = Result("runs/duel", 3, 9.0, 150, 0, "0" * 32, 1.0, 0, 0, relative=True)
     assert summary(ended).startswith(
         "the last generation's best score is 9 after 3 generations, 150 eval"
@@ -112,7 +116,7 @@ def test_the_last_line_of_a_run_says_that_it_is_a_score() -> None:
     )
 
 
-def test_a_finished_run_that_is_resumed_says_so_too(tmp_path: Path) -> None:
+def test_resuming_a_finished_relative_run_shows_its_score(tmp_path: Path) -> None:
     assert (
         f"the last generation's best score is {SCORES[-1]:g} after 3 generations"
         in invoke("resume", str(written(tmp_path)))

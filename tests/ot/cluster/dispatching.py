@@ -1,4 +1,4 @@
-"""A dispatch under test: events and plain times in, commands out."""
+"""Test a dispatch: events and plain times in, commands out."""
 
 from typing import Any
 
@@ -61,7 +61,7 @@ class Optimizer:
         self.counted: list[int] = []
 
     def feed(self, event: Event) -> list[Ask]:
-        """What is asked now."""
+        """Feed an event; return the new questions."""
         self.commands = self.dispatch.handle(event, self.now)
         for command in self.commands:
             if isinstance(command, Ask):
@@ -83,7 +83,7 @@ class Optimizer:
         return self.feed(Answered(ask.question, reply))
 
     def wait(self, seconds: float) -> list[Ask]:
-        """Let time pass, with a tick whenever one is wanted; what is asked then."""
+        """Let time pass, with a tick whenever one is wanted; return the new questions."""
         asks, end = [], self.now + seconds
         for _ in range(1000):
             if self.dispatch.next_time() > end:
@@ -94,7 +94,7 @@ class Optimizer:
         raise AssertionError("a loop without delay")
 
     def join(self, *servers: str, slots: int = 1, trial_s: float = 1.0) -> None:
-        """Servers appear and are ready."""
+        """Let servers appear and become ready."""
         for server in servers:
             (ask,) = self.feed(Seen(server))
             (ask,) = self.answer(ask, offer(slots))
@@ -151,7 +151,7 @@ def fault(ask: Ask, trial: int = 0) -> Fault:
 
 
 def trials(asks: list[Ask]) -> list[int]:
-    """Of all the batches among them."""
+    """Return the trials of all batches among the commands."""
     return sorted(
         trial for ask in asks if ask.trials is not None for trial in ask.trials.tolist()
     )

@@ -1,4 +1,4 @@
-"""A connection without servers, to test a run's loop: this program fills in the outcomes."""
+"""Fake a connection without servers, to test a run's loop: this program fills in the outcomes."""
 
 import contextlib
 from collections.abc import Generator, Iterator
@@ -44,7 +44,7 @@ class FakeConnection:
 
 
 def result(evolution: Generator[Generation, None, Result]) -> Result:
-    """Of a run that is left to go to its end."""
+    """Play a run to its end and return the result."""
     while True:
         try:
             next(evolution)

@@ -5,7 +5,7 @@ import math
 from zswarm.ot.cluster.debounce import GATHER_S, QUIET_S, Newcomers
 
 
-def test_one_alone_waits_a_moment() -> None:
+def test_a_single_newcomer_waits_briefly() -> None:
     new = Newcomers()
     assert (new.due, new.take(1e9)) == (math.inf, [])
     new.add("a", 1.0)
@@ -15,7 +15,7 @@ def test_one_alone_waits_a_moment() -> None:
     assert (new.due, new.take(1e9)) == (math.inf, [])
 
 
-def test_they_wait_for_those_that_still_come_the_longer_the_longer_it_took() -> None:
+def test_newcomers_wait_longer_the_longer_others_keep_coming() -> None:
     new = Newcomers()
     for number in range(101):
         new.add(number, 10.0 + number * 0.01)
@@ -24,7 +24,7 @@ def test_they_wait_for_those_that_still_come_the_longer_the_longer_it_took() -> 
     assert new.take(11.5) == list(range(101))
 
 
-def test_not_for_ever() -> None:
+def test_newcomers_do_not_wait_forever() -> None:
     new = Newcomers()
     number = 0
     while number * 0.01 < new.due:
@@ -34,7 +34,7 @@ def test_not_for_ever() -> None:
     assert new.take(GATHER_S) == list(range(number))
 
 
-def test_those_that_left_are_not_asked() -> None:
+def test_newcomers_that_left_are_not_asked() -> None:
     new = Newcomers()
     new.add("a", 0.0)
     new.add("b", 0.0)

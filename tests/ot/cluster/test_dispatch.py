@@ -64,7 +64,7 @@ def test_a_server_is_asked_for_its_offer_then_reserved_then_given_work() -> None
     assert optimizer.dispatch.servers.standing().serving == ["a"]
 
 
-def test_a_server_is_asked_once_however_often_it_is_seen() -> None:
+def test_a_server_is_asked_once_even_if_seen_repeatedly() -> None:
     optimizer = Optimizer()
     optimizer.feed(Seen("a"))
     assert optimizer.feed(Seen("a")) == []
@@ -103,7 +103,7 @@ def test_a_server_that_prepares_is_renewed_until_all_slots_are_ready() -> None:
     ) == ([], 2)
 
 
-def test_no_more_slots_are_waited_for_than_are_wanted() -> None:
+def test_a_run_waits_for_no_more_slots_than_it_wants() -> None:
     optimizer = Optimizer(slots=1)
     optimizer.join("a")
     (ask,) = optimizer.feed(Seen("b"))
@@ -134,7 +134,7 @@ def choosing(
 
 
 def offers(optimizer: Optimizer, capacity: int, **cores: int) -> None:
-    """Servers appear and offer so many slots each."""
+    """Let servers appear and offer this many slots each."""
     for server, count in cores.items():
         (ask,) = optimizer.feed(Seen(server))
         assert optimizer.answer(ask, offer(capacity, cores=str(count))) == []
@@ -148,7 +148,9 @@ def reserved(asks: list[Ask]) -> list[tuple[str, int]]:
     ]
 
 
-def test_a_server_that_is_not_what_is_required_is_named_once_and_not_reserved() -> None:
+def test_a_server_that_does_not_meet_the_requirements_is_named_once_and_not_reserved() -> (
+    None
+):
     """However often it is seen; again when it says something else."""
     optimizer = choosing(require=("gpu=yes", "cores>=8"))
     told = []
@@ -166,7 +168,7 @@ def test_a_server_that_is_not_what_is_required_is_named_once_and_not_reserved() 
     assert verbs(optimizer.answer(ask, offer(gpu="yes", cores="8"))) == [("a", "reserve")]
 
 
-def test_of_more_slots_than_may_be_held_the_best_servers_give_theirs() -> None:
+def test_slots_are_reserved_from_the_best_servers_up_to_the_limit() -> None:
     """They are reserved after a moment, when all are seen; the last one gives only the rest."""
     optimizer = choosing(rank=("cores",), max_slots=6)
     offers(optimizer, 4, small=4, large=64, middle=16)
@@ -187,9 +189,7 @@ def test_of_more_slots_than_may_be_held_the_best_servers_give_theirs() -> None:
     ) == (1, 2, 6)
 
 
-def test_a_better_server_that_comes_later_changes_nothing_until_slots_are_missing() -> (
-    None
-):
+def test_a_better_server_that_joins_later_is_used_once_slots_are_missing() -> None:
     optimizer = choosing(rank=("cores",), max_slots=4)
     offers(optimizer, 4, small=4)
     optimizer.wait(ALLOT_AFTER_S)
@@ -200,7 +200,7 @@ def test_a_better_server_that_comes_later_changes_nothing_until_slots_are_missin
 
 
 @pytest.mark.parametrize("answer", [None, Refused(code="draining", reason="")])
-def test_the_next_server_is_asked_when_one_gives_nothing(answer: Reply | None) -> None:
+def test_the_next_server_is_asked_when_one_grants_no_slots(answer: Reply | None) -> None:
     optimizer = choosing(rank=("cores",), max_slots=2)
     offers(optimizer, 2, small=4, large=64)
     optimizer.wait(ALLOT_AFTER_S)
@@ -212,9 +212,7 @@ def test_the_next_server_is_asked_when_one_gives_nothing(answer: Reply | None) -
     assert reserved(asks) == [("small", 2)]
 
 
-def test_slots_that_a_busy_server_gives_late_are_held_in_the_place_of_worse_ones() -> (
-    None
-):
+def test_slots_granted_late_replace_those_of_worse_servers() -> None:
     """What is held meanwhile is given back as far as it is too much, and not one slot more."""
     optimizer = choosing(rank=("cores",), max_slots=4)
     offers(optimizer, 4, small=4, large=64)
@@ -234,7 +232,7 @@ def test_slots_that_a_busy_server_gives_late_are_held_in_the_place_of_worse_ones
     assert optimizer.dispatch.servers.standing().slots == 4
 
 
-def test_a_little_work_is_for_the_best_servers() -> None:
+def test_little_work_goes_to_the_best_servers() -> None:
     """A trial for each of their slots before a worse one has any."""
     optimizer = choosing(rank=("cores",))
     for server, cores in (("small", "4"), ("large", "64"), ("middle", "16")):
@@ -333,7 +331,7 @@ def test_a_lease_is_renewed_after_a_while() -> None:
     assert verbs(optimizer.wait(RENEW_S)) == [("a", "renew")]
 
 
-def test_a_renewal_is_not_asked_twice_whatever_else_is_answered() -> None:
+def test_other_answers_do_not_repeat_a_renewal() -> None:
     optimizer = Optimizer()
     optimizer.join("a")
     optimizer.work(1)
@@ -348,7 +346,7 @@ def test_a_renewal_is_not_asked_twice_whatever_else_is_answered() -> None:
     assert optimizer.feed(TimePassed()) == []
 
 
-def test_a_run_that_always_asks_hears_that_slots_went_to_others() -> None:
+def test_a_run_without_pauses_learns_that_it_lost_slots() -> None:
     optimizer = Optimizer()
     optimizer.join("a", slots=4)
     optimizer.wait(RENEW_S - 1.0)
@@ -387,7 +385,7 @@ def test_a_lost_lease_is_reserved_again_after_a_pause_and_its_trials_move(
     assert trials(asks) == trials([ask for ask in asks if ask.server == "a"])
 
 
-def test_what_is_answered_to_a_lost_lease_does_not_touch_the_next_one() -> None:
+def test_an_answer_to_a_lost_lease_does_not_affect_the_next_one() -> None:
     """The first lease's renewal is refused late, and does not prevent that of the second lease."""
     optimizer = Optimizer()
     optimizer.work(10)
@@ -461,7 +459,7 @@ def test_an_unanswered_request_is_repeated_then_the_server_is_backed_off(
     assert verbs(optimizer.wait(BACK_OFF_S)) == [("a", "offer")]
 
 
-def test_an_answer_gives_a_server_all_its_attempts_back() -> None:
+def test_an_answer_restores_all_attempts_of_a_server() -> None:
     optimizer = Optimizer()
     optimizer.feed(Seen("a"))
     for kind, reply in (("offer", offer()), ("reserve", lease("a", 0, state="waiting"))):
@@ -596,7 +594,7 @@ def test_early_outcomes_are_counted_once_and_a_batch_follows() -> None:
     assert optimizer.workload.fitness[trials([first]), 0].tolist() == trials([first])
 
 
-def test_a_fault_that_tells_nothing_new_counts_nothing() -> None:
+def test_a_fault_without_new_outcomes_counts_nothing() -> None:
     optimizer = Optimizer()
     optimizer.join("a", slots=2)
     (ask,) = optimizer.work(2)
@@ -704,7 +702,7 @@ def test_empty_queries_move_their_batches_when_the_token_vanishes() -> None:
     assert optimizer.wait(5.0) == []
 
 
-def test_a_draining_server_still_answers_what_it_computes() -> None:
+def test_a_draining_server_still_answers_running_batches() -> None:
     optimizer = Optimizer()
     optimizer.join("a")
     first, second = optimizer.work(4)[:2]
@@ -764,9 +762,7 @@ def left_alone(*, elsewhere: bool) -> tuple[Optimizer, list[Ask]]:
     return optimizer, left
 
 
-def test_batches_left_on_a_server_are_asked_for_again_when_its_lease_is_got_again() -> (
-    None
-):
+def test_stranded_batches_are_requested_again_when_the_lease_is_restored() -> None:
     """They run once: with the same number, a server attaches to what runs, or uses its cache."""
     optimizer, left = left_alone(elsewhere=False)
     (ask,) = optimizer.feed(Seen("a"))
@@ -781,7 +777,7 @@ def test_batches_left_on_a_server_are_asked_for_again_when_its_lease_is_got_agai
     assert Complete() in optimizer.commands
 
 
-def test_batches_left_on_a_server_are_cancelled_there_when_others_took_them() -> None:
+def test_stranded_batches_that_other_servers_took_are_cancelled() -> None:
     optimizer, left = left_alone(elsewhere=True)
     optimizer.join("a")
     assert sorted(optimizer.asked["a", "cancel"].message.batches) == sorted(
@@ -803,7 +799,7 @@ def test_stranded_batches_are_sent_again_when_the_lease_ends() -> None:
     assert not {batch(ask) for ask in asks} & {batch(ask) for ask in left}
 
 
-def test_batches_left_on_a_server_are_cancelled_when_their_workload_ended() -> None:
+def test_stranded_batches_of_an_ended_workload_are_cancelled() -> None:
     optimizer, left = left_alone(elsewhere=False)
     optimizer.work(1)
     optimizer.join("a")
@@ -838,7 +834,7 @@ def test_the_end_of_an_unknown_server_is_ignored() -> None:
 # ---- refusals of batches
 
 
-def test_a_busy_server_is_paused_and_then_asked_what_it_has() -> None:
+def test_a_busy_server_is_asked_for_its_slots_after_a_pause() -> None:
     optimizer = Optimizer()
     optimizer.join("a")
     (ask,) = optimizer.work(1)
@@ -852,7 +848,7 @@ def test_a_busy_server_is_paused_and_then_asked_what_it_has() -> None:
         ask = optimizer.asked["a", "evaluate"]
 
 
-def test_what_a_busy_server_refused_goes_to_another_at_once() -> None:
+def test_a_batch_that_a_busy_server_refused_moves_at_once() -> None:
     optimizer = Optimizer()
     optimizer.join("a")
     (ask,) = optimizer.work(1)
@@ -880,7 +876,7 @@ def test_a_batch_that_every_server_refuses_ends_the_run_with_the_reason() -> Non
     )
 
 
-def test_a_server_that_cannot_take_our_batches_is_released_and_not_used() -> None:
+def test_a_server_that_cannot_hold_our_batches_is_released_and_not_used() -> None:
     optimizer = Optimizer()
     optimizer.join("a")
     first, _ = optimizer.work(2)
@@ -953,7 +949,7 @@ def test_every_server_gets_a_batch_before_any_gets_a_second() -> None:
     ]
 
 
-def test_two_batches_are_out_per_server_and_an_answer_brings_the_next() -> None:
+def test_each_server_has_two_batches_in_flight_and_an_answer_brings_the_next() -> None:
     optimizer = Optimizer()
     optimizer.join("a", "b")
     asks = optimizer.work(20)
@@ -983,16 +979,14 @@ def test_batches_are_of_75_ms_for_each_slot_and_shrink_towards_the_end_but_not_b
     assert found[-2] == 6
 
 
-def test_a_server_that_serves_alone_gets_all_in_few_batches() -> None:
+def test_a_single_server_gets_all_trials_in_few_batches() -> None:
     optimizer = Optimizer()
     optimizer.join("a", slots=2, trial_s=0.001)
     assert sizes(optimizer, 400, trial_s=0.001) == [150, 150, 100]
     assert sizes(optimizer, 37, trial_s=0.001) == [37]
 
 
-def test_an_answer_to_a_workload_takes_messages_by_its_work_and_not_by_its_slots() -> (
-    None
-):
+def test_the_number_of_messages_depends_on_the_work_and_not_on_slots() -> None:
     """Servers of four slots take no more messages than servers of one."""
     counts = []
     for slots in (1, 4):
@@ -1023,7 +1017,7 @@ def test_the_work_of_a_workload_grows_with_its_trials_and_not_with_their_square(
     assert of(160) < 5 * of(40)
 
 
-def test_the_time_of_a_trial_is_measured_and_not_what_the_probe_took() -> None:
+def test_the_time_of_a_trial_is_measured_instead_of_taken_from_the_probe() -> None:
     optimizer = Optimizer()
     optimizer.join("a", trial_s=0.0075)
     asks = optimizer.work(1000)
@@ -1043,7 +1037,7 @@ def test_trials_of_unknown_length_go_one_by_one() -> None:
     assert [len(ask.trials) for ask in optimizer.work(1000)] == [1, 1]  # type: ignore[arg-type]
 
 
-def test_a_batch_fits_into_a_message_whatever_genome_is_the_largest() -> None:
+def test_a_batch_fits_into_a_message_even_with_large_genomes() -> None:
     optimizer = Optimizer()
     optimizer.join("a", trial_s=1e-6)
     genomes = [b"small", *[b"x" * 1_000_000] * 99]
@@ -1056,10 +1050,8 @@ def test_a_batch_fits_into_a_message_whatever_genome_is_the_largest() -> None:
     assert sum(map(len, sent)) < 8 << 20
 
 
-def test_the_outcomes_of_a_batch_fit_into_a_message_however_many_metrics_there_are() -> (
-    None
-):
-    """One that is too large is dropped whenever it is asked for: the run would not go on."""
+def test_outcomes_with_many_metrics_fit_into_a_message() -> None:
+    """A message that is too large is dropped at every request: the run would not continue."""
     optimizer = Optimizer(metrics=1000)
     optimizer.join("a", slots=64, trial_s=1e-4)
     count = 1500
@@ -1097,7 +1089,7 @@ def test_a_batch_holds_the_genomes_its_trials_need_and_indices_into_these() -> N
 # ---- counting
 
 
-def test_outcomes_come_to_their_place_in_whatever_order() -> None:
+def test_outcomes_are_stored_by_trial_in_any_order_of_arrival() -> None:
     optimizer = Optimizer()
     optimizer.join("a", "b")
     asks = optimizer.work(4)
@@ -1150,7 +1142,7 @@ def test_metrics_are_stored_by_index_and_simulator_errors_are_reported() -> None
     assert optimizer.counted == [0]
 
 
-def test_to_count_a_trial_twice_is_a_bug() -> None:
+def test_counting_a_trial_twice_is_a_bug() -> None:
     optimizer = Optimizer()
     optimizer.join("a")
     (ask,) = optimizer.work(1)
@@ -1168,7 +1160,7 @@ def test_an_answer_that_comes_twice_counts_once() -> None:
     assert optimizer.counted == [0]
 
 
-def test_what_was_counted_before_is_not_evaluated() -> None:
+def test_counted_trials_are_not_evaluated() -> None:
     optimizer = Optimizer()
     optimizer.join("a", slots=4)
     workload = Workload([b"g"], np.zeros((4, 1), int), np.zeros(4, np.uint64), 0)
@@ -1182,7 +1174,7 @@ def test_a_workload_with_nothing_to_evaluate_is_complete() -> None:
     assert optimizer.commands == [Complete()]
 
 
-def test_a_generation_in_which_all_keep_their_fitness_is_complete() -> None:
+def test_a_generation_without_new_evaluations_is_complete() -> None:
     """As with a population of two: there is no candidate."""
     optimizer = Optimizer()
     optimizer.join("a")
@@ -1242,7 +1234,7 @@ def test_a_fault_blames_one_trial_and_the_others_are_sent_again() -> None:
     assert np.flatnonzero(np.isnan(workload.fitness)).tolist() == [poison]
 
 
-def test_what_is_done_of_a_batch_that_ends_in_a_fault_is_counted() -> None:
+def test_finished_trials_of_a_batch_that_ends_in_a_fault_are_counted() -> None:
     optimizer = Optimizer()
     optimizer.join("a", trial_s=0.01)
     (ask,) = optimizer.work(4)
@@ -1260,7 +1252,7 @@ def test_what_is_done_of_a_batch_that_ends_in_a_fault_is_counted() -> None:
 
 
 def test_a_fault_of_a_finished_trial_is_attributed_to_another() -> None:
-    """Which no server says; it must not end in a trial that nobody has."""
+    """No server sends this; it must not leave a trial without a server."""
     optimizer = Optimizer()
     optimizer.join("a", trial_s=0.01)
     (ask,) = optimizer.work(2)
@@ -1326,7 +1318,7 @@ def test_a_trial_that_waits_for_another_server_does_not_delay_others() -> None:
     assert trials(optimizer.answer(on_b, outcomes(on_b))) == trials([on_a[0]])
 
 
-def test_when_a_run_fails_what_is_out_is_cancelled() -> None:
+def test_a_failing_run_cancels_its_batches() -> None:
     optimizer = Optimizer()
     optimizer.join("a")
     first, second = optimizer.work(2)
@@ -1338,7 +1330,7 @@ def test_when_a_run_fails_what_is_out_is_cancelled() -> None:
     assert optimizer.answer(second, outcomes(second)) == []
 
 
-def test_when_a_run_fails_a_server_that_left_is_forgotten() -> None:
+def test_a_failing_run_forgets_servers_that_left() -> None:
     optimizer = Optimizer()
     optimizer.join("a", "b")
     asks = optimizer.work(2)

@@ -52,7 +52,7 @@ def test_options_of_an_experiment_become_terms() -> None:
     assert (made.participants, made.metrics) == (1, len(simulator.metrics))
 
 
-def test_messages_say_what_the_run_wants() -> None:
+def test_messages_carry_the_requirements_of_the_run() -> None:
     optimizer = Optimizer(slots=7)
     wanted = terms(7)
     (ask,) = optimizer.feed(Seen("a"))

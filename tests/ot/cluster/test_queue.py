@@ -35,13 +35,13 @@ def taken(
     return None if found is None else list(found.trials)
 
 
-def test_a_server_gets_so_many_trials_from_the_front_and_never_of_two_pieces() -> None:
+def test_a_server_gets_the_first_trials_and_never_from_two_chunks() -> None:
     waiting = line(piece(1, 2, 3), piece(4, 5))
     assert [taken(waiting, "a", 2) for _ in range(4)] == [[1, 2], [3], [4, 5], None]
     assert waiting.count == 0
 
 
-def test_what_comes_back_is_given_out_first() -> None:
+def test_returned_trials_are_handed_out_first() -> None:
     waiting = line(piece(1, 2))
     waiting.put(piece(7))
     assert waiting.count == 3
@@ -57,13 +57,13 @@ def test_a_failed_trial_waits_for_another_server_without_delaying_others() -> No
     ]
 
 
-def test_a_trial_that_failed_on_all_that_serve_goes_anywhere() -> None:
+def test_a_trial_that_failed_on_all_serving_servers_may_go_anywhere() -> None:
     waiting = line(piece(1, avoid="ab"))
     assert taken(waiting, "a", serving=["a", "b", "c"]) is None
     assert taken(waiting, "a", serving=["a"]) == [1]
 
 
-def test_a_part_of_a_piece_avoids_the_same_servers() -> None:
+def test_a_part_of_a_chunk_avoids_the_same_servers() -> None:
     waiting = line(piece(1, 2, avoid="a"))
     part = waiting.take("b", 1, BOTH)
     assert part is not None
@@ -80,7 +80,7 @@ def test_stranded_trials_move_together() -> None:
     assert (list(found.trials), found.stranded) == ([1, 2, 3], stranded)
 
 
-def test_what_a_server_was_stranded_with_is_its_own_until_another_took_it() -> None:
+def test_stranded_batches_stay_with_their_server_until_another_takes_them() -> None:
     own = piece(3, 4, stranded=batch(A, 9))
     waiting = line(
         piece(1, stranded=batch(A, 7)), piece(2, stranded=batch(B, 8)), own, piece(5)

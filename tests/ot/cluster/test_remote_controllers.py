@@ -59,7 +59,7 @@ def decided(reaction: Reaction) -> np.ndarray:
     return codec.decided(reaction, 2, SIMULATOR.outputs)
 
 
-def test_what_is_decided_is_what_the_trials_genome_decides_state_by_state(
+def test_decisions_are_those_of_the_trials_genome_state_by_state(
     controllers: RemoteControllers,
 ) -> None:
     expected = Networks(NETWORK, NETWORK.parameters([GENOMES[2]]))
@@ -82,7 +82,9 @@ def test_a_question_asked_again_gets_the_same_answer_and_changes_nothing(
             controllers.give("lab", LEASE, 7, np.array([1, 2]))
 
 
-def test_a_repeated_trial_begins_with_new_states(controllers: RemoteControllers) -> None:
+def test_a_repeated_trial_begins_with_fresh_states(
+    controllers: RemoteControllers,
+) -> None:
     first = [decided(ask(controllers, sensors(number))) for number in range(3)]
     second = [
         decided(ask(controllers, sensors(number, play=b"q" * 16))) for number in range(3)
@@ -105,7 +107,7 @@ def test_a_repeated_trial_begins_with_new_states(controllers: RemoteControllers)
         ("lab", {"trial": 2}, "malformed", "trial 2 is not in a batch of 2"),
     ],
 )
-def test_who_asks_for_what_is_not_its_own_is_refused(
+def test_a_question_about_a_batch_of_another_server_is_refused(
     controllers: RemoteControllers,
     server: str,
     changes: dict[str, object],
@@ -119,7 +121,7 @@ def test_who_asks_for_what_is_not_its_own_is_refused(
     ), refused
 
 
-def test_a_question_out_of_turn_is_refused_and_changes_nothing(
+def test_a_question_out_of_order_is_refused_and_changes_nothing(
     controllers: RemoteControllers,
 ) -> None:
     ask(controllers, sensors(0))
@@ -134,7 +136,7 @@ def test_a_question_out_of_turn_is_refused_and_changes_nothing(
     )
 
 
-def test_what_is_malformed_is_refused_with_a_reason(
+def test_malformed_questions_are_refused_with_a_reason(
     controllers: RemoteControllers,
 ) -> None:
     for body in (b"", b"\xc1", codec.encode(Actuators(actions=b""))):
@@ -146,7 +148,7 @@ def test_what_is_malformed_is_refused_with_a_reason(
     assert "inputs need" in getattr(ask(controllers, short), "reason", "")
 
 
-def test_batches_that_are_answered_and_workloads_that_are_over_are_decided_for_no_more(
+def test_questions_for_answered_batches_and_ended_workloads_are_refused(
     controllers: RemoteControllers,
 ) -> None:
     controllers.give("lab", LEASE, 8, np.array([0]))

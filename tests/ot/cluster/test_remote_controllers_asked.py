@@ -48,7 +48,7 @@ def evolution(folder: Path, logger: Logger, closed: list[int]) -> Evolution:
     return Evolution(folder, evolve, logger)
 
 
-def test_a_run_of_which_nothing_is_asked_goes_to_its_end(tmp_path: Path) -> None:
+def test_a_run_without_requests_runs_to_its_end(tmp_path: Path) -> None:
     logger, closed = Follower(tmp_path), list[int]()
     begun = evolution(tmp_path, logger, closed)
     assert [generation.generation for generation in begun] == [0, 1, 2]
@@ -61,7 +61,7 @@ def test_a_run_of_which_nothing_is_asked_goes_to_its_end(tmp_path: Path) -> None
 
 
 def test_a_run_stops_after_its_generation(tmp_path: Path) -> None:
-    """What it has begun is closed, and whoever follows is told that there is no result."""
+    """Everything that it began is closed, and loggers learn that there is no result."""
     logger, closed = Follower(tmp_path), list[int]()
     control.ask(tmp_path, "drain")
     generations = iter(evolution(tmp_path, logger, closed))
@@ -93,7 +93,7 @@ def test_a_run_that_pauses_can_be_stopped(tmp_path: Path, word: control.Word) ->
     assert closed == [1]
 
 
-def test_a_run_that_is_left_between_two_generations_is_closed(tmp_path: Path) -> None:
+def test_a_run_abandoned_between_generations_is_closed(tmp_path: Path) -> None:
     logger, closed = Follower(tmp_path), list[int]()
     begun = evolution(tmp_path, logger, closed)
     assert next(iter(begun)).generation == 0

@@ -195,7 +195,7 @@ def test_the_record_has_the_players_of_each_trial(
     assert [trial["candidates"] for trial in read] == together.tolist()
 
 
-def test_a_wrong_server_loses_its_round_and_what_it_did_before_is_doubtful(
+def test_outcomes_of_a_wrong_server_are_dropped_and_earlier_rounds_are_marked(
     tmp_path: Path, servers: Players
 ) -> None:
     """The games of a round were paired by what came before: those rounds stay, marked."""
@@ -337,7 +337,7 @@ def test_an_optimizer_that_compares_generations_is_refused_with_those_that_do_no
         ),
     ],
 )
-def test_what_does_not_fit_together_is_refused_in_one_line(
+def test_incompatible_parts_are_refused_in_one_line(
     overrides: list[str], words: str
 ) -> None:
     overrides = ["ranking = { kind = 'absolute' }"] if "--" in overrides else overrides
@@ -347,10 +347,10 @@ def test_what_does_not_fit_together_is_refused_in_one_line(
     assert "\n" not in str(refusal.value)
 
 
-def test_a_file_without_a_ranking_is_recorded_as_before_there_were_any(
+def test_the_record_of_a_file_without_a_ranking_has_no_ranking(
     tmp_path: Path,
 ) -> None:
-    """So runs of before can be resumed; a ranking that is added since is a change."""
+    """So runs from before rankings can be resumed; a ranking added since is a change."""
     complete = experiment.complete(experiment.load(experiment.find("stadium")), "test")
     with Record.create(tmp_path, complete, "0" * 32) as record:
         assert "ranking" not in record.meta("experiment")

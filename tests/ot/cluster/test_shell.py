@@ -61,7 +61,7 @@ def sending_to(server: str) -> bool:
 
 
 def test_the_sender_to_a_server_ends_with_it() -> None:
-    """A server that starts anew is another one: without this, a long run would gather threads."""
+    """A restarted server is a new one: without this, a long run would accumulate threads."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     listening, _ = session.open_server([endpoint], Reach([], multicast=False))
     with Cluster(
@@ -205,7 +205,7 @@ class Asking:
 @pytest.mark.parametrize(
     ("through_router", "second"), [(False, "this one"), (True, "send-lab-2")]
 )
-def test_a_batch_goes_at_once_while_nothing_is_unanswered_on_its_link(
+def test_a_batch_is_sent_at_once_if_its_link_has_no_unanswered_batch(
     through_router: bool, second: str
 ) -> None:
     """Behind a router, all servers share a link, on which a large batch may wait."""
@@ -225,9 +225,7 @@ def test_a_batch_waits_for_the_servers_thread_while_one_is_unanswered() -> None:
     asking.close()
 
 
-def test_a_server_that_is_back_is_not_taken_for_one_that_owes_answers_or_has_too_many_given() -> (
-    None
-):
+def test_a_server_that_returned_owes_no_answers_and_has_no_batches() -> None:
     asking = Asking()
     asking.join("lab-1")
     asking.work(1)

@@ -64,7 +64,7 @@ def test_a_workload_ends_when_another_server_has_verified_its_trials() -> None:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 1.0])
-def test_the_share_asked_for_is_verified_and_never_where_it_was_counted(
+def test_the_requested_share_is_verified_and_never_by_the_server_that_counted_it(
     share: float,
 ) -> None:
     optimizer = Optimizer(verify=share)
@@ -89,7 +89,7 @@ def test_the_share_asked_for_is_verified_and_never_where_it_was_counted(
     assert sorted(optimizer.counted) == list(range(1000))
 
 
-def test_without_a_second_server_a_workload_ends_unverified_and_says_so_once() -> None:
+def test_without_a_second_server_a_workload_ends_unverified_with_one_note() -> None:
     optimizer = Optimizer(verify=1.0)
     optimizer.join("a")
     for said in (1, 0):
@@ -124,7 +124,7 @@ def test_a_check_moves_to_the_third_server_when_the_second_is_gone() -> None:
     assert Complete() in optimizer.commands
 
 
-def test_one_wrong_bit_is_a_dispute() -> None:
+def test_one_wrong_bit_causes_a_dispute() -> None:
     optimizer, check = verified_once()
     assert optimizer.answer(check, outcomes(check, float(np.nextafter(7.0, 8.0)))) == []
     assert optimizer.commands == [Disputed(0)]
@@ -140,7 +140,7 @@ def test_any_nan_is_the_same_nan() -> None:
     assert optimizer.commands == [Complete()]
 
 
-def test_the_second_server_is_used_no_more_when_it_was_wrong() -> None:
+def test_a_second_server_that_was_wrong_is_banned() -> None:
     optimizer, check = verified_once()
     optimizer.answer(check, outcomes(check, 8.0))
     assert verbs(optimizer.feed(arbitrate(0, 7.0))) == [("b", "release")]
@@ -182,8 +182,8 @@ def test_outcomes_of_a_wrong_server_are_evaluated_again() -> None:
     assert set(workload.source) == {"b"}
 
 
-def test_a_check_of_what_was_retracted_may_come_after_the_end() -> None:
-    """The trials were counted anew by others; by these checks they are not verified again."""
+def test_a_check_of_retracted_trials_may_arrive_after_the_end() -> None:
+    """Other servers evaluated the trials again; these checks do not verify them again."""
     optimizer = Optimizer(verify=0.3)
     optimizer.join("a", slots=3)
     (ask,) = optimizer.work(3)
@@ -208,7 +208,7 @@ def test_a_check_of_what_was_retracted_may_come_after_the_end() -> None:
     assert optimizer.commands == []
 
 
-def test_both_are_used_no_more_when_both_were_wrong() -> None:
+def test_two_servers_that_were_both_wrong_are_banned() -> None:
     optimizer, check = verified_once()
     optimizer.answer(check, outcomes(check, 8.0))
     optimizer.feed(arbitrate(0, 9.0))
@@ -222,7 +222,7 @@ def test_both_are_used_no_more_when_both_were_wrong() -> None:
     assert optimizer.notes("unverified"), "c is alone"
 
 
-def test_a_verdict_of_a_workload_that_ended_is_nothing() -> None:
+def test_a_verdict_on_an_ended_workload_is_ignored() -> None:
     optimizer, check = verified_once()
     optimizer.answer(check, outcomes(check, 8.0))
     optimizer.work(1)
@@ -230,7 +230,7 @@ def test_a_verdict_of_a_workload_that_ended_is_nothing() -> None:
     assert not optimizer.notes("server_wrong")
 
 
-def test_what_was_restored_from_the_record_is_verified_and_can_be_retracted() -> None:
+def test_restored_outcomes_are_verified_and_can_be_retracted() -> None:
     optimizer = Optimizer(verify=1.0)
     optimizer.join("b")
     workload = Workload([b"g"], np.zeros((3, 1), int), np.arange(3).astype(np.uint64), 0)
@@ -243,7 +243,7 @@ def test_what_was_restored_from_the_record_is_verified_and_can_be_retracted() ->
     assert workload.counted.tolist() == [False, False, False]
 
 
-def test_what_was_restored_whole_is_complete_at_once_without_verification() -> None:
+def test_a_completely_restored_workload_is_complete_without_verification() -> None:
     optimizer = Optimizer()
     workload = Workload([b"g"], np.zeros((1, 1), int), np.arange(1).astype(np.uint64), 0)
     workload.counted[:], workload.source[:] = True, "a"
@@ -274,7 +274,7 @@ def test_on_different_probes_the_second_server_waits_until_this_machine_decides(
     assert optimizer.dispatch.servers.standing().serving == ["a"]
 
 
-def test_a_first_server_with_a_wrong_probe_gives_way_to_those_that_are_right() -> None:
+def test_a_first_server_with_a_wrong_probe_is_replaced_by_correct_ones() -> None:
     optimizer = Optimizer()
     join(optimizer, "a", b"wrong")
     (first, _) = optimizer.work(3)
@@ -293,7 +293,7 @@ def test_a_first_server_with_a_wrong_probe_gives_way_to_those_that_are_right() -
     assert optimizer.dispatch.servers.probe == b"right"
 
 
-def test_after_the_decision_a_server_that_differs_is_wrong_at_once() -> None:
+def test_after_arbitration_a_differing_server_is_wrong_at_once() -> None:
     optimizer = Optimizer()
     join(optimizer, "a", b"right")
     join(optimizer, "b", b"other")
@@ -336,7 +336,7 @@ def test_a_trial_that_fails_everywhere_blames_no_server() -> None:
     assert optimizer.dispatch.servers.standing().serving == ["a", "b", "c"]
 
 
-def test_a_server_that_did_much_is_forgiven_a_few_faults() -> None:
+def test_a_server_that_counted_many_trials_is_allowed_a_few_faults() -> None:
     optimizer = Optimizer()
     optimizer.join("a", "b")
     optimizer.dispatch.servers.by_id["a"].counted = 10_000

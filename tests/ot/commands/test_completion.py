@@ -51,7 +51,7 @@ def script(shell: str) -> str:
 
 
 class Typist:
-    """Types into an interactive shell on a terminal of its own."""
+    """Type into an interactive shell on a separate terminal."""
 
     def __init__(self, *command: str) -> None:
         self._terminal, other = pty.openpty()

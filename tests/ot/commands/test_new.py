@@ -87,7 +87,7 @@ def test_a_new_simulator_is_the_example_with_another_name(
         ("there", "there: exists already"),
     ],
 )
-def test_a_name_that_cannot_be_is_refused_in_one_line(
+def test_an_impossible_name_is_refused_in_one_line(
     name: str,
     words: str,
     tmp_path: Path,

@@ -74,7 +74,7 @@ def test_labels_and_limits_are_shown_with_their_servers(
     assert not [line for line in lines if line.startswith("limits") and "b-0" in line]
 
 
-def test_who_matches_an_experiment_comes_first_in_the_order_of_its_rank(
+def test_matching_servers_come_first_in_the_order_of_the_rank(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """And of each other one the reason is told, the experiment's own as those of servers."""

@@ -62,7 +62,7 @@ class Stuck:
 def test_a_tab_that_is_stuck_is_closed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With the code that tells it to come again, and nobody is followed for it any more."""
+    """It is closed with the code for reconnecting, and no run is followed for it any more."""
     monkeypatch.setattr(app, "STUCK_S", 0.01)
     folder = written(tmp_path, [1.0])
     watched, tab = Broadcaster(RunIndex([tmp_path])), Stuck()
@@ -71,7 +71,7 @@ def test_a_tab_that_is_stuck_is_closed(
     assert watched._channels == {}
 
 
-def test_there_are_so_many_tabs_and_no_more(
+def test_a_tab_beyond_the_limit_is_closed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(broadcast, "TABS", 0)

@@ -8,7 +8,7 @@ import pytest
 from zswarm.ot.dashboard.broadcast import WAITING, Channel, Tab
 
 
-def test_a_tab_that_takes_nothing_costs_so_much_and_no_more() -> None:
+def test_a_tab_that_reads_nothing_has_a_bounded_queue() -> None:
     tab = Tab()
     for _ in range(10 * WAITING):
         tab.put(b"x")
@@ -42,8 +42,8 @@ def test_a_reconnected_tab_gets_the_missed_changes() -> None:
     asyncio.run(scenario())
 
 
-def test_an_error_of_the_dashboard_itself_leaves_no_tab_waiting() -> None:
-    """It is told to come again, and the next one that comes begins anew."""
+def test_an_error_in_the_dashboard_leaves_no_tab_waiting() -> None:
+    """It is told to reconnect, and the next tab starts again."""
     looks = iter([{"n": 1}])
 
     async def scenario() -> None:

@@ -11,7 +11,7 @@ from zswarm.ot.dashboard.rows import BatchRow
 from zswarm.ot.record.reader import Run
 
 
-def test_a_curve_has_so_many_points_at_most_and_loses_no_peak(tmp_path: Path) -> None:
+def test_a_downsampled_curve_keeps_its_peaks(tmp_path: Path) -> None:
     run = Run(written(tmp_path, [number / 100 for number in range(99)] + [5.0]))
     whole, few = downsample.curve(run), downsample.curve(run, 10)
     assert whole["generation"] == list(range(100))
@@ -27,7 +27,7 @@ def test_quartiles_are_of_the_candidates_of_some_generations(tmp_path: Path) -> 
     assert downsample.statistics(run)["values"]["mean"] == [0.0, 1.0, None, 3.0]
 
 
-def test_champions_are_where_the_best_rose(tmp_path: Path) -> None:
+def test_champions_are_recorded_when_the_best_fitness_rises(tmp_path: Path) -> None:
     run = Run(written(tmp_path, [1.0, 1.0, 3.0, 3.0]))
     assert [one["generation"] for one in downsample.champions(run)] == [0, 2]
 

@@ -10,7 +10,7 @@ from zswarm.ot.dashboard import endpoints
 from zswarm.ot.record.reader import Run
 
 
-def test_what_an_address_asks_for_must_be_a_number(tmp_path: Path) -> None:
+def test_an_address_must_ask_for_a_number(tmp_path: Path) -> None:
     run = Run(written(tmp_path, [1.0]))
     for text in ("", "-1", "1.5", "x", "1" * 40, "\u0663"):
         with pytest.raises(ConfigError, match="generation: expected a whole number"):

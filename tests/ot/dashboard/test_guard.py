@@ -73,7 +73,7 @@ def ask(
         "lab-01:8467",
     ],
 )
-def test_names_and_addresses_of_this_machine_are_let_in(host: str) -> None:
+def test_names_and_addresses_of_this_machine_are_accepted(host: str) -> None:
     assert ask(host=host)[0] == 200
 
 
@@ -87,7 +87,7 @@ def test_names_and_addresses_of_this_machine_are_let_in(host: str) -> None:
         "localhost.evil.example:8467",
     ],
 )
-def test_a_name_that_is_made_to_lead_here_is_refused(host: str) -> None:
+def test_a_foreign_name_that_resolves_to_this_machine_is_refused(host: str) -> None:
     """DNS rebinding: the browser would take the page for the attacker's own."""
     assert ask(host=host)[0] == 400
 
@@ -95,10 +95,10 @@ def test_a_name_that_is_made_to_lead_here_is_refused(host: str) -> None:
 @pytest.mark.parametrize(
     "method", ["POST", "PUT", "DELETE", "PATCH", "OPTIONS", "TRACE", "NONSENSE"]
 )
-def test_requests_that_change_something_need_the_own_page_and_the_token(
+def test_requests_that_change_something_need_the_pages_origin_and_the_token(
     method: str,
 ) -> None:
-    """An allow-list of methods: what nobody thought of is refused, too."""
+    """Methods are an allow-list: unknown ones are refused, too."""
     right = {"authorization": f"Bearer {TOKEN}"}
     assert ask(method)[0] == 403
     assert ask(method, **right)[0] == 403
@@ -120,7 +120,7 @@ def test_a_websocket_of_another_page_is_refused() -> None:
     assert ask(websocket=True, path="/ws")[0] == 1008
 
 
-def test_beyond_this_machine_reading_takes_the_token_too() -> None:
+def test_reading_from_the_network_needs_the_token() -> None:
     """The page itself has nothing to hide; what it reads has."""
     assert ask(closed=True)[0] == 200
     assert ask(path="/api/runs", closed=True)[0] == 401
@@ -141,7 +141,7 @@ def test_beyond_this_machine_reading_takes_the_token_too() -> None:
 
 
 @pytest.mark.parametrize("host", [OURS, "evil.example"])
-def test_every_answer_tells_the_browser_to_be_strict(host: str) -> None:
+def test_every_response_has_strict_security_headers(host: str) -> None:
     """Scripts and styles are the dashboard's files only; no frames, no sniffing of types."""
     _, headers = ask(host=host)
     assert (

@@ -27,7 +27,7 @@ def test_no_run_outside_the_folders_is_found(tmp_path: Path) -> None:
         assert index.folder(id_) is None
 
 
-def test_ids_are_plain_whatever_a_folder_is_called(tmp_path: Path) -> None:
+def test_ids_are_plain_for_every_folder_name(tmp_path: Path) -> None:
     folder = written(tmp_path, [1.0])
     shutil.move(folder, tmp_path / "<b>ü\u202e x")
     (row,) = RunIndex([tmp_path]).rows()
@@ -36,7 +36,7 @@ def test_ids_are_plain_whatever_a_folder_is_called(tmp_path: Path) -> None:
     assert RunIndex([tmp_path]).folder(row["id"]) == tmp_path / "<b>ü\u202e x"
 
 
-def test_a_folder_need_not_be_there_yet(tmp_path: Path) -> None:
+def test_the_folder_may_be_created_later(tmp_path: Path) -> None:
     index = RunIndex([tmp_path / "runs"])
     assert index.rows() == []
     written(tmp_path / "runs", [1.0])

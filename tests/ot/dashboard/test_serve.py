@@ -25,7 +25,7 @@ def status(url: str, token: str = "") -> int:
             return error.code
 
 
-def test_beyond_this_machine_it_says_so_and_reading_takes_the_token(
+def test_a_dashboard_on_the_network_prints_that_and_reading_needs_the_token(
     tmp_path: Path,
 ) -> None:
     """Until its standard input closes, as with ``run --dashboard``."""

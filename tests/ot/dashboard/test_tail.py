@@ -10,7 +10,7 @@ from zswarm.ot.record import control_file as control
 from zswarm.ot.record.writer import Record
 
 
-def test_a_look_finds_what_was_added_since_the_one_before(tmp_path: Path) -> None:
+def test_each_poll_returns_only_new_rows(tmp_path: Path) -> None:
     """And tells nothing twice."""
     folder = written(
         tmp_path,
@@ -51,7 +51,7 @@ def test_running_and_stopped_runs_are_distinguished(tmp_path: Path) -> None:
     assert tail.look()["state"]["status"] == "stopped"
 
 
-def test_a_record_that_cannot_be_read_is_explained_and_may_become_whole(
+def test_an_unreadable_record_is_explained_and_may_become_readable(
     tmp_path: Path,
 ) -> None:
     folder = written(tmp_path, [1.0])

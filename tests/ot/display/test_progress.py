@@ -36,7 +36,7 @@ shown.on_end(None)
 """
 
 
-def test_what_matters_most_is_shown_where_there_is_little_room() -> None:
+def test_a_narrow_line_shows_the_most_important_parts() -> None:
     parts = ["best 1", "mean 2", "3/s", "4 slots"]
     assert fitting(parts, 80) == "best 1  mean 2  3/s  4 slots"
     assert fitting(parts, 27) == "best 1  3/s  4 slots"

@@ -48,7 +48,7 @@ def test_elite_is_not_simulated_again() -> None:
 @pytest.mark.parametrize(
     ("agents", "first"), [(1, 145), (2, 73), (4, 37), (8, 19), (16, 10), (32, 5)]
 )
-def test_the_controller_leaves_the_optimizer_from_so_many_steps(
+def test_controllers_belong_outside_the_optimizer_from_a_number_of_steps(
     agents: int, first: int
 ) -> None:
     assert crossing(paper(agents, 1), TABLE_I) == first
@@ -60,12 +60,12 @@ def test_the_controller_leaves_the_optimizer_from_so_many_steps(
 
 
 @pytest.mark.parametrize("steps", FIGURE_3)
-def test_figure_3(steps: int) -> None:
+def test_the_ratios_equal_figure_3(steps: int) -> None:
     found = [ratio(paper(agents, steps), TABLE_I) for agents in (1, 2, 4, 8, 16)]
     assert found == pytest.approx(FIGURE_3[steps], abs=0.0005)
 
 
-def test_the_coefficients_of_equations_9_and_10() -> None:
+def test_the_coefficients_equal_those_of_equations_9_and_10() -> None:
     found = coefficients(paper(1, 1), TABLE_I)
     assert found.base_s == pytest.approx(2.4)
     assert found.internal == pytest.approx(250)
@@ -77,7 +77,7 @@ def test_the_coefficients_of_equations_9_and_10() -> None:
 
 @pytest.mark.parametrize("threads", [1, 2, 7.5, 50])
 @pytest.mark.parametrize(("agents", "steps"), [(1, 1), (8, 18), (16, 100)])
-def test_equations_9_and_10_are_7_and_8_in_numbers(
+def test_equations_9_and_10_follow_numerically_from_7_and_8(
     agents: int, steps: int, threads: float
 ) -> None:
     plan = paper(agents, steps)
@@ -102,7 +102,7 @@ def test_ten_agents_and_fifty_steps_take_days() -> None:
     assert optimization_s(blob, plan, TABLE_I) == pytest.approx(50_600, abs=5)
 
 
-def test_the_ratio_hangs_on_threads_a_little() -> None:
+def test_the_ratio_depends_slightly_on_threads() -> None:
     """The paper says it does not: the time between generations has no threads."""
     assert ratio(paper(1, 1), TABLE_I) == pytest.approx(0.0347, abs=5e-5)
     assert ratio(paper(1, 1), TABLE_I, 50) == pytest.approx(0.0360, abs=5e-5)
@@ -111,7 +111,7 @@ def test_the_ratio_hangs_on_threads_a_little() -> None:
     ) == pytest.approx(1, abs=1e-3)
 
 
-def test_beside_parameters_the_controller_never_belongs_in_the_optimizer() -> None:
+def test_compared_with_parameters_the_controller_never_belongs_in_the_optimizer() -> None:
     found = [
         ratio(paper(agents, steps), TABLE_I, against=blob)
         for agents in (1, 8, 16)
@@ -132,7 +132,7 @@ def test_a_faster_simulator_makes_many_messages_look_worse() -> None:
     assert found[-1] > 100
 
 
-def test_what_is_dear_enough_is_never_crossed() -> None:
+def test_free_messages_have_no_crossing() -> None:
     free = msgspec.structs.replace(TABLE_I, message_s=0.0)
     assert crossing(paper(1, 1), free) is None
 
@@ -165,7 +165,7 @@ def test_the_optimizer_itself_is_the_limit_at_last() -> None:
     assert useful_slots(blob, plan, constants) == 50
 
 
-def test_rounds_are_whole() -> None:
+def test_rounds_are_whole_numbers() -> None:
     """Three slots are no better than two for four candidates."""
     constants = Constants(step_s=1.0, message_s=0, busy_s=0)
     assert [
@@ -179,7 +179,7 @@ def test_rounds_are_whole() -> None:
     ]
 
 
-def test_messages_of_each_way() -> None:
+def test_each_way_has_its_number_of_messages() -> None:
     plan = Plan(generations=1, population=4, steps=50, agents=8)
     assert internal(plan, TABLE_I).messages == 805
     assert internal(plan, TABLE_I, 16).messages == 820
@@ -201,6 +201,6 @@ def test_threads_are_no_more_than_candidates(threads: float) -> None:
         optimization_s(internal, paper(1, 1), TABLE_I, threads)
 
 
-def test_there_is_a_slot() -> None:
+def test_zero_slots_are_refused() -> None:
     with pytest.raises(ValueError, match="slots: expected 1 or more, got 0"):
         expected_s(blob, paper(1, 1), TABLE_I, 0)

@@ -140,7 +140,7 @@ def test_check_counts_the_runs_of_a_study(tmp_path: Path) -> None:
     assert "study" not in check("minisim")
 
 
-def test_check_says_the_same_as_json() -> None:
+def test_check_prints_the_same_as_json() -> None:
     told: dict[str, Any] = json.loads(check("minisim", "--json"))
     assert list(told) == [*Explanation.__struct_fields__]
     assert (told["evaluations"], told["genome_numbers"]) == (1863, 56)

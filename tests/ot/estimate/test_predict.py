@@ -42,7 +42,7 @@ def test_the_papers_designs_have_the_papers_times() -> None:
     assert ways["broker"].useful_slots == 2
 
 
-def test_all_ways_are_explained() -> None:
+def test_every_way_has_an_explanation() -> None:
     assert all(meaning for _, meaning in cost_model.WAYS.values())
 
 
@@ -62,7 +62,7 @@ def test_turns_of_a_trial_are_counted(
     assert plan.batches == (50 * plan.evaluations, 37 * plan.evaluations)
 
 
-def test_agents_that_act_one_after_another_have_turns_of_their_own() -> None:
+def test_agents_that_act_one_after_another_take_separate_turns() -> None:
     made, optimizer = problem("emergency-exit")
     plan = constants.plan_of(made, optimizer.ask(), 50, 37)
     assert plan.turns == pytest.approx(plan.agents, rel=0.1)
@@ -74,7 +74,7 @@ def test_games_count_as_simulations() -> None:
     assert constants.plan_of(made, optimizer.ask(), 6, 6).population == 30
 
 
-def test_a_message_takes_as_many_trials_as_dispatch_puts_into_it() -> None:
+def test_the_predicted_batch_has_as_many_trials_as_dispatch_sends() -> None:
     assert constants.batch(0.075, slots=4, trials=1000) == 4
     assert constants.batch(10.0, slots=4, trials=1000) == 1
     assert constants.batch(1e-6, slots=4, trials=50) == 25
@@ -177,7 +177,7 @@ def test_a_mistake_is_reported_in_one_line(arguments: list[str], told: str) -> N
 
 
 def with_times(folder: Path, seconds: float) -> Run:
-    """The generations of a run, so many seconds apart."""
+    """Set the times of a run's generations, this many seconds apart."""
     with sqlite3.connect(folder / "run.sqlite") as database:
         begun = database.execute(
             "SELECT value FROM meta WHERE key = 'created_at'"
@@ -231,7 +231,7 @@ def test_a_short_run_is_not_predicted(generations: int, tmp_path: Path) -> None:
     assert hindsight.look_back(run, champion.genome) is None
 
 
-def test_the_report_shows_both(tmp_path: Path) -> None:
+def test_the_report_shows_predicted_and_measured_times(tmp_path: Path) -> None:
     from zswarm.ot.report import report
 
     run = with_times(

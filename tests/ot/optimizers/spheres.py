@@ -1,4 +1,4 @@
-"""A vector of genes without a network behind it, and what optimizers of vectors are measured on."""
+"""Define vectors of genes without a network, and functions that measure their optimizers."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -15,11 +15,11 @@ CENTRE = 0.7  # of the sphere, in ranges
 
 
 class NoSettings(msgspec.Struct, frozen=True):
-    """None."""
+    """Empty settings."""
 
 
 class Vector(Representation):
-    """So many genes, each of another range; None: genomes that are none."""
+    """A vector of genes, each with its own range; without genes, genomes that are not vectors."""
 
     settings_type = NoSettings
 
@@ -47,7 +47,7 @@ class Vector(Representation):
 
 
 def sphere(genomes: Sequence[bytes], vector: Vector) -> np.ndarray:
-    """Minus the squared distance from CENTRE, in ranges."""
+    """Return minus the squared distance from CENTRE, in ranges."""
     return -np.square(vector.parameters(genomes) / vector.ranges - CENTRE).sum(axis=1)
 
 
@@ -58,7 +58,7 @@ def make(
 
 
 def evolve(optimizer: Optimizer, generations: int) -> list[Told]:
-    """Tell it the sphere, and the first genes in ranges as measures."""
+    """Let an optimizer evolve on the sphere, with the first genes in ranges as measures."""
     vector = optimizer.representation
     assert isinstance(vector, Vector)
     told = []

@@ -89,7 +89,7 @@ def test_tell_receives_the_evaluated_vectors() -> None:
 
 
 def test_a_failed_candidate_is_as_bad_as_the_worst_of_its_generation() -> None:
-    """And its measures, which nobody knows, stay NaN; where all failed, all are equal."""
+    """Its unknown measures stay NaN; if all candidates failed, all are equal."""
     optimizer = make(Measured, 7)
     assert isinstance(optimizer, Measured)
     optimizer.ask()
@@ -109,7 +109,7 @@ def restored(old: Optimizer, told: Any, **settings: Any) -> Nearby:
     return new
 
 
-def test_a_restored_one_is_the_same_and_says_so() -> None:
+def test_a_restored_optimizer_equals_the_original() -> None:
     old = nearby()
     new = restored(old, evolve(old, 5))
     assert new.diverged is None
@@ -147,7 +147,7 @@ def test_an_optimizer_that_cannot_receive_recorded_vectors_is_refused() -> None:
         restored(old, told[:2])
 
 
-def test_no_more_is_told_again_than_the_state_is_of() -> None:
+def test_only_the_generations_of_the_state_are_replayed() -> None:
     """The record may have more generations than the state that is restored."""
     old = nearby()
     told = evolve(old, 3)
@@ -159,7 +159,7 @@ def test_no_more_is_told_again_than_the_state_is_of() -> None:
     assert new.ask() == told[3].genomes
 
 
-def test_values_that_are_not_finite_or_of_another_shape_are_refused() -> None:
+def test_nonfinite_values_and_wrong_shapes_are_refused() -> None:
     with pytest.raises(
         ValueError,
         match=r"Nearby\._propose must return \(n, 7\) finite numbers, not array",
@@ -169,7 +169,7 @@ def test_values_that_are_not_finite_or_of_another_shape_are_refused() -> None:
         nearby(candidates=0).ask()
 
 
-def test_a_search_that_diverges_stays_in_what_float32_can_tell() -> None:
+def test_a_diverging_search_stays_within_float32() -> None:
     optimizer = nearby(scale=1e200)
     evolve(optimizer, 1)
     assert np.abs(optimizer.told[0][0]).max() == pytest.approx(FAR)
@@ -193,7 +193,7 @@ class Rotated(Nearby):
         return np.asarray(super()._propose() @ (turn @ turn.T) / self.genes)
 
 
-def test_linear_algebra_has_one_thread_whatever_the_program_has() -> None:
+def test_linear_algebra_uses_one_thread_in_every_program() -> None:
     """And the program has its threads back afterwards."""
     genomes = []
     for threads in (1, 2):

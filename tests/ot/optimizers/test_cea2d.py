@@ -34,7 +34,7 @@ def table(genome: bytes) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("width", "height"), [(10, 10), (3, 7), (5, 3)])
-def test_a_cell_sees_itself_and_eight_others_across_the_edges(
+def test_a_cell_sees_itself_and_its_eight_neighbours_across_the_edges(
     width: int, height: int
 ) -> None:
     optimizer = CEA2D(Cea2dSettings(width=width, height=height), NETWORK, 1)
@@ -107,7 +107,7 @@ def test_every_cell_is_replaced_by_what_it_sees(settings: Cea2dSettings) -> None
         ),
     ],
 )
-def test_operators_have_their_shares_of_the_cells_that_do_not_stay(
+def test_operators_share_the_cells_that_are_replaced(
     settings: Cea2dSettings, shares: dict[str, float]
 ) -> None:
     optimizer, made, stream = CEA2D(settings, NETWORK, 4), Counter[str](), Stream(5)
@@ -123,7 +123,7 @@ def test_operators_have_their_shares_of_the_cells_that_do_not_stay(
     )
 
 
-def test_good_genes_spread_by_one_cell_in_a_generation() -> None:
+def test_good_genes_spread_by_one_cell_per_generation() -> None:
     """Where one is far better than all others, those around it are replaced by its mutants."""
     optimizer = CEA2D(Cea2dSettings(mutation=0.89, crossover=0.0), NETWORK, 1)
     optimizer.ask()
@@ -169,7 +169,7 @@ def test_ties_are_ranked_by_index_and_failures_last() -> None:
     assert best.tolist() == 9 * [[2]]
 
 
-def test_where_fitness_is_relative_all_compete_again() -> None:
+def test_relative_fitness_makes_all_individuals_compete_again() -> None:
     optimizer = CEA2D(Cea2dSettings(), NETWORK, 1)
     optimizer.relative = True
     for generation in range(4):
@@ -178,7 +178,7 @@ def test_where_fitness_is_relative_all_compete_again() -> None:
         optimizer.tell(Stream(generation).uniform(-9.0, -1.0, 100))
 
 
-def test_the_last_good_one_of_a_poor_hood_is_not_lost() -> None:
+def test_the_last_valid_individual_of_a_failing_neighbourhood_survives() -> None:
     """All failed: everybody's best is a failure, and no number is invented."""
     optimizer = CEA2D(Cea2dSettings(), NETWORK, 1)
     optimizer.ask()
@@ -200,12 +200,12 @@ def test_the_last_good_one_of_a_poor_hood_is_not_lost() -> None:
         (Cea2dSettings(elite=0.2), "expected shares of at most 1 in all"),
     ],
 )
-def test_shares_that_cannot_be_are_refused(settings: Cea2dSettings, text: str) -> None:
+def test_impossible_shares_are_refused(settings: Cea2dSettings, text: str) -> None:
     with pytest.raises(ConfigError, match=text):
         CEA2D(settings, NETWORK, 1)
 
 
-def test_statistics_tell_diversity_and_which_operators_made_those_that_stay() -> None:
+def test_statistics_report_diversity_and_the_operators_of_survivors() -> None:
     optimizer = evolved(CEA2D(Cea2dSettings(), NETWORK, 1), 5, Stream(1))
     statistics = optimizer.statistics()
     pairs = [

@@ -29,7 +29,7 @@ def test_cmaes_keeps_the_contract_of_optimizers(settings: dict[str, object]) -> 
 
 
 @pytest.mark.parametrize("separable", [False, True])
-def test_it_proposes_what_the_package_proposes(separable: bool) -> None:
+def test_proposals_equal_those_of_the_package(separable: bool) -> None:
     """From the same seed, and told the same numbers: the vectors that were evaluated."""
     ours = make(CMAES, GENES, seed=5, separable=separable, sigma=0.4, population=10)
     package = (cmaes.SepCMA if separable else cmaes.CMA)(
@@ -159,7 +159,7 @@ def test_statistics_describe_the_last_generation() -> None:
         ),
     ],
 )
-def test_settings_that_cannot_be_are_refused_in_one_line(
+def test_impossible_settings_are_refused_in_one_line(
     genes: int, settings: dict[str, object], text: str
 ) -> None:
     with pytest.raises(ConfigError) as refusal:
@@ -205,7 +205,7 @@ def reached(seed: int, optimizer: dict[str, object]) -> float:
 
 
 @pytest.mark.long
-def test_a_long_genome_evolves_where_a_genetic_algorithm_hardly_begins() -> None:
+def test_a_long_genome_evolves_faster_than_with_a_genetic_algorithm() -> None:
     """Five seeds: the swarm leaves the stadium in time, with as many evaluations as nnga."""
     ours = [reached(seed, {}) for seed in range(1, 6)]
     theirs = [reached(seed, {"kind": "nnga", "population": 50}) for seed in range(1, 6)]

@@ -28,7 +28,7 @@ def sphere(genomes: list[bytes]) -> np.ndarray:
     return -(places(genomes) ** 2).sum(axis=1)
 
 
-def test_the_power_2_3_is_right_to_the_last_bits() -> None:
+def test_the_power_two_thirds_is_accurate_to_the_last_bits() -> None:
     numbers = np.concatenate(
         [Stream(1).normal(0.0, 1.0, 20_000), 2.0 ** np.arange(-50.0, 5.0)]
     )
@@ -130,7 +130,7 @@ def test_a_discovered_nest_moves_by_a_share_of_the_difference_of_two_nests() -> 
         )
 
 
-def test_discovery_asks_for_one_at_least() -> None:
+def test_discovery_proposes_at_least_one_nest() -> None:
     optimizer = CuckooSearch(CuckooSettings(population=3, discovery=1e-9), NETWORK, 1)
     for _ in range(6):
         genomes = optimizer.ask()

@@ -174,7 +174,7 @@ def test_nothing_is_compiled_for_an_emitter() -> None:
         ),
     ],
 )
-def test_a_grid_that_cannot_be_is_refused_in_one_line(
+def test_an_impossible_grid_is_refused_in_one_line(
     settings: dict[str, Any], text: str
 ) -> None:
     with pytest.raises(ConfigError) as refusal:
@@ -189,7 +189,7 @@ def test_an_emitter_of_too_few_candidates_is_refused() -> None:
         elites(CmaMe, population=3)
 
 
-def test_the_package_is_loaded_for_those_who_use_it_alone() -> None:
+def test_the_package_is_loaded_only_when_used() -> None:
     """It takes seconds."""
     imports = "import sys, zswarm.ot.optimizers.elites, zswarm.ot.optimizers.cmaes"
     code = f"{imports}; print({{'ribs', 'cmaes'}} & set(sys.modules))"
@@ -247,7 +247,7 @@ def played(parts: run.Parts, generations: int, genomes: Any = None) -> run.Parts
 
 
 @pytest.mark.long
-def test_they_find_more_and_better_ways_to_play_than_random_search() -> None:
+def test_quality_diversity_finds_more_and_better_behaviours_than_random_search() -> None:
     """As many evaluations, 5,000; ten seeds of each."""
     scores: dict[str, list[float]] = {"map-elites": [], "cma-me": [], "random": []}
     for seed in range(10):

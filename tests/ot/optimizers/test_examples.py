@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import mannwhitneyu
 
+from tests.examples import played
 from zswarm import experiment
 from zswarm.evaluate import evaluate
 from zswarm.kernels.random import derive_seed
-from zswarm.ot import run
-from zswarm.ot.build import build
-from zswarm.ot.generation import Assessment
+from zswarm.ot.build import Parts
 from zswarm.plugins import registry as plugins
 
 STADIUM = ("cea2d", "cuckoo", "openai-es", "pso")
@@ -39,34 +38,6 @@ def evolved(name: str, changes: Sequence[str], evaluations: int) -> tuple[float,
     """Return the best and the number of evaluations, in whole generations."""
     (_, optimizer), told = played(name, changes, evaluations)
     return optimizer.best()[1], told
-
-
-def played(
-    name: str, changes: Sequence[str], evaluations: int = 10**9
-) -> tuple[run.Parts, int]:
-    """The parts of an example after its run, and how many evaluations there were."""
-    loaded = experiment.load(experiment.examples_folder() / f"{name}.toml", changes)
-    complete = experiment.complete(loaded, name)
-    parts, told = build(complete), 0
-    problem, optimizer = parts
-    for generation in range(complete.generations):
-        assessment, more = Assessment(problem, optimizer.ask(), generation), True
-        while more:
-            workload = assessment.workload
-            outcomes = evaluate(
-                problem.simulator,
-                problem.representation,
-                workload.genomes,
-                workload.participants,
-                workload.seeds,
-            )
-            workload.fitness[:], workload.metrics[:] = outcomes.fitness, outcomes.metrics
-            more = assessment.advance()
-        optimizer.tell(assessment.fitness(), assessment.measures(optimizer.measures))
-        told += len(assessment.genomes)
-        if told >= evaluations:
-            break
-    return parts, told
 
 
 @pytest.mark.parametrize("name", STADIUM)
@@ -154,7 +125,7 @@ def test_cma_me_has_a_higher_score_than_map_elites_with_as_many_candidates() -> 
 # ---- networks that learn during a trial
 
 
-def late(parts: run.Parts, genome: bytes) -> float:
+def late(parts: Parts, genome: bytes) -> float:
     """Return the share of right decisions in the second half of 200 held-out trials."""
     simulator = parts.problem.simulator
     unseen = np.array(
@@ -171,7 +142,7 @@ def late(parts: run.Parts, genome: bytes) -> float:
 
 
 @pytest.mark.long
-def test_a_network_that_learns_finds_out_what_is_food_and_others_do_not() -> None:
+def test_only_a_learning_network_finds_out_what_is_food() -> None:
     """Others: the champion without its learning rate, and networks that keep their weights."""
     for seed in range(1, 5):
         parts, _ = played("food-or-poison", [f"seed={seed}"])
@@ -199,7 +170,7 @@ def test_a_network_without_memory_balances_a_pole() -> None:
 
 
 @pytest.mark.long
-def test_the_baseline_says_what_an_optimizer_is_worth() -> None:
+def test_the_baseline_has_the_documented_medians() -> None:
     """The medians in the comment of the example."""
     told = {
         kind: [

@@ -122,7 +122,7 @@ def test_a_species_has_offspring_as_its_mean_fitness_is() -> None:
     assert evolving._counts() == [4, 8, 0]
 
 
-def test_the_count_of_offspring_is_the_population_whatever_the_shares() -> None:
+def test_the_number_of_offspring_equals_the_population_for_any_shares() -> None:
     for shares in (
         [1.0, 1.0, 1.0],
         [0.1, 1e-9, 5.0],
@@ -142,7 +142,7 @@ def test_equal_fitness_gives_a_share_to_each_individual() -> None:
     assert with_species([float("nan")] * 6, [float("nan")] * 3)._counts() == [6, 3]
 
 
-def test_fitness_may_be_any_number_that_there_is() -> None:
+def test_fitness_may_be_any_finite_float64() -> None:
     """A penalty of the lowest number leaves shares to the others."""
     most = 1.7976931348623157e308
     assert with_species([most, most, -most, -most], [most, most])._counts() == [2, 4]
@@ -208,7 +208,7 @@ def test_the_best_of_a_large_species_stays_as_it_is_and_is_not_evaluated_again()
     assert not set(kept) & set(asked)
 
 
-def test_where_fitness_is_relative_the_best_is_asked_again() -> None:
+def test_relative_fitness_makes_ask_return_the_best_again() -> None:
     evolving = with_species([9.0, *[8.0] * 5])
     evolving.relative = True
     assert len(evolving.ask()) == 6
@@ -290,7 +290,7 @@ def test_other_networks_are_refused_in_one_line() -> None:
     )
 
 
-def test_statistics_say_how_large_networks_are() -> None:
+def test_statistics_report_the_size_of_networks() -> None:
     evolving = told(
         optimizer(population=40, representation=network(add_node=0.1, add_link=0.3)), 15
     )
@@ -345,7 +345,7 @@ def solved(seed: int) -> tuple[int, int, int] | None:
     return None
 
 
-def test_xor_is_solved_by_neurons_that_were_not_there_at_first() -> None:
+def test_xor_is_solved_with_added_neurons() -> None:
     generations, evaluations, hidden = solved(1) or (0, 0, 0)
     assert 1 <= generations <= 60, "as many as the example has"
     assert evaluations <= 150 * generations

@@ -123,7 +123,7 @@ def test_shares_are_cut_to_whole_individuals_and_the_elite_gets_the_rest(
     )
 
 
-def test_the_recorded_counts_are_ours() -> None:
+def test_the_counts_equal_the_recorded_ones() -> None:
     recorded = {"mutation": "mutate", "crossover": "xover"}
     ours = dict(zip(OPERATORS, counts(TRACE["populationsize"]), strict=True))
     assert {recorded.get(name, name): count for name, count in ours.items()} == TRACE[
@@ -144,7 +144,7 @@ def test_50_are_evaluated_in_the_first_generation_and_37_in_every_other() -> Non
 
 
 @pytest.mark.parametrize("islands", [1, 3])
-def test_every_island_has_a_population_of_its_own(islands: int) -> None:
+def test_every_island_has_its_own_population(islands: int) -> None:
     optimizer = NNGA(NNGASettings(islands=islands), Watched(), 1)
     assert len(optimizer.ask()) == 50 * islands
     optimizer.tell(np.zeros(50 * islands))
@@ -177,7 +177,7 @@ def test_shares_that_leave_nothing_to_the_elite_are_refused(share: str) -> None:
     "settings", [{"population": 2}, {"mutation": 0.0, "crossover": 0.0, "renew": 0.0}]
 )
 def test_shares_without_new_individuals_are_refused(settings: dict[str, Any]) -> None:
-    """Else all are elite, and after the first generation nobody is asked."""
+    """Otherwise all are elite, and after the first generation no candidate is asked for."""
     with pytest.raises(
         ConfigError, match=r"make no new individual of .*; expected at least one in all"
     ):
@@ -192,7 +192,9 @@ def test_shares_without_new_individuals_are_refused(settings: dict[str, Any]) ->
     TRACE["generations"],
     ids=lambda generation: str(generation["generation"]),
 )
-def test_a_recorded_generation_is_made_as_ours(generation: dict[str, Any]) -> None:
+def test_recorded_generations_follow_the_checked_rules(
+    generation: dict[str, Any],
+) -> None:
     """The facts that our own generations are held to below."""
     elite, random = TRACE["counts"]["elite"], TRACE["counts"]["random"]
     places = elite + random
@@ -263,7 +265,7 @@ def test_survivors_of_a_recorded_generation_kept_their_fitness() -> None:
 
 
 @pytest.mark.parametrize("size", [10, 50])
-def test_our_generations_are_made_as_the_recorded_ones(size: int) -> None:
+def test_our_generations_follow_the_rules_of_the_recorded_ones(size: int) -> None:
     network = Watched()
     optimizer = evolved(NNGA(NNGASettings(population=size), network, 1), 1)
     elite, random, mutation, crossover, _ = counts(size)
@@ -371,7 +373,7 @@ def test_mothers_and_parents_of_mutants_are_drawn_evenly_from_the_survivors() ->
     assert np.allclose(shares, 1 / 13, atol=0.02)
 
 
-def test_mutation_gets_the_settings() -> None:
+def test_mutation_receives_the_settings() -> None:
     settings = NNGASettings(mutation_method=2, severity=0.7, probability=0.2)
     told: list[dict[str, Any]] = []
 
@@ -387,7 +389,7 @@ def test_mutation_gets_the_settings() -> None:
 # ---- rejected crossovers
 
 
-def test_when_no_crossover_is_new_the_rest_is_new_at_random() -> None:
+def test_random_genomes_replace_crossovers_that_are_not_new() -> None:
     network = Barren()
     optimizer = evolved(NNGA(NNGASettings(), network, 1), 1)
     assert len(optimizer.ask()) == 37
@@ -483,7 +485,7 @@ def test_islands_exchange_every_so_often_beginning_with_generation_0() -> None:
     }
 
 
-def test_fathers_come_from_all_islands_the_own_included() -> None:
+def test_fathers_come_from_all_islands_including_the_mothers() -> None:
     foreign = foreign_fathers(
         NNGASettings(population=20, islands=2, exchange_interval=1), 100
     )
@@ -576,7 +578,7 @@ def test_mutants_differ_from_their_parents_by_the_steps_of_the_method(
 # ---- relative fitness
 
 
-def test_everyone_competes_again_where_fitness_is_relative() -> None:
+def test_relative_fitness_makes_all_candidates_compete_again() -> None:
     """Also elite and survivors; they are ranked by what they were told last."""
     optimizer = NNGA(NNGASettings(population=10, islands=2), Watched(), 1)
     optimizer.relative = True
@@ -674,9 +676,7 @@ def test_diversity_is_over_every_pair_once_in_the_order_of_the_ranking() -> None
     assert found == [pairs.mean(), pairs.max(), pairs.min(), pairs.std()]
 
 
-def test_of_a_large_population_as_many_as_a_generation_can_wait_for_are_compared() -> (
-    None
-):
+def test_a_sample_of_a_large_population_is_compared() -> None:
     """Pairs of 1,000 individuals with 5,000 genes took a quarter of a minute in each generation."""
     network = FullyMeshed(FullyMeshedSettings(), 2, 1)
     genomes = network.random(2 * MOST + 1, Stream(1))
@@ -725,8 +725,8 @@ def test_populations_lose_their_diversity_as_fast_as_frevos() -> None:
         ),
     ],
 )
-def test_proposals_are_those_of_yesterday(settings: NNGASettings, expected: str) -> None:
-    """Made once: a run that was begun with an earlier zswarm goes on as it would have there."""
+def test_proposals_equal_recorded_ones(settings: NNGASettings, expected: str) -> None:
+    """Recorded once: a run begun with an earlier zswarm continues as it would have there."""
     optimizer, stream, history = (
         NNGA(settings, FullyMeshed(FullyMeshedSettings(), 10, 2), 5),
         Stream(6),

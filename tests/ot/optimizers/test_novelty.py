@@ -41,7 +41,7 @@ def test_novelty_is_the_mean_distance_to_the_nearest_others_and_the_archive() ->
         assert value == pytest.approx(sum(distances[:4]) / 4, rel=1e-14)
 
 
-def test_one_of_two_that_do_the_same_is_the_others_neighbour() -> None:
+def test_an_individual_with_equal_behaviour_counts_as_a_neighbour() -> None:
     optimizer = Novelty(
         NoveltySettings(measures=["x"], population=3, neighbours=1), NETWORK, 1
     )
@@ -62,7 +62,7 @@ def test_the_most_novel_of_parents_and_children_stay() -> None:
     assert optimizer.statistics()["novelty"] == pytest.approx((80.0 + 9.0 + 1.0) / 3)
 
 
-def test_what_is_in_the_archive_is_new_no_more() -> None:
+def test_archived_behaviour_is_not_novel() -> None:
     optimizer = Novelty(
         NoveltySettings(measures=["x"], population=2, neighbours=1, threshold=5.0),
         NETWORK,
@@ -79,7 +79,7 @@ def test_what_is_in_the_archive_is_new_no_more() -> None:
     ]
 
 
-def test_the_threshold_rises_with_many_entries_and_falls_without() -> None:
+def test_the_threshold_rises_with_many_entries_and_falls_without_entries() -> None:
     """By a fifth when more than four enter, by a twentieth after ten generations without one."""
     optimizer = Novelty(
         NoveltySettings(measures=["x"], population=6, neighbours=1, threshold=1.0),
@@ -93,7 +93,7 @@ def test_the_threshold_rises_with_many_entries_and_falls_without() -> None:
     assert thresholds == pytest.approx([1.2] * 10 + [1.2 * 0.95] * 10 + [1.2 * 0.95**2])
 
 
-def test_four_that_enter_do_not_raise_the_threshold() -> None:
+def test_four_entries_do_not_raise_the_threshold() -> None:
     optimizer = Novelty(
         NoveltySettings(measures=["x"], population=5, neighbours=1, threshold=2.5),
         NETWORK,
@@ -115,7 +115,7 @@ def test_the_first_threshold_is_in_the_unit_of_the_measures(unit: float) -> None
 
 
 @pytest.mark.parametrize("first", [NAN, 7.0])
-def test_the_threshold_waits_for_the_first_that_do_something_new(first: float) -> None:
+def test_the_threshold_is_set_by_the_first_distinct_behaviours(first: float) -> None:
     """If all fail at first, or behave alike, the archive is neither closed nor open to all."""
     optimizer = Novelty(
         NoveltySettings(measures=["x"], population=4, neighbours=1), NETWORK, 1
@@ -129,7 +129,7 @@ def test_the_threshold_waits_for_the_first_that_do_something_new(first: float) -
     assert optimizer._archive.tolist() == [[20.0]]
 
 
-def test_what_has_no_behaviour_is_ranked_last_and_never_kept() -> None:
+def test_individuals_without_behaviour_are_ranked_last_and_never_archived() -> None:
     optimizer = Novelty(
         NoveltySettings(measures=["x", "y"], population=3, neighbours=2, threshold=1e-9),
         NETWORK,
@@ -177,7 +177,7 @@ def test_novelty_without_measures_is_refused() -> None:
         Novelty(NoveltySettings(), NETWORK, 1)
 
 
-def test_it_goes_where_fitness_forbids() -> None:
+def test_novelty_search_crosses_a_region_of_low_fitness() -> None:
     """A wall of bad fitness with a prize behind it: breeding for fitness stays inside."""
 
     def judged(optimizer: Novelty) -> float:

@@ -37,7 +37,7 @@ def test_every_direction_is_tried_both_ways_around_the_mean() -> None:
     assert np.abs(here[1:6] - here[0] - 0.2 * directions).max() < 1e-6
 
 
-def test_the_mean_moves_as_adam_says_along_the_weighted_sum_of_directions() -> None:
+def test_adam_moves_the_mean_along_the_weighted_sum_of_directions() -> None:
     """In plain Python, number by number: algorithm 1 of either paper."""
     settings = OpenAIESSettings(
         population=6, deviation=0.3, learning_rate=0.07, weight_decay=0.01
@@ -88,7 +88,7 @@ def test_equals_share_their_rank_and_failures_are_worst() -> None:
     assert _centred_ranks(np.array([nan, worst, nan])).tolist() == [0.0, 0.0, 0.0]
 
 
-def test_where_all_is_equal_the_mean_stays() -> None:
+def test_equal_fitness_does_not_move_the_mean() -> None:
     optimizer = OpenAIES(OpenAIESSettings(population=20, weight_decay=0.0), NETWORK, 1)
     first = optimizer.ask()[0]
     for _ in range(3):
@@ -97,7 +97,7 @@ def test_where_all_is_equal_the_mean_stays() -> None:
         assert optimizer.ask()[0] == first
 
 
-def test_weights_decay_where_fitness_says_nothing() -> None:
+def test_weights_decay_if_fitness_is_equal() -> None:
     optimizer = OpenAIES(OpenAIESSettings(population=20, weight_decay=0.1), NETWORK, 1)
     sizes = []
     for _ in range(30):

@@ -147,8 +147,8 @@ YESTERDAY = {
 
 
 @pytest.mark.parametrize("name", YESTERDAY)
-def test_proposals_are_those_of_yesterday_and_of_every_machine(name: str) -> None:
-    """Made once: a run that was begun with an earlier zswarm goes on as it would have there."""
+def test_proposals_equal_recorded_ones_on_every_machine(name: str) -> None:
+    """Recorded once: a run begun with an earlier zswarm continues as it would have there."""
     loaded, network, stream, history = (
         plugins.load("optimizer", name),
         FullyMeshed(FullyMeshedSettings(), 4, 2),
@@ -442,6 +442,6 @@ def test_the_check_finds_optimizers_that_do_not_learn() -> None:
         check_optimizer(Novelty, {"severity": 1e-9, "mutation": 1.0})
 
 
-def test_the_check_takes_no_state_that_is_not_plain() -> None:
+def test_the_check_refuses_state_that_cannot_be_encoded() -> None:
     with pytest.raises(TypeError, match="Encoding objects of type"):
         check_optimizer(NotPlain)

@@ -70,7 +70,7 @@ def test_new_particles_are_new_genomes_and_fly_both_ways() -> None:
     assert np.abs(optimizer._velocities).max() <= 0.5
 
 
-def test_a_particle_remembers_its_own_best_place() -> None:
+def test_a_particle_remembers_its_best_position() -> None:
     """In FREVO its best place is the particle itself."""
     optimizer = PSO(PsoSettings(population=3), NETWORK, 1)
     first = places(optimizer.ask())
@@ -81,7 +81,7 @@ def test_a_particle_remembers_its_own_best_place() -> None:
     assert optimizer._best_fitness.tolist() == [-5.0, -6.0, -1.0]
 
 
-def test_places_and_velocities_keep_their_limits() -> None:
+def test_positions_and_velocities_stay_within_their_limits() -> None:
     optimizer = PSO(
         PsoSettings(population=20, speed=0.25, bound=1.5, own=50.0), NETWORK, 1
     )
@@ -105,7 +105,7 @@ def test_a_failed_particle_attracts_no_other() -> None:
     assert np.isfinite(places(optimizer.ask())).all()
 
 
-def test_a_swarm_of_one_mind_stands_still_without_inertia() -> None:
+def test_a_swarm_at_one_position_without_inertia_stands_still() -> None:
     """Statistics tell it: spread and speed are 0."""
     optimizer = PSO(
         PsoSettings(population=5, inertia=0.0, own=0.0, social=1.0), NETWORK, 1

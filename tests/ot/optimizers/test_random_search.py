@@ -19,7 +19,7 @@ def test_the_best_is_one_of_the_population_and_not_evaluated_again() -> None:
     assert len({*first, *second, *optimizer.ask()}) == 28
 
 
-def test_the_best_competes_again_where_fitness_is_relative() -> None:
+def test_relative_fitness_makes_the_best_compete_again() -> None:
     optimizer = RandomSearch(RandomSearchSettings(population=10), NETWORK, 1)
     optimizer.relative = True
     first = optimizer.ask()

@@ -35,7 +35,7 @@ def played(
     return rounds, [round_.games.tolist() for round_ in rounds]
 
 
-def test_absolute_gives_each_candidate_the_fitness_it_had_alone() -> None:
+def test_absolute_ranking_gives_each_candidate_its_own_fitness() -> None:
     rounds, games = played(ranking("absolute", 1), [3.0, NAN, -1.0])
     assert games == [[[0], [1], [2]]]
     assert (
@@ -91,7 +91,7 @@ def test_a_swiss_tournament_pairs_by_points_and_no_pair_twice() -> None:
     assert swiss.scores(8, rounds).tolist() == [6.0, 4.0, 4.0, 2.0, 4.0, 2.0, 2.0, 0.0]
 
 
-def test_in_a_swiss_tournament_of_an_odd_number_a_bye_is_a_win_and_goes_round() -> None:
+def test_a_bye_in_a_swiss_tournament_counts_as_a_win_and_rotates() -> None:
     """Byes: 2, in the middle; 4, which lost and is last; 3, the last that had none."""
     swiss = ranking("swiss", all_sides=False)
     rounds, games = played(swiss, [5.0, 4.0, 3.0, 2.0, 1.0])
@@ -99,13 +99,13 @@ def test_in_a_swiss_tournament_of_an_odd_number_a_bye_is_a_win_and_goes_round() 
     assert swiss.scores(5, rounds).tolist() == [6.0, 4.0, 4.0, 2.0, 2.0]
 
 
-def test_ties_and_other_points_of_a_swiss_tournament() -> None:
+def test_a_swiss_tournament_scores_ties_and_configured_points() -> None:
     swiss = ranking("swiss", all_sides=False, win=5, tie=2, rounds=1)
     rounds, _ = played(swiss, [1.0, 3.0, 2.0, 1.0])
     assert swiss.scores(4, rounds).tolist() == [2.0, 5.0, 0.0, 2.0]
 
 
-def test_a_candidate_that_met_all_others_plays_one_again() -> None:
+def test_a_candidate_that_has_met_all_others_plays_one_of_them_again() -> None:
     swiss = ranking("swiss", all_sides=False, rounds=5)
     _, games = played(swiss, [4.0, 3.0, 2.0, 1.0])
     assert [len(round_) for round_ in games] == [2] * 5
@@ -128,7 +128,7 @@ def test_multi_swiss_groups_neighbours_and_averages_places() -> None:
     assert multi.scores(6, rounds).tolist() == [3.0, 2.0, 2.0, 1.0, 2.5, 1.5]
 
 
-def test_in_multi_swiss_those_left_over_are_not_always_the_same() -> None:
+def test_multi_swiss_varies_who_sits_out() -> None:
     """Of four, three play: 3 sits out and has the average 2; then the last of those who did not."""
     multi = ranking("multi-swiss", 3, all_sides=False)
     rounds, games = played(multi, [1.0, 2.0, 3.0, 0.0])
@@ -149,7 +149,7 @@ def test_a_candidate_that_fails_every_game_loses_and_has_no_score() -> None:
 
 @pytest.mark.parametrize("kind", TOURNAMENTS)
 @pytest.mark.parametrize("candidates", [2, 3, 4, 5, 6, 7, 9, 16, 21])
-def test_in_every_round_each_plays_once_at_most_and_the_best_comes_first(
+def test_each_candidate_plays_at_most_once_per_round_and_the_best_comes_first(
     kind: str, candidates: int
 ) -> None:
     """A full tournament has one round of all."""
@@ -167,7 +167,7 @@ def test_in_every_round_each_plays_once_at_most_and_the_best_comes_first(
 
 
 @pytest.mark.parametrize("kind", TOURNAMENTS)
-def test_the_same_games_are_asked_for_again_from_what_was_played(kind: str) -> None:
+def test_replaying_the_results_requests_the_same_games(kind: str) -> None:
     """That is what a run that is resumed in the middle of a generation does."""
     made = ranking(kind)
     rounds, games = played(made, [2.0, 7.0, 1.0, 8.0, 2.0, 8.0, 1.0])
@@ -206,7 +206,7 @@ def test_the_same_games_are_asked_for_again_from_what_was_played(kind: str) -> N
         ),
     ],
 )
-def test_what_cannot_be_played_is_refused_in_one_line(
+def test_impossible_tournaments_are_refused_in_one_line(
     kind: str, participants: int, candidates: int, words: str
 ) -> None:
     with pytest.raises(ConfigError) as refusal:

@@ -1,4 +1,4 @@
-"""Folders of runs."""
+"""Create folders of runs."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,7 +11,7 @@ from zswarm.ot.record.writer import Record
 
 @pytest.fixture
 def record(tmp_path: Path) -> Iterator[Record]:
-    """The record of an active run."""
+    """Create the record of an active run."""
     made = Record.create(
         tmp_path, complete("lab", "problem.trials=2"), "hash", ["escaped", "rounds"]
     )
@@ -23,7 +23,7 @@ def record(tmp_path: Path) -> Iterator[Record]:
 
 @pytest.fixture
 def folder(record: Record) -> Path:
-    """Of a run that ended."""
+    """Create the folder of a finished run."""
     record.set_meta("history_hash", record.history().hex())
     record.close()
     return record.folder

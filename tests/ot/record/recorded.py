@@ -1,4 +1,4 @@
-"""Records of runs without servers, and all that can be read of them."""
+"""Write records of runs without servers, and read everything of them."""
 
 import sqlite3
 from collections.abc import Iterator
@@ -119,7 +119,7 @@ def everything(folder: Path) -> list[Any]:
 
 
 def texts(value: Any) -> Iterator[str]:
-    """The texts in a value."""
+    """Return the texts in a value."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, dict):
@@ -130,7 +130,7 @@ def texts(value: Any) -> Iterator[str]:
 
 
 def refusal(folder: Path) -> str:
-    """Why a run cannot be read, in one line that is safe to show."""
+    """Return why a run cannot be read, in one line that is safe to show."""
     with pytest.raises(ConfigError) as caught:
         everything(folder)
     assert str(caught.value).isprintable()

@@ -8,7 +8,7 @@ from zswarm.errors import ConfigError
 from zswarm.ot.record import control_file as control
 
 
-def test_what_is_asked_of_a_run_is_one_of_three_words(tmp_path: Path) -> None:
+def test_a_control_file_holds_one_of_three_words(tmp_path: Path) -> None:
     """Other contents of the file are ignored, and an endless file is not read to its end."""
     assert control.asked(tmp_path) == ""
     control.ask(tmp_path, "drain")
@@ -22,7 +22,7 @@ def test_what_is_asked_of_a_run_is_one_of_three_words(tmp_path: Path) -> None:
     assert control.StopRequest(tmp_path).is_set()
 
 
-def test_a_folder_that_cannot_be_written_says_so(tmp_path: Path) -> None:
+def test_an_unwritable_folder_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(ConfigError, match="cannot be written: Not a directory"):
         control.ask(tmp_path / "file", "stop")

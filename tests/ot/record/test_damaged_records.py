@@ -122,17 +122,13 @@ def test_a_truncated_record_is_refused(folder: Path, size: float) -> None:
         f"DROP TABLE events; CREATE VIEW events AS {ENDLESS}",
     ],
 )
-def test_a_record_that_holds_what_does_not_belong_there_is_refused(
-    folder: Path, sql: str
-) -> None:
+def test_a_record_with_invalid_contents_is_refused(folder: Path, sql: str) -> None:
     edit(folder, sql)
     assert "run.sqlite: " in refusal(folder)
 
 
 @pytest.mark.parametrize("levels", [100, 400, 900, 5000])
-def test_what_is_nested_deeper_than_anything_of_ours_is_refused(
-    folder: Path, levels: int
-) -> None:
+def test_deeply_nested_values_are_refused(folder: Path, levels: int) -> None:
     """Also where the parser still takes it."""
     nested = "[" * levels + "]" * levels
     edit(folder, "UPDATE generations SET statistics = ?", f'{{"a": {nested}}}')

@@ -71,7 +71,7 @@ def disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Disk]:
     disk.database.close()
 
 
-def test_what_comes_soon_after_a_commit_is_committed_with_the_next(
+def test_writes_soon_after_a_commit_are_committed_with_the_next(
     disk: Disk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(database_module, "COMMIT_S", 1000.0)
@@ -104,7 +104,7 @@ def test_a_full_disk_is_reported_once_and_its_end_with_the_seconds(disk: Disk) -
     assert disk.database.unwritten == []
 
 
-def test_what_is_written_together_is_there_together(disk: Disk) -> None:
+def test_statements_written_together_are_committed_together(disk: Disk) -> None:
     disk.fill()
     disk.database.write((ADD, (1, "short")), (ADD, (2, LONG)))
     assert disk.written() == []
@@ -120,7 +120,7 @@ def test_a_commit_that_must_succeed_waits_for_room(disk: Disk) -> None:
     assert disk.written() == [1]
 
 
-def test_reading_waits_for_what_was_written(disk: Disk) -> None:
+def test_reading_waits_for_pending_writes(disk: Disk) -> None:
     disk.fill(waits=2)
     disk.database.write((ADD, (7, LONG)))
     assert disk.database.rows("SELECT id FROM words WHERE word = ?", LONG) == [(7,)]
@@ -153,13 +153,13 @@ def test_a_commit_with_an_unknown_result_is_applied_once(
     ]
 
 
-def test_a_mistake_is_not_waited_for(disk: Disk) -> None:
+def test_an_sql_error_is_raised_without_waiting(disk: Disk) -> None:
     with pytest.raises(sqlite3.OperationalError, match="no such table"):
         disk.database.write_now(("INSERT INTO nowhere VALUES (1)", ()))
     assert disk.told == []
 
 
-def test_a_file_that_is_gone_is_not_written_on(disk: Disk) -> None:
+def test_a_deleted_database_is_not_written_any_more(disk: Disk) -> None:
     """SQLite would write to a place that no program finds."""
     disk.path.rename(disk.path.with_name("moved"))
     with pytest.raises(ConfigError, match="moved, removed or unmounted"):
@@ -175,7 +175,7 @@ def test_a_file_that_is_gone_is_not_written_on(disk: Disk) -> None:
         (errno.EIO, "does not take"),
     ],
 )
-def test_other_files_wait_too_and_are_whole_meanwhile(
+def test_writing_other_files_also_waits_and_keeps_the_old_contents(
     disk: Disk, monkeypatch: pytest.MonkeyPatch, number: int, words: str
 ) -> None:
     file = disk.path.with_name("file")

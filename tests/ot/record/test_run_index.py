@@ -64,7 +64,7 @@ def test_runs_below_a_folder_are_found_in_the_order_of_their_numbers(
     ]
 
 
-def test_a_run_that_cannot_be_read_is_left_out_of_its_folder_with_a_line(
+def test_an_unreadable_run_is_omitted_from_its_folder_with_one_line(
     tmp_path: Path,
 ) -> None:
     """Given itself, or alone, it is an error; so are all without a list for the lines."""

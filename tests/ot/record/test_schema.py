@@ -41,7 +41,7 @@ def sqlite3_program(folder: Path, sql: str) -> list[tuple[Any, ...]]:
     return [tuple(row.values()) for row in json.loads(done.stdout or "[]")]
 
 
-def test_the_views_say_the_same_as_the_tables(folder: Path) -> None:
+def test_the_views_agree_with_the_reader(folder: Path) -> None:
     run = Run(folder)
     curve = sqlite3_program(
         folder, "SELECT generation, seconds, best, mean, evaluations FROM history"

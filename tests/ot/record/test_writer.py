@@ -79,7 +79,7 @@ def query(folder: Path, sql: str) -> list[tuple[object, ...]]:
         database.close()
 
 
-def test_the_same_name_gets_a_folder_of_its_own(
+def test_a_second_run_of_the_same_name_gets_its_own_folder(
     tmp_path: Path, record: Record, complete: experiment.Experiment
 ) -> None:
     with Record.create(tmp_path, complete, "hash") as second:
@@ -291,7 +291,7 @@ def test_another_schema_is_refused_with_the_zswarm_that_is_needed(
         Record.open(record.folder)
 
 
-def test_what_a_server_computed_wrong_is_forgotten_or_marked(record: Record) -> None:
+def test_wrong_outcomes_of_a_server_are_dropped_or_marked(record: Record) -> None:
     """Outcomes of the current generation are evaluated again; earlier ones become doubtful."""
     work = workload()
     record.begin(0, work)
@@ -318,7 +318,7 @@ def test_what_a_server_computed_wrong_is_forgotten_or_marked(record: Record) -> 
 
 
 def test_restored_outcomes_are_known_by_their_server(record: Record) -> None:
-    """A server found to compute wrong after a resume loses those of before it, too."""
+    """A server found to be wrong after a resume also loses its outcomes from before it."""
     work = workload()
     record.begin(0, work)
     record.add(count(work, [2], 1.0), work)
@@ -327,7 +327,7 @@ def test_restored_outcomes_are_known_by_their_server(record: Record) -> None:
     assert again.source.tolist() == ["", "", "lab-01"]
 
 
-def test_more_generations_after_the_end_take_the_hash_away_until_they_are_done(
+def test_more_generations_after_the_end_remove_the_hash_until_they_finish(
     record: Record,
 ) -> None:
     record.set_meta("history_hash", "0" * 32)
@@ -389,9 +389,7 @@ def add_many(record: Record, rows: int) -> None:
         record.add(count(work, list(range(250)), 1.0), work)
 
 
-def test_outcomes_that_a_full_disk_does_not_take_are_written_when_there_is_room(
-    record: Record, disk: Disk
-) -> None:
+def test_outcomes_wait_for_room_on_a_full_disk(record: Record, disk: Disk) -> None:
     disk.fill()
     add_many(record, 5)
     assert disk.lines == [
@@ -462,7 +460,7 @@ def test_the_champion_waits_for_the_disk_too(
     assert disk.waits == 2
 
 
-def test_what_a_record_writes_may_be_written_twice(
+def test_every_statement_of_a_record_can_be_repeated(
     record: Record, disk: Disk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A commit reports a failure after the data are on the disk."""
@@ -499,7 +497,7 @@ def test_a_folder_that_is_moved_away_ends_the_run(record: Record, tmp_path: Path
     Record.open(tmp_path / "moved")[0].close()
 
 
-def test_a_folder_that_cannot_be_filled_is_not_left_behind(
+def test_a_folder_is_removed_if_its_record_cannot_be_created(
     tmp_path: Path, complete: experiment.Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(file: int) -> None:
@@ -514,7 +512,7 @@ def test_a_folder_that_cannot_be_filled_is_not_left_behind(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_record_is_there_as_a_whole_or_not_at_all(
+def test_a_record_is_created_completely_or_not_at_all(
     tmp_path: Path, complete: experiment.Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A program killed while it makes the folder leaves no half-made record."""

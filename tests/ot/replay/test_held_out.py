@@ -29,7 +29,7 @@ def evaluate(folder: Path, *arguments: str) -> str:
     return done.stdout
 
 
-def test_it_is_said_where_nothing_depends_on_the_seed(tmp_path: Path) -> None:
+def test_problems_that_do_not_depend_on_the_seed_are_reported(tmp_path: Path) -> None:
     """Of the stadium, not of one trial, and not of random fields."""
     folder = written(tmp_path, [1])
     told = evaluate(folder, "--trials", "3")

@@ -136,7 +136,7 @@ def test_a_moving_picture_shows_every_state_or_some_and_stays_at_the_end(
     assert picture.info["loop"] == 0
 
 
-def test_a_trial_without_pictures_makes_no_gif_and_says_so() -> None:
+def test_a_gif_of_a_trial_without_pictures_is_refused() -> None:
     found = of("minisim", steps=6, width=4)
     with pytest.raises(
         Exception, match="x: its simulator draws no picture; expected html or csv"
@@ -196,7 +196,7 @@ def test_without_a_browser_the_file_is_named(
     assert Path(said.output.split(": ")[0]).read_text().startswith("<!doctype html>")
 
 
-def test_another_ending_is_refused(folder: Path) -> None:
+def test_an_unknown_file_extension_is_refused(folder: Path) -> None:
     with pytest.raises(
         Exception, match=r"film.mp4: expected a name that ends in .gif, .html or .csv"
     ):

@@ -43,7 +43,7 @@ def animations(picture: ElementTree.Element) -> dict[str, tuple[list[float], lis
 @pytest.mark.parametrize(
     ("simulator", "rounds"), [("emergency-exit", 50), ("minisim", 100)]
 )
-def test_a_trial_is_looked_at_once_a_round(simulator: str, rounds: int) -> None:
+def test_a_trial_is_recorded_once_per_round(simulator: str, rounds: int) -> None:
     """From the start to the end; in both, turns of one robot and turns of all."""
     built, network = evaluate.build(simulator, {}, "fully-meshed", {})
     seen = record(built, network, network.random(1, Stream(3)), 5).frames
@@ -58,7 +58,7 @@ def test_a_trial_is_looked_at_once_a_round(simulator: str, rounds: int) -> None:
         ), "a move is one cell"
 
 
-def test_a_body_moves_along_its_way_and_what_stands_still_does_not() -> None:
+def test_moving_bodies_are_animated_and_still_ones_are_not() -> None:
     """A steady walk needs its two ends only; the last picture stays for a while."""
     picture = drawn(WALK)
     assert list(animations(picture)) == ["cx"]
@@ -70,7 +70,7 @@ def test_a_body_moves_along_its_way_and_what_stands_still_does_not() -> None:
     assert times[-2] < 1
 
 
-def test_another_kind_is_another_colour() -> None:
+def test_each_kind_has_its_own_colour() -> None:
     lost, rock = WALK[5].bodies[0]._replace(kind="lost"), WALK[5].bodies[1]
     fills = animations(drawn([*WALK[:5], WALK[5]._replace(bodies=[lost, rock])]))["fill"][
         1
@@ -101,7 +101,7 @@ def test_reduced_motion_shows_paths() -> None:
     )
 
 
-def test_what_has_a_heading_is_turned_the_short_way() -> None:
+def test_bodies_rotate_the_shorter_way() -> None:
     """Over the turn's end, too; a square turns as a whole."""
     angles = [2.8, 3.1, 3.4 - 2 * math.pi, 3.7 - 2 * math.pi]
     seen = [
@@ -118,7 +118,7 @@ def test_what_has_a_heading_is_turned_the_short_way() -> None:
     assert degrees[-1] - degrees[0] == pytest.approx(math.degrees(0.9), abs=0.2)
 
 
-def test_lines_move_with_their_ends_and_words_are_there_while_they_are_said() -> None:
+def test_lines_move_with_their_ends_and_labels_appear_while_they_apply() -> None:
     seen = [
         Frame(
             10,
@@ -149,7 +149,7 @@ def test_lines_move_with_their_ends_and_words_are_there_while_they_are_said() ->
     }
 
 
-def test_names_of_a_plug_in_are_text() -> None:
+def test_the_names_in_a_plugin_are_shown_as_text() -> None:
     hostile = '</svg><script>alert("&")</script>'
     seen = [Frame(1, 1, [Rectangle(hostile, 0, 0, 1, 1)], [Body(hostile + "'", 0, 0, 1)])]
     picture = ElementTree.fromstring(svg([Panel(hostile, seen)]))  # noqa: S314  our own text

@@ -31,7 +31,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def changed(folder: Path, to: Path, sql: str, *values: Any) -> Run:
-    """A copy of a run whose record somebody changed."""
+    """Return a copy of a run with a changed record."""
     to.mkdir()
     for name in ("experiment.toml", "run.sqlite"):
         (to / name).write_bytes((folder / name).read_bytes())
@@ -90,7 +90,7 @@ def test_every_trial_of_the_record_is_played_again_with_the_same_bits(
     assert (len(found.frames), found.rounds, found.every) == (31, 30, 1)
 
 
-def test_without_numbers_it_is_the_best_candidate_of_the_run(folder: Path) -> None:
+def test_the_default_trace_is_of_the_best_candidate_of_the_run(folder: Path) -> None:
     run, found = Run(folder), trace(Run(folder))
     everybody = [
         (one["fitness"], -g, -one["candidate"])
@@ -176,7 +176,7 @@ def test_a_run_of_other_code_is_played_where_the_bits_agree_and_else_refused(
         ((1, 0, -1), "no trial -1 of candidate 0 in generation 1; it has trials 0 to 1"),
     ],
 )
-def test_a_trial_that_is_not_there_is_refused_with_what_is(
+def test_a_nonexistent_trial_is_refused_with_the_existing_ones(
     folder: Path, numbers: tuple[int, ...], text: str
 ) -> None:
     with pytest.raises(ConfigError) as refused:
@@ -184,7 +184,7 @@ def test_a_trial_that_is_not_there_is_refused_with_what_is(
     assert str(refused.value) == f"{folder}: {text}"
 
 
-def test_a_genome_that_does_not_fit_its_network_is_damage(
+def test_a_genome_that_does_not_fit_its_network_is_reported_as_damage(
     folder: Path, tmp_path: Path
 ) -> None:
     run = changed(folder, tmp_path / "x", "UPDATE candidates SET genome = x'00'")
@@ -195,7 +195,7 @@ def test_a_genome_that_does_not_fit_its_network_is_damage(
         trace(run, 0, 0)
 
 
-def test_a_game_is_played_with_those_who_played_it(tmp_path: Path) -> None:
+def test_a_recorded_game_is_replayed_with_its_players(tmp_path: Path) -> None:
     """Trials of a candidate are those of all its games; each participant's fitness is compared."""
     games = np.array([[0, 1], [2, 3], [3, 0]])
     folder = played(
@@ -210,7 +210,7 @@ def test_a_game_is_played_with_those_who_played_it(tmp_path: Path) -> None:
         trace(Run(folder), 0, 0, 2)
 
 
-def test_what_agents_observe_and_set_is_what_the_trial_had() -> None:
+def test_observations_and_actions_equal_those_of_the_trial() -> None:
     """Turns of minisim have all observations, from which the network decides again."""
     built, network = evaluate.build(
         "minisim", {"steps": 9, "robots": 3, "width": 8}, "fully-meshed", {"hidden": 3}
@@ -233,7 +233,7 @@ def test_what_agents_observe_and_set_is_what_the_trial_had() -> None:
     assert list(found.neurons) == ["hidden 1", "hidden 2", "hidden 3"]
 
 
-def test_who_does_not_act_in_a_round_has_no_numbers() -> None:
+def test_agents_that_do_not_act_in_a_round_have_no_numbers() -> None:
     """Robots of the emergency exit that are out."""
     built, network = evaluate.build(
         "emergency-exit",
@@ -254,7 +254,7 @@ def test_who_does_not_act_in_a_round_has_no_numbers() -> None:
     assert not acts.all()
 
 
-def test_the_bytes_say_where_everything_was() -> None:
+def test_the_encoding_keeps_positions_and_numbers_within_its_resolution() -> None:
     """To a 65,535th of the field, numbers to a 254th of their range."""
     built, network = evaluate.build(
         "turtlebot-exit", {"steps": 12, "robots": 2}, "fully-meshed", {}
@@ -365,7 +365,7 @@ def of_pictures(*pictures: Any) -> Trace:
         "it raises",
     ],
 )
-def test_what_cannot_be_drawn_makes_no_picture_and_no_other_trial(
+def test_frames_that_cannot_be_drawn_are_left_out_without_changing_the_trial(
     pictures: list[Any],
 ) -> None:
     """A plug-in's frames may be anything; fitness is what it is."""
@@ -391,7 +391,7 @@ class Raises(Minisim):
         return super().step(actions)
 
 
-def test_a_trial_that_fails_is_there_up_to_that() -> None:
+def test_a_failing_trial_is_shown_up_to_the_failure() -> None:
     built, network = evaluate.build("minisim", {"steps": 20}, "fully-meshed", {})
     found = record(Raises(built.settings), network, network.random(1, Stream(3)), 5)
     assert found.error == 'RuntimeError: </script><b>"\\x1b[31m'

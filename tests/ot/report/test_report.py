@@ -12,6 +12,7 @@ from click.testing import CliRunner
 
 import zswarm
 from tests.ot.invented_record import written
+from zswarm.config.sections import PartConfig
 from zswarm.controller import CHAMPION, load_controller
 from zswarm.ot import cli
 from zswarm.ot.notes import Note
@@ -145,7 +146,7 @@ SAME = "anyone who runs this experiment with the same code gets the same one"
         ),
     ],
 )
-def test_a_history_that_others_cannot_repeat_is_not_said_to_be_repeated(
+def test_the_report_claims_repeatability_only_if_others_can_repeat_the_run(
     tmp_path: Path, sql: str, words: str
 ) -> None:
     folder = written(tmp_path, [1, 2])
@@ -181,6 +182,23 @@ def test_settings_that_are_no_defaults_are_marked(tmp_path: Path) -> None:
         "representation.hidden": ("7", "2"),
         "problem.settings.field": ("stadium", "random"),
     }
+
+
+def test_a_ranking_is_shown_unless_it_is_the_default(tmp_path: Path) -> None:
+    complete = Run(written(tmp_path, [1])).experiment
+    keys = [row.key for row in settings_rows(complete)]
+    assert not [key for key in keys if key.startswith("ranking")]
+    ranking = PartConfig(
+        kind="swiss", settings={"all_sides": False, "rounds": 5, "win": 2, "tie": 1}
+    )
+    rows = settings_rows(msgspec.structs.replace(complete, ranking=ranking))
+    assert [row for row in rows if row.key.startswith("ranking")] == [
+        ("ranking.kind", "swiss", "absolute"),
+        ("ranking.all_sides", "false", "true"),
+        ("ranking.rounds", "5", "0"),
+        ("ranking.win", "2", None),
+        ("ranking.tie", "1", None),
+    ]
 
 
 def test_the_weights_are_those_of_the_champion(tmp_path: Path) -> None:
@@ -265,7 +283,7 @@ def test_a_run_without_a_generation_has_a_page(tmp_path: Path) -> None:
     assert "zswarm-ot resume" in page.text
 
 
-def test_many_events_are_folded_and_some_left_out(tmp_path: Path) -> None:
+def test_many_events_are_folded_and_some_omitted(tmp_path: Path) -> None:
     folder = written(
         tmp_path,
         [1],

@@ -93,7 +93,7 @@ def test_plain_lines_name_the_runs_and_the_table_fits(
     assert "\x1b" not in captured.out + captured.err
 
 
-def test_json_is_strict_and_has_all_of_it(
+def test_json_is_strict_and_complete(
     study: Study, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def refuse(text: str) -> None:
@@ -155,7 +155,7 @@ def test_json_is_strict_and_has_all_of_it(
     assert done["settings"][1]["q25"] is None
 
 
-def test_the_live_table_fits_however_many_runs_are_in_progress(study: Study) -> None:
+def test_the_live_table_fits_with_any_number_of_runs(study: Study) -> None:
     shown = LiveStudyDisplay(study)
     try:
         for one in study.planned:
@@ -193,7 +193,7 @@ def test_a_failed_run_leaves_the_live_table_and_its_total(study: Study) -> None:
 @pytest.mark.parametrize(
     ("terminal", "moving"), [("xterm", True), ("dumb", False), ("", False)]
 )
-def test_only_where_lines_can_be_written_over_does_a_table_move(
+def test_only_a_terminal_that_can_overwrite_lines_gets_a_live_table(
     terminal: str, moving: bool, study: Study, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As a single run does."""
@@ -205,7 +205,7 @@ def test_only_where_lines_can_be_written_over_does_a_table_move(
     assert type(shown) is expected
 
 
-def test_of_scores_it_says_that_they_do_not_compare(
+def test_the_summary_of_relative_runs_suggests_no_comparison(
     study: Study, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The command that would refuse to compare them is not suggested."""

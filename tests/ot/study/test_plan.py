@@ -41,7 +41,7 @@ def test_every_setting_has_its_first_seed_before_any_has_its_second(
     ]
 
 
-def test_a_name_has_all_that_a_setting_changes(tmp_path: Path) -> None:
+def test_the_name_of_a_run_holds_every_changed_setting(tmp_path: Path) -> None:
     text = '[study.grid]\n"representation.hidden" = [2]\n"optimizer.severity" = [0.5]\n'
     text += '"problem.seeds" = ["fresh"]'
     assert names(tmp_path, text) == ["hidden-2-severity-0-5-seeds-fresh-seed-7"]
@@ -81,7 +81,7 @@ def test_every_setting_gives_a_safe_folder_name(
         assert keys.is_id(name)
 
 
-def test_a_folder_that_holds_another_run_is_not_taken_for_it(tmp_path: Path) -> None:
+def test_a_folder_with_another_run_is_not_reused(tmp_path: Path) -> None:
     """As when the study's file was changed since."""
     first = plan(study(tmp_path, "[study]\nrepeat = 2"), "small.toml")
     found = {one.name: identity(one.experiment) for one in first}
@@ -116,7 +116,7 @@ def test_the_length_of_a_run_is_not_part_of_its_identity(tmp_path: Path) -> None
 # ---- labels
 
 
-def test_a_label_tells_settings_apart() -> None:
+def test_a_label_distinguishes_settings() -> None:
     settings = [
         {"optimizer.population": 50, "problem.seeds": "fresh"},
         {"a.width": 2, "b.width": [1, 2]},
@@ -148,13 +148,13 @@ def test_a_label_tells_settings_apart() -> None:
         ([1] * MOST_AT_ONCE, 1000, False),
     ],
 )
-def test_another_run_begins_when_those_that_go_on_do_not_keep_the_slots_busy(
+def test_another_run_begins_when_the_active_ones_do_not_fill_the_slots(
     trials: list[int | None], slots: int, begins: bool
 ) -> None:
     assert another(trials, slots, at_once=0) is begins
 
 
-def test_a_number_that_was_asked_for_is_kept_to() -> None:
+def test_a_requested_number_of_parallel_runs_is_respected() -> None:
     assert [another([50] * going, 2, at_once=3) for going in range(5)] == [
         True,
         True,

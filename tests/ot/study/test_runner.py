@@ -51,7 +51,7 @@ def test_a_link_in_the_place_of_a_run_is_neither_followed_nor_removed(
     assert (elsewhere / "lock").exists()
 
 
-def test_leaving_does_not_wait_for_a_run_whose_thread_did_not_begin(study: Study) -> None:
+def test_leaving_does_not_wait_for_a_run_whose_thread_did_not_start(study: Study) -> None:
     """Ctrl-C may come while it is being started."""
     left = player(study)
     left._threads.append(threading.Thread())

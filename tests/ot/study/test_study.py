@@ -76,7 +76,7 @@ def test_a_study_in_use_is_refused(folder: Path) -> None:
     Study.open(folder).__exit__(None, None, None)
 
 
-def test_what_cannot_be_built_is_refused_before_there_is_a_folder(file: Path) -> None:
+def test_an_unbuildable_study_is_refused_before_its_folder_is_created(file: Path) -> None:
     """The optimizer refuses it, not the type of the setting."""
     small(file.parent, "[study.grid]\n'optimizer.mutation' = [0.4, 0.9]")
     with pytest.raises(ConfigError, match=r"^small.toml: study: with mutation 0.9: .*"):
@@ -107,7 +107,7 @@ def test_a_damaged_file_is_refused(folder: Path, text: str, said: str) -> None:
     assert said in refusal(folder)
 
 
-def test_runs_that_the_file_no_longer_asks_for_are_named(folder: Path) -> None:
+def test_runs_that_are_no_longer_part_of_the_study_are_named(folder: Path) -> None:
     for seed in (7, 8):
         record(folder, f"seed-{seed}", seed=seed)
     record(folder, "by-hand", seed=99)
@@ -119,7 +119,7 @@ def test_runs_that_the_file_no_longer_asks_for_are_named(folder: Path) -> None:
         assert study.others == ["by-hand", "seed-8"]
 
 
-def test_a_changed_experiment_takes_no_run_of_the_old_one_for_its_own(
+def test_a_changed_experiment_does_not_reuse_runs_of_the_old_one(
     folder: Path,
 ) -> None:
     record(folder, "seed-7")

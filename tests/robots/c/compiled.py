@@ -1,4 +1,4 @@
-"""C, compiled and loaded: what tests call of it."""
+"""Compile and load C, for tests that call it."""
 
 import ctypes
 import shutil
@@ -12,7 +12,7 @@ STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic"
 
 
 def require(*programs: str) -> None:
-    """Skip the test where one of them is not there."""
+    """Skip the test if one of the programs is missing."""
     for name in programs:
         if shutil.which(name) is None:
             pytest.skip(f"no {name} on this machine")
@@ -21,7 +21,7 @@ def require(*programs: str) -> None:
 def library(
     sources: dict[str, str], folder: Path, *flags: str, compiler: str = "gcc"
 ) -> ctypes.CDLL:
-    """Sources and headers, by their names, as one shared library; warnings are errors."""
+    """Compile sources and headers, by their names, into one shared library; warnings are errors."""
     require(compiler)
     for name, text in sources.items():
         (folder / name).write_text(text, "ascii")
@@ -38,7 +38,7 @@ def library(
 
 
 def floats(numbers: np.ndarray) -> ctypes.c_void_p:
-    """Where an array lies."""
+    """Return a pointer to an array."""
     return numbers.ctypes.data_as(ctypes.c_void_p)
 
 

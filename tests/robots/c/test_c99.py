@@ -52,7 +52,7 @@ def loaded(
 
 
 @pytest.mark.parametrize("number", range(len(KINDS)), ids=map(named, KINDS))
-def test_the_pair_decides_as_the_kernel_does(
+def test_the_c_files_decide_like_the_kernel(
     number: int, controllers: list[Controller], loaded: ctypes.CDLL
 ) -> None:
     evolved = controllers[number]
@@ -66,7 +66,7 @@ def test_the_pair_decides_as_the_kernel_does(
 
 
 @pytest.mark.parametrize("number", range(len(KINDS)), ids=map(named, KINDS))
-def test_the_pair_checks_itself(number: int, loaded: ctypes.CDLL) -> None:
+def test_the_c_files_check_themselves(number: int, loaded: ctypes.CDLL) -> None:
     assert getattr(loaded, f"{stem(number)}_selftest")() == 0
 
 
@@ -123,7 +123,7 @@ def test_the_same_controller_gives_the_same_text() -> None:
         assert pair(controller(kind), "night") == pair(controller(kind), "night")
 
 
-def test_the_header_says_what_it_is() -> None:
+def test_the_header_defines_sizes_and_the_hash_of_the_controller() -> None:
     evolved = controller("fully-meshed", inputs=INPUTS, outputs=OUTPUTS)
     header = pair(evolved, "Night 7")["zs_night_7.h"]
     macros = dict(re.findall(r"#define (ZS_\w+) (\S+|\"[^\"]*\")", header))
@@ -135,7 +135,7 @@ def test_the_header_says_what_it_is() -> None:
     assert "action[2]: motor 2" in header
 
 
-def test_the_header_says_what_a_simulators_numbers_mean() -> None:
+def test_the_header_documents_the_numbers_of_a_known_simulator() -> None:
     evolved = msgspec.structs.replace(controller("fully-meshed"), simulator="minisim")
     assert "Observation:" in pair(evolved, "night")["zs_night.h"]
     gone = msgspec.structs.replace(evolved, simulator="of-somebody-else")
@@ -199,7 +199,7 @@ def test_a_plugin_is_translated_too(
     ]
 
 
-def test_a_plugin_that_c_cannot_say_is_refused_in_a_line(
+def test_a_plugin_that_cannot_be_translated_to_c_is_refused_in_one_line(
     plugin: Callable[[str, str], Controller],
 ) -> None:
     evolved = plugin("min(max(total, ZERO), ONE)", "np.minimum(total, ONE)")
@@ -210,7 +210,7 @@ def test_a_plugin_that_c_cannot_say_is_refused_in_a_line(
         pair(evolved, "night")
 
 
-def test_it_is_written_without_the_compiler_too() -> None:
+def test_c_is_written_without_loading_the_compiler() -> None:
     """By programs that evaluate nothing."""
     code = (
         "from tests.robots.controllers import controller; "
@@ -251,7 +251,7 @@ HOSTILE = [
 ]
 
 
-def test_hostile_names_stay_words(tmp_path: Path) -> None:
+def test_hostile_names_stay_single_words(tmp_path: Path) -> None:
     """Of runs, simulators, sensors, actuators and settings."""
     for number, name in enumerate(HOSTILE):
         evolved = msgspec.structs.replace(
@@ -294,7 +294,7 @@ def test_a_string_of_c_is_the_name_that_was_given(tmp_path: Path) -> None:
     assert [made.name(at).decode() for at in range(3)] == names
 
 
-def test_the_header_is_for_cplusplus_too(tmp_path: Path) -> None:
+def test_the_header_also_compiles_as_cplusplus(tmp_path: Path) -> None:
     require("gcc", "g++")
     files = pair(controller("fully-meshed"), "night")
     (tmp_path / "main.cpp").write_text(

@@ -134,7 +134,7 @@ def test_every_compiler_and_processor_gives_the_same_bits(
     assert not np.flatnonzero(bits != expected).size
 
 
-def test_without_its_guard_a_compiler_joins_products_and_sums_and_the_self_test_finds_it(
+def test_the_self_test_detects_a_compiler_that_contracts_products_and_sums(
     tmp_path: Path,
 ) -> None:
     """Without the flag GCC contracts in its own dialect: the other tests can fail."""

@@ -444,7 +444,7 @@ def test_arrays_are_read_and_written_as_in_python(tmp_path: Path, flags: str) ->
     ]
 
 
-def test_a_constant_that_branches_ask_for_leaves_one_of_them() -> None:
+def test_a_constant_condition_keeps_only_its_branch() -> None:
     def chosen(x):
         return doubled(x, 2) + doubled(x, 3)
 
@@ -595,7 +595,7 @@ REFUSED = [
 @pytest.mark.parametrize(
     ("function", "construct"), REFUSED, ids=lambda each: getattr(each, "__name__", "")
 )
-def test_what_c_cannot_say_is_refused_by_name(
+def test_constructs_that_c_lacks_are_refused_by_name(
     function: Callable[..., Any], construct: str
 ) -> None:
     """With file, line and construct."""
@@ -612,7 +612,7 @@ def test_what_c_cannot_say_is_refused_by_name(
     )
 
 
-def test_two_lines_in_one_table_are_told_apart() -> None:
+def test_names_that_are_taken_in_c_are_changed() -> None:
     """Names of Python that are words of C, or that another function has."""
 
     def double(int_, long):  # a word of C, twice

@@ -87,7 +87,7 @@ def compare(kind: tuple[str, dict[str, Any]], seed: int, steps: int) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=named)
-def test_a_model_decides_the_same_within_the_tolerance(
+def test_a_model_decides_like_the_network_within_the_tolerance(
     kind: tuple[str, dict[str, Any]],
 ) -> None:
     compare(kind, 1, 100)
@@ -96,7 +96,7 @@ def test_a_model_decides_the_same_within_the_tolerance(
 @pytest.mark.robots
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("kind", KINDS, ids=named)
-def test_a_model_stays_near_over_a_thousand_steps(
+def test_a_model_stays_within_the_tolerance_for_a_thousand_steps(
     kind: tuple[str, dict[str, Any]], seed: int
 ) -> None:
     compare(kind, seed, 1000)
@@ -115,7 +115,7 @@ def test_a_machine_takes_what_no_sensor_should_give(value: float) -> None:
         assert running.act(observation).tobytes() == driver.act(observation).tobytes()
 
 
-def test_a_model_says_what_it_is_and_is_always_the_same() -> None:
+def test_a_model_has_metadata_and_reproducible_bytes() -> None:
     evolved = controller("ctrnn")
     content = model(evolved, "x")["zs_x.onnx"]
     assert content == model(evolved, "x")["zs_x.onnx"]

@@ -55,12 +55,12 @@ def test_one_robot_alone_has_no_namespace() -> None:
     assert profile.frame("base_laser_link", 3, 10) == "/robot_3/base_laser_link"
 
 
-def test_turtlebots_of_different_years_take_different_velocities() -> None:
+def test_newer_turtlebots_take_stamped_velocities() -> None:
     stamped = {name for name in profiles.names() if profiles.read(name).velocity.stamped}
     assert stamped == {"turtlebot3-jazzy", "turtlebot4"}
 
 
-def test_a_profile_of_ones_own_is_read_by_its_path(tmp_path: Path) -> None:
+def test_a_users_profile_is_read_from_its_path(tmp_path: Path) -> None:
     path = tmp_path / "rover.toml"
     path.write_text(OWN)
     profile = profiles.read(str(path))
@@ -139,7 +139,7 @@ def test_the_document_says_where_each_profile_was_tested() -> None:
         assert f"`{name}`" in text
 
 
-def test_profiles_are_data() -> None:
+def test_profiles_round_trip() -> None:
     """What is written is what was read."""
     profile = profiles.read("turtlebot4")
     assert msgspec.convert(msgspec.to_builtins(profile), profiles.Profile) == profile

@@ -1,4 +1,4 @@
-"""A package whose one node does what it is told, and its manifest, written into a folder."""
+"""Write a package whose one node does what it is told, and its manifest, into a folder."""
 
 import shutil
 from pathlib import Path

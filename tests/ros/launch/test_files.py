@@ -171,7 +171,7 @@ def test_a_wrong_manifest_is_reported_in_one_line(
 
 
 def test_a_launch_file_that_would_not_end_is_refused(rough: Path) -> None:
-    """roslaunch goes on as long as its master does, though all nodes of the file ended."""
+    """roslaunch runs as long as its master, even after all nodes of the file have ended."""
     rough_package.write(rough)
     launch = rough / "rough" / "rough.launch"
     launch.write_text(launch.read_text().replace('required="true"', ""))
@@ -246,7 +246,7 @@ def test_trials_cannot_be_followed_in_turns(rough: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "repeatable"), [('[seed]\nargument = "seed"\n', False), ("", True)]
 )
-def test_a_world_without_a_place_for_the_seed_is_not_repeatable(
+def test_a_world_that_ignores_the_seed_is_not_repeatable(
     change: str, repeatable: bool, rough: Path
 ) -> None:
     manifest = rough_package.write(rough)
@@ -256,7 +256,7 @@ def test_a_world_without_a_place_for_the_seed_is_not_repeatable(
     assert evaluate.build("rough", {}, "fully-meshed", {})[0].repeatable == repeatable
 
 
-def test_the_version_hash_covers_manifest_package_and_the_code_of_this_route(
+def test_the_version_hash_covers_manifest_package_and_launch_code(
     rough: Path,
 ) -> None:
     rough_package.write(rough)
@@ -363,7 +363,7 @@ def test_a_node_or_roslaunch_that_fails_is_a_fault(rough: Path, how: str) -> Non
 @pytest.mark.robots
 @ROSLAUNCH
 @pytest.mark.parametrize("how", DECIDED)
-def test_logs_that_are_not_there_are_an_outcome_and_the_next_trial_is_played(
+def test_missing_logs_are_an_outcome_and_the_next_trial_is_played(
     rough: Path, how: str
 ) -> None:
     rough_package.write(rough)
@@ -374,7 +374,7 @@ def test_logs_that_are_not_there_are_an_outcome_and_the_next_trial_is_played(
 
 @pytest.mark.robots
 @ROSLAUNCH
-def test_nothing_is_left_of_a_trial_that_left_something(rough: Path) -> None:
+def test_processes_that_a_trial_leaves_behind_are_ended(rough: Path) -> None:
     """Nodes have sessions of their own, and what they start may have another one."""
     rough_package.write(rough)
     before = running("sleep 1000")
@@ -396,7 +396,7 @@ def test_nothing_is_left_of_a_trial_that_left_something(rough: Path) -> None:
         ),
     ],
 )
-def test_the_users_own_command_says_the_fitness(
+def test_the_users_command_computes_the_fitness(
     rough: Path, command: list[str], fitness: float, told: str
 ) -> None:
     """Its last argument is the folder of the logs; it runs in the package."""
@@ -461,7 +461,7 @@ def running(words: str) -> set[int]:
     return found
 
 
-def test_the_class_of_a_manifest_is_of_this_route(rough: Path) -> None:
+def test_a_launch_manifest_gives_a_launch_simulator(rough: Path) -> None:
     rough_package.write(rough)
     assert issubclass(plugins.load("simulator", "rough"), RosFiles)
 

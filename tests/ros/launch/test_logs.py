@@ -45,7 +45,7 @@ def test_more_than_90_steps_count_as_90(tmp_path: Path) -> None:
     assert logs.fitness("cpswarm-log", robots) == 100.0
 
 
-def test_a_log_without_lines_is_far_and_long_for_one_rule_and_an_error_for_the_other(
+def test_an_empty_log_counts_as_worst_for_one_rule_and_is_an_error_for_the_other(
     tmp_path: Path,
 ) -> None:
     """cpswarm-log has 50 m and 90 steps for it: 0. There is no last distance."""
@@ -101,7 +101,7 @@ def test_each_robot_has_a_log(robots: int, told: str, tmp_path: Path) -> None:
         logs.read(written(tmp_path / "log", FIRST, SECOND), robots)
 
 
-def test_no_log_at_all_is_an_error_and_no_nan(tmp_path: Path) -> None:
+def test_a_missing_log_is_an_error_and_not_nan(tmp_path: Path) -> None:
     """The published reader divided by zero."""
     with pytest.raises(
         LogError, match=r"^log/ has 0 logs; expected 2, one of each robot$"
@@ -109,7 +109,7 @@ def test_no_log_at_all_is_an_error_and_no_nan(tmp_path: Path) -> None:
         logs.read(written(tmp_path / "log"), 2)
 
 
-def test_bytes_that_are_no_text_are_an_error(tmp_path: Path) -> None:
+def test_bytes_that_are_not_text_are_an_error(tmp_path: Path) -> None:
     (written(tmp_path / "log") / "robot.log").write_bytes(b"0\t1.0\n\xff\xfe\x00\n")
     with pytest.raises(LogError, match=r"^robot\.log, line 2: expected "):
         logs.read(tmp_path / "log", 1)
@@ -123,7 +123,7 @@ def test_bytes_that_are_no_text_are_an_error(tmp_path: Path) -> None:
         ("fitness=1\nfitness=2\ndone\n", 2.0),
     ],
 )
-def test_a_command_says_the_fitness(said: str, number: float) -> None:
+def test_the_fitness_is_read_from_a_commands_output(said: str, number: float) -> None:
     assert logs.given(said) == number
 
 
@@ -131,6 +131,6 @@ def test_a_command_says_the_fitness(said: str, number: float) -> None:
     "said",
     ["", "fitness", "fitness=nan", "fitness=1.0 of 2", "my fitness=1", "Fitness=3"],
 )
-def test_a_command_that_says_no_fitness_is_an_error(said: str) -> None:
+def test_output_without_a_fitness_is_an_error(said: str) -> None:
     with pytest.raises(LogError, match=r"^its output has no line fitness=<number>$"):
         logs.given(said)

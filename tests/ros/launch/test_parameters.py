@@ -29,7 +29,7 @@ VALUES: dict[str, Any] = {
 }
 
 
-def test_the_text_has_a_value_a_line() -> None:
+def test_the_text_has_one_value_per_line() -> None:
     assert parameters.text(
         {"steps": 50, "exit_0": [-2.0, 1], "on": True, "to": "log"}
     ) == ('steps: 50\nexit_0: [-2.0, 1]\non: true\nto: "log"\n')
@@ -39,7 +39,7 @@ def test_the_text_has_a_value_a_line() -> None:
     ("number", "text"),
     [(1e-07, "1.0e-07"), (1e22, "1.0e+22"), (0.1, "0.1"), (-2.0, "-2.0")],
 )
-def test_numbers_have_a_point(number: float, text: str) -> None:
+def test_floats_have_a_decimal_point(number: float, text: str) -> None:
     """YAML 1.1, which ROS reads, takes 1e-07 for a text."""
     assert parameters.number(number) == text
 
@@ -55,13 +55,13 @@ def test_numbers_that_are_not_finite_are_yaml() -> None:
 @pytest.mark.parametrize(
     "value", [2**31, -(2**31) - 1, None, {1, 2}, [1, [2**40]], {"a": None}]
 )
-def test_what_ros_has_no_parameters_for_is_refused(value: Any) -> None:
+def test_values_that_ros_parameters_lack_are_refused(value: Any) -> None:
     with pytest.raises(ValueError, match=r"^steps: "):
         parameters.text({"steps": value})
 
 
 @pytest.mark.robots
-def test_ros_reads_what_was_written() -> None:
+def test_ros_reads_the_written_files() -> None:
     """By the YAML reader of Debian's ROS, in its Python; float32 numbers keep their bits."""
     if not shutil.which("roslaunch"):
         pytest.skip("roslaunch is not installed: apt install ros-core")

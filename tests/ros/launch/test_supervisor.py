@@ -49,7 +49,7 @@ def supervisor() -> Iterator[Supervisor]:
     made.close()
 
 
-def test_a_program_runs_to_its_end_and_what_it_says_is_kept(
+def test_a_program_runs_to_its_end_and_its_output_is_returned(
     supervisor: Supervisor, tmp_path: Path
 ) -> None:
     ended = supervisor.run(
@@ -61,7 +61,7 @@ def test_a_program_runs_to_its_end_and_what_it_says_is_kept(
     assert supervisor.run(["true"], tmp_path, ENVIRONMENT) == (0, "")
 
 
-def test_signals_are_heard_by_what_it_runs_though_a_slot_hears_none(
+def test_the_program_receives_signals_that_a_slot_ignores(
     tmp_path: Path,
 ) -> None:
     """A slot ignores SIGINT and SIGTERM, and its children would inherit that."""
@@ -90,10 +90,10 @@ def test_signals_are_heard_by_what_it_runs_though_a_slot_hears_none(
 
 
 @pytest.mark.parametrize("how", ["true", "exit 1", "kill -KILL $$"])
-def test_nothing_is_left_of_a_program_that_ended(
+def test_no_process_remains_of_an_ended_program(
     supervisor: Supervisor, how: str, tmp_path: Path
 ) -> None:
-    """Not even what has a session of its own, and the supervisor goes on."""
+    """Not even one with its own session, and the supervisor continues."""
     supervisor.run(["sh", "-c", LEAVES + how], tmp_path, ENVIRONMENT)
     assert not alive(left(tmp_path))
     assert supervisor.run(["true"], tmp_path, ENVIRONMENT).code == 0
@@ -109,9 +109,7 @@ def test_a_program_that_takes_longer_than_its_limit_is_ended(
     assert not alive(left(tmp_path))
 
 
-def test_a_program_that_is_not_there_is_named(
-    supervisor: Supervisor, tmp_path: Path
-) -> None:
+def test_a_nonexistent_program_is_named(supervisor: Supervisor, tmp_path: Path) -> None:
     with pytest.raises(
         EvaluationError,
         match=r"^\./nowhere cannot be started: No such file or directory$",

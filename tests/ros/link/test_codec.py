@@ -87,7 +87,7 @@ def test_an_odometry_keeps_every_bit(
         ResetWorld(seed=0),
     ],
 )
-def test_other_messages_come_as_they_were(message: Message) -> None:
+def test_other_messages_round_trip(message: Message) -> None:
     assert codec.decode(*codec.topic(message), codec.encode(message)) == message
 
 
@@ -95,7 +95,7 @@ def test_other_messages_come_as_they_were(message: Message) -> None:
     st.lists(st.tuples(st.integers(0, 0xFFFF), st.binary(max_size=50))),
     st.integers(1, 30),
 )
-def test_frames_come_whole_however_they_are_cut(
+def test_frames_are_reassembled_from_any_chunks(
     sent: list[tuple[int, bytes]], chunk: int
 ) -> None:
     stream = b"".join(frames.frame(topic, body) for topic, body in sent)

@@ -79,7 +79,7 @@ def test_messages_go_both_ways_between_two_sides(here: graph.RosGraph) -> None:
             controllers.send([Clock(stamp_ns=1)])
 
 
-def test_who_is_not_there_is_named(here: graph.RosGraph) -> None:
+def test_missing_nodes_are_named(here: graph.RosGraph) -> None:
     with (
         Link(
             here, PROFILE, robots=1, side="controllers", channels=("scan", "velocity")
@@ -92,7 +92,7 @@ def test_who_is_not_there_is_named(here: graph.RosGraph) -> None:
         link.ready(0.2)
 
 
-def test_of_several_channels_one_may_be_enough(here: graph.RosGraph) -> None:
+def test_one_of_several_channels_may_be_enough(here: graph.RosGraph) -> None:
     with (
         Link(here.dialled(), PROFILE, robots=1, side="simulation") as simulation,
         Link(
@@ -116,7 +116,7 @@ def test_a_bridge_that_is_killed_is_named(here: graph.RosGraph) -> None:
     assert bridges() == []
 
 
-def test_a_link_that_is_closed_leaves_nothing(here: graph.RosGraph) -> None:
+def test_closing_a_link_leaves_no_processes(here: graph.RosGraph) -> None:
     link = Link(here, PROFILE, robots=1, side="controllers")
     assert len(bridges()) == 1
     link.close()
@@ -139,7 +139,7 @@ def test_a_link_that_is_closed_leaves_nothing(here: graph.RosGraph) -> None:
         ),
     ],
 )
-def test_a_profile_of_the_other_ros_is_refused(
+def test_a_profile_of_another_ros_version_is_refused(
     kind: graph.LinkKind, profile: str, said: str
 ) -> None:
     with pytest.raises(ConfigError, match=said):
@@ -151,7 +151,7 @@ def test_a_profile_of_the_other_ros_is_refused(
         )
 
 
-def test_zenoh_says_that_it_calls_no_services(here: graph.RosGraph) -> None:
+def test_services_are_refused_over_zenoh(here: graph.RosGraph) -> None:
     stage = msgspec.structs.replace(
         PROFILE, reset=profiles.ResetTopic(name="/reset_positions", service=True)
     )
@@ -177,13 +177,13 @@ def test_an_endpoint_in_use_is_reported(here: graph.RosGraph) -> None:
             "rospy",
             "ZSWARM_ROS1_PYTHON",
             "stageros",
-            r"rospy is not there: install it \(Debian: apt install ros-core\)",
+            r"rospy is missing: install it \(Debian: apt install ros-core\)",
         ),
         (
             "rclpy",
             "ZSWARM_ROS2_PYTHON",
             "stage_ros2",
-            "rclpy is not there: source ROS 2's setup.bash, or name the Python",
+            "rclpy is missing: source ROS 2's setup.bash, or name the Python",
         ),
     ],
 )

@@ -50,7 +50,7 @@ def test_bytes_and_hashes_are_those_of_ros_2(kind: str, node: ZenohNode) -> None
     assert conversion.body(kind)(back).hex() == known["body"]
 
 
-def test_numbers_stand_where_ros_looks_for_them(node: ZenohNode) -> None:
+def test_numbers_are_at_the_offsets_that_ros_expects(node: ZenohNode) -> None:
     """Poses, the quaternion's z and w, velocities and stamps are in their fields."""
 
     def message(kind: str) -> Any:
@@ -121,7 +121,7 @@ def test_an_unknown_distribution_is_named() -> None:
         ZenohNode(session, "robot", distribution="noetic")
 
 
-def test_others_see_who_is_there_and_what_was_sent_is_numbered() -> None:
+def test_liveliness_tokens_are_declared_and_messages_are_numbered() -> None:
     """Tokens, keys and attachments are as in rmw_zenoh's design."""
     samples: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
     with (
@@ -187,7 +187,7 @@ def test_invalid_messages_are_dropped(
 
 
 def wait_for_tokens(session: zenoh.Session, count: int) -> list[str]:
-    """All tokens of the domain, as soon as there are so many."""
+    """Return all tokens of the domain, once there are this many."""
     for _ in range(TIMEOUT_S * 20):
         replies = session.liveliness().get("@ros2_lv/7/**")
         found = [str(reply.ok.key_expr) for reply in replies if reply.ok]

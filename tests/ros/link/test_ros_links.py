@@ -152,7 +152,7 @@ def check_hundred(came: list[Message], first: int) -> None:
             ]
 
 
-def test_who_is_not_there_is_named(here: graph.RosGraph) -> None:
+def test_missing_nodes_are_named(here: graph.RosGraph) -> None:
     described = profiles.read(profile(here.link))
     with (
         Link(
@@ -166,7 +166,7 @@ def test_who_is_not_there_is_named(here: graph.RosGraph) -> None:
         link.ready(0.3)
 
 
-def test_a_bridge_that_is_killed_is_named_and_another_begins(
+def test_a_killed_bridge_is_named_and_replaced(
     here: graph.RosGraph,
 ) -> None:
     described = profiles.read(profile(here.link))
@@ -235,7 +235,7 @@ def test_a_service_without_arguments_begins_a_trial() -> None:
 
 
 def test_bytes_and_hashes_are_still_those_of_ros_2() -> None:
-    """What tests/ros compares with, made anew by rclpy itself."""
+    """rclpy itself computes again what tests/ros compares with."""
     need("rclpy")
     known = json.loads(GOLDEN.read_text())
     bodies = json.dumps({kind: entry["body"] for kind, entry in known.items()})

@@ -18,7 +18,9 @@ def asked() -> LockStep:
     return lock
 
 
-def test_it_steps_when_all_have_told(asked: LockStep) -> None:
+def test_the_simulation_steps_when_all_robots_have_sent_velocities(
+    asked: LockStep,
+) -> None:
     assert asked.handle(velocity(3, 0.3), 10.1) is None
     assert asked.handle(velocity(1, 0.1), 10.2) == Step(
         {3: velocity(3, 0.3), 1: velocity(1, 0.1)}
@@ -28,7 +30,7 @@ def test_it_steps_when_all_have_told(asked: LockStep) -> None:
     )
 
 
-def test_of_two_velocities_the_later_counts(asked: LockStep) -> None:
+def test_the_later_of_two_velocities_counts(asked: LockStep) -> None:
     asked.handle(velocity(1, 0.1), 10.0)
     asked.handle(velocity(1, 0.2), 10.0)
     stepped = asked.handle(velocity(3), 10.0)
@@ -36,7 +38,7 @@ def test_of_two_velocities_the_later_counts(asked: LockStep) -> None:
     assert stepped.velocities[1].linear == 0.2
 
 
-def test_what_is_not_waited_for_is_not_heard(asked: LockStep) -> None:
+def test_velocities_of_absent_robots_and_past_steps_are_ignored(asked: LockStep) -> None:
     """Robot 2 is out; 300 ns are over."""
     asked.handle(velocity(1, stamp_ns=400), 10.0)
     assert asked.handle(velocity(2), 10.0) is None
@@ -44,7 +46,7 @@ def test_what_is_not_waited_for_is_not_heard(asked: LockStep) -> None:
     assert isinstance(asked.handle(velocity(3, stamp_ns=400), 10.0), Step)
 
 
-def test_who_is_silent_for_too_long_is_named(asked: LockStep) -> None:
+def test_robots_that_are_silent_for_too_long_are_named(asked: LockStep) -> None:
     asked.handle(velocity(3), 10.0)
     assert asked.handle(None, 14.9) is None
     assert asked.handle(None, 15.0) == Overdue((1,), 400)
@@ -56,7 +58,7 @@ def test_a_velocity_at_the_last_moment_counts(asked: LockStep) -> None:
     assert isinstance(asked.handle(velocity(1), 15.0), Step)
 
 
-def test_it_waits_as_long_as_the_robots_have(asked: LockStep) -> None:
+def test_the_wait_ends_at_the_robots_deadline(asked: LockStep) -> None:
     assert asked.left_s(12.0, 60.0) == 3.0
     assert asked.left_s(99.0, 60.0) == 0.0
     asked.stop()

@@ -38,7 +38,7 @@ def readings() -> Readings:
     return Readings(INTERFACE, truth=True)
 
 
-def test_scan_and_pose_are_needed_from_a_time_on(readings: Readings) -> None:
+def test_readings_older_than_a_time_are_missing(readings: Readings) -> None:
     for message in (scan(0, 400), pose(0, 400), scan(1, 400), pose(1, 200)):
         readings.take(message)
     assert readings.missing([0, 1], 400) == [1]
@@ -53,7 +53,7 @@ def test_poses_are_from_one_source(readings: Readings) -> None:
     assert readings.missing([0], 400) == [0]
 
 
-def test_the_newest_are_filled_in(readings: Readings) -> None:
+def test_the_newest_readings_are_filled_in(readings: Readings) -> None:
     for message in (scan(1, 200, 3.0), scan(1, 400, 2.0), pose(1, 400)):
         readings.take(message)
     scans, poses = np.zeros((2, INTERFACE.rays), np.float32), np.zeros((2, 4))
@@ -62,7 +62,7 @@ def test_the_newest_are_filled_in(readings: Readings) -> None:
     assert poses.tolist() == [[0.0] * 4, [1.0, 2.0, 0.6, 0.8]]
 
 
-def test_nothing_is_known_of_before_a_trial(readings: Readings) -> None:
+def test_readings_from_before_a_trial_are_forgotten(readings: Readings) -> None:
     for message in (scan(0, 400), pose(0, 400), Clock(stamp_ns=400)):
         readings.take(message)
     readings.forget()
@@ -70,7 +70,7 @@ def test_nothing_is_known_of_before_a_trial(readings: Readings) -> None:
     assert readings.clock_ns == 0
 
 
-def test_the_time_is_the_latest_that_a_clock_or_a_scan_told(readings: Readings) -> None:
+def test_the_time_is_the_latest_of_clocks_and_scans(readings: Readings) -> None:
     readings.take(Clock(stamp_ns=600))
     readings.take(scan(0, 400))
     assert readings.clock_ns == 600

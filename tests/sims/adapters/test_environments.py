@@ -330,13 +330,13 @@ class Stranger(Visitors):
 
 
 class Strange(Visit):
-    """An agent nobody announced."""
+    """Return an agent that was not announced."""
 
     def make(self, **options: Any) -> Visitors:
         return Stranger(**options)
 
 
-def test_an_agent_that_was_not_announced_makes_the_trial_fail_and_is_named() -> None:
+def test_an_unannounced_agent_fails_the_trial_and_is_named() -> None:
     _, network = build("xor", {}, "fully-meshed", {})
     network = type(network)(network.settings, 6, 3)
     genomes = network.random(1, Stream(1))

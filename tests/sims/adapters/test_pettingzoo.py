@@ -1,4 +1,4 @@
-"""Environments that nobody here wrote, of PettingZoo, MPE2 and Gymnasium.
+"""Test environments of other packages: PettingZoo, MPE2 and Gymnasium.
 
 Each keeps the contract, and evolution beats random controllers in it, on held-out seeds.
 """
@@ -30,13 +30,17 @@ TWO_NETS = {"kind": "bulk", "parts": 2, "of": {"kind": "feed-forward", "hidden":
 EVOLVED: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
     ("simple_v3", {}, {"generations": 20, "trials": 6, "search": True}),
     ("simple_spread_v3", {}, {"generations": 8, "trials": 4}),
-    ("simple_formation_v1", {}, {"generations": 8}),
+    ("simple_formation_v1", {}, {"generations": 6, "runs": 4, "others": 12}),
     (
         "simple_speaker_listener_v4",
         {},
         {"generations": 10, "trials": 4, "representation": TWO_NETS},
     ),
-    ("multiwalker_v9", {"max_cycles": 80}, {"generations": 8, "trials": 2, "unseen": 10}),
+    (
+        "multiwalker_v9",
+        {"max_cycles": 60},
+        {"generations": 6, "runs": 4, "trials": 2, "unseen": 6, "others": 12},
+    ),
 ]
 KEPT = {
     "pettingzoo": [
@@ -128,7 +132,7 @@ def test_evolution_of_one_agent_is_better_than_random_ones(environment: str) -> 
         ("gymnasium", {"environment": "Ant-v5"}, "gymnasium: Ant-v5 needs more: "),
     ],
 )
-def test_what_is_not_there_is_refused_in_a_line(
+def test_unknown_environments_and_settings_are_refused_in_one_line(
     simulator: str, settings: dict[str, Any], reason: str
 ) -> None:
     with pytest.raises(ConfigError, match=f"^{reason}") as refusal:
@@ -188,7 +192,7 @@ assert threading.active_count() == 1
 """
 
 
-def test_environments_say_nothing_and_leave_nothing_behind() -> None:
+def test_environments_print_nothing_and_leave_nothing_behind() -> None:
     """They print nothing and leave no window, threads or files."""
     without = {
         name: value

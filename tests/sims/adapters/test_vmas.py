@@ -19,7 +19,7 @@ from zswarm.testing import check_simulator
 pytestmark = pytest.mark.vmas
 
 
-def test_vmas_is_here() -> None:
+def test_vmas_is_installed() -> None:
     assert vmas_is_here()
 
 
@@ -73,7 +73,7 @@ def test_evolution_is_better_than_random_on_seeds_it_never_saw(
         ),
     ],
 )
-def test_what_vmas_has_not_is_refused_in_a_line(
+def test_settings_that_vmas_lacks_are_refused_in_one_line(
     settings: dict[str, Any], reason: str
 ) -> None:
     with pytest.raises(ConfigError, match=f"^{reason}") as refusal:

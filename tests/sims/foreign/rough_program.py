@@ -1,4 +1,4 @@
-"""A program that is a simulator without zswarm, and goes wrong as its argument says.
+"""Simulate without zswarm, and go wrong as the argument says.
 
 One agent observes the seed of the trial; fitness is the sum of its actions in three turns. It
 goes wrong in the trial with seed 1;
@@ -25,13 +25,13 @@ def say(**message: object) -> None:
 
 
 def write(**message: object) -> None:
-    """To be said with what is said next."""
+    """Queue a line, which is sent with the next one."""
     body = msgspec.msgpack.encode(message)
     out.write(struct.pack("<I", len(body)) + body)
 
 
 def shout(text: str) -> None:
-    """Where messages belong."""
+    """Send a line where messages belong."""
     out.write(f"{text}\n".encode())
     out.flush()
 
@@ -39,7 +39,7 @@ def shout(text: str) -> None:
 def hear() -> dict:
     head = sys.stdin.buffer.read(4)
     if len(head) < 4:
-        if HOW == "stays":  # though nobody is there any more
+        if HOW == "stays":  # although the reader is gone
             time.sleep(1000)
         sys.exit()
     return msgspec.msgpack.decode(sys.stdin.buffer.read(struct.unpack("<I", head)[0]))

@@ -198,7 +198,7 @@ def test_a_program_that_hosts_the_network_plays_whole_trials(install: Install) -
     assert play(simulator, 3).metrics.tolist() == [[3.0, 1.0]]
 
 
-def test_with_settings_that_differ_by_trial_it_still_plays_whole_trials(
+def test_a_hosting_program_with_varied_settings_plays_whole_trials(
     install: Install,
 ) -> None:
     """Each is set up when its settings come, in the one program that there is."""
@@ -215,7 +215,7 @@ def test_with_settings_that_differ_by_trial_it_still_plays_whole_trials(
 
 
 @pytest.mark.parametrize("how", BROKEN)
-def test_a_program_that_ends_or_breaks_the_protocol_is_a_fault_and_a_new_one_plays_on(
+def test_a_program_that_ends_or_breaks_the_protocol_is_a_fault_and_is_replaced(
     install: Install, how: str
 ) -> None:
     """The line names simulator, seed and what was expected; no process remains."""
@@ -231,7 +231,7 @@ def test_a_program_that_ends_or_breaks_the_protocol_is_a_fault_and_a_new_one_pla
 
 
 @pytest.mark.parametrize("how", DECIDED)
-def test_what_a_program_says_wrongly_is_an_outcome_of_that_trial(
+def test_an_invalid_answer_is_the_outcome_of_that_trial(
     install: Install, how: str
 ) -> None:
     """It is NaN, the text says what was expected, and the program plays on."""
@@ -268,7 +268,7 @@ def test_a_world_that_does_not_fit_together_is_refused(
         loaded(loaded.settings_type())
 
 
-def test_a_program_that_says_nothing_is_not_waited_for(
+def test_a_silent_program_is_ended(
     install: Install, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(foreign_program, "START_S", 0.2)
@@ -325,7 +325,7 @@ def test_a_wrong_manifest_affects_no_other_simulator(
         plugins.load("simulator", "bad")
 
 
-def test_the_version_hash_covers_manifest_files_and_what_speaks_with_programs(
+def test_the_version_hash_covers_manifest_files_and_protocol_code(
     install: Install, tmp_path: Path
 ) -> None:
     install("fine")
@@ -338,7 +338,7 @@ def test_the_version_hash_covers_manifest_files_and_what_speaks_with_programs(
     }
 
 
-def test_a_program_cannot_take_the_name_of_what_is_bundled(
+def test_a_program_cannot_take_a_bundled_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(
@@ -374,7 +374,7 @@ def test_trials_one_after_the_other_have_one_program(install: Install) -> None:
 
 
 def test_a_program_and_its_children_end_with_their_parent(tmp_path: Path) -> None:
-    """Also by SIGKILL, and though it does not care that nobody is there."""
+    """It is ended by SIGKILL if necessary, even if it ignores that its reader is gone."""
     code = (
         "import sys; from pathlib import Path; from zswarm.plugins.manifests import Manifest\n"
         "from zswarm.sims.foreign.program import Program\n"

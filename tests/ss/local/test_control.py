@@ -102,23 +102,24 @@ def test_an_invalid_request_is_refused_with_what_was_expected(
     )
 
 
-def test_a_silent_deaf_or_gone_client_is_dropped(
+def test_silent_unresponsive_and_disconnected_clients_are_dropped(
     server: Control, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(control, "CLIENT_S", 0.5)
-    silent, half, deaf, gone = (connected(server) for _ in range(4))
+    # The time of ``silent`` begins last: when it is over, that of ``deaf`` is over, too.
+    deaf, gone, half, silent = (connected(server) for _ in range(4))
     half.send(b'{"ask": ')
     deaf.send(b'{"ask": "status"}\n')
     gone.send(b'{"ask": "status"}\n')
     gone.close()
     assert asked(server, b'{"ask": "status"}\n')["ask"] == "status"
-    assert (rest(silent), rest(half)) == (b"", b"")
+    assert (rest(half), rest(silent)) == (b"", b"")
     assert not rest(deaf).endswith(b"\n")
     for connection in (silent, half, deaf):
         connection.close()
 
 
-def test_a_client_that_waits_stays_until_the_server_ends(folder: Path) -> None:
+def test_a_waiting_client_stays_connected_until_the_server_ends(folder: Path) -> None:
     server = new("ss-1")
     with connected(server) as connection:
         connection.send(b'{"ask": "drain", "wait": true}\n')
@@ -180,7 +181,9 @@ def test_a_path_that_is_too_long_is_reported(folder: Path) -> None:
         new("s" * 120)
 
 
-def test_where_the_socket_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_socket_folder_depends_on_the_user_and_the_environment(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """systemd's folder, root's, the session's, or one in the temporary folder."""
     assert control.folder({"RUNTIME_DIRECTORY": "/run/a:/run/b"}) == Path("/run/a")
     monkeypatch.setattr(control.os, "geteuid", lambda: 0)

@@ -3,7 +3,7 @@
 from zswarm.ss.local.snapshot import RATE_S, Rate
 
 
-def test_a_rate_is_of_the_last_seconds() -> None:
+def test_a_rate_covers_the_last_seconds() -> None:
     rate = Rate(100.0)
     assert rate.take(0, 100.0) == 0.0
     assert rate.take(50, 100.5) == 50.0, "at the start over a second at least"

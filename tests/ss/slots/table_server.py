@@ -1,4 +1,4 @@
-"""A slot table with a clock, for tests that feed events and compare commands."""
+"""Drive a slot table with a clock, for tests that feed events and compare commands."""
 
 import itertools
 from typing import TypeVar
@@ -43,7 +43,7 @@ TIMEOUT_S = 10.0  # of a trial
 
 
 class Server:
-    """A slot table with a clock, that collects what happens to queries and slots."""
+    """A slot table with a clock that collects answers to queries and commands for slots."""
 
     def __init__(self, capacity: int = 2, mismatch: str = "") -> None:
         tokens = itertools.count(1)
@@ -58,7 +58,7 @@ class Server:
         self.trials = [0] * capacity
 
     def feed(self, event: Event) -> list[object]:
-        """The commands for slots."""
+        """Feed an event; return the commands for slots."""
         self.commands = []
         for command in self.slots.handle(event, self.now):
             if isinstance(command, Answer):
@@ -70,18 +70,18 @@ class Server:
         return self.commands
 
     def ask(self, message: Request, run: str = "a") -> int:
-        """The number of the query."""
+        """Send a request; return the number of the query."""
         query = next(self.queries)
         self.open.add(query)
         self.feed(Asked(query, "user", run, message))
         return query
 
     def asked(self, message: Request, run: str = "a") -> Reply:
-        """The answer that comes at once."""
+        """Send a request; return the immediate answer."""
         return self.answers[self.ask(message, run)]
 
     def answer(self, query: int, kind: type[T]) -> T:
-        """The answer to a query, which is of this kind."""
+        """Return the answer to a query, which must be of this kind."""
         answer = self.answers[query]
         assert isinstance(answer, kind)
         return answer
@@ -90,7 +90,7 @@ class Server:
         return self.answer(self.ask(reserve(**fields), run), Lease)
 
     def ready(self, run: str = "a", trial_s: float = 0.5, **fields: object) -> bytes:
-        """The token of a lease whose slots are all prepared."""
+        """Return the token of a lease whose slots are all prepared."""
         lease = self.reserve(run, **fields)
         for slot in self.slots.leases["user", run].slots:
             if slot.state == "preparing":
@@ -104,7 +104,7 @@ class Server:
         return self.feed(Finished(slot, outcomes(batch)))
 
     def wait(self, seconds: float, every: float = 0.25) -> list[object]:
-        """Let time pass, with ticks; the commands of all of them."""
+        """Let time pass, with ticks; return the commands of all of them."""
         commands: list[object] = []
         for _ in range(round(seconds / every)):
             self.now += every
@@ -116,7 +116,7 @@ class Server:
 
 
 def running_one(trials: int = 1) -> tuple[Server, bytes, int]:
-    """A server of one slot that runs batch 1 of a lease; the lease and the query."""
+    """Return a server of one slot that runs batch 1 of a lease, the lease and the query."""
     server = Server(1)
     lease = server.ready()
     return server, lease, server.ask(evaluate(lease, 1, trials))
@@ -142,7 +142,7 @@ def reserve(
 
 
 def evaluate(lease: bytes, batch: int, trials: int = 1) -> Evaluate:
-    """Every trial has a genome of its own."""
+    """Return a batch in which every trial has its own genome."""
     numbers = range(trials)
     return Evaluate(
         lease=lease,
@@ -177,7 +177,7 @@ def code(answer: object) -> str:
 
 
 def some(first: int, end: int) -> Outcomes:
-    """Outcomes of some trials of batch 1, which took a second each; trial 2 raised."""
+    """Return outcomes of some trials of batch 1, which took a second each; trial 2 raised."""
     return Outcomes(
         batch=1,
         fitness=bytes(range(first, end)),

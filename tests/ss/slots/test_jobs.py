@@ -237,7 +237,7 @@ def test_a_malformed_batch_goes_to_one_slot_whole_which_refuses_it(
     assert server.answers[query] == refused
 
 
-def test_handing_out_a_chunk_costs_the_same_however_much_waits() -> None:
+def test_handing_out_a_chunk_takes_constant_time() -> None:
     """Counted in Python's instructions."""
 
     def of(trials: int) -> int:
@@ -316,7 +316,7 @@ def test_a_cancelled_batch_is_stopped_in_all_slots_and_answered_when_all_have_en
     assert code(server.answers[query]) == "cancelled"
 
 
-def test_a_draining_server_reports_what_it_began_of_a_batch() -> None:
+def test_a_draining_server_reports_the_finished_part_of_a_batch() -> None:
     server = Server(2)
     lease = server.ready()
     query = server.ask(evaluate(lease, 1, 8))
@@ -330,7 +330,7 @@ def test_a_draining_server_reports_what_it_began_of_a_batch() -> None:
 # ---- cancelling -------------------------------------------------------------------------
 
 
-def test_a_cancelled_batch_that_waits_is_refused_at_once() -> None:
+def test_a_waiting_batch_is_refused_at_once_when_cancelled() -> None:
     server = Server(1)
     lease = server.ready()
     queries = server.evaluate(lease, 1, 2)
@@ -340,7 +340,7 @@ def test_a_cancelled_batch_that_waits_is_refused_at_once() -> None:
     assert server.finish(0, 1) == []
 
 
-def test_a_cancelled_batch_that_runs_is_stopped_and_its_outcome_is_dropped() -> None:
+def test_a_running_batch_is_stopped_when_cancelled_and_its_outcome_is_dropped() -> None:
     server = Server(1)
     lease = server.ready()
     queries = server.evaluate(lease, 1, 2)
@@ -496,7 +496,7 @@ def test_another_slot_that_is_ready_takes_an_exhausted_chunk() -> None:
     ]
 
 
-def test_outcomes_before_a_fault_of_memory_are_reported_and_before_a_refusal_not() -> (
+def test_outcomes_before_a_memory_fault_are_reported_and_before_a_refusal_are_not() -> (
     None
 ):
     server = Server(1)
@@ -543,7 +543,7 @@ def test_an_exhausted_chunk_of_a_batch_that_ended_is_not_run_again(
         assert server.feed(Prepared(0, b"", 0.0)) == []
 
 
-def test_what_a_draining_server_finished_of_an_exhausted_batch_is_reported() -> None:
+def test_a_draining_server_reports_finished_trials_of_an_exhausted_batch() -> None:
     server = Server(1)
     lease = server.ready(trial_s=1e-6)
     query = server.ask(evaluate(lease, 1, 4))
@@ -554,7 +554,7 @@ def test_what_a_draining_server_finished_of_an_exhausted_batch_is_reported() -> 
     assert server.answer(query, Outcomes).trials == codec.indices([0, 1])
 
 
-def test_a_batch_of_which_an_exhausted_chunk_waits_is_held_like_others() -> None:
+def test_a_batch_with_a_waiting_exhausted_chunk_is_answered_like_others() -> None:
     server = Server(1)
     lease = server.ready(trial_s=1e-6)
     query = server.ask(evaluate(lease, 1, 4))

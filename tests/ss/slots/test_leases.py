@@ -135,7 +135,7 @@ def test_more_runs_than_slots_do_not_take_them_from_each_other() -> None:
     assert [server.reserve(name).slots for name in "abc"] == [1, 1, 0]
 
 
-def test_a_slot_that_was_prepared_for_a_run_with_too_many_is_given_back() -> None:
+def test_a_slot_prepared_for_a_run_beyond_its_share_is_given_back() -> None:
     server = Server(2)
     server.reserve("a", simulator="other")
     server.feed(Prepared(0, PROBE, 0.5))
@@ -250,7 +250,9 @@ def test_a_slot_released_while_preparing_becomes_free_afterwards() -> None:
 @pytest.mark.parametrize(
     "event", [Unprepared(0, "no"), Died(0, 0, "killed"), Prepared(0, PROBE, 0.5)]
 )
-def test_a_released_slot_is_free_however_its_preparation_ends(event: Event) -> None:
+def test_a_released_slot_becomes_free_after_any_end_of_its_preparation(
+    event: Event,
+) -> None:
     server = Server(1)
     server.ask(Release(lease=server.reserve().lease))
     server.feed(event)
@@ -380,7 +382,7 @@ def test_a_higher_epoch_takes_the_slots_over() -> None:
     assert server.reserve(nonce=2, epoch=1).slots == 2
 
 
-def test_a_lease_that_takes_over_keeps_the_place_in_the_line() -> None:
+def test_a_lease_that_takes_over_keeps_its_place_in_the_queue() -> None:
     server = Server(1)
     server.ready("a", nonce=1, epoch=0)
     server.reserve("b")

@@ -31,7 +31,7 @@ def test_the_oldest_replies_are_dropped_beyond_a_number_of_bytes(
     assert replies.size == 20
 
 
-def test_the_last_reply_is_cached_however_large_it_is(
+def test_the_last_reply_is_cached_regardless_of_its_size(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(reply_cache, "MAX_BYTES", 20)

@@ -246,7 +246,7 @@ def test_the_same_problem_keeps_the_process(new_worker: Callable[..., Worker]) -
         (signal.SIGRTMIN + 3, f"was killed by signal {signal.SIGRTMIN + 3}"),
     ],
 )
-def test_the_reason_says_how_a_process_ended(
+def test_the_reason_describes_how_a_process_ended(
     number: int, words: str, new_worker: Callable[..., Worker]
 ) -> None:
     slot = new_worker()
@@ -352,7 +352,7 @@ def test_a_suspended_fork_server_does_not_block_the_loop(
     fresh.close()
 
 
-def test_a_process_that_is_killed_before_it_started_ends_by_itself(
+def test_a_process_killed_before_its_start_ends_on_its_own(
     new_worker: Callable[..., Worker],
 ) -> None:
     slot = new_worker()
@@ -393,7 +393,7 @@ def test_the_output_of_a_process_is_read_but_for_floods(
     assert died.reason.endswith("; it wrote: last words")
 
 
-def test_a_process_leads_a_session(
+def test_a_slot_process_leads_its_session(
     new_worker: Callable[..., Worker],
 ) -> None:
     """So what it starts is known, and it is over when it ends."""

@@ -54,7 +54,7 @@ def actuators(*numbers: float) -> Actuators:
     return Actuators(actions=np.array(numbers, "<f4").tobytes())
 
 
-def test_a_turn_is_one_question() -> None:
+def test_a_turn_sends_one_question() -> None:
     asked, actions = played([actuators(1, 2, 3), actuators(4, 5, 6)], "turn")
     assert [(one.lease, one.batch, one.trial, one.number) for one in asked] == [
         (b"l" * 16, 7, 4, number) for number in (0, 1)
@@ -69,7 +69,7 @@ def test_a_turn_is_one_question() -> None:
     assert [array.tolist() for array in actions] == [[[1], [2], [3]], [[4], [5], [6]]]
 
 
-def test_each_agent_is_one_question() -> None:
+def test_each_agent_sends_one_question() -> None:
     asked, actions = played([actuators(number) for number in range(6)], "agent")
     assert [one.number for one in asked] == list(range(6))
     sensed = [codec.sensed(one, 2, 2) for one in asked[:3]]
@@ -120,7 +120,7 @@ def test_an_answer_goes_once_to_the_slot_that_asked(sent: Sent) -> None:
     assert sent.told == [(1, b"answer %d" % second), (3, b"answer %d" % first)]
 
 
-def test_a_lost_question_is_asked_again_and_again(sent: Sent) -> None:
+def test_a_lost_question_is_repeated(sent: Sent) -> None:
     sent.pending.ask(0, RUN, b"a")
     number, now = sent.questions[0][0], 100.0
     for pause in (*AGAIN_S, AGAIN_S[-1]):

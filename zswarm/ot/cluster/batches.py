@@ -339,7 +339,7 @@ class Batches(msgspec.Struct, eq=False):
                 self.checks.drop(alone)
             if alone and not self._alone:
                 self.out.note(
-                    RunEvent.UNVERIFIED, text="no second server is there to verify with"
+                    RunEvent.UNVERIFIED, text="there is no second server to verify with"
                 )
             self._alone = bool(alone)
 

@@ -111,7 +111,7 @@ class Connection:
             TypeError: arguments that are not a problem, or not candidates.
             ConfigError: too few candidates for a game.
             EvaluationError: machines or programs failed.
-            NoServers: the number of servers asked for was not there in time.
+            NoServers: too few servers were found in time.
             RuntimeError: a run of this thread holds the slots, or the connection is closed.
 
         Example::

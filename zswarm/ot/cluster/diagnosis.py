@@ -90,7 +90,7 @@ def _no_multicast(reach: Reach, tcp: str, *, answered: bool) -> list[str]:
 
 
 def _not_used(seen: Iterable[ServerKey], realm: str) -> list[str]:
-    """Return which servers that are there cannot be used."""
+    """Return which servers of the network cannot be used."""
     ours = sorted(key for key in seen if key.realm == realm)
     if ours:
         return [
@@ -178,12 +178,12 @@ def _misplaced(result: DialResult, realm: str, known: set[str], reach: Reach) ->
         match result.router, bool(member):
             case True, True:
                 return (
-                    f"this router is there, but shows no server to {member}: none is connected to"
+                    f"this router is running, but shows no server to {member}: none is connected to"
                     f" it, or its list of members does not have {member}"
                 )
             case True, False:
                 return (
-                    "this router is there, but no server is connected to it: start servers with"
+                    "this router is running, but no server is connected to it: start servers with"
                     " --connect and its endpoint"
                 )
             case False, True:
@@ -192,7 +192,7 @@ def _misplaced(result: DialResult, realm: str, known: set[str], reach: Reach) ->
                     " be, in its list of members: bring the newest list there (zswarm-keys join"
                     " members.zkeys) and reload it"
                 )
-        return "a zenoh program is there, but neither a zswarm server nor a router"
+        return "a zenoh program answers, but it is neither a zswarm server nor a router"
     if not result.router:
         if reach.through_router:
             return (

@@ -24,7 +24,7 @@ from zswarm.protocol.messages import Offer, Reply, Requirements
 from zswarm.session import Reach
 
 OFFER_S = 3.0  # for an offer, at most
-ROUND_TRIPS_WAIT_S = 1.0  # until all servers are there whose answers are timed
+ROUND_TRIPS_WAIT_S = 1.0  # until all servers whose answers are timed are found
 
 
 class Found(msgspec.Struct, frozen=True):
@@ -159,7 +159,7 @@ class RoundTrips(NamedTuple):
 def round_trips(
     realm: str, reach: Reach, local: str, *, requirements: Requirements, times: int
 ) -> RoundTrips:
-    """Measure how long servers that match take to answer, each asked so many times.
+    """Measure how long servers that match take to answer; ask each several times.
 
     Args:
         local: endpoint of this machine's slots; "": there are none.

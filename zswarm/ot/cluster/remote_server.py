@@ -136,12 +136,12 @@ class RemoteServer(msgspec.Struct, eq=False):
         return self.slots if self.phase == Phase.LEASED else 0
 
     def fails_too_much(self) -> bool:
-        """Return whether so many trials failed here that others could evaluate."""
+        """Return whether too many trials failed here that other servers could evaluate."""
         return self.blamed >= max(BLAMED, BLAMED_SHARE * self.counted)
 
 
 class Standing(msgspec.Struct, frozen=True):
-    """How a run stands with its servers."""
+    """The state of a run's servers."""
 
     serving: list[str] = []  # servers with a slot ready
     preparing: list[str] = []  # servers that prepare their first slot

@@ -137,7 +137,7 @@ class Cluster:
                 self.diagnose()
 
     def wait(self, servers: int, timeout_s: float) -> Iterator[Item | None]:
-        """Wait until so many servers match, and have granted a lease if it is wanted.
+        """Wait until this many servers match, and have granted a lease if it is wanted.
 
         Servers that are busy for others count. Yields as ``evaluate`` does.
 

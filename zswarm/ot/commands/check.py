@@ -27,7 +27,7 @@ MENU = ("Begin", 2)
     "--servers",
     "search",
     is_flag=True,
-    help="Search for servers; say which ones match, and why the others do not.",
+    help="Search for servers; show which ones match, and why the others do not.",
 )
 @options.json_option
 def command(name: str, overrides: tuple[str, ...], search: bool, as_json: bool) -> None:

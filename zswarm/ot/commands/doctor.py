@@ -1,4 +1,4 @@
-"""``zswarm-ot doctor``: examine this machine and its network, and say how to fix faults."""
+"""``zswarm-ot doctor``: examine this machine and its network, and explain how to fix faults."""
 
 import sys
 from pathlib import Path

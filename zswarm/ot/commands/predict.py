@@ -28,7 +28,7 @@ PAPER = "Table I of the paper"
     "--slots",
     type=click.IntRange(1, 1_000_000),
     metavar="N",
-    help="Predict for this number of slots.  [default: those that are there]",
+    help="Predict for this number of slots.  [default: the available ones]",
 )
 @click.option(
     "--table1",
@@ -46,7 +46,7 @@ def command(
 ) -> None:
     """Predict how long an experiment takes.
 
-    A few seconds of trials and messages on the servers that are there show how long each of them
+    A few seconds of trials and messages on the available servers show how long each of them
     takes. From that a model calculates the time of the whole run, its messages, and the number of
     slots beyond which nothing is gained. The designs of the paper that zswarm follows are predicted
     as well.

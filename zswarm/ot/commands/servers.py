@@ -1,4 +1,4 @@
-"""``zswarm-ot servers``: list the servers of the network, or say why none is found."""
+"""``zswarm-ot servers``: list the servers of the network, or explain why none is found."""
 
 import sys
 import textwrap
@@ -47,7 +47,7 @@ HIDDEN = ("type", "v", "server")  # keys of an offer that JSON does not repeat
 def command(wait_s: float, name: str | None, as_json: bool, **search: Any) -> None:
     """Show the servers of the network.
 
-    Lists their slots, versions, simulators, labels and limits; or says why none is found.
+    Lists their slots, versions, simulators, labels and limits; or explains why none is found.
 
     \b
       zswarm-ot servers

@@ -15,7 +15,7 @@ from zswarm.ot.dashboard.app import application
 from zswarm.ot.dashboard.guard import Guard
 from zswarm.ot.dashboard.run_index import RunIndex
 
-PORT, PORTS = 8467, 100  # the first free one of so many
+PORT, PORTS = 8467, 100  # the first port, and how many are tried
 LARGEST_MESSAGE = 4096  # bytes from a page on its WebSocket, which sends none
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 

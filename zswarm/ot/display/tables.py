@@ -81,7 +81,7 @@ def _show_blocks(table: "Table") -> None:
 
 
 def line(text: "str | Text", *, stderr: bool = False) -> None:
-    """Print a text as it is, however wide the terminal."""
+    """Print a text unchanged, regardless of the terminal's width."""
     console(stderr=stderr).print(text, soft_wrap=True)
 
 
@@ -96,7 +96,7 @@ def wrapped(text: str, width: int) -> str:
 
 
 def entry(about: str, text: str, *, colour: str = "", label: int = LABEL) -> None:
-    """Print a label of so many columns, and next to it a text within the terminal's width."""
+    """Print a label padded to some columns, then a text within the terminal's width."""
     _hanging(_text(f"{about:{label}}", colour), text, label)
 
 

@@ -102,11 +102,11 @@ def multicast(reach: Reach) -> Findings:
             f"if this machine has a firewall, {MUST_ADMIT}; or use --connect",
         )
     if heard:
-        yield ok(f"{group} is sent and heard through {heard}")
+        yield ok(f"{group} is sent and received through {heard}")
 
 
 def _echo_fault(index: int) -> str:
-    """Return why this machine does not hear itself through an interface; "" if it does."""
+    """Return why this machine does not receive its own messages on an interface; "" if it does."""
     group, number = scouting.GROUP.split(":")
     address = (group, int(number))
     member = struct.pack("=4s4si", socket.inet_aton(group), bytes(4), index)
@@ -129,9 +129,9 @@ def _echo_fault(index: int) -> str:
                 receiver.settimeout(rest)
                 if receiver.recv(64) == word:
                     return ""
-            return "nothing heard"
+            return "nothing received"
     except TimeoutError:
-        return "nothing heard"
+        return "nothing received"
     except OSError as error:
         return error.strerror or str(error)
 

@@ -27,7 +27,7 @@ PLAYED = 3  # candidates whose turns are counted
 
 
 class Calibration(NamedTuple):
-    """An experiment on the servers that are there."""
+    """An experiment on the available servers."""
 
     plan: Plan
     constants: Constants

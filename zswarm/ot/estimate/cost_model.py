@@ -167,7 +167,7 @@ def _by_message(waited: float, constants: Constants, passed: float | None = None
 
 
 def expected_s(way: Way, plan: Plan, constants: Constants, slots: int = 1) -> float:
-    """Return the time with so many slots, each for one simulation.
+    """Return the time with a number of slots, each for one simulation.
 
     A generation takes whole rounds of simulations, and no less than they take of the program that
     they share.

@@ -21,7 +21,7 @@ from zswarm.ot.optimizers.sums import mean
 
 # More new entries of the archive in a generation raise the threshold.
 MANY, RAISE = 4, 1.2
-PATIENCE, LOWER = 10, 0.95  # so many generations without an entry lower it
+PATIENCE, LOWER = 10, 0.95  # this many generations without an entry lower it
 
 
 class NoveltySettings(MutationSettings, frozen=True):

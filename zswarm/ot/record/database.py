@@ -255,7 +255,7 @@ def describe(error: BaseException, folder: Path) -> str:
 
 
 def on_network(path: Path) -> bool:
-    """Return whether a path is on a network file system, as far as Linux tells."""
+    """Return whether a path is on a network file system, according to Linux."""
     try:
         mounts = [
             line.split() for line in Path("/proc/self/mounts").read_text().splitlines()

@@ -51,12 +51,14 @@ def new_folder(parent: Path, name: str) -> Path:
         except FileExistsError:
             continue
         except OSError as error:
-            why = f"cannot be made: {error.strerror}"
-            raise ConfigError(
-                f"{folder}: {why}; choose another place with --out"
-            ) from None
+            raise unusable(folder, f"cannot be made: {error.strerror}") from None
         return folder
     raise ConfigError(f"{parent}: too many runs are called {name}")
+
+
+def unusable(folder: Path, why: str) -> ConfigError:
+    """Return the error for a new folder of a run or study that cannot be used."""
+    return ConfigError(f"{folder}: {why}; choose another place with --out")
 
 
 def lock_folder(folder: Path, what: str = "run") -> int:

@@ -97,7 +97,7 @@ def candidates(
 def generation_end(
     generation: int, count: int, statistics: dict[str, float], state: Any, at: float
 ) -> list[Statement]:
-    """Return what adds a generation of so many candidates, and the optimizer's state if any."""
+    """Return statements that add a generation of candidates, and the optimizer's state if any."""
     best, mean = statistics["best"], statistics["mean"]
     row = (generation, at, best, mean, count, to_json(statistics))
     if state is None:

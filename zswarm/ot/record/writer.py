@@ -40,6 +40,7 @@ from zswarm.ot.record.folder import (
     load_experiment,
     lock_folder,
     new_folder,
+    unusable,
 )
 from zswarm.ot.record.history_hash import History
 from zswarm.ot.record.statements import ADD_OUTCOMES, SET_META
@@ -108,9 +109,7 @@ class Record:
                 record = cls(folder, connect(path), lock)
             except (sqlite3.OperationalError, OSError) as error:
                 why = f"cannot be written: {describe(error, parent)}"
-                raise ConfigError(
-                    f"{folder}: {why}; choose another place with --out"
-                ) from None
+                raise unusable(folder, why) from None
             undo.pop_all()
         return record
 

@@ -82,12 +82,12 @@ def placed(
 
 
 def thinned(count: int, most: int) -> list[int]:
-    """Return the numbers of at most so many frames, and of the last one."""
+    """Return the numbers of at most ``most`` frames, and of the last one."""
     return [*range(0, count - 1, -(-count // most)), count - 1]
 
 
 def play_s(count: int) -> float:
-    """Return how long a film of so many frames takes."""
+    """Return the duration of a film with this number of frames."""
     return min(max(count * FRAME_S, SHORTEST_S), LONGEST_S)
 
 
@@ -197,7 +197,7 @@ class _Film:
         return f"<line {' '.join(start)} {stroke}>{''.join(moving)}</line>"
 
     def _labels(self, frames: Sequence[Sequence[Label]]) -> list[str]:
-        """Draw labels while they are there; none if they change all the time."""
+        """Draw labels while they apply; none if there are too many."""
         every = dict.fromkeys(label for labels in frames for label in labels)
         if len(every) > MOST_LABELS:
             return []

@@ -147,7 +147,7 @@ def record(
 
     Args:
         genomes: of the participants.
-        most_turns: stop after so many.
+        most_turns: stop after this many turns.
 
     Raises:
         ValueError: a genome does not fit the network.

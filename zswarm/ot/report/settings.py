@@ -19,18 +19,21 @@ class SettingRow(NamedTuple):
 
 
 def settings_rows(complete: experiment.Experiment) -> list[SettingRow]:
-    """Return every setting."""
+    """Return every setting; those of the ranking only if it is not the default."""
     tables = experiment.to_mapping(complete)
-    problem, network, optimizer = (
-        tables[key] for key in ("problem", "representation", "optimizer")
+    problem, network, optimizer, ranking = (
+        tables[key] for key in ("problem", "representation", "optimizer", "ranking")
     )
     settings = problem.pop("settings")
+    if ranking["kind"] == sections.ABSOLUTE:
+        ranking = {}
     rows = [SettingRow(key, str(tables[key])) for key in ("name", "seed", "generations")]
     for table, values, defaults in (
         ("problem", problem, _defaults(sections.ProblemConfig)),
         ("problem.settings", settings, _part_defaults("simulator", problem["simulator"])),
         ("representation", network, _part_defaults("representation", network["kind"])),
         ("optimizer", optimizer, _part_defaults("optimizer", optimizer["kind"])),
+        ("ranking", ranking, _ranking_defaults(complete.ranking.kind)),
         ("cluster", tables["cluster"], _defaults(sections.ClusterConfig)),
     ):
         for key, value in values.items():
@@ -58,6 +61,10 @@ def _defaults(struct: type[msgspec.Struct]) -> dict[str, Any]:
         for field in msgspec.structs.fields(struct)
         if not field.required
     }
+
+
+def _ranking_defaults(kind: str) -> dict[str, Any]:
+    return _defaults(sections.RankingKind) | _part_defaults("ranking", kind)
 
 
 def _part_defaults(kind: plugins.Kind, name: str) -> dict[str, Any]:

@@ -94,7 +94,7 @@ class Player:
         return any(thread.is_alive() for thread in self._threads)
 
     def play(self, at_once: int) -> None:
-        """Play all runs, so many at once; 0: as many as keep the slots busy."""
+        """Play all runs, ``at_once`` in parallel; 0: as many as keep the slots busy."""
         _ = self._connection.reach  # refuses unusable keys before there is a folder
         try:
             while self._waiting or self._running:

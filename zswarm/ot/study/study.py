@@ -26,6 +26,7 @@ from zswarm.ot.record.folder import (
     load_experiment,
     lock_folder,
     new_folder,
+    unusable,
 )
 from zswarm.ot.record.results import result_after
 from zswarm.ot.study.outcome import RunEnded, StudyLogger, StudyOutcome, summarize
@@ -84,9 +85,8 @@ class Study:
             try:
                 write_whole(folder / EXPERIMENT, text.encode())
             except OSError as error:
-                raise ConfigError(
-                    f"{folder}: cannot be written: {error.strerror}; choose another one with --out"
-                ) from None
+                why = f"cannot be written: {error.strerror}"
+                raise unusable(folder, why) from None
             study = cls(folder, complete, planned, lock)
             undo.pop_all()
         return study
@@ -132,7 +132,7 @@ class Study:
         """Play the runs that are not finished. A run that fails does not stop the others.
 
         Raises:
-            NoServers: the number of servers asked for was not there in time.
+            NoServers: too few servers were found in time.
             EvaluationError: this machine's slots ended.
             Stopped: ``stop`` was called.
         """

@@ -76,7 +76,7 @@ class _Gathered:
         raise ConfigError(f"{module}: has several things with the name {own}")
 
     def add(self, function: FunctionType) -> None:
-        """Add a function after all that it uses, unless it is there."""
+        """Add a function after all that it uses, unless it was added before."""
         if function in self._added:
             return
         self._added.add(function)

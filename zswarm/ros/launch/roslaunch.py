@@ -26,9 +26,11 @@ ENDING_S = 10.0  # for a supervisor to end
 READ = 4 << 20  # bytes of output, from the end
 DIED = re.compile(
     r"(?:=+REQUIRED process )?\[(?P<node>[^\]\n]*)\] (?:has died!\n)?"
-    r"process has died \[pid \d+, exit code (?P<code>-?\d+)"
+    r"process has died \[pid (?:\d+|None), exit code (?P<code>-?\d+)"
 )
 STARTED = "]: started with pid ["  # in roslaunch's line about a process
+# A node that ends before roslaunch looks at it; it has no pid then.
+NOT_STARTED = re.compile(r"failed to start local process: .*\n")
 # roslaunch ends: a required node ended, and later ends of nodes mean nothing; or all ended.
 OVER = re.compile(
     r"Initiating shutdown!|all processes on machine have died, roslaunch will exit"
@@ -152,7 +154,8 @@ def launch(
         raise EvaluationError(f"roslaunch {ending(*ended)}")
     over = OVER.search(ended.output)
     if died := DIED.search(ended.output[: over.start() if over else None]):
-        own = ended.output[: died.start()].rpartition(STARTED)[2].partition("\n")[2]
+        before = NOT_STARTED.sub("", ended.output[: died.start()])
+        own = before.rpartition(STARTED)[2].partition("\n")[2]
         raise EvaluationError(
             f"node {clean(died['node'])} {ending(int(died['code']), own)}"
         )

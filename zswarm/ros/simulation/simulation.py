@@ -148,7 +148,7 @@ class Simulation:
             self._take(limit_s)
 
     def _listen(self, for_s: float) -> None:
-        """Take messages that are there, and that come for a while."""
+        """Take waiting messages, and those that arrive for a while."""
         until = time.monotonic() + for_s
         while self._take(max(0.0, until - time.monotonic())):
             if time.monotonic() >= until + FLOOD_S:

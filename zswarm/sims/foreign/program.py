@@ -91,7 +91,7 @@ class Program:
         return self._end.alive
 
     def is_there(self) -> bool:
-        """Return whether the program still runs, as far as the system tells."""
+        """Return whether the program still runs according to the system."""
         return self.open and not any(
             ready == self._pidfd for ready, _ in self._poll.poll(0)
         )
@@ -218,7 +218,7 @@ class Program:
         return bool(chunk)
 
     def _ended(self, expected: str) -> EvaluationError:
-        """Return the error of a program that ended by itself."""
+        """Return the error of a program that ended on its own."""
         reason = exit_reason(_exit_code(self._process.pid), "closed its input or output")
         return self._error(f"{reason}; expected {expected}")
 

@@ -234,7 +234,7 @@ class SlotTable:
             )
 
     def _died(self, slot: Slot, event: events.Died, chunk: Chunk | None) -> None:
-        """Blame the trial at which the process of a slot died; a new process is there."""
+        """Blame the trial at which the process of a slot died; a new process has started."""
         lease, state, reason = slot.lease, slot.state, event.reason
         slot.prepared_for = None
         self.faults[event.kind] += 1

@@ -51,7 +51,7 @@ TRIAL, STOP = range(2)  # the shared numbers, see evaluate.py
 
 
 class Here(SlotMessage, frozen=True):
-    """The process is there and warm: numba is loaded."""
+    """The process has started and is warm: numba is loaded."""
 
 
 # Messages on the pipe; after ``Sensors`` of the wire, the bytes of the optimizer's answer follow.

@@ -1,8 +1,8 @@
 """Memory of slots: a slot's share of the machine, and the limit that its process sets for itself.
 
 The limit is on data (``RLIMIT_DATA``: what a process may write, touched or not), not on address
-space, which compilers and drivers reserve in plenty. A system may refuse it; then there is none.
-``slots/jobs.py`` describes what happens when a process reaches its limit.
+space, which compilers and drivers reserve in plenty. A system may refuse it; then memory is not
+limited. ``slots/jobs.py`` describes what happens when a process reaches its limit.
 """
 
 import contextlib

@@ -68,7 +68,7 @@ class Worker:
 
     Attributes:
         pipe: to the process; None while none was asked for.
-        here: the process is there and warm.
+        here: the process has started and is warm.
         leaving: the previous process, which was killed and is not gone yet.
     """
 
@@ -95,14 +95,14 @@ class Worker:
 
     @property
     def session(self) -> int:
-        """The session of the process and of all that it starts; 0 while there is none."""
+        """Return the session of the process and all its children; 0 while there is none."""
         return (
             self._process is not None and self.pipe is not None and self._process.pid
         ) or 0
 
     @property
     def start_at(self) -> float:
-        """When to call ``start``, by the monotonic clock; infinite if a process is there."""
+        """Return when to call ``start``, by the monotonic clock; infinite if a process exists."""
         return math.inf if self.leaving is not None else self._start_at
 
     def start(self) -> None:
@@ -158,7 +158,7 @@ class Worker:
         return self.pipe is None and self.leaving is None and self._start_at > now
 
     def missing_from(self, for_s: float) -> float:
-        """Return when the process will have been missing for so long; infinite if it is there."""
+        """Return when the process will have been missing for that long; infinite if it exists."""
         return self._missing_since + for_s
 
     def missing_reason(self) -> str:

@@ -81,7 +81,7 @@ def plugged(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(("kind", "name"), BUNDLED)
-def test_every_bundled_part_says_in_a_line_what_it_is(
+def test_every_bundled_part_has_a_one_line_description(
     kind: plugins.Kind, name: str
 ) -> None:
     part = parts.entry(kind, name)
@@ -117,7 +117,7 @@ def test_a_list_loads_neither_compiler_nor_other_libraries(tmp_path: Path) -> No
     assert done.stdout.splitlines()[-1] == "set()"
 
 
-def test_a_description_has_sheet_facts_and_every_setting(tmp_path: Path) -> None:
+def test_a_description_has_the_data_sheet_and_every_setting(tmp_path: Path) -> None:
     shown = " ".join(said("describe", "light", cwd=tmp_path).split())
     assert "light, simulator: A robot on two wheels finds a light" in shown
     assert "Turns: the robot. In a step of" in shown

@@ -80,7 +80,7 @@ def test_a_population_that_frevo_ranked_is_imported_with_every_bit(
     )
 
 
-def test_every_imported_network_has_the_fitness_here_that_frevo_gave_it(
+def test_every_imported_network_has_the_fitness_that_frevo_recorded(
     tmp_path: Path,
 ) -> None:
     result = frevo.load(write(tmp_path, FILE))
@@ -143,7 +143,7 @@ def test_the_stadium_of_frevo_has_the_same_fitness_here(tmp_path: Path) -> None:
         assert import_(tmp_path, content).played == run["fitness"]
 
 
-def test_settings_are_taken_over(tmp_path: Path) -> None:
+def test_settings_are_imported(tmp_path: Path) -> None:
     content = zre.text(
         [zre.net([[0.5] * 14] * 4, [0.25] * 4, -3.5, "SIGMOID")],
         session={"CustomName": "Böse Räume! 2", "StartingSeed": "77"},
@@ -221,7 +221,7 @@ def test_a_file_of_another_method_names_it(tmp_path: Path) -> None:
     assert result.experiment.optimizer.settings["population"] == 2
 
 
-def test_what_a_file_leaves_out_is_frevos_default(tmp_path: Path) -> None:
+def test_missing_settings_have_frevos_defaults(tmp_path: Path) -> None:
     bare = "\n".join(line for line in ONE.splitlines() if "entry" not in line)
     assert (
         frevo.load(write(tmp_path, bare)).experiment
@@ -241,7 +241,7 @@ def test_a_network_that_failed_has_no_fitness(tmp_path: Path) -> None:
     assert made.champion.fitness == -2.0
 
 
-def test_an_imported_run_cannot_be_resumed_and_says_what_can_be_done(
+def test_resuming_an_imported_run_fails_with_an_alternative(
     tmp_path: Path,
 ) -> None:
     made = import_(tmp_path, FILE)
@@ -264,7 +264,7 @@ def test_a_champion_that_takes_long_is_not_played(tmp_path: Path) -> None:
     .map(lambda bits: np.array([bits], "<u4").view("<f4")[0])
     .filter(np.isfinite)
 )
-def test_digits_become_the_float_they_were_written_from(number: np.float32) -> None:
+def test_a_printed_float_is_read_back_exactly(number: np.float32) -> None:
     assert (
         frevo_file._singles([str(number), f"{float(number):.20e}"]).tobytes()
         == number.tobytes() * 2
@@ -377,14 +377,14 @@ def test_digits_become_the_nearest_float(digits: str) -> None:
         ("<frevo>", "<html>", "mismatched tag"),
     ],
 )
-def test_what_cannot_be_imported_is_named(
+def test_unsupported_contents_are_named(
     tmp_path: Path, old: str, new: str, words: str
 ) -> None:
     assert old in ONE
     assert words in refusal(tmp_path, ONE.replace(old, new, 1))
 
 
-def test_another_representation_is_named_whatever_its_class_says(tmp_path: Path) -> None:
+def test_the_element_of_an_unsupported_representation_is_named(tmp_path: Path) -> None:
     other = ONE.replace("FullyMeshedNet input", "ThreeLayerNetwork input").replace(
         "</FullyMeshedNet>", "</ThreeLayerNetwork>"
     )
@@ -514,7 +514,7 @@ def test_a_damaged_file_is_imported_or_refused(
 # ---- the command
 
 
-def test_the_command_says_what_it_made(tmp_path: Path) -> None:
+def test_import_prints_what_it_created(tmp_path: Path) -> None:
     path, out = write(tmp_path, FILE, "best\x1b[2J.zre"), str(tmp_path / "runs")
     said = CliRunner().invoke(import_command, [str(path), "--out", out])
     assert said.stdout.splitlines() == [
@@ -534,7 +534,7 @@ def test_the_command_says_what_it_made(tmp_path: Path) -> None:
     }
 
 
-def test_the_command_ends_with_one_line_where_it_cannot(tmp_path: Path) -> None:
+def test_import_fails_with_one_line(tmp_path: Path) -> None:
     path = write(tmp_path, BOMB, "x\x1b.zre")
     command = [
         sys.executable,

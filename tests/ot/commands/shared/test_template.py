@@ -48,7 +48,7 @@ def test_a_new_file_has_the_defaults_whether_they_are_commented_out_or_not(
     assert tomllib.loads(text)["problem"] == {"simulator": simulator, "settings": {}}
 
 
-def test_every_key_is_in_a_new_file_with_what_it_means(tmp_path: Path) -> None:
+def test_a_new_file_has_every_key_with_its_description(tmp_path: Path) -> None:
     text = template.write(template.blank("new", "minisim", "fully-meshed", "nnga"))
     flat = " ".join(text.replace("\n# ", " ").split())
     structs = [
@@ -71,9 +71,7 @@ def test_every_key_is_in_a_new_file_with_what_it_means(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_a_file_from_an_example_says_exactly_what_the_example_says(
-    name: str, here: Path
-) -> None:
+def test_a_file_from_an_example_has_exactly_its_settings(name: str, here: Path) -> None:
     text = init("-", "--from", name)
     # Those that it does not have.
     empty: dict[str, Any] = {table: {} for table in experiment.TABLES}
@@ -91,7 +89,7 @@ def test_init_names_the_file_and_the_next_two_commands(here: Path) -> None:
     assert init().startswith("experiment.toml: ")
 
 
-def test_a_file_that_is_there_is_replaced_by_force_only(here: Path) -> None:
+def test_an_existing_file_is_replaced_only_with_force(here: Path) -> None:
     (here / "experiment.toml").write_text("precious")
     with pytest.raises(
         ConfigError, match=r"^experiment.toml: exists already; use --force to replace it"
@@ -120,7 +118,7 @@ def test_a_file_that_is_there_is_replaced_by_force_only(here: Path) -> None:
         ),
     ],
 )
-def test_what_cannot_be_written_is_refused_in_one_line(
+def test_unwritable_files_are_refused_in_one_line(
     arguments: list[str], text: str, here: Path
 ) -> None:
     with pytest.raises(ConfigError) as refused:
@@ -139,7 +137,7 @@ def test_texts_of_a_plugin_cannot_break_out_of_their_comment(
     assert tomllib.loads(text)["name"] == "new"
 
 
-def test_ranges_are_told_once() -> None:
+def test_ranges_are_explained_once() -> None:
     """Before the settings of the problem, which alone can have them."""
     flat = " ".join(
         template.write(template.blank("new", "minisim", "fully-meshed", "nnga"))
@@ -150,7 +148,7 @@ def test_ranges_are_told_once() -> None:
     assert "or { choice = [5, 10] }. [problem.settings]" in flat
 
 
-def test_a_file_from_one_with_ranges_says_the_same(tmp_path: Path) -> None:
+def test_ranges_survive_a_round_trip(tmp_path: Path) -> None:
     mapping = {**template.blank("new", "minisim", "fully-meshed", "nnga")}
     mapping["problem"] = {
         "simulator": "minisim",

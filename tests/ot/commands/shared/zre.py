@@ -61,7 +61,7 @@ REPRESENTATION = {
 
 
 def golden_nets(name: str) -> list[dict[str, Any]]:
-    """Recorded nets of Emergency Exit's size."""
+    """Return recorded nets of Emergency Exit's size."""
     nets = json.loads((GOLDEN / f"{name}.json").read_text())["nets"]
     return [net for net in nets if (net["inputs"], net["outputs"]) == (10, 2)]
 
@@ -81,7 +81,7 @@ def net(
     activation: str = "LINEAR",
     inputs: int = 10,
 ) -> str:
-    """Weights into, and bias of, each node that is no input."""
+    """Format a net: weights into, and bias of, each node that is not an input."""
     nodes = inputs + len(bias)
     written = [f'<node nr="{number}" type="inputNode"/>' for number in range(inputs)]
     for number, (weights, constant) in enumerate(
@@ -115,7 +115,7 @@ def text(
     representation: Mapping[str, str] = {},
     generation: int = 4,
 ) -> str:
-    """A whole file; mappings say what differs from FREVO's defaults."""
+    """Return a whole file; mappings say what differs from FREVO's defaults."""
     populations = "\n".join(nets)
     return f"""<?xml version="1.0" encoding="UTF-8"?>
 <!DOCTYPE frevo SYSTEM "somewhere//Components//ISave.dtd">

@@ -53,7 +53,7 @@ def find(name: str) -> list[CatalogEntry]:
     """Return the parts of a name: a representation may have the same name as an optimizer.
 
     Raises:
-        UnknownPlugin: there is none.
+        UnknownPlugin: there is no such part.
     """
     found = [entry(kind, name) for kind in KINDS if name in registry.names(kind)]
     if found:

@@ -26,7 +26,7 @@ ENDINGS = (KeyboardInterrupt, SystemExit, ZswarmError, sqlite3.Error, OSError)
 
 
 def finish(run: "Evolution", shown: "Logger", *, with_dashboard: bool) -> None:
-    """Evolve a run to its end; if it is stopped, close it and say how to resume it."""
+    """Evolve a run to its end; if it is stopped, close it and print how to resume it."""
     signal.signal(signal.SIGTERM, _terminate)
     try:
         with dashboard(run.folder, shown.on_say, wanted=with_dashboard):
@@ -45,7 +45,7 @@ def play(
     as_json: bool,
     with_dashboard: bool,
 ) -> None:
-    """Play a study to its end, and then add it to ``folders``; if it is stopped, say how to resume.
+    """Play a study to its end, and add it to ``folders``; if it is stopped, print how to resume.
 
     Raises:
         SystemExit: some of its runs failed.

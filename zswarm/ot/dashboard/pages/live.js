@@ -27,7 +27,7 @@ export function follow(run, onmessage) {
 
   function retry(code) {
     socket = null;
-    refused = code === NO_SUCH_RUN ? 'this run is not there any more' : '';
+    refused = code === NO_SUCH_RUN ? 'this run no longer exists' : '';
     setTimeout(connect, RETRY_MS[Math.min(tries, RETRY_MS.length - 1)]);
     tries += 1;
     show();

@@ -17,7 +17,7 @@ const CHARTS = { diversity_: 'Diversity', effectivity_: 'Effectivity of operator
 const EXCLUDED = /^(diversity_|effectivity_|count_|best$|mean$|evaluations$)/; // of the other numbers
 const CONTROLS = { // texts, classes, and questions
   pause: ['Pause'],
-  continue: ['Go on', 'main'],
+  continue: ['Resume', 'main'],
   drain: ['Stop after this generation'],
   stop: ['Stop', 'danger', 'Stop this run? Nothing is lost: zswarm-ot resume continues it.'],
 };

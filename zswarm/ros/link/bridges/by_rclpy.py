@@ -12,10 +12,10 @@ from conversion import Conversion
 from topics import Count, Send, Topics, message_class, new
 
 NO_RCLPY = (
-    "rclpy is not there: source ROS 2's setup.bash, or name the Python that has it in "
+    "rclpy is missing: source ROS 2's setup.bash, or name the Python that has it in "
     "ZSWARM_ROS2_PYTHON (docs/profiles.md)"
 )
-NO_SERVICES = "std_srvs is not there: install ROS 2's package std_srvs"
+NO_SERVICES = "std_srvs is missing: install ROS 2's package std_srvs"
 WAKING_S = 1.0
 LEAVING_S = 0.2
 DEPTH = 1000  # messages in a queue

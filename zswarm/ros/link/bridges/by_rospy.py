@@ -12,10 +12,10 @@ from conversion import Conversion
 from topics import Count, Send, Topics, message_class, new
 
 NO_ROSPY = (
-    "rospy is not there: install it (Debian: apt install ros-core), or name its Python in "
+    "rospy is missing: install it (Debian: apt install ros-core), or name its Python in "
     "ZSWARM_ROS1_PYTHON"
 )
-NO_SERVICES = "std_srvs is not there: install it (Debian: apt install python3-std-srvs)"
+NO_SERVICES = "std_srvs is missing: install it (Debian: apt install python3-std-srvs)"
 PROBE_S = 0.01  # for a service to answer
 
 

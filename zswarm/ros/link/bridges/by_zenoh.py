@@ -105,7 +105,7 @@ def _empty(store: Any, field: Any) -> Any:
 
 
 def write(pipe: Any, waiting: queue.SimpleQueue[bytes]) -> None:
-    """Write frames from a queue, all that are there at once."""
+    """Write all waiting frames of a queue at once."""
     while True:
         batch = [waiting.get()]
         while not waiting.empty():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import frames
 
 NO_MASTER = (
-    "rosmaster is not there: install it (Debian: apt install ros-core), or name its Python in "
+    "rosmaster is missing: install it (Debian: apt install ros-core), or name its Python in "
     "ZSWARM_ROS1_PYTHON"
 )
 

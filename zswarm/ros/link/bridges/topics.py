@@ -42,7 +42,7 @@ class Topics:
         raise NotImplementedError
 
     def _call(self, service: str) -> tuple[Send, Count]:
-        """Return functions that call an empty service, and whether it is there."""
+        """Return functions that call an empty service, and whether it exists."""
         raise NotImplementedError
 
     def _offer(self, service: str, called: Callable[[], object]) -> None:
