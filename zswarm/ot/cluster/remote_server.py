@@ -13,10 +13,9 @@ LEASED      granted a lease, which is renewed; it  its token vanishes (LEAVING),
             may have no slot yet                   holds enough slots without it (SPARE)
 LEAVING     has no token any more: it drains or    its token is back (LEASED), or none of its
             died, or the link is cut               batches is out (IDLE)
-BACKED_OFF  is given a rest: it did not answer or  the pause is over, or its token appears
-            ended the lease, too many trials       (SEEN)
-            failed on it, or its probe is
-            disputed
+BACKED_OFF  is not asked for a while: it did not   the pause is over, or its token appears
+            answer, ended the lease, failed too    (SEEN)
+            many trials, or its probe is disputed
 BANNED      computes wrong outcomes                never
 ==========  =====================================  =============================================
 
