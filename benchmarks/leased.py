@@ -11,7 +11,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from work import TASK_S
 
@@ -102,6 +102,10 @@ def daemon(slots: int, endpoint: str, *more: str) -> Iterator["subprocess.Popen[
         yield process
 
 
+def _differ(dispute: object, _workload: object) -> NoReturn:
+    raise RuntimeError(f"the measured servers do not compute the same: {dispute}")
+
+
 @contextlib.contextmanager
 def leased(
     endpoints: Sequence[str], slots: int, settings: dict[str, Any]
@@ -134,7 +138,8 @@ def leased(
         verify=options.verify,
     )
     key = RunKey("default", "bench", f"bench-{secrets.token_hex(4)}")
-    with Cluster(key, terms, reach=Reach(list(endpoints), multicast=False)) as opened:
+    reach = Reach(list(endpoints), multicast=False)
+    with Cluster(key, terms, reach=reach, arbitrate=_differ) as opened:
         for _ in opened.wait(1, 60.0):
             pass
         while opened.standing.slots < slots:

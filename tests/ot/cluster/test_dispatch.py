@@ -512,6 +512,18 @@ def test_an_answer_of_another_kind_counts_as_no_answer() -> None:
     assert verbs(optimizer.wait(RETRY_S[0])) == [("a", "offer")]
 
 
+@pytest.mark.parametrize("answer", [Done(), "not a message"])
+def test_a_server_that_only_answers_nonsense_is_backed_off(answer: Done | str) -> None:
+    optimizer = Optimizer()
+    optimizer.feed(Seen("a"))
+    for pause in RETRY_S:
+        optimizer.answer(optimizer.asked["a", "offer"], answer)
+        optimizer.wait(pause)
+    assert optimizer.answer(optimizer.asked["a", "offer"], answer) == []
+    assert optimizer.notes("server_silent")
+    assert optimizer.wait(BACK_OFF_S - 0.01) == []
+
+
 @pytest.mark.parametrize("answer", [None, "not a message"])
 def test_an_unanswered_batch_is_sent_again_with_the_same_id(answer: str | None) -> None:
     optimizer = Optimizer()

@@ -38,13 +38,13 @@ def taken(
 def test_a_server_gets_the_first_trials_and_never_from_two_chunks() -> None:
     waiting = line(piece(1, 2, 3), piece(4, 5))
     assert [taken(waiting, "a", 2) for _ in range(4)] == [[1, 2], [3], [4, 5], None]
-    assert waiting.trials == 0
+    assert waiting.count == 0
 
 
 def test_returned_trials_are_handed_out_first() -> None:
     waiting = line(piece(1, 2))
     waiting.put(piece(7))
-    assert waiting.trials == 3
+    assert waiting.count == 3
     assert taken(waiting, "a") == [7]
 
 
@@ -89,11 +89,11 @@ def test_stranded_batches_stay_with_their_server_until_another_takes_them() -> N
     assert waiting.stranded(A) == [waiting.entries[1]]
     waiting.remove(waiting.entries[1])
     assert waiting.stranded(A) == []
-    assert waiting.trials == 2
+    assert waiting.count == 2
 
 
 def test_a_cleared_line_is_empty_and_names_the_stranded_batches() -> None:
     first, second = batch(A, 7), batch(B, 8)
     waiting = line(piece(1, stranded=first), piece(2), piece(3, stranded=second))
     assert waiting.clear() == [first, second]
-    assert (waiting.trials, taken(waiting, "a")) == (0, None)
+    assert (waiting.count, taken(waiting, "a")) == (0, None)

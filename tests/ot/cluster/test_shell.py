@@ -4,6 +4,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
+from typing import NoReturn
 
 import numpy as np
 import pytest
@@ -38,6 +39,10 @@ LEASE = Lease(
 )
 
 
+def no_dispute(dispute: object, _: object) -> NoReturn:
+    raise AssertionError(f"one server cannot differ: {dispute}")
+
+
 def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -59,7 +64,12 @@ def test_the_sender_to_a_server_ends_with_it() -> None:
     """A restarted server is a new one: without this, a long run would accumulate threads."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     listening, _ = session.open_server([endpoint], Reach([], multicast=False))
-    with Cluster(KEY, terms(slots=1), reach=Reach([endpoint], multicast=False)):
+    with Cluster(
+        KEY,
+        terms(slots=1),
+        reach=Reach([endpoint], multicast=False),
+        arbitrate=no_dispute,
+    ):
         token = listening.liveliness().declare_token(keys.alive("default", "lab-1"))
         wait_until(lambda: sending_to("lab-1"), "a server is asked")
         token.undeclare()
@@ -95,7 +105,12 @@ def test_an_answer_counts_when_it_comes_not_when_the_query_ends(
     listening.declare_queryable(keys.offer("default", "lab-1"), callback)
     listening.declare_queryable(keys.requests("default", "lab-1"), callback)
     token = listening.liveliness().declare_token(keys.alive("default", "lab-1"))
-    with Cluster(KEY, terms(slots=1), reach=Reach([endpoint], multicast=False)):
+    with Cluster(
+        KEY,
+        terms(slots=1),
+        reach=Reach([endpoint], multicast=False),
+        arbitrate=no_dispute,
+    ):
         wait_until(
             lambda: any(str(query.key_expr).endswith("/reserve") for query in asked),
             "the server is reserved",
@@ -123,6 +138,7 @@ class Asking:
             reach=Reach(
                 ["tcp/127.0.0.1:1"], multicast=False, through_router=through_router
             ),
+            arbitrate=no_dispute,
         )
         self.batches: list[tuple[str, str]] = []  # server and thread
         self._here = threading.current_thread()

@@ -25,7 +25,7 @@ from zswarm.ot.cluster.events import (
     Work,
 )
 from zswarm.ot.cluster.remote_server import BLAMED, Phase
-from zswarm.ot.cluster.servers import FAULTY_S, PAUSE_S
+from zswarm.ot.cluster.servers import BACK_OFF_S, FAULTY_S, PAUSE_S, RETRY_S
 from zswarm.ot.workload import Workload
 from zswarm.protocol.messages import Refused, verb
 
@@ -362,3 +362,43 @@ def test_a_faulty_server_is_used_again_when_there_is_no_other() -> None:
     optimizer.asked.clear()
     optimizer.wait(PAUSE_S)
     assert ("a", "offer") in optimizer.asked
+
+
+def fail(optimizer: Optimizer) -> None:
+    """Server a fails trials that b can evaluate, until it is backed off."""
+    for _ in range(BLAMED):
+        (first,) = optimizer.work(1)
+        assert first.server == "a"
+        (again,) = optimizer.answer(first, fault(first))
+        optimizer.answer(again, outcomes(again))
+    assert optimizer.notes("server_faulty")
+
+
+def fall_silent(optimizer: Optimizer, server: str) -> None:
+    """A server answers no offer any more."""
+    for _ in range(len(RETRY_S) + 1):
+        optimizer.answer(optimizer.asked[server, "offer"], None)
+        optimizer.wait(1.0)
+
+
+def test_an_earlier_back_off_does_not_end_a_later_one() -> None:
+    """A server is silent, comes back before its pause is over, and then is faulty."""
+    optimizer = Optimizer()
+    optimizer.feed(Seen("a"))
+    fall_silent(optimizer, "a")
+    optimizer.join("a", "b")
+    fail(optimizer)
+    asks = optimizer.wait(2 * BACK_OFF_S)
+    assert [ask for ask in asks if ask.server == "a"] == []
+
+
+def test_a_server_that_was_faulty_once_is_recalled_no_sooner_than_others() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a", "b")
+    fail(optimizer)
+    optimizer.wait(FAULTY_S)
+    fall_silent(optimizer, "a")
+    optimizer.work(1)
+    optimizer.feed(Gone("b"))
+    optimizer.answer(optimizer.asked["b", "evaluate"], None)
+    assert optimizer.wait(2 * PAUSE_S) == []

@@ -197,8 +197,10 @@ def test_a_preparation_that_does_not_end_is_killed(released: bool) -> None:
 
 def test_a_server_with_nothing_to_do_drains_at_once() -> None:
     server = Server()
-    server.ready()
+    lease = server.ready()
     assert server.feed(Drain()) == [Drained()]
+    assert isinstance(server.asked(Renew(lease=lease, known_ready=1)), Lease)
+    assert server.commands == [], "it is to exit once"
 
 
 def test_draining_finishes_running_chunks_and_answers_all_queries() -> None:

@@ -1,9 +1,10 @@
 """The trials of a workload: which wait, which are out in batches, and which are counted.
 
-Each server has up to two batches, which it hands out to its slots itself. A batch is about 75 ms
-of measured work for each of these slots, and shrinks towards the end of a workload that several
-servers share. Every trial is counted once. Trials that a server did not answer go to another one,
-unless this server is back first and can be asked for them again.
+Each server has two batches or, if trials are long, as many as it needs to have two trials for each
+slot. It hands them out to its slots itself. A batch is about 75 ms of measured work for each of
+these slots, and shrinks towards the end of a workload that several servers share. Every trial is
+counted once. Trials that a server did not answer go to another one, unless this server is back
+first and can be asked for them again.
 """
 
 import msgspec
@@ -22,10 +23,11 @@ from zswarm.protocol import codec, messages
 from zswarm.protocol.messages import Cancel, Evaluate, Fault, Outcomes, Running
 
 ATTEMPTS = 3  # of a trial that ends in a fault
-DEPTH = 2  # batches out per server: the trials of one run, the other one waits
+DEPTH = 2  # batches per server: one is evaluated, and one waits behind it
 BATCH_S = 0.075  # of work in a batch for each slot, by measured time
-# Of work for each slot, times the number of servers: so messages cost the optimizer a quarter of
-# its time at most.
+# Of work in a batch for each slot, times the number of servers that serve: if each of N servers
+# ends a batch every N * 2 ms, the optimizer has one to handle every 2 ms. That takes it 0.5 ms at
+# most, a quarter of its time.
 SERVER_S = 0.002
 # Of work for each slot: with less, the way to a server and back would take longer than a batch.
 SMALLEST_BATCH_S = 0.003
@@ -83,8 +85,8 @@ class Batches(msgspec.Struct, eq=False):
                 self._cancel(server, list(server.batches))
                 server.batches = {}
 
-    def complete(self) -> bool:
-        """Return whether the workload is done; there is none then."""
+    def finish_if_done(self) -> bool:
+        """Return whether the workload is done, and forget it then."""
         done = self.workload is not None and not self.uncounted and not self.checks.open
         if done:
             self.workload = None
@@ -96,17 +98,17 @@ class Batches(msgspec.Struct, eq=False):
         """Resume, strand or forget a server's batches, as its phase requires."""
         self.refill = True
         if server.phase == Phase.LEASED:
-            if server.previous not in (b"", server.lease):
+            if server.resumable_lease not in (b"", server.lease):
                 self._forget_stranded(server)
             else:
                 self._resume(server)
-            server.previous = b""
+            server.resumable_lease = b""
             return
         for batch in list(server.batches.values()):
             # A leaving server will not answer a batch that it has already failed to answer once.
-            if server.phase != Phase.LEAVING or batch.empties:
+            if server.phase != Phase.LEAVING or batch.unanswered:
                 self.strand(batch)
-        if not server.lease and not server.previous:
+        if not server.lease and not server.resumable_lease:
             self._forget_stranded(server)
         if server.phase == Phase.BANNED and self.workload is not None:
             trials = self.workload.retract(server.id)
@@ -119,7 +121,7 @@ class Batches(msgspec.Struct, eq=False):
         for entry in self.queue.stranded(server):
             if entry.stranded is not None:
                 self.queue.remove(entry)
-                self._send(entry.stranded)
+                self.send(entry.stranded)
         if server.unwanted:
             self._cancel(server, server.unwanted)
             server.unwanted = []
@@ -136,7 +138,7 @@ class Batches(msgspec.Struct, eq=False):
             batch.server.unwanted.append(batch.id)
             self.give_back(batch)
         else:
-            batch.empties = batch.question = 0
+            batch.unanswered = batch.question = 0
             self._requeue(QueuedTrials(batch.rest(), batch.avoid, batch))
 
     def _cancel(self, server: RemoteServer, batches: list[int]) -> None:
@@ -150,7 +152,7 @@ class Batches(msgspec.Struct, eq=False):
         Args:
             answered: the only server that may have room, unless ``refill`` is set.
         """
-        if self.workload is None or not (self.queue.trials or self.checks.waiting):
+        if self.workload is None or not (self.queue.count or self.checks.waiting):
             return
         idle = [answered] if answered and answered.id in self._serving else []
         if self.refill:
@@ -165,10 +167,11 @@ class Batches(msgspec.Struct, eq=False):
                 while (size := self._size(server, depth)) and (
                     batch := self._take(server, size)
                 ):
-                    self._send(batch)
+                    self.send(batch)
         self._drop_unverifiable()
 
-    def _send(self, batch: SentBatch) -> None:
+    def send(self, batch: SentBatch) -> None:
+        """Send a batch to its server, the first time or again."""
         batch.server.batches[batch.id] = batch
         self.ask(batch)
 
@@ -188,23 +191,33 @@ class Batches(msgspec.Struct, eq=False):
     def _size(self, server: RemoteServer, depth: int) -> int:
         """Return the number of trials in the next batch for a server; 0 if it has enough.
 
-        Of long trials, a server that is to have ``depth`` batches has as many for each slot. If it
+        It has enough with ``depth`` trials for each ready slot, in ``depth`` batches that are not
+        all started.
+        """
+        batches = server.batches.values()
+        lacking = depth * server.ready - sum(batch.missing for batch in batches)
+        waiting = sum(not batch.all_started for batch in batches)
+        enough = lacking <= 0 and waiting >= depth
+        if enough or len(batches) >= DEPTH * server.ready:  # it refuses more as busy
+            return 0
+        return max(1, min(max(lacking, self._size_by_time(server)), self._fits))
+
+    def _size_by_time(self, server: RemoteServer) -> int:
+        """Return the number of trials in a batch by measured time; 0 if none was measured yet.
+
+        If several servers serve, a server's share of all that waits is cut into ``2 * DEPTH``
+        batches: these shrink as less waits, and all servers end at about the same time. If it
         serves alone, nothing is held back for others.
         """
-        batches, serving = server.batches.values(), len(self._serving)
-        missing = depth * server.ready - sum(batch.missing for batch in batches)
-        enough = missing <= 0 and sum(not batch.given for batch in batches) >= depth
-        if enough or len(batches) >= DEPTH * server.ready:
+        if not server.trial_s:
             return 0
-        size = max(1, missing)
-        if server.trial_s:
-            parts = 2 * DEPTH if serving > 1 else 1
-            share = self.queue.trials * server.ready / (self._slots * parts)
-            smallest = server.ready * SMALLEST_BATCH_S / server.trial_s
-            work_s = max(server.trial_s, BATCH_S, serving * SERVER_S)
-            largest = server.ready * (work_s / server.trial_s)
-            size = max(size, int(min(max(share, smallest), largest)))
-        return max(1, min(size, self._fits))
+        serving = len(self._serving)
+        parts = 2 * DEPTH if serving > 1 else 1
+        share = self.queue.count * server.ready / (self._slots * parts)
+        smallest = server.ready * SMALLEST_BATCH_S / server.trial_s
+        work_s = max(server.trial_s, BATCH_S, serving * SERVER_S)
+        largest = server.ready * (work_s / server.trial_s)
+        return int(min(max(share, smallest), largest))
 
     def _take(self, server: RemoteServer, size: int) -> SentBatch | None:
         """Return a new batch, or None if all that waits is for others; checks come last."""

@@ -1,4 +1,4 @@
-"""The servers that a user's runs and evaluations share.
+"""The servers that a user's runs and evaluations share; each of these has its own ``Cluster``.
 
 This machine's slots start first, and load while this program does; so heavy modules are imported
 when they are needed.
@@ -203,9 +203,9 @@ class Connection:
             RunKey(options.realm, user, run),
             asked,
             reach=reach,
+            arbitrate=functools.partial(arbitrate, problem),
             local=local.endpoint if local is not None else "",
             controllers=controllers,
-            arbitrate=functools.partial(arbitrate, problem),
             watch=watch,
         )
         with cluster:

@@ -24,7 +24,7 @@ class Dispatch:
         self.out = Outbox()
         self.servers = Servers(terms, self.out, probe=terms.probe)
         self.batches = Batches(terms, self.out, self.servers, Checks(terms.verify))
-        self._idle: RemoteServer | None = None  # has just answered a batch
+        self._just_answered_by: RemoteServer | None = None  # a batch
 
     def next_time(self) -> float:
         """Return when TimePassed is due."""
@@ -33,7 +33,8 @@ class Dispatch:
     def handle(self, event: Event, now: float) -> list[Command]:
         """Take an event at a time (seconds, monotonic); return the commands, in order."""
         out, servers, batches = self.out, self.servers, self.batches
-        out.now, out.commands, out.failure, self._idle = now, [], "", None
+        out.now, out.commands, out.failure = now, [], ""
+        self._just_answered_by = None
         match event:
             case Answered():
                 self._answered(event)
@@ -52,7 +53,7 @@ class Dispatch:
                 servers.arbitrate_probe(event.digest)
             case events.TimePassed():
                 self._repeat()
-                servers.renew_due()
+                servers.ask_due()
             case events.Leave():
                 batches.end()
                 servers.leave()
@@ -73,21 +74,20 @@ class Dispatch:
         ]:
             servers.lose(server)
         self._follow()
-        batches.fill(self._idle)
+        batches.fill(self._just_answered_by)
         if out.failure:
             out.commands.append(events.Failed(out.failure))
-        elif batches.complete():
+        elif batches.finish_if_done():
             out.commands.append(events.Complete())
 
     def _follow(self) -> None:
-        while self.servers.moved:
-            self.batches.follow(self.servers.moved.pop(0))
+        changed, self.servers.changed = self.servers.changed, {}
+        for server in changed.values():
+            self.batches.follow(server)
 
     def _repeat(self) -> None:
         for query in self.out.due():
-            if not query.batch:
-                self.servers.repeat(query)
-            elif (batch := self._sent(query)) is not None:
+            if (batch := self._sent(query)) is not None:
                 self.batches.ask(batch)
 
     def _answered(self, event: Answered) -> None:
@@ -100,7 +100,7 @@ class Dispatch:
         if not query.batch:
             self.servers.answered(query, reply)
         elif (batch := self._sent(query)) is not None:
-            self._idle = batch.server
+            self._just_answered_by = batch.server
             self._batch_answered(query, batch, reply)
 
     def _sent(self, query: OpenQuery) -> SentBatch | None:
@@ -112,27 +112,19 @@ class Dispatch:
     def _batch_answered(
         self, query: OpenQuery, batch: SentBatch, reply: Reply | None
     ) -> None:
-        batches, servers, server = self.batches, self.servers, batch.server
         if reply is None:
-            if server.phase == Phase.LEAVING:
-                batches.strand(batch)
-            elif batch.empties < len(RETRY_S):
-                self.out.later(RETRY_S[batch.empties], query)
-                batch.empties += 1
-            else:
-                servers.back_off(server, "evaluate")
+            self._batch_not_answered(query, batch)
             return
-        if not isinstance(reply, Running):
-            del server.batches[batch.id]
+        batches, server = self.batches, batch.server
+        del server.batches[batch.id]  # it is out no more, unless it is sent again
         try:
             match reply:
                 case Running():
-                    batch.empties, batch.given = 0, batch.given or reply.given
                     batches.count(batch, reply)
+                    batch.unanswered = 0
+                    batch.all_started |= reply.given
                     if batch.missing:
-                        batches.ask(batch)
-                    else:
-                        del server.batches[batch.id]
+                        batches.send(batch)
                 case Outcomes():
                     batches.count(batch, reply)
                     batches.give_back(batch)
@@ -147,9 +139,17 @@ class Dispatch:
                 case _:
                     raise RemoteProtocolError(query.not_answered_by(reply))
         except RemoteProtocolError as error:
-            server.batches.pop(batch.id, None)
             batches.give_back(batch)
-            servers.drop(server, RunEvent.MALFORMED, str(error))
+            self.servers.drop(server, RunEvent.MALFORMED, str(error))
+
+    def _batch_not_answered(self, query: OpenQuery, batch: SentBatch) -> None:
+        if batch.server.phase == Phase.LEAVING:
+            self.batches.strand(batch)
+        elif batch.unanswered < len(RETRY_S):
+            self.out.later(RETRY_S[batch.unanswered], query)
+            batch.unanswered += 1
+        else:
+            self.servers.back_off(batch.server, "evaluate")
 
     def _refused(self, server: RemoteServer, refused: Refused) -> None:
         match refused.code:
@@ -161,3 +161,5 @@ class Dispatch:
                 self.servers.lease_lost(server, refused.reason)
             case "mismatch":
                 self.servers.drop(server, RunEvent.SERVER_REFUSED, refused.reason)
+            case _:
+                pass  # cancelled, in its other cases: only the batch is affected

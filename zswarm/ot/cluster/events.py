@@ -17,13 +17,17 @@ class Seen(msgspec.Struct, frozen=True):
 
 
 class Gone(msgspec.Struct, frozen=True):
-    """A server's liveliness token vanished."""
+    """A server's liveliness token vanished: it drains or ended, or its link is cut."""
 
     server: str
 
 
 class Answered(msgspec.Struct, frozen=True):
-    """A query ended: with a reply, without one (None), or with why the reply could not be read."""
+    """A query ended: with a reply, without one (None), or with why the reply could not be read.
+
+    Zenoh ends a query without a reply when its time is over, and earlier when the link breaks, or
+    if no program is there to answer.
+    """
 
     question: int
     reply: Reply | str | None
@@ -94,7 +98,7 @@ class Retracted(msgspec.Struct, frozen=True):
 
 
 class Complete(msgspec.Struct, frozen=True):
-    """All trials of the workload are counted."""
+    """All trials of the workload are counted, and checked if they are to be."""
 
 
 class Failed(msgspec.Struct, frozen=True):
@@ -107,11 +111,10 @@ Command = Ask | Counted | Disputed | ProbeDisputed | Retracted | Complete | Fail
 
 
 class OpenQuery(msgspec.Struct, frozen=True):
-    """A query that was sent and not answered yet, or that is to be sent again."""
+    """A query that was sent and not answered yet."""
 
     server: str
     verb: Verb
-    lease: bytes = b""
     batch: int = 0
     question: int = 0
 
@@ -121,7 +124,7 @@ class OpenQuery(msgspec.Struct, frozen=True):
 
 
 class Outbox(msgspec.Struct, eq=False):
-    """Collect the commands of one event; remember open queries and those to repeat later."""
+    """Collect the commands of one event; remember open queries, and when to send one again."""
 
     now: float = 0.0  # time of the event
     failure: str = ""  # why the workload cannot be evaluated; "" if it can
@@ -138,8 +141,8 @@ class Outbox(msgspec.Struct, eq=False):
     def ask(self, server: str, message: Request, trials: np.ndarray | None = None) -> int:
         """Send a query; return its number."""
         number = self.number()
-        lease, batch = getattr(message, "lease", b""), getattr(message, "batch", 0)
-        self.queries[number] = OpenQuery(server, verb(message), lease, batch, number)
+        batch = getattr(message, "batch", 0)
+        self.queries[number] = OpenQuery(server, verb(message), batch, number)
         self.commands.append(Ask(number, server, message, trials))
         return number
 
@@ -150,11 +153,11 @@ class Outbox(msgspec.Struct, eq=False):
         self.commands.append(Note(event, server, text, count))
 
     def later(self, delay_s: float, query: OpenQuery) -> None:
-        """Repeat a query after a delay."""
+        """Repeat a query, of a batch, after a delay."""
         self._later.append((self.now + delay_s, query))
 
     def due(self) -> list[OpenQuery]:
-        """Return the queries to repeat now."""
+        """Return the queries that are to be repeated now."""
         due = [query for time, query in self._later if time <= self.now]
         self._later = [(time, query) for time, query in self._later if time > self.now]
         return due

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from zswarm.ot.cluster.remote_controllers import RemoteControllers
 
 RETRY_S = 0.1  # between two attempts to reach a router
+# Until a query ends without an answer (docs/protocol.md, "Times of a lease").
 QUERY_S: dict[Verb, float] = {
     "offer": discovery.OFFER_S,
     "reserve": 10.0,

@@ -10,7 +10,7 @@ from zswarm.ot.cluster.remote_server import RemoteServer, SentBatch
 
 
 class QueuedTrials(msgspec.Struct, eq=False):
-    """Trials that wait."""
+    """Trials that wait, as indices into the workload."""
 
     trials: np.ndarray
     avoid: frozenset[str] = frozenset()  # servers on which one of them ended in a fault
@@ -22,12 +22,12 @@ class QueuedTrials(msgspec.Struct, eq=False):
 class TrialQueue(msgspec.Struct, eq=False):
     """A queue of trials; those that come back go to its front."""
 
-    trials: int = 0
+    count: int = 0  # of its trials
     entries: deque[QueuedTrials] = msgspec.field(default_factory=deque)
 
     def put(self, entry: QueuedTrials) -> None:
         """Add trials, at least one."""
-        self.trials += len(entry.trials)
+        self.count += len(entry.trials)
         self.entries.appendleft(entry)
 
     def take(self, server: str, size: int, serving: Iterable[str]) -> QueuedTrials | None:
@@ -46,7 +46,7 @@ class TrialQueue(msgspec.Struct, eq=False):
             return entry
         taken = QueuedTrials(entry.trials[:size], entry.avoid)
         entry.trials = entry.trials[size:]
-        self.trials -= size
+        self.count -= size
         return taken
 
     def stranded(self, server: RemoteServer) -> list[QueuedTrials]:
@@ -60,11 +60,11 @@ class TrialQueue(msgspec.Struct, eq=False):
     def remove(self, entry: QueuedTrials) -> None:
         """Remove an entry."""
         self.entries.remove(entry)
-        self.trials -= len(entry.trials)
+        self.count -= len(entry.trials)
 
     def clear(self) -> list[SentBatch]:
         """Remove all trials; return the batches that some were stranded in."""
         stranded = [entry.stranded for entry in self.entries if entry.stranded]
         self.entries.clear()
-        self.trials = 0
+        self.count = 0
         return stranded

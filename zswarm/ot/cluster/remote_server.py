@@ -1,14 +1,41 @@
 """The run's view of a server: its phase, its lease, and the batches that it has.
 
-A server is IDLE until its liveliness token appears; then it is SEEN and asked for its offer. If it
-matches, it is SPARE until its slots are wanted, RESERVING until it grants a lease, and LEASED from
-then on; answers to renewals report how many slots the lease has, and how many are ready. If its
-token vanishes, it is LEAVING until all its queries have ended: it may drain, or the link may
-return. A server that does not answer, or that ended the lease, is BACKED_OFF and asked again later.
-One that does not match, refuses or fails is IDLE until its token appears again. One that computes
-wrong outcomes is BANNED for good.
+==========  =====================================  =============================================
+phase       the server ...                         it leaves the phase when ...
+==========  =====================================  =============================================
+IDLE        is not used: it has no token, does     its token appears (SEEN)
+            not match, refused, or sent nonsense
+SEEN        is asked for its offer                 it offers what is required (SPARE)
+SPARE       matches; its slots are not wanted      its slots are wanted (RESERVING), or its
+                                                   token appears again (SEEN)
+RESERVING   is asked for slots                     it grants a lease (LEASED)
+LEASED      granted a lease, which is renewed; it  its token vanishes (LEAVING), or the run
+            may have no slot yet                   holds enough slots without it (SPARE)
+LEAVING     has no token any more: it drains or    its token is back (LEASED), or none of its
+            died, or the link is cut               batches is out (IDLE)
+BACKED_OFF  is not asked for a while: it did not   the pause is over, or its token appears
+            answer, ended the lease, failed too    (SEEN)
+            many trials, or its probe is disputed
+BANNED      computes wrong outcomes                never
+==========  =====================================  =============================================
+
+Besides, one that refuses, or whose token vanishes while it is not LEASED, becomes IDLE, one that
+does not answer BACKED_OFF, and one that is found to compute wrong BANNED. ``MOVES`` has all allowed
+changes.
+
+Only a LEASED server is sent batches. Those that are out when it becomes LEAVING may still be
+answered. When it leaves these two phases, its batches wait for any server:
+
+- It was silent, or its link was cut: the batches are *stranded* there. If the server grants the
+  same lease again (``resumable_lease``), it is asked again for those that no other server took,
+  under their ids, and computes nothing twice. The others are cancelled there.
+- Its lease ended in another way: nothing is resumed.
+- It is BANNED: what was counted for it in this workload is evaluated again, too.
+
+When a lease can be resumed: docs/protocol.md, "Times of a lease".
 """
 
+import math
 from collections.abc import Collection
 from enum import Enum, auto
 from typing import Self
@@ -23,7 +50,7 @@ BLAMED_SHARE = 0.01
 
 
 class Phase(Enum):
-    """How far a server is."""
+    """How far a server is; see the table above."""
 
     IDLE = auto()
     SEEN = auto()
@@ -35,15 +62,15 @@ class Phase(Enum):
     BANNED = auto()
 
 
-_ENDS = {Phase.IDLE, Phase.BACKED_OFF, Phase.BANNED}
+_ENDS = {Phase.IDLE, Phase.BANNED}
 MOVES = {
     Phase.IDLE: {Phase.SEEN, Phase.BANNED},
-    Phase.SEEN: {Phase.SPARE, *_ENDS},
+    Phase.SEEN: {Phase.SPARE, Phase.BACKED_OFF, *_ENDS},
     Phase.SPARE: {Phase.SEEN, Phase.RESERVING, *_ENDS},
-    Phase.RESERVING: {Phase.LEASED, *_ENDS},
-    Phase.LEASED: {Phase.LEAVING, Phase.SPARE, *_ENDS},
+    Phase.RESERVING: {Phase.LEASED, Phase.BACKED_OFF, *_ENDS},
+    Phase.LEASED: {Phase.LEAVING, Phase.SPARE, Phase.BACKED_OFF, *_ENDS},
     Phase.LEAVING: {Phase.LEASED, *_ENDS},
-    Phase.BACKED_OFF: {Phase.SEEN, Phase.IDLE, Phase.BANNED},
+    Phase.BACKED_OFF: {Phase.SEEN, *_ENDS},
     Phase.BANNED: set[Phase](),
 }
 
@@ -59,8 +86,8 @@ class SentBatch(msgspec.Struct, eq=False):
     avoid: frozenset[str] = frozenset()  # servers on which one of them ended in a fault
     check: bool = False  # they are counted already, and evaluated again for comparison
     question: int = 0  # the query that asked for it last
-    empties: int = 0  # queries in a row that ended without an answer
-    given: bool = False  # none of it waits for a slot any more
+    unanswered: int = 0  # queries in a row that ended without an answer
+    all_started: bool = False  # none of it waits for a slot any more
 
     def rest(self) -> np.ndarray:
         """Return the trials whose outcome did not come."""
@@ -71,12 +98,15 @@ class SentBatch(msgspec.Struct, eq=False):
 class RemoteServer(msgspec.Struct, eq=False):
     """What a run knows of a server."""
 
-    id: str
+    id: str  # a server that is restarted has another one
     phase: Phase = Phase.IDLE
     lease: bytes = b""  # while LEASED or LEAVING
     # A lease given up for silence, which may still be valid at the server.
-    previous: bytes = b""
-    probe: bytes = b""  # digest of its outcomes of the probe
+    resumable_lease: bytes = b""
+    # Digest of its outcomes of the probe: some trials that every server plays. Equal code computes
+    # equal bits on all machines (docs/architecture.md, "Determinism"): a server that differs from
+    # this machine is wrong.
+    probe: bytes = b""
     capacity: int = 0
     place: tuple[float, ...] = ()  # its rank; the lowest comes first
     mismatch: str = ""  # as last reported to the user
@@ -84,16 +114,19 @@ class RemoteServer(msgspec.Struct, eq=False):
     slots: int = 0
     ready: int = 0  # slots that can evaluate
     trial_s: float = 0.0  # measured; 0.0: not yet
-    renew_at: float = 0.0  # when its lease is to be asked for again
-    renewing: bool = False
-    paused_until: float = 0.0  # it had no room for a batch
+    # Its open query for an offer, a reservation or a renewal; 0: none.
+    question: int = 0
+    asked_at: float = 0.0  # when that was sent
+    ask_at: float = math.inf  # when the query of its phase is due
+    # It had no room for a batch: no other is sent before.
+    paused_until: float | None = None
     batches: dict[int, SentBatch] = {}
     unwanted: list[int] = []  # batches to cancel that the server may still have
     counted: int = 0  # trials
     blamed: int = 0  # trials that failed here and were evaluated elsewhere
     faulty: bool = False  # backed off for that
-    empties: int = 0  # queries in a row, but for batches, that ended without an answer
-    silent: bool = False  # and the user knows
+    unanswered: int = 0  # queries in a row, but for batches, that ended without an answer
+    silence_reported: bool = False  # to the user
 
     def taken(self) -> int:
         """Return how many slots the run has here, or asked for."""

@@ -25,12 +25,6 @@ PAUSE_S = 1.0  # before a server that had no room, or that ended the lease, is a
 # Before a server that did not answer is asked again, unless it is seen before.
 BACK_OFF_S = 30.0
 FAULTY_S = 600.0  # the same for a server on which too many trials failed
-# A query is of use only while its server is in this phase.
-ASKED_IN: dict[Verb, Phase] = {
-    "offer": Phase.SEEN,
-    "reserve": Phase.RESERVING,
-    "renew": Phase.LEASED,
-}
 
 
 class Servers(msgspec.Struct, eq=False):
@@ -39,18 +33,18 @@ class Servers(msgspec.Struct, eq=False):
     terms: Terms
     out: Outbox
     by_id: dict[str, RemoteServer] = {}  # every server ever seen
-    # Their phase or slots changed; the caller takes them out.
-    moved: list[RemoteServer] = []
+    # Whose phase, slots or pause changed, by id: the caller revisits their batches.
+    changed: dict[str, RemoteServer] = {}
     leaving: dict[str, RemoteServer] = {}  # those in the phase LEAVING
     probe: bytes = b""  # digest of the probe's outcomes, once known
     _probe_disputed: bool = False
     _probe_arbitrated: bool = False
-    _renew_at: float = math.inf  # no lease is to be renewed before
+    _ask_at: float = math.inf  # no server is due before
     _allot_at: float = math.inf  # no slots are to be allotted before
 
     def next_time(self) -> float:
-        """Return when a lease is to be renewed, or slots to be allotted."""
-        return min(self._renew_at, self._allot_at)
+        """Return when a server is due, or slots are to be allotted."""
+        return min(self._ask_at, self._allot_at)
 
     def standing(self) -> Standing:
         """Return how the run stands with its servers."""
@@ -58,14 +52,15 @@ class Servers(msgspec.Struct, eq=False):
 
     def serving(self) -> dict[str, RemoteServer]:
         """Return the servers that can be given work, those that rank first in front."""
-        servers = self._leased()
+        leased = [
+            server for server in self.by_id.values() if server.phase == Phase.LEASED
+        ]
         if self.terms.choice.rank:
-            servers.sort(key=lambda server: server.place)
-        now = self.out.now
+            leased.sort(key=lambda server: server.place)
         return {
             server.id: server
-            for server in servers
-            if server.ready and server.paused_until <= now
+            for server in leased
+            if server.ready and server.paused_until is None
         }
 
     # ---- events
@@ -78,10 +73,10 @@ class Servers(msgspec.Struct, eq=False):
             self.out.note(RunEvent.SERVER_BACK, name)
             self._ask(server)
         elif server.phase in (Phase.IDLE, Phase.BACKED_OFF, Phase.SPARE):
-            self._look(server)
+            self._ask_for_offer(server)
 
     def gone(self, name: str) -> None:
-        """Await the end of a server's queries: with a reply if it drains, without if it died."""
+        """Await the end of a server's batches: with a reply if it drains, without if it died."""
         server = self.by_id.get(name)
         if server is None:
             return
@@ -95,69 +90,90 @@ class Servers(msgspec.Struct, eq=False):
     def answered(self, query: OpenQuery, reply: Reply | None) -> None:
         """Take the reply to any query but Evaluate."""
         server, verb = self.by_id[query.server], query.verb
-        if verb == "renew" and query.lease == server.lease:
-            server.renewing = False
-            self._renew_by(server)
-        if server.phase != ASKED_IN.get(verb) or query.lease != server.lease:
-            return  # a reply to Cancel or Release, or to a lease that has ended
-        if reply is not None:
-            server.empties, server.silent = 0, False
+        if query.question != server.question:
+            return  # to Cancel or Release, or its server has left the phase in which it was asked
+        server.question = 0
+        if server.phase == Phase.LEAVING:
+            return  # it is asked again when it is back
         match verb, reply:
-            case _, None:
-                self._not_answered(server, query)
             case "offer", Offer():
                 self._offered(server, reply)
             case "reserve" | "renew", Lease():
                 self._granted(server, reply)
-            case "reserve", Refused(code="superseded"):
-                self._move(server, Phase.IDLE)
-                self.out.failure = f"{server.id}: {reply.reason}"
-            case "renew", Refused(code="lease-lost"):
-                self.lease_lost(server, reply.reason)
-            case "offer" | "reserve", Refused():
-                self._move(server, Phase.IDLE)
-                self.out.note(RunEvent.SERVER_REFUSED, server.id, reply.reason)
-            case "renew", Refused():
-                self.drop(server, RunEvent.SERVER_REFUSED, reply.reason)
+            case _, Refused():
+                self._refused(server, verb, reply)
             case _:
-                self.out.note(RunEvent.MALFORMED, server.id, query.not_answered_by(reply))
-                self._not_answered(server, query)
+                if reply is not None:
+                    text = query.not_answered_by(reply)
+                    self.out.note(RunEvent.MALFORMED, server.id, text)
+                self._not_answered(server, verb)
+                return
+        server.unanswered, server.silence_reported = 0, False
 
-    def repeat(self, query: OpenQuery) -> None:
-        """Send a query again if its server is still in the phase for it."""
-        server = self.by_id[query.server]
-        self.moved.append(server)
-        if server.phase == ASKED_IN[query.verb]:
-            self._ask(server)
-        elif query.verb == "offer" and server.phase == Phase.BACKED_OFF:
-            self._look(server)
-
-    def renew_due(self) -> None:
-        """Renew the leases whose time has come."""
+    def ask_due(self) -> None:
+        """Ask the servers whose time has come, and end pauses."""
         now = self.out.now
-        if now < self._renew_at:
+        if now < self._ask_at:
             return
-        leased = self._leased()
-        for server in leased:
-            if server.renew_at <= now:
-                self._ask(server)
-        waiting = (server.renew_at for server in leased if not server.renewing)
-        self._renew_at = min(waiting, default=math.inf)
+        self._ask_at = math.inf
+        for server in self.by_id.values():
+            if server.paused_until is not None and server.paused_until <= now:
+                server.paused_until, server.ask_at = None, now
+                self.changed[server.id] = server
+            if server.ask_at <= now:
+                if server.phase == Phase.BACKED_OFF:
+                    self._ask_for_offer(server)
+                else:
+                    self._ask(server)
+            due = min(server.ask_at, server.paused_until or math.inf)
+            self._ask_at = min(self._ask_at, due)
 
     def leave(self) -> None:
         """Release all leases."""
         for server in self.by_id.values():
-            self._release(server)
-            server.lease = b""
             if server.phase not in (Phase.IDLE, Phase.BANNED):
-                self._move(server, Phase.IDLE)
+                self._end(server, Phase.IDLE, release=True)
+
+    # ---- queries
+
+    def _ask_for_offer(self, server: RemoteServer) -> None:
+        self._move(server, Phase.SEEN)
+        server.unanswered, server.faulty = 0, False
+        self._ask(server)
+
+    def _ask(self, server: RemoteServer) -> None:
+        """Send the query that a server's phase calls for, unless it is open."""
+        server.ask_at = math.inf
+        if server.question:
+            return
+        terms = self.terms
+        match server.phase:
+            case Phase.SEEN:
+                question = self.out.ask(server.id, terms.requirements)
+            case Phase.RESERVING:
+                reserve = structs.replace(terms.reserve, slots=server.wanted)
+                question = self.out.ask(server.id, reserve)
+            case Phase.LEASED:
+                renew = Renew(lease=server.lease, known_ready=server.ready)
+                question = self.out.ask(server.id, renew)
+            case _:
+                return
+        server.question, server.asked_at = question, self.out.now
+
+    def _ask_by(self, server: RemoteServer, time: float) -> None:
+        """Ask a server at a time, or sooner, unless it leaves its phase before."""
+        server.ask_at = min(server.ask_at, time)
+        self._ask_at = min(self._ask_at, time)
+
+    def _not_answered(self, server: RemoteServer, verb: Verb) -> None:
+        """Ask again a server that may be too busy, or not known to the link yet."""
+        if server.unanswered < len(RETRY_S):
+            self._ask_by(server, self.out.now + RETRY_S[server.unanswered])
+            server.unanswered += 1
+        else:
+            self.back_off(server, verb)
 
     # ---- offers and reservations
-
-    def _look(self, server: RemoteServer) -> None:
-        self._move(server, Phase.SEEN)
-        server.empties = 0
-        self._ask(server)
 
     def _offered(self, server: RemoteServer, offer: Offer) -> None:
         if mismatch := self.terms.choice.mismatch(offer):
@@ -179,20 +195,6 @@ class Servers(msgspec.Struct, eq=False):
         server.wanted = slots
         self._ask(server)
 
-    def _ask(self, server: RemoteServer) -> None:
-        """Send the query that a server's phase calls for: Requirements, Reserve or Renew."""
-        out, terms = self.out, self.terms
-        if server.phase == Phase.SEEN:
-            out.ask(server.id, terms.requirements)
-        elif not server.renewing:
-            server.renew_at = out.now + RENEW_S
-            self._renew_by(server)
-            if server.phase == Phase.RESERVING:
-                out.ask(server.id, structs.replace(terms.reserve, slots=server.wanted))
-            else:
-                server.renewing = True
-                out.ask(server.id, Renew(lease=server.lease, known_ready=server.ready))
-
     def allot(self) -> None:
         """Reserve and release servers until the run holds ``max_slots`` slots, if that changed.
 
@@ -208,7 +210,8 @@ class Servers(msgspec.Struct, eq=False):
             if room < 0 and server.phase == Phase.LEASED and server.slots:
                 room += server.slots
                 text = "as many slots as wanted are held without it"
-                self.drop(server, RunEvent.SERVER_SPARE, text, Phase.SPARE)
+                self._end(server, Phase.SPARE, release=True)
+                self.out.note(RunEvent.SERVER_SPARE, server.id, text)
         for server in servers:
             if room > 0 and server.phase == Phase.SPARE:
                 self._reserve(
@@ -236,68 +239,57 @@ class Servers(msgspec.Struct, eq=False):
                 return
         if not server.trial_s:
             server.trial_s = lease.trial_s
-        self._renew_by(server)
+        self._ask_by(server, server.asked_at + RENEW_S)
         if lease.ready != was_ready:
-            self.moved.append(server)
+            self.changed[server.id] = server
             event = RunEvent.SERVER_SLOTS if was_ready else RunEvent.SERVER_JOINED
             self.out.note(event, server.id, count=lease.ready)
         if server.ready < min(server.wanted, server.capacity):
             self._ask(server)  # the server answers when more slots are ready
 
-    def _renew_by(self, server: RemoteServer) -> None:
-        self._renew_at = min(self._renew_at, server.renew_at)
+    def _refused(self, server: RemoteServer, verb: Verb, refused: Refused) -> None:
+        match verb, refused.code:
+            case "renew", "lease-lost":
+                self.lease_lost(server, refused.reason)
+            case "renew", _:
+                self.drop(server, RunEvent.SERVER_REFUSED, refused.reason)
+            case "reserve", "superseded":
+                self._move(server, Phase.IDLE)
+                self.out.failure = f"{server.id}: {refused.reason}"
+            case _:
+                self._move(server, Phase.IDLE)
+                self.out.note(RunEvent.SERVER_REFUSED, server.id, refused.reason)
 
-    def _release(self, server: RemoteServer) -> None:
-        if server.lease:
-            self.out.ask(server.id, Release(lease=server.lease))
+    def drop(self, server: RemoteServer, note: RunEvent, text: str) -> None:
+        """Release the lease of a server; do not use it until its token appears again."""
+        self._end(server, Phase.IDLE, release=True)
+        self.out.note(note, server.id, text)
 
-    def drop(
-        self, server: RemoteServer, note: RunEvent, text: str, to: Phase = Phase.IDLE
-    ) -> None:
-        """Use a server no more; release its lease if it has one."""
-        self._release(server)
-        self._end(server, to, note, text)
+    def lose(self, server: RemoteServer) -> None:
+        """Give up a server whose token vanished, once none of its batches is out."""
+        self._end(server, Phase.IDLE, resumable=True)
+        self.out.note(RunEvent.SERVER_LOST, server.id)
 
     def lease_lost(self, server: RemoteServer, reason: str) -> None:
         """Reserve again, after a pause, at a server that ended the lease."""
-        leaving = server.phase == Phase.LEAVING
-        to = Phase.IDLE if leaving else Phase.BACKED_OFF
-        self._end(server, to, RunEvent.LEASE_LOST, reason)
-        if not leaving:
-            self._offer_in(PAUSE_S, server)
-
-    def lose(self, server: RemoteServer) -> None:
-        """Give up a server whose token vanished, once all its queries have ended."""
-        self._end(server, Phase.IDLE, RunEvent.SERVER_LOST, "", resumable=True)
+        if server.phase == Phase.LEAVING:
+            self._end(server, Phase.IDLE)
+        else:
+            self._end(server, Phase.BACKED_OFF, again_s=PAUSE_S)
+        self.out.note(RunEvent.LEASE_LOST, server.id, reason)
 
     def back_off(self, server: RemoteServer, verb: Verb) -> None:
         """Ask a server that did not answer repeatedly again only after a pause."""
-        if server.phase == Phase.LEASED or not server.silent:
-            text = f"no answer to {verb}"
-            self._end(
-                server, Phase.BACKED_OFF, RunEvent.SERVER_SILENT, text, resumable=True
-            )
-        else:
-            self._move(server, Phase.BACKED_OFF)
-        server.silent = True
-        self._offer_in(BACK_OFF_S, server)
+        if server.phase == Phase.LEASED or not server.silence_reported:
+            self.out.note(RunEvent.SERVER_SILENT, server.id, f"no answer to {verb}")
+        server.silence_reported = True
+        self._end(server, Phase.BACKED_OFF, resumable=True, again_s=BACK_OFF_S)
 
     def pause(self, server: RemoteServer) -> None:
         """Send no batch to a server without room for a while, then renew its lease."""
         server.paused_until = self.out.now + PAUSE_S
-        self.moved.append(server)
-        self.out.later(PAUSE_S, OpenQuery(server.id, "renew"))
-
-    def _not_answered(self, server: RemoteServer, query: OpenQuery) -> None:
-        """Ask again a server that may be too busy, or not known to the link yet."""
-        if server.empties < len(RETRY_S):
-            self.out.later(RETRY_S[server.empties], query)
-            server.empties += 1
-        else:
-            self.back_off(server, query.verb)
-
-    def _offer_in(self, delay_s: float, server: RemoteServer) -> None:
-        self.out.later(delay_s, OpenQuery(server.id, "offer"))
+        self._ask_at = min(self._ask_at, server.paused_until)
+        self.changed[server.id] = server
 
     # ---- servers that are wrong or faulty
 
@@ -305,9 +297,9 @@ class Servers(msgspec.Struct, eq=False):
         if self._probe_arbitrated:
             self.ban(server, "its outcomes of the probe are wrong")
             return
+        self._end(server, Phase.BACKED_OFF, release=True, again_s=BACK_OFF_S)
         text = "its outcomes of the probe differ from those of other servers; this machine decides"
-        self.drop(server, RunEvent.SERVER_DIFFERS, text, Phase.BACKED_OFF)
-        self._offer_in(BACK_OFF_S, server)
+        self.out.note(RunEvent.SERVER_DIFFERS, server.id, text)
         if not self._probe_disputed:
             self._probe_disputed = True
             self.out.commands.append(ProbeDisputed())
@@ -319,15 +311,17 @@ class Servers(msgspec.Struct, eq=False):
             if server.probe and server.probe != digest:
                 self.ban(server, "its outcomes of the probe are wrong")
             elif server.probe == digest and server.phase == Phase.BACKED_OFF:
-                self._offer_in(0.0, server)
+                self._ask_by(server, self.out.now)
 
     def ban(self, server: RemoteServer, text: str) -> None:
         """Never use a server again, and retract what was counted for it."""
         if server.phase == Phase.BANNED:
             return
-        # Before the note: the record may end between the two.
+        # Before the note: if the record ends between the two, a resumed run finds the server out
+        # again. The other way round it would restore what was counted for the server.
         self.out.commands.append(Retracted(server.id))
-        self.drop(server, RunEvent.SERVER_WRONG, text, Phase.BANNED)
+        self._end(server, Phase.BANNED, release=True)
+        self.out.note(RunEvent.SERVER_WRONG, server.id, text)
 
     def ban_wrong(self, name: str, trial: int) -> None:
         """Ban a server for its outcome of a trial; after a resume it may not be known yet."""
@@ -341,53 +335,60 @@ class Servers(msgspec.Struct, eq=False):
             return
         if set(self.standing().serving) - {name}:
             text = f"{server.blamed} trials that failed on it did not fail elsewhere"
-            self.drop(server, RunEvent.SERVER_FAULTY, text, Phase.BACKED_OFF)
+            self._end(server, Phase.BACKED_OFF, release=True, again_s=FAULTY_S)
+            self.out.note(RunEvent.SERVER_FAULTY, server.id, text)
             server.blamed, server.counted, server.faulty = 0, 0, True
-            self._offer_in(FAULTY_S, server)
 
     def recall_faulty(self) -> None:
         """Ask faulty servers again soon: they are better than none."""
         for server in self.by_id.values():
             if server.phase == Phase.BACKED_OFF and server.faulty:
-                server.faulty = False
-                self._offer_in(PAUSE_S, server)
+                self._ask_by(server, self.out.now + PAUSE_S)
 
     # ---- state
 
     def _server(self, name: str) -> RemoteServer:
         return self.by_id.setdefault(name, RemoteServer(name))
 
-    def _leased(self) -> list[RemoteServer]:
-        return [server for server in self.by_id.values() if server.phase == Phase.LEASED]
-
     def _end(
         self,
         server: RemoteServer,
         to: Phase,
-        note: RunEvent,
-        text: str,
         *,
+        release: bool = False,
         resumable: bool = False,
+        again_s: float = math.inf,
     ) -> None:
-        """Drop a lease; it can be resumed if it may still be valid at the server."""
-        server.previous = (server.lease or server.previous) if resumable else b""
-        server.lease, server.slots, server.ready, server.renewing = b"", 0, 0, False
-        if server.phase != to:
-            self._move(server, to)
-        self.moved.append(server)
-        self.out.note(note, server.id, text)
+        """Drop the lease of a server, if it has one, and move the server to another phase.
+
+        Args:
+            release: the server is to free the slots.
+            resumable: the server may still hold the lease, and have its batches.
+            again_s: seconds until it is asked for its offer again, if no token appears before.
+        """
+        if release and server.lease:
+            self.out.ask(server.id, Release(lease=server.lease))
+        held = server.lease or server.resumable_lease
+        server.resumable_lease = held if resumable else b""
+        server.lease, server.slots, server.ready = b"", 0, 0
+        server.paused_until = None
+        self._move(server, to)
+        self._ask_by(server, self.out.now + again_s)
+        self.changed[server.id] = server
 
     def _move(self, server: RemoteServer, to: Phase) -> None:
         """Move a server to another phase: the only place that does."""
         if to not in MOVES[server.phase]:
             raise LocalProtocolError(f"{server.id} cannot go from {server.phase} to {to}")
         both = {server.phase, to}
-        server.phase = to
+        server.phase, server.ask_at = to, math.inf
         self.leaving.pop(server.id, None)
         if to == Phase.LEAVING:
             self.leaving[server.id] = server
+        if both != {Phase.LEASED, Phase.LEAVING}:
+            server.question = 0
         if Phase.LEASED in both:
-            self.moved.append(server)
+            self.changed[server.id] = server
         if {Phase.RESERVING, Phase.LEASED} & both:
             self._allot_soon()
 

@@ -49,9 +49,9 @@ class Cluster:
     """All servers that evaluate for one run, from entering to leaving.
 
     Args:
+        arbitrate: computes the outcome of a disputed trial, or the digest of the probe.
         local: endpoint of this machine's slots; "": there are none.
         controllers: those that servers ask; None: candidates are sent.
-        arbitrate: computes the outcome of a disputed trial, or the digest of the probe.
         watch: takes what happens, and may end it.
 
     Attributes:
@@ -64,9 +64,9 @@ class Cluster:
         terms: Terms,
         *,
         reach: Reach,
+        arbitrate: Arbitrate,
         local: str = "",
         controllers: "RemoteControllers | None" = None,
-        arbitrate: Arbitrate | None = None,
         watch: Watch | None = None,
     ) -> None:
         self.standing = Standing(probe=terms.probe)
@@ -190,8 +190,7 @@ class Cluster:
             case events.Failed():
                 raise EvaluationError(item.reason)
             case events.Disputed() | events.ProbeDisputed():
-                if self._arbitrate is not None:
-                    self._inbox.put(self._arbitrate(item, self._workload))
+                self._inbox.put(self._arbitrate(item, self._workload))
                 return None
         return item
 

@@ -73,14 +73,14 @@ class Died(SlotMessage, frozen=True):
 
 
 class Tick(msgspec.Struct, frozen=True):
-    """Time passed."""
+    """Time passed; comes at least every 0.25 s while there are leases, or slots that stop."""
 
     # For each slot the trial that it is at, an index in its chunk.
     positions: tuple[int, ...]
 
 
 class Drain(msgspec.Struct, frozen=True):
-    """Finish the chunks that run, and accept no new work."""
+    """Finish the chunks that run, and accept no new work; the token is undeclared already."""
 
 
 SlotEvent = Prepared | Unprepared | Finished | Exhausted | Died

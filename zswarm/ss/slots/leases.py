@@ -6,24 +6,34 @@ follows from its slots:
 =========  =========================================  ==========================================
 state      the lease ...                              it leaves the state when ...
 =========  =========================================  ==========================================
-waiting    has no slot: none is free yet              a slot is assigned to it
-preparing  has slots, none ready for its problem      the first slot is prepared
-ready      has a slot that evaluates, or could        its last ready slot dies or is given back
-failed     cannot be served: preparing went wrong;    never; the run is to release it
-           ``failure`` says why, and it has no slots
+waiting    has no slot: none is free yet              a slot is assigned to it (preparing)
+preparing  has slots, none ready for its problem      the first slot is prepared (ready), or all
+                                                      are given back (waiting)
+ready      has a slot that evaluates, or could        its last ready slot dies (preparing), or its
+                                                      last slot is given back (waiting)
+failed     cannot be served: ``failure`` has the      never; the run is to release it
+           reason, and it has no slots
 =========  =========================================  ==========================================
+
+A lease fails when a slot cannot be prepared, or takes too long to; or when the process of a slot
+dies three times while it is prepared, and no other slot of the lease could be.
 
 A lease ends, from every state, when
 
 - its run releases it,
-- its run reserves again with a higher epoch, as a run resumed by another program does: the new
-  lease replaces it and keeps its place in the order of leases,
+- its run reserves again with a higher epoch: the new lease replaces it and keeps its place in the
+  order of leases,
 - no message of its run came for ``LEASE_S``, or
 - the liveliness token of its run vanished, and neither it nor a message came for ``GRACE_S``.
 
 Then its queries are answered with ``lease-lost``, its cached replies are dropped, and its slots
-become free: an idle one at once, a working one when it has stopped. If a run was resumed by another
-program, the first program is refused with ``superseded`` when it reserves again, and ends.
+become free: an idle one at once, a working one when it has stopped.
+
+A program draws a ``nonce`` when it starts, and sends it with every ``Reserve``: the same nonce gets
+the same lease, which is how a program resumes a lease after its link was cut. ``epoch`` is how
+often the run was resumed: ``zswarm-ot resume`` raises it in the record. So the slots of a run that
+another program resumes are taken over, and the first program, if it still lives, is refused with
+``superseded`` when it reserves again, and ends (docs/protocol.md, "Life of a lease").
 
 A slot is prepared for one problem at a time; ``MOVES`` has the allowed changes of its state:
 
@@ -76,7 +86,8 @@ class Slot(msgspec.Struct, eq=False):
 
     index: int
     state: SlotState = "free"
-    since: float = 0.0  # when the state, or the trial, began
+    # What it does is timed from then: its state or its trial began, or it was told to stop.
+    timed_from: float = 0.0
     lease: "HeldLease | None" = None
     prepared_for: Reserve | None = None  # whose problem its process is prepared for
     chunk: Chunk | None = None
@@ -91,7 +102,7 @@ class Slot(msgspec.Struct, eq=False):
         """
         if state not in MOVES[self.state]:
             raise LocalProtocolError(f"slot {self.index}: {self.state} to {state}")
-        self.state, self.since = state, now
+        self.state, self.timed_from = state, now
 
 
 class Renewal(NamedTuple):
@@ -115,7 +126,8 @@ class HeldLease(msgspec.Struct, eq=False):
     jobs: JobQueue
     gone_since: float | None = None  # the holder's token vanished then
     slots: list[Slot] = []
-    unreported_since: float | None = None  # slots idle while outcomes are not reported
+    # Since when slots are idle while outcomes are not reported.
+    unreported_since: float | None = None
     renewals: list[Renewal] = []
     probe: bytes = b""
     probe_s: float = 0.0  # of one trial of the probe
@@ -194,6 +206,7 @@ class LeaseTable(dict[tuple[str, str], HeldLease]):
         self._close(lease, how)
 
     def _close(self, lease: HeldLease, how: str) -> None:
+        """Log the end of a lease, drop its replies, refuse its queries, and take its slots."""
         self._out.log("lease_" + how.replace(" ", "_"), user=lease.user, run=lease.run)
         self.replies.drop(lease.token)
         self._strip(lease, "lease-lost", f"the lease was {how}")

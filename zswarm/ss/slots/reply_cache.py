@@ -3,7 +3,8 @@
 from collections import OrderedDict
 
 MAX_BYTES = 64 << 20
-MAX_AGE_S = 120.0  # a run asks again after a query's timeout, 60 s
+# A run asks again at the latest when its query times out, after 60 s.
+MAX_AGE_S = 120.0
 
 
 class ReplyCache(OrderedDict[tuple[bytes, int], tuple[bytes, float]]):

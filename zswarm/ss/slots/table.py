@@ -62,6 +62,7 @@ class SlotTable:
         self.seconds = 0.0
         self.faults: Counter[str] = Counter()
         self._mismatch = mismatch
+        self._drained = False  # nothing will run any more
 
     def handle(self, event: events.Event, now: float) -> list[events.Command]:
         """Take an event at a monotonic time in seconds; return the commands to carry out."""
@@ -69,7 +70,7 @@ class SlotTable:
         stalled_s, out.now = now - out.now, now
         if stalled_s > STALL_S:
             for slot in self.slots:
-                slot.since = min(slot.since + stalled_s, now)
+                slot.timed_from = min(slot.timed_from + stalled_s, now)
         match event:
             case events.Asked():
                 self._asked(event)
@@ -93,12 +94,14 @@ class SlotTable:
         """Do what follows from the state."""
         if not self.draining:
             self.leases.share_out(self.slots)
-        drained = self.draining and not any(slot.state == "busy" for slot in self.slots)
+        busy = any(slot.state == "busy" for slot in self.slots)
+        ends = self.draining and not busy and not self._drained
+        self._drained |= ends
         for lease in self.leases.values():
             self._prepare(lease)
             self._start(lease)
-            self._answer_renewals(lease, hold=not drained)
-        if drained:
+            self._answer_renewals(lease)
+        if ends:
             self._out.append(events.Drained())
 
     def next_time(self) -> float:
@@ -111,7 +114,7 @@ class SlotTable:
         return bool(self.leases) or self.free() < len(self.slots)
 
     def free(self) -> int:
-        """Return how many slots no lease holds."""
+        """Return how many slots can be assigned to a lease."""
         return sum(slot.state == "free" for slot in self.slots)
 
     # ---- requests
@@ -140,7 +143,7 @@ class SlotTable:
                 cancelled = lease.jobs.cancel(set(message.batches))
                 for slot in lease.slots:
                     if slot.chunk is not None and slot.chunk.job in cancelled:
-                        slot.since = out.now
+                        slot.timed_from = out.now
                         out.append(events.StopSlot(slot.index))
                 out.answer(query, messages.Done())
             case messages.Release():
@@ -288,7 +291,7 @@ class SlotTable:
     def _overdue(self, slot: Slot, trial: int) -> events.Died | events.Unprepared | None:
         """Return the event that ends a slot's work if it takes too long; else None."""
         lease, chunk, now = slot.lease, slot.chunk, self._out.now
-        taken_s = now - slot.since
+        taken_s = now - slot.timed_from
         if slot.state == "stopping" or (chunk is not None and chunk.job.cancelled):
             if taken_s > (STOP_S if chunk is not None else PREPARE_S):
                 return events.Died(
@@ -303,7 +306,7 @@ class SlotTable:
         elif lease is not None and slot.state == "busy":
             timeout_s = lease.reserve.trial_timeout_s
             if trial != slot.trial:
-                slot.trial, slot.since = trial, now
+                slot.trial, slot.timed_from = trial, now
             elif taken_s > timeout_s:
                 reason = f"one trial took longer than {timeout_s:g} s (cluster.trial_timeout_s)"
                 return events.Died(slot.index, trial, reason, "timeout")
@@ -344,12 +347,13 @@ class SlotTable:
         elif lease.unreported_since is None:
             lease.unreported_since = self._out.now
 
-    def _answer_renewals(self, lease: HeldLease, *, hold: bool) -> None:
+    def _answer_renewals(self, lease: HeldLease) -> None:
         """Answer renewals with an outdated number of ready slots, and those held for long."""
         renewals, lease.renewals = lease.renewals, []
         for renewal in renewals:
             known = renewal.known_ready == lease.ready() and not lease.failure
-            if hold and known and self._out.now - renewal.since <= HOLD_RENEWAL_S:
+            held = known and not self._drained
+            if held and self._out.now - renewal.since <= HOLD_RENEWAL_S:
                 lease.renewals.append(renewal)
             else:
                 self._out.answer(renewal.query, lease.status())
