@@ -4,7 +4,7 @@ Generations of distinct candidates of 1152 bytes do nothing (*noop*), sleep 5 ms
 5 ms of a core (*cpu*). The first gives microseconds per candidate, the others efficiency: ideal
 time / time. Each round starts every peer in its own process, warms it up, measures it, and stops it
 before the next one starts, so that none idles next to another; the order shifts from round to
-round. The results are medians over the rounds, with the least and the most. Every answer is checked.
+round. The results are medians over the rounds, with least and most. Every answer is checked.
 Nothing else should run meanwhile.
 """
 
