@@ -183,7 +183,7 @@ kind = "fully-meshed"
 kind = "random"
 population = 2
 [cluster]
-trial_timeout_s = 1.0
+trial_timeout_s = 3.0
 on_fault = "quarantine"
 """
 NAN = [
@@ -215,7 +215,7 @@ FAULTS = {
     "crashes": "crashed: simulator bad: the slot's process was killed by signal 11 (SIGSEGV); "
     "it wrote: Fatal Python error: "
     "Segmentation fault, File ",
-    "hangs": "timeout: simulator bad: one trial took longer than 1 s (cluster.trial_timeout_s)",
+    "hangs": "timeout: simulator bad: one trial took longer than 3 s (cluster.trial_timeout_s)",
     "kills_all": "crashed: simulator bad: the slot's process was killed by signal 9",
     "closes_everything": "crashed: simulator bad: the slot's process ended with code ",
 }
@@ -292,7 +292,8 @@ def check_outcomes(run: Path) -> None:
         mine = [text for text in told if f"its seed {WHAT.index(what)}, " in text]
         assert len(mine) == 3 * len(fitness) // len(WHAT), (what, told)
         said = words.partition("; it wrote")[0]
-        assert all(said in text for text in mine), mine
+        # A process that closed its pipe plays on until the server notices, at a later trial.
+        assert all(said in text or "closed its pipe" in text for text in mine), mine
         assert any(words in text for text in mine), (
             "but where an earlier trial closed stderr"
         )

@@ -143,6 +143,12 @@ def test_two_optimizers_of_one_user_share_the_servers_and_both_finish(
     ] == hashes
 
 
+def times(folder: Path) -> tuple[float | None, float | None]:
+    """Return when a run's first and last outcomes were counted."""
+    found = query(folder / "runs" / "disturbed", "SELECT min(at), max(at) FROM outcomes")
+    return found[0] if found else (None, None)
+
+
 @pytest.mark.long
 def test_waiting_runs_get_slots_in_order_of_arrival(tmp_path: Path) -> None:
     server = Server(tmp_path, "ss", capacity=1).ready()
@@ -159,6 +165,7 @@ def test_waiting_runs_get_slots_in_order_of_arrival(tmp_path: Path) -> None:
                 lambda number=number: len(server.events("lease_granted")) > number,
                 "it has a lease",
             )
+        wait_until(lambda: all(times(folders[0])), "the first run has outcomes")
         optimizers[0].kill(signal.SIGINT)
         assert optimizers[0].wait() == 130
         for optimizer in optimizers[1:]:
@@ -166,10 +173,7 @@ def test_waiting_runs_get_slots_in_order_of_arrival(tmp_path: Path) -> None:
     finally:
         for program in (server, *optimizers):
             program.close()
-    spans = [
-        query(folder / "runs" / "disturbed", "SELECT min(at), max(at) FROM outcomes")[0]
-        for folder in folders
-    ]
+    spans = [times(folder) for folder in folders]
     assert spans[0][1] < spans[1][0], (
         "the second run had a slot before the first gave it back"
     )

@@ -28,8 +28,16 @@ pytestmark = [
 TWO_NETS = {"kind": "bulk", "parts": 2, "of": {"kind": "feed-forward", "hidden": []}}
 # Environment, options, whatever else.
 EVOLVED: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
-    ("simple_v3", {}, {"generations": 20, "trials": 6, "search": True}),
-    ("simple_spread_v3", {}, {"generations": 8, "trials": 4}),
+    (
+        "simple_v3",
+        {"max_cycles": 10},
+        {"generations": 20, "trials": 8, "search": True},
+    ),
+    (
+        "simple_spread_v3",
+        {"local_ratio": 0.0, "max_cycles": 15},
+        {"generations": 12, "trials": 4},
+    ),
     ("simple_formation_v1", {}, {"generations": 6, "runs": 4, "others": 12}),
     (
         "simple_speaker_listener_v4",
