@@ -52,8 +52,11 @@ if PLAIN:
     np.seterr(over="ignore")  # kernels rely on integers that wrap
 
 
-class Compiled:
+class Compiled(functools.partial[Any]):
     """A function that is compiled on first call, or when a kernel that calls it is compiled.
+
+    Once compiled, a call reaches numba's dispatcher without a Python function in between:
+    simulators call small kernels several times per step.
 
     Attributes:
         py_func: the Python function.
@@ -63,16 +66,25 @@ class Compiled:
     """
 
     py_func: Callable[..., Any]
+    signature: tuple[Any, ...] | None
+    options: dict[str, Any]
 
-    def __init__(
-        self,
+    def __new__(
+        cls,
         function: Callable[..., Any],
         signature: tuple[Any, ...] | None,
         **options: Any,
-    ) -> None:
+    ) -> "Compiled":
+        """Declare a function; nothing is compiled yet."""
+        self = super().__new__(cls, function)
         functools.update_wrapper(self, function)
         self.py_func, self.signature, self.options = function, signature, options
-        self._takes_step = signature is not None and STEP in signature[:1]
+        _declared.append(self)
+        self.choose()
+        return self
+
+    def __reduce__(self) -> str:  # a global, for copy and pickle
+        return self.py_func.__qualname__
 
     @functools.cached_property
     def dispatcher(self) -> Any:
@@ -87,16 +99,30 @@ class Compiled:
         """Return the numba type; numba asks for it when a kernel refers to the function."""
         return self.dispatcher._numba_type_
 
-    def __call__(self, *arguments: Any) -> Any:
-        """Call the compiled function, or the Python function inside ``interpreted``."""
-        if _interpreting:
-            return self.py_func(*arguments)
-        if self._takes_step and isinstance(arguments[0], Compiled):
-            return self.dispatcher(arguments[0].dispatcher, *arguments[1:])
+    def choose(self) -> None:
+        """Choose what a call reaches: inside ``interpreted`` the Python function."""
+        reached = self.py_func
+        if not _interpreting:
+            takes_step = self.signature is not None and STEP in self.signature[:1]
+            reached = self._play if takes_step else self._compile
+        self._reach(reached)
+
+    def _reach(self, function: Callable[..., Any]) -> None:
+        state: Any = function, (), {}, self.__dict__  # of a ``functools.partial``
+        self.__setstate__(state)  # type: ignore[attr-defined]  # typeshed does not know it
+
+    def _compile(self, *arguments: Any) -> Any:
+        self._reach(self.dispatcher)
         return self.dispatcher(*arguments)
+
+    def _play(self, step: Any, *arguments: Any) -> Any:
+        if isinstance(step, Compiled):
+            step = step.dispatcher
+        return self.dispatcher(step, *arguments)
 
 
 _interpreting = False
+_declared: list[Compiled] = []
 _kernels: list[Compiled] = []
 
 
@@ -146,10 +172,16 @@ def compile_all() -> None:
 @contextlib.contextmanager
 def interpreted() -> Iterator[None]:
     """Run kernels as Python functions: a few steps take less time than importing the compiler."""
-    global _interpreting  # kernels are shared by the whole process
-    _interpreting = True
+    _switch(interpreting=True)
     try:
         with np.errstate(over="ignore"):
             yield
     finally:
-        _interpreting = False
+        _switch(interpreting=False)
+
+
+def _switch(*, interpreting: bool) -> None:
+    global _interpreting  # kernels are shared by the whole process
+    _interpreting = interpreting
+    for function in _declared:
+        function.choose()

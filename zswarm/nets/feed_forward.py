@@ -145,16 +145,13 @@ class Layered(vector.VectorRepresentation):
 
     def tables(self, genomes: Sequence[bytes]) -> list[np.ndarray]:
         """Return per layer (genomes, nodes, nodes of the previous layer + 1) float32."""
-        sizes = [
-            (nodes, sources + 1)
-            for sources, nodes in itertools.pairwise([self.inputs, *self.widths])
-        ]
-        ends = np.cumsum([nodes * genes for nodes, genes in sizes])
-        layers = np.split(self.vectors(genomes), ends[:-1], axis=1)
-        return [
-            layer.reshape(len(genomes), *size)
-            for layer, size in zip(layers, sizes, strict=True)
-        ]
+        vectors, begin, found = self.vectors(genomes), 0, []
+        for sources, nodes in itertools.pairwise([self.inputs, *self.widths]):
+            end = begin + nodes * (sources + 1)
+            layer = vectors[:, begin:end].reshape(len(genomes), nodes, sources + 1)
+            found.append(layer)
+            begin = end
+        return found
 
     def parameters(self, genomes: Sequence[bytes]) -> np.ndarray:
         """Return header and widths; per layer and source the weights, padded, then the biases."""

@@ -4,6 +4,7 @@ Source: ``MealyFSM`` of FREVO 1.5, github.com/smartgrids-aau/Frevo, by A. Pinter
 machine decides, the genome, the mutations, and what differs from FREVO: docs/representations.md.
 """
 
+import itertools
 from collections.abc import Sequence
 from typing import Annotated, Literal, NamedTuple
 
@@ -302,7 +303,8 @@ class Mealy(Representation):
         return np.concatenate([np.asarray(part, np.float32) for part in parts])
 
     def _by_input(self, thresholds: np.ndarray) -> list[np.ndarray]:
-        return np.split(thresholds, np.add.accumulate(self._per_input[:, 0])[:-1])
+        counts = itertools.accumulate(self._per_input[:, 0].tolist(), initial=0)
+        return [thresholds[begin:end] for begin, end in itertools.pairwise(counts)]
 
     def _padded(self, genome: bytes) -> np.ndarray:
         """Return all numbers of a machine, -1 for states that it does not have."""

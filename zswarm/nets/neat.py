@@ -207,7 +207,8 @@ class Neat(Representation):
             )
         nodes = self._checked_nodes(nodes)
         hidden = len(nodes) - self.outputs
-        nodes = np.roll(nodes, -self.outputs)  # outputs last
+        # Outputs last.
+        nodes = np.concatenate([nodes[self.outputs :], nodes[: self.outputs]])
         sources, targets = self._ends(genes, nodes)
         self._check_recurrence(sources, targets, hidden)
         enabled = links["enabled"] == 1

@@ -30,15 +30,17 @@ def parameter_rows(header: Any, *layers: np.ndarray) -> np.ndarray:
         header: numbers of all genomes, or a row for each.
         layers: (genomes, neurons, genes of a neuron). Neurons are padded to a multiple of eight.
     """
-    count = len(layers[0])
     header = np.asarray(header, np.float32)
-    parts = [np.broadcast_to(header, (count, header.shape[-1]))]
-    for layer in layers:
-        _, neurons, genes = layer.shape
-        part = np.zeros((count, genes, padded(neurons)), np.float32)
-        part[..., :neurons] = layer.transpose(0, 2, 1)
-        parts.append(part.reshape(count, genes * padded(neurons)))
-    return np.concatenate(parts, axis=1)
+    count, at = len(layers[0]), header.shape[-1]
+    shapes = [(genes, padded(neurons)) for _, neurons, genes in (x.shape for x in layers)]
+    size = sum(genes * row for genes, row in shapes)
+    rows = np.zeros((count, at + size), np.float32)
+    rows[:, :at] = header
+    for layer, (genes, row) in zip(layers, shapes, strict=True):
+        part = rows[:, at : at + genes * row].reshape(count, genes, row)  # a view
+        part[..., : layer.shape[1]] = layer.transpose(0, 2, 1)
+        at += genes * row
+    return rows
 
 
 @inline(counts=False)

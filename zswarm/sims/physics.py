@@ -135,6 +135,7 @@ class RobotWorld:
         self._substep_s = settings.step_s / settings.substeps
         robots = settings.robots
         self._rows = np.zeros((robots + len(things) + 1, 6))
+        self._flat = self._rows.ravel()  # a view
         # angles that pymunk does not know, see ``_turn_here``
         self._turned = np.zeros(robots + len(things) + 1)
         self._forces = np.zeros((robots + len(things) + 1, 3))
@@ -225,7 +226,7 @@ class RobotWorld:
                 raise self._interrupted
             READ_BUFFER.clear()
             batch.get_space_bodies(space, READ, READ_BUFFER)
-            self._rows.ravel()[:] = np.frombuffer(READ_BUFFER.float_buf())
+            self._flat[:] = np.frombuffer(READ_BUFFER.float_buf())
             self._rows[:, ANGLE] += self._turned
         self._look()
 
@@ -319,9 +320,9 @@ class RobotWorld:
         turned = self._turned
 
         def take_over(body: pymunk.Body) -> None:
-            turned[row] += body.angle
+            turned[row] = angle = float(turned[row]) + body.angle
             body.angle = 0
-            turn(cos(turned[row]), sin(turned[row]))
+            turn(cos(angle), sin(angle))
 
         def move(body: pymunk.Body, duration: float) -> None:
             try:

@@ -97,8 +97,16 @@ class Transport(Simulator):
         observations = np.empty((robots, self.inputs), np.float32)
         sectors(world.ranges, np.float32(reach), observations)
         bearings(
-            *(world.poses, world.headings, world.things, self._gone, reach, SECTORS),
-            *(observations, self._distances, self._nearest),
+            world.poses,
+            world.headings,
+            world.things,
+            self._gone,
+            reach,
+            SECTORS,
+            observations,
+            self._distances,
+            self._nearest,
         )
-        observations[:, SECTORS + 3 : SECTORS + 5] = world.headings * self.towards
+        ahead = observations[:, SECTORS + 3 : SECTORS + 5]
+        np.multiply(world.headings, self.towards, ahead)
         return Turn(range(robots), observations)
