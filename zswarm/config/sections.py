@@ -78,7 +78,7 @@ class ClusterConfig(
         list[str],
         about(
             "endpoints to dial: servers that multicast does not reach, or a router; "
-            'such as "tcp/192.168.1.5:7467". Protocols: `tcp`, `tls`, `quic`, `ws`, `udp`, '
+            'such as "tcp/192.168.1.5:7467". Protocols: `tcp`, `tls`, `ws`, `udp`, '
             "`unixsock-stream`"
         ),
     ] = []

@@ -37,7 +37,7 @@ class CtrnnSettings(MeshedSettings, frozen=True):
 
     iterations: Annotated[vector.Iterations, about("Euler steps in one decision")] = 2
     tau_min: Annotated[
-        Tau, about("shortest time constant, decisions; from 1 / `iterations`")
+        Tau, about("shortest time constant, decisions; at least 1 / `iterations`")
     ] = 1.0
     tau_max: Annotated[Tau, about("longest time constant")] = 10.0
     weight_range: vector.WeightRange = 4.0

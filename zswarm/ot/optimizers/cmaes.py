@@ -27,7 +27,7 @@ class CmaesSettings(PartSettings, frozen=True):
     """Settings of ``[optimizer]`` with ``kind = "cmaes"``."""
 
     population: Annotated[
-        Count, about("candidates per generation, from 4; 0: 4 + 3 ln(genes)")
+        Count, about("candidates per generation, 4 or more; 0: 4 + 3 ln(genes)")
     ] = 0
     sigma: Sigma = 0.5
     separable: Separable = False

@@ -97,7 +97,7 @@ class CmaMeSettings(ArchiveSettings, frozen=True):
         int, within(1, 1_000, "evolution strategies that fill the archive")
     ] = 5
     population: Annotated[
-        int, within(0, 100_000, "per emitter, from 4; 0: 4 + 3 ln(genes)")
+        int, within(0, 100_000, "per emitter, at least 4; 0: 4 + 3 ln(genes)")
     ] = 0
     sigma: Sigma = 0.2
     separable: Separable = False
