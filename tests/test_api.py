@@ -86,7 +86,7 @@ def test_an_unknown_name_is_an_attribute_error() -> None:
 
 
 def test_settings_change_an_experiment_as_the_command_line_does() -> None:
-    """Of an example, a mapping, an experiment; numpy's numbers too; the source stays as it is."""
+    """Examples, mappings, experiments and numpy's numbers work; the source is unchanged."""
     given: dict[str, Any] = {
         "seed": np.int64(7),
         "optimizer.population": 60,
@@ -127,7 +127,7 @@ def test_an_invalid_experiment_is_refused_in_one_line(
 
 
 def test_an_experiment_of_parts_that_are_not_installed_can_be_loaded() -> None:
-    """To look at it; it is refused when it is used."""
+    """It can be examined; it is refused when it is used."""
     loaded = zswarm.load("stadium", {"problem.simulator": "elsewhere"})
     with pytest.raises(zswarm.UnknownPlugin, match="elsewhere"):
         zswarm.problem(loaded)
@@ -385,7 +385,7 @@ def test_fresh_trials_are_those_of_the_generation(cluster: zswarm.Connection) ->
 def test_parallel_threads_get_their_own_results(
     cluster: zswarm.Connection,
 ) -> None:
-    """Of two problems, with different numbers of candidates."""
+    """The threads evaluate two problems with different numbers of candidates."""
     problems = [
         zswarm.problem("stadium", settings={"steps": steps}) for steps in (20, 30)
     ]
@@ -402,7 +402,7 @@ def test_parallel_threads_get_their_own_results(
 def test_waiting_calls_are_evaluated_together(
     cluster: zswarm.Connection, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """So threads with a candidate each keep all slots busy."""
+    """Threads with one candidate each keep all slots busy."""
     problem = zswarm.problem("stadium", settings={"steps": 20})
     together: list[int] = []
     play = evaluator.CandidateEvaluator._play
@@ -432,7 +432,7 @@ def test_waiting_calls_are_evaluated_together(
 def test_results_of_an_interrupted_call_do_not_reach_the_next(
     cluster: zswarm.Connection, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also when it was complete in the meantime."""
+    """This holds even if the call was complete in the meantime."""
     problem = zswarm.problem("stadium", settings={"steps": 20})
     play = Cluster.evaluate
 
@@ -601,7 +601,7 @@ def test_a_stopped_run_is_not_finished(
 def test_a_run_in_a_thread_does_not_touch_signals(
     tmp_path: Path, small: zswarm.Experiment
 ) -> None:
-    """By itself: it brings its own slots."""
+    """The run has slots of its own."""
     with ThreadPoolExecutor(1) as threads:
         run = threads.submit(
             zswarm.run, zswarm.load(small, ONE_SLOT), out=tmp_path

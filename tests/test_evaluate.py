@@ -244,7 +244,7 @@ def test_observations_of_a_wrong_shape_are_the_trials_error(
 
 
 class Wrong(Duel):
-    """Does what an instance is told to do instead of what it should."""
+    """Do what an instance is told to do instead of what it should."""
 
     wrong: dict[str, Callable[[], Any]]
 

@@ -354,7 +354,7 @@ def test_an_unknown_part_is_reported_with_its_line(file: Path) -> None:
 
 
 def test_a_mistake_in_an_override_has_no_line(file: Path) -> None:
-    """Not even where the file sets the same key, rightly."""
+    """The file may even set the same key to a valid value."""
     file.write_text(SMALL + "population = 50")
     text = refusal(complete, load(file, ["optimizer.population=1"]), str(file))
     assert text.startswith(f"{file}: optimizer: population: expected int >= 2")

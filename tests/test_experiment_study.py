@@ -92,7 +92,7 @@ def test_a_study_round_trips_with_the_same_variants(tmp_path: Path) -> None:
 
 
 def test_a_variant_of_another_kind_has_the_defaults_of_that_kind(tmp_path: Path) -> None:
-    """So a file with every default written out has the same variants as the original."""
+    """A file that writes out every default has the same variants as the original."""
     other = '"problem.simulator" = "minisim"\n"problem.settings.robots" = 2'
     text = f"[problem.settings]\nagents = 3\n[[study.list]]\n{other}\n[[study.list]]"
     made = variants(study(tmp_path, text), "small.toml")

@@ -21,7 +21,7 @@ OFF = Reach(multicast=False)
 
 @pytest.fixture
 def opened() -> Iterator[Callable[[zenoh.Session], zenoh.Session]]:
-    """Closes what is given to it."""
+    """Close what is given to it."""
     sessions: list[zenoh.Session] = []
 
     def keep(one: zenoh.Session) -> zenoh.Session:

@@ -65,7 +65,7 @@ def row(peer: str, work: str, slots: int, value: float, cut: str = "1") -> dict[
 
 @pytest.fixture
 def results() -> dict[str, Any]:
-    """Where every measured target is met."""
+    """Return results in which every measured target is met."""
     dispatch = [
         row("zswarm", "noop", 4, 10.0, "automatic"),
         row("Ray", "noop", 4, 600.0),
@@ -154,7 +154,7 @@ def test_a_missed_target_without_a_reason_makes_no_page(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """With one, the page says by how much and why."""
+    """If the reason is given, the page states it and the factor of the miss."""
     results["dispatch"]["rows"][0]["us"] = 25.0
     shutil.copy(BENCHMARKS / "page.md", tmp_path)
     monkeypatch.setattr(page, "HERE", tmp_path)

@@ -83,7 +83,7 @@ def alike(found: dict[str, str | int]) -> list[str]:
 
 @functools.cache
 def here(trials: str) -> dict[str, str | int]:
-    """As this machine computes."""
+    """Return the digests as this machine computes them."""
     return bits(*SAID[trials])
 
 

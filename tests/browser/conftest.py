@@ -29,7 +29,7 @@ def browser() -> Iterator[Browser]:
 
 
 class Watched(NamedTuple):
-    """Forbidden actions of a page."""
+    """Collect the errors and the foreign requests of a page."""
 
     errors: list[str]
     requests: list[str]
@@ -88,7 +88,7 @@ class Dashboard:
         self.start()
 
     def start(self) -> None:
-        """Start, or start again."""
+        """Start the program, or start it again."""
         self._program = subprocess.Popen(
             [sys.executable, "-m", "zswarm.ot", "dashboard", *self._arguments],
             stdin=subprocess.DEVNULL,

@@ -235,7 +235,7 @@ def test_a_run_is_paused_and_stopped_with_the_token_alone(
 
 
 def test_hostile_names_are_text(page: Page, dashboard: Start, tmp_path: Path) -> None:
-    """In names of folders, servers and events; terminal escapes are shown as text."""
+    """Folders, servers and events may have such names; terminal escapes are shown as text."""
     folder = write(
         tmp_path,
         f"x{HOSTILE.replace('/', '')}",
@@ -309,7 +309,7 @@ def elsewhere() -> Iterator[str]:
 def test_a_page_of_another_origin_can_neither_read_nor_write(
     page: Page, watched: Watched, dashboard: Start, elsewhere: str, tmp_path: Path
 ) -> None:
-    """Not by a request, a form, a WebSocket, a frame or a script; not even with the token."""
+    """No request, form, WebSocket, frame or script succeeds, not even one with the token."""
     folder = write(tmp_path, finished=False)
     shown = dashboard(tmp_path)
     page.goto(elsewhere)
@@ -393,7 +393,7 @@ def test_a_long_run_is_shown_as_soon_as_a_short_one(
 def test_pages_fit_on_a_phone(
     page: Page, dashboard: Start, tmp_path: Path, path: str, scheme: str
 ) -> None:
-    """At 400 pixels only tables and curves scroll sideways, and texts have enough contrast."""
+    """Only tables and curves scroll sideways at 400 pixels, and texts have enough contrast."""
     write(tmp_path)
     page.emulate_media(
         color_scheme="dark" if scheme == "dark" else "light", reduced_motion="reduce"

@@ -28,7 +28,7 @@ def free_port() -> int:
 
 
 def wait_until_somebody_listens(port: int) -> None:
-    """However busy the machine."""
+    """Wait until a program listens at the port, however busy the machine is."""
     end = time.monotonic() + SLOW_MS / 1000
     while time.monotonic() < end:
         with socket.socket() as probe:
@@ -40,7 +40,7 @@ def wait_until_somebody_listens(port: int) -> None:
 
 @pytest.fixture
 def program(tmp_path: Path) -> Iterator[Callable[..., "subprocess.Popen[Any]"]]:
-    """Starts programs; they end with the test."""
+    """Start programs, which end with the test."""
     begun: list[subprocess.Popen[Any]] = []
 
     def start(*arguments: str) -> "subprocess.Popen[Any]":
@@ -69,7 +69,7 @@ def test_a_killed_server_disappears_and_the_run_continues(
     program: Callable[..., "subprocess.Popen[Any]"],
     tmp_path: Path,
 ) -> None:
-    """And the run stops when the page says so, and comes back into the page when it is resumed."""
+    """The run stops when the page says so, and it is shown again when it is resumed."""
     ports = [free_port(), free_port()]
 
     def serve(name: str, port: int) -> "subprocess.Popen[Any]":
@@ -147,7 +147,7 @@ def test_a_killed_server_disappears_and_the_run_continues(
 def test_a_running_run_is_shown_live(
     page: Page, program: Callable[..., "subprocess.Popen[Any]"], tmp_path: Path
 ) -> None:
-    """With ``run --dashboard``: its address is among the first lines, and it ends with the run."""
+    """The option ``--dashboard`` prints the address early; the dashboard ends with the run."""
     run = program(
         "zswarm.ot",
         "run",

@@ -29,7 +29,7 @@ State = Literal["up", "down", "mute", "deaf", "slow"]
 
 
 class Link:
-    """A link between two programs."""
+    """Carry messages between a server and an optimizer."""
 
     def __init__(self, world: World, server: "Server", optimizer: "Optimizer") -> None:
         self.world, self.server, self.optimizer = world, server, optimizer

@@ -21,7 +21,7 @@ COMMIT_S = 0.1
 
 
 class Journal:
-    """The record of a run: finished generations, and outcomes of the current one."""
+    """Record a run: finished generations, and outcomes of the current one."""
 
     def __init__(self) -> None:
         self.finished: list[tuple[list[bytes], np.ndarray]] = []
@@ -48,7 +48,7 @@ class Journal:
 
 
 class Optimizer(Node[events.Event]):
-    """A program that starts or resumes an experiment."""
+    """Start or resume an experiment in the simulated world."""
 
     def __init__(
         self,

@@ -26,7 +26,7 @@ def poisonous(trial: Trial) -> bool:
 
 
 class Experiment:
-    """The generations of a run: each follows from the fitness of the previous one."""
+    """Yield the generations of a run, each from the fitness of the previous one."""
 
     def __init__(
         self, name: str, seed: int, *, generations: int, population: int, trials: int

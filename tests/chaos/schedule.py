@@ -21,7 +21,7 @@ FAULTS = [
 
 
 class End(NamedTuple):
-    """The state after a schedule, on running servers."""
+    """Describe the state after a schedule, on running servers."""
 
     world: World
     runs: list[str]
@@ -36,7 +36,7 @@ class End(NamedTuple):
 
 
 class Lab:
-    """A world with servers and runs."""
+    """Simulate a world with servers and runs."""
 
     def __init__(self, seed: int) -> None:
         self.world = World(seed)

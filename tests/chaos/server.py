@@ -21,7 +21,7 @@ DEATHS = 2
 
 
 class Server(Node[events.Event]):
-    """A server of the simulated world."""
+    """Simulate a server."""
 
     def __init__(
         self,
@@ -171,7 +171,7 @@ class Server(Node[events.Event]):
 
 
 class Worker:
-    """The process of a slot."""
+    """Simulate the process of a slot."""
 
     def __init__(self, server: Server, index: int) -> None:
         self.server, self.index = server, index

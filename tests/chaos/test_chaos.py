@@ -65,7 +65,7 @@ def test_the_same_seed_is_the_same_schedule() -> None:
 
 
 def no_dedupe(patch: pytest.MonkeyPatch) -> None:
-    """An answer counts however often it comes, and although its batch was sent elsewhere."""
+    """Count an answer however often it comes, even if its batch was sent elsewhere."""
     answered, ask = Dispatch._answered, Batches.ask
     sent: dict[tuple[int, int], SentBatch] = {}  # by dispatch and question
 
@@ -103,13 +103,13 @@ def no_dedupe(patch: pytest.MonkeyPatch) -> None:
 
 
 def a_lease_is_never_freed(patch: pytest.MonkeyPatch) -> None:
-    """The time of a lease does not run out."""
+    """Let the time of a lease never run out."""
     patch.setattr("zswarm.ss.slots.leases.LEASE_S", 1e9)
     patch.setattr("zswarm.ss.slots.leases.GRACE_S", 1e9)
 
 
 def a_lost_requeue(patch: pytest.MonkeyPatch) -> None:
-    """What a server did not answer is not given out again, one time in four."""
+    """Do not queue the unanswered trials of a server again, one time in four."""
     requeue = Batches._requeue
 
     def loses(self: Batches, entry: QueuedTrials) -> None:
@@ -120,7 +120,7 @@ def a_lost_requeue(patch: pytest.MonkeyPatch) -> None:
 
 
 def a_batch_is_not_kept(patch: pytest.MonkeyPatch) -> None:
-    """A server that is asked again for a finished batch computes it again."""
+    """Compute a finished batch again when a server is asked for it again."""
     patch.setattr(ReplyCache, "put", lambda *_: None)
 
 
@@ -150,7 +150,7 @@ def planted(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def verdict(seed: int) -> str:
-    """What is wrong with a schedule, or ""."""
+    """Return what is wrong with a schedule, or ""."""
     try:
         play(seed)
     except AssertionError as error:

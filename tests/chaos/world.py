@@ -70,7 +70,7 @@ class World:
 
 
 class Node(Generic[E]):
-    """A program with its own clock, which may jump; it may be stopped for a while (SIGSTOP)."""
+    """Simulate a program whose own clock may jump and that may be stopped (SIGSTOP)."""
 
     def __init__(self, world: World) -> None:
         self.world = world

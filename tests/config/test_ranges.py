@@ -25,7 +25,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 def test_numbers_in_ranges_get_the_type_of_the_setting() -> None:
-    """Also in nested tables. A choice may have values of any type. Defaults are added."""
+    """Nested tables are covered, too. A choice may have values of any type. Defaults are added."""
     given = {
         "mass": {"from": 1, "to": 2},
         "robots": {"from": 1, "to": 9},
@@ -171,7 +171,7 @@ def test_a_complete_experiment_with_ranges_round_trips() -> None:
 
 
 def test_a_study_may_vary_ranges_and_values() -> None:
-    """As values of a grid and in a list, whose tables are else paths."""
+    """Grids and lists take them; other tables in a list are paths of keys."""
     values = [10, {"from": 5, "to": 15}, {"choice": [5, 15]}]
     mapping = experiment.to_mapping(loaded())
     for study in (

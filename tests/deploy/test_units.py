@@ -24,7 +24,7 @@ DOCUMENT = (REPOSITORY / "docs" / "deploy.md").read_text()
     reason="systemd-analyze is not there (Debian: apt install systemd)",
 )
 def test_systemd_finds_nothing_wrong_with_the_units() -> None:
-    """And their exposure is 1.2 at most."""
+    """The exposure that systemd computes for them is 1.2 at most."""
     done = subprocess.run(
         [str(DEPLOY / "check-units.sh"), str(Path(sys.executable).parent)],
         capture_output=True,

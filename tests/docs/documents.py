@@ -39,7 +39,7 @@ PROGRAMS = (
 
 
 class Block(NamedTuple):
-    """A code block."""
+    """Describe a code block of a document."""
 
     document: str  # its file's name
     section: str  # the heading of the second level above it

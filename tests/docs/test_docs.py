@@ -138,7 +138,7 @@ def test_every_documented_command_exists() -> None:
 def test_every_option_of_a_daemon_is_documented(
     program: str, command: click.Command, keys: type[msgspec.Struct]
 ) -> None:
-    """On the command line and in its --config file."""
+    """Options of the command line and keys of the --config file are both checked."""
     documented = section("commands.md", f"## {program}")
     for option in options(command):
         for spelling in [*option.opts, *option.secondary_opts]:
@@ -160,7 +160,7 @@ def test_every_command_of_the_server_is_documented_with_its_options(name: str) -
 
 
 def test_every_metric_is_documented_with_its_labels() -> None:
-    """And every state of a slot."""
+    """Every state of a slot is documented, too."""
     documented = section("commands.md", "## zswarm-ss")
     shown = View(
         server="",
@@ -197,7 +197,7 @@ def test_every_metric_is_documented_with_its_labels() -> None:
     "code", [code for name, code in vars(exits).items() if name.startswith("EXIT_")]
 )
 def test_every_exit_code_of_the_optimizer_is_documented(code: int) -> None:
-    """In the table of exit codes."""
+    """Each code has a row in the table of exit codes."""
     assert f"\n| {code} | " in section("commands.md", "## zswarm-ot")
 
 
@@ -216,7 +216,7 @@ def test_every_field_of_every_message_is_documented(
 
 
 def test_every_request_and_refusal_code_is_in_its_table() -> None:
-    """So are the states of a lease."""
+    """The states of a lease are documented, too."""
     requests = {
         message.__struct_config__.tag for message in typing.get_args(messages.Request)
     }
@@ -229,7 +229,7 @@ def test_every_request_and_refusal_code_is_in_its_table() -> None:
 
 
 def test_the_limits_of_the_wire_are_stated() -> None:
-    """As numbers, in the table of limits."""
+    """The section on encoding states each limit as a number."""
     stated = section("protocol.md", "## Encoding")
     for limit in (
         messages.MAX_MESSAGE,
@@ -253,7 +253,7 @@ EXAMPLES = re.findall(r"```hex\n(.*?)```\s*```json\n(.*?)```", text("protocol.md
 def test_an_example_of_the_wire_decodes_to_what_the_text_says(
     hex_: str, meaning: str
 ) -> None:
-    """And the codec makes the same bytes of it; its length stands in the text before."""
+    """The codec encodes it to the same bytes, whose number stands in the text before."""
     body, stated = bytes.fromhex(hex_), json.loads(meaning)
     assert plain(msgspec.msgpack.decode(body)) == stated
     requests = {
@@ -379,7 +379,7 @@ def test_every_column_of_the_record_is_documented(table: str) -> None:
 
 
 def test_the_queries_of_the_record_fit_its_schema() -> None:
-    """SQLite compiles each."""
+    """SQLite compiles each query."""
     database = empty_record()
     found = re.search(r"## Queries\n\n```sql\n(.*?)```", text("record.md"), re.S)
     assert found
@@ -391,7 +391,7 @@ def test_the_queries_of_the_record_fit_its_schema() -> None:
 
 
 def test_every_field_of_a_champion_is_documented() -> None:
-    """In the order they are written, the format first."""
+    """The fields are listed in the order in which they are written, with the format first."""
     names = [field.name for field in fields(Controller)]
     assert list(rows("record.md", "## champion.zsc")) == ["format", *names]
 

@@ -214,7 +214,7 @@ def says(expected: list[str], output: str) -> bool:
 def script(
     page: Path, steps: Path
 ) -> tuple[str, list[tuple[Block, str, list[str] | None]]]:
-    """The shell script that does what a page says, and its steps."""
+    """Return the shell script that does what a page says, and its steps."""
     lines, done = [SHELL], []
     if page.name in GIVEN:
         lines.append(f"{GIVEN[page.name]} > {steps}/given 2>&1")
@@ -315,7 +315,7 @@ def test_the_commands_of_a_page_work(page: Path, tmp_path: Path) -> None:
 
 
 def test_the_readme_begins_with_how_to_run_it_and_how_to_test_it() -> None:
-    """And what a change must pass does the same."""
+    """The script of the checks runs the tests by the same command."""
     first = next(iter(blocks(REPOSITORY / "README.md")))
     assert re.findall(r"^make \w+", first.text, re.M) == ["make run", "make test"]
     assert re.search(
@@ -324,7 +324,7 @@ def test_the_readme_begins_with_how_to_run_it_and_how_to_test_it() -> None:
 
 
 def test_blocks_that_are_not_run_exist() -> None:
-    """So is the test that runs it instead."""
+    """The test that runs such a block instead exists, too."""
     there = {
         (block.document, name)
         for page in DOCUMENTS

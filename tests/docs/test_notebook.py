@@ -25,7 +25,7 @@ def code(notebook: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def processes_with(text: str) -> list[str]:
-    """Of this user, whose environment has it."""
+    """Return the command lines of this user's processes whose environment contains a text."""
     found = []
     for folder in Path("/proc").iterdir():
         try:
@@ -40,7 +40,7 @@ def processes_with(text: str) -> list[str]:
 
 
 def test_the_stored_notebook_has_no_outputs() -> None:
-    """So that a change of it can be read."""
+    """A change of the notebook can then be read."""
     for cell in code(json.loads(NOTEBOOK.read_text(encoding="utf-8"))):
         assert (cell["outputs"], cell["execution_count"], cell["metadata"]) == (
             [],
@@ -51,7 +51,7 @@ def test_the_stored_notebook_has_no_outputs() -> None:
 
 @pytest.fixture(scope="module")
 def executed(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
-    """The cells of code with their outputs."""
+    """Return the cells of code with their outputs."""
     folder = tmp_path_factory.mktemp("notebook")
     private = {
         name: str(folder / name)

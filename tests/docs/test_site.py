@@ -34,7 +34,7 @@ reference = module("reference")
 
 
 def toctrees() -> list[str]:
-    """The pages that index.md names, in their order."""
+    """Return the pages that index.md names, in their order."""
     blocks = re.findall(
         r"^```\{toctree\}\n(.*?)^```$",
         (DOCS / "index.md").read_text(encoding="utf-8"),
@@ -91,7 +91,7 @@ def test_links_named_after_a_file_show_the_title_of_its_page() -> None:
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_every_link_has_its_target(document: Path) -> None:
-    """Also within the page, and to a heading of another."""
+    """Links within the page and to a heading of another page are checked, too."""
     for target in re.findall(
         r"\]\(([^)\s]+)\)", CODE.sub("", document.read_text(encoding="utf-8"))
     ):
@@ -120,7 +120,7 @@ def test_generated_parts_are_up_to_date(tmp_path: Path) -> None:
 
 
 def test_every_public_name_is_in_the_reference() -> None:
-    """The errors by their module."""
+    """The errors are documented by their module."""
     text = (DOCS / "api.md").read_text(encoding="utf-8")
     named = set(re.findall(r"^\.\. auto\w+:: zswarm\.(\w+)$", text, re.M))
     assert named | set(vars(errors)) >= set(zswarm.__all__)
@@ -143,7 +143,7 @@ def commands() -> list[tuple[str, str]]:
 
 @pytest.mark.parametrize(("document", "said"), commands())
 def test_commands_within_sentences_exist(document: str, said: str) -> None:
-    """With options that it has; placeholders are in capitals."""
+    """Their options exist, too; words in capitals are placeholders."""
     program, *words = said.replace(" ...", "").split()
     command = reference.PROGRAMS[program]
     if isinstance(command, click.Group) and words and not words[0].startswith("-"):
@@ -184,7 +184,7 @@ def defaults() -> list[tuple[str, str, str]]:
 
 
 def table_rows(text: str, heading: str, option: str) -> list[list[str]]:
-    """The cells of the rows about an option, in the tables below a heading."""
+    """Return the cells of the rows about an option, in the tables below a heading."""
     level = heading.index(" ")
     section = re.search(rf"^{heading}$\n(.*?)(?=^#{{1,{level}}} |\Z)", text, re.S | re.M)
     assert section, heading
@@ -200,7 +200,7 @@ def table_rows(text: str, heading: str, option: str) -> list[list[str]]:
 def test_every_documented_default_is_the_real_default(
     command: str, option: str, default: str
 ) -> None:
-    """In the table of commands.md that has the option, or in the one above that it refers to."""
+    """It stands in the command's table in commands.md, or in the table above that it refers to."""
     text = (DOCS / "commands.md").read_text(encoding="utf-8")
     program, _, name = command.partition(" ")
     heading = (

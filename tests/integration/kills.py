@@ -44,7 +44,7 @@ def size(kills: int) -> Size:
 
 
 class Strike(NamedTuple):
-    """A line of ``kills.jsonl``."""
+    """Describe a strike, which is a line of ``kills.jsonl``."""
 
     at_s: float  # since the campaign began
     target: str
@@ -54,7 +54,7 @@ class Strike(NamedTuple):
 
 
 class Campaign:
-    """One run and its killer."""
+    """Run one experiment and kill its programs."""
 
     def __init__(self, scene: Scene, trials: int, kills: int, seed: int) -> None:
         """Start servers and the optimizer.

@@ -24,7 +24,7 @@ PREFIX = "zswarm"  # of a namespace: zswarm-<pid of the test>-<6 hex digits>-<nu
 
 
 class Host:
-    """A host with one interface per network: ``eth0``, ``eth1``, ... as in ``networks``."""
+    """Add a host with one interface per network: ``eth0``, ``eth1``, ... as in ``networks``."""
 
     def __init__(self, lab: "Lab", networks: tuple["Network", ...]) -> None:
         self.namespace = lab.add_namespace()

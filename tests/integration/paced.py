@@ -118,7 +118,7 @@ trial_timeout_s = {trial_timeout_s}
 
 
 class Played(NamedTuple):
-    """A trial that a slot's process began."""
+    """Describe a trial that a slot's process began."""
 
     process: int
     seed: int
@@ -170,7 +170,7 @@ class Pace:
 
 
 class Size(NamedTuple):
-    """The amount of work."""
+    """Define the amount of work."""
 
     generations: int = 3
     population: int = 20
@@ -195,7 +195,7 @@ class Size(NamedTuple):
 
 
 class Undisturbed(NamedTuple):
-    """The result that a run is compared with."""
+    """Describe the result that a run is compared with."""
 
     history_hash: str
     trials: int

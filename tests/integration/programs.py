@@ -79,7 +79,7 @@ class Program:
 
 
 class Server(Program):
-    """A ``zswarm-ss``."""
+    """Run a ``zswarm-ss``."""
 
     def __init__(
         self,
@@ -192,7 +192,7 @@ def query(run: Path, sql: str) -> list[tuple[Any, ...]]:
 
 
 class Status(NamedTuple):
-    """The state of a process according to the kernel."""
+    """Describe the state of a process according to the kernel."""
 
     state: str  # R runs, S sleeps, T is stopped, Z has ended
     parent: int

@@ -48,7 +48,7 @@ with zswarm.connect("local", local_slots=1) as cluster:
 
 
 def test_an_interrupted_program_keeps_its_servers_and_its_run(tmp_path: Path) -> None:
-    """As by Ctrl-C or the stop button of a notebook: all of the program's process group is told."""
+    """Ctrl-C and the stop button of a notebook interrupt all of the program's process group."""
     log = tmp_path / "out"
     with log.open("wb") as out:
         program = subprocess.Popen(
@@ -86,7 +86,7 @@ def test_an_interrupted_program_keeps_its_servers_and_its_run(tmp_path: Path) ->
 def test_failing_simulators_are_reported_and_the_connection_continues(
     tmp_path: Path,
 ) -> None:
-    """What raises is a candidate's NaN; what ends the process is an error."""
+    """An exception in a trial makes its outcome NaN; the end of a process is an error."""
     environment = os.environ | {
         "PYTHONPATH": plugin.install(tmp_path),
         "ZSWARM_PLAIN": "1",

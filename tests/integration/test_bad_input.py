@@ -441,7 +441,7 @@ def test_a_daemon_survives_bad_simulators_and_serves_the_next_run(
 def test_a_daemon_serves_although_slots_repeatedly_die_at_their_start(
     tmp_path: Path,
 ) -> None:
-    """Without memory, processes are restarted with growing delays until they start."""
+    """Processes that lack memory are restarted with growing delays until they start."""
     server = Server(tmp_path, "ss", capacity=1).ready()
     options = ["--json", "--no-multicast", "--servers", "1", "--connect", server.endpoint]
 

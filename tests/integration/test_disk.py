@@ -367,7 +367,7 @@ def wait_for_a_moment(optimizer: Optimizer, at: Path, until: int, seconds: float
 def test_a_repeatedly_killed_run_has_the_same_result(
     tmp_path: Path, undisturbed: Path
 ) -> None:
-    """At seeded random moments, from before the folder is there to the last generation."""
+    """The seeded random moments range from before the folder exists to the last generation."""
     draw, at = random.Random(11), tmp_path / "runs" / "on-disk"
     total = counted(undisturbed)
     server = Server(tmp_path, "ss").ready()

@@ -81,7 +81,7 @@ def test_a_package_of_another_version_is_named(requirement: str, fault: str) -> 
 
 
 def test_a_folder_that_cannot_be_written_is_broken() -> None:
-    """That of the kernel's processes takes no file of anybody, root included."""
+    """Nobody, root included, can create a file in the kernel's folder of processes."""
     finding = only(machine.runs(Path("/proc/none/runs")))
     assert finding.state == "broken"
     assert finding.text.startswith(
@@ -160,7 +160,7 @@ def test_few_open_files_and_a_small_disk_are_reported(tmp_path: Path) -> None:
 
 
 class Unheard(bytes):
-    """A word that does not come back."""
+    """Describe a word that does not come back."""
 
     def __eq__(self, _other: object) -> bool:
         return False
@@ -211,7 +211,7 @@ def test_a_port_in_use_is_named_with_its_user() -> None:
 def test_a_server_of_this_machine_may_have_the_port(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """And one whose code is another is a warning."""
+    """A server with another version of the code is a warning."""
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
     everywhere = "0.0.0.0"  # noqa: S104
     server = Server(tmp_path, "mine", capacity=1, address=everywhere, ZSWARM_PLAIN="1")
@@ -318,7 +318,7 @@ def test_check_names_the_servers_that_match_and_why_others_do_not(tmp_path: Path
 def test_a_run_that_finds_no_server_prints_how_to_fix_it(
     options: list[str], words: str, tmp_path: Path
 ) -> None:
-    """Once."""
+    """The hint is printed once."""
     long = [
         "run",
         "minisim",

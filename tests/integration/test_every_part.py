@@ -80,7 +80,7 @@ COMPETING = {"cea2d", "cmaes", "neat", "nnga", "openai-es", "random"}
 
 
 class Parts(NamedTuple):
-    """What an experiment names."""
+    """Name the parts of an experiment."""
 
     problem: str
     representation: str
@@ -150,7 +150,7 @@ ONCE = [
 
 
 class Lab:
-    """Four servers of one slot, and optimizers."""
+    """Start four servers of one slot, and optimizers."""
 
     def __init__(self, folder: Path, servers: Sequence[str], forks: Forks) -> None:
         self._folder, self._servers, self._forks = folder, servers, forks
@@ -268,7 +268,7 @@ def test_every_two_parts_that_fit_are_played_together() -> None:
 def test_every_compatible_combination_of_parts_runs(
     problem: str, representation: str, lab: Lab
 ) -> None:
-    """Those that do not fit are refused in one line."""
+    """Combinations that do not fit are refused in one line."""
     for parts in partners(problem, representation):
         lab.check(parts)
     for optimizer, ranking in itertools.product(

@@ -236,7 +236,7 @@ def test_c_evolves_as_the_bundled_simulator_does_though_it_is_killed(
 def test_java_evolves_as_the_bundled_simulator_does_though_it_is_killed(
     tmp_path: Path, in_java: Path
 ) -> None:
-    """On random fields, in turns."""
+    """The program plays in turns on random fields."""
     assert evolve_and_kill(tmp_path, in_java, "emergency-exit-java", RANDOM) == history(
         tmp_path, RANDOM
     )
@@ -248,7 +248,7 @@ def test_java_evolves_as_the_bundled_simulator_does_though_it_is_killed(
 def test_whole_runs_have_the_same_history(
     language: str, field: str, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
-    """As the examples have them, for fewer generations."""
+    """The experiments are the examples with fewer generations."""
     trials = 10 if field == "random" else 1
     size = {
         "generations": 12,
@@ -386,7 +386,7 @@ def test_a_misbehaving_program_affects_only_its_own_trials(tmp_path: Path) -> No
 def test_the_network_in_c_has_the_bits_of_the_kernel(
     network: dict[str, Any], in_c: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With every activation, and with more and fewer neurons."""
+    """All activations are compared, with more and with fewer neurons."""
     monkeypatch.setenv("ZSWARM_SIMULATORS", str(in_c))
     theirs = outcomes("emergency-exit-c", network)
     assert theirs == outcomes("emergency-exit", network)
@@ -410,7 +410,7 @@ def test_a_program_plays_turns_with_unknown_networks(
     request: pytest.FixtureRequest,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """And plays the same."""
+    """The fitness equals that of the bundled simulator."""
     monkeypatch.setenv("ZSWARM_SIMULATORS", str(request.getfixturevalue(compiled)))
     fitness = []
     for simulator in (theirs, "emergency-exit"):

@@ -169,7 +169,7 @@ def test_four_megabytes_to_a_stopped_server_do_not_delay_others(tmp_path: Path) 
 
 
 def hang_a_batch(scene: Scene) -> Optimizer:
-    """A server stopped during a send of 4 MB does not stop another server."""
+    """Stop a server during a send of 4 MB, which must not stop another server."""
     victim, _ = scene.server("victim")
     other, pace = scene.server("other")
     pace.arm()

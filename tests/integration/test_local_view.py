@@ -216,7 +216,7 @@ def test_a_router_notifies_systemd_when_ready_and_stopping(
 
 
 def test_status_shows_what_a_daemon_does(scene: Scene) -> None:
-    """In a table of 80 columns that needs no explanation, and as JSON."""
+    """It prints a table of 80 columns that needs no explanation, or JSON."""
     server, pace = scene.server("lab-01", capacity=3)
     pace.arm()
     optimizer = scene.optimizer(server.endpoint)

@@ -132,7 +132,7 @@ class Site:
 
 
 class Run(Installed):
-    """A run of the workstation."""
+    """Run an experiment on the workstation."""
 
     def __init__(self, site: Site, name: str, options: list[str]) -> None:
         arguments = [
@@ -299,7 +299,7 @@ def test_the_documented_commands_install_upgrade_and_uninstall(
 
 
 def test_a_user_without_root_has_a_server(lab: Machines, workstation: Machine) -> None:
-    """As the document says, in a user's own systemd."""
+    """The server runs in the user's own systemd, as the document describes."""
     with lab.machine("lab-02") as machine:
         machine.wait_up()
         user = machine.run(
@@ -416,7 +416,7 @@ def test_a_hanging_server_is_restarted(site: Site, alone: str) -> None:
 
 
 def test_a_stopped_server_finishes_running_work(site: Site, alone: str) -> None:
-    """What waits there waits for the next server: here itself, started again."""
+    """Waiting work is left to the next server, which here is the same one, started again."""
     first = site.servers[0]
     run = site.run_on(first)
     run.wait_counted(100)
@@ -448,7 +448,7 @@ def test_a_server_reads_its_keys_again_during_a_run(site: Site, alone: str) -> N
 
 
 def test_users_without_keys_are_refused(site: Site) -> None:
-    """By its server, in words for both sides."""
+    """The server refuses them, and both sides report the reason in words."""
     first = site.servers[0]
     script = f"zswarm-ot servers --no-multicast --wait 2 --connect tcp/{first.address}:7467 2>&1"
     told = site.workstation.run(

@@ -472,7 +472,7 @@ def test_a_server_that_came_later_than_the_list_is_named_to_the_user(
 def test_a_certificate_of_a_nonmember_gives_no_access(
     server: Server, tmp_path: Path, lab: Lab, who: str
 ) -> None:
-    """Of a server, of a router that is not one of theirs, of a user that the list does not have."""
+    """The certificates are those of a server, a foreign router and a user who is not listed."""
     if who == "mallory":
         unpacked(
             lab.folder / "mallory",

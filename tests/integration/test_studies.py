@@ -331,7 +331,7 @@ def test_runs_share_a_server_and_its_slots_move_on_when_one_ends(tmp_path: Path)
 
 @pytest.mark.long
 def test_a_study_without_the_requested_servers_ends_like_a_run(tmp_path: Path) -> None:
-    """It waits for ten seconds."""
+    """The study waits for ten seconds."""
     optimizer = play(
         tmp_path, "ot", "run", write(tmp_path, GRID), "--servers", "2", "--no-multicast"
     )

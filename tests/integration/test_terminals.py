@@ -74,7 +74,7 @@ def program(
 
 
 def on_a_terminal(arguments: Sequence[str], cwd: Path, **environment: str) -> bytes:
-    """What a program writes to a terminal."""
+    """Return what a program writes to a terminal."""
     ours, its = pty.openpty()
     done = subprocess.Popen(
         [sys.executable, "-m", *arguments],
@@ -102,7 +102,7 @@ def on_a_terminal(arguments: Sequence[str], cwd: Path, **environment: str) -> by
 @pytest.mark.parametrize("columns", [80, 40])
 @pytest.mark.parametrize("name", COMMANDS)
 def test_help_fits_the_terminal(name: str, columns: int) -> None:
-    """At 40 columns a long word or example may stand out."""
+    """A long word or example may exceed 40 columns."""
     done = CliRunner().invoke(
         COMMANDS[name], ["--help"], prog_name=name, terminal_width=columns
     )

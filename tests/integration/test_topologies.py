@@ -28,7 +28,7 @@ def lab() -> Iterator[Lab]:
 
 
 class Site:
-    """Starts programs on hosts of a lab, and stops them all at the end."""
+    """Start programs on hosts of a lab, and stop them all at the end."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder

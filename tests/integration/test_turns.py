@@ -103,7 +103,7 @@ def test_the_history_is_that_of_controllers_at_the_servers(tmp_path: Path) -> No
 def test_simulators_with_sequential_agents_have_the_same_history(
     tmp_path: Path, options: tuple[str, ...]
 ) -> None:
-    """As have those whose settings differ by trial."""
+    """The number of agents differs by trial."""
     more = ("--set=problem.settings.agents={from = 3, to = 6}", *local(2))
     travelled = play(
         tmp_path, "travelled", *more, simulator="emergency-exit", trials=2

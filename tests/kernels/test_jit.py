@@ -53,7 +53,7 @@ def tree(tmp_path: Path) -> Path:
 def run(
     code: str, tree: Path, cache: Path, *arguments: str, **environment: str
 ) -> list[str]:
-    """The words that a program prints, with the package of another tree."""
+    """Return the words that a program prints, with the package of another tree."""
     done = subprocess.run(
         [sys.executable, "-c", code, *arguments],
         cwd=tree,
@@ -183,7 +183,7 @@ def lazy(tmp_path: Path) -> str:
 def test_warming_up_compiles_functions_that_compile_on_their_first_call(
     lazy: str, tmp_path: Path
 ) -> None:
-    """So no batch waits for it."""
+    """No batch waits for the compilation."""
     said = run(
         WARM_UP, tmp_path, cache_folder().parent, "lazy", "fully-meshed", PYTHONPATH=lazy
     )
@@ -194,7 +194,7 @@ def test_warming_up_compiles_functions_that_compile_on_their_first_call(
 def test_warming_up_compiles_everything_that_a_trial_of_any_part_needs(
     lazy: str, tmp_path: Path
 ) -> None:
-    """With nothing in the cache."""
+    """The cache is empty at the start."""
     # Its 18 inputs are too many for mealy.
     names = playable([*(plugins.BUNDLED["simulator"].keys() - {"pettingzoo"}), "lazy"])
     said = run(WARM_UP, tmp_path, tmp_path / "cache", ",".join(names), PYTHONPATH=lazy)
@@ -204,7 +204,7 @@ def test_warming_up_compiles_everything_that_a_trial_of_any_part_needs(
 
 
 def test_modules_that_numba_loads_for_the_first_kernel_are_loaded_in_advance() -> None:
-    """So the fork server has it: slots that load it themselves take 20 MB more each."""
+    """The fork server loads them; slots that load them themselves take 20 MB more each."""
     code = (
         "import sys, zswarm.evaluate, zswarm.kernels.compiler; before = set(sys.modules);"
         "from zswarm.nets.fully_meshed import FullyMeshed; FullyMeshed.step.dispatcher;"
@@ -323,7 +323,7 @@ def test_a_named_folder_is_used_if_the_temporary_folder_is_not_writable(
 
 
 def test_the_folder_is_closed_to_other_users(choices: list[Path]) -> None:
-    """What lies there is run as code."""
+    """Files in this folder are run as code."""
     assert cache_folder().stat().st_mode & 0o077 == 0
 
 

@@ -162,7 +162,7 @@ PI = Decimal("3.14159265358979323846264338327950288419716939937510582097494459")
 
 
 def sine(angle: Decimal) -> Decimal:
-    """With 40 digits: Taylor's series of what full turns leave."""
+    """Return the sine with 40 digits, by Taylor's series after removing full turns."""
     x = angle - (angle / (2 * PI)).to_integral_value() * 2 * PI
     total = term = x
     for n in range(1, 45, 2):
@@ -185,7 +185,7 @@ def test_sin_and_cos_are_within_a_unit_in_the_last_place() -> None:
 
 
 def test_atan2_is_within_one_and_a_third_units_in_the_last_place() -> None:
-    """For all directions, lengths and ratios; 1.3 as the docstring states."""
+    """The test covers all directions, lengths and ratios; 1.3 is the bound of the docstring."""
     directions, sizes = (
         Stream(9).uniform(-math.pi, math.pi, 600),
         10.0 ** Stream(10).uniform(-4.0, 4.0, 600),
@@ -240,14 +240,14 @@ def test_sin_and_cos_of_nonfinite_numbers_are_nan(
 
 @given(st.floats(allow_nan=False, allow_infinity=False))
 def test_sin_is_odd_and_cos_is_even_and_both_stay_within_one(x: float) -> None:
-    """Also far out, where the angle is off."""
+    """This also holds for large angles, whose reduction is inaccurate."""
     assert sin(-x) == -sin(x)
     assert cos(-x) == cos(x)
     assert sin(x) ** 2 + cos(x) ** 2 == pytest.approx(1.0, abs=1e-15)
 
 
 def test_sin_of_a_large_angle_has_the_error_of_float64_pi() -> None:
-    """By 4e-17 of it: what float64's pi lacks, as often as it is in the angle."""
+    """It is 4e-17 of the angle: the error of float64's pi times how often pi is in the angle."""
     with localcontext(prec=60):
         for angle in Stream(11).uniform(FAR, 1e12, 200).tolist():
             assert abs(Decimal(sin(angle)) - sine(Decimal(angle))) <= Decimal(
@@ -270,7 +270,7 @@ def test_remainder_of_nonfinite_numbers_is_nan() -> None:
 def test_functions_of_angles_have_the_same_bits_in_python_and_compiled(
     x: float, y: float
 ) -> None:
-    """Of Python's numbers and of those that numpy's arrays hold."""
+    """The arguments are Python's floats and numpy's scalars."""
     for compiled, plain, single in (
         (sin(x), PLAIN["sin"](x), PLAIN["sin"](np.float64(x))),
         (cos(x), PLAIN["cos"](x), PLAIN["cos"](np.float64(x))),

@@ -88,7 +88,7 @@ def test_more_iterations_come_nearer_to_the_continuous_network() -> None:
 
 
 def test_a_single_neuron_approaches_its_input_with_its_time_constant() -> None:
-    """y follows 1 - e^(-t / tau)."""
+    """The neuron's value y follows 1 - e^(-t / tau)."""
     built = network(
         hidden=0, inputs=1, outputs=1, iterations=100, tau_min=5.0, tau_max=5.0
     )

@@ -47,7 +47,7 @@ def layers(net: dict[str, Any]) -> list[tuple[Any, Any]]:
 
 
 def recorded(net: dict[str, Any]) -> tuple[Layered, bytes]:
-    """A recorded net and its genome."""
+    """Return a recorded network and its genome."""
     numbers = [
         [*weights, bias]
         for layer in layers(net)

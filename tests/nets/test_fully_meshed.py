@@ -29,7 +29,7 @@ def network(
 
 
 def recorded(net: dict[str, Any]) -> tuple[FullyMeshed, np.ndarray]:
-    """A recorded net and its parameters."""
+    """Return a recorded network and its parameters."""
     built = network(
         net["hidden"],
         net["inputs"],
@@ -114,7 +114,7 @@ def test_plain_python_decides_the_same_bits_as_the_compiled_step(
 def test_eight_agents_in_lanes_decide_as_one_by_one(
     activation: str, hidden: int, wild: float
 ) -> None:
-    """Also with sums that are infinite or no number, which become outputs that are none."""
+    """Sums that are infinite or NaN are compared, too."""
     built = network(
         hidden=hidden, inputs=3, outputs=2, activation=activation, iterations=3
     )
@@ -359,7 +359,7 @@ def test_crossover_of_a_single_neuron_is_the_father() -> None:
 
 
 def test_crossover_can_produce_every_recorded_child() -> None:
-    """For each recorded child some stream gives the same bytes and the recorded block."""
+    """Each recorded child has a stream that gives the same bytes and the recorded block."""
     built = network()
     children = [
         child

@@ -99,7 +99,7 @@ def test_links_that_are_disabled_are_not_drawn() -> None:
 
 
 def test_a_machines_transitions_are_counted() -> None:
-    """From each state, all combinations of inputs lead somewhere."""
+    """All combinations of inputs lead from each state to some state."""
     network = Mealy(MealySettings(states=3), INPUTS, OUTPUTS)
     (genome,) = network.random(1, Stream(3))
     graph = network.graph(genome)

@@ -97,7 +97,7 @@ def test_some_recorded_nets_learn_much() -> None:
 
 
 def test_a_weight_without_plasticity_stays_and_one_of_half_learns_half() -> None:
-    """In FREVO plasticities are never used."""
+    """FREVO never uses plasticities."""
     built = network(iterations=1)
     seen = [[0.9, 0.1, 0.4]]
     changes = {}
@@ -166,7 +166,7 @@ def test_a_genome_holds_weights_plasticities_bias_per_neuron_and_one_rate() -> N
 
 @pytest.mark.parametrize(("method", "reach"), [(1, 0.003), (2, 0.01)])
 def test_the_learning_rate_mutates(method: int, reach: float) -> None:
-    """In FREVO it never does: 0 of 12 nets changed."""
+    """FREVO never mutates it: 0 of 12 networks changed."""
     built = network()
     mutants = built.mutate(
         [bytes(built.genome_bytes)] * 500,

@@ -58,7 +58,7 @@ def recorded(machine: dict[str, Any]) -> tuple[Mealy, bytes]:
 def decide(
     built: Mealy, genome: bytes, observations: Any, step: Any = Mealy.step
 ) -> tuple[np.ndarray, list[int]]:
-    """Outputs, and the states after each decision."""
+    """Return the outputs, and the states after each decision."""
     (parameters,) = built.parameters([genome])
     state, actions, states = (
         np.zeros(1, np.float32),
@@ -271,7 +271,7 @@ def test_new_machines_fill_their_ranges() -> None:
 def mutants(
     built: Mealy, count: int = 200, probability: float = 1.0
 ) -> list[tuple[Machine, Machine]]:
-    """Parents and what became of them."""
+    """Return parents, each with its mutant."""
     parents = built.random(count, Stream(1))
     children = built.mutate(
         parents, Stream(2), method=1, severity=0.3, probability=probability
@@ -339,7 +339,7 @@ def test_a_deleted_transition_stays_in_its_state() -> None:
 
 
 def test_thresholds_change_after_an_input_that_has_none() -> None:
-    """In FREVO that fails."""
+    """FREVO fails here."""
     pairs = mutants(
         machines(
             thresholds=[0, 3],
@@ -363,7 +363,7 @@ def test_a_changed_first_state_is_an_existing_state() -> None:
 
 
 def test_a_new_state_leaves_the_others_as_they_are() -> None:
-    """In FREVO it lands at a wrong place in the table."""
+    """FREVO puts it at a wrong place in the table."""
     for before, after in mutants(machines(add_state=1.0, **STILL), 20):
         assert same(after.following[:, :6], before.following)
         assert same(after.outputs[:, :6], before.outputs)
@@ -371,7 +371,7 @@ def test_a_new_state_leaves_the_others_as_they_are() -> None:
 
 
 def test_deleting_a_state_removes_transitions_to_it_and_keeps_the_others() -> None:
-    """In FREVO transitions still lead to it, and to the last one, which has another number now."""
+    """FREVO keeps transitions to it, and to the last state, whose number has changed."""
     for before, after in mutants(machines(delete_state=1.0, **STILL), 50):
         # The random outputs tell.
         (lost,) = [

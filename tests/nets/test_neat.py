@@ -23,7 +23,7 @@ def network(inputs: int = 2, outputs: int = 1, **settings: Any) -> Neat:
 
 
 def genome(nodes: list[tuple[Any, ...]], links: list[tuple[Any, ...]]) -> bytes:
-    """Of nodes (id, bias, factor) and links (source, target, weight, enabled)."""
+    """Return the genome of nodes (id, bias, factor), links (source, target, weight, enabled)."""
     return Genes(np.array(nodes, NODE), np.array(links, LINK)).genome()
 
 
@@ -59,7 +59,7 @@ def recorded(net: dict[str, Any]) -> tuple[Neat, np.ndarray]:
 def decide(
     built: Neat, parameters: np.ndarray, observations: Any, step: Any = Neat.step
 ) -> np.ndarray:
-    """What it decides from the start of a trial on."""
+    """Return the network's decisions from the start of a trial on."""
     state = np.zeros(built.state_size, np.float32)
     actions = np.empty((len(observations), built.outputs), np.float32)
     for observation, action in zip(
@@ -187,7 +187,7 @@ def test_a_recurrent_network_remembers_and_a_forward_one_does_not() -> None:
 
 
 def test_hidden_neurons_sum_their_links_subtract_the_bias_and_bend() -> None:
-    """tanh(0.6 - 0.1) = 0.46211716; then 1 / (1 + exp(-(2 * 0.46211716 - 0.25)))."""
+    """The expected value is 1 / (1 + exp(-(2 * tanh(0.6 - 0.1) - 0.25)))."""
     built = network()
     encoded = genome(
         [(3, 0.25, -1.0), (9, 0.1, 0.0)], [(1, 9, 0.6, 1), (2, 9, 5.0, 0), (9, 3, 2.0, 1)]
@@ -395,7 +395,7 @@ def test_the_same_change_has_the_same_number_everywhere() -> None:
 
 
 def test_a_link_that_is_split_twice_gets_two_nodes() -> None:
-    """In FREVO they have one id, and one of them is dead."""
+    """FREVO gives both one id, and one of them has no effect."""
     built = network(add_node=1.0)
     nodes, links = taken_apart(mutant(built, genome([PLAIN_NODE], [(1, 3, 0.5, 1)])))
     links = [

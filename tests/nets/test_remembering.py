@@ -11,7 +11,7 @@ FORGETFUL = 'representation={kind = "feed-forward", hidden = [4], activation = "
 
 
 def best_per_trial(complete: Experiment) -> float:
-    """Of a run, played here."""
+    """Return the best fitness per trial of a run that is played here."""
     parts = build(complete)
     problem, optimizer = parts.problem, parts.optimizer
     for generation in range(complete.generations):

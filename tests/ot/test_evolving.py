@@ -30,7 +30,7 @@ from zswarm.plugins import registry as plugins
 class MeasuringSettings(
     NNGASettings, frozen=True, kw_only=True, forbid_unknown_fields=True
 ):
-    """Those of NNGA, and names of metrics."""
+    """Add names of metrics to the settings of NNGA."""
 
     measures: tuple[str, ...] = ()
 
@@ -125,7 +125,7 @@ def with_cmaes(*overrides: str) -> experiment.Experiment:
 def test_a_run_abandoned_in_its_loop_resumes_with_the_same_result(
     tmp_path: Path, servers: Genes, complete: experiment.Experiment
 ) -> None:
-    """Of the generation that servers had by then nothing is recorded; it is asked for again."""
+    """Nothing is recorded of the generation that servers had by then; it is asked for again."""
     with created(tmp_path / "whole", complete) as record:
         whole = result(begun(record, complete, servers))
     with created(tmp_path / "left", complete) as record:
@@ -195,7 +195,7 @@ def test_a_generation_is_written_in_one_transaction(
 
 
 class Said(Logger):
-    """Keeps the lines for the user."""
+    """Keep the lines for the user."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
@@ -207,7 +207,7 @@ class Said(Logger):
 def test_diverging_proposals_are_reported_and_the_run_continues(
     tmp_path: Path, servers: Genes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """On another processor or version of a package, draws may differ: here from generation 3 on."""
+    """Draws may differ on another processor or version, here from generation 3 on."""
     complete = with_cmaes()
     with created(tmp_path, complete) as record:
         evolution = begun(record, complete, servers)

@@ -35,7 +35,7 @@ def generation(number: int) -> Generation:
 
 
 class Hearing(Logger):
-    """Notes every call, and the thread it came in."""
+    """Record every call, and the thread it came in."""
 
     def __init__(self) -> None:
         self.heard: list[tuple[str, Any]] = []
@@ -68,7 +68,7 @@ class Hearing(Logger):
 
 
 def tell(logger: Logger, generations: int = 3) -> None:
-    """A whole run."""
+    """Make all the calls of a whole run."""
     logger.on_start(STARTED)
     logger.on_say("hello")
     logger.on_event(NOTE)
@@ -174,7 +174,7 @@ def test_a_slow_logger_delays_nothing_and_receives_the_number_of_missed_calls(
 def test_a_hanging_logger_is_abandoned_at_the_end(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """With room in its queue or without; if it continues, it gets the last call and ends."""
+    """Its queue may have room or not; if it continues, it gets the last call and ends."""
     monkeypatch.setattr(loggers, "LAST_CALLS_S", 0.05)
     for waiting in (2, 100):
         monkeypatch.setattr(loggers, "WAITING", waiting)

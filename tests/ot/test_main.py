@@ -22,7 +22,7 @@ os._exit(0)
 def test_ctrl_c_during_start_up_ends_the_program_silently(
     tmp_path: Path, begun: str
 ) -> None:
-    """What a shell began in the background does not hear Ctrl-C."""
+    """A program that a shell started in the background ignores Ctrl-C."""
     (tmp_path / "click.py").write_text(LOADING)
     path = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
     how = signal.SIG_IGN if begun == "in the background" else signal.SIG_DFL

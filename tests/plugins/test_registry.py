@@ -184,7 +184,7 @@ LIBRARIES = (
 def test_the_hash_of_a_plugin_covers_bundled_parts_and_libraries_it_uses(
     install: Install,
 ) -> None:
-    """What is bundled comes after its own files, wherever both are installed."""
+    """Bundled files come after its own files, wherever both are installed."""
     files = {
         "swarm_extra/__init__.py": "from zswarm.nets import (bulk,\n ctrnn)",
         "swarm_extra/walls.py": ENVIRONMENT,

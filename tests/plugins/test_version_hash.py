@@ -39,7 +39,7 @@ def imported(file: Path) -> set[Path]:
 
 @cache
 def named(file: Path) -> set[Path]:
-    """Those that its own text names."""
+    """Return the files of the package that a file's own text imports."""
     found = set()
     for node in ast.walk(ast.parse(file.read_text())):
         names: list[str] = []
@@ -77,7 +77,7 @@ def copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def fresh() -> tuple[str, str]:
-    """The hash of a problem, and that of all compiled code, not remembered."""
+    """Return the hash of a problem, and that of all compiled code, not remembered."""
     forget()
     return version_hash.version_hash(
         "emergency-exit", "fully-meshed"
@@ -302,7 +302,7 @@ ARM = "processor\t: 0\nBogoMIPS\t: 50.00\nFeatures\t: fp asimd\nCPU part\t: 0xd0
 def test_each_kind_of_processor_has_its_own_cache(
     one: str, other: str, same: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """And the same version hash: it computes the same."""
+    """The version hash is the same, because both compute the same."""
     monkeypatch.setattr(version_hash, "CPUINFO", tmp_path / "cpuinfo")
     before = fresh()
     hashes = []
@@ -321,7 +321,7 @@ def test_an_unknown_processor_also_has_a_cache(
 
 
 def test_differences_between_two_versions_are_named(copy: Path) -> None:
-    """By the parts that the version hash covers; equal versions have no difference."""
+    """The parts that the version hash covers are named; equal versions have no difference."""
     before = version_hash.versions("emergency-exit", "fully-meshed")
     assert version_hash.differing(before, dict(before)) == []
     for file, told in (
@@ -345,7 +345,7 @@ def test_differences_between_two_versions_are_named(copy: Path) -> None:
 
 
 def test_missing_packages_are_listed_as_arguments_of_pip() -> None:
-    """Those that only one of two has; a version that is none is not passed on."""
+    """Packages that only one side has are listed; an invalid version is not passed on."""
     here = {"numpy": "2.1.0", "torch": "none", "vmas": "none", "scipy": "none"}
     asked = {
         "numpy": "2.3.0",

@@ -191,7 +191,7 @@ def refusal(body: bytes, decode: Any = codec.decode_request) -> str:
 
 
 def changed(message: Any, **changes: Any) -> bytes:
-    """The bytes of a message with fields that no message may have."""
+    """Return the bytes of a message with fields that no message may have."""
     return pack(msgspec.to_builtins(message, builtin_types=(bytes,)) | changes)
 
 
@@ -248,7 +248,7 @@ def test_a_message_cannot_be_changed() -> None:
 
 
 def test_a_message_is_a_map_with_type_and_version() -> None:
-    """For programs in other languages: these names and kinds are the protocol."""
+    """Programs in other languages rely on these names and types."""
     assert msgspec.msgpack.decode(codec.encode(evaluate())) == {
         "type": "evaluate",
         "v": 1,
@@ -283,7 +283,7 @@ def safe_to_show(text: str) -> bool:
 
 
 def ending(decode: Callable[..., T], *arguments: Any) -> T | str:
-    """What is decoded, or the words of the refusal; nothing else may be raised."""
+    """Return what is decoded, or the words of the refusal; nothing else may be raised."""
     try:
         return decode(*arguments)
     except RemoteProtocolError as error:
@@ -291,7 +291,7 @@ def ending(decode: Callable[..., T], *arguments: Any) -> T | str:
 
 
 def ends_well(body: bytes, decode: Callable[[bytes], messages.Message]) -> bool:
-    """In a message that, encoded, is decoded to itself; or in a refusal that is safe to show."""
+    """Return whether a body is a message that round-trips or is refused in safe words."""
     found = ending(decode, body)
     return (
         safe_to_show(found)
@@ -301,7 +301,7 @@ def ends_well(body: bytes, decode: Callable[[bytes], messages.Message]) -> bool:
 
 
 def ends_well_all_ways(body: bytes) -> bool:
-    """As a request and as a reply, as a question to an optimizer and as its answer."""
+    """Return whether a body ends well as each kind of request, reply, question and answer."""
     ways = (
         codec.decode_request,
         codec.decode_reply,
@@ -576,7 +576,7 @@ MARK = "a place to put other bytes"
 
 
 def with_settings(raw: bytes, which: str) -> bytes:
-    """A reserve with raw bytes as the value of a setting."""
+    """Return a reserve with raw bytes as the value of a setting."""
     return codec.encode(reserve(**{which: Part("x", {"key": MARK})})).replace(
         pack(MARK), raw
     )
@@ -816,7 +816,7 @@ NASTY = [
 
 
 def lines_of_a_log(text: str) -> list[str]:
-    """What a log shows of a text, in both forms."""
+    """Return what a log shows of a text, in both forms."""
     event = {"event": "malformed", "reason": text}
     return [
         str(structlog.processors.JSONRenderer()(None, "info", dict(event))),
@@ -837,7 +837,7 @@ def test_a_nasty_text_is_harmless_in_a_log(text: str) -> None:
 def test_a_nasty_text_is_harmless_in_a_table(
     text: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As it came through the wire; brackets are no markup."""
+    """The text is that of a received message; brackets are not markup."""
     offer = messages.Offer(
         server=text,
         program=text,
@@ -861,7 +861,7 @@ def test_a_nasty_text_is_harmless_in_a_table(
 
 @pytest.mark.parametrize("text", NASTY)
 def test_a_nasty_text_is_harmless_in_a_note(text: str) -> None:
-    """What the user is told and the record keeps of a server's texts."""
+    """Notes to the user and in the record quote the texts of a server."""
     state = Dispatch(terms())
     offer = messages.Offer(
         server="lab-1",

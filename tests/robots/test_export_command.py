@@ -50,7 +50,7 @@ def typed(*arguments: str | Path) -> Result:
 
 
 def refused(*arguments: str | Path) -> str:
-    """The one line that a mistake ends with."""
+    """Return the one line that a mistake ends with."""
     with pytest.raises(ConfigError) as raised:
         typed(*arguments)
     assert "\n" not in str(raised.value)
@@ -78,7 +78,7 @@ def test_the_champion_is_written_and_the_next_command_works(run: Path) -> None:
     "target", [name for name, target in targets.TARGETS.items() if not target.driving]
 )
 def test_every_target_names_its_files_and_the_hash(target: str, run: Path) -> None:
-    """The same hash in all."""
+    """The hash is the same in the output and in the files."""
     done = typed(
         run, "--to", target, "--json", "--out", "deep/below", "--name", "My Robot"
     )

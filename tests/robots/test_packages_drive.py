@@ -113,7 +113,7 @@ class Built(NamedTuple):
 
 
 def build(target: Target, files: Files, folder: Path) -> Built:
-    """What a README says before its last command, in its way."""
+    """Run what a README says before its last command, in the way of the target."""
     need(target.link)
     if shutil.which("cc") is None or (
         target.make is ros1 and shutil.which("catkin_make") is None
@@ -151,7 +151,7 @@ def build(target: Target, files: Files, folder: Path) -> Built:
 
 @pytest.fixture(scope="module")
 def packages(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Built]:
-    """Each target, built once."""
+    """Build each target once."""
     built: dict[str, Built] = {}
 
     def give(name: str) -> Built:
@@ -204,7 +204,7 @@ def simulated(
 
 
 def ask(here: RosGraph, what: str, *arguments: Any) -> Any:
-    """The ROS master's answer."""
+    """Return the ROS master's answer."""
     with xmlrpc.client.ServerProxy(here.master) as master:
         return getattr(master, what)("/of_a_test", *arguments)
 
@@ -280,7 +280,7 @@ class Robot:
         return came
 
     def heard(self, seconds: float) -> list[Velocity]:
-        """What comes of velocities in that time."""
+        """Return the velocities that arrive in that time."""
         came, until = [], time.monotonic() + seconds
         while (left := until - time.monotonic()) > 0:
             message = self._link.receive(left)
@@ -350,7 +350,7 @@ name = "odom"
 def test_velocities_are_stamped_where_the_profile_says_so(
     tmp_path: Path, name: str
 ) -> None:
-    """And never greater than the profile's, which are below those of evolution."""
+    """No velocity exceeds the profile's limits, which are below those of evolution."""
     profile = "turtlebot3-jazzy"
     if name == "cmake":
         profile = str(tmp_path / "own.toml")
@@ -385,7 +385,7 @@ def test_a_robot_stops_when_its_sensors_fall_silent(
 def test_a_scanner_with_too_small_a_view_ends_the_drive(
     packages: Callable[[str], Built], name: str
 ) -> None:
-    """And the robot stands then."""
+    """The robot stands still afterwards."""
     with alone(packages(name)) as (robot, node):
         robot.drives(1)
         came = robot.sense(1.0, rays=20) + robot.heard(2.0)
@@ -416,7 +416,7 @@ def test_a_node_whose_self_test_fails_does_not_drive(tmp_path: Path, name: str) 
 
 
 def test_lock_step_is_refused_on_a_robot(packages: Callable[[str], Built]) -> None:
-    """Without simulated time nothing waits for the robot, and the watchdog is needed."""
+    """Nothing waits for the robot without simulated time, and the watchdog is needed."""
     for name, more in (
         ("cmake", "_lock_step:=true"),
         ("ros2", "--ros-args -p lock_step:=true"),

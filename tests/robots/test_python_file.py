@@ -104,7 +104,7 @@ def run(file: Path) -> "subprocess.CompletedProcess[str]":
 
 
 def test_a_file_checks_itself_and_detects_a_changed_number(tmp_path: Path) -> None:
-    """Of the parameters, and of what was decided."""
+    """The number is one of the parameters, or one that changes what is decided."""
     text = python(controller("ctrnn"), "mine")["zs_mine.py"]
     file = tmp_path / "zs_mine.py"
     file.write_text(text)

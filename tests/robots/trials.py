@@ -13,7 +13,7 @@ Policy = Callable[[np.ndarray], np.ndarray]  # (robots, inputs) -> (robots, 2), 
 
 
 class Played(NamedTuple):
-    """The poses and the outcome of a trial."""
+    """Describe the poses and the outcome of a trial."""
 
     poses: np.ndarray  # (steps + 1, robots, 4) float64
     outcome: Outcome

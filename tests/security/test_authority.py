@@ -376,7 +376,7 @@ def test_a_request_made_by_another_program_is_checked(
 def test_a_damaged_request_is_read_or_refused(
     tmp_path: Path, place: int, put: bytes, lost: int
 ) -> None:
-    """As DER within the PEM, so that the damage reaches what is read."""
+    """The damage is in the DER within the PEM, so that it reaches what is read."""
     pem = make_request(of("ss", "lab-01"), ["10.0.0.5"], certificates.new_key())
     body = x509.load_pem_x509_csr(pem).public_bytes(serialization.Encoding.DER)
     text = base64.encodebytes(body[:place] + put + body[place + lost :]).decode()

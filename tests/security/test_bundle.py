@@ -199,7 +199,7 @@ made: list[certificates.Bundle] = []
 
 
 def of_lab_01(factory: pytest.TempPathFactory) -> certificates.Bundle:
-    """One bundle for all examples."""
+    """Return one bundle for all examples."""
     if not made:
         made.extend(issued(factory.mktemp("lab") / "authority", of("ss", "lab-01")))
     return made[0]

@@ -175,7 +175,7 @@ def test_contents_that_the_library_only_warns_about_are_refused(tmp_path: Path) 
 
 
 def test_keys_of_another_kind_are_refused(tmp_path: Path) -> None:
-    """Of another curve, in an authority's certificate and as a key."""
+    """A key of another curve is refused in an authority's certificate and as a key."""
     (mine,) = issued(tmp_path / "authority", of("ss", "lab-01"))
     key = ec.generate_private_key(ec.SECP384R1())
     name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "authority.lab")])

@@ -544,7 +544,7 @@ def test_an_authority_in_use_is_waited_for_by_the_user(desk: Machine) -> None:
 
 
 def secrets(folder: Path) -> set[str]:
-    """The lines of all private keys in files below a folder."""
+    """Return the lines of all private keys in files below a folder."""
     found = set()
     for path in folder.rglob("*"):
         text = path.read_text().replace("\\n", "\n") if path.is_file() else ""
@@ -596,7 +596,7 @@ def test_a_misplaced_secret_is_not_printed(desk: Machine) -> None:
 
 
 def test_the_program_has_documented_exit_codes_and_streams(tmp_path: Path) -> None:
-    """As a process: exit codes, streams, and no traceback."""
+    """The program runs as a process, and prints no traceback."""
     environment = os.environ | {
         "XDG_DATA_HOME": str(tmp_path),
         "ZSWARM_KEYS": str(tmp_path / "keys"),
@@ -634,7 +634,7 @@ def test_the_program_has_documented_exit_codes_and_streams(tmp_path: Path) -> No
 
 
 def test_a_missing_cryptography_package_is_reported_with_a_fix(tmp_path: Path) -> None:
-    """By the command, and by a program that loads keys."""
+    """The command reports it, and so does a program that loads keys."""
     hide = "import sys; sys.modules['cryptography'] = None; "
     done = subprocess.run(
         [

@@ -67,7 +67,7 @@ def built(settings: dict[str, Any], **network: Any) -> tuple[Arena, FullyMeshed]
 def play(
     simulator: Arena, network: FullyMeshed, genomes: list[bytes], seeds: np.ndarray
 ) -> TrialOutcomes:
-    """Every genome on every seed."""
+    """Play every genome on every seed."""
     participants = np.repeat(np.arange(len(genomes)), len(seeds))[:, None]
     return evaluate(
         simulator, network, genomes, participants, np.tile(seeds, len(genomes))

@@ -57,7 +57,7 @@ def guarding(observations: np.ndarray) -> np.ndarray:
 def deciding(
     network: Representation, parameters: np.ndarray, robots: int
 ) -> Callable[[int, np.ndarray], np.ndarray]:
-    """Each team by its parameters."""
+    """Return a policy in which each team decides by its parameters."""
     states = np.zeros((2 * robots, network.state_size), np.float32)
 
     def decide(robot: int, observation: np.ndarray) -> np.ndarray:
@@ -166,7 +166,7 @@ def test_two_guards_beat_a_team_that_only_attacks() -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("seed", [1, 2])
 def test_later_champions_of_the_example_beat_earlier_ones(seed: int) -> None:
-    """Those of generations 0, 10 and 30 on 100 unseen starts; some seconds of computing each."""
+    """Champions of generations 0, 10 and 30 play 100 unseen starts, some seconds for each."""
     champions = {}
     for generation in (0, 10, 30):
         changes = [f"seed={seed}", f"generations={generation + 1}"]

@@ -86,7 +86,7 @@ def settings_of(field: dict[str, Any]) -> dict[str, Any]:
 
 
 def network(net: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
-    """Settings and genome of a recorded net."""
+    """Return the settings and the genome of a recorded network."""
     table = [
         [*weights, bias]
         for weights, bias in zip(net["weights_into"], net["bias"], strict=True)
@@ -294,7 +294,7 @@ def test_the_compared_trials_include_moves_blocks_and_escapes() -> None:
 
 @pytest.mark.parametrize("name", playable(plugins.names("simulator")))
 def test_every_simulator_keeps_the_contract(name: str) -> None:
-    """In trials of 100 steps, where it has steps."""
+    """Simulators with a setting for steps are tested with 100 steps."""
     simulator_class = plugins.load("simulator", name)
     check_simulator(
         simulator_class,

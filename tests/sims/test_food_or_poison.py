@@ -22,7 +22,7 @@ def test_food_or_poison_keeps_the_contract(settings: dict[str, Any]) -> None:
 def played(
     seed: int, decide: Decide, kinds: int = 6, items: int = 60
 ) -> tuple[list[tuple[int, float, bool]], Outcome]:
-    """What was observed and said in each turn, and the outcome."""
+    """Return what was observed and decided in each turn, and the outcome."""
     simulator = FoodOrPoison(FoodOrPoisonSettings(kinds=kinds, items=items))
     turn, said = simulator.reset(seed), []
     while turn is not None:
@@ -72,7 +72,7 @@ def test_a_trial_equals_an_independent_implementation(
 
 
 class Learner:
-    """Tastes each kind once, and knows it then."""
+    """Taste each kind once, and know it then."""
 
     def __init__(self) -> None:
         self.known: dict[int, bool] = {}

@@ -25,7 +25,7 @@ def ours(name: str) -> str:
 
 
 def begun(settings: dict[str, Any], **state: float) -> InvertedPendulum:
-    """A trial that has begun, with other numbers in its state."""
+    """Return a trial that has begun, with other numbers in its state."""
     simulator = InvertedPendulum(InvertedPendulumSettings(**settings))
     simulator.reset(1)
     for number, name in enumerate(("phi", "rod_speed", "cart_speed", "position")):
@@ -46,7 +46,7 @@ def test_fitness_after_200_steps_is_frevos(net: dict[str, Any]) -> None:
 def test_fitness_after_10000_steps_is_nearly_frevos(
     net: dict[str, Any], model: str
 ) -> None:
-    """What the last bits of sine and cosine make of it in ten seconds: 7e-12 at most, measured."""
+    """The last bits of sine and cosine change it by 7e-12 at most in ten seconds, as measured."""
     settings = {"input_model": ours(net["inputmodel"]), "fitness_model": ours(model)}
     assert play("inverted-pendulum", settings, net, [1]).fitness[0, 0] == pytest.approx(
         net["fitness"][model], rel=1e-10

@@ -16,7 +16,7 @@ STOP = np.full((1, 2), 0.5, np.float32)
 
 
 def begun(seed: int = 1234, **world: float) -> Light:
-    """A trial that has begun, with other numbers in its world."""
+    """Return a trial that has begun, with other numbers in its world."""
     simulator = Light(LightSettings())
     simulator.reset(seed)
     for number, name in enumerate(("x", "y", "heading", "light_x", "light_y")):
@@ -87,7 +87,7 @@ def test_a_light_ahead_is_seen_by_both_sensors_the_nearer_the_brighter() -> None
 
 @pytest.mark.parametrize(("light_y", "left"), [(-69.9, 1 - 69.9 / 70), (-70.1, 1.0)])
 def test_a_sensor_has_a_range_of_seventy(light_y: float, left: float) -> None:
-    """From its own place on the robot's left edge."""
+    """The distance is measured from the sensor's place on the robot's left edge."""
     assert seen(heading=0.0, light_x=-5.0, light_y=light_y)[0] == pytest.approx(
         left, abs=1e-6
     )
@@ -128,7 +128,7 @@ def test_an_idle_robot_has_the_fitness_of_the_data_sheet() -> None:
 
 
 def test_a_trial_ends_when_the_light_is_touched_but_not_in_the_first_step() -> None:
-    """Which FREVO does not count."""
+    """FREVO does not count the first step."""
     simulator = begun(light_x=6.0, light_y=0.0)
     assert simulator.step(STOP) is not None
     assert simulator.step(STOP) is None

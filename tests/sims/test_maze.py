@@ -23,7 +23,7 @@ def naive(name: Any, steps: int) -> Naive:
 
 
 def begun(**world: float) -> Maze:
-    """A trial in the hard maze that has begun, with other numbers in its world."""
+    """Return a trial in the hard maze that has begun, with other numbers in its world."""
     simulator = Maze(MazeSettings())
     simulator.reset(1)
     for number, name in enumerate(("x", "y", "heading", "speed", "turning")):
@@ -82,7 +82,7 @@ def test_the_settings_name_every_maze() -> None:
 
 @pytest.mark.parametrize("name", list(PLANS))
 def test_walls_are_given_from_the_left_or_from_above(name: Any) -> None:
-    """As finders and robots count on."""
+    """Range finders and robots rely on this order."""
     for left, top, right, bottom in WALLS[name]:
         assert (left == right and top < bottom) or (top == bottom and left < right)
 
@@ -122,14 +122,14 @@ def test_the_goal_can_be_reached_in_time(name: Any) -> None:
 def test_the_dead_end_of_the_hard_maze_is_nearer_to_the_goal_than_most_of_the_detour() -> (
     None
 ):
-    """What deceives who breeds for nearness."""
+    """A search that rewards nearness to the goal is deceived by this."""
     behind, round_it = begun(x=0.3, y=0.585), begun(x=1.7, y=0.5)
     assert behind.outcome().fitness[0] > 0.88
     assert round_it.outcome().fitness[0] < 0.5
 
 
 def test_range_finders_look_to_the_left_ahead_to_the_right_and_back() -> None:
-    """In the corridor below the goal, heading right: walls at .5 above and .8 below."""
+    """The robot heads right in the corridor below the goal, with walls at .5 above and .8 below."""
     diagonal = math.sqrt(2)
     expected = [0.1, 0.1 * diagonal, 0.8, 0.2 * diagonal, 0.2, 0.6]
     assert seen(x=1.2, y=0.6)[RANGES] == pytest.approx(expected, abs=1e-6)
@@ -149,7 +149,7 @@ def test_a_range_finder_sees_a_metre_far() -> None:
 def test_the_compass_tells_the_quarter_in_which_the_goal_is(
     heading: float, quarter: int
 ) -> None:
-    """From straight below it."""
+    """The robot is straight below the goal."""
     assert seen(x=0.3, y=1.0, heading=heading)[COMPASS] == [
         float(number == quarter) for number in range(4)
     ]

@@ -59,7 +59,7 @@ def champion() -> bytes:
 def play(
     simulator: Minisim, network: FullyMeshed, genomes: list[bytes], seeds: np.ndarray
 ) -> TrialOutcomes:
-    """Every genome on every seed."""
+    """Play every genome on every seed."""
     participants = np.repeat(np.arange(len(genomes)), len(seeds))[:, None]
     return evaluate(
         simulator, network, genomes, participants, np.tile(seeds, len(genomes))
@@ -83,7 +83,7 @@ def play_policy(
 
 
 def steer(direction: np.ndarray) -> np.ndarray:
-    """Actions towards a direction, (robots, 2)."""
+    """Return actions towards a direction, (robots, 2)."""
     return (0.5 + 0.5 * np.sign(direction) * (np.abs(direction) > 0.25)).astype(
         np.float32
     )

@@ -21,7 +21,7 @@ def world(
     things: Sequence[tuple[Movable, tuple]] = (),
     **settings,
 ) -> RobotWorld:
-    """Robots at (x, y, angle)."""
+    """Return a world with robots at these (x, y, angle)."""
     settings = {"step_s": 0.1, "substeps": 2, **settings}
     built = RobotWorld(
         RobotSettings(robots=len(poses), **settings),
@@ -36,7 +36,7 @@ def world(
 def drive(
     built: RobotWorld, linear: Sequence[float], angular: Sequence[float], steps: int
 ) -> np.ndarray:
-    """Poses after each step."""
+    """Drive the robots; return their poses after each step."""
     seen = []
     for _ in range(steps):
         built.drive(np.array(linear, float), np.array(angular, float))

@@ -60,7 +60,7 @@ def herd(**settings: Any) -> Varied:
 
 
 def played(simulator: str, settings: dict[str, Any], seeds: list[int]) -> list[bytes]:
-    """The outcomes of random genomes, a trial of each on each seed."""
+    """Return the outcomes of random genomes, a trial of each on each seed."""
     built, network = build(simulator, settings, "fully-meshed", {})
     genomes = network.random(2, Stream(3))
     participants = np.repeat(np.arange(2), len(seeds))[:, None]
@@ -75,7 +75,7 @@ def played(simulator: str, settings: dict[str, Any], seeds: list[int]) -> list[b
 
 
 def test_a_draw_depends_only_on_the_seed_and_its_own_range() -> None:
-    """By the formulas of the document; other ranges and their order do not matter."""
+    """Draws follow the formulas of the document; other ranges and their order do not matter."""
     settings = {
         "robots": {"from": 1, "to": 9},
         "mass": {"from": 1.0, "to": 2.0},
@@ -185,7 +185,7 @@ def test_without_ranges_nothing_is_drawn() -> None:
 
 
 class Watched(Herd):
-    """Notes the trial that progress names when it is played."""
+    """Record the trial that progress names when it is played."""
 
     progress = np.zeros(2, np.int64)
     noted: ClassVar[list[tuple[int, int]]] = []
@@ -288,7 +288,7 @@ def test_trials_per_call_adapt_to_their_time() -> None:
 
 
 def test_the_number_of_agents_may_differ_by_trial() -> None:
-    """In turns each robot has its own state, and a picture shows all of them."""
+    """Each robot has its own state in turns, and a picture shows all robots."""
     varied, genomes = herd(robots={"from": 1, "to": 5}), NETWORK.random(1, Stream(1))
     assert varied.agents == (1, 5)
     seeds = np.arange(30, dtype=np.uint64)

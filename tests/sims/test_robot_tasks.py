@@ -83,7 +83,7 @@ def test_a_robot_at_an_exit_leaves_and_the_others_continue() -> None:
 
 
 def test_the_fitness_of_the_papers_logs_equals_the_papers() -> None:
-    """By hand from their formula."""
+    """The expected values were computed by hand from the formula."""
     assert cpswarm_log([0.1], [9]) == pytest.approx(49.9 / 50 * 100 + 90)
     assert cpswarm_log([0.1, 5.0], [9, 16]) == pytest.approx((99.8 + 90 + 90) / 2)
     assert cpswarm_log([70.0, 0.19], [1, 200]) == pytest.approx(

@@ -11,7 +11,7 @@ from zswarm.ot.problem import Problem
 
 
 class Evolved:
-    """An example that was evolved, from some run seed, with some changes."""
+    """Evolve an example from a run seed, with some changes."""
 
     def __init__(self, name: str, seed: int, *changes: str) -> None:
         path = experiment.find(name)
@@ -27,7 +27,7 @@ class Evolved:
         self.champion = optimizer.best()[0]
 
     def metrics(self, seeds: np.ndarray) -> dict[str, float]:
-        """The champion's means."""
+        """Return the means of the champion's metrics."""
         simulator, network = self.problem.simulator, self.problem.representation
         outcomes = evaluate(
             simulator,
@@ -42,7 +42,7 @@ class Evolved:
 
 
 def judged(problem: Problem, genomes: list[bytes], generation: int = 0) -> np.ndarray:
-    """Fitness of genomes."""
+    """Return the fitness of genomes."""
     workload = problem.workload(genomes, generation)
     outcomes = evaluate(
         problem.simulator,
@@ -56,7 +56,7 @@ def judged(problem: Problem, genomes: list[bytes], generation: int = 0) -> np.nd
 
 
 def at_random(problem: Problem) -> np.ndarray:
-    """Fitness of 200 random networks."""
+    """Return the fitness of 200 random networks."""
     return judged(problem, problem.representation.random(200, Stream(9)))
 
 
@@ -91,7 +91,7 @@ def test_xor_is_solved_from_every_seed() -> None:
 
 @pytest.mark.parametrize("example", ["xor-layers", "xor-roles"])
 def test_xor_needs_a_hidden_layer_or_two_networks(example: str) -> None:
-    """By a hidden layer, or by two networks in turn; not by one network without a hidden layer."""
+    """The examples solve it; one network without a hidden layer does not."""
     for seed in range(1, 6):
         assert Evolved(example, seed).history[-1] > -0.01
     alone = Evolved(

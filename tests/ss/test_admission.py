@@ -257,7 +257,7 @@ def test_a_server_detects_its_labels() -> None:
 def test_the_examples_of_the_document_are_valid(
     tmp_path: Path,
 ) -> None:
-    """And the labels that it lists are the facts."""
+    """The labels that the document lists are those that the program detects."""
     page = (REPOSITORY / "docs" / "mixed.md").read_text(encoding="utf-8")
     file, cluster = re.findall(r"```toml\n(.*?)```", page, re.S)
     (tmp_path / "ss.toml").write_text(file)

@@ -30,7 +30,7 @@ def test_a_missing_package_is_one_line_with_the_command_that_installs_it() -> No
 def test_the_install_command_works_without_pip_and_without_zswarm_in_an_index(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """And without pip, as in an environment of uv, and if zswarm was not installed."""
+    """It also works in an environment of uv, and if zswarm was not installed."""
     assert how("keys", "metrics").endswith(
         " -m pip install cryptography prometheus-client"
     )

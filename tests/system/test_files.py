@@ -18,7 +18,7 @@ def mode(path: Path) -> int:
 def test_a_failed_write_leaves_the_file_unchanged(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """And nothing of the new content lies beside it."""
+    """No part of the new content remains beside it."""
     write_whole(tmp_path / "x", b"before")
 
     def failing(opened: int) -> None:

@@ -11,7 +11,7 @@ from zswarm.system.systemd import Notify
 
 
 def heard(listener: socket.socket) -> list[str]:
-    """All that came, in order."""
+    """Return all messages that arrived, in order."""
     listener.setblocking(False)
     words = []
     while True:

@@ -24,7 +24,7 @@ MOST_LINES = 44  # of the contract: a screen
 
 
 def example() -> dict[str, Any]:
-    """What the docstring of ``Simulator`` defines."""
+    """Return what the docstring of ``Simulator`` defines."""
     found = re.search(r"::\n\n(.*?)\n\S", inspect.getdoc(Simulator) or "", re.S)
     assert found
     names = {
@@ -203,7 +203,7 @@ class KeepsProcesses(Gather):
 
 @pytest.fixture
 def let_go() -> Iterator[None]:
-    """Of what the simulators above keep."""
+    """Release what the simulators above keep."""
     yield
     while held:
         match held.pop():
@@ -324,7 +324,7 @@ def test_the_check_restores_clocks_and_generators() -> None:
 
 
 class Draws(Gather):
-    """What the picture shows at the start, and from then on."""
+    """Draw one picture at the start and another from then on."""
 
     pictures: tuple[Any, Any]
 

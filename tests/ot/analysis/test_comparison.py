@@ -39,7 +39,7 @@ def test_a_row_has_median_and_quartiles_of_the_runs() -> None:
 
 
 def test_runs_of_unequal_length_are_compared_at_the_shortest_length() -> None:
-    """At the largest number of generations that all have; a note reports it."""
+    """The length is the largest number of generations that all have; a note reports it."""
     found = comparison.of_series({"a": [run(1, 2, 3)], "b": [run(1, 5)]}, "generations")
     assert found.at == 2
     assert [row.median for row in found.rows] == [2.0, 5.0]
@@ -149,7 +149,7 @@ def test_many_pairs_are_corrected_after_holm() -> None:
 
 @pytest.mark.parametrize(("groups", "needed"), [(2, 4), (3, 5), (6, 6)])
 def test_for_too_few_runs_the_needed_number_is_reported(groups: int, needed: int) -> None:
-    """With one more than told enough the test is there, with one less it could show nothing."""
+    """A group with one run less is not tested; the needed number can show a difference."""
     few = {str(g): ended(range(10 * g, 10 * g + needed - 1)) for g in range(groups)}
     assert (
         f"with {needed} or more runs of each"
@@ -200,7 +200,7 @@ def test_without_scipy_the_table_is_shown_with_an_install_hint(
 
 
 def test_a_run_given_twice_counts_as_one_sample(tmp_path: Path) -> None:
-    """By folder, and by history: a second run of the same seed is no second sample."""
+    """Runs of one folder or one history are one sample: repeating a seed adds none."""
     first, again = written(tmp_path, [1, 2]), written(tmp_path, [1, 2])
     other = written(tmp_path, [1, 3], seed=2)
     runs = [Run(folder) for folder in (first, first, again, other)]

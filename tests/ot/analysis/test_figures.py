@@ -44,7 +44,7 @@ def repeats(count: int, generations: int = 20, level: float = 0.0) -> list[Serie
 
 
 def test_the_same_runs_give_the_same_bytes() -> None:
-    """In each format, and no date stands in any."""
+    """Each format is compared, and none contains a date."""
     for as_format in figures.FORMATS:
         first, second = (
             figures.render(
@@ -90,7 +90,7 @@ def test_an_svg_needs_no_font() -> None:
 def test_all_kinds_of_runs_are_drawn(
     groups: dict[str, list[Series]], axis: figures.Axis
 ) -> None:
-    """Without a warning, which is an error in tests."""
+    """No warning occurs; a warning is an error in tests."""
     title = HOSTILE[0] if len(groups) > 1 else ""
     assert figures.render(figures.of_series(groups, axis, title=title), "png").startswith(
         b"\x89PNG"
@@ -168,7 +168,7 @@ def test_a_picture_that_fails_is_one_line(tmp_path: Path) -> None:
 def test_without_the_extra_or_a_generation_there_is_no_picture(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """And no line is printed about it."""
+    """No line is printed about it."""
     begun = written(tmp_path, [], finished=False)
     figures.save_picture(begun, pytest.fail)
     monkeypatch.setattr(figures.importlib.util, "find_spec", lambda _: None)
@@ -191,7 +191,7 @@ def invoke(*arguments: object) -> str:
 
 @pytest.fixture
 def study(tmp_path: Path) -> Path:
-    """Two settings, four seeds each."""
+    """Write runs of two settings with four seeds each; return their folder."""
     for hidden in (1, 2):
         for seed in range(4):
             written(
@@ -216,7 +216,7 @@ def test_plot_writes_the_figure_and_its_numbers(study: Path) -> None:
 
 
 def test_generations_in_csv_are_those_of_the_record(study: Path) -> None:
-    """So that the two can be joined."""
+    """The two tables can thus be joined."""
     _, rows = figures.table(
         curves.load(grouping.groups(runs_below([study])))[0], "generation"
     )

@@ -46,7 +46,7 @@ def duel() -> experiment.Experiment:
 
 
 def written(parent: Path, seed: int = 1) -> Path:
-    """A finished run."""
+    """Write a finished run and return its folder."""
     with Record.create(
         parent, duel(), "0" * 32, ("captures", "steals", "tagged"), relative=1
     ) as record:
@@ -86,7 +86,7 @@ def test_the_curve_of_a_relative_run_is_labelled_as_scores_per_generation(
 
 
 def test_relative_runs_are_not_compared(tmp_path: Path) -> None:
-    """What there is instead is named."""
+    """The refusal names the command to use instead."""
     folders = [str(written(tmp_path, seed)) for seed in (1, 2)]
     refused = CliRunner().invoke(command, ["compare", *folders])
     assert "a score, which compares within one generation only" in str(refused.exception)

@@ -213,7 +213,7 @@ def test_the_next_server_is_asked_when_one_grants_no_slots(answer: Reply | None)
 
 
 def test_slots_granted_late_replace_those_of_worse_servers() -> None:
-    """What is held meanwhile is given back as far as it is too much, and not one slot more."""
+    """Superfluous slots that are held meanwhile are given back, and not one slot more."""
     optimizer = choosing(rank=("cores",), max_slots=4)
     offers(optimizer, 4, small=4, large=64)
     optimizer.wait(ALLOT_AFTER_S)
@@ -660,7 +660,7 @@ def test_unstarted_trials_of_a_draining_server_move_and_the_rest_is_counted() ->
 
 
 def told(ask: Ask, *rows: int, given: bool = False) -> Running:
-    """That some trials of a batch are done."""
+    """Return the reply that some trials of a batch are done."""
     assert ask.trials is not None
     fitness = ask.trials[list(rows)].astype("<f8").tobytes()
     return Running(
@@ -729,7 +729,7 @@ def test_an_idle_server_that_leaves_is_dropped_and_asked_again_on_return() -> No
 
 
 def test_a_server_that_returns_before_its_queries_end_continues() -> None:
-    """What it was left with is asked for again, under its old number."""
+    """The server's unfinished batch is requested again under its old number."""
     optimizer = Optimizer()
     optimizer.join("a")
     first, second = optimizer.work(2)
@@ -938,7 +938,7 @@ def test_a_server_that_answers_a_batch_with_nonsense_is_released_and_not_used(
 
 
 def test_every_server_gets_a_batch_before_any_gets_a_second() -> None:
-    """Of long trials, one for each slot: the server hands them out."""
+    """A batch of long trials has one for each slot, which the server hands out."""
     optimizer = Optimizer()
     optimizer.join("a", "b", slots=2)
     asks = optimizer.work(6)
@@ -958,7 +958,7 @@ def test_each_server_has_two_batches_in_flight_and_an_answer_brings_the_next() -
 
 
 def sizes(optimizer: Optimizer, count: int, *, trial_s: float) -> list[int]:
-    """Of the batches of a workload, in the order in which they are sent."""
+    """Return the sizes of a workload's batches in the order in which they are sent."""
     asks, found = optimizer.work(count), []
     while asks:
         ask = asks.pop(0)
@@ -1175,7 +1175,7 @@ def test_a_workload_with_nothing_to_evaluate_is_complete() -> None:
 
 
 def test_a_generation_without_new_evaluations_is_complete() -> None:
-    """As with a population of two: there is no candidate."""
+    """A population of two has no new candidate, for example."""
     optimizer = Optimizer()
     optimizer.join("a")
     assert (

@@ -14,7 +14,7 @@ def batch(server: RemoteServer, number: int) -> SentBatch:
 
 
 def line(*pieces: QueuedTrials) -> TrialQueue:
-    """With these pieces, the first one in front."""
+    """Return a queue of these pieces with the first one in front."""
     waiting = TrialQueue()
     for piece in reversed(pieces):
         waiting.put(piece)
@@ -30,7 +30,7 @@ def piece(
 def taken(
     waiting: TrialQueue, server: str, size: int = 100, serving: list[str] = BOTH
 ) -> list[int] | None:
-    """The trials that a server gets."""
+    """Return the trials that a server gets."""
     found = waiting.take(server, size, serving)
     return None if found is None else list(found.trials)
 

@@ -22,7 +22,7 @@ OBSERVED = np.linspace(0, 1, 2 * SIMULATOR.inputs, dtype=np.float32).reshape(2, 
 
 @pytest.fixture
 def controllers() -> RemoteControllers:
-    """Of a run whose server ``lab`` has batch 7: the second and the third genome, a trial each."""
+    """Return the controllers of a run whose server ``lab`` has two trials as batch 7."""
     made = RemoteControllers(NETWORK, 1)
     made.begin(Workload(GENOMES, np.arange(3).reshape(3, 1), np.zeros(3, np.uint64), 0))
     made.give("lab", LEASE, 7, np.array([1, 2]))
@@ -73,7 +73,7 @@ def test_decisions_are_those_of_the_trials_genome_state_by_state(
 def test_a_question_asked_again_gets_the_same_answer_and_changes_nothing(
     controllers: RemoteControllers,
 ) -> None:
-    """Also when the batch was given again meanwhile."""
+    """This holds even if the batch was given again meanwhile."""
     expected = Networks(NETWORK, NETWORK.parameters([GENOMES[2]]))
     for number in range(4):
         once = expected.decide([0, 5], [0, 0], OBSERVED)

@@ -15,7 +15,7 @@ RESULT = Result("run", 3, 1.0, 3, 0, "0" * 32, 0.0, 0, 0)
 
 
 class Follower(Logger):
-    """Does something when the run says that it pauses."""
+    """Do something when the run says that it pauses."""
 
     def __init__(self, folder: Path, word: control.Word | None = None) -> None:
         self.folder, self.word, self.said = folder, word, list[str]()
@@ -33,7 +33,7 @@ class Follower(Logger):
 
 
 def evolution(folder: Path, logger: Logger, closed: list[int]) -> Evolution:
-    """Of three generations."""
+    """Return an evolution of three generations."""
 
     def evolve(stop: threading.Event) -> Generator[Generation, None, Result]:
         try:

@@ -115,7 +115,7 @@ def rows(folder: Path, sql: str) -> list[tuple[Any, ...]]:
 def test_a_generation_plays_its_rounds_and_the_optimizer_gets_scores(
     tmp_path: Path, servers: Players
 ) -> None:
-    """Of seven, three pairs play in each of three rounds; the greatest gene wins all its games."""
+    """Three pairs of seven play in each of three rounds; the greatest gene wins all its games."""
     folder, _ = evolved(tmp_path, loaded(), servers)
     assert [
         (workload.round, workload.first, len(workload.seeds))
@@ -297,7 +297,7 @@ def test_measures_of_a_candidate_are_means_over_all_its_games(
 
 
 class Alone(NNGA):
-    """Takes no relative fitness."""
+    """Evolve like NNGA, but take no relative fitness."""
 
     competes = False
 
@@ -350,7 +350,7 @@ def test_incompatible_parts_are_refused_in_one_line(
 def test_the_record_of_a_file_without_a_ranking_has_no_ranking(
     tmp_path: Path,
 ) -> None:
-    """So runs from before rankings can be resumed; a ranking added since is a change."""
+    """Runs from before rankings can be resumed; a ranking added since is a change."""
     complete = experiment.complete(experiment.load(experiment.find("stadium")), "test")
     with Record.create(tmp_path, complete, "0" * 32) as record:
         assert "ranking" not in record.meta("experiment")

@@ -144,7 +144,7 @@ class Asking:
         self._here = threading.current_thread()
 
     def get(self, key: str, *_: object, **__: object) -> None:
-        """As of a session."""
+        """Record the thread that sends a batch, in place of a session's ``get``."""
         server, verb = key.split("/")[4], key.split("/")[-1]
         if verb == "evaluate":
             thread = threading.current_thread()

@@ -255,7 +255,7 @@ def test_a_completely_restored_workload_is_complete_without_verification() -> No
 
 
 def join(optimizer: Optimizer, server: str, probe: bytes) -> list[Ask]:
-    """A server appears and tells its digest of the probe."""
+    """Let a server appear and tell its digest of the probe."""
     (ask,) = optimizer.feed(Seen(server))
     (ask,) = optimizer.answer(ask, offer(1))
     return optimizer.answer(ask, lease(server, 1, probe=probe))
@@ -375,7 +375,7 @@ def fail(optimizer: Optimizer) -> None:
 
 
 def fall_silent(optimizer: Optimizer, server: str) -> None:
-    """A server answers no offer any more."""
+    """Let a server answer no offer any more."""
     for _ in range(len(RETRY_S) + 1):
         optimizer.answer(optimizer.asked[server, "offer"], None)
         optimizer.wait(1.0)

@@ -62,7 +62,7 @@ class Typist:
         self._seen = ""
 
     def type(self, text: str, until: str) -> str:
-        """What the terminal shows since, once it has ``until``."""
+        """Type a text; return what the terminal shows from then on, up to ``until``."""
         self._seen = ""
         os.write(self._terminal, text.encode())
         end = time.monotonic() + DEADLINE_S

@@ -65,7 +65,7 @@ def shown(
 def test_labels_and_limits_are_shown_with_their_servers(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Those that several have together; a server's name is its own."""
+    """Servers with the same labels or limits share a line."""
     lines = shown(capsys, Choice(), "").splitlines()
     assert "simulators: arena" in lines
     assert "labels on a-00000000, d-00000000: cores=4" in lines
@@ -77,7 +77,7 @@ def test_labels_and_limits_are_shown_with_their_servers(
 def test_matching_servers_come_first_in_the_order_of_the_rank(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """And of each other one the reason is told, the experiment's own as those of servers."""
+    """Each other server is listed with the reason why it is not used."""
     monkeypatch.setenv("COLUMNS", "200")
     text = shown(capsys, FAST, "my.toml")
     assert [line[0] for line in text.splitlines() if "-00000000  " in line] == [

@@ -11,7 +11,7 @@ from zswarm.ot.record.writer import Record
 
 
 def test_each_poll_returns_only_new_rows(tmp_path: Path) -> None:
-    """And tells nothing twice."""
+    """Nothing is reported twice."""
     folder = written(
         tmp_path,
         [1.0, 2.0],
@@ -37,7 +37,7 @@ def test_each_poll_returns_only_new_rows(tmp_path: Path) -> None:
 
 
 def test_running_and_stopped_runs_are_distinguished(tmp_path: Path) -> None:
-    """And one that was asked to pause from both."""
+    """A paused run is distinguished from both."""
     folder = written(tmp_path, [1.0], finished=False)
     tail = RecordTail(folder)
     assert tail.look()["state"]["status"] == "stopped"

@@ -51,7 +51,7 @@ def test_a_narrow_line_shows_the_most_important_parts() -> None:
 def test_the_line_of_a_run_is_one_line(
     columns: int, environment: dict[str, str], tmp_path: Path
 ) -> None:
-    """On a real terminal of that width; without colour where none is wanted."""
+    """The terminal is real and has this width; colour is left out where it is not wanted."""
     ours, its = pty.openpty()
     ioctl(its, TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
     base = {name: value for name, value in os.environ.items() if name not in UNSET}

@@ -27,12 +27,12 @@ FIGURE_3 = {  # r by steps, for 1, 2, 4, 8 and 16 agents: computed apart from th
 
 
 def paper(agents: int, steps: int) -> Plan:
-    """An optimization with the parameters of Table I."""
+    """Return the plan of an optimization with the parameters of Table I."""
     return Plan(generations=200, population=50, steps=steps, agents=agents)
 
 
 def scaling(agents: int, steps: int) -> Plan:
-    """An optimization of Figure 4."""
+    """Return the plan of an optimization of Figure 4."""
     return Plan(generations=4, population=4, steps=steps, agents=agents)
 
 

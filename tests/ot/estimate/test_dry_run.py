@@ -147,7 +147,7 @@ def test_check_prints_the_same_as_json() -> None:
 
 
 def test_check_looks_for_servers_where_the_experiment_does(tmp_path: Path) -> None:
-    """Here nowhere."""
+    """The experiment turns multicast off, so none is found."""
     nowhere = ["--set", "cluster.multicast=false", "--servers"]
     assert json.loads(check("minisim", "--json", *nowhere))["servers"] == []
     assert "none found in realm default multicast is off" in " ".join(
@@ -178,7 +178,7 @@ def test_settings_that_differ_by_trial_are_shown() -> None:
 
 
 def test_ranges_make_the_trials_of_a_world_without_chance_differ() -> None:
-    """So one trial is few, and several are not too many."""
+    """One trial is then too few, and several are not too many."""
     shorter = "problem.settings.steps={ from = 20, to = 50 }"
     assert explained("stadium", shorter).warnings[0].startswith("trials = 1")
     assert explained("stadium", shorter, "problem.trials=5").warnings == []

@@ -33,7 +33,7 @@ def problem(name: str, **settings: object) -> Parts:
 
 
 def test_the_papers_designs_have_the_papers_times() -> None:
-    """For 10 agents, 50 steps and one slot the paper has 351,500, 138,400 and 50,600 s."""
+    """The paper gives 351,500, 138,400 and 50,600 s for 10 agents, 50 steps and one slot."""
     ways = {way.way: way for way in cost_model.predict(PAPER, TABLE_I, 1)}
     assert ways["broker"].seconds == pytest.approx(351_500, rel=1e-3)
     assert ways["files"].seconds == pytest.approx(138_400, rel=1e-3)
@@ -69,7 +69,7 @@ def test_agents_that_act_one_after_another_take_separate_turns() -> None:
 
 
 def test_games_count_as_simulations() -> None:
-    """Of 6 candidates each plays each other one, from both sides: 30 games."""
+    """Each of 6 candidates plays each other one from both sides, which is 30 games."""
     made, optimizer = problem("minisim-duel", ranking__kind='"full-tournament"')
     assert constants.plan_of(made, optimizer.ask(), 6, 6).population == 30
 

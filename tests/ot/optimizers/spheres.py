@@ -15,7 +15,7 @@ CENTRE = 0.7  # of the sphere, in ranges
 
 
 class NoSettings(msgspec.Struct, frozen=True):
-    """Empty settings."""
+    """Define settings without keys."""
 
 
 class Vector(Representation):

@@ -19,7 +19,7 @@ DOCUMENT = REPOSITORY / "docs" / "optimizers.md"
 
 
 class Settings(msgspec.Struct, frozen=True):
-    """What a test has the other package do."""
+    """Define what a test has the other package do."""
 
     drift: float = 0.0  # added to what it proposes: as another version of it would
     later: int = 0  # from this generation on
@@ -28,7 +28,7 @@ class Settings(msgspec.Struct, frozen=True):
 
 
 class Nearby(Adapter):
-    """Looks around the best that it was told."""
+    """Look around the best solution that it was told."""
 
     settings_type = Settings
     settings: Settings
@@ -74,7 +74,7 @@ def test_an_adapter_keeps_the_contract_of_optimizers() -> None:
 
 
 def test_tell_receives_the_evaluated_vectors() -> None:
-    """In units of the ranges, with what float32 took from them."""
+    """They are in units of the ranges, and rounded to float32."""
     optimizer = nearby()
     (told,) = evolve(optimizer, 1)
     solutions, fitness, _ = optimizer.told[0]
@@ -118,7 +118,7 @@ def test_a_restored_optimizer_equals_the_original() -> None:
 
 
 def test_tell_receives_the_recorded_vectors_if_proposals_diverge() -> None:
-    """As another processor or version might; the first generation in which it does is named."""
+    """Another processor or version may diverge; the first such generation is named."""
     old = nearby()
     told = evolve(old, 6)
     new = restored(old, told, drift=1e-3, later=4)
@@ -181,7 +181,7 @@ def test_genomes_that_are_no_vectors_are_refused_in_one_line() -> None:
 
 
 class Rotated(Nearby):
-    """Proposes by a product of large matrices, which two threads add in another order."""
+    """Propose by a product of large matrices, which two threads add in another order."""
 
     def _propose(self) -> np.ndarray:
         turn = np.random.RandomState(1).randn(self.genes, self.genes)
@@ -194,7 +194,7 @@ class Rotated(Nearby):
 
 
 def test_linear_algebra_uses_one_thread_in_every_program() -> None:
-    """And the program has its threads back afterwards."""
+    """The program has its threads back afterwards."""
     genomes = []
     for threads in (1, 2):
         with threadpoolctl.threadpool_limits(threads, "blas"):

@@ -20,7 +20,7 @@ def evolved(optimizer: CEA2D, generations: int, stream: Stream) -> CEA2D:
 
 
 def hood(cell: int, width: int, height: int) -> list[int]:
-    """The cell and those around it."""
+    """Return the cell and those around it."""
     y, x = divmod(cell, width)
     return [
         (y + dy) % height * width + (x + dx) % width
@@ -124,7 +124,7 @@ def test_operators_share_the_cells_that_are_replaced(
 
 
 def test_good_genes_spread_by_one_cell_per_generation() -> None:
-    """Where one is far better than all others, those around it are replaced by its mutants."""
+    """One genome is far better than all others; its mutants replace those around it."""
     optimizer = CEA2D(Cea2dSettings(mutation=0.89, crossover=0.0), NETWORK, 1)
     optimizer.ask()
     fitness = np.zeros(100)
@@ -141,7 +141,7 @@ def test_good_genes_spread_by_one_cell_per_generation() -> None:
 
 
 def test_the_search_continues_if_all_are_equal() -> None:
-    """On a plateau one of each neighbourhood stays at most, as in FREVO."""
+    """At most one of each neighbourhood stays on a plateau, as in FREVO."""
     optimizer = CEA2D(Cea2dSettings(), NETWORK, 1)
     for generation in range(5):
         genomes = optimizer.ask()

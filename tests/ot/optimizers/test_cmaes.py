@@ -30,7 +30,7 @@ def test_cmaes_keeps_the_contract_of_optimizers(settings: dict[str, object]) -> 
 
 @pytest.mark.parametrize("separable", [False, True])
 def test_proposals_equal_those_of_the_package(separable: bool) -> None:
-    """From the same seed, and told the same numbers: the vectors that were evaluated."""
+    """Both have the same seed and are told the vectors that were evaluated."""
     ours = make(CMAES, GENES, seed=5, separable=separable, sigma=0.4, population=10)
     package = (cmaes.SepCMA if separable else cmaes.CMA)(
         mean=np.zeros(GENES),
@@ -76,7 +76,7 @@ def populations(optimizer: Optimizer, generations: int) -> list[int]:
 
 
 def starts(optimizer: Optimizer, generations: int) -> list[int]:
-    """The population of each start."""
+    """Return the population of each start."""
     found, restarts = [], 0
     for _ in range(generations):
         (population,) = populations(optimizer, 1)

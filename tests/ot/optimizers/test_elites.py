@@ -88,7 +88,7 @@ def test_the_score_counts_fitness_from_its_offset() -> None:
 
 
 def test_the_first_candidates_of_map_elites_are_random_genomes() -> None:
-    """As evolution begins with, uniform in the ranges of the genes."""
+    """Their genes are uniform in the ranges, as at the start of evolution."""
     optimizer = elites(MapElites, 200)
     genes = optimizer.representation.parameters(optimizer.ask()) / Vector(200).ranges
     assert 0.9 < np.abs(genes).max() <= 1.0
@@ -99,7 +99,7 @@ def test_the_first_candidates_of_map_elites_are_random_genomes() -> None:
 def test_failed_candidates_leave_no_trace_in_the_archive(
     kind: type[Elites], settings: dict[str, Any]
 ) -> None:
-    """Also where all of a generation failed, and none was ever told before."""
+    """This holds even if all of a generation failed and none was told before."""
     optimizer = elites(kind, **settings)
     for generation in range(6):
         genomes = optimizer.ask()
@@ -116,7 +116,7 @@ def test_failed_candidates_leave_no_trace_in_the_archive(
 
 
 def test_emitters_learn_from_what_was_evaluated() -> None:
-    """Not from unrounded proposals, nor, after a resume, from diverged ones."""
+    """They learn neither from unrounded proposals nor, after a resume, from diverged ones."""
     optimizer = elites(CmaMe)
     genomes = optimizer.ask()
     strangers = optimizer.representation.random(len(genomes), Stream(9))
@@ -130,7 +130,7 @@ def test_emitters_learn_from_what_was_evaluated() -> None:
 
 
 def test_nothing_is_compiled_for_an_emitter() -> None:
-    """That would take longer than a run."""
+    """Compilation would take longer than a run."""
     for separable in (False, True):
         optimizer = elites(CmaMe, separable=separable)
         for emitter in optimizer._emitters:
@@ -190,7 +190,7 @@ def test_an_emitter_of_too_few_candidates_is_refused() -> None:
 
 
 def test_the_package_is_loaded_only_when_used() -> None:
-    """It takes seconds."""
+    """Loading it takes seconds."""
     imports = "import sys, zswarm.ot.optimizers.elites, zswarm.ot.optimizers.cmaes"
     code = f"{imports}; print({{'ribs', 'cmaes'}} & set(sys.modules))"
     done = subprocess.run(
@@ -225,7 +225,7 @@ def loaded(**optimizer: Any) -> experiment.Experiment:
 
 
 def played(parts: run.Parts, generations: int, genomes: Any = None) -> run.Parts:
-    """Without servers; genomes: a function of the generation, instead of those asked for."""
+    """Play without servers; ``genomes(generation)`` replaces those that were asked for."""
     problem, optimizer = parts
     for generation in range(generations):
         asked = optimizer.ask()
@@ -248,7 +248,7 @@ def played(parts: run.Parts, generations: int, genomes: Any = None) -> run.Parts
 
 @pytest.mark.long
 def test_quality_diversity_finds_more_and_better_behaviours_than_random_search() -> None:
-    """As many evaluations, 5,000; ten seeds of each."""
+    """Each has 5,000 evaluations with each of ten seeds."""
     scores: dict[str, list[float]] = {"map-elites": [], "cma-me": [], "random": []}
     for seed in range(10):
         for kind, settings in (

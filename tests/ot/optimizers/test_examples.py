@@ -42,7 +42,7 @@ def evolved(name: str, changes: Sequence[str], evaluations: int) -> tuple[float,
 
 @pytest.mark.parametrize("name", STADIUM)
 def test_everybody_leaves_the_stadium(name: str) -> None:
-    """Fitness above 0 says so."""
+    """A fitness above 0 means that all have left."""
     assert best(name) > 0.0
 
 

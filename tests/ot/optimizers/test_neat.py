@@ -149,7 +149,7 @@ def test_fitness_may_be_any_finite_float64() -> None:
 
 
 def test_a_generation_has_a_new_candidate_with_any_settings() -> None:
-    """Where each species is one individual these are not all elite."""
+    """Species of one individual are not all elite."""
     evolving = optimizer(population=4, elite_size=1, threshold=1e-6, species=0)
     for _ in range(4):
         genomes = evolving.ask()
@@ -354,7 +354,7 @@ def test_xor_is_solved_with_added_neurons() -> None:
 
 @pytest.mark.long
 def test_xor_takes_as_many_generations_as_in_the_paper() -> None:
-    """In the paper 100 of 100 runs: 32 generations, 4,755 evaluations, 2.35 hidden neurons."""
+    """The paper's 100 runs all succeed: 32 generations, 4,755 evaluations, 2.35 hidden neurons."""
     runs = [solved(seed) for seed in range(100)]
     assert sum(found is not None for found in runs) >= 99
     generations, evaluations, hidden = np.mean([found for found in runs if found], axis=0)

@@ -31,7 +31,7 @@ OURS = {
 
 
 class Watched(FullyMeshed):
-    """Notes every crossover."""
+    """Record every crossover."""
 
     def __init__(
         self,
@@ -114,7 +114,7 @@ def counts(size: int) -> tuple[int, ...]:
 def test_shares_are_cut_to_whole_individuals_and_the_elite_gets_the_rest(
     size: int, expected: tuple[int, ...]
 ) -> None:
-    """Counted in FREVO."""
+    """The expected numbers were counted in FREVO."""
     assert counts(size) == expected
     optimizer = evolved(NNGA(NNGASettings(population=size), Watched(), 1), 1)
     optimizer.ask()
@@ -579,7 +579,7 @@ def test_mutants_differ_from_their_parents_by_the_steps_of_the_method(
 
 
 def test_relative_fitness_makes_all_candidates_compete_again() -> None:
-    """Also elite and survivors; they are ranked by what they were told last."""
+    """Elite and survivors compete again, too; all are ranked by their last fitness."""
     optimizer = NNGA(NNGASettings(population=10, islands=2), Watched(), 1)
     optimizer.relative = True
     assert len(optimizer.ask()) == 20
@@ -618,7 +618,7 @@ def test_ties_stay_in_order_and_failed_evaluations_come_last() -> None:
 
 
 def test_the_effectivity_of_new_individuals_is_counted() -> None:
-    """With random fitness some new ones reach the elite; in FREVO the count is always 0."""
+    """Some new individuals reach the elite by random fitness; FREVO's count is always 0."""
     stream = Stream(6)
     optimizer = evolved(
         NNGA(NNGASettings(renew=0.2, mutation=0.25), Watched(), 1), 1, stream
@@ -741,7 +741,7 @@ def test_proposals_equal_recorded_ones(settings: NNGASettings, expected: str) ->
 
 
 class Counting(FullyMeshed):
-    """Counts what is asked of it."""
+    """Count what is asked of the representation."""
 
     def __init__(self) -> None:
         super().__init__(FullyMeshedSettings(), 10, 2)
@@ -768,7 +768,7 @@ class Counting(FullyMeshed):
 def test_a_generation_asks_the_representation_once_for_all_and_once_for_each_child(
     population: int,
 ) -> None:
-    """What grows with the square of the population are numbers in arrays: who differs from whom."""
+    """Only the array of distances grows with the square of the population."""
     network = Counting()
     optimizer = evolved(NNGA(NNGASettings(population=population), network, 1), 2)
     network.calls.clear()

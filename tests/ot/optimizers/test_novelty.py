@@ -80,7 +80,7 @@ def test_archived_behaviour_is_not_novel() -> None:
 
 
 def test_the_threshold_rises_with_many_entries_and_falls_without_entries() -> None:
-    """By a fifth when more than four enter, by a twentieth after ten generations without one."""
+    """More than four entries raise it by a fifth; ten generations without one lower it by 5 %."""
     optimizer = Novelty(
         NoveltySettings(measures=["x"], population=6, neighbours=1, threshold=1.0),
         NETWORK,

@@ -20,7 +20,7 @@ def places(genomes: list[bytes]) -> np.ndarray:
 
 
 def slope(genomes: list[bytes]) -> np.ndarray:
-    """Better along the first number."""
+    """Return a fitness that rises with the first gene."""
     return places(genomes)[:, 0]
 
 
@@ -38,7 +38,7 @@ def test_every_direction_is_tried_both_ways_around_the_mean() -> None:
 
 
 def test_adam_moves_the_mean_along_the_weighted_sum_of_directions() -> None:
-    """In plain Python, number by number: algorithm 1 of either paper."""
+    """Plain Python repeats algorithm 1 of both papers, number by number."""
     settings = OpenAIESSettings(
         population=6, deviation=0.3, learning_rate=0.07, weight_decay=0.01
     )

@@ -353,7 +353,7 @@ class DrawsFromOneStream(PSO):
 
 
 class IgnoresMeasures(Novelty):
-    """Takes a tell without them."""
+    """Accept a tell without measures."""
 
     def tell(self, fitness: np.ndarray, measures: np.ndarray | None = None) -> None:
         super().tell(
@@ -367,7 +367,7 @@ class ForgetsTheArchive(Novelty):
 
 
 class RepairsFitness(NNGA):
-    """Puts the worst where fitness is NaN, in the array that the run records."""
+    """Put the worst where fitness is NaN, in the array that the run records."""
 
     def _tell(self, fitness: np.ndarray, measures: np.ndarray) -> None:
         fitness[np.isnan(fitness)] = -1e9

@@ -12,7 +12,7 @@ GENES = NETWORK.genes or 0
 
 
 def places(genomes: list[bytes]) -> np.ndarray:
-    """(genomes, genes) in ranges."""
+    """Return the genes of genomes in units of their ranges, shape (genomes, genes)."""
     return (
         np.frombuffer(b"".join(genomes), "<f4").reshape(len(genomes), -1).astype(float)
         / NETWORK.ranges
@@ -71,7 +71,7 @@ def test_new_particles_are_new_genomes_and_fly_both_ways() -> None:
 
 
 def test_a_particle_remembers_its_best_position() -> None:
-    """In FREVO its best place is the particle itself."""
+    """FREVO stores the particle itself as its best position."""
     optimizer = PSO(PsoSettings(population=3), NETWORK, 1)
     first = places(optimizer.ask())
     told(optimizer, [-5.0, -6.0, -7.0])

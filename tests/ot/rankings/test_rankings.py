@@ -129,7 +129,7 @@ def test_multi_swiss_groups_neighbours_and_averages_places() -> None:
 
 
 def test_multi_swiss_varies_who_sits_out() -> None:
-    """Of four, three play: 3 sits out and has the average 2; then the last of those who did not."""
+    """Three of four play: 3 sits out and gets the average score 2; then 0, the last, sits out."""
     multi = ranking("multi-swiss", 3, all_sides=False)
     rounds, games = played(multi, [1.0, 2.0, 3.0, 0.0])
     assert games == [[[0, 1, 2]], [[2, 1, 3]]]
@@ -168,7 +168,7 @@ def test_each_candidate_plays_at_most_once_per_round_and_the_best_comes_first(
 
 @pytest.mark.parametrize("kind", TOURNAMENTS)
 def test_replaying_the_results_requests_the_same_games(kind: str) -> None:
-    """That is what a run that is resumed in the middle of a generation does."""
+    """Resuming a run in the middle of a generation relies on this."""
     made = ranking(kind)
     rounds, games = played(made, [2.0, 7.0, 1.0, 8.0, 2.0, 8.0, 1.0])
     for number in range(len(rounds)):

@@ -66,7 +66,7 @@ VALUES = st.recursive(
 
 
 def read(path: Path, *overrides: str) -> Experiment | str:
-    """The experiment with its defaults written out, or the refusal."""
+    """Return the experiment with its defaults written out, or the refusal."""
     try:
         return experiment.complete(experiment.load(path, overrides), path.name)
     except ConfigError as error:
@@ -186,7 +186,7 @@ CHAMPION = msgspec.msgpack.encode(
 
 
 def controller(path: Path, body: bytes) -> Controller | str:
-    """What is read of a file with these bytes, or the refusal."""
+    """Return what is read from a file with these bytes, or the refusal."""
     path.write_bytes(body)
     try:
         return load_controller(path)

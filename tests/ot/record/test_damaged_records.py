@@ -63,7 +63,7 @@ def test_texts_of_a_record_are_safe_to_show(folder: Path) -> None:
 
 
 def test_measures_are_read_as_the_optimizer_received_them(folder: Path) -> None:
-    """In the order of the optimizer's setting; empty without one."""
+    """Their order is that of the optimizer's setting; without the setting they are empty."""
     assert Run(folder).candidates(1)[1]["measures"] == []
     edit(
         folder,
@@ -129,7 +129,7 @@ def test_a_record_with_invalid_contents_is_refused(folder: Path, sql: str) -> No
 
 @pytest.mark.parametrize("levels", [100, 400, 900, 5000])
 def test_deeply_nested_values_are_refused(folder: Path, levels: int) -> None:
-    """Also where the parser still takes it."""
+    """They are refused even if the parser still accepts them."""
     nested = "[" * levels + "]" * levels
     edit(folder, "UPDATE generations SET statistics = ?", f'{{"a": {nested}}}')
     assert "statistics of a generation are not a JSON object" in refusal(folder)

@@ -51,7 +51,7 @@ class Disk:
             self.make_room()
 
     def written(self) -> list[int]:
-        """Rows as another program sees them."""
+        """Return the rows as another program sees them."""
         connection = sqlite3.connect(f"{self.path.as_uri()}?mode=ro", uri=True)
         try:
             return [

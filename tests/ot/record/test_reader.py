@@ -125,7 +125,7 @@ def test_a_reader_does_not_prevent_a_resume(
 def test_a_log_in_a_folder_that_cannot_be_written_is_read(
     record: Record, tmp_path: Path
 ) -> None:
-    """Of a run that was killed: SQLite would have to write next to it."""
+    """The run was killed; SQLite would have to write next to its log."""
     copied = tmp_path / "killed"
     shutil.copytree(record.folder, copied)
     (copied / "run.sqlite-shm").unlink()

@@ -86,7 +86,7 @@ def test_an_unreadable_run_is_omitted_from_its_folder_with_one_line(
 def test_a_run_that_is_named_without_its_parent_is_suggested(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """To programs that resume, plot or read it."""
+    """The suggestion is made to programs that resume, plot or read the run."""
     make(tmp_path / "runs", "lab")
     monkeypatch.chdir(tmp_path)
     for call in (load_experiment, Run, lambda path: runs_below([path])):

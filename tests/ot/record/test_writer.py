@@ -71,7 +71,7 @@ def count(work: Workload, trials: list[int], fitness: float) -> Counted:
 
 
 def query(folder: Path, sql: str) -> list[tuple[object, ...]]:
-    """Rows as another program sees them."""
+    """Return the rows as another program sees them."""
     database = sqlite3.connect(f"file:{folder / 'run.sqlite'}?mode=ro", uri=True)
     try:
         return database.execute(sql).fetchall()
@@ -349,7 +349,7 @@ def test_more_generations_after_the_end_remove_the_hash_until_they_finish(
 
 
 class Disk:
-    """Of a record: how many pages the database may have, and what the record says of it."""
+    """Limit the pages of a record's database, and collect what the record says of it."""
 
     def __init__(self, record: Record, monkeypatch: pytest.MonkeyPatch) -> None:
         self.lines: list[str] = []
@@ -362,7 +362,7 @@ class Disk:
         monkeypatch.setattr(time, "sleep", self._sleep)
 
     def fill(self, waits: int = 0) -> None:
-        """SQLite reports a full disk until the program has waited so often."""
+        """Make SQLite report a full disk until the program has waited so often."""
         self._room_after = self.waits + waits
         self._connection.execute("PRAGMA max_page_count = 1")  # no more than there are
 

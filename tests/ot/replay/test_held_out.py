@@ -30,7 +30,7 @@ def evaluate(folder: Path, *arguments: str) -> str:
 
 
 def test_problems_that_do_not_depend_on_the_seed_are_reported(tmp_path: Path) -> None:
-    """Of the stadium, not of one trial, and not of random fields."""
+    """The stadium is reported; a single trial and random fields are not."""
     folder = written(tmp_path, [1])
     told = evaluate(folder, "--trials", "3")
     assert ALIKE in told
@@ -50,7 +50,7 @@ def test_problems_that_do_not_depend_on_the_seed_are_reported(tmp_path: Path) ->
 def test_a_metric_may_have_any_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In JSON it takes the place of no other number."""
+    """Such a name replaces no other number in the JSON output."""
     folder = written(tmp_path, [1])
     plain = json.loads(evaluate(folder, "--trials", "2", "--json"))
     monkeypatch.setattr(EmergencyExit, "metrics", ("mean", "trials"))

@@ -44,7 +44,7 @@ def animations(picture: ElementTree.Element) -> dict[str, tuple[list[float], lis
     ("simulator", "rounds"), [("emergency-exit", 50), ("minisim", 100)]
 )
 def test_a_trial_is_recorded_once_per_round(simulator: str, rounds: int) -> None:
-    """From the start to the end; in both, turns of one robot and turns of all."""
+    """The record reaches from the start to the end, for turns of one robot and turns of all."""
     built, network = evaluate.build(simulator, {}, "fully-meshed", {})
     seen = record(built, network, network.random(1, Stream(3)), 5).frames
     assert len(seen) == rounds + 1

@@ -26,7 +26,7 @@ HOSTILE = '</script><b>"\x1b[31m'
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of two generations with four candidates."""
+    """Return the folder of a run of two generations with four candidates."""
     return played(tmp_path_factory.mktemp("runs"), overrides=(*SHORT, "problem.trials=2"))
 
 
@@ -255,7 +255,7 @@ def test_agents_that_do_not_act_in_a_round_have_no_numbers() -> None:
 
 
 def test_the_encoding_keeps_positions_and_numbers_within_its_resolution() -> None:
-    """To a 65,535th of the field, numbers to a 254th of their range."""
+    """Positions are kept to a 65,535th of the field, numbers to a 254th of their range."""
     built, network = evaluate.build(
         "turtlebot-exit", {"steps": 12, "robots": 2}, "fully-meshed", {}
     )
@@ -302,7 +302,7 @@ def test_a_long_trial_is_thinned_with_its_end(monkeypatch: pytest.MonkeyPatch) -
 
 @pytest.mark.long
 def test_a_thousand_rounds_of_a_hundred_robots_fit_in_600_kb() -> None:
-    """They wander about."""
+    """The robots wander about."""
     built, network = evaluate.build(
         "arena",
         {"robots": 100, "steps": 1000, "side": 8.0},

@@ -69,7 +69,7 @@ TAGS = {
 
 
 class Page(HTMLParser):
-    """What a browser would see: tags, attributes and texts."""
+    """Collect what a browser would see: tags, attributes and texts."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -88,7 +88,7 @@ class Page(HTMLParser):
 
 
 def assert_harmless(text: str) -> Page:
-    """No tag or attribute that runs or loads something; a browser is told to load nothing, too."""
+    """Check that no tag or attribute runs or loads anything, and that loading is forbidden."""
     page = Page(text)
     assert page.tags <= TAGS
     for name, value in page.attributes:
@@ -221,7 +221,7 @@ def test_the_weights_are_those_of_the_champion(tmp_path: Path) -> None:
 
 
 def test_hostile_texts_stay_texts(tmp_path: Path) -> None:
-    """In names, events, meta and the champion; the page shows them cleaned."""
+    """Names, events, meta and the champion contain such texts; the page shows them cleaned."""
     folder = written(tmp_path, [1, 2], notes=[Note("fault", EVIL, EVIL)])
     database = sqlite3.connect(folder / "run.sqlite")
     with database:
@@ -326,7 +326,7 @@ def test_the_same_run_has_the_same_page(tmp_path: Path) -> None:
 
 
 def test_settings_that_differ_by_trial_are_shown(tmp_path: Path) -> None:
-    """In words; the title of the film names the settings of its trial."""
+    """Words describe the range; the title of the film names the settings of its trial."""
     settings = {
         "field": {"choice": ["random", "stadium"]},
         "steps": {"from": 5, "to": 15},

@@ -196,7 +196,7 @@ def test_a_failed_run_leaves_the_live_table_and_its_total(study: Study) -> None:
 def test_only_a_terminal_that_can_overwrite_lines_gets_a_live_table(
     terminal: str, moving: bool, study: Study, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As a single run does."""
+    """A single run does the same."""
     monkeypatch.setenv("TERM", terminal)
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     expected = LiveStudyDisplay if moving else PlainStudyDisplay

@@ -82,7 +82,7 @@ def test_every_setting_gives_a_safe_folder_name(
 
 
 def test_a_folder_with_another_run_is_not_reused(tmp_path: Path) -> None:
-    """As when the study's file was changed since."""
+    """This happens when the study's file was changed since."""
     first = plan(study(tmp_path, "[study]\nrepeat = 2"), "small.toml")
     found = {one.name: identity(one.experiment) for one in first}
     assert plan(study(tmp_path, "[study]\nrepeat = 2"), "small.toml", found) == first

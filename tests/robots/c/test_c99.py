@@ -44,7 +44,7 @@ def controllers() -> list[Controller]:
 def loaded(
     controllers: list[Controller], tmp_path_factory: pytest.TempPathFactory
 ) -> ctypes.CDLL:
-    """All of them, compiled together."""
+    """Compile all controllers together and load them."""
     sources: dict[str, str] = {}
     for number, evolved in enumerate(controllers):
         sources |= pair(evolved, f"k{number:02}")
@@ -188,7 +188,7 @@ def plugin(
 def test_a_plugin_is_translated_too(
     plugin: Callable[[str, str], Controller], tmp_path: Path
 ) -> None:
-    """One without a state, here."""
+    """The plug-in here has no state."""
     evolved = plugin("ZERO", "ZERO")
     made = library(pair(evolved, "night"), tmp_path, "-O2")
     assert made.zs_night_selftest() == 0
@@ -211,7 +211,7 @@ def test_a_plugin_that_cannot_be_translated_to_c_is_refused_in_one_line(
 
 
 def test_c_is_written_without_loading_the_compiler() -> None:
-    """By programs that evaluate nothing."""
+    """Programs that evaluate nothing can write it, too."""
     code = (
         "from tests.robots.controllers import controller; "
         "from zswarm.robots.c.c99 import pair; import sys; "
@@ -252,7 +252,7 @@ HOSTILE = [
 
 
 def test_hostile_names_stay_single_words(tmp_path: Path) -> None:
-    """Of runs, simulators, sensors, actuators and settings."""
+    """Runs, simulators, sensors, actuators and settings may have such names."""
     for number, name in enumerate(HOSTILE):
         evolved = msgspec.structs.replace(
             controller("fully-meshed", inputs=2, outputs=1),

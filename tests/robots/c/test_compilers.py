@@ -137,7 +137,7 @@ def test_every_compiler_and_processor_gives_the_same_bits(
 def test_the_self_test_detects_a_compiler_that_contracts_products_and_sums(
     tmp_path: Path,
 ) -> None:
-    """Without the flag GCC contracts in its own dialect: the other tests can fail."""
+    """GCC contracts in its own dialect without the flag, so the other tests can fail."""
     require(ARM64[0], "qemu-aarch64")
     read, expected = program(
         [controller("fully-meshed", {"activation": "tanh"}, seed=1)], tmp_path
@@ -158,7 +158,7 @@ BROKEN = {"2.5", "8.7", "8.9", "15.5", "19.2"}
 
 
 def test_no_required_rule_of_misra_c_is_broken(tmp_path: Path) -> None:
-    """As far as cppcheck's add-on looks."""
+    """The check covers what cppcheck's add-on covers."""
     require("cppcheck")
     for number, kind in enumerate(plugins.BUNDLED["representation"]):
         for file, text in pair(controller(kind), f"k{number:02}").items():

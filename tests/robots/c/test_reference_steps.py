@@ -26,7 +26,7 @@ def test_check_steps_are_what_the_controller_decides(
 
 
 def test_the_hash_is_of_what_the_step_reads() -> None:
-    """So another activation has another one, though the genome is the same."""
+    """Another activation has another hash, though the genome is the same."""
     evolved = controller("fully-meshed", {"activation": "tanh"})
     _, parameters = evolved.network()
     assert sha256(parameters) == hashlib.sha256(parameters.tobytes()).hexdigest()

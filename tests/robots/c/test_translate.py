@@ -123,7 +123,7 @@ def portable_in_c(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
 
 
 def bits(number: float) -> bytes:
-    """A number's, those of one NaN for all of them."""
+    """Return the bits of a number, the same for every NaN."""
     return np.float64(math.nan if number != number else number).tobytes()
 
 
@@ -243,7 +243,7 @@ def pair_of(a, b):
 
 
 def waits(a, n):
-    """What is behind ``and`` is computed only where it may be: the table has four numbers."""
+    """Read the table only where ``and`` permits it: it has four numbers."""
     found = 0
     while n < 4 and TABLE[n] * 2.0 < a:
         n_plus = n + 1
@@ -254,18 +254,18 @@ def waits(a, n):
 
 
 def singles(x):
-    """float32 stays float32; its square root is rounded once."""
+    """Compute in float32; the square root is rounded once."""
     y = x * HALF + ONE
     return sqrt(abs(y)) / TWO - y
 
 
 def mixed(x, n):
-    """float32 with a whole or a bare number is float64."""
+    """Mix float32 with an integer and a float literal, which gives float64."""
     return (x * n + 0.1) * x + np.float32(n) / TWO
 
 
 def numbers_of(word):
-    """Bits."""
+    """Return a number in [0, 1) made of the bits of a word."""
     bits_of = np.uint64(word) >> np.uint64(12)
     return (np.uint64(bits_of | np.uint64(1023 << 52))).view(np.float64) - 1.0
 
@@ -375,7 +375,7 @@ def halves(numbers, found):
 
 
 def drawn(state, bound):
-    """What is drawn and not used has been drawn."""
+    """Draw numbers that are not used; they advance the stream all the same."""
     first = draws.draw_integer(state, bound)
     for _ in range(2):
         second = draws.draw_integer(state, bound)  # noqa: F841
@@ -598,7 +598,7 @@ REFUSED = [
 def test_constructs_that_c_lacks_are_refused_by_name(
     function: Callable[..., Any], construct: str
 ) -> None:
-    """With file, line and construct."""
+    """The message names the file, the line and the construct."""
     arguments = dict.fromkeys(("x", "y")[: function.__code__.co_argcount], FLOAT64)
     with pytest.raises(ConfigError) as caught:
         functions([(function, arguments)], "zs")

@@ -140,6 +140,5 @@ def test_the_document_says_where_each_profile_was_tested() -> None:
 
 
 def test_profiles_round_trip() -> None:
-    """What is written is what was read."""
     profile = profiles.read("turtlebot4")
     assert msgspec.convert(msgspec.to_builtins(profile), profiles.Profile) == profile

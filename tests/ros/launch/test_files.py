@@ -281,7 +281,7 @@ def test_the_version_hash_covers_manifest_package_and_launch_code(
 def test_a_package_is_found_by_its_name_below_the_path_of_ros(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By what it calls itself, whatever its folder is called."""
+    """The manifest gives the name, whatever the folder is called."""
     rough_package.write(tmp_path)
     (tmp_path / "rough").rename(tmp_path / "somewhere")
     monkeypatch.setenv(
@@ -450,7 +450,7 @@ def test_a_rebuild_that_fails_is_a_fault(rough: Path) -> None:
 
 
 def running(words: str) -> set[int]:
-    """Processes whose command line has these words."""
+    """Return the processes whose command line has these words."""
     found = set()
     for file in Path("/proc").glob("[0-9]*/cmdline"):
         try:
@@ -471,7 +471,7 @@ def test_a_launch_manifest_gives_a_launch_simulator(rough: Path) -> None:
 def test_the_three_forms_of_a_controller_have_the_same_fitness(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """In yaml, JSON, and C99 that is compiled for each: bit by bit, two candidates."""
+    """Controllers in yaml, JSON and compiled C99 are compared bit by bit for two candidates."""
     if shutil.which("make") is None or shutil.which("cc") is None:
         pytest.skip("no C compiler, or no make")
     monkeypatch.setenv("ZSWARM_SIMULATORS", str(EXAMPLE))

@@ -38,7 +38,7 @@ def test_both_rules_worked_out_by_hand(tmp_path: Path) -> None:
 
 
 def test_more_than_90_steps_count_as_90(tmp_path: Path) -> None:
-    """d = 0: 100, and (90 - 90) / 90: 0."""
+    """A distance of 0 counts 100, and (90 - 90) / 90 steps count 0."""
     text = "".join(f"{step}\t0.0\n" for step in range(120))
     robots = logs.read(written(tmp_path / "log", text), 1)
     assert robots == [(0.0, 120)]
@@ -48,7 +48,7 @@ def test_more_than_90_steps_count_as_90(tmp_path: Path) -> None:
 def test_an_empty_log_counts_as_worst_for_one_rule_and_is_an_error_for_the_other(
     tmp_path: Path,
 ) -> None:
-    """cpswarm-log has 50 m and 90 steps for it: 0. There is no last distance."""
+    """The rule cpswarm-log counts 50 m and 90 steps, which is 0; last-distance has no distance."""
     robots = logs.read(written(tmp_path / "log", "# nothing\n", "3\t1e1\n"), 2)
     assert logs.fitness("cpswarm-log", robots) == (0.0 + 80.0) / 2
     with pytest.raises(

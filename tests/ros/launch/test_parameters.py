@@ -62,7 +62,7 @@ def test_values_that_ros_parameters_lack_are_refused(value: Any) -> None:
 
 @pytest.mark.robots
 def test_ros_reads_the_written_files() -> None:
-    """By the YAML reader of Debian's ROS, in its Python; float32 numbers keep their bits."""
+    """The YAML reader of Debian's ROS reads them in its Python; float32 numbers keep their bits."""
     if not shutil.which("roslaunch"):
         pytest.skip("roslaunch is not installed: apt install ros-core")
     numbers = (

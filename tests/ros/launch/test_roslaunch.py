@@ -12,7 +12,7 @@ from zswarm.ros.launch import roslaunch
 def test_a_node_that_ends_before_roslaunch_looks_at_it_is_a_fault(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """roslaunch then gives no pid; this is what it wrote on a busy machine."""
+    """Then roslaunch gives no pid; the text is what it wrote on a busy machine."""
     output = (
         "process[rosout-1]: started with pid [7]\nstarted core service [/rosout]\n"
         "cannot load the map\nfailed to start local process: /rough/node.sh fails\n"

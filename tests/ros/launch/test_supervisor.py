@@ -31,7 +31,7 @@ def wait_until(condition: Callable[[], Any], what: str) -> None:
 
 
 def alive(process: int) -> bool:
-    """Not a zombie, either."""
+    """Return whether a process lives; a zombie does not."""
     try:
         return ") Z " not in Path(f"/proc/{process}/stat").read_text()
     except OSError:
@@ -93,7 +93,7 @@ def test_the_program_receives_signals_that_a_slot_ignores(
 def test_no_process_remains_of_an_ended_program(
     supervisor: Supervisor, how: str, tmp_path: Path
 ) -> None:
-    """Not even one with its own session, and the supervisor continues."""
+    """Even a process with its own session ends, and the supervisor continues."""
     supervisor.run(["sh", "-c", LEAVES + how], tmp_path, ENVIRONMENT)
     assert not alive(left(tmp_path))
     assert supervisor.run(["true"], tmp_path, ENVIRONMENT).code == 0
@@ -127,7 +127,7 @@ def test_closing_ends_it_and_deletes_its_folder() -> None:
 
 
 def test_child_processes_end_with_their_requester(tmp_path: Path) -> None:
-    """Also by SIGKILL, in the middle of a program."""
+    """They end even if SIGKILL ends the requester in the middle of a program."""
     code = (
         "import os, sys; from pathlib import Path\n"
         "from zswarm.ros.launch.roslaunch import Supervisor\n"
@@ -162,7 +162,7 @@ def test_child_processes_end_with_their_requester(tmp_path: Path) -> None:
 def test_a_supervisor_that_was_killed_is_a_fault_and_its_folder_is_swept_by_the_next(
     tmp_path: Path,
 ) -> None:
-    """A living one's is not."""
+    """The folder of a living supervisor is kept."""
     killed, living = Supervisor(), Supervisor()
     killed._process.kill()
     with pytest.raises(

@@ -32,7 +32,7 @@ def bits(number: float) -> bytes:
 def test_a_scan_keeps_every_bit(
     stamp: int, robot: int, ranges: list[int], numbers: list[float]
 ) -> None:
-    """Also not-a-numbers of any kind."""
+    """NaNs of any kind keep their bits, too."""
     first, last, between, shortest, longest = numbers
     scan = Scan(
         robot=robot,

@@ -26,7 +26,7 @@ def here() -> Iterator[graph.RosGraph]:
 
 
 def test_messages_go_both_ways_between_two_sides(here: graph.RosGraph) -> None:
-    """Those of different topics in any order, as in ROS."""
+    """Messages of different topics may arrive in any order, as in ROS."""
     scan = Scan(
         robot=1,
         stamp_ns=10**9 + 1,
@@ -231,7 +231,7 @@ def test_two_private_domains_differ() -> None:
 
 
 def bridges() -> list[int]:
-    """Bridges that this process started."""
+    """Return the bridges that this process started."""
     found = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
     return [
         int(child)

@@ -173,7 +173,7 @@ def test_liveliness_tokens_are_declared_and_messages_are_numbered() -> None:
 def test_invalid_messages_are_dropped(
     body: bytes, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Without a word: anybody may send anything."""
+    """No error is printed, because anybody may send anything."""
     came: queue.SimpleQueue[Any] = queue.SimpleQueue()
     with open_session([], []) as session:
         node = ZenohNode(session, "robot")

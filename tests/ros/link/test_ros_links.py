@@ -51,7 +51,7 @@ def profile(link: str) -> str:
 
 
 def scan(number: int) -> Scan:
-    """Also of bits that are no number."""
+    """Return a scan whose ranges include NaN, infinity and a subnormal number."""
     ranges = np.array([number / 3, np.inf, np.nan, -0.0, 1e-45, 3.4e38], np.float32)
     return Scan(
         robot=number % ROBOTS,
@@ -81,7 +81,7 @@ def odometry(number: int, *, truth: bool) -> Odometry:
 
 
 def received(link: Link, count: int) -> list[Message]:
-    """So many messages."""
+    """Wait for that many messages and return them."""
     found = []
     while len(found) < count:
         message = link.receive(TIMEOUT_S)
@@ -93,7 +93,7 @@ def received(link: Link, count: int) -> list[Message]:
 def test_a_thousand_messages_each_way_are_all_there_in_order(
     here: graph.RosGraph,
 ) -> None:
-    """Of each topic; those of one topic come in their order, with all their bits."""
+    """Messages of one topic arrive in their order and with all their bits."""
     described = profiles.read(profile(here.link))
     with (
         Link(here.dialled(), described, robots=ROBOTS, side="simulation") as simulation,
@@ -213,7 +213,7 @@ def test_a_master_that_does_not_answer_is_reported() -> None:
 
 
 def test_a_service_without_arguments_begins_a_trial() -> None:
-    """As Stage's reset_positions: of the seed nothing arrives."""
+    """Stage's reset_positions is such a service; it does not receive the seed."""
     need("rospy")
     with (
         graph.private("rospy") as here,
@@ -235,7 +235,7 @@ def test_a_service_without_arguments_begins_a_trial() -> None:
 
 
 def test_bytes_and_hashes_are_still_those_of_ros_2() -> None:
-    """rclpy itself computes again what tests/ros compares with."""
+    """The package rclpy itself computes again what tests/ros compares with."""
     need("rclpy")
     known = json.loads(GOLDEN.read_text())
     bodies = json.dumps({kind: entry["body"] for kind, entry in known.items()})
@@ -251,7 +251,7 @@ def test_bytes_and_hashes_are_still_those_of_ros_2() -> None:
 
 
 def below(process: int) -> list[int]:
-    """Processes that a process started."""
+    """Return the processes that a process started."""
     return [
         int(child)
         for child in Path(f"/proc/{process}/task/{process}/children").read_text().split()

@@ -66,7 +66,7 @@ def test_the_wait_ends_at_the_robots_deadline(asked: LockStep) -> None:
 
 
 def test_new_scans_are_answered_again(asked: LockStep) -> None:
-    """As when a trial begins in the middle of another."""
+    """This happens when a trial begins in the middle of another."""
     asked.handle(velocity(1), 10.0)
     asked.ask([1], 200, 20.0)
     assert asked.handle(velocity(3), 20.0) is None

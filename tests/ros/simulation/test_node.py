@@ -210,7 +210,7 @@ def test_a_free_running_simulation_stops_a_robot_without_commands(
 
 
 def test_a_free_running_simulation_reports_how_late_the_controllers_are() -> None:
-    """In real time few are; at 1,000 times most are, and steps are missed."""
+    """Few are late in real time; at 1,000 times the speed most are, and steps are missed."""
     need("zenoh")
     late, turns = [], []
     for rate in (1.0, 1000.0):

@@ -78,7 +78,7 @@ class Visitors:
 
 
 class Visit(ParallelEnvironment):
-    """Hosts and guests."""
+    """Adapt the environment of hosts and guests."""
 
     def make(self, **options: Any) -> Visitors:
         return Visitors(**options)
@@ -124,7 +124,7 @@ def test_agents_of_a_single_type_have_no_type_input() -> None:
 
 
 def test_outputs_become_actions_of_the_present_agents() -> None:
-    """In the order of the agents; those that left are not asked, those that come again are."""
+    """Actions follow the order of the agents; those that left are not asked until they return."""
     simulator = visit()
     simulator.reset(0)
     outputs = np.array([[0, 0.5, 9], [-1, 7, 9], [0.1, 0.9, 0.9], [3, 0, 0]], np.float32)
@@ -198,7 +198,7 @@ def test_a_seed_is_folded_and_seeds_the_generators_that_environments_share() -> 
 
 
 def test_an_environment_is_closed_with_its_simulator() -> None:
-    """As when a slot prepares another experiment."""
+    """A slot that prepares another experiment relies on this."""
     simulator = visit()
     environment = simulator._environment
     del simulator
@@ -242,7 +242,7 @@ SPACES = [
 
 @pytest.mark.parametrize("space", SPACES, ids=str)
 def test_any_outputs_are_an_action_of_the_space(space: spaces.Space) -> None:
-    """And each action can be had."""
+    """Each action of the space can be reached."""
     acts = act(space, "actions")
     stream = Stream(1)
     for low, high in ((0, 1), (-9, 9)):

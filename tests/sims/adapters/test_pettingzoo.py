@@ -104,7 +104,7 @@ def test_evolution_is_better_than_random_on_seeds_it_never_saw(
 @pytest.mark.long
 @pytest.mark.parametrize("environment", ["CartPole-v1", "Acrobot-v1", "Pendulum-v1"])
 def test_evolution_of_one_agent_is_better_than_random_ones(environment: str) -> None:
-    """Than random actions and random networks."""
+    """It is compared with random actions and random networks."""
     found = compared("gymnasium", {"environment": environment}, generations=6, runs=4)
     assert found.p < 0.01, found
 

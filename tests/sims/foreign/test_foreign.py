@@ -109,7 +109,7 @@ def genome(simulator: Foreign) -> tuple[list[bytes], Representation]:
 
 
 def members(group: int) -> list[str]:
-    """The processes of a group that have not ended."""
+    """Return the processes of a group that have not ended."""
     found = []
     for process in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(FileNotFoundError, ProcessLookupError):
@@ -280,7 +280,7 @@ def test_a_silent_program_is_ended(
 
 
 def test_output_to_standard_error_does_not_stop_a_trial(install: Install) -> None:
-    """A million characters and more."""
+    """The program writes a million characters and more."""
     loaded = install("floods")
     assert np.isfinite(play(loaded(loaded.settings_type()), 1, 1).fitness).all()
 
@@ -351,7 +351,7 @@ def test_a_program_cannot_take_a_bundled_name(
 
 
 def test_trials_one_after_the_other_have_one_program(install: Install) -> None:
-    """So do those of several instances; trials at the same time have two programs."""
+    """Several instances share it, too; trials at the same time have two programs."""
     loaded = install("fine")
     first, second = loaded(loaded.settings_type()), loaded(loaded.settings_type(steps=1))
     (program,) = loaded.spare

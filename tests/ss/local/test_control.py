@@ -16,7 +16,7 @@ from zswarm.ss.local.control import MAX_CLIENTS, Control, LocalQuery, LocalReque
 
 
 class Told(msgspec.Struct):
-    """What the server answers here."""
+    """Define the server's answer in these tests."""
 
     ask: str
     text: str = "x" * 1_000_000  # more than a socket takes at once
@@ -53,7 +53,7 @@ def connected(server: Control) -> socket.socket:
 
 
 def asked(server: Control, line: bytes, user: int = os.geteuid()) -> dict[str, object]:
-    """The answer to a user."""
+    """Return the server's answer to a user."""
     before = os.geteuid()
     os.seteuid(user)
     connecting = connected(server)
@@ -184,7 +184,7 @@ def test_a_path_that_is_too_long_is_reported(folder: Path) -> None:
 def test_the_socket_folder_depends_on_the_user_and_the_environment(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """systemd's folder, root's, the session's, or one in the temporary folder."""
+    """It is systemd's, root's, the session's, or one in the temporary folder."""
     assert control.folder({"RUNTIME_DIRECTORY": "/run/a:/run/b"}) == Path("/run/a")
     monkeypatch.setattr(control.os, "geteuid", lambda: 0)
     assert control.folder({"XDG_RUNTIME_DIR": "/run/user/0"}) == Path("/run/zswarm")

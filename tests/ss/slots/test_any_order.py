@@ -50,7 +50,7 @@ WORK: dict[str, Any] = {
 
 
 def outcomes(first: int, end: int) -> Outcomes:
-    """Of some trials; each is known by its fitness."""
+    """Return the outcomes of trials, which are known by their fitness."""
     return Outcomes(
         batch=0,
         fitness=b"".join(bytes([trial] * 8) for trial in range(first, end)),
@@ -60,7 +60,7 @@ def outcomes(first: int, end: int) -> Outcomes:
 
 
 class Process:
-    """What a slot's process does, by the commands it got."""
+    """Track what a slot's process does, by the commands it got."""
 
     def __init__(self) -> None:
         self.does = ""  # "prepare", "evaluate", or nothing
@@ -189,7 +189,7 @@ class Server:
         self.ask(draw(RUNS), message)
 
     def evaluate(self) -> None:
-        """What a run that behaves asks most; some ids come again."""
+        """Ask for trials as a well-behaved run does; some ids come again."""
         if self.slots.leases:
             held = self.random.choice([*self.slots.leases.values()])
             batch = self.random.choice(
@@ -200,7 +200,7 @@ class Server:
             )
 
     def ask_of_a_lease(self) -> None:
-        """Of one that is there, or was; sometimes of another run's, or none that ever was."""
+        """Send a request about a present, past, foreign or unknown lease."""
         by_token = {held.token: held for held in self.slots.leases.values()}
         lease = self.random.choice([UNKNOWN, *self.tokens[-3:], *by_token, *by_token])
         held = by_token.get(lease)

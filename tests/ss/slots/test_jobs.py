@@ -238,7 +238,7 @@ def test_a_malformed_batch_goes_to_one_slot_whole_which_refuses_it(
 
 
 def test_handing_out_a_chunk_takes_constant_time() -> None:
-    """Counted in Python's instructions."""
+    """The test counts Python's instructions."""
 
     def of(trials: int) -> int:
         server = Server(2)
@@ -252,7 +252,7 @@ def test_handing_out_a_chunk_takes_constant_time() -> None:
 
 
 def test_outcomes_are_reported_early_when_slots_are_idle() -> None:
-    """So the run sends more; the last answer has all outcomes again, in case the first is lost."""
+    """The run can then send more; the last answer repeats all outcomes, in case one is lost."""
     server = Server(2)
     lease = server.ready()
     query = server.ask(evaluate(lease, 1, 2))

@@ -52,7 +52,7 @@ def test_a_mismatch_is_reported_in_the_offer_and_refuses_the_reserve() -> None:
 
 
 def test_the_first_slot_plays_the_probe_and_the_others_are_prepared_after_it() -> None:
-    """So one compiles, and the others find the compiled code."""
+    """One slot compiles, and the others find the compiled code."""
     server = Server(3)
     assert server.reserve().state == "preparing"
     assert server.commands == [PrepareSlot(0, reserve(), probe=True)]

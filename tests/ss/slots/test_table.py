@@ -92,7 +92,7 @@ def test_a_free_slot_whose_process_died_is_prepared_again() -> None:
 
 
 def test_a_run_that_shares_loses_only_the_slot_that_could_not_be_prepared() -> None:
-    """Not without those, too, that others have for now."""
+    """Slots that other runs have for now are not lost."""
     server = Server(6)
     server.ready("a")
     other = server.ready("b")
@@ -263,7 +263,7 @@ def test_a_server_that_was_suspended_blames_no_trial() -> None:
 
 
 def test_trials_are_counted_when_they_have_outcomes() -> None:
-    """For the lease and in total, with the slots' time; refused and cancelled ones are not."""
+    """The lease and the server count them, with their time; refused and cancelled ones not."""
     server = Server(1)
     lease = server.ready()
     server.evaluate(lease, 1, 2)

@@ -38,7 +38,7 @@ ANSWER_S = 120.0  # a compiler may be at work
 
 
 class Owner:
-    """An owner that counts the processes that ended."""
+    """Count the processes that ended."""
 
     def __init__(self) -> None:
         self.ended = 0
@@ -121,7 +121,7 @@ TOO_LARGE = {("pettingzoo", "mealy")}
 
 
 def pairs() -> Iterator[Any]:
-    """Of bundled simulators and representations: each part in one; all others are long."""
+    """Yield pairs of bundled parts: each part is in a fast pair, all others are marked long."""
     simulators, representations = (
         playable(plugins.BUNDLED["simulator"]),
         list(plugins.BUNDLED["representation"]),
@@ -210,7 +210,7 @@ def test_a_process_refuses_code_that_changed_since_the_server_started(
 
 
 def test_a_process_is_prepared_once(new_worker: Callable[..., Worker]) -> None:
-    """What a problem left behind takes no memory from the next one."""
+    """Memory that one problem leaves allocated is not lost for the next."""
     slot = new_worker()
     prepare(slot, reserve(), probe=False)
     answer(slot)
@@ -396,7 +396,7 @@ def test_the_output_of_a_process_is_read_but_for_floods(
 def test_a_slot_process_leads_its_session(
     new_worker: Callable[..., Worker],
 ) -> None:
-    """So what it starts is known, and it is over when it ends."""
+    """The session identifies the processes that it starts, which end with it."""
     slot = new_worker()
     assert os.getsid(slot.session) == slot.session == pid(slot)
     slot.close()

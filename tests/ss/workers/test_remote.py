@@ -31,7 +31,7 @@ RUN = ("ann", "run-1")
 def played(
     answers: Sequence[Actuators | Refused], asks: Asks
 ) -> tuple[list[Sensors], list[np.ndarray]]:
-    """What is asked in two turns of three agents, and what they do."""
+    """Play two turns of three agents; return the questions and the agents' actions."""
     here, there = multiprocessing.Pipe()
     asked: list[Sensors] = []
 
@@ -90,7 +90,7 @@ def test_a_refusal_ends_the_trial_with_its_reason() -> None:
 
 
 class Sent:
-    """What is sent, and what slots are told."""
+    """Collect the questions that are sent and the answers that slots are told."""
 
     def __init__(self) -> None:
         self.questions: list[tuple[int, bytes, bool]] = []

@@ -50,7 +50,7 @@ exits = swarm_exits:X
 
 
 def said(*arguments: str, cwd: Path, **environment: str) -> str:
-    """What ``zswarm-ot`` prints."""
+    """Return what ``zswarm-ot`` prints."""
     environment = {"PYTHONPATH": os.pathsep.join(sys.path), "COLUMNS": "80"} | environment
     program = [sys.executable, "-m", "zswarm.ot", *arguments]
     done = subprocess.run(
@@ -149,7 +149,7 @@ def test_a_description_has_the_data_sheet_and_every_setting(tmp_path: Path) -> N
 def test_lists_and_descriptions_fit_the_terminal(
     columns: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """At 40 columns a long default may stand out."""
+    """A long default may exceed 40 columns."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", str(columns))
     for arguments in (
@@ -171,7 +171,7 @@ def test_lists_and_descriptions_fit_the_terminal(
 def test_plugins_that_cannot_be_imported_are_reported_in_separate_lines(
     plugged: Path,
 ) -> None:
-    """And what they say is shown without its escapes; all others are there."""
+    """Their messages are shown without escapes, and all other plug-ins are listed."""
     path = os.pathsep.join([str(plugged), *sys.path])
     shown = said("list", cwd=plugged, PYTHONPATH=path)
     flat = " ".join(shown.split())
