@@ -162,7 +162,7 @@ def test_a_router_introduces_servers_and_may_die_in_the_middle(
     router = site.router(middle, "--no-multicast")
     servers = [site.server(host, *options) for host in hosts[:2]]
     optimizer = site.run(lab.host(lan), *options)
-    site.wait_counted(100)
+    wait_until(lambda: site.counted(SERVED) == 2, "both servers evaluate")
     router.kill()
     router.wait()
     site.wait_counted(site.counted() + 400)
