@@ -42,19 +42,26 @@ def test_a_scenario_keeps_the_contract(scenario: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("scenario", "options", "effort"),
+    ("scenario", "options", "steps", "effort"),
     [
-        ("simple", {}, {"generations": 30, "trials": 4, "runs": 3}),
-        ("circle_trajectory", {}, {"generations": 15, "trials": 3, "runs": 4}),
-        ("navigation", {"n_agents": 2}, {"generations": 20, "trials": 4, "runs": 3}),
+        ("simple", {}, 30, {"generations": 20, "trials": 3}),
+        ("circle_trajectory", {}, 20, {"generations": 8, "trials": 2}),
+        (
+            "navigation",
+            {"n_agents": 2, "collisions": False},
+            30,
+            {"generations": 20, "trials": 3},
+        ),
     ],
 )
 def test_evolution_is_better_than_random_on_seeds_it_never_saw(
-    scenario: str, options: dict[str, Any], effort: dict[str, Any]
+    scenario: str, options: dict[str, Any], steps: int, effort: dict[str, Any]
 ) -> None:
     """Beat random actions and networks; a step takes milliseconds, so trials are few."""
-    settings = {"scenario": scenario, "options": options, "steps": 30}
-    found = compared("vmas", settings, population=10, unseen=12, others=12, **effort)
+    settings = {"scenario": scenario, "options": options, "steps": steps}
+    found = compared(
+        "vmas", settings, runs=3, population=10, unseen=8, others=9, **effort
+    )
     assert found.p < 0.01, found
 
 
