@@ -209,7 +209,7 @@ def test_every_setting_of_a_study_is_checked(tmp_path: Path) -> None:
     file.write_text(STUDY)
     assert "2 settings, each run 2 times: 4 runs" in check(str(file))
     file.write_text(STUDY.replace('["xor"]', '["xor", "nothing"]'))
-    with pytest.raises(ConfigError, match='study: with problem.simulator = "nothing"'):
+    with pytest.raises(ConfigError, match=r'study: with problem\.simulator = "nothing"'):
         check(str(file))
 
 
