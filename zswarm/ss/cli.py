@@ -129,7 +129,6 @@ def _try(call: Callable[[], None]) -> None:
 
 def main() -> None:
     """Entry point."""
-    from zswarm.system import terminal as screen
+    from zswarm.system import program
 
-    screen.prepare()
-    command()
+    program.run(command)
