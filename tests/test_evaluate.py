@@ -10,7 +10,7 @@ import pytest
 from msgspec import Meta
 
 from zswarm.errors import ConfigError, EvaluationError, UnknownPlugin
-from zswarm.evaluate import MAX_ERROR_TEXT, TrialOutcomes, build, evaluate
+from zswarm.evaluate import TrialOutcomes, build, evaluate
 from zswarm.kernels.random import Stream
 from zswarm.nets.fully_meshed import FullyMeshed, FullyMeshedSettings
 from zswarm.plugins import registry as plugins

@@ -4,6 +4,7 @@ import math
 import multiprocessing.connection
 import multiprocessing.forkserver
 import os
+import select
 import selectors
 import signal
 import time
@@ -49,6 +50,8 @@ class Owner:
 
     def on_exit(self, _: Worker) -> None:
         self.ended += 1
+
+    def on_full_pipe(self, worker: Worker) -> None: ...
 
 
 def unstarted(memory_mb: int = 1024) -> Worker:
@@ -111,9 +114,16 @@ def die(slot: Worker) -> None:
 
 
 def answer(of: Worker) -> FromSlot | None:
-    assert of.pipe is not None
-    assert of.pipe.poll(ANSWER_S)
-    return of.receive()
+    """Return the next message; None if no process could be started."""
+    message = None
+    while message is None and of.pipe is not None:
+        wanted = select.POLLIN | (select.POLLOUT if of.pipe.sending else 0)
+        poll = select.poll()
+        poll.register(of.pipe, wanted)
+        assert poll.poll(ANSWER_S * 1000)
+        of.pipe.flush()
+        message = of.receive()
+    return message
 
 
 # A machine's table has a row for each combination of 18 inputs.
