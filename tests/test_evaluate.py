@@ -15,6 +15,7 @@ from zswarm.kernels.random import Stream
 from zswarm.nets.fully_meshed import FullyMeshed, FullyMeshedSettings
 from zswarm.plugins import registry as plugins
 from zswarm.sims.minisim import Minisim
+from zswarm.sims.raised import MAX_ERROR_TEXT
 from zswarm.sims.simulator import KernelBatch, Outcome, Simulator, Turn
 from zswarm.testing import check_simulator
 

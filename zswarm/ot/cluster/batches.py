@@ -256,9 +256,11 @@ class Batches(msgspec.Struct, eq=False):
         )
         if not len(rows):
             return
-        if reply.left and reply.left not in self._left_behind:
-            self._left_behind.add(reply.left)
-            self.out.note(RunEvent.SIMULATOR_LEFT, server.id, reply.left)
+        left = {text.partition(" (")[0]: text for text in reply.left.split("; ") if text}
+        if new := left.keys() - self._left_behind:
+            self._left_behind |= new
+            text = "; ".join(left[kind] for kind in left if kind in new)
+            self.out.note(RunEvent.SIMULATOR_LEFT, server.id, text)
         measured = reply.seconds / len(rows)
         server.trial_s = (
             0.7 * server.trial_s + 0.3 * measured if server.trial_s else measured

@@ -68,13 +68,14 @@ class Job(msgspec.Struct, eq=False):
         """Return the fields of a message that report outcomes, ordered by trial."""
         parts = sorted(self.parts[first_part:], key=lambda part: part[0].start)
         found = [outcomes for _, outcomes in parts]
+        left = [outcomes.left for outcomes in found if outcomes.left]
         return {
             "trials": codec.indices(trial for trials, _ in parts for trial in trials),
             "fitness": b"".join(outcomes.fitness for outcomes in found),
             "metrics": b"".join(outcomes.metrics for outcomes in found),
             "seconds": sum(outcomes.seconds for outcomes in found),
             "error": next((outcomes.error for outcomes in found if outcomes.error), ""),
-            "left": next((outcomes.left for outcomes in found if outcomes.left), ""),
+            "left": "; ".join(dict.fromkeys(left))[:MAX_TEXT],
         }
 
     def reply(self) -> messages.Message | None:

@@ -226,7 +226,7 @@ class SlotProcess:
             os._exit(CUT_OFF)  # at this trial, which is to blame
         self._left = left_behind(self._prepared)
         new = sorted(self._shared_memory - self._known_memory)
-        self._left += [f"the shared memory {name}" for name in new]
+        self._left += [f"shared memory ({name})" for name in new]
         return bool(self._left)
 
     def on_shared_memory(self, name: str, exists: bool) -> None:

@@ -229,8 +229,7 @@ class Worker:
         except (BrokenFrameError, msgspec.DecodeError) as error:
             return self._spoken_over(error)
         if isinstance(message, SharedMemory):
-            names = self._shared_memory
-            (names.add if message.exists else names.discard)(message.name)
+            self._take_shared_memory(message)
             return self.receive()
         if isinstance(message, Here):
             self.here, self._missing_since = True, math.inf
@@ -243,6 +242,11 @@ class Worker:
         if isinstance(message, Died):
             self.kill()
         return message
+
+    def _take_shared_memory(self, message: SharedMemory) -> None:
+        """Remember what is to be removed when the process has ended."""
+        names = self._shared_memory
+        (names.add if message.exists else names.discard)(message.name)
 
     def read_output(self) -> list[str]:
         """Return the lines to log of what the process wrote."""
