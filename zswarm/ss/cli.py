@@ -129,7 +129,9 @@ def _try(call: Callable[[], None]) -> None:
 
 def main() -> None:
     """Entry point."""
+    from zswarm.system import start
     from zswarm.system import terminal as screen
 
+    start.prepare("zswarm-ss")
     screen.prepare()
     command()

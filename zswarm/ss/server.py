@@ -60,6 +60,7 @@ class Server:
         self, read_options: Callable[[], Options], *, until_stdin_closes: bool = False
     ) -> None:
         self._read_options, self._private = read_options, until_stdin_closes
+        memory.check_machine()
         self.options = options = read_options()
         self._reach = self._find_reach(options)
         capacity = options.capacity or os.cpu_count() or 1

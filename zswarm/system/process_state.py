@@ -161,7 +161,7 @@ def _folder() -> str:
     try:
         return os.getcwd()
     except OSError:  # it was deleted
-        return ""
+        return "one that is deleted"
 
 
 def _path(number: str) -> str:

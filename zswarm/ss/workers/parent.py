@@ -25,7 +25,7 @@ import numpy as np
 import structlog
 
 from zswarm.ss.slots.events import Died, PrepareSlot, RunChunk
-from zswarm.ss.workers import child
+from zswarm.ss.workers import child, memory
 from zswarm.ss.workers.child import FromSlot, Here, SharedMemory, encode, from_slot
 from zswarm.ss.workers.frames import BrokenFrameError, ServerEnd, new_key, new_pipe
 from zswarm.ss.workers.output import Output
@@ -356,7 +356,11 @@ def _start(
         # Python would look at all that it gathers here whenever a process starts, and at its end.
         multiprocessing.process._children.discard(process)  # type: ignore[attr-defined]  # private
     except (OSError, EOFError) as error:  # no process or memory, or the fork server ended
-        faults.append(f"could not be started: {type(error).__name__}: {error}")
+        cause = "the fork server ended" if isinstance(error, EOFError) else str(error)
+        faults.append(
+            f"could not be started: {cause}; this machine, or the control group of the server, "
+            f"has {memory.machine_mb()} MB of memory, which may be too little"
+        )
     finally:
         for end in its_ends:
             end.close()  # which wakes the loop if there is no process
