@@ -63,7 +63,9 @@ def main() -> None:
         "--only", help=f"peers, with commas between [default: all of {', '.join(PEERS)}]"
     )
     parser.add_argument(
-        "--quick", action="store_true", help="one round, 2 and 4 slots: whether it works"
+        "--quick",
+        action="store_true",
+        help="one round of 400 candidates on 4 slots: whether it works",
     )
     parser.add_argument(
         "--folder", type=Path, help="where the results go [default: build/bench]"
@@ -78,7 +80,8 @@ def main() -> None:
         print(json.dumps(measured(options)))
         return
     if options.quick:
-        options.rounds, options.slots, options.warm_s = 1, (2, 4), 0.2
+        options.rounds, options.warm_s = 1, 0.05
+        options.slots, options.populations = WHOLE[:1], WHOLE[1:]
     names = options.only.split(",") if options.only else list(PEERS)
     if unknown := set(names) - set(PEERS):
         parser.error(

@@ -1,6 +1,5 @@
 """The loop of a run: while a generation is recorded and told, servers have the next one."""
 
-import hashlib
 import threading
 from collections.abc import Generator, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -21,6 +20,7 @@ from zswarm.ot.logger import Generation, Logger, Result
 from zswarm.ot.optimizers.cmaes import CMAES
 from zswarm.ot.optimizers.nnga import NNGA, NNGASettings
 from zswarm.ot.optimizers.optimizer import Told
+from zswarm.ot.record.history_hash import History
 from zswarm.ot.record.reader import Run
 from zswarm.ot.record.writer import Record
 from zswarm.ot.workload import Workload
@@ -278,19 +278,15 @@ def test_measures_are_means_of_metrics_in_trial_order_told_hashed_and_recorded(
         recorded = list(record.told())
     told = parts.optimizer.told  # type: ignore[attr-defined]
     assert len(told) == len(recorded) == 3
-    hashed = hashlib.blake2b(digest_size=16)
+    history = History()
     for workload, measures, generation in zip(
         (*servers.handed[:2], servers.handed[-1]), told, recorded, strict=True
     ):
         metrics = workload.metrics.reshape(-1, 3, 2)
         expected = ((metrics[:, 0] + metrics[:, 1] + metrics[:, 2]) / 3)[:, ::-1]
         assert measures.tobytes() == generation.measures.tobytes() == expected.tobytes()
-        hashed.update(
-            b"".join(generation.genomes)
-            + generation.fitness.tobytes()
-            + expected.tobytes()
-        )
-    assert ended.history_hash == hashed.hexdigest()
+        history.add(generation.genomes, generation.fitness, expected)
+    assert ended.history_hash == history.hex()
 
 
 @pytest.mark.usefixtures("measuring")

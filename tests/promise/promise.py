@@ -402,14 +402,20 @@ class _Check:
 
     def check_history(self) -> list[str]:
         """Check the hash after each generation; the last is the recorded one."""
-        told, total = [], hashlib.blake2b(digest_size=16)
+        told, value = [], b"zswarm history 2"
         for generation in sorted(self.candidates):
-            for genome, _ in self.candidates[generation]:
-                total.update(genome)
-            for _, fitness in self.candidates[generation]:
+            candidates = self.candidates[generation]
+            measures = b"".join(self.measures[generation])
+            named = len(measures) // (8 * len(candidates))
+            total = hashlib.blake2b(value, digest_size=16)
+            total.update(struct.pack("<2Q", len(candidates), named))
+            for genome, _ in candidates:
+                total.update(hashlib.blake2b(genome, digest_size=16).digest())
+            for _, fitness in candidates:
                 total.update(NAN if fitness is None else struct.pack("<d", fitness))
-            total.update(b"".join(self.measures[generation]))
-            told.append(total.copy().hexdigest())
+            total.update(measures)
+            value = total.digest()
+            told.append(value.hex())
         if (recorded := self.meta.get("history_hash")) is not None:
             wanted = self.experiment["generations"]
             self.claim(

@@ -12,7 +12,7 @@ import numpy as np
 
 from zswarm.config.meta import about
 from zswarm.kernels.jit import STEP_SIGNATURE, float32, kernel
-from zswarm.kernels.lanes import LANES, load, store
+from zswarm.kernels.lanes import LANES, fill, load, store
 from zswarm.nets import vector
 from zswarm.nets.meshed import Meshed, MeshedSettings
 from zswarm.nets.neurons import (
@@ -23,7 +23,6 @@ from zswarm.nets.neurons import (
     copy_outputs,
     padded,
     parameter_rows,
-    weigh,
 )
 
 HEADER = 4  # iterations, neurons, learning rate, 0
@@ -65,9 +64,11 @@ def step(parameters, state, observation, output):  # type: ignore[no-untyped-def
         for place in range(table):
             state[weights + place] = parameters[HEADER + place]
     for _ in range(iterations):
-        weigh(state, weights, row, observation, 0, inputs, state, fresh)
         for first in range(0, row, LANES):
-            sums = load(state, fresh + first)
+            sums = fill(ZERO)
+            for source in range(inputs):
+                weight = load(state, weights + source * row + first)
+                sums = sums + weight * observation[source]
             for neuron in range(neurons):
                 sums = sums + load(state, inner + neuron * row + first) * state[neuron]
             store(state, fresh + first, load(parameters, biases + first) + sums)

@@ -208,7 +208,7 @@ class Neat(Representation):
         nodes = self._checked_nodes(nodes)
         hidden = len(nodes) - self.outputs
         # Outputs last.
-        nodes = np.concatenate([nodes[self.outputs :], nodes[: self.outputs]])
+        nodes = nodes[[*range(self.outputs, len(nodes)), *range(self.outputs)]]
         sources, targets = self._ends(genes, nodes)
         self._check_recurrence(sources, targets, hidden)
         enabled = links["enabled"] == 1

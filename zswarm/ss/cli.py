@@ -129,9 +129,7 @@ def _try(call: Callable[[], None]) -> None:
 
 def main() -> None:
     """Entry point."""
-    from zswarm.system import start
-    from zswarm.system import terminal as screen
+    from zswarm.system import program, start
 
     start.prepare("zswarm-ss")
-    screen.prepare()
-    command()
+    program.run(command)

@@ -8,6 +8,7 @@ import contextlib
 import os
 from collections import deque
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import msgspec
 import structlog
@@ -126,10 +127,10 @@ class Presence(msgspec.Struct, eq=False):
             self._token.undeclare()
             self._token = None
 
-    def close(self, *, or_exit: bool = True) -> None:
+    def close(self) -> None:
         """Close the session."""
         if self._session is not None:
-            session.close(self._session, or_exit=or_exit)
+            session.close(self._session)
         self._session = self._token = None
 
     def _on_query(self, query: zenoh.Query) -> None:
@@ -174,8 +175,11 @@ class Presence(msgspec.Struct, eq=False):
             if len(self._senders) >= MAX_SENDERS:
                 oldest = next(iter(self._senders))
                 self._senders.pop(oldest).close()
-            self._senders[run] = session.Sender(run)
+            self._senders[run] = session.Sender(run, partial(self._not_sent, run))
         return self._senders[run]
+
+    def _not_sent(self, run: str, error: BaseException) -> None:
+        log.error("sending_failed", run=run, reason=clean(repr(error)))
 
     def forget(self, run: str) -> None:
         """End the thread of a run that is gone."""

@@ -343,7 +343,7 @@ class Server:
         ]:
             reason = "these change when the server is started again"
             log.warning("reload_later", settings=later, reason=reason)
-        self._presence.close(or_exit=False)
+        self._presence.close()
         try:
             self._open(options, reach)
         except ConfigError as error:

@@ -71,13 +71,19 @@ def test_a_part_of_a_chunk_avoids_the_same_servers() -> None:
     assert (taken(waiting, "a"), taken(waiting, "b")) == (None, [2])
 
 
-def test_stranded_trials_move_together() -> None:
-    """Its batch there can be cancelled as a whole only."""
+def test_another_server_takes_a_piece_of_a_stranded_batch_and_the_rest_is_as_any() -> (
+    None
+):
+    """Its server, when it is back, is to cancel the batch: that is possible as a whole only."""
     stranded = batch(A, 7)
     waiting = line(piece(1, 2, 3, stranded=stranded))
     found = waiting.take("b", 1, BOTH)
     assert found is not None
-    assert (list(found.trials), found.stranded) == ([1, 2, 3], stranded)
+    assert (list(found.trials), found.stranded) == ([1], stranded)
+    assert waiting.stranded(A) == []
+    found = waiting.take("b", 5, BOTH)
+    assert found is not None
+    assert (list(found.trials), found.stranded) == ([2, 3], None)
 
 
 def test_stranded_batches_stay_with_their_server_until_another_takes_them() -> None:

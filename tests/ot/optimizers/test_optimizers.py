@@ -137,12 +137,12 @@ def test_other_settings_keep_the_contract(name: str, settings: dict[str, Any]) -
 
 
 YESTERDAY = {
-    "cea2d": "ca819da6120701fd6f05befeec4f2e8b",
-    "cuckoo": "b2eb85580353074c5af8358c1fc6ca07",
-    "novelty": "f3716aee69eb9772df3f6feca9650ca6",
-    "openai-es": "37652e426fe1797dd695b33d499c30e7",
-    "pso": "417e5b4aff3c5e170076eca55060799c",
-    "random": "d7af74a4afa7a960c7f71e1597538cfb",
+    "cea2d": "4f39e20de871defc571dd0bb63efe373",
+    "cuckoo": "ddcba845cb25886c8711162aee74db79",
+    "novelty": "480d8efc75a5ae3e69f12a9814160423",
+    "openai-es": "f523c3d55247224c579d090560e3fe61",
+    "pso": "88636ef5b690dc306781c12d58b4ecd6",
+    "random": "2ece45d56a95218f24ce6054e4305998",
 }
 
 

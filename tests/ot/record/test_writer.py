@@ -174,15 +174,22 @@ def test_a_large_generation_is_recorded_whole_and_in_order(record: Record) -> No
     assert rows == list(zip(range(count), genomes, fitness.tolist(), strict=True))
 
 
-def test_the_history_hash_is_blake2b_of_genomes_and_numbers() -> None:
+def chained(before: bytes, genomes: list[bytes], measures: int, *numbers: float) -> bytes:
+    """Return the history hash after a generation, as docs/record.md defines it."""
+    total = hashlib.blake2b(before, digest_size=16)
+    total.update(struct.pack("<2Q", len(genomes), measures))
+    for genome in genomes:
+        total.update(hashlib.blake2b(genome, digest_size=16).digest())
+    total.update(struct.pack(f"<{len(numbers)}d", *numbers))
+    return total.digest()
+
+
+def test_the_history_hash_is_a_chain_of_blake2b_over_the_generations() -> None:
     history = History()
     history.add([b"one", b"two"], np.array([1.5, -2.0]))
-    history.add([b"three"], np.array([0.25]))
-    expected = hashlib.blake2b(
-        b"onetwo" + struct.pack("<2d", 1.5, -2.0) + b"three" + struct.pack("<d", 0.25),
-        digest_size=16,
-    )
-    assert history.hex() == expected.hexdigest()
+    history.add([b"three"], np.array([-0.0]))
+    first = chained(b"zswarm history 2", [b"one", b"two"], 0, 1.5, -2.0)
+    assert history.value == chained(first, [b"three"], 0, 0.0)
 
 
 def test_measures_come_after_the_fitness_of_their_generation_in_the_history_hash() -> (
@@ -193,11 +200,33 @@ def test_measures_come_after_the_fitness_of_their_generation_in_the_history_hash
         [b"one", b"two"], np.array([1.5, -2.0]), np.array([[3.0, 4.0], [5.0, np.nan]])
     )
     history.add([b"three"], np.array([0.25]), np.empty((1, 0)))
-    told = struct.pack("<6d", 1.5, -2.0, 3.0, 4.0, 5.0, np.nan)
-    expected = hashlib.blake2b(
-        b"onetwo" + told + b"three" + struct.pack("<d", 0.25), digest_size=16
-    )
-    assert history.hex() == expected.hexdigest()
+    told = (1.5, -2.0, 3.0, 4.0, 5.0, np.nan)
+    first = chained(b"zswarm history 2", [b"one", b"two"], 2, *told)
+    assert history.value == chained(first, [b"three"], 0, 0.25)
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ([[(b"ab", 1.0), (b"c", 2.0)]], [[(b"a", 1.0), (b"bc", 2.0)]]),
+        ([[(b"ab", 1.0)], [(b"c", 2.0)]], [[(b"ab", 1.0), (b"c", 2.0)]]),
+        (
+            [[(b"a", 1.0)], [(b"b", 2.0)]],
+            [[(b"a" + struct.pack("<d", 1.0) + b"b", 2.0)]],
+        ),
+    ],
+)
+def test_no_two_histories_share_a_hash_by_where_their_parts_end(
+    one: list[list[tuple[bytes, float]]], other: list[list[tuple[bytes, float]]]
+) -> None:
+    hashes = []
+    for generations in (one, other):
+        history = History()
+        for told in generations:
+            genomes, fitness = zip(*told, strict=True)
+            history.add(genomes, np.array(fitness))
+        hashes.append(history.hex())
+    assert hashes[0] != hashes[1]
 
 
 def test_measures_are_read_back_as_the_optimizer_received_them(record: Record) -> None:

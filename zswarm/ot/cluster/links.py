@@ -146,7 +146,7 @@ class Links(msgspec.Struct, eq=False):
             )
 
         if server not in self.senders:
-            self.senders[server] = session.Sender(server)
+            self.senders[server] = session.Sender(server, partial(self._not_sent, server))
         at_once = False
         if verb == "evaluate":
             link_busy = (
@@ -160,12 +160,18 @@ class Links(msgspec.Struct, eq=False):
         if not self.senders[server].send(send, at_once=at_once):
             on_answer(None)
 
+    def _not_sent(self, server: str, error: BaseException) -> None:
+        self.post(Note(RunEvent.DIAGNOSIS, "", f"sending to {server} failed: {error!r}"))
+
     def _open_through_router(self) -> None:
         while not self._leaving.wait(RETRY_S):
             try:
                 opened = session.open_through_router(self.reach)
             except NoRouter:
                 continue
+            except BaseException as error:
+                self.failed(error)
+                return
             if self._leaving.is_set():
                 session.close(opened)
             else:

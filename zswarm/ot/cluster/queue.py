@@ -14,8 +14,8 @@ class QueuedTrials(msgspec.Struct, eq=False):
 
     trials: np.ndarray
     avoid: frozenset[str] = frozenset()  # servers on which one of them ended in a fault
-    # Their batch, which a server may still have: they are sent as a whole, for a batch can only be
-    # cancelled as a whole.
+    # Their batch, which a server may still have. It resumes the batch as a whole, unless another
+    # server took some of these trials: a batch can only be cancelled as a whole.
     stranded: SentBatch | None = None
 
 
@@ -31,21 +31,22 @@ class TrialQueue(msgspec.Struct, eq=False):
         self.entries.appendleft(entry)
 
     def take(self, server: str, size: int, serving: Iterable[str]) -> QueuedTrials | None:
-        """Take at most ``size`` trials for a server, or a whole batch that is stranded elsewhere.
+        """Take at most ``size`` trials for a server.
 
-        A server gets trials that should avoid it only if they should avoid all that serve. Return
-        None if there is nothing for this server.
+        They come with the batch that they were stranded in, if any: it is to be cancelled, and
+        what is left of it waits like any trials. A server gets trials that should avoid it only if
+        they should avoid all that serve. Return None if there is nothing for this server.
         """
         for entry in self.entries:
             if server not in entry.avoid or entry.avoid.issuperset(serving):
                 break
         else:
             return None
-        if entry.stranded or size >= len(entry.trials):
+        if size >= len(entry.trials):
             self.remove(entry)
             return entry
-        taken = QueuedTrials(entry.trials[:size], entry.avoid)
-        entry.trials = entry.trials[size:]
+        taken = QueuedTrials(entry.trials[:size], entry.avoid, entry.stranded)
+        entry.trials, entry.stranded = entry.trials[size:], None
         self.count -= size
         return taken
 

@@ -1,20 +1,33 @@
-"""The history hash: 32 hex digits over all that an optimizer proposed and learned, bit by bit."""
+"""The history hash: 32 hex digits over all that an optimizer proposed and learned, bit by bit.
+
+It is a chain: the hash after a generation is BLAKE2b over the hash before it and the generation.
+Genomes enter by digests of their own, so that it can be checked after they were dropped; counts
+enter, too, so that no two histories have the same bytes.
+"""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+VERSION = 2
+START = b"zswarm history 2"  # the hash before the first generation
+SIZE = 16  # bytes
+
 
 class History:
-    """BLAKE2b over each generation's genomes, fitness and measures (little-endian float64)."""
+    """The hash after the generations that were added.
 
-    def __init__(self) -> None:
-        self._total = hashlib.blake2b(digest_size=16)
+    Attributes:
+        value: 16 bytes.
+    """
+
+    def __init__(self, value: bytes = START) -> None:
+        self.value = value
 
     def add(
         self,
-        genomes: Sequence[bytes],
+        genomes: Iterable[bytes],
         fitness: np.ndarray,
         measures: np.ndarray | None = None,
     ) -> None:
@@ -24,11 +37,32 @@ class History:
             fitness: (genomes,) float64.
             measures: (genomes, n) float64, if the optimizer uses measures.
         """
-        self._total.update(b"".join(genomes))
-        self._total.update(fitness.astype("<f8").tobytes())
-        if measures is not None:
-            self._total.update(measures.astype("<f8").tobytes())
+        self.add_digests([digest(genome) for genome in genomes], fitness, measures)
+
+    def add_digests(
+        self,
+        digests: Sequence[bytes],
+        fitness: np.ndarray,
+        measures: np.ndarray | None = None,
+    ) -> None:
+        """Add a generation by the digests of its genomes."""
+        count = 0 if measures is None or not measures.size else measures.shape[1]
+        counts = np.array([len(digests), count], "<u8")
+        parts = [self.value, counts.tobytes(), *digests, _bits(fitness)]
+        if measures is not None and count:
+            parts.append(_bits(measures))
+        self.value = hashlib.blake2b(b"".join(parts), digest_size=SIZE).digest()
 
     def hex(self) -> str:
         """Return 32 hex digits."""
-        return self._total.hexdigest()
+        return self.value.hex()
+
+
+def digest(genome: bytes) -> bytes:
+    """Return a genome's digest: 16 bytes of BLAKE2b."""
+    return hashlib.blake2b(genome, digest_size=SIZE).digest()
+
+
+def _bits(numbers: np.ndarray) -> bytes:
+    """Return float64 numbers as SQLite returns them: one NaN, no -0.0."""
+    return np.where(np.isnan(numbers), np.nan, numbers + 0.0).astype("<f8").tobytes()
