@@ -47,7 +47,12 @@ SHARED += [
     "kernels/lanes.py",
     "kernels/vectors.py",
 ]
-SHARED += ["kernels/signatures.py", "kernels/portable.py", "kernels/random.py"]
+SHARED += [
+    "kernels/signatures.py",
+    "kernels/portable.py",
+    "kernels/random.py",
+    "kernels/sums.py",
+]
 SHARED += ["nets/meshed.py", "nets/networks.py", "nets/neurons.py"]
 SHARED += ["nets/representation.py", "nets/vector.py"]
 
