@@ -68,12 +68,14 @@ def build(
     representation_settings: Mapping[str, Any],
     *,
     hosting: bool = True,
+    in_slot: bool = False,
 ) -> tuple[Simulator, Representation]:
     """Build a simulator and the representation of its controllers, from names and settings.
 
     Args:
         settings: of the simulator; each trial draws from the ranges in them.
         hosting: let a simulator that can run the network do so.
+        in_slot: let trials drive what a file of this machine names, such as robots.
 
     Raises:
         ConfigError: unknown name or impossible settings, or the simulator refused them.
@@ -88,11 +90,11 @@ def build(
     def simulator_with(plain: Mapping[str, Any]) -> Simulator:
         what = f"simulator {simulator!r}"
         made: Simulator = _construct(what, simulator_class, plain, "problem.settings")
-        return (
-            made
-            if network is None or not hosting
-            else _hosting(made, network, representation)
-        )
+        if in_slot:
+            made.use_machine()
+        if network is not None and hosting:
+            return _hosting(made, network, representation)
+        return made
 
     if ranges.found(settings):
         settings = ranges.complete(

@@ -137,6 +137,7 @@ class SlotProcess:
             reserve.representation.kind,
             reserve.representation.settings,
             hosting=not reserve.asks,
+            in_slot=True,
         )
         probe, trial_s, in_turns = b"", 0.0, bool(reserve.asks)
         if command.probe:
