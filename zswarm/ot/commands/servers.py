@@ -124,10 +124,10 @@ def show(
 
 
 def _print_json(server: "Found", choice: "Choice") -> None:
-    values = {"server": server.server}
+    values: dict[str, Any] = {"server": server.server}
     if server.offer is not None:
-        values |= msgspec.structs.asdict(server.offer)
-        del values["server"]
+        offer = msgspec.structs.asdict(server.offer)
+        values = offer | values  # which has the server's id, too
         values["mismatch"] = choice.mismatch(server.offer)
     tables.print_json({**values, "address": server.address, "reason": server.reason})
 
