@@ -207,6 +207,9 @@ class SlotTable:
                 return self._died(slot, event, chunk)
             case events.Unprepared():
                 slot.prepared_for = None
+            case events.Finished(reply=messages.Outcomes(left=left)) if left:
+                self._out.log("slot_spoiled", slot=slot.index, left=left)
+                self._kill(slot)
             case events.Exhausted() | events.Finished(recycle=True):
                 self._out.log("slot_worn", slot=slot.index)
                 self._kill(slot)
@@ -295,14 +298,17 @@ class SlotTable:
             lease.jobs.report(chunks, idle=since is not None and now - since >= IDLE_S)
 
     def _overdue(self, slot: Slot, trial: int) -> events.Died | events.Unprepared | None:
-        """Return the event that ends a slot's work if it takes too long; else None."""
+        """Return the event that ends a slot's work if it takes too long; else None.
+
+        Args:
+            trial: that its process is at; -1 while its work is on the way to it.
+        """
         lease, chunk, now = slot.lease, slot.chunk, self._out.now
         taken_s = now - slot.timed_from
         if slot.state == "stopping" or (chunk is not None and chunk.job.cancelled):
             if taken_s > (STOP_S if chunk is not None else PREPARE_S):
-                return events.Died(
-                    slot.index, trial, "it did not stop in time", "stopped"
-                )
+                reason = "it did not stop in time"
+                return events.Died(slot.index, max(0, trial), reason, "stopped")
         elif lease is not None and slot.state == "preparing":
             probe_trials = messages.PROBE_GENOMES * messages.PROBE_SEEDS
             limit_s = PREPARE_S + probe_trials * lease.reserve.trial_timeout_s
@@ -315,7 +321,7 @@ class SlotTable:
                 slot.trial, slot.timed_from = trial, now
             elif taken_s > timeout_s:
                 reason = f"one trial took longer than {timeout_s:g} s (cluster.trial_timeout_s)"
-                return events.Died(slot.index, trial, reason, "timeout")
+                return events.Died(slot.index, max(0, trial), reason, "timeout")
         return None
 
     # ---- what follows from the state
