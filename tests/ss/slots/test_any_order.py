@@ -298,7 +298,14 @@ class Server:
             assert process.prepared or slot.prepared_for is None or process.does, (
                 "a fresh process is taken for prepared"
             )
-        shares = self.slots.leases.shares(len(self.slots.slots))
+        table = self.slots.leases
+        rights, shares = table.sharing.shares(
+            table.values(), len(self.slots.slots), self.now
+        )
+        for lease, right in rights.items():
+            assert not lease.lent or lease.lent + len(lease.slots) <= right, (
+                "more is lent than the lease has a right to"
+            )
         if self.slots.free() and not self.slots.draining:
             short = [lease for lease, share in shares.items() if len(lease.slots) < share]
             assert not short, "a slot is free, and a run has less than its share"

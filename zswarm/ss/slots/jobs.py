@@ -33,6 +33,9 @@ from zswarm.ss.slots.reply_cache import ReplyCache
 
 # Least work in a chunk: some twenty times the time to hand out the next one.
 CHUNK_S = 0.003
+CHUNK_AT_MOST_S = (
+    2.0  # so that slots can be given to others soon; one trial may be longer
+)
 SHARED_S = 0.00025  # least work in a chunk where idle slots share little work
 HOLD_QUERY_S = 30.0  # a batch that takes longer is answered "running"
 
@@ -146,15 +149,21 @@ class JobQueue(msgspec.Struct, eq=False):
     def next_chunk(self, slots: int, idle: int) -> Chunk:
         """Cut the next chunk for one of the idle slots of a lease.
 
-        It is half of a slot's share of all waiting trials, but at least ``CHUNK_S`` of work. If
-        there is less work than that for each idle slot, they share it.
+        It is half of a slot's share of all waiting trials, but at least ``CHUNK_S`` and at most
+        ``CHUNK_AT_MOST_S`` of work. If there is less work than that for each idle slot, they share
+        it.
         """
         job = self.waiting[0]
         first = job.waiting[0]
         trial_s = self.trial_s
-        least, shared = (CHUNK_S / trial_s, SHARED_S / trial_s) if trial_s else (1.0, 1.0)
+        least, shared, most = (
+            (CHUNK_S / trial_s, SHARED_S / trial_s, CHUNK_AT_MOST_S / trial_s)
+            if trial_s
+            else (1.0, 1.0, math.inf)
+        )
         rest = sum(waiting.rest() for waiting in self.waiting)
-        size = math.ceil(max(shared, min(max(rest / (2 * slots), least), rest / idle)))
+        share = min(max(rest / (2 * slots), least), rest / idle)
+        size = math.ceil(max(shared, min(share, most)))
         if not job.cuttable or len(first) - size < shared / 2:
             size = len(first)
         positions, later = first[:size], first[size:]
