@@ -17,6 +17,7 @@ from zswarm.ot.build import Parts, build
 from zswarm.ot.cluster.connection import Connection
 from zswarm.ot.logger import Generation, Logger, Result, Started
 from zswarm.ot.record import control_file as control
+from zswarm.ot.record import epochs
 from zswarm.ot.record.folder import load_experiment
 from zswarm.ot.record.reader import Run
 from zswarm.ot.record.results import finished_result
@@ -163,9 +164,15 @@ def resume(folder: Path, connection: Connection, logger: Logger) -> Iterator[Evo
         parts = build(complete)
         if not parts.optimizer.portable and (machine := record.machine_changed()):
             logger.on_say(f"this run was made with {machine}; {CHANGED}")
-        if record.meta("version_hash") != _code(complete):
+        generation = record.resumed().generation
+        before, now = epochs.epochs(Run(folder)), epochs.here(complete, generation)
+        portable = parts.optimizer.portable
+        if before and (how := epochs.change(before[-1], now, portable=portable)):
             logger.on_say(
-                f"the code that computes was changed since this run began; {CHANGED}"
+                f"the code that computes was changed since generation {generation - 1}: {how}; "
+                f"{CHANGED}, and the result is marked"
+                if generation
+                else f"the code that computes was changed since this run began: {how}"
             )
         with contextlib.closing(
             _evolution(parts, record, connection, logger)

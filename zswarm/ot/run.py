@@ -13,6 +13,7 @@ from zswarm.ot.cluster.shell import Cluster, Item
 from zswarm.ot.generation import Assessment
 from zswarm.ot.logger import Generation, Logger, Result, Started
 from zswarm.ot.notes import Note, RunEvent, words
+from zswarm.ot.record.epochs import here
 from zswarm.ot.record.writer import Record
 from zswarm.ot.workload import Workload
 from zswarm.protocol import messages
@@ -96,7 +97,8 @@ class _Notebook:
                 self._keep_champion()  # the program may have ended before it was written
         self._history, self._improved = record.history(), optimizer.best()[1]
         self._candidates = record.evaluations()
-        record.note(Note(RunEvent.BEGAN, count=record.meta("epoch")))
+        now = here(complete, resumed.generation)
+        record.note(Note(RunEvent.BEGAN, text=now.text, count=record.meta("epoch")))
         self._logger.on_start(Started(record.folder, complete, resumed.generation))
         say(f"{complete.name}: {connection.who_computes()}")
         if not self._problem.simulator.repeatable:
