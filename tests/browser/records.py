@@ -29,11 +29,16 @@ def write(
     events: Sequence[tuple[float, int | None, str, str, str, int]] = (),
     seed: int = 1,
     finished: bool = True,
+    settings: Sequence[str] = (),
 ) -> Path:
     """Write a run whose fitness rises, a second per generation; servers take turns."""
     loaded = experiment.load(
         experiment.find("stadium"),
-        [f"generations={generations if finished else generations + 5}", f"seed={seed}"],
+        [
+            f"generations={generations if finished else generations + 5}",
+            f"seed={seed}",
+            *settings,
+        ],
     )
     complete = experiment.complete(loaded, "test")
     draws = random.Random(seed)
