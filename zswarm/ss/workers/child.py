@@ -28,6 +28,7 @@ from zswarm.kernels.jit import PLAIN
 from zswarm.plugins.version_hash import version_hash
 from zswarm.protocol import codec
 from zswarm.protocol.messages import Outcomes, Refused, Reserve, Sensors
+from zswarm.security import keyring
 from zswarm.ss.slots.events import (
     Died,
     Exhausted,
@@ -41,6 +42,7 @@ from zswarm.ss.slots.events import (
 )
 from zswarm.ss.workers import memory
 from zswarm.ss.workers.remote import Trial, Unanswered
+from zswarm.system import landlock
 from zswarm.system.text import clean
 
 PRELOADED = ["zswarm.ss.workers.child", "zswarm.evaluate"]
@@ -79,6 +81,7 @@ def main(
     os.register_at_fork(after_in_child=pipe.close)
     _redirect(output)
     memory.go_first()
+    landlock.hide({keyring.SYSTEM, keyring.of_user(), keyring.find() or keyring.SYSTEM})
     # Every child inherits the pipe that keeps the fork server alive: it must end with the server.
     os.close(multiprocessing.forkserver._forkserver._forkserver_alive_fd)  # type: ignore[attr-defined]  # private
     for number in (signal.SIGINT, signal.SIGTERM):
