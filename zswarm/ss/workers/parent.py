@@ -50,7 +50,7 @@ def start_fork_server() -> None:
     os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
     _context.set_forkserver_preload(child.PRELOADED)
     # Its socket is in a private folder, and the current folder is not on its path.
-    multiprocessing.util.abstract_sockets_supported = False
+    multiprocessing.util.abstract_sockets_supported = False  # type: ignore[misc]  # once
     multiprocessing.util._args_from_interpreter_flags = _flags  # type: ignore[attr-defined]  # private
     multiprocessing.forkserver.ensure_running()
 
