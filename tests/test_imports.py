@@ -271,6 +271,7 @@ def test_only_tests_import_the_checks() -> None:
 def test_the_tables_of_parts_name_modules_and_import_none() -> None:
     assert own(MODULES["plugins.registry"]) == {
         "errors",
+        "plugins.distributions",
         "plugins.manifests",
         "config.suggest",
     }

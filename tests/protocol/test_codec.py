@@ -93,6 +93,7 @@ TOLD = {
     **dict.fromkeys(("trials", "fitness", "metrics"), st.binary(max_size=30)),
     "seconds": SECONDS,
     "error": SHOWN,
+    "left": SHOWN,
 }
 REPLIES = {
     messages.Offer: {

@@ -172,6 +172,7 @@ class Outcomes(Message, frozen=True, tag="outcomes"):
     seconds: Seconds  # spent computing, by all slots together
     trials: bytes = b""  # (trials,) uint32, indices into the batch, rising; b"": all
     error: Text = ""  # what the simulator raised first
+    left: Text = ""  # what the simulator left behind in its process, which was replaced
 
 
 class Running(Message, frozen=True, tag="running"):
@@ -185,6 +186,7 @@ class Running(Message, frozen=True, tag="running"):
     metrics: bytes = b""
     seconds: Seconds = 0.0
     error: Text = ""
+    left: Text = ""
 
 
 class Fault(Message, frozen=True, tag="fault"):
@@ -199,6 +201,7 @@ class Fault(Message, frozen=True, tag="fault"):
     metrics: bytes = b""
     seconds: Seconds = 0.0
     error: Text = ""
+    left: Text = ""
 
 
 class Sensors(Message, frozen=True, tag="sensors"):

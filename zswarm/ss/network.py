@@ -22,7 +22,7 @@ from zswarm.security import refusals
 from zswarm.session import Reach
 from zswarm.ss.local.control import LocalQuery
 from zswarm.ss.slots import events
-from zswarm.ss.workers.remote import Unheard
+from zswarm.ss.workers.remote import FullPipe, Unheard
 from zswarm.system.text import clean
 
 ANSWER_S = 2.0  # for the optimizer to answer; zenoh keeps a kilobyte per query as long
@@ -56,7 +56,7 @@ class PeerQuery:
 
 
 # An int is the number of a signal.
-Item = PeerQuery | LocalQuery | Unheard | events.Event | int
+Item = PeerQuery | LocalQuery | Unheard | FullPipe | events.Event | int
 
 
 class Inbox:

@@ -2,6 +2,7 @@
 
 from collections import deque
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -1140,6 +1141,23 @@ def test_metrics_are_stored_by_index_and_simulator_errors_are_reported() -> None
         Note("simulator_raised", "a", "ValueError: x", 1)
     ]
     assert optimizer.counted == [0]
+
+
+def test_what_trials_leave_behind_is_reported_once() -> None:
+    optimizer = Optimizer(slots=1)
+    optimizer.join("a")
+    asks = optimizer.work(3)
+    texts = ["a file open (x)", "a file open (y); 1 thread running", "1 thread running"]
+    notes: list[Note] = []
+    for text in texts:
+        ask = asks.pop(0)
+        reply = msgspec.structs.replace(outcomes(ask, 1.0), left=text)
+        asks += optimizer.answer(ask, reply)
+        notes += optimizer.notes("simulator_left")
+    assert notes == [
+        Note("simulator_left", "a", "a file open (x)"),
+        Note("simulator_left", "a", "1 thread running"),
+    ]
 
 
 def test_counting_a_trial_twice_is_a_bug() -> None:

@@ -51,6 +51,9 @@ class Batches(msgspec.Struct, eq=False):
     _fits: int = 1  # trials that fit into a message
     _failed_on: dict[int, list[str]] = {}  # by trial: the servers of its failed attempts
     _alone: bool = False  # the user knows that there is no second server
+    _left_behind: set[str] = (
+        set()
+    )  # what the user knows that trials leave in their processes
 
     # ---- workloads
 
@@ -253,6 +256,11 @@ class Batches(msgspec.Struct, eq=False):
         )
         if not len(rows):
             return
+        left = {text.partition(" (")[0]: text for text in reply.left.split("; ") if text}
+        if new := left.keys() - self._left_behind:
+            self._left_behind |= new
+            text = "; ".join(left[kind] for kind in left if kind in new)
+            self.out.note(RunEvent.SIMULATOR_LEFT, server.id, text)
         measured = reply.seconds / len(rows)
         server.trial_s = (
             0.7 * server.trial_s + 0.3 * measured if server.trial_s else measured
