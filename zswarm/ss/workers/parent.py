@@ -53,6 +53,8 @@ def start_fork_server() -> None:
     It loads numba, so it is to be started before slow imports; and before zenoh is opened.
     """
     os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
+    # A simulator that iterates over a set of strings then does so in one order in all slots.
+    os.environ["PYTHONHASHSEED"] = "0"
     _context.set_forkserver_preload(child.PRELOADED)
     # Its socket is in a private folder, and the current folder is not on its path.
     multiprocessing.util.abstract_sockets_supported = False  # type: ignore[misc]  # once
