@@ -5,6 +5,7 @@ from collections import deque
 import msgspec
 import numpy as np
 import pytest
+from msgspec import structs
 
 from tests.instruction_count import instructions
 from tests.ot.cluster.dispatching import (
@@ -40,6 +41,7 @@ from zswarm.protocol import codec, labels
 from zswarm.protocol.messages import (
     MAX_MESSAGE,
     Done,
+    Evaluate,
     Fault,
     Outcomes,
     Refused,
@@ -579,15 +581,46 @@ def test_a_running_batch_is_asked_again_at_once_and_its_empty_answers_are_forgot
         assert batch(ask) == number
 
 
+def bodies(asks: list[Ask]) -> list[int]:
+    """Return how many genomes are sent with each batch."""
+    messages = [ask.message for ask in asks if isinstance(ask.message, Evaluate)]
+    return [len(message.genomes) for message in messages]
+
+
+def test_a_batch_is_asked_for_again_by_its_id_alone_until_the_server_lacks_it() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a")
+    asks = [*optimizer.work(1)]
+    asks += optimizer.answer(asks[-1], Running(batch=batch(asks[0]), done=0))
+    optimizer.answer(asks[-1], None)
+    asks += optimizer.wait(1.0)
+    missing = Refused(code="unknown-batch", reason="there is no such batch")
+    asks += optimizer.answer(asks[-1], missing)
+    assert bodies(asks) == [1, 0, 0, 1]
+    assert {batch(ask) for ask in asks} == {batch(asks[0])}
+    asks = optimizer.answer(asks[-1], missing)
+    assert bodies(asks) == [1], "sent whole it cannot be missing: as another refusal"
+    optimizer.answer(asks[-1], outcomes(asks[-1]))
+    assert optimizer.counted == [0]
+
+
+def test_a_server_without_that_feature_gets_the_whole_batch_again() -> None:
+    optimizer = Optimizer()
+    (ask,) = optimizer.feed(Seen("a"))
+    (ask,) = optimizer.answer(ask, structs.replace(offer(), features=[]))
+    optimizer.answer(ask, lease("a", 1))
+    asks = optimizer.work(1)
+    asks += optimizer.answer(asks[-1], Running(batch=batch(asks[0]), done=0))
+    assert bodies(asks) == [1, 1]
+
+
 def test_early_outcomes_are_counted_once_and_a_batch_follows() -> None:
     """Slots of the server have nothing to do, as one trial of its batch takes long."""
     optimizer = Optimizer()
     optimizer.join("a", slots=2)
     first, second = optimizer.work(8)
     again, more = optimizer.answer(first, told(first, 1, given=True))
-    assert (batch(again), trials([again])) == (batch(first), trials([first])), (
-        "with the whole message"
-    )
+    assert (batch(again), trials([again])) == (batch(first), trials([first]))
     assert batch(more) not in (batch(first), batch(second))
     assert optimizer.counted == [trials([first])[1]]
     assert optimizer.answer(again, outcomes(again)) == []

@@ -214,7 +214,6 @@ def test_a_chunk_has_only_the_genomes_of_its_trials() -> None:
     "wrong",
     [
         {"seeds": b""},
-        {"seeds": b"", "participants": b""},
         {"participants": b"\0" * 6},
         {"participants": b""},
     ],
@@ -236,6 +235,20 @@ def test_a_malformed_batch_goes_to_one_slot_whole_which_refuses_it(
     for slot in range(len(server.commands)):
         server.feed(Finished(slot, refused))
     assert server.answers[query] == refused
+
+
+def test_a_batch_is_asked_for_by_its_id_alone_or_reported_missing() -> None:
+    server = Server(1)
+    lease = server.ready()
+    whole, again = evaluate(lease, 1), Evaluate(lease=lease, batch=1)
+    missing = server.ask(again)
+    assert server.answers[missing].code == "unknown-batch"  # type: ignore[union-attr]
+    first = server.ask(whole)
+    assert len(server.commands) == 1
+    second = server.ask(again)
+    assert server.answers[first] == Refused(code="cancelled", reason="asked again")
+    server.feed(Finished(0, outcomes(1)))
+    assert server.answers[second] == server.answers[server.ask(again)]
 
 
 def test_handing_out_a_chunk_takes_constant_time() -> None:

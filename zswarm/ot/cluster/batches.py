@@ -9,6 +9,7 @@ first and can be asked for them again.
 
 import msgspec
 import numpy as np
+from msgspec import structs
 
 from zswarm.errors import LocalProtocolError, RemoteProtocolError
 from zswarm.ot.cluster.events import Counted, Disputed, Outbox
@@ -179,16 +180,20 @@ class Batches(msgspec.Struct, eq=False):
         self.ask(batch)
 
     def ask(self, batch: SentBatch) -> None:
-        """Ask for a batch, or again for one that is out."""
+        """Ask for a batch, or again for one that is out: by its id if the server can have it."""
         assert self.workload is not None  # noqa: S101  batches are of one
-        genomes, participants, seeds = self.workload.batch(batch.trials)
-        message = Evaluate(
-            lease=batch.server.lease,
-            batch=batch.id,
-            genomes=[b""] * len(genomes) if self.terms.reserve.asks else genomes,
-            participants=participants.astype("<u4").tobytes(),
-            seeds=seeds.astype("<u8").tobytes(),
-        )
+        message = Evaluate(lease=batch.server.lease, batch=batch.id)
+        if batch.asked and messages.BY_ID in batch.server.features:
+            batch.asked = "by-id"
+        else:
+            batch.asked = "whole"
+            genomes, participants, seeds = self.workload.batch(batch.trials)
+            message = structs.replace(
+                message,
+                genomes=[b""] * len(genomes) if self.terms.reserve.asks else genomes,
+                participants=participants.astype("<u4").tobytes(),
+                seeds=seeds.astype("<u8").tobytes(),
+            )
         batch.question = self.out.ask(batch.server.id, message, batch.trials)
 
     def _size(self, server: RemoteServer, depth: int) -> int:

@@ -184,7 +184,9 @@ class SlotTable:
         if lease.jobs.ask_again(message.batch, query):
             return
         slots, refuse = len(lease.slots) + lease.lent, self._out.refuse
-        if self.draining:
+        if not message.seeds and not message.participants:
+            refuse(query, "unknown-batch", f"there is no batch {message.batch}")
+        elif self.draining:
             refuse(query, "draining", "the server is draining")
         elif lease.failure:
             refuse(query, "mismatch", lease.failure)
