@@ -12,7 +12,7 @@ from zswarm import experiment
 from zswarm.config.sections import StudyConfig
 from zswarm.errors import Stopped
 from zswarm.experiment import Experiment
-from zswarm.ot import run
+from zswarm.ot import identity, run
 from zswarm.ot.build import Parts, build
 from zswarm.ot.cluster.connection import Connection
 from zswarm.ot.logger import Generation, Logger, Result, Started
@@ -164,15 +164,12 @@ def resume(folder: Path, connection: Connection, logger: Logger) -> Iterator[Evo
         parts = build(complete)
         if not parts.optimizer.portable and (machine := record.machine_changed()):
             logger.on_say(f"this run was made with {machine}; {CHANGED}")
-        generation = record.resumed().generation
-        before, now = epochs.epochs(Run(folder)), epochs.here(complete, generation)
+        before = epochs.epochs(Run(folder))[-1:]
+        now = identity.here(complete, record.resumed().generation)
         portable = parts.optimizer.portable
-        if before and (how := epochs.change(before[-1], now, portable=portable)):
+        if before and (how := identity.change(before[0], now, portable=portable)):
             logger.on_say(
-                f"the code that computes was changed since generation {generation - 1}: {how}; "
-                f"{CHANGED}, and the result is marked"
-                if generation
-                else f"the code that computes was changed since this run began: {how}"
+                f"what computes was changed before generation {now.generation}: {how}; {CHANGED}"
             )
         with contextlib.closing(
             _evolution(parts, record, connection, logger)

@@ -28,6 +28,7 @@ from zswarm.plugins import registry as plugins
 from zswarm.plugins.distributions import compiled_files, regular
 
 LIBRARIES = ("llvmlite", "numba", "numpy", "pymunk")
+PROPOSING = {"cmaes": "cmaes", "cma-me": "ribs", "map-elites": "ribs"}  # by optimizer
 CODE, BUILD, NONE = "code of ", "build of ", "none"
 PHYSICS = "pymunk"  # compiled differently by PyPI, conda and distributions of Linux
 PACKAGE_VERSION = re.compile(r"\w[\w.!+-]*")
@@ -44,6 +45,7 @@ SHARED = [
     "sims/randomized.py",
     "sims/turns.py",
     "sims/simulator.py",
+    "sims/raised.py",
 ]
 SHARED += [
     "kernels/jit.py",
@@ -94,6 +96,13 @@ def versions(simulator: str, representation: str) -> dict[str, str]:
         f"{CODE}simulator {simulator}": _code("simulator", simulator),
         f"{CODE}representation {representation}": _code("representation", representation),
     }
+
+
+def proposing(optimizer: str) -> dict[str, str]:
+    """Return the versions of the packages that propose an optimizer's candidates."""
+    name = PROPOSING.get(optimizer)
+    packages = {name: _version(name)} if name else {}
+    return packages | plugins.distribution_versions("optimizer", optimizer)
 
 
 def differing(here: Mapping[str, str], asked: Mapping[str, str]) -> list[str]:
@@ -221,7 +230,7 @@ def _hashed(total: "hashlib.blake2b", files: Iterable[Path]) -> "hashlib.blake2b
 
 @cache  # files are in the hashes of many problems, and may be large
 def _content(file: Path, *_: int) -> bytes:
-    """Return the digest of a file's content, computed anew when the file was changed."""
+    """Return the digest of a file's content; a changed file has another stamp."""
     with file.open("rb") as content:
         made = hashlib.file_digest(content, lambda: hashlib.blake2b(digest_size=16))
     return made.digest()

@@ -11,9 +11,10 @@ from zswarm.ot import evolution, run
 from zswarm.ot.analysis import curves
 from zswarm.ot.analysis.caveats import caveats
 from zswarm.ot.commands import list as listing
+from zswarm.ot.identity import change, here
 from zswarm.ot.logger import Logger
 from zswarm.ot.record import epochs
-from zswarm.ot.record.epochs import Epoch, change, decoded, mark
+from zswarm.ot.record.epochs import Epoch, decoded, mark
 
 
 def epoch(generation: int, digit: str = "a", **versions: str) -> Epoch:
@@ -40,6 +41,14 @@ def test_the_mark_names_generations_and_versions_that_differ() -> None:
     assert mark([old, epoch(2, "b"), epoch(3)], 4) == (
         "computed by 2 versions: generations 0-1 by aaaaaaaa, 2-2 by bbbbbbbb, "
         "3-3 by aaaaaaaa"
+    )
+
+
+def test_generations_that_a_run_went_back_from_do_not_count() -> None:
+    found = [epoch(0), epoch(10, "b")]
+    assert mark(found, 5) == ""
+    assert mark([*found, epoch(5, "c")], 9) == (
+        "computed by 2 versions: generations 0-4 by aaaaaaaa, 5-8 by cccccccc"
     )
 
 
@@ -77,7 +86,6 @@ def test_a_run_that_is_resumed_by_another_version_is_marked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     small = zswarm.load("stadium", {"generations": 4, "optimizer.population": 10})
-    here = epochs.here
 
     def older(complete: zswarm.Experiment, generation: int) -> Epoch:
         now = here(complete, generation)
@@ -96,7 +104,7 @@ def test_a_run_that_is_resumed_by_another_version_is_marked(
             resumed.finish()
     (line,) = [line for line in heard.lines if "was changed" in line]
     assert heard.lines.index(line) == 0, "it is said before anything is computed"
-    assert "since generation 1: Python 3." in line
+    assert "before generation 2: Python 3." in line
     assert "here, 3.10.1 there" in line
     one, other = epochs.epochs(resumed.run)
     assert (one.generation, other.generation) == (0, 2)

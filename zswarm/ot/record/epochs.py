@@ -4,25 +4,18 @@ The event ``began`` holds one as JSON. A run that different code computed is mar
 result is shown.
 """
 
-import platform
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from importlib.metadata import version
 
 import msgspec
 
-from zswarm.experiment import Experiment
 from zswarm.ot.notes import RunEvent
-from zswarm.ot.record import opening
 from zswarm.ot.record.reader import Run
-from zswarm.plugins import registry as plugins
-from zswarm.plugins.version_hash import CODE, differing, version_hash, versions
 from zswarm.system.text import clean
-from zswarm.system.version import VERSION
 
 TEXTS = f"SELECT text FROM events WHERE event = '{RunEvent.BEGAN}' ORDER BY rowid"  # noqa: S608
-# Packages that propose candidates, by optimizer.
-PROPOSING = {"cmaes": "cmaes", "cma-me": "ribs", "map-elites": "ribs"}
+
+DIGESTS = ("code of ", "build of ")  # which tell a reader nothing
 
 
 class Epoch(msgspec.Struct, frozen=True, kw_only=True):
@@ -45,27 +38,6 @@ class Span(msgspec.Struct):
     first: int
     last: int
     epoch: Epoch
-
-
-def here(complete: Experiment, generation: int) -> Epoch:
-    """Return the epoch of a run that this process computes from a generation on."""
-    parts = complete.problem.simulator, complete.representation.kind
-    optimizer = complete.optimizer.kind
-    packages = {
-        name: version(name) for kind, name in PROPOSING.items() if kind == optimizer
-    }
-    return Epoch(
-        generation=generation,
-        version_hash=version_hash(*parts),
-        versions={
-            "zswarm": VERSION,
-            **versions(*parts),
-            "Python": platform.python_version(),
-            **packages,
-            **plugins.distribution_versions("optimizer", optimizer),
-        },
-        machine=opening.machine(),
-    )
 
 
 def epochs(run: Run) -> list[Epoch]:
@@ -97,7 +69,7 @@ def mark(found: Sequence[Epoch], generations: int) -> str:
     shown = [
         name
         for name in names
-        if not name.startswith(CODE)
+        if not name.startswith(DIGESTS)
         and len({span.epoch.versions.get(name) for span in spans}) > 1
     ]
     texts = []
@@ -109,30 +81,12 @@ def mark(found: Sequence[Epoch], generations: int) -> str:
     return clean(f"computed by {len(hashes)} versions: generations {', '.join(texts)}")
 
 
-def change(before: Epoch, now: Epoch, *, portable: bool) -> str:
-    """Return how what computes now differs from what did before, or "".
-
-    Args:
-        portable: the optimizer computes the same on every machine.
-    """
-    different = "; ".join(differing(now.versions, before.versions))
-    if now.version_hash != before.version_hash:
-        return clean(different or "other code")
-    if portable:
-        return ""
-    packages = {"Python", *PROPOSING.values()}
-    own, theirs = (
-        {name: found for name, found in epoch.versions.items() if name in packages}
-        for epoch in (now, before)
-    )
-    return clean("; ".join(differing(own, theirs)))
-
-
 def _spans(found: Sequence[Epoch], generations: int) -> list[Span]:
     """Return the spans of finished generations, in order; neighbours of one version are joined."""
     spans: list[Span] = []
     for at, epoch in enumerate(found):
-        end = found[at + 1].generation if at + 1 < len(found) else generations
+        # A run may go back to an earlier generation, and be computed anew from there.
+        end = min([generations, *(later.generation for later in found[at + 1 :])])
         if end <= epoch.generation:  # it finished none
             continue
         if spans and spans[-1].epoch.version_hash == epoch.version_hash:
