@@ -43,7 +43,7 @@ print(len(fitness), before, peak())
 def test_sending_large_genomes_takes_little_memory_besides_the_genomes(
     tmp_path: Path,
 ) -> None:
-    """A hundred candidates of a million parameters, 400 MB: each message is made when it is sent."""
+    """Of a hundred candidates of a million parameters, each message is made when it is sent."""
     ended = subprocess.run(
         [sys.executable, "-c", PROGRAM, str(CANDIDATES)],
         cwd=tmp_path,

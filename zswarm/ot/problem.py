@@ -19,6 +19,7 @@ from zswarm.plugins import registry as plugins
 from zswarm.protocol import codec
 from zswarm.protocol.messages import MAX_GENOME, MAX_GENOMES, MAX_MESSAGE, Requirements
 
+CHECKED_BYTES = 16 << 20  # of genomes that are checked at once
 OTHER_BYTES = 1000  # of a message, besides genomes, for each of them and once more
 
 
@@ -205,7 +206,11 @@ class Problem:
             )
         else:
             genomes = [vector.tobytes() for vector in self._float32(candidates)]
-        self.representation.parameters(genomes)  # refuses what no server could evaluate
+        at_once = max(1, CHECKED_BYTES // max(1, *map(len, genomes)))
+        for first in range(
+            0, len(genomes), at_once
+        ):  # refuses what no server could evaluate
+            self.representation.parameters(genomes[first : first + at_once])
         return genomes
 
     def vectors(self, genomes: Sequence[bytes]) -> np.ndarray:
