@@ -209,7 +209,7 @@ def _hashed(total: "hashlib.blake2b", files: Iterable[Path]) -> "hashlib.blake2b
 
 @cache  # files are in the hashes of many problems, and may be large
 def _content(file: Path, *_: int) -> bytes:
-    """Return the digest of a file's content, computed anew when the file was changed."""
+    """Return the digest of a file's content, computed again when the file was changed."""
     with file.open("rb") as content:
         made = hashlib.file_digest(content, lambda: hashlib.blake2b(digest_size=16))
     return made.digest()
