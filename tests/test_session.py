@@ -1,6 +1,8 @@
 """Sessions on loopback: who sees whom, what is refused, and what is waited for."""
 
 import socket
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -135,3 +137,75 @@ def test_a_router_carries_messages_between_two_sessions(
     assert sees(client)
     assert list(client.info.peers_zid()) == [], "nothing goes direct"
     assert [str(link.dst) for link in client.info.links()] == [place]
+
+
+class Panic(BaseException):
+    """What a panic in zenoh is in Python: no ``Exception``."""
+
+
+def test_a_call_that_fails_is_reported_and_the_sender_continues() -> None:
+    failed: list[BaseException] = []
+    sent: list[int] = []
+    sender = session.Sender("peer", failed.append)
+
+    def panic() -> None:
+        raise Panic("no memory")
+
+    for number in range(3):
+        assert sender.send(panic)
+        assert sender.send(lambda number=number: sent.append(number))
+    sender.close(60.0)
+    assert sent == [0, 1, 2]
+    assert [repr(error) for error in failed] == ["Panic('no memory')"] * 3
+    assert not sender._thread.is_alive()
+
+
+class Panicking:
+    """A session that fails when a query is sent."""
+
+    def get(self, *_: object, **__: object) -> None:
+        raise Panic
+
+
+def test_a_query_that_cannot_be_sent_counts_as_not_answered() -> None:
+    answers: list[bytes | None] = []
+    with pytest.raises(Panic):
+        session.ask(
+            Panicking(),  # type: ignore[arg-type]
+            "zswarm/key",
+            b"",
+            lambda answer, _: answers.append(answer),
+            timeout_s=1.0,
+        )
+    assert answers == [None]
+
+
+HANGING = """
+import threading
+from zswarm import session
+from zswarm.system import program
+
+class Hanging:
+    def close(self):
+        threading.Event().wait()
+
+def main():
+    session.close(Hanging())
+    print("closed", flush=True)
+    raise SystemExit(5)
+
+{run}
+"""
+
+
+@pytest.mark.parametrize("run", ["program.run(main)", "main()"])
+def test_a_session_that_cannot_be_closed_does_not_keep_a_program(run: str) -> None:
+    """A program of ours ends with its own code; nothing ends the program of a user before."""
+    ended = subprocess.run(
+        [sys.executable, "-c", HANGING.format(run=run)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert (ended.stdout, ended.returncode) == ("closed\n", 5), ended.stderr

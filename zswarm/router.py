@@ -15,7 +15,7 @@ from zswarm.config.decode import overridden
 from zswarm.errors import ConfigError
 from zswarm.security import refusals
 from zswarm.session import Reach
-from zswarm.system import log, systemd, terminal
+from zswarm.system import log, program, systemd
 from zswarm.system.version import VERSION
 
 EXIT_MISTAKE, EXIT_DAMAGED_CONFIG = 2, 78
@@ -117,7 +117,7 @@ def serve(read_options: Callable[[], RouterOptions]) -> int:
         except ConfigError as error:
             logger.error("reload_refused", reason=str(error))
         else:
-            session.close(opened, or_exit=False)
+            session.close(opened)
             try:
                 opened, listen = _open(new_options, new_reach)
                 options, reach = new_options, new_reach
@@ -166,8 +166,7 @@ def _reopen(options: RouterOptions, reach: Reach) -> session.Session:
 
 def main() -> None:
     """Run the program."""
-    terminal.prepare()
-    command()
+    program.run(command)
 
 
 if __name__ == "__main__":

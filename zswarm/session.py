@@ -22,6 +22,7 @@ from zswarm.security import access, keyring, refusals
 from zswarm.security.keyring import Keyring
 from zswarm.security.members import Role
 from zswarm.system import scouting
+from zswarm.system.program import CLOSING
 
 PORT = 7467
 PORTS = 100  # tried from PORT on if none is given
@@ -32,7 +33,7 @@ WAIT_BEFORE_CLOSE_S = 60
 # Of zenoh. A dead link on which a message hangs occupies one until it is given up.
 SENDING_THREADS = 64
 OPEN_FILES = 8192
-CLOSING_S = 15.0
+CLOSING_S = 1.0  # for a close that a dead link blocks
 QUEUE = 10_000  # waiting calls of a sender
 
 Mode = Literal["peer", "client", "router"]
@@ -276,29 +277,16 @@ def _raise_file_limit() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
 
 
-def close(session: Session, *, or_exit: bool = True) -> None:
-    """Close a session, although a dead link may block it.
-
-    Args:
-        or_exit: end the program if that takes long; otherwise leave it to a thread.
-    """
+def close(session: Session) -> None:
+    """Close a session; leave that to a thread if a dead link blocks it."""
 
     def closing() -> None:
         with contextlib.suppress(zenoh.ZError):  # zenoh gave up waiting for a dead link
             session.close()
 
-    if or_exit:
-        watchdog = threading.Timer(CLOSING_S, os._exit, (1,))
-        watchdog.daemon = True
-        watchdog.start()
-        try:
-            closing()
-        finally:
-            watchdog.cancel()
-    else:
-        thread = threading.Thread(target=closing, name="closing", daemon=True)
-        thread.start()
-        thread.join(CLOSING_S)
+    thread = threading.Thread(target=closing, name=CLOSING, daemon=True)
+    thread.start()
+    thread.join(CLOSING_S)
 
 
 def ask(
@@ -314,7 +302,8 @@ def ask(
 
     Args:
         answered: called once, in one of zenoh's threads, with the answer and the replier's id; with
-            None if no answer comes.
+            None if no answer comes, also if the query cannot be sent. If it fails with an answer,
+            it is called again with None.
         options: of ``zenoh.Session.get``.
     """
     done = False
@@ -324,11 +313,19 @@ def ask(
         nonlocal done
         if reply.ok is not None and not done:
             done = True
-            replier = str(reply.replier_id.zid) if reply.replier_id is not None else ""
-            answered(reply.ok.payload.to_bytes(), replier)
+            try:
+                replier = (
+                    str(reply.replier_id.zid) if reply.replier_id is not None else ""
+                )
+                answered(reply.ok.payload.to_bytes(), replier)
+            except BaseException:  # no memory, or a panic in zenoh
+                done = False
+                raise
 
     def on_end() -> None:
+        nonlocal done
         if not done:
+            done = True
             answered(None, "")
 
     try:
@@ -344,12 +341,20 @@ def ask(
         )
     except zenoh.ZError:  # the session is closing
         on_end()
+    except BaseException:
+        on_end()
+        raise
 
 
 class Sender:
-    """A thread that sends to one peer. A send to a dead link blocks, and here delays no others."""
+    """A thread that sends to one peer. A send to a dead link blocks, and here delays no others.
 
-    def __init__(self, name: str) -> None:
+    Args:
+        failed: takes what a call raised; the thread continues with the next one.
+    """
+
+    def __init__(self, name: str, failed: Callable[[BaseException], None]) -> None:
+        self._failed = failed
         self._calls: queue.Queue[Callable[[], None] | None] = queue.Queue(QUEUE)
         self._thread = threading.Thread(
             target=self._work, name=f"send-{name}", daemon=True
@@ -378,5 +383,9 @@ class Sender:
 
     def _work(self) -> None:
         while (call := self._calls.get()) is not None:
-            call()
-            self._calls.task_done()
+            try:
+                call()
+            except BaseException as error:  # a panic in zenoh is not an Exception
+                self._failed(error)
+            finally:
+                self._calls.task_done()

@@ -13,6 +13,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from tests.browser.conftest import Dashboard, Watched
 from tests.browser.records import BEGUN, from_the_future, grow, write
+from tests.ot.record.sealing import reseal
 from zswarm.ot.record import control_file as control
 from zswarm.ot.record.folder import lock_folder
 
@@ -47,6 +48,30 @@ def test_all_runs_are_listed_and_their_curves_drawn_over_one_another(
     expect(page.locator(".tall tbody tr")).to_have_count(1)
     page.get_by_role("link", name="alone").click()
     expect(page.get_by_role("heading", level=1)).to_have_text("alone")
+
+
+def test_medians_are_of_all_runs_of_a_setting_up_to_the_end_of_the_first(
+    page: Page, dashboard: Start, tmp_path: Path
+) -> None:
+    for seed in range(1, 17):
+        write(tmp_path, f"short-{seed}", seed=seed, generations=20)
+    write(tmp_path, "long", seed=17, generations=60)
+    for seed in range(1, 3):
+        other = ["problem.trials=7"]
+        write(tmp_path, f"other-{seed}", seed=seed, generations=10, settings=other)
+    page.goto(dashboard(tmp_path).url)
+    expect(page.locator(".tall tbody tr")).to_have_count(19)
+    for box in page.get_by_label(re.compile("^draw ")).all():
+        box.check()
+    expect(page.locator(".legend .key")).to_have_count(14)
+    expect(page.get_by_text("14 of 19 chosen runs are drawn")).to_be_visible()
+    page.get_by_text("median and quartiles").click()
+    expect(page.locator(".legend .key", has_text="median of 17 runs")).to_be_visible()
+    expect(page.locator(".legend .key", has_text="2 runs: trials 7")).to_be_visible()
+    expect(page.get_by_text("chosen runs are drawn")).not_to_be_visible()
+    page.locator(".chart svg[role=img]").first.focus()
+    page.keyboard.press("End")  # of the median, which has the most points
+    expect(page.locator(".readout").first).to_contain_text("generation 20: median of 17")
 
 
 def test_the_page_of_a_run_shows_progress_events_and_settings(
@@ -248,6 +273,7 @@ def test_hostile_names_are_text(page: Page, dashboard: Start, tmp_path: Path) ->
             (f'{{"best": 1, "mean": 0, "{HOSTILE.replace(chr(34), chr(39))}": 1}}',),
         )
     database.close()
+    reseal(folder)
     url = dashboard(tmp_path).url
     page.goto(url)
     page.locator(".tall tbody a").click()

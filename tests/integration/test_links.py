@@ -1,5 +1,6 @@
 """A run on links that are cut, reset, slow or stuck has the undisturbed history."""
 
+import signal
 import time
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from tests.integration.lab import Lab
 from tests.integration.paced import Scene, Size, Undisturbed, play_undisturbed, query
 from tests.integration.programs import Optimizer, wait_until
 from tests.integration.proxy import Proxy
+from zswarm.ot.commands.shared.exits import EXIT_INTERRUPTED
 from zswarm.session import LINK_TIMEOUT_S
 
 pytestmark = pytest.mark.faults
@@ -161,11 +163,14 @@ def test_a_link_of_20_kilobytes_a_second_is_slow_and_stays(
 
 
 def test_four_megabytes_to_a_stopped_server_do_not_delay_others(tmp_path: Path) -> None:
-    """A link timeout on both sides loses nothing either."""
+    """A link timeout on both sides loses nothing either; the run can be stopped meanwhile."""
     with Scene(tmp_path, HUGE) as scene:
-        hang_a_batch(scene)
+        optimizer = hang_a_batch(scene)
         assert not scene.events("server_left", "other")
         assert not scene.counted("victim")
+        optimizer.kill(signal.SIGINT)
+        assert optimizer.wait() == EXIT_INTERRUPTED, optimizer.err.read_text()
+        assert not scene.events("server_left", "victim"), "its batch still hangs"
 
 
 def hang_a_batch(scene: Scene) -> Optimizer:

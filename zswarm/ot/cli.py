@@ -18,7 +18,7 @@ from zswarm.ot.commands.shared.exits import (
     EXIT_MISTAKE,
     EXIT_NO_SERVERS,
 )
-from zswarm.system import terminal
+from zswarm.system import program
 
 LONGEST = 200  # characters of a command's first sentence in the list, which folds it
 
@@ -79,8 +79,12 @@ def command() -> None:
 
 
 def main() -> None:
+    """Run the program."""
+    program.run(_run)
+
+
+def _run() -> None:
     """Run a command; errors that the user can fix end in one line."""
-    terminal.prepare()
     try:
         command.main(standalone_mode=False)
     except (click.exceptions.Abort, KeyboardInterrupt):

@@ -129,7 +129,7 @@ def _try(call: Callable[[], None]) -> None:
 
 def main() -> None:
     """Entry point."""
-    from zswarm.system import terminal as screen
+    from zswarm.system import program, start
 
-    screen.prepare()
-    command()
+    start.prepare("zswarm-ss")
+    program.run(command)

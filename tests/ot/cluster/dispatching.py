@@ -19,6 +19,7 @@ from zswarm.ot.cluster.matching import Terms
 from zswarm.ot.notes import Note
 from zswarm.ot.workload import Workload
 from zswarm.protocol.messages import (
+    FEATURES,
     Evaluate,
     Fault,
     Lease,
@@ -121,7 +122,8 @@ class Optimizer:
 def offer(capacity: int = 1, mismatch: str = "", **labels: str) -> Offer:
     names = dict.fromkeys(("server", "program", "machine"), "")
     none = {"free": 0, "leases": 0, "simulators": [], "representations": []}
-    return Offer(**names, **none, capacity=capacity, mismatch=mismatch, labels=labels)  # type: ignore[arg-type]
+    fields = {"capacity": capacity, "mismatch": mismatch, "features": FEATURES}
+    return Offer(**names, **none, **fields, labels=labels)  # type: ignore[arg-type]
 
 
 def lease(

@@ -13,12 +13,13 @@ import zenoh
 from tests.ot.cluster.dispatching import terms
 from zswarm import session
 from zswarm.ot.cluster import links
-from zswarm.ot.cluster.events import Answered, Event, Gone, Seen, Work
+from zswarm.ot.cluster.events import Answered, Ask, Event, Gone, Seen, Work
 from zswarm.ot.cluster.shell import Cluster, Item
+from zswarm.ot.notes import Note
 from zswarm.ot.workload import Workload
 from zswarm.protocol import codec, keys
 from zswarm.protocol.keys import RunKey
-from zswarm.protocol.messages import Lease, Offer, Reply, Verb
+from zswarm.protocol.messages import Cancel, Lease, Offer, Reply, Verb
 from zswarm.session import Reach
 
 KEY = RunKey("default", "ada", "run-1")
@@ -246,4 +247,28 @@ def test_ctrl_c_during_a_submission_is_raised_at_once_and_releases_the_lock() ->
     with pytest.raises(KeyboardInterrupt):
         asking.ctrl_c()
     assert not asking.cluster._owner.locked()
+    asking.close()
+
+
+def test_a_query_that_zenoh_panics_at_is_noted_and_asked_again() -> None:
+    asking = Asking()
+    asking.join("lab-1")
+    asking.idle()
+    get = asking.get
+
+    def panic(*_: object, **__: object) -> None:
+        asking.get = get  # type: ignore[method-assign]
+        raise SystemError("a panic")
+
+    asking.get = panic  # type: ignore[method-assign]
+    asking.cluster._links.ask(
+        Ask(99, "lab-1", Cancel(lease=bytes(16), batches=[])), may_block=False
+    )
+    asking.idle()
+    assert asking.cluster._inbox.get(timeout=60) == Answered(99, None)
+    assert "sending to lab-1 failed: SystemError('a panic')" in [
+        item.text for item in asking.cluster.rest() if isinstance(item, Note)
+    ]
+    asking.work(1)
+    assert asking.batches
     asking.close()

@@ -4,17 +4,36 @@ import json
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from tests.installed_parts import playable
 from zswarm import experiment
+from zswarm.errors import ConfigError
 from zswarm.ot.build import build
 from zswarm.ot.cli import command
+from zswarm.ot.commands.check import lines
 from zswarm.ot.estimate.dry_run import Explanation, explain
 from zswarm.sims.minisim import Minisim
 
+STUDY = """
+name = "grid"
+seed = 1
+generations = 2
+[problem]
+simulator = "xor"
+[representation]
+kind = "fully-meshed"
+[optimizer]
+kind = "nnga"
+[study]
+repeat = 2
+[study.grid]
+"problem.simulator" = ["xor"]
+"optimizer.population" = [10, 20]
+"""
 EXAMPLES = playable(
     sorted(path.stem for path in experiment.examples_folder().glob("*.toml"))
 )
@@ -182,3 +201,36 @@ def test_ranges_make_the_trials_of_a_world_without_chance_differ() -> None:
     shorter = "problem.settings.steps={ from = 20, to = 50 }"
     assert explained("stadium", shorter).warnings[0].startswith("trials = 1")
     assert explained("stadium", shorter, "problem.trials=5").warnings == []
+
+
+def test_every_setting_of_a_study_is_checked(tmp_path: Path) -> None:
+    """The experiment itself may be possible where one of its settings is not."""
+    file = tmp_path / "grid.toml"
+    file.write_text(STUDY)
+    assert "2 settings, each run 2 times: 4 runs" in check(str(file))
+    file.write_text(STUDY.replace('["xor"]', '["xor", "nothing"]'))
+    with pytest.raises(ConfigError, match=r'study: with problem\.simulator = "nothing"'):
+        check(str(file))
+
+
+@pytest.mark.parametrize(
+    ("changed", "result"),
+    [
+        ({}, "the same on all machines, bit for bit"),
+        (
+            {"simulator": "sheep"},
+            "the same on all machines, bit for bit; simulator sheep: if it keeps the rules for "
+            "own parts",
+        ),
+        ({"portable": False}, "may differ in the last bits between machines"),
+        (
+            {"repeatable": False},
+            "differs from run to run: trials of minisim do not repeat",
+        ),
+    ],
+)
+def test_equal_results_are_promised_where_all_parts_give_them(
+    changed: dict[str, Any], result: str
+) -> None:
+    promised = msgspec.structs.replace(explained("minisim"), **changed)
+    assert dict(lines(promised, complete("minisim")))["result"] == result

@@ -119,13 +119,18 @@ def describe(pair: Pair) -> str:
     if pair.p_holm < LEVEL:
         return (
             f"{better} is better than {worse}: a run of it wins with {100 * chance:.0f} % "
-            f"({effect(chance)} effect); were they equal, chance would give this much in "
-            f"{share(pair.p_holm)} of experiments"
+            f"({effect(chance)} effect; {p_values(pair)})"
         )
     return (
         f"no difference between {pair.first} and {pair.second} is shown: it may be chance, or more "
         "runs are needed"
     )
+
+
+def p_values(pair: Pair) -> str:
+    """Format the p-value of a pair, and the one corrected for several pairs if it differs."""
+    text, adjusted = p_value(pair.p), p_value(pair.p_holm)
+    return text if pair.p == pair.p_holm else f"{text}, Holm-adjusted {adjusted}"
 
 
 def disagreement(found: Comparison) -> str:
@@ -142,11 +147,6 @@ def disagreement(found: Comparison) -> str:
         "That some group differs is shown, but not which: the test of each pair, corrected for "
         "their number, is stricter. More runs may show it."
     )
-
-
-def share(p: float) -> str:
-    """Format a probability as a percentage."""
-    return "less than 0.1 %" if p < 0.001 else f"{100 * p:.2g} %"
 
 
 def p_value(p: float) -> str:

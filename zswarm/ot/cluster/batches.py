@@ -10,6 +10,7 @@ from typing import Self
 
 import msgspec
 import numpy as np
+from msgspec import structs
 
 from zswarm.errors import LocalProtocolError, RemoteProtocolError
 from zswarm.ot.cluster.events import Counted, Disputed, Outbox
@@ -23,7 +24,7 @@ from zswarm.ot.cluster.servers import Servers
 from zswarm.ot.cluster.verification import Checks
 from zswarm.ot.notes import RunEvent
 from zswarm.ot.workload import Workload, one_nan
-from zswarm.protocol import codec
+from zswarm.protocol import codec, messages
 from zswarm.protocol.messages import Cancel, Evaluate, Fault, Outcomes, Running
 
 ATTEMPTS = 3  # of a trial that ends in a fault
@@ -41,12 +42,11 @@ class Batches(msgspec.Struct, eq=False):
     second: SecondStarts
     workload: Workload | None = None  # the present one
     uncounted: int = 0  # of its trials
-    blamed: list[
-        str
-    ] = []  # servers that failed a trial, once for each; the caller takes them
+    blamed: list[str] = []  # servers that failed a trial, for each; the caller takes them
     _serving_changed: bool = False
-    _idle: IdleServers = msgspec.field(default_factory=IdleServers)
+    idle: IdleServers = msgspec.field(default_factory=IdleServers)
     _alone: bool = False  # the user knows that there is no second server
+    _left_behind: set[str] = set()  # by trials in their processes, as the user knows
 
     @classmethod
     def of(cls, terms: Terms, out: Outbox, servers: Servers) -> Self:
@@ -55,21 +55,13 @@ class Batches(msgspec.Struct, eq=False):
         schedule = Schedule(out, queue)
         return cls(terms, out, servers, checks, queue, schedule, SecondStarts(schedule))
 
-    def next_time(self) -> float:
-        """Return when idle servers are to be looked at again."""
-        return self._idle.look_at
-
-    def look(self) -> None:
-        """Look at idle servers again, if it is time."""
-        self._idle.look(self.out.now)
-
     # ---- workloads
 
     def begin(self, workload: Workload) -> None:
         """Evaluate the trials of a workload that are not counted yet."""
         self.end()
         self.workload = workload
-        self._idle.reset(self.schedule.serving)
+        self.idle.reset(self.schedule.serving)
         trials = np.flatnonzero(~workload.counted)
         self.uncounted = len(trials)
         if len(trials):
@@ -163,19 +155,19 @@ class Batches(msgspec.Struct, eq=False):
         if self.workload is None:
             return
         if answered and answered.id in self.schedule.serving:
-            self._idle.add(answered, self.out.now)
-        if self._waits() or self._idle.looking:
+            self.idle.add(answered, self.out.now)
+        if self._waits() or self.idle.looking:
             servers = self._with_room(answered)
             for depth in range(1, DEPTH + 1):
                 for server in servers:
                     if self._waits():
                         self._fill_server(server, depth)
             self._drop_unverifiable()
-        if self._idle.looking:
-            self._idle.looking = False
+        if self.idle.looking:
+            self.idle.looking = False
             self._start_again()
         if self.uncounted or self.checks.waiting:
-            self._idle.look_later(self.out.now, len(self.servers.by_id))
+            self.idle.look_later(self.out.now, len(self.servers.by_id))
 
     def _waits(self) -> bool:
         return bool(self.queue.count or self.checks.waiting)
@@ -185,31 +177,31 @@ class Batches(msgspec.Struct, eq=False):
         if self._serving_changed:
             self._serving_changed = False
             self.schedule.serve(self.servers.serving())
-            self._idle.reset(self.schedule.serving)
-        if self._idle.more:
-            self._idle.more = False
+            self.idle.reset(self.schedule.serving)
+        if self.idle.more:
+            self.idle.more = False
             if not self.schedule.serving:
                 self.servers.recall_faulty()
-            return list(self._idle.idle.values())
-        return [answered] if answered and answered.id in self._idle.idle else []
+            return list(self.idle.idle.values())
+        return [answered] if answered and answered.id in self.idle.idle else []
 
     def _fill_server(self, server: RemoteServer, depth: int) -> None:
         while size := self.schedule.size(server, depth):
             batch = self._take(server, size)
             if batch is None:
                 if self._waits():
-                    self._idle.spared(server)
+                    self.idle.spared(server)
                 return
             self.send(batch)
         if depth == DEPTH:
-            self._idle.full(server)
+            self.idle.full(server)
 
     def _start_again(self) -> None:
         """Send trials that are out to a second server where that is expected to help."""
         servers, waits = self.servers.by_id.values(), self._waits()
         if not self.terms.second_starts:
             return
-        for server, first, trials in self.second.find(servers, self._idle, waits=waits):
+        for server, first, trials in self.second.find(servers, self.idle, waits=waits):
             copy = self._batch(server, trials, first.avoid)
             self.second.begin(first, trials, copy)
             self.send(copy)
@@ -221,26 +213,30 @@ class Batches(msgspec.Struct, eq=False):
         self.ask(batch)
 
     def ask(self, batch: SentBatch) -> None:
-        """Ask for a batch, or again for one that is out."""
+        """Ask for a batch, or again for one that is out: by its id if the server can have it."""
         assert self.workload is not None  # noqa: S101  batches are of one
-        genomes, participants, seeds = self.workload.batch(batch.trials)
-        if self.terms.reserve.asks:
-            genomes = [b""] * len(genomes)
-        batch.size = sum(map(len, genomes)) + participants.size * 16
-        message = Evaluate(
-            lease=batch.server.lease,
-            batch=batch.id,
-            genomes=genomes,
-            participants=participants.astype("<u4").tobytes(),
-            seeds=seeds.astype("<u8").tobytes(),
-        )
+        message = Evaluate(lease=batch.server.lease, batch=batch.id)
+        if batch.asked and messages.BY_ID in batch.server.features:
+            batch.asked = "by-id"
+        else:
+            batch.asked = "whole"
+            genomes, participants, seeds = self.workload.batch(batch.trials)
+            if self.terms.reserve.asks:
+                genomes = [b""] * len(genomes)
+            batch.size = sum(map(len, genomes)) + participants.size * 16
+            message = structs.replace(
+                message,
+                genomes=genomes,
+                participants=participants.astype("<u4").tobytes(),
+                seeds=seeds.astype("<u8").tobytes(),
+            )
         batch.question = self.out.ask(batch.server.id, message, batch.trials)
 
     def _take(self, server: RemoteServer, size: int) -> SentBatch | None:
         """Return a new batch, or None if all that waits is for others; checks come last."""
         useful = self.schedule.useful(server, size, checks=self.checks.count)
-        alone = self.out.now - server.pace.batch_at > MEASURE_ALONE_S
-        if not useful and alone and not self.terms.second_starts:
+        idle_s = self.out.now - server.pace.batch_at
+        if not useful and idle_s > MEASURE_ALONE_S and not self.terms.second_starts:
             useful = 1
         queued = self.queue.take(server.id, useful, self.schedule.serving)
         if queued is not None:
@@ -285,6 +281,11 @@ class Batches(msgspec.Struct, eq=False):
         )
         if not len(rows):
             return
+        left = {text.partition(" (")[0]: text for text in reply.left.split("; ") if text}
+        if new := left.keys() - self._left_behind:
+            self._left_behind |= new
+            text = "; ".join(left[kind] for kind in left if kind in new)
+            self.out.note(RunEvent.SIMULATOR_LEFT, server.id, text)
         measured = reply.seconds / len(rows)
         self.schedule.computed(server, reply.seconds, len(rows))
         if isinstance(reply, Outcomes):
@@ -310,7 +311,7 @@ class Batches(msgspec.Struct, eq=False):
         self.workload.fitness[trials], self.workload.metrics[trials] = fitness, metrics
         server.counted += len(trials)
         self.checks.choose(trials, [server.id] * len(trials))
-        self._idle.more |= bool(self.checks.waiting)  # others may be idle
+        self.idle.more |= bool(self.checks.waiting)  # others may be idle
         self._count_once(trials, server.id, measured * len(trials))
         if self.second.pairs:
             for other in self.second.counted(batch, trials.tolist()):
@@ -326,8 +327,8 @@ class Batches(msgspec.Struct, eq=False):
         self._cancel(server, [batch.id])
         self.schedule.overtaken(batch)
         if server.id in self.schedule.serving:
-            self._idle.add(server, self.out.now)
-            self._idle.more = True
+            self.idle.add(server, self.out.now)
+            self.idle.more = True
 
     def _count_once(self, trials: np.ndarray, server: str, seconds: float) -> None:
         workload = self.workload
@@ -378,7 +379,7 @@ class Batches(msgspec.Struct, eq=False):
             self.second.lost(batch)
             self._requeue(QueuedTrials(batch.rest(), batch.avoid))
         elif self.workload is not None:
-            self._idle.more = True
+            self.idle.more = True
             self.checks.give_back(batch.rest(), self.workload)
 
     def _drop_unverifiable(self) -> None:
@@ -388,13 +389,12 @@ class Batches(msgspec.Struct, eq=False):
             if alone:
                 self.checks.drop(alone)
             if alone and not self._alone:
-                self.out.note(
-                    RunEvent.UNVERIFIED, text="there is no second server to verify with"
-                )
+                text = "there is no second server to verify with"
+                self.out.note(RunEvent.UNVERIFIED, text=text)
             self._alone = bool(alone)
 
     def _requeue(self, entry: QueuedTrials) -> None:
         if count := len(entry.trials):
-            self._idle.more = True
+            self.idle.more = True
             self.queue.put(entry)
             self.out.note(RunEvent.REQUEUED, count=count)

@@ -27,7 +27,7 @@ class Dispatch:
 
     def next_time(self) -> float:
         """Return when TimePassed is due."""
-        parts = (self.servers, self.batches, self.out)
+        parts = (self.servers, self.batches.idle, self.out)
         return min(part.next_time() for part in parts)
 
     def handle(self, event: Event, now: float) -> list[Command]:
@@ -54,7 +54,7 @@ class Dispatch:
             case events.TimePassed():
                 self._repeat()
                 servers.ask_due()
-                batches.look()
+                batches.idle.look(now)
             case events.Leave():
                 batches.end()
                 servers.leave()
@@ -132,6 +132,9 @@ class Dispatch:
                 case Fault():
                     batches.count(batch, reply)
                     batches.fault(batch, reply.trial, f"{reply.kind}: {reply.reason}")
+                case Refused(code="unknown-batch") if batch.asked == "by-id":
+                    batch.asked = ""  # it was lost on the way
+                    batches.send(batch)
                 case Refused(code="malformed"):
                     batches.fault(batch, 0, f"refused: {reply.reason}")
                 case Refused():

@@ -42,6 +42,10 @@ class IdleServers(msgspec.Struct, eq=False):
         """Return all servers that have room."""
         return [*self.idle.values(), *self.spare.values()]
 
+    def next_time(self) -> float:
+        """Return when they are to be looked at again."""
+        return self.look_at
+
     def look(self, now: float) -> None:
         """Look again, if it is time."""
         if now >= self.look_at:

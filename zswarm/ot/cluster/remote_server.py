@@ -38,7 +38,7 @@ When a lease can be resumed: docs/protocol.md, "Times of a lease".
 import math
 from collections.abc import Collection
 from enum import Enum, auto
-from typing import Self
+from typing import Literal, Self
 
 import msgspec
 import numpy as np
@@ -88,6 +88,7 @@ class SentBatch(msgspec.Struct, eq=False):
     avoid: frozenset[str] = frozenset()  # servers on which one of them ended in a fault
     check: bool = False  # they are counted already, and evaluated again for comparison
     question: int = 0  # the query that asked for it last
+    asked: Literal["", "whole", "by-id"] = ""  # how it was asked for last
     unanswered: int = 0  # queries in a row that ended without an answer
     all_started: bool = False  # none of it waits for a slot any more
     sent_at: float = 0.0
@@ -119,6 +120,7 @@ class RemoteServer(msgspec.Struct, eq=False):
     # this machine is wrong.
     probe: bytes = b""
     capacity: int = 0
+    features: frozenset[str] = frozenset()
     place: tuple[float, ...] = ()  # its rank; the lowest comes first
     mismatch: str = ""  # as last reported to the user
     wanted: int = 0  # slots it was asked for

@@ -185,6 +185,7 @@ class Servers(msgspec.Struct, eq=False):
             return
         self._move(server, Phase.SPARE)
         server.capacity, server.mismatch = offer.capacity, ""
+        server.features = frozenset(offer.features)
         server.place = self.terms.choice.place(offer)
         if self.terms.choice.max_slots:
             self._allot_at = min(self._allot_at, self.out.now + ALLOT_AFTER_S)

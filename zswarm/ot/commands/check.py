@@ -10,6 +10,7 @@ import msgspec
 from zswarm.experiment import Experiment
 from zswarm.ot.commands.shared import options
 from zswarm.ot.display import tables
+from zswarm.plugins import registry
 from zswarm.system.format import duration, plural, size
 from zswarm.system.text import clean
 
@@ -44,8 +45,11 @@ def command(name: str, overrides: tuple[str, ...], search: bool, as_json: bool) 
     from zswarm.ot import build
     from zswarm.ot.cluster import matching
     from zswarm.ot.estimate import dry_run
+    from zswarm.ot.study.study import checked_plan
 
     complete = options.complete(name, overrides, {})
+    if complete.study.runs() > 1:
+        checked_plan(complete, name, {})
     explained = dry_run.explain(complete, build.build(complete))
     survey = _survey(complete) if search else None
     if as_json:
@@ -63,7 +67,7 @@ def command(name: str, overrides: tuple[str, ...], search: bool, as_json: bool) 
             ]
         tables.print_json(values)
         return
-    for about, text in _lines(explained, complete):
+    for about, text in lines(explained, complete):
         tables.entry(about, clean(text))
     if survey is not None:
         _show_servers(survey, complete)
@@ -81,14 +85,15 @@ def command(name: str, overrides: tuple[str, ...], search: bool, as_json: bool) 
     tables.line(f"{verdict}: {clean(shlex.join(run))}")
 
 
-def _lines(e: "Explanation", complete: Experiment) -> Iterator[tuple[str, str]]:
+def lines(e: "Explanation", complete: Experiment) -> Iterator[tuple[str, str]]:
     """Yield what a line is about, and its text."""
     from zswarm.ot.estimate.dry_run import EXAMPLE_SERVERS, EXAMPLE_SLOTS
 
     if e.runs > 1:
         settings = plural(len(complete.study.settings()), "setting")
         repeats = f"{settings}, each run {complete.study.repeat} times: {e.runs:,} runs"
-        yield "study", f"{repeats}. The rest is about one run, as the file describes it"
+        about = "All settings are possible; the rest is about one run, as the file has it"
+        yield "study", f"{repeats}. {about}"
     yield (
         "experiment",
         f"{e.experiment}: {plural(e.generations, 'generation')}, seed {complete.seed}",
@@ -133,8 +138,28 @@ def _lines(e: "Explanation", complete: Experiment) -> Iterator[tuple[str, str]]:
         "network and the optimizer take additional time",
     )
     yield "disk", f"about {size(e.record_bytes)}"
-    same = "the same on all machines, bit for bit"
-    yield "result", same if e.portable else "may differ in the last bits between machines"
+    yield "result", _result(e)
+
+
+def _result(e: "Explanation") -> str:
+    """Say on which machines the run gives the same."""
+    if not e.repeatable:
+        return f"differs from run to run: trials of {e.simulator} do not repeat"
+    if not e.portable:
+        return "may differ in the last bits between machines"
+    parts: dict[registry.Kind, str] = {
+        "simulator": e.simulator,
+        "representation": e.representation,
+        "ranking": e.ranking,
+        "optimizer": e.optimizer,
+    }
+    own = [
+        f"{kind} {name}"
+        for kind, name in parts.items()
+        if name not in registry.BUNDLED[kind]
+    ]
+    rules = f"; {' and '.join(own)}: if it keeps the rules for own parts" if own else ""
+    return f"the same on all machines, bit for bit{rules}"
 
 
 def _named(count: int, noun: str, names: list[str]) -> str:

@@ -56,6 +56,7 @@ class Explanation(msgspec.Struct, frozen=True, kw_only=True):
     games: int  # of the first generation; one for each candidate where none plays another
     optimizer: str
     portable: bool
+    repeatable: bool  # the same trial has the same outcomes
     # Of its study; all other numbers are about one run with the file's settings.
     runs: int
     generations: int
@@ -104,6 +105,7 @@ def explain(complete: Experiment, parts: Parts, out: Path = Path("runs")) -> Exp
         ranking=complete.ranking.kind,
         optimizer=complete.optimizer.kind,
         portable=optimizer.portable,
+        repeatable=problem.simulator.repeatable,
         runs=complete.study.runs(),
         generations=complete.generations,
         candidates_first_generation=first,

@@ -73,7 +73,7 @@ class Study:
             ConfigError: a setting is impossible, or the folder cannot be written.
         """
         complete = experiment.complete(loaded, where)
-        planned = _checked_plan(complete, where, {})
+        planned = checked_plan(complete, where, {})
         text = experiment.to_toml(complete)
         if complete.study == StudyConfig():
             text += "\n[study]\n"
@@ -102,7 +102,7 @@ class Study:
         with contextlib.ExitStack() as undo:
             lock = lock_folder(folder, "study")
             undo.callback(os.close, lock)
-            planned = _checked_plan(complete, str(folder / EXPERIMENT), _found(folder))
+            planned = checked_plan(complete, str(folder / EXPERIMENT), _found(folder))
             study = cls(folder, complete, planned, lock)
             undo.pop_all()
         return study
@@ -201,10 +201,14 @@ def _found(folder: Path) -> dict[str, str]:
     return found
 
 
-def _checked_plan(
+def checked_plan(
     complete: Experiment, where: str, found: Mapping[str, str]
 ) -> list[Planned]:
-    """Plan the runs, and build the parts of each setting once."""
+    """Plan the runs, and build the parts of each setting once.
+
+    Raises:
+        ConfigError: a setting is impossible; it is named.
+    """
     planned = plan(complete, where, found)
     for one in first_of_each(planned):
         try:

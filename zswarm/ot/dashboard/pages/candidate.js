@@ -85,7 +85,7 @@ class CandidatePage {
     const shown = graph.edges.length;
     const cut = edges > shown ? `the strongest ${number(shown)} of ${number(edges)} connections; `
       : '';
-    const hint = `${cut}blue: positive, orange and dashed: negative; point at a node or step to it with Tab`;
+    const hint = `${cut}orange: positive, blue and dashed: negative; point at a node or step to it with Tab`;
     const { sensors, actuators } = this.about;
     fill(this.network, drawNetwork(graph, sensors, actuators,
       (text) => setText(this.readout, text || hint)), this.readout);

@@ -148,9 +148,10 @@ export class Chart {
     const { cursor, from, to } = this, { hint, height, time, xLabel } = this.options;
     const chosen = to === undefined ? null : s('rect', {
       class: 'chosen', x: Math.min(from, to), width: Math.abs(to - from), height });
-    const read = cursor === null ? [] : this.shown().filter((one) => one.y).map((one) => (
-      { ...one, at: nearest(one.x, cursor) })).filter(({ at, y }) => at >= 0
-        && (y[at] ?? null) !== null);
+    const read = cursor === null ? [] : this.shown()
+      .filter(({ x, y }) => y && x[0] <= cursor && cursor <= x.at(-1))
+      .map((one) => ({ ...one, at: nearest(one.x, cursor) }))
+      .filter(({ at, y }) => (y[at] ?? null) !== null);
     fill(this.marks, chosen,
       cursor === null ? null : s('path',
         { class: 'cursor', d: `M${this.toX(cursor)} 0V${height}` }),

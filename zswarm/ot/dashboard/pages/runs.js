@@ -5,9 +5,11 @@ import { SortedTable, ago, api, ask, badge, between, button, card, choice, fill,
   rowHead, table, tr, unlessGone } from './page.js';
 
 const CHOSEN = 'zswarm.chosen';
-const MOST = 14; // curves at once
+const MOST = 14; // curves at once; medians are of all
 const FRESH_MS = 3000; // between requests for a curve
 const POINTS = 200; // of medians and quartiles
+// Settings in which runs of one median may differ.
+const FREE = new Set(['seed', 'generations']);
 const HEADS = [
   ['', ''], ['run', 'name'], ['state', 'status'], ['generation', 'generation', 'n'],
   ['best', 'best', 'n'], ['evaluations', 'evaluations', 'n'], ['simulator', 'simulator'],
@@ -28,12 +30,14 @@ class RunsPage {
   constructor(view) {
     this.runs = new Map();
     this.curves = new Map(); // by id: columns, and when they were requested
+    this.settings = new Map(); // by id: those that the history depends on
     this.chosen = new Set(JSON.parse(sessionStorage.getItem(CHOSEN) ?? '[]'));
     this.shown = { what: 'best', axis: 'generation', grouped: 'each' };
     this.chart = new Chart({ label: 'Fitness of the chosen runs', height: 320,
       hint: 'drag to zoom, arrows to read' });
     this.table = new SortedTable('runs', HEADS, ['at', -1], (run) => this.runRow(run),
       'no run yet: start one with zswarm-ot run, and it appears here');
+    this.left = h('p', { class: 'why', 'aria-live': 'polite' });
     this.compared = h('div');
     this.differences = h('details', { hidden: true, ontoggle: () => this.compare() },
       h('summary', { text: 'what differs' }), this.compared);
@@ -44,7 +48,7 @@ class RunsPage {
   buildCurves() {
     const choose = (label, name, options) => choice(label, options, this.shown[name], (value) => {
       this.shown[name] = value;
-      this.draw();
+      this.load();
     });
     return h('section', { class: 'card', 'aria-label': 'Curves' },
       between(
@@ -54,7 +58,7 @@ class RunsPage {
           choose('Runs', 'grouped', [['each', 'each run'], ['together', 'median and quartiles']])),
         row(button('none', () => this.choose([], false)),
           button('PNG', () => this.chart.png('runs.png')))),
-      this.chart.element, this.differences);
+      this.chart.element, this.left, this.differences);
   }
 
   // Draw runs, or none but these.
@@ -86,10 +90,14 @@ class RunsPage {
       h('td', { class: 'n' }, ago(run.at)));
   }
 
-  // Return the chosen runs that can be drawn.
+  // Return the chosen runs that are drawn.
   drawn() {
-    const found = [...this.chosen].map((id) => this.runs.get(id));
-    return found.filter((row) => row && !row.error).slice(0, MOST);
+    const found = [...this.chosen].map((id) => this.runs.get(id))
+      .filter((row) => row && !row.error);
+    const drawn = this.shown.grouped === 'each' ? found.slice(0, MOST) : found;
+    this.left.textContent = drawn.length < found.length
+      ? `${drawn.length} of ${found.length} chosen runs are drawn; the median has all` : '';
+    return drawn;
   }
 
   async load() {
@@ -100,10 +108,16 @@ class RunsPage {
       this.curves.set(id, { ...have, generation, asked: now });
       try {
         this.curves.get(id).columns = await ask(api('curve', { points: 600 }, id));
+        await this.settingsOf(id);
       } catch { /* the table says why */ }
     }));
     this.draw();
     this.compare();
+  }
+
+  async settingsOf(id) {
+    if (!this.settings.has(id)) this.settings.set(id, await ask(api('settings', {}, id)));
+    return this.settings.get(id);
   }
 
   // Show the settings in which the chosen runs differ, and their results.
@@ -111,7 +125,7 @@ class RunsPage {
     const runs = this.drawn();
     this.differences.hidden = runs.length < 2;
     if (!this.differences.open || this.differences.hidden) return;
-    const asked = () => Promise.all(runs.map(({ id }) => ask(api('settings', {}, id))));
+    const asked = () => Promise.all(runs.map(({ id }) => this.settingsOf(id)));
     const each = await unlessGone(asked);
     if (!each) return;
     const differs = (key) => each.some((one) => one[key] !== each[0][key]);
@@ -135,8 +149,8 @@ class RunsPage {
     const all = this.drawn().map((row) => [row, this.curves.get(row.id)?.columns])
       .filter(([, columns]) => columns?.generation.length)
       .map(([row, columns]) => ({ name: pathOf(row), x: along(columns), y: columns[what],
-        steps: what === 'best' }));
-    this.chart.set(grouped === 'each' || all.length < 2 ? all : together(all),
+        steps: what === 'best', settings: this.settings.get(row.id) ?? {} }));
+    this.chart.set(grouped === 'each' || all.length < 2 ? all : medians(all),
       { xLabel: AXES[axis], time: axis === 'time' });
   }
 
@@ -159,24 +173,43 @@ function pathOf({ study, name }) {
   return study ? `${study.replaceAll('~', '/')}/${name}` : name;
 }
 
-// Return median and quartiles over the runs that reach each point.
-function together(all) {
-  const begin = Math.min(...all.map(({ x }) => x[0]));
-  const end = Math.max(...all.map(({ x }) => x.at(-1)));
+// Return median and quartiles of the runs of each setting; runs alone in theirs stay as they are.
+function medians(all) {
+  const same = new Map();
+  for (const one of all) {
+    const kept = Object.entries(one.settings).filter(([key]) => !FREE.has(key));
+    const key = JSON.stringify(kept);
+    same.set(key, [...(same.get(key) ?? []), one]);
+  }
+  const groups = [...same.values()], [{ settings: first }] = all;
+  const differs = Object.keys(first).filter((key) => !FREE.has(key)
+    && all.some(({ settings }) => settings[key] !== first[key]));
+  return groups.flatMap((runs, i) => {
+    if (runs.length < 2) return runs;
+    const values = differs
+      .map((key) => `${key.split('.').at(-1)} ${runs[0].settings[key] ?? '–'}`).join(', ');
+    const words = groups.length > 1 && values ? `: ${values}` : '';
+    return together(runs, words, `--c${(i % 7) + 1}`);
+  });
+}
+
+// Return median and quartiles over runs, up to where the first of them ends.
+function together(runs, words, ink) {
+  const begin = Math.max(...runs.map(({ x }) => x[0]));
+  const end = Math.min(...runs.map(({ x }) => x.at(-1)));
   const x = Array.from({ length: POINTS }, (_, i) => begin + (end - begin) * i / (POINTS - 1));
   const columns = { low: [], median: [], high: [] };
   for (const at of x) {
-    const values = all.filter((one) => one.x[0] <= at && at <= one.x.at(-1))
-      .map((one) => valueAt(one, at)).filter((y) => y !== null).sort((a, b) => a - b);
-    const several = values.length > 1;
-    columns.low.push(several ? quantile(values, 0.25) : null);
+    const values = runs.map((one) => valueAt(one, at)).filter((y) => y !== null)
+      .sort((a, b) => a - b);
+    columns.low.push(values.length ? quantile(values, 0.25) : null);
     columns.median.push(values.length ? quantile(values, 0.5) : null);
-    columns.high.push(several ? quantile(values, 0.75) : null);
+    columns.high.push(values.length ? quantile(values, 0.75) : null);
   }
   return [
-    { name: 'quartiles', x, low: columns.low, high: columns.high, ink: '--c1' },
-    { name: `median of ${all.length} runs`, x, y: columns.median, ink: '--c1', dash: null },
-    ...all.map((one) => ({ ...one, ink: '--dim', thin: true, dash: '2 3' })),
+    { name: `quartiles${words}`, x, low: columns.low, high: columns.high, ink },
+    { name: `median of ${runs.length} runs${words}`, x, y: columns.median, ink, dash: null },
+    ...runs.map((one) => ({ ...one, ink: '--dim', thin: true, dash: '2 3' })),
   ];
 }
 
