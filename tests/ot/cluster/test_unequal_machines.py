@@ -2,7 +2,10 @@
 
 import pytest
 
+from tests.ot.cluster.dispatching import Optimizer, batch, fault, outcomes, trials
 from tests.ot.cluster.simulated_lab import Lab, Machine
+from zswarm.ot.cluster.events import Ask, Complete
+from zswarm.protocol.messages import Refused
 
 
 def test_what_a_large_server_had_is_split_among_all_others() -> None:
@@ -98,6 +101,59 @@ def test_a_stalled_server_costs_no_more_than_a_second_start() -> None:
 
 def test_equal_machines_start_nothing_twice() -> None:
     lab = Lab({f"s{number}": Machine(4, 1.0) for number in range(4)})
-    for trials in (16, 20, 100):
-        lab.generation(trials)
+    for count in (16, 20, 100):
+        lab.generation(count)
     assert lab.noted("second_start") == 0
+
+
+# ---- second starts, event by event
+
+
+def started_again() -> tuple[Optimizer, Ask, Ask]:
+    """Server a, which is slow, has trial 0, and server b, which is idle, gets it, too."""
+    optimizer = Optimizer(quarantine=True)
+    optimizer.join("a", trial_s=100.0)
+    (first,) = optimizer.work(1)
+    optimizer.join("b", trial_s=1.0)
+    (copy,) = [ask for ask in optimizer.wait(1.0) if ask.server == "b"]
+    assert trials([first]) == trials([copy]) == [0]
+    return optimizer, first, copy
+
+
+def test_the_first_outcome_is_counted_and_the_other_copy_cancelled() -> None:
+    for number in range(2):
+        optimizer, *copies = started_again()
+        won, lost = copies[number], copies[1 - number]
+        (cancel,) = optimizer.answer(won, outcomes(won, 7.0))
+        assert (cancel.server, cancel.message.batches) == (lost.server, [batch(lost)])
+        assert optimizer.answer(lost, outcomes(lost, 8.0)) == []
+        assert optimizer.counted == [0]
+
+
+def test_a_lost_copy_leaves_its_trial_to_the_other_server() -> None:
+    for number in range(2):
+        optimizer, *copies = started_again()
+        lost, left = copies[number], copies[1 - number]
+        assert optimizer.answer(lost, Refused(code="lease-lost", reason="")) == []
+        assert optimizer.requeued == 0
+        optimizer.answer(left, outcomes(left))
+        assert optimizer.counted == [0]
+        assert Complete() in optimizer.commands
+
+
+def test_a_fault_of_a_copy_is_one_attempt_and_starts_no_third_one() -> None:
+    optimizer, first, copy = started_again()
+    assert optimizer.answer(copy, fault(copy)) == []
+    assert optimizer.notes("fault")[0].text.endswith("attempt 1)")
+    optimizer.join("c", trial_s=1.0)
+    assert [ask for ask in optimizer.wait(10.0) if ask.trials is not None] == []
+    optimizer.answer(first, outcomes(first))
+    assert optimizer.counted == [0]
+
+
+def test_nothing_is_started_twice_where_outcomes_differ() -> None:
+    optimizer = Optimizer(second_starts=False)
+    optimizer.join("a", trial_s=100.0)
+    optimizer.work(1)
+    optimizer.join("b", trial_s=1.0)
+    assert [ask for ask in optimizer.wait(10.0) if ask.trials is not None] == []
