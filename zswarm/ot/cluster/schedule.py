@@ -4,7 +4,7 @@
   shrinks towards the end of a workload that several servers share.
 - A server has two batches, so that it computes one while the next is on its way. Trials that are
   long compared with that way wait here instead, once there is less than one for each slot: then
-  whoever is idle first gets them.
+  the first server that is idle gets them.
 - A server gets trials only if it is expected to end them before the others would have done all
   that waits: as long as a list of trials would take that gives each to where it ends first.
 """
@@ -22,6 +22,8 @@ from zswarm.ot.workload import Workload
 from zswarm.protocol import messages
 
 DEPTH = 2  # batches per server: one is evaluated, and one waits behind it
+# In a message; a trial whose genomes are larger is a batch of its own.
+BATCH_BYTES = 4 << 20
 BATCH_S = 0.075  # of work in a batch for each slot, by measured time
 # Of work in a batch for each slot, times the number of servers that serve: if each of N servers
 # ends a batch every N * 2 ms, the optimizer has one to handle every 2 ms. That takes it 0.5 ms at
@@ -58,7 +60,7 @@ class Schedule(msgspec.Struct, eq=False):
         sizes = [0] if terms.reserve.asks else list(map(len, workload.genomes))
         sent = (max(sizes, default=0) + 16) * participants + 16
         answered = 8 * (participants + terms.metrics) + 4
-        by_bytes = messages.MAX_MESSAGE // 2 // max(sent, answered)
+        by_bytes = BATCH_BYTES // max(sent, answered)
         self.fits = min(
             messages.MAX_TRIALS, messages.MAX_GENOMES // participants, by_bytes
         )
