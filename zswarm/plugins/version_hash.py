@@ -28,6 +28,7 @@ from zswarm.plugins import registry as plugins
 from zswarm.plugins.distributions import compiled_files, regular
 
 LIBRARIES = ("llvmlite", "numba", "numpy", "pymunk")
+PROPOSING = {"cmaes": "cmaes", "cma-me": "ribs", "map-elites": "ribs"}  # by optimizer
 CODE, BUILD, NONE = "code of ", "build of ", "none"
 PHYSICS = "pymunk"  # compiled differently by PyPI, conda and distributions of Linux
 PACKAGE_VERSION = re.compile(r"\w[\w.!+-]*")
@@ -41,24 +42,12 @@ PACKAGE = Path(__file__).parents[1]
 SHARED = [
     "evaluate.py",
     "config/ranges.py",
-    "sims/randomized.py",
-    "sims/turns.py",
-    "sims/simulator.py",
+    *(f"sims/{name}.py" for name in ("raised", "randomized", "simulator", "turns")),
+    *(f"kernels/{name}.py" for name in ("compiler", "jit", "lanes", "portable")),
+    *(f"kernels/{name}.py" for name in ("random", "signatures", "sums", "vectors")),
+    *(f"nets/{name}.py" for name in ("meshed", "networks", "neurons")),
+    *(f"nets/{name}.py" for name in ("representation", "vector")),
 ]
-SHARED += [
-    "kernels/jit.py",
-    "kernels/compiler.py",
-    "kernels/lanes.py",
-    "kernels/vectors.py",
-]
-SHARED += [
-    "kernels/signatures.py",
-    "kernels/portable.py",
-    "kernels/random.py",
-    "kernels/sums.py",
-]
-SHARED += ["nets/meshed.py", "nets/networks.py", "nets/neurons.py"]
-SHARED += ["nets/representation.py", "nets/vector.py"]
 
 
 @cache
@@ -94,6 +83,13 @@ def versions(simulator: str, representation: str) -> dict[str, str]:
         f"{CODE}simulator {simulator}": _code("simulator", simulator),
         f"{CODE}representation {representation}": _code("representation", representation),
     }
+
+
+def proposing(optimizer: str) -> dict[str, str]:
+    """Return the versions of the packages that propose an optimizer's candidates."""
+    name = PROPOSING.get(optimizer)
+    packages = {name: _version(name)} if name else {}
+    return packages | plugins.distribution_versions("optimizer", optimizer)
 
 
 def differing(here: Mapping[str, str], asked: Mapping[str, str]) -> list[str]:
@@ -221,7 +217,7 @@ def _hashed(total: "hashlib.blake2b", files: Iterable[Path]) -> "hashlib.blake2b
 
 @cache  # files are in the hashes of many problems, and may be large
 def _content(file: Path, *_: int) -> bytes:
-    """Return the digest of a file's content, computed anew when the file was changed."""
+    """Return the digest of a file's content, computed again when the file was changed."""
     with file.open("rb") as content:
         made = hashlib.file_digest(content, lambda: hashlib.blake2b(digest_size=16))
     return made.digest()
