@@ -188,7 +188,7 @@ class _Notebook:
             statistics["best"],
             statistics["mean"],
             self._candidates,
-            len(standing.serving),
+            standing.serving,
             standing.slots,
             statistics,
         )

@@ -160,8 +160,6 @@ class Batches(msgspec.Struct, eq=False):
             self._serving = self.servers.serving()
             idle = list(self._serving.values())
             self._slots = sum(server.ready for server in idle)
-            if not idle:
-                self.servers.recall_faulty()
         for depth in range(1, DEPTH + 1):
             for server in idle:
                 while (size := self._size(server, depth)) and (

@@ -284,11 +284,13 @@ class Cluster:
                 lost |= (
                     isinstance(command, Note) and command.event == RunEvent.SERVER_LOST
                 )
+        servers = self._dispatch.servers
         if lost:
-            servers = self._dispatch.servers.by_id
             for name in list(self._links.senders):
-                if servers[name].phase == Phase.IDLE:
+                if name not in servers.by_id or servers.by_id[name].phase == Phase.IDLE:
                     self._links.hang_up(name)
+        while servers.forgotten:
+            self._links.home.pop(servers.forgotten.pop(), None)
 
     def _take(self) -> list[Event | None]:
         """Wait for the next events, at most until the dispatch or newcomers are due."""
