@@ -3,7 +3,8 @@
 #   fleet.sh install|upgrade|join|uninstall|status HOST...
 # HOST is an ssh destination with root, or with sudo without a password. Stops at the first failure.
 # install joins the keys of lab-01 from lab-01.zkeys in this folder; join updates them, and members.zkeys.
-# PACKAGE: for pip, by default zswarm[keys]     KEYS=none: install without keys
+# PACKAGE: for pip, 'zswarm[keys] @ file:///PATH' of a wheel on the machines, or an address that
+# ends in #sha256=HASH; a bare name is refused: an index may hold another's     KEYS=none: no keys
 set -eu
 
 install='
@@ -59,6 +60,24 @@ esac
 what=$1
 shift
 
+refuse() {
+    echo "PACKAGE: expected 'zswarm[keys] @ file:///PATH' with a wheel's path on the machines, or" \
+        "'zswarm[keys] @ https://ADDRESS#sha256=HASH', not '${PACKAGE:-}'" >&2
+    exit 2
+}
+case $what in install | upgrade)
+    case ${PACKAGE:-} in
+        *"'"* | *'
+'*) refuse ;;
+        /* | *' @ file:///'*) ;;
+        *' @ https://'*'#sha256='*)
+            hash=${PACKAGE##*#sha256=}
+            [ ${#hash} = 64 ] && [ -z "$(printf %s "$hash" | tr -d 0-9a-f)" ] || refuse
+            ;;
+        *) refuse ;;
+    esac
+esac
+
 bring() {  # print commands that write file $2 on the host, and set variable $1 to its path
     if [ -r "$2" ]; then
         printf "%s=\$(mktemp)\nbase64 --decode > \"\$%s\" <<END\n%s\nEND\n" "$1" "$1" "$(base64 < "$2")"
@@ -84,7 +103,7 @@ for host; do
     esac
     echo "$host: $what"
     # Keys travel on stdin, never as an argument, and ssh needs no terminal.
-    printf "PACKAGE='%s'\n%s\n%s" "${PACKAGE:-zswarm[keys]}" "$files" "$script" |
+    printf "PACKAGE='%s'\n%s\n%s" "${PACKAGE:-}" "$files" "$script" |
         ssh "$host" 'if [ "$(id -u)" = 0 ]; then exec sh -eu; else exec sudo -n sh -eu; fi' ||
         { echo "$host: $what failed; the machines after it are unchanged" >&2; exit 1; }
 done

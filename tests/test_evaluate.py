@@ -10,11 +10,12 @@ import pytest
 from msgspec import Meta
 
 from zswarm.errors import ConfigError, EvaluationError, UnknownPlugin
-from zswarm.evaluate import MAX_ERROR_TEXT, TrialOutcomes, build, evaluate
+from zswarm.evaluate import TrialOutcomes, build, evaluate
 from zswarm.kernels.random import Stream
 from zswarm.nets.fully_meshed import FullyMeshed, FullyMeshedSettings
 from zswarm.plugins import registry as plugins
 from zswarm.sims.minisim import Minisim
+from zswarm.sims.raised import MAX_ERROR_TEXT
 from zswarm.sims.simulator import KernelBatch, Outcome, Simulator, Turn
 from zswarm.testing import check_simulator
 

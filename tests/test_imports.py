@@ -72,7 +72,7 @@ robots.profiles:    BASE
 ros.launch:         BASE controller kernels plugins robots robots.c ros.link sims sims.foreign
 ros.link:           BASE robots.profiles ros.link.bridges
 ros.link.bridges:   BASE ros.link
-ros.simulation:     BASE kernels robots.profiles ros.link ros.link.bridges sims
+ros.simulation:     BASE kernels plugins robots.profiles ros.link ros.link.bridges sims
 ss:                 BASE plugins protocol security session ss.local ss.slots ss.workers
 ss.local:           BASE ss.slots ss.workers
 ss.slots:           errors protocol
@@ -271,6 +271,7 @@ def test_only_tests_import_the_checks() -> None:
 def test_the_tables_of_parts_name_modules_and_import_none() -> None:
     assert own(MODULES["plugins.registry"]) == {
         "errors",
+        "plugins.distributions",
         "plugins.manifests",
         "config.suggest",
     }

@@ -53,5 +53,9 @@ class RemoteProtocolError(ProtocolError):
     """A peer broke it."""
 
 
+class UnknownMessageError(RemoteProtocolError):
+    """A peer sent a message of a type that this program does not have: it may be newer."""
+
+
 class EvaluationError(ZswarmError):
     """Trials could not be evaluated: a fault of machines or programs, not of a candidate."""

@@ -7,7 +7,6 @@ faults, not outcomes: they are detected outside.
 """
 
 import hashlib
-import signal
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -24,6 +23,7 @@ from zswarm.nets.networks import Networks
 from zswarm.nets.representation import Representation
 from zswarm.plugins import registry as plugins
 from zswarm.protocol.messages import PROBE_GENOMES, PROBE_SEEDS
+from zswarm.sims.raised import error_text, is_outcome
 from zswarm.sims.randomized import Varied
 from zswarm.sims.simulator import (
     CompiledSimulator,
@@ -40,18 +40,23 @@ from zswarm.sims.turns import (
     take_turns,
 )
 
-MAX_ERROR_TEXT = 300
+ControllersOf = Callable[[int], Controllers]  # by the index of a trial
 
 
 class TrialOutcomes(NamedTuple):
-    """Outcomes of trials, in their order."""
+    """Outcomes of trials, in their order; of the first ones, if ``spoiled`` ended the batch."""
 
     fitness: np.ndarray  # (trials, participants) float64
     metrics: np.ndarray  # (trials, metrics) float64
     error: str  # of the first trial whose fitness is NaN, or ""
 
 
-ControllersOf = Callable[[int], Controllers]  # by the index of a trial
+class _Played(NamedTuple):
+    """How many trials were played, from the first one on."""
+
+    error: str  # of the first trial that failed, or ""
+    trials: int
+    spoiled: bool = False  # the process is not to play others
 
 
 class Probe(NamedTuple):
@@ -68,12 +73,14 @@ def build(
     representation_settings: Mapping[str, Any],
     *,
     hosting: bool = True,
+    in_slot: bool = False,
 ) -> tuple[Simulator, Representation]:
     """Build a simulator and the representation of its controllers, from names and settings.
 
     Args:
         settings: of the simulator; each trial draws from the ranges in them.
         hosting: let a simulator that can run the network do so.
+        in_slot: let trials drive what a file of this machine names, such as robots.
 
     Raises:
         ConfigError: unknown name or impossible settings, or the simulator refused them.
@@ -88,11 +95,11 @@ def build(
     def simulator_with(plain: Mapping[str, Any]) -> Simulator:
         what = f"simulator {simulator!r}"
         made: Simulator = _construct(what, simulator_class, plain, "problem.settings")
-        return (
-            made
-            if network is None or not hosting
-            else _hosting(made, network, representation)
-        )
+        if in_slot:
+            made.use_machine()
+        if network is not None and hosting:
+            return _hosting(made, network, representation)
+        return made
 
     if ranges.found(settings):
         settings = ranges.complete(
@@ -143,6 +150,7 @@ class _Assignment(NamedTuple):
     genomes: Sequence[bytes]
     batch: KernelBatch
     remote: ControllersOf | None
+    spoiled: Callable[[], bool]
 
     def of(self, trials: slice | list[int]) -> KernelBatch:
         """Return some of the trials as a batch with its own progress; a slice fills this one."""
@@ -164,6 +172,7 @@ def evaluate(
     seeds: np.ndarray,
     progress: np.ndarray | None = None,
     remote: ControllersOf | None = None,
+    spoiled: Callable[[], bool] = lambda: False,
 ) -> TrialOutcomes:
     """Play trials in order.
 
@@ -174,7 +183,8 @@ def evaluate(
             or of the first of those that run in parallel; not zero in [1] ends the batch before the
             next one (the outcomes are then worthless).
         remote: returns what decides in a trial instead of the genomes' networks; the trial is
-        played in turns.
+            played in turns.
+        spoiled: called after each trial that Python code plays; true ends the batch there.
 
     Raises:
         ValueError: a genome does not fit the network, or a shape or index does not fit.
@@ -186,10 +196,9 @@ def evaluate(
         raise ValueError(f"participants must be {expected}, not {participants.shape}")
     if ((participants < 0) | (participants >= len(genomes))).any():
         raise ValueError(f"a participant is not among the {len(genomes)} genomes")
+    parameters = np.empty((len(genomes), 0), np.float32)
     if remote is None and len(seeds):
         parameters = representation.parameters(genomes)
-    else:
-        parameters = np.empty((len(genomes), 0), np.float32)
     batch = KernelBatch(
         state_size=representation.state_size,
         parameters=parameters,
@@ -199,47 +208,48 @@ def evaluate(
         fitness=np.full(expected, np.nan),
         metrics=np.full((len(seeds), len(simulator.metrics)), np.nan),
     )
-    trials = _Assignment(simulator, representation, genomes, batch, remote)
-    if not len(seeds):
-        error = ""
-    elif isinstance(simulator, Varied):
-        error = _play_varied(simulator, trials)
-    else:
-        error = _play_alike(trials)
-    return TrialOutcomes(batch.fitness, batch.metrics, error)
+    trials = _Assignment(simulator, representation, genomes, batch, remote, spoiled)
+    played = _Played("", 0)
+    if isinstance(simulator, Varied):
+        played = _play_varied(simulator, trials)
+    elif len(seeds):
+        played = _play_alike(trials)
+    count = played.trials
+    return TrialOutcomes(batch.fitness[:count], batch.metrics[:count], played.error)
 
 
-def _play_alike(trials: _Assignment) -> str:
-    """Play trials of one simulator, in its kernel or each alone; return the first error."""
+def _play_alike(trials: _Assignment) -> _Played:
+    """Play trials of one simulator, in its kernel or each alone."""
     batch, fitness, metrics = trials.batch, trials.batch.fitness, trials.batch.metrics
-    error = "" if _play_batch(trials) else _play_each(trials)
-    failed = np.flatnonzero(~np.isfinite(fitness).all(axis=1))
+    played = _play_batch(trials) or _play_each(trials)
+    error = played.error
+    failed = np.flatnonzero(~np.isfinite(fitness[: played.trials]).all(axis=1))
     if not error and len(failed) and not batch.progress[1]:
         first = int(failed[0])
         broken = BrokenContractError(
             f"fitness must be finite, not {fitness[first].tolist()}"
         )
-        error = _error_text(trials.simulator, batch.seeds[first], broken)
+        error = error_text(trials.simulator, batch.seeds[first], broken)
     fitness[~np.isfinite(fitness)] = np.nan
     metrics[~np.isfinite(metrics)] = np.nan
-    return error
+    return played._replace(error=error)
 
 
-def _play_batch(trials: _Assignment) -> bool:
-    """Play all trials in one kernel; return False where each must be played alone."""
+def _play_batch(trials: _Assignment) -> _Played | None:
+    """Play all trials in one kernel; return None where each must be played alone."""
     if trials.remote is not None or not isinstance(trials.simulator, CompiledSimulator):
-        return False
+        return None
     try:
         _call_kernel(trials.simulator, trials.representation, trials.batch)
     except BaseException as raised:
-        if not _is_outcome(raised):
+        if not is_outcome(raised):
             raise
-        return False  # which trial raised shows when each is played alone
-    return True
+        return None  # which trial raised shows when each is played alone
+    return _Played("", len(trials.batch.seeds))
 
 
-def _play_each(trials: _Assignment) -> str:
-    """Play trials one after the other; return the first error."""
+def _play_each(trials: _Assignment) -> _Played:
+    """Play trials one after the other, up to one that leaves something behind."""
     batch, error = trials.batch, ""
     for trial, seed in enumerate(batch.seeds):
         batch.progress[0] = trial
@@ -248,11 +258,13 @@ def _play_each(trials: _Assignment) -> str:
         try:
             _play_one(trials, trial)
         except BaseException as raised:
-            if not _is_outcome(raised):
+            if not is_outcome(raised):
                 raise
             batch.fitness[trial], batch.metrics[trial] = np.nan, np.nan
-            error = error or _error_text(trials.simulator, seed, raised)
-    return error
+            error = error or error_text(trials.simulator, seed, raised)
+        if trials.spoiled():
+            return _Played(error, trial + 1, spoiled=True)
+    return _Played(error, len(batch.seeds))
 
 
 def _play_one(trials: _Assignment, trial: int) -> None:
@@ -270,23 +282,25 @@ def _play_one(trials: _Assignment, trial: int) -> None:
         play_turns(simulator, Networks(network, batch.parameters[players]), seed, *filled)
 
 
-def _play_varied(varied: Varied, trials: _Assignment) -> str:
+def _play_varied(varied: Varied, trials: _Assignment) -> _Played:
     """Play trials with the same settings together; in a kernel for some milliseconds at once.
 
     Starting a kernel costs as much as a short trial, and some kernels play eight trials in
-    parallel.
+    parallel. A spoiled process ends it; what was played after a trial that was not is dropped.
     """
     batch, error = trials.batch, ""
+    waiting = np.ones(len(batch.seeds), bool)
     for alike in varied.alike(batch.seeds.tolist()):
         played, seed = 0, int(batch.seeds[alike[0]])
         while played < len(alike):
             first = batch.progress[0] = alike[played]
             if batch.progress[1]:
-                return error
+                return _Played(error, len(batch.seeds))
             try:
                 simulator = varied.of(seed)
             except ConfigError as refused:  # an outcome, like any error of a simulator
-                error = error or _error_text(varied.first, seed, refused)
+                error = error or error_text(varied.first, seed, refused)
+                waiting[alike[played:]] = False
                 break
             in_kernel = isinstance(simulator, CompiledSimulator) and trials.remote is None
             some = alike[played : played + (varied.together if in_kernel else 1)]
@@ -296,13 +310,18 @@ def _play_varied(varied: Varied, trials: _Assignment) -> str:
                 remote=trials.remote and _of_trial(trials.remote, first),
             )
             begin = time.process_time()
-            failed = _play_alike(part)
+            found = _play_alike(part)
             varied.took(time.process_time() - begin)
             batch.fitness[some] = part.batch.fitness
             batch.metrics[some] = part.batch.metrics
-            error = error or failed
+            error = error or found.error
             played += len(some)
-    return error
+            waiting[some] = False
+            if found.spoiled:
+                return _Played(
+                    error, int(np.append(waiting, True).argmax()), spoiled=True
+                )
+    return _Played(error, len(batch.seeds))
 
 
 def _of_trial(remote: ControllersOf, trial: int) -> ControllersOf:
@@ -316,24 +335,6 @@ def _call_kernel(
         simulator.play(network.step, batch)
     else:
         simulator.play_lanes(network.step_lanes, network.step, batch)
-
-
-def _is_outcome(raised: BaseException) -> bool:
-    """Return whether an exception is the simulator's decision, and so the trial's outcome.
-
-    It is, unless it is a fault or limit of the machine, or Ctrl-C, which slots ignore.
-    """
-    if isinstance(raised, KeyboardInterrupt):
-        return signal.getsignal(signal.SIGINT) is not signal.default_int_handler
-    return not isinstance(raised, (EvaluationError, MemoryError))
-
-
-def _error_text(simulator: Simulator, seed: int, raised: BaseException) -> str:
-    broken = isinstance(raised, BrokenContractError)
-    what = str(raised) if broken else f"{type(raised).__name__}: {raised}"
-    if not isinstance(raised, Exception):
-        what += " (a simulator ends a trial by returning None, and never its process)"
-    return f"{type(simulator).__name__}, trial seed {seed}: {what}"[:MAX_ERROR_TEXT]
 
 
 def warm_up(
@@ -353,8 +354,8 @@ def probe(
 ) -> Probe:
     """Play the trials by which machines are compared, after warming up.
 
-    They are four random genomes, each on two seeds. If the simulator is not repeatable, the digest
-    is the same on all machines.
+    They are four random genomes on two seeds. If the simulator is not repeatable, the digest is the
+    same on all machines.
     """
     first = warm_up(simulator, representation, in_turns=in_turns)
     begin = time.perf_counter()
@@ -376,11 +377,11 @@ def _play_probe(
     each = [derive_seed(0, "probe", seed) for seed in range(PROBE_SEEDS)]
     seeds = np.array(each * PROBE_GENOMES, np.uint64)[some]
     parameters = network.parameters(genomes)
-    remote = (
-        (lambda trial: Networks(network, parameters[participants[trial]]))
-        if in_turns
-        else None
-    )
+
+    def controllers(trial: int) -> Controllers:
+        return Networks(network, parameters[participants[trial]])
+
+    remote = controllers if in_turns else None
     return evaluate(simulator, network, genomes, participants, seeds, remote=remote)
 
 

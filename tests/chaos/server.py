@@ -60,6 +60,7 @@ class Server(Node[events.Event]):
             leases=0,
             simulators=[],
             representations=[],
+            features=messages.FEATURES if world.random.random() < 0.8 else [],
         )
         tokens = itertools.count()
         self.slots = SlotTable(

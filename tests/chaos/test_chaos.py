@@ -104,8 +104,8 @@ def no_dedupe(patch: pytest.MonkeyPatch) -> None:
 
 def a_lease_is_never_freed(patch: pytest.MonkeyPatch) -> None:
     """Let the time of a lease never run out."""
-    patch.setattr("zswarm.ss.slots.leases.LEASE_S", 1e9)
-    patch.setattr("zswarm.ss.slots.leases.GRACE_S", 1e9)
+    patch.setattr("zswarm.ss.slots.state.LEASE_S", 1e9)
+    patch.setattr("zswarm.ss.slots.state.GRACE_S", 1e9)
 
 
 def a_lost_requeue(patch: pytest.MonkeyPatch) -> None:

@@ -14,16 +14,20 @@ import pytest
 from tests.integration import programs
 from tests.integration.programs import Optimizer, Server, query, status, wait_until
 
+SHARED = Path("/dev/shm")  # noqa: S108  where the system has it
 pytestmark = pytest.mark.programs
 
 SOURCE = '''
 import ctypes
 import os
+import resource
 import signal
+import socket
 import subprocess
 import sys
 import threading
 import time
+from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
 
 import msgspec
@@ -56,6 +60,7 @@ class Bad(Simulator):
 
     def reset(self, seed):
         self.seed, self.observed, self.given = seed, np.full((1, 1), 0.5), None
+        self.demand()
         if seed < len(self.settings.what):  # not in the trials of the probe
             self.given = getattr(self, self.settings.what[seed])()
         if self.given is self.nothing:
@@ -73,6 +78,25 @@ class Bad(Simulator):
 
     def nothing(self):
         return self.nothing_at_all
+
+    def demand(self):
+        """Fail in a process that an earlier trial spoiled."""
+        opened = [os.open(os.devnull, os.O_RDONLY) for _ in range(100)]
+        for file in opened:
+            os.close(file)
+        if max(opened) > 250 or "BAD" in os.environ or os.getcwd() == "/":
+            raise RuntimeError("left open files, a variable, or another folder")
+        if os.umask(os.umask(0)) == 0o123 or threading.active_count() > 1:
+            raise RuntimeError("left a umask or a thread")
+        if any(signal.getitimer(timer)[0] for timer in (0, 1, 2)):
+            raise RuntimeError("left an alarm")
+        if os.fstat(0) != os.stat(os.devnull):
+            raise RuntimeError("stdin is a file")
+        self.deep(500)
+
+    def deep(self, levels):
+        if levels:
+            self.deep(levels - 1)
 
     # ---- the trial's outcome is NaN
 
@@ -133,6 +157,32 @@ class Bad(Simulator):
         with open(Path(self.settings.folder) / "left", "a") as left:
             left.write(f"{process}\\n")
 
+    def starts_alarms(self):
+        signal.alarm(3600)
+
+    def lowers_limits(self):
+        resource.setrlimit(resource.RLIMIT_NOFILE, (30, 30))
+
+    def lowers_recursion(self):
+        sys.setrecursionlimit(200)
+
+    def changes_the_world(self):
+        os.environ["BAD"] = "1"
+        os.umask(0o123)
+
+    def leaves_files(self):
+        for _ in range(300):
+            os.dup(0)
+
+    def leaves_shared_memory(self):
+        memory = SharedMemory(create=True, size=4096)
+        with open(Path(self.settings.folder) / "shared", "a") as shared:
+            shared.write(f"{memory.name}\\n")
+        memory.close()
+
+    def closes_files(self):
+        os.closerange(3, 1000)
+
     def leaves_a_program(self):
         self.note(subprocess.Popen(["sleep", "3600"]).pid)
 
@@ -165,7 +215,16 @@ class Bad(Simulator):
         os.kill(0, signal.SIGKILL)
 
     def closes_everything(self):
-        os.closerange(3, 1000)
+        os.closerange(3, 1 << 20)
+
+    def writes_everywhere(self):
+        for number in map(int, os.listdir("/proc/self/fd")):
+            if number > 2:
+                try:
+                    socket.socket(fileno=os.dup(number)).send(b"stray")
+                except OSError:
+                    pass
+        time.sleep(3600)
 '''
 EXPERIMENT = """
 name = "bad"
@@ -198,6 +257,22 @@ NAN = [
     ),
     *("recursion", "base_exception", "nothing"),
 ]
+SPOILS = {  # what is said of it
+    "starts_alarms": "a timer or an alarm set",
+    "lowers_limits": "the limit NOFILE changed to 30",
+    "lowers_recursion": "the recursion limit changed to 200",
+    "changes_the_world": "the environment variable BAD changed",
+    "leaves_files": "a file open (/dev/null)",
+    "leaves_shared_memory": "shared memory (/psm_",
+    "closes_files": "files closed that it did not open",
+}
+SPOILED = {
+    **SPOILS,
+    "changes_directory": "the working folder changed to /",
+    "changes_signals": "the handling of SIGINT changed",
+    "closes_stdout": "another standard stream",
+    "starts_a_thread": "1 thread running",
+}
 HARMLESS = [
     *(
         "fine",
@@ -209,6 +284,7 @@ HARMLESS = [
         "leaves_a_program",
     ),
     *("leaves_a_daemon", "forks"),
+    *SPOILS,
 ]
 FAULTS = {
     "exits": "crashed: simulator bad: the slot's process ended with code 7; it wrote: last words",
@@ -217,9 +293,14 @@ FAULTS = {
     "Segmentation fault, File ",
     "hangs": "timeout: simulator bad: one trial took longer than 3 s (cluster.trial_timeout_s)",
     "kills_all": "crashed: simulator bad: the slot's process was killed by signal 9",
-    "closes_everything": "crashed: simulator bad: the slot's process ended with code ",
+    "closes_everything": "crashed: simulator bad: the slot's process closed its pipe",
+    "writes_everywhere": "crashed: simulator bad: the simulator wrote into the pipe of its process:"
+    " b'stray'... is not the beginning of a message",
 }
-WHAT = [name for pair in zip(NAN, HARMLESS, strict=False) for name in pair] + [
+# After each that may spoil its process there is one that demands a clean one.
+WHAT = [
+    *(name for pair in zip(NAN, HARMLESS, strict=False) for name in pair),
+    *(name for harmless in HARMLESS[len(NAN) :] for name in (harmless, "fine")),
     *FAULTS,
     "nothing",
     "fine",
@@ -260,6 +341,10 @@ def test_a_misbehaving_simulator_affects_only_its_own_trials(tmp_path: Path) -> 
         left = [int(process) for process in (tmp_path / "left").read_text().split()]
         wait_until(lambda: not any(map(status, left)), "what was left behind is gone")
         assert len(left) >= 4
+        shared = (tmp_path / "shared").read_text().split()
+        assert shared
+        there = {path.name for path in SHARED.iterdir()}
+        assert not there & set(shared)
         assert server.out.read_text() == ""
         for line in server.err.read_text().splitlines():
             json.loads(line)
@@ -292,10 +377,12 @@ def check_outcomes(run: Path) -> None:
         mine = [text for text in told if f"its seed {WHAT.index(what)}, " in text]
         assert len(mine) == 3 * len(fitness) // len(WHAT), (what, told)
         said = words.partition("; it wrote")[0]
-        # A process that closed its pipe plays on until the server notices, at a later trial.
-        assert all(said in text or "closed its pipe" in text for text in mine), mine
+        assert all(said in text for text in mine), mine
         assert any(words in text for text in mine), (
             "but where an earlier trial closed stderr"
         )
+    left = query(run, "SELECT text FROM events WHERE event = 'simulator_left'")
+    for what, words in SPOILED.items():
+        assert any(words in text for (text,) in left), (what, left)
     raised = query(run, "SELECT text FROM events WHERE event = 'simulator_raised'")
     assert all(re.search(r"Bad, trial seed \d+: ", text) for (text,) in raised), raised

@@ -46,6 +46,11 @@ COUNTED = "SELECT coalesce(sum(count), 0) FROM outcomes"
 SERVED = "SELECT count(DISTINCT server) FROM outcomes"
 
 
+def by_path(version: str) -> str:
+    """Return what pip installs on a machine, by its path there."""
+    return f"zswarm[keys] @ file:///srv/wheels/zswarm-{version}-py3-none-any.whl"
+
+
 def documented(heading: str, block: int = 0) -> str:
     """Return the commands of a section of docs/deploy.md."""
     section = DOCUMENT.split(f"# {heading}\n", 1)[1]
@@ -98,7 +103,10 @@ class Site:
             capture_output=True,
             text=True,
             cwd=self.lab.shared,
-            env=os.environ | environment | {"PATH": f"{self.ssh}:{os.environ['PATH']}"},
+            env=os.environ
+            | {"PACKAGE": by_path("0.1.0")}
+            | environment
+            | {"PATH": f"{self.ssh}:{os.environ['PATH']}"},
         )
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
@@ -184,7 +192,7 @@ def workstation(lab: Machines) -> Machine:
     machine.switch_on()
     machine.wait_up()
     machine.run(
-        "python3 -m venv /opt/zswarm && /opt/zswarm/bin/pip install 'zswarm[keys]'"
+        f"python3 -m venv /opt/zswarm && /opt/zswarm/bin/pip install '{by_path('0.1.0')}'"
     )
     machine.run(
         f"PATH=/opt/zswarm/bin:$PATH; cd /srv; {documented('Keys')}zswarm-keys join --yes "
@@ -504,21 +512,19 @@ def test_servers_are_upgraded_during_a_run(site: Site, alone: str) -> None:
     wheels.append(rebuilt(wheels[0], "0.2.0", "# computes otherwise"))
     run = site.run_on(first)
     run.wait_counted(100)
-    assert (
-        site.fleet("upgrade", first, PACKAGE="zswarm[keys]==0.1.1") == "lab-03: upgrade\n"
-    )
+    assert site.fleet("upgrade", first, PACKAGE=by_path("0.1.1")) == "lab-03: upgrade\n"
     counted = run.counted()
     run.wait_counted(counted + 100)
-    site.fleet("upgrade", first)
+    site.fleet("upgrade", first, PACKAGE=by_path("0.2.0"))
     assert {"active", "0.2.0"} <= set(re.split(r"[\s,]+", site.fleet("status", first)))
     run.wait_said("another version")
     assert run.err.read_text().count("is not used") == 1
-    site.fleet("upgrade", second, PACKAGE="zswarm[keys]==0.1.1")
+    site.fleet("upgrade", second, PACKAGE=by_path("0.1.1"))
     assert run.done()["history_hash"] == alone
     assert run.counted(SERVED) == 3
     for wheel in wheels[1:]:
         wheel.unlink()
-    site.fleet("upgrade", first, second, PACKAGE="zswarm[keys]==0.1.0")
+    site.fleet("upgrade", first, second)
 
 
 def rebuilt(wheel: Path, version: str, line: str) -> Path:

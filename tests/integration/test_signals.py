@@ -3,10 +3,11 @@
 import os
 import shutil
 import signal
+from pathlib import Path
 
 import pytest
 
-from tests.integration.paced import Scene, Undisturbed
+from tests.integration.paced import Scene, Size, Undisturbed, play_undisturbed
 from tests.integration.programs import status, wait_until
 
 pytestmark = pytest.mark.faults
@@ -110,6 +111,59 @@ def test_a_slot_that_was_stopped_for_less_than_the_timeout_costs_nothing(
     scene.check(done, undisturbed)
     assert done["requeued"] == 0
     assert len(pace.played()) == undisturbed.trials, "a trial was played twice"
+
+
+def test_a_stopped_slot_that_is_sent_megabytes_does_not_stop_its_server(
+    tmp_path: Path,
+) -> None:
+    """Its trial times out, the other slot continues, and the server can be drained."""
+    size = Size(generations=2, population=8, trials=1, hidden=500, compiled=True)
+    undisturbed = play_undisturbed(tmp_path, size)
+    folder = tmp_path / "scene"
+    folder.mkdir()
+    with Scene(folder, size._replace(trial_timeout_s=3.0)) as scene:
+        server, pace = scene.server("ss", capacity=2)
+        pace.set(0.05, "busy")
+        pace.arm()
+        optimizer = scene.optimizer(server.endpoint)
+        held = pace.held()
+        (idle,) = set(server.workers()) - {held}
+        wait_until(
+            lambda: idle in {one.process for one in pace.played()}, "the other has work"
+        )
+        states: list[bool] = []
+
+        def idles() -> bool:
+            states.append((found := status(idle)) is not None and found.state == "S")
+            return len(states) > 20 and all(states[-20:])
+
+        wait_until(idles, "the other slot waits for work")
+        scene.stop(idle)
+        pace.let_go()
+        wait_until(lambda: server.events("slot_died"), "its next trial times out", 60.0)
+        assert [event["kind"] for event in server.events("slot_died")] == ["timeout"]
+        scene.check(optimizer.done(), undisturbed)
+        assert status(idle) is None
+        (stopped, _) = server.workers()
+        scene.stop(stopped)
+        server.kill(signal.SIGTERM)
+        assert server.wait() == 128 + signal.SIGTERM
+
+
+def test_nothing_outlives_a_killed_server(scene: Scene) -> None:
+    """Neither its fork server, although that is stopped, nor its slots, although they compute."""
+    server, pace = scene.server("ss", capacity=2)
+    pace.arm()
+    scene.optimizer(server.endpoint)
+    pace.held()
+    pace.set(600.0)
+    pace.let_go()
+    forking, workers = server.fork_server(), server.workers()
+    scene.stop(forking)
+    assert len(workers) == 2
+    server.kill()
+    server.wait()
+    wait_until(lambda: not any(map(status, [forking, *workers])), "nothing is left", 30.0)
 
 
 def test_slots_of_a_killed_fork_server_end_and_are_replaced(

@@ -272,7 +272,7 @@ def test_the_version_hash_covers_the_architecture_if_a_library_plays(
         said.append(version_hash.versions(simulator, "fully-meshed"))
     assert (hashes[0] == hashes[1]) == same
     assert version_hash.differing(*said) == (
-        [] if same else ["architecture x86_64, not aarch64"]
+        [] if same else ["architecture x86_64 here, aarch64 there"]
     )
 
 
@@ -339,8 +339,8 @@ def test_differences_between_two_versions_are_named(copy: Path) -> None:
     assert version_hash.differing(
         {"numpy": "2.1.0"}, {"numpy": "2.3.0", "jax": "0.9"}
     ) == [
-        "numpy 2.1.0, not 2.3.0",
-        "no jax",
+        "numpy 2.1.0 here, 2.3.0 there",
+        "no jax here",
     ]
 
 

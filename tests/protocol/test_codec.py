@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.ot.cluster.dispatching import terms
-from zswarm.errors import RemoteProtocolError
+from zswarm.errors import RemoteProtocolError, UnknownMessageError
 from zswarm.ot.cluster.discovery import Found, Survey
 from zswarm.ot.cluster.dispatch import Dispatch
 from zswarm.ot.cluster.events import Answered, Ask, Gone, Seen
@@ -93,13 +93,15 @@ TOLD = {
     **dict.fromkeys(("trials", "fitness", "metrics"), st.binary(max_size=30)),
     "seconds": SECONDS,
     "error": SHOWN,
+    "left": SHOWN,
 }
 REPLIES = {
     messages.Offer: {
         **dict.fromkeys(("server", "program", "machine", "mismatch"), SHOWN),
         **dict.fromkeys(("capacity", "free", "leases"), COUNTS),
         **dict.fromkeys(
-            ("simulators", "representations", "limits"), st.lists(SHOWN, max_size=4)
+            ("simulators", "representations", "limits", "features"),
+            st.lists(SHOWN, max_size=4),
         ),
         "labels": st.dictionaries(
             *(st.from_regex(rf"\A{rule}\Z") for rule in (LABEL_NAME, LABEL_VALUE)),
@@ -208,7 +210,7 @@ def test_every_message_is_tested() -> None:
         messages.Sensors: SENSORS,
         messages.Actuators: ACTUATORS,
     }.items():
-        assert set(fields) | {"v"} == set(kind.__struct_fields__)
+        assert set(fields) == set(kind.__struct_fields__)
 
 
 @given(ANY_REQUEST)
@@ -247,11 +249,10 @@ def test_a_message_cannot_be_changed() -> None:
         assert kind.__struct_config__.frozen
 
 
-def test_a_message_is_a_map_with_type_and_version() -> None:
+def test_a_message_is_a_map_with_its_type_and_without_defaults() -> None:
     """Programs in other languages rely on these names and types."""
     assert msgspec.msgpack.decode(codec.encode(evaluate())) == {
         "type": "evaluate",
-        "v": 1,
         "lease": bytes(16),
         "batch": 1,
         "genomes": [b"a", b"b"],
@@ -260,7 +261,6 @@ def test_a_message_is_a_map_with_type_and_version() -> None:
     }
     assert msgspec.msgpack.decode(codec.encode(messages.Done())) == {
         "type": "done",
-        "v": 1,
     }
 
 
@@ -378,7 +378,7 @@ def damaged(draw: st.DrawFn, message: st.SearchStrategy[messages.Message]) -> by
             case "twice" if body and 0x80 <= body[0] < 0x8F:
                 body[0] += 1
                 body += pack(
-                    draw(st.sampled_from(["type", "v", "lease", "batch", "simulator"]))
+                    draw(st.sampled_from(["type", "lease", "batch", "simulator"]))
                 ) + draw(st.sampled_from(HOSTILE))
     return bytes(body)
 
@@ -659,8 +659,6 @@ def test_settings_are_nested_eight_deep_at_most() -> None:
         (reserve(), {"version_hash": "a" * (MAX_TEXT + 1)}),
         (reserve(), {"simulator": ["x", {}]}),
         (reserve(), {"simulator": {"kind": "x"}}),
-        (reserve(), {"simulator": {"kind": "x", "settings": {}, "more": 1}}),
-        (reserve(), {"more": 1}),
         (evaluate(), {"genomes": [b""] * (MAX_GENOMES + 1)}),
         (evaluate(), {"genomes": [bytes(messages.MAX_GENOME + 1)]}),
         (evaluate(), {"batch": True}),
@@ -726,33 +724,40 @@ def test_fields_of_a_reply_beyond_their_bounds_are_refused() -> None:
     assert "tired" in refusal(changed(faulted, kind="tired"), codec.decode_reply)
 
 
-@pytest.mark.parametrize("version", [0, 2, 99])
-def test_a_message_of_another_version_is_reported_regardless_of_its_contents(
-    version: int,
-) -> None:
-    expected = (
-        f"the peer speaks version {version} of the protocol, this program version 1"
-    )
-    for body in (
-        changed(reserve(), v=version),
-        changed(reserve(), v=version, more=[1, 2]),
-        pack({"v": version}),
-        pack({"type": "invented", "v": version, "x": {}}),
+def test_a_message_of_an_unknown_type_is_reported_regardless_of_its_contents() -> None:
+    for body in (pack({"type": "invented"}), pack({"type": "invented", "lease": {}})):
+        for decode in (codec.decode_request, codec.decode_reply, codec.decode_sensors):
+            with pytest.raises(
+                UnknownMessageError, match="of type 'invented' are unknown"
+            ):
+                decode(body)
+    key = keys.request("default", "lab-1", "ada", "run-1", "renew") + "-later"
+    with pytest.raises(UnknownMessageError):
+        codec.decode_query(key, pack({"type": "invented"}))
+    with pytest.raises(RemoteProtocolError, match="a Renew was sent to renew-later"):
+        codec.decode_query(key, codec.encode(messages.Renew(lease=bytes(16))))
+
+
+def test_unknown_fields_are_ignored_in_every_message() -> None:
+    """A program with further optional fields works with one that lacks them."""
+    for message in (
+        reserve(),
+        evaluate(),
+        messages.Requirements(simulator="minisim"),
+        messages.Renew(lease=bytes(16)),
     ):
-        assert refusal(body) == expected
-        assert refusal(body, codec.decode_reply) == expected
+        assert codec.decode_request(changed(message, more=[1])) == message
+    for reply in (OFFER, messages.Done(), messages.Refused(code="busy", reason="")):
+        assert codec.decode_reply(changed(reply, more={"a": 1})) == reply
+    part = {"kind": "x", "settings": {}, "more": 1}
+    known = messages.Part("x", {})
+    decoded = codec.decode_request(changed(reserve(), simulator=part))
+    assert decoded == reserve(simulator=known)
 
 
-def test_only_discovery_messages_ignore_unknown_fields() -> None:
-    """The two of phase 1: a program with one field more is not refused for it."""
-    wanted = messages.Requirements(simulator="minisim")
-    assert codec.decode_request(changed(wanted, more=[1])) == wanted
-    assert codec.decode_reply(changed(OFFER, more={"a": 1})) == OFFER
-    assert "more" in refusal(changed(messages.Done(), more=1), codec.decode_reply)
-
-
-def test_a_message_without_a_version_has_the_current_one() -> None:
-    assert codec.decode_reply(pack({"type": "done"})) == messages.Done()
+def test_refusals_with_unknown_codes_are_read() -> None:
+    refused = messages.Refused(code="invented", reason="")
+    assert codec.decode_reply(codec.encode(refused)) == refused
 
 
 # ---- texts

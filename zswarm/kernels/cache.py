@@ -2,18 +2,28 @@
 
 numba's own cache looks only at the file that defines a function, so it would return outdated code
 after a change elsewhere. The cache folder is therefore named by a hash of all code that may be
-compiled and of the processor (``version_hash.cache_hash``).
+compiled and of the processor (``version_hash.cache_hash``). Each change makes a new folder; folders
+that were not used for 30 days are deleted.
 """
 
 import contextlib
+import fcntl
 import os
+import re
+import shutil
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import platformdirs
 
 from zswarm.plugins.version_hash import cache_hash
+
+LOCK = "in-use"  # locked while a process uses the folder; its time says when one began to
+CACHE = re.compile("[0-9a-f]{32}")
+UNUSED_S = 30 * 86400.0
+_claims: list[int] = []  # descriptors, held until the process and its forks end
 
 
 def cache_folder() -> Path:
@@ -35,6 +45,61 @@ def cache_folder() -> Path:
         ):
             return folder
     return Path(tempfile.mkdtemp(prefix="zswarm-"))
+
+
+def claimed(folder: Path) -> Path:
+    """Mark a cache folder as used by this process and its children; delete old ones beside it."""
+    while True:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        descriptor = _locked(folder, fcntl.LOCK_SH)
+        if (
+            descriptor is None
+        ):  # a file system without locks: nothing is deleted there, either
+            return folder
+        if _is_at(descriptor, folder / LOCK):  # not deleted before it was locked
+            break
+        os.close(descriptor)
+    os.utime(descriptor)
+    _claims.append(descriptor)
+    for other in folder.parent.iterdir():
+        if other != folder and CACHE.fullmatch(other.name):
+            with contextlib.suppress(
+                OSError
+            ):  # another program deletes it, or it is another's
+                _clear(other)
+    return folder
+
+
+def _clear(folder: Path) -> None:
+    """Delete a folder that no process uses, and none used lately."""
+    lock = folder / LOCK
+    used = (lock if lock.exists() else folder).stat().st_mtime
+    if time.time() - used < UNUSED_S or not _is_ours(folder):
+        return
+    descriptor = _locked(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    if descriptor is not None:
+        try:
+            shutil.rmtree(folder)
+        finally:
+            os.close(descriptor)
+
+
+def _locked(folder: Path, how: int) -> int | None:
+    """Return the descriptor of a folder's lock, which holds it, or None without one."""
+    descriptor = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+    try:
+        fcntl.flock(descriptor, how)
+    except OSError:
+        os.close(descriptor)
+        return None
+    return descriptor
+
+
+def _is_at(descriptor: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(descriptor), path.stat())
+    except FileNotFoundError:
+        return False
 
 
 def _candidates() -> Iterator[Path]:

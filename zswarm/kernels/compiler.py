@@ -4,21 +4,24 @@ Importing this module imports and configures numba.
 """
 
 import os
+import secrets
 from collections.abc import Callable
 from typing import Any, get_type_hints
 
 import numpy as np
 
-from zswarm.kernels.cache import cache_folder
+from zswarm.kernels.cache import cache_folder, claimed
 from zswarm.kernels.signatures import STEP, STEP_SIGNATURE, ArrayType
 
-os.environ["NUMBA_CACHE_DIR"] = str(cache_folder())
+os.environ["NUMBA_CACHE_DIR"] = str(claimed(cache_folder()))
 # SVML's functions differ from LLVM's in the last bits.
 os.environ["NUMBA_DISABLE_INTEL_SVML"] = "1"
 
 # numba reads the two settings above when it is imported.
 import numba
 from numba import types
+from numba.core import typeinfer
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 numba.config.reload_config()  # reads them again, in case numba was imported before
 # Load now what numba loads for its first kernel, so that slots inherit it from the fork server.
@@ -28,6 +31,29 @@ numba.core.registry.cpu_target.target_context.refresh()
 from zswarm.kernels import vectors as vectors  # noqa: E402  teaches numba the functions of lanes.py
 
 
+class Cache(FunctionCache):
+    """The compiled forms of one function on disk, safe for programs that compile at once."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)  # type: ignore[no-untyped-call]
+        locator = self._impl.locator
+        self._cache_file = CacheFile(  # type: ignore[no-untyped-call]
+            self._cache_path, self._impl.filename_base, locator.get_source_stamp()
+        )
+
+
+class CacheFile(IndexDataCacheFile):
+    """An index and data files, whose names no other program chooses.
+
+    numba numbers data files by the index that it read. Two programs that compile a function for
+    different types at the same time choose one number, and then the entry of one leads to the
+    machine code of the other.
+    """
+
+    def _data_name(self, number: int) -> str:  # noqa: ARG002
+        return f"{self._index_name.removesuffix('.nbi')}.{secrets.token_hex(8)}.nbc"
+
+
 def compiled(
     function: Callable[..., Any],
     declared: tuple[Any, ...] | None,
@@ -35,9 +61,14 @@ def compiled(
 ) -> Any:
     """Return numba's dispatcher for a function, with its declared signature and options."""
     signature = None if declared is None else _signature(declared)
-    dispatcher: Any = numba.njit(signature, error_model="numpy", cache=True, **options)(
-        function
-    )
+    dispatcher: Any = numba.njit(error_model="numpy", **options)(function)
+    if not numba.config.DISABLE_JIT:  # type: ignore[attr-defined]  # set when it is loaded
+        dispatcher._cache = Cache(function)
+        if signature is not None:
+            # As ``njit`` does with a signature; with ``cache=True`` it makes the cache, too.
+            with typeinfer.register_dispatcher(dispatcher):
+                dispatcher.compile(signature)
+            dispatcher.disable_compile()
     # Each call of a kernel with a step looks up the step's compiled form, which takes 25 us: cache
     # the result.
     if declared == STEP_SIGNATURE and hasattr(dispatcher, "get_compile_result"):

@@ -33,7 +33,7 @@ def parameter_rows(header: Any, *layers: np.ndarray) -> np.ndarray:
     header = np.asarray(header, np.float32)
     count, at = len(layers[0]), header.shape[-1]
     shapes = [(genes, padded(neurons)) for _, neurons, genes in (x.shape for x in layers)]
-    size = sum(genes * row for genes, row in shapes)
+    size = int(sum(genes * row for genes, row in shapes))
     rows = np.zeros((count, at + size), np.float32)
     rows[:, :at] = header
     for layer, (genes, row) in zip(layers, shapes, strict=True):

@@ -5,12 +5,14 @@ import signal
 import sys
 
 from zswarm.ot.commands.shared.exits import EXIT_INTERRUPTED
+from zswarm.system import start
 
 
 def main() -> None:
     """Run ``zswarm-ot``; Ctrl-C ends it silently, even while its modules are being imported."""
     # A shell starts programs in the background with SIGINT ignored.
     foreground = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    start.prepare("zswarm-ot")
     try:
         if foreground:
             # Not an exception, which an import could catch.

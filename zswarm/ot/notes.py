@@ -65,6 +65,12 @@ class RunEvent(StrEnum):
         "error",
         "the simulator failed on {server}: {text} ({count} trials)",
     )
+    SIMULATOR_LEFT = (
+        "simulator_left",
+        "warning",
+        "a trial left behind in its process on {server}: {text}; later trials are played in a "
+        "new process, which takes time",
+    )
 
     severity: Severity
     line: str

@@ -18,7 +18,7 @@ from msgspec import Meta
 from zswarm.config import decode
 from zswarm.errors import ConfigError
 
-SYSTEM = Path("/etc/zswarm/simulators")
+SYSTEM = Path("/etc/zswarm")
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,62}")
 Texts = Annotated[list[str], Meta(min_length=1)]
 Count = Annotated[int, Meta(ge=1, le=100_000)]
@@ -103,8 +103,13 @@ class LaunchManifest(
 
 def find() -> dict[str, Path]:
     """Return the manifests of this machine by simulator; the first of a name wins."""
+    return files_in("simulators")
+
+
+def files_in(kind: str) -> dict[str, Path]:
+    """Return the TOML files of this machine in folders of a kind by name; the first wins."""
     found: dict[str, Path] = {}
-    for folder in _folders():
+    for folder in _folders(kind):
         for path in sorted(folder.glob("*.toml")):
             if NAME.fullmatch(path.stem):
                 found.setdefault(path.stem, path.absolute())
@@ -141,9 +146,9 @@ def files(path: Path) -> list[Path]:
         return [path] if path.is_file() else []
 
 
-def _folders() -> list[Path]:
-    if folders := os.environ.get("ZSWARM_SIMULATORS"):
+def _folders(kind: str) -> list[Path]:
+    if folders := os.environ.get(f"ZSWARM_{kind.upper()}"):
         return [Path(folder) for folder in folders.split(os.pathsep) if folder]
     with contextlib.suppress(RuntimeError):  # the user has no home
-        return [Path(platformdirs.user_config_dir("zswarm"), "simulators"), SYSTEM]
-    return [SYSTEM]
+        return [Path(platformdirs.user_config_dir("zswarm"), kind), SYSTEM / kind]
+    return [SYSTEM / kind]

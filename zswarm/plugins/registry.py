@@ -7,17 +7,17 @@ plug-in does not affect others.
 """
 
 import importlib
-import importlib.util
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, Literal
 
 from zswarm.config.suggest import nearest
 from zswarm.errors import UnknownPlugin
-from zswarm.plugins import manifests
+from zswarm.plugins import distributions, manifests
 
 Kind = Literal["simulator", "representation", "optimizer", "ranking"]
 
@@ -134,7 +134,7 @@ def source_files(kind: Kind, name: str) -> list[Path]:
 
     - Bundled part: its module and those next to it whose names begin with its name
       (``arena_world.py``); for a composed part those of all parts that it may be made of.
-    - Plug-in: every file of its top-level package.
+    - Plug-in: every file of its top-level package and of its distribution.
     - Program or launch file: its manifest, the files named there, and the modules that talk to it.
 
     Bundled modules of simulators, representations and robots that these import are added.
@@ -144,7 +144,7 @@ def source_files(kind: Kind, name: str) -> list[Path]:
         return [*manifests.files(manifest), *own, *_imports(own)]
     point = _entry_point(kind, name)
     if name not in BUNDLED[kind]:
-        own = list(_package_files(point.module.split(".")[0]))
+        own = distributions.plugin_files(_package(point), point.dist)
     else:
         targets = BUNDLED[kind].values() if (kind, name) in COMPOSED else [point.value]
         modules = [target.partition(":")[0] for target in targets]
@@ -162,14 +162,34 @@ def libraries(files: Iterable[Path]) -> list[str]:
 
 
 def plugin_files() -> list[Path]:
-    """Return the Python files of all installed plug-in simulators and representations."""
-    packages = {
-        point.module.split(".")[0]
+    """Return the files of all installed plug-in simulators and representations.
+
+    Not only those of Python: kernels are compiled with the arrays that modules load.
+    """
+    points = [
+        point
         for kind in ("simulator", "representation")
         for name, point in _installed(kind).items()
         if name not in BUNDLED[kind]
-    }
-    return [file for package in sorted(packages) for file in _package_files(package)]
+    ]
+    packages = {_package(point): point.dist for point in points}
+    return [
+        file
+        for package, source in sorted(packages.items(), key=itemgetter(0))
+        for file in distributions.plugin_files(package, source)
+    ]
+
+
+def distribution_versions(kind: Kind, name: str) -> dict[str, str]:
+    """Return name and version of the distribution that a plug-in came with; bundled parts: {}."""
+    if foreign(kind).get(name) or name in BUNDLED[kind]:
+        return {}
+    source = _entry_point(kind, name).dist
+    return {source.name: source.version} if source is not None else {}
+
+
+def _package(point: EntryPoint) -> str:
+    return point.module.split(".")[0]
 
 
 def _maker(manifest: Path) -> str:
@@ -178,7 +198,7 @@ def _maker(manifest: Path) -> str:
 
 def _imports(own: Sequence[Path]) -> list[Path]:
     """Return the bundled modules that modules import, directly or not, without themselves."""
-    waiting, found = list(own), set[Path]()
+    waiting, found = [file for file in own if file.suffix == ".py"], set[Path]()
     while waiting:
         more = _imported(waiting.pop()) - found
         found |= more
@@ -202,14 +222,3 @@ def _imported(file: Path) -> set[Path]:
 
 def _text(file: Path) -> str:
     return file.read_text(encoding="utf-8", errors="replace")
-
-
-def _package_files(package: str) -> Iterator[Path]:
-    spec = importlib.util.find_spec(package)
-    if spec is None:
-        return
-    if spec.submodule_search_locations:
-        for folder in spec.submodule_search_locations:
-            yield from sorted(Path(folder).rglob("*.py"))
-    elif spec.origin:
-        yield Path(spec.origin)

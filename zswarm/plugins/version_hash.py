@@ -1,9 +1,10 @@
 """The version hash: two machines compute the same results only with the same code.
 
-It covers the shared files, the simulator, the representation, and the versions of the libraries
-that compile them; if a library itself plays trials (``LIBRARIES`` of a module), also its version
-and the processor's architecture. Servers with another hash than the optimizer's are reported and
-not used.
+It covers Python's minor version, the shared files, the simulator, the representation, the versions
+of the distributions that these came with, and of the libraries that compile them; if a library
+itself plays trials (``LIBRARIES`` of a module), also its version, the processor's architecture,
+and pymunk's compiled module. Servers with another hash than the optimizer's are reported and not
+used.
 
 The cache hash names the folder of compiled kernels. It covers all code that may be compiled, and
 the processor, since machines with different processors may share a home folder: numba distinguishes
@@ -11,6 +12,7 @@ them in one folder, but two that compile at the same time choose the same file n
 runs the other's machine code.
 """
 
+import contextlib
 import hashlib
 import os
 import platform
@@ -23,9 +25,11 @@ from pathlib import Path
 from typing import Any
 
 from zswarm.plugins import registry as plugins
+from zswarm.plugins.distributions import compiled_files, regular
 
 LIBRARIES = ("llvmlite", "numba", "numpy", "pymunk")
-CODE, NONE = "code of ", "none"
+CODE, BUILD, NONE = "code of ", "build of ", "none"
+PHYSICS = "pymunk"  # compiled differently by PyPI, conda and distributions of Linux
 PACKAGE_VERSION = re.compile(r"\w[\w.!+-]*")
 CPUINFO = Path("/proc/cpuinfo")
 # On x86-64 and aarch64. Compiled code depends on these; others differ between equal machines.
@@ -47,7 +51,12 @@ SHARED += [
     "kernels/lanes.py",
     "kernels/vectors.py",
 ]
-SHARED += ["kernels/signatures.py", "kernels/portable.py", "kernels/random.py"]
+SHARED += [
+    "kernels/signatures.py",
+    "kernels/portable.py",
+    "kernels/random.py",
+    "kernels/sums.py",
+]
 SHARED += ["nets/meshed.py", "nets/networks.py", "nets/neurons.py"]
 SHARED += ["nets/representation.py", "nets/vector.py"]
 
@@ -57,6 +66,7 @@ def version_hash(simulator: str, representation: str) -> str:
     """Return 32 hex digits for the code of a simulator and a representation."""
     files = [*_files("simulator", simulator), *_files("representation", representation)]
     further = _further(_libraries(simulator, representation))
+    further = further | _distributions(simulator, representation)
     return digest(files, "".join(f"{name} {found}\n" for name, found in further.items()))
 
 
@@ -80,6 +90,7 @@ def versions(simulator: str, representation: str) -> dict[str, str]:
     return {
         **_common(),
         **_further(_libraries(simulator, representation)),
+        **_distributions(simulator, representation),
         f"{CODE}simulator {simulator}": _code("simulator", simulator),
         f"{CODE}representation {representation}": _code("representation", representation),
     }
@@ -91,12 +102,12 @@ def differing(here: Mapping[str, str], asked: Mapping[str, str]) -> list[str]:
     for name, theirs in asked.items():
         if here.get(name) == theirs:
             continue
-        if name.startswith(CODE):
+        if name.startswith((CODE, BUILD)):
             found.append(f"other {name}")
         elif name in here:
-            found.append(f"{name} {here[name]}, not {theirs}")
+            found.append(f"{name} {here[name]} here, {theirs} there")
         else:
-            found.append(f"no {name}")
+            found.append(f"no {name} here")
     return found
 
 
@@ -117,7 +128,7 @@ def lacking(here: Mapping[str, str], asked: Mapping[str, str]) -> list[str]:
 def cache_hash() -> str:
     """Return 32 hex digits for all code that may be compiled here, and for the processor."""
     folders = [PACKAGE / "nets", PACKAGE / "sims"]
-    bundled = [file for folder in folders for file in sorted(folder.rglob("*.py"))]
+    bundled = [file for folder in folders for file in regular(folder.rglob("*.py"))]
     return digest([*bundled, *plugins.plugin_files()], _processor())
 
 
@@ -131,8 +142,8 @@ def digest(files: Iterable[Path], text: str = "") -> str:
 @cache
 def _shared() -> "hashlib.blake2b":
     total = hashlib.blake2b(digest_size=16)
-    for library in LIBRARIES:
-        total.update(f"{library} {version(library)}\n".encode())
+    for name, found in _installed().items():
+        total.update(f"{name} {found}\n".encode())
     return _hashed(total, _shared_files())
 
 
@@ -142,8 +153,13 @@ def _shared_files() -> list[Path]:
 
 @cache
 def _common() -> dict[str, str]:
-    libraries = {library: version(library) for library in LIBRARIES}
-    return libraries | {f"{CODE}zswarm": _short(_shared_files())}
+    return _installed() | {f"{CODE}zswarm": _short(_shared_files())}
+
+
+def _installed() -> dict[str, str]:
+    # Patch releases of Python compute the same; 3.12 added floats otherwise than 3.11.
+    python = {"Python": ".".join(platform.python_version_tuple()[:2])}
+    return python | {library: version(library) for library in LIBRARIES}
 
 
 @cache
@@ -169,7 +185,16 @@ def _further(libraries: tuple[str, ...]) -> dict[str, str]:
     ]
     found = {library: _version(library) for library in libraries}
     found |= {package.name: package.version for package in adding if package is not None}
+    if PHYSICS in libraries:
+        found[f"{BUILD}{PHYSICS}"] = _short(compiled_files(PHYSICS))
     return dict(sorted(found.items())) | {"architecture": platform.machine()}
+
+
+def _distributions(simulator: str, representation: str) -> dict[str, str]:
+    return {
+        **plugins.distribution_versions("simulator", simulator),
+        **plugins.distribution_versions("representation", representation),
+    }
 
 
 @cache
@@ -186,9 +211,20 @@ def _version(library: str) -> str:
 
 def _hashed(total: "hashlib.blake2b", files: Iterable[Path]) -> "hashlib.blake2b":
     for file in files:
-        content = hashlib.blake2b(file.read_bytes(), digest_size=16)
-        total.update(file.name.encode() + content.digest())
+        # One that was removed since it was listed, such as an editor's, counts for nothing.
+        with contextlib.suppress(FileNotFoundError):
+            found = file.stat()
+            content = _content(file, found.st_mtime_ns, found.st_size, found.st_ino)
+            total.update(file.name.encode() + content)
     return total
+
+
+@cache  # files are in the hashes of many problems, and may be large
+def _content(file: Path, *_: int) -> bytes:
+    """Return the digest of a file's content, computed anew when the file was changed."""
+    with file.open("rb") as content:
+        made = hashlib.file_digest(content, lambda: hashlib.blake2b(digest_size=16))
+    return made.digest()
 
 
 def _processor() -> str:

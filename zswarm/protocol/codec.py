@@ -12,8 +12,8 @@ import numpy as np
 from msgspec import structs
 from msgspec.msgpack import Decoder, Encoder
 
-from zswarm.errors import RemoteProtocolError
-from zswarm.protocol import keys, messages
+from zswarm.errors import RemoteProtocolError, UnknownMessageError
+from zswarm.protocol import keys, messages, versions
 from zswarm.protocol.messages import Evaluate, Fault, Outcomes, Running, Sensors
 from zswarm.system.text import clean
 
@@ -33,6 +33,7 @@ SHOWN: dict[type[msgspec.Struct], list[str]] = {
     kind: [field.name for field in structs.fields(kind) if field.type in _TEXTS]
     for kind in messages.Message.__subclasses__()
 }
+_TYPES = {kind.__struct_config__.tag for kind in SHOWN}
 _encoder = Encoder()
 _requests: Decoder[messages.Request] = Decoder(messages.Request)
 _replies: Decoder[messages.Reply] = Decoder(messages.Reply)
@@ -40,8 +41,8 @@ _sensors = Decoder(Sensors)
 _reactions: Decoder[messages.Reaction] = Decoder(messages.Reaction)
 
 
-class _Version(msgspec.Struct):
-    v: int
+class _AnyMessage(msgspec.Struct):
+    type: str
 
 
 def encode(message: messages.Message) -> bytes:
@@ -53,7 +54,8 @@ def decode_request(body: bytes) -> messages.Request:
     """Return a message from an optimizer; its names are safe to show.
 
     Raises:
-        RemoteProtocolError: it is malformed, too large, or of another version. So do the others.
+        UnknownMessageError: its type is unknown. So do the others.
+        RemoteProtocolError: it is malformed or too large. So do the others.
     """
     message = _decode(body, _requests)
     if isinstance(message, messages.Requirements):
@@ -64,7 +66,7 @@ def decode_request(body: bytes) -> messages.Request:
 def decode_query(key: str, body: bytes) -> tuple[keys.ServerKey, messages.Request]:
     """Return the parts of a server's key, and the message that was sent to it."""
     parts = keys.parse_server_key(key)
-    message = decode_request(body)
+    message = decode_request(_adapted(parts.version, body))
     if parts.verb != messages.verb(message):
         raise RemoteProtocolError(f"a {type(message).__name__} was sent to {parts.verb}")
     return parts, message
@@ -83,6 +85,14 @@ def decode_sensors(body: bytes) -> Sensors:
 def decode_reaction(body: bytes) -> messages.Reaction:
     """Return an optimizer's answer to ``Sensors``; its texts are safe to show."""
     return _decode(body, _reactions)
+
+
+def _adapted(version: str, body: bytes) -> bytes:
+    try:
+        return versions.taken(version, body)
+    except (*INVALID, KeyError, TypeError, ValueError) as error:
+        text = f"not a message of {version}: {error!r}"
+        raise RemoteProtocolError(clean(text)) from None
 
 
 # ---- arrays; those that do not fit their message raise RemoteProtocolError
@@ -219,7 +229,7 @@ def _decode(body: bytes, decoder: Decoder[M]) -> M:
     try:
         message = decoder.decode(body)
     except INVALID as error:
-        raise RemoteProtocolError(_explain(body, error)) from None
+        raise _refusal(body, error) from None
     names = SHOWN[type(message)]
     texts = {name: _clean(text) for name in names if (text := getattr(message, name))}
     return structs.replace(message, **texts) if texts else message
@@ -237,14 +247,16 @@ def _clean(value: Any) -> Any:
     return {clean(name): clean(text) for name, text in value.items()}
 
 
-def _explain(body: bytes, error: Exception) -> str:
+def _refusal(body: bytes, error: Exception) -> RemoteProtocolError:
     try:
-        version = msgspec.msgpack.decode(body, type=_Version).v
+        kind = msgspec.msgpack.decode(body, type=_AnyMessage).type
     except INVALID:
-        return f"not a message: {clean(str(error))}"
-    if version == keys.VERSION:
-        return clean(str(error))
-    return f"the peer speaks version {version} of the protocol, this program version {keys.VERSION}"
+        return RemoteProtocolError(f"not a message: {clean(str(error))}")
+    if kind in _TYPES:
+        return RemoteProtocolError(clean(str(error)))
+    return UnknownMessageError(
+        f"messages of type {clean(kind[:100])!r} are unknown here: the peer's zswarm is newer"
+    )
 
 
 def _check_plain(value: Any, depth: int) -> None:

@@ -15,17 +15,21 @@ ID = re.compile(r"[a-z0-9][a-z0-9-]{0,62}")
 MAX_ID = 63
 MAX_NAME = MAX_ID - 9  # a server's id adds - and 8 hex digits
 ID_RULE = "1 to 63 of a-z, 0-9 and -, not starting with -"
-ROOT = f"zswarm/v{VERSION}"
+CURRENT = f"v{VERSION}"  # the version's name in keys
+ROOT = f"zswarm/{CURRENT}"
 # The tokens of all servers of all realms and versions.
 ANY_ALIVE = "zswarm/*/*/ss/*/alive"
 
 RunRequest = ("reserve", "renew", "evaluate", "cancel", "release")
 _ID = f"({ID.pattern})"
+_VERSION = "v[0-9]{1,5}"
+# A request may be one that a later program has.
 _SERVER_KEY = re.compile(
-    rf"zswarm/(v[0-9]{{1,5}})/{_ID}/ss/{_ID}/"
-    rf"(?:(alive|offer)|ot/{_ID}/{_ID}/({'|'.join(RunRequest)}))"
+    rf"zswarm/({_VERSION})/{_ID}/ss/{_ID}/(?:(alive|offer)|ot/{_ID}/{_ID}/(?!(?:alive|offer)$){_ID})"
 )
-_RUN_KEY = re.compile(rf"{ROOT}/{ID.pattern}/ot/{_ID}/{_ID}/(?:alive|control/{_ID})")
+_RUN_KEY = re.compile(
+    rf"zswarm/{_VERSION}/{ID.pattern}/ot/{_ID}/{_ID}/(?:alive|control/{_ID})"
+)
 
 
 class RunKey(NamedTuple):
@@ -67,9 +71,9 @@ def new_server_id(name: str) -> str:
 # In the next functions, ``*`` stands for all servers, users or runs if the docstring allows it.
 
 
-def alive(realm: str, server: str) -> str:
+def alive(realm: str, server: str, version: str = CURRENT) -> str:
     """Return the liveliness token of a server (or ``*``)."""
-    return f"{_server(realm, server, star=True)}/alive"
+    return f"{_server(realm, server, version, star=True)}/alive"
 
 
 def any_version_alive(realm: str) -> str:
@@ -77,9 +81,9 @@ def any_version_alive(realm: str) -> str:
     return f"zswarm/*/{_checked(realm)}/ss/*/alive"
 
 
-def offer(realm: str, server: str) -> str:
+def offer(realm: str, server: str, version: str = CURRENT) -> str:
     """Return where a server is asked for its offer: phase 1."""
-    return f"{_server(realm, server)}/offer"
+    return f"{_server(realm, server, version)}/offer"
 
 
 def request(realm: str, server: str, user: str, run: str, verb: str) -> str:
@@ -91,19 +95,19 @@ def request(realm: str, server: str, user: str, run: str, verb: str) -> str:
     return f"{_server(realm, server)}/ot/{_checked(user)}/{_checked(run)}/{verb}"
 
 
-def requests(realm: str, server: str) -> str:
+def requests(realm: str, server: str, version: str = CURRENT) -> str:
     """Return all requests of all runs to a server."""
-    return f"{_server(realm, server)}/ot/**"
+    return f"{_server(realm, server, version)}/ot/**"
 
 
-def run_alive(realm: str, user: str, run: str) -> str:
+def run_alive(realm: str, user: str, run: str, version: str = CURRENT) -> str:
     """Return the liveliness token of a run (or ``*``) of a user (or ``*``)."""
-    return f"{_run(realm, user, run, star=True)}/alive"
+    return f"{_run(realm, user, run, version, star=True)}/alive"
 
 
-def control(realm: str, user: str, run: str, server: str) -> str:
+def control(realm: str, user: str, run: str, server: str, version: str = CURRENT) -> str:
     """Return where a server (or ``*``) asks a run's optimizer for actions."""
-    return f"{_run(realm, user, run)}/control/{_checked(server, star=True)}"
+    return f"{_run(realm, user, run, version)}/control/{_checked(server, star=True)}"
 
 
 def parse_server_key(key: str) -> ServerKey:
@@ -131,12 +135,17 @@ def parse_control_key(key: str) -> str:
     return found[3]
 
 
-def _server(realm: str, server: str, *, star: bool = False) -> str:
-    return f"{ROOT}/{_checked(realm)}/ss/{_checked(server, star=star)}"
+def _server(
+    realm: str, server: str, version: str = CURRENT, *, star: bool = False
+) -> str:
+    return f"zswarm/{version}/{_checked(realm)}/ss/{_checked(server, star=star)}"
 
 
-def _run(realm: str, user: str, run: str, *, star: bool = False) -> str:
-    return f"{ROOT}/{_checked(realm)}/ot/{_checked(user, star=star)}/{_checked(run, star=star)}"
+def _run(
+    realm: str, user: str, run: str, version: str = CURRENT, *, star: bool = False
+) -> str:
+    holder = f"{_checked(user, star=star)}/{_checked(run, star=star)}"
+    return f"zswarm/{version}/{_checked(realm)}/ot/{holder}"
 
 
 def _checked(text: str, *, star: bool = False) -> str:

@@ -1,6 +1,8 @@
 """The messages of the wire, field by field as in docs/protocol.md.
 
-Each is a map with ``type`` and ``v`` (the protocol's version). Arrays are raw little-endian bytes.
+Each is a map with ``type``, without the fields that have their default. Unknown fields are ignored:
+a program with further optional fields works with one that lacks them. Arrays are raw little-endian
+bytes.
 """
 
 from typing import Annotated, Any, Literal
@@ -42,8 +44,19 @@ State = Literal["waiting", "preparing", "ready", "failed"]
 FaultKind = Literal["crashed", "timeout", "memory"]
 Asks = Literal["", "turn", "agent"]
 Refusal = Literal[
-    "malformed", "superseded", "lease-lost", "busy", "draining", "mismatch", "cancelled"
+    "malformed",
+    "unsupported",
+    "superseded",
+    "lease-lost",
+    "busy",
+    "draining",
+    "mismatch",
+    "unknown-batch",
+    "cancelled",
 ]
+# What a server may have besides: an optimizer uses it only if the offer names it.
+BY_ID = "by-id"  # a batch is asked for again by its id alone
+FEATURES = [BY_ID]
 
 
 class Message(
@@ -51,14 +64,12 @@ class Message(
     frozen=True,
     kw_only=True,
     tag_field="type",
-    forbid_unknown_fields=True,
+    omit_defaults=True,
 ):
-    """The fields of all messages."""
-
-    v: Literal[1] = 1
+    """What all messages have in common."""
 
 
-class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class Part(msgspec.Struct, frozen=True):
     """A simulator or a representation by name, with its settings."""
 
     kind: Text
@@ -68,12 +79,8 @@ class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 # ---- from the optimizer
 
 
-class Requirements(Message, frozen=True, tag="requirements", forbid_unknown_fields=False):
-    """Phase 1: what a run needs; with no simulator and no representation every server matches.
-
-    This message and Offer may have fields of later versions, which are ignored: programs of
-    different versions meet here.
-    """
+class Requirements(Message, frozen=True, tag="requirements"):
+    """Phase 1: what a run needs; with no simulator and no representation every server matches."""
 
     simulator: Text = ""
     representation: Text = ""
@@ -108,14 +115,17 @@ class Renew(Message, frozen=True, tag="renew"):
 
 
 class Evaluate(Message, frozen=True, tag="evaluate"):
-    """Evaluate a batch of trials; sent again with the same id, get what runs or was computed."""
+    """Evaluate a batch of trials; sent again with the same id, get what runs or was computed.
+
+    Without trials it asks for a batch that the server has: ``BY_ID``.
+    """
 
     lease: Token
     batch: BatchId
-    # Empty: see Reserve.asks.
-    genomes: Annotated[list[Genome], Meta(max_length=MAX_GENOMES)]
-    participants: bytes  # (trials, k) uint32, indices into genomes
-    seeds: bytes  # (trials,) uint64
+    # Each is empty: see Reserve.asks.
+    genomes: Annotated[list[Genome], Meta(max_length=MAX_GENOMES)] = []
+    participants: bytes = b""  # (trials, k) uint32, indices into genomes
+    seeds: bytes = b""  # (trials,) uint64
 
 
 class Cancel(Message, frozen=True, tag="cancel"):
@@ -134,8 +144,8 @@ class Release(Message, frozen=True, tag="release"):
 # ---- from the server
 
 
-class Offer(Message, frozen=True, tag="offer", forbid_unknown_fields=False):
-    """What a server has and can do; for unknown fields see Requirements."""
+class Offer(Message, frozen=True, tag="offer"):
+    """What a server has and can do."""
 
     server: Text
     program: Text  # zswarm's version
@@ -148,6 +158,7 @@ class Offer(Message, frozen=True, tag="offer", forbid_unknown_fields=False):
     mismatch: Text = ""  # why the requirements are not met; empty: they are
     labels: Labels = {}  # that runs require or prefer
     limits: Limits = []  # of settings, in words; the server judges them
+    features: Names = []  # those of FEATURES that it has
 
 
 class Lease(Message, frozen=True, tag="lease"):
@@ -172,6 +183,7 @@ class Outcomes(Message, frozen=True, tag="outcomes"):
     seconds: Seconds  # spent computing, by all slots together
     trials: bytes = b""  # (trials,) uint32, indices into the batch, rising; b"": all
     error: Text = ""  # what the simulator raised first
+    left: Text = ""  # what the simulator left behind in its process, which was replaced
 
 
 class Running(Message, frozen=True, tag="running"):
@@ -185,6 +197,7 @@ class Running(Message, frozen=True, tag="running"):
     metrics: bytes = b""
     seconds: Seconds = 0.0
     error: Text = ""
+    left: Text = ""
 
 
 class Fault(Message, frozen=True, tag="fault"):
@@ -199,6 +212,7 @@ class Fault(Message, frozen=True, tag="fault"):
     metrics: bytes = b""
     seconds: Seconds = 0.0
     error: Text = ""
+    left: Text = ""
 
 
 class Sensors(Message, frozen=True, tag="sensors"):
@@ -217,7 +231,8 @@ class Sensors(Message, frozen=True, tag="sensors"):
 class Refused(Message, frozen=True, tag="refused"):
     """The request is not carried out."""
 
-    code: Refusal
+    # A Refusal; a later program may have more.
+    code: Text
     reason: Text
 
 

@@ -6,12 +6,10 @@ that are the same for all robots are in ``templates``; each ``@{word}`` there is
 """
 
 import math
-import re
 from collections.abc import Callable
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, NamedTuple
-from xml.sax.saxutils import escape
 
 import numpy as np
 
@@ -20,7 +18,14 @@ from zswarm.controller import Controller
 from zswarm.errors import ConfigError
 from zswarm.robots import python_file, scan_checks
 from zswarm.robots.c import c99, kernel_source, translate
-from zswarm.robots.c.c_types import FLOAT32, FLOAT64, INT64, Array, Type, literal, quoted
+from zswarm.robots.c.c_types import FLOAT32, FLOAT64, INT64, Array, Type, literal
+from zswarm.robots.c.quoting import (
+    Code,
+    c_string,
+    markdown_code,
+    python_literal,
+    xml_text,
+)
 from zswarm.robots.c.reference_steps import sha256
 from zswarm.robots.c.templates import fill
 from zswarm.robots.drive_checks import STEPS, DriveSteps, drive_steps, first_and_between
@@ -204,7 +209,8 @@ def _words(robot: Robot) -> Words:
     first, between = first_and_between(interface)
     about = f"evolved with zswarm: {controller.simulator}, {controller.representation}"
     velocity = profile.velocity
-    frame = STAMP.format(frame=quoted(velocity.frame)) if velocity.stamped else ""
+    message = "message.twist" if velocity.stamped else "message"
+    frame = STAMP.format(frame=c_string(velocity.frame)) if velocity.stamped else ""
     numbers = {
         "first": first,
         "between": between,
@@ -227,7 +233,7 @@ def _words(robot: Robot) -> Words:
     }
     return topics | {
         **{name: float(number) for name, number in numbers.items()},
-        **{name: _shown(text) for name, text in texts.items()},
+        **{name: markdown_code(text) for name, text in texts.items()},
         "check_steps": STEPS,
         "name": robot.name,
         "prefix": robot.name.upper(),
@@ -244,21 +250,20 @@ def _words(robot: Robot) -> Words:
         "velocity_frame": velocity.frame,
         "stamped": velocity.stamped,
         "twist": "TwistStamped" if velocity.stamped else "Twist",
-        "fill": frame
-        + FILL.format(twist="message.twist" if velocity.stamped else "message"),
+        "fill": Code("c", frame + FILL.format(twist=message)),
         "distribution": profile.distribution,
         "fitness": f"{controller.fitness:.6g}",
-        "description": escape(f"A robot's controller, {about}"),
+        "description": xml_text(f"A robot's controller, {about}"),
     }
 
 
 def _c_files(robot: Robot, words: Words) -> Files:
     """Return the robot in C99: controller, observation, command."""
     interface = translate.functions(KERNELS, "interface")
-    words = words | interface._asdict() | {"guards": c99.GUARDS}
-    words |= {
-        f"check_{name}": _c_rows(rows) for name, rows in robot.checks._asdict().items()
-    }
+    checks = robot.checks._asdict().items()
+    code = interface._asdict() | {"guards": c99.GUARDS}
+    code |= {f"check_{name}": _c_rows(rows) for name, rows in checks}
+    words = words | {name: Code("c", text) for name, text in code.items()}
     names = ("interface.h", "interface.c", "robot.h", "robot.c")
     files = c99.pair(robot.controller, robot.name.removeprefix("zs_"))
     files |= {name: fill(f"c/{name}", words) for name in names}
@@ -290,7 +295,7 @@ def _settings(robot: Robot, words: Words) -> str:
     lines = [
         '"""What is particular to this robot; m, radians, s."""',
         "",
-        *(f"{word.upper()} = {words[word]!a}" for word in TEXTS),
+        *(f"{word.upper()} = {python_literal(str(words[word]))}" for word in TEXTS),
         *(f"{word.upper()} = {words[word]}" for word in NUMBERS),
         f"TARGETS = ({words['places']})",
         "",
@@ -299,8 +304,3 @@ def _settings(robot: Robot, words: Words) -> str:
         "",
     ]
     return "\n".join(lines)
-
-
-def _shown(text: str) -> str:
-    """Return any text so that it can be code in a Markdown table."""
-    return re.sub(r"[`|\\<>]", " ", text).strip() or " "

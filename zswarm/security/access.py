@@ -14,7 +14,7 @@ from zswarm.security.members import Members
 Direction = Literal["ingress", "egress"]
 Flow = tuple[Direction, list[str], list[str]]  # zenoh's kinds of messages on some keys
 
-VERSIONED = f"{keys.ROOT}/*"  # below it: ss/..., ot/...
+VERSIONED = "zswarm/*/*"  # of any version and realm; below it: ss/..., ot/...
 
 
 def rules(role: str, members: Members) -> dict[str, Any]:

@@ -103,9 +103,10 @@ class EmergencyExit(CompiledSimulator):
                     "emergency-exit: width must not exceed height: a random field draws both "
                     "coordinates from the width"
                 )
-            if sum(counts) > settings.width**2:
+            count = int(sum(counts))
+            if count > settings.width**2:
                 raise ConfigError(
-                    f"emergency-exit: {sum(counts)} agents, exits and blockades do not fit on "
+                    f"emergency-exit: {count} agents, exits and blockades do not fit on "
                     f"{settings.width**2} cells"
                 )
             self.fields = RandomFields(settings.width, settings.height, counts)

@@ -73,7 +73,7 @@ class RandomFields:
 
     def place(self, seeds: np.ndarray) -> list[np.ndarray]:
         """Draw the cells of agents, exits and blockades: arrays (seeds, count) int32."""
-        placed = np.empty((len(seeds), sum(self._counts)), np.int32)
+        placed = np.empty((len(seeds), int(sum(self._counts))), np.int32)
         draw_cells(seeds.astype(np.uint64), self.width, self.stride, self.cells, placed)
         parts = np.split(placed, np.cumsum(self._counts)[:-1], axis=1)
         return [np.ascontiguousarray(part) for part in parts]

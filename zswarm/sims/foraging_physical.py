@@ -7,6 +7,7 @@ import numpy as np
 from zswarm.config.meta import about, within
 from zswarm.errors import ConfigError
 from zswarm.kernels.random import Stream
+from zswarm.kernels.sums import total
 from zswarm.sims.physics import Metres, Movable, Robots, Side
 from zswarm.sims.physics_kernels import SCAN, SECTORS
 from zswarm.sims.physics_picture import picture
@@ -135,10 +136,8 @@ class ForagingPhysical(Transport):
         share = (self._from - self._world.things[:, 0]) / (
             self._from - self.settings.nest
         )
-        way = (
-            sum(np.where(self._gone == DELIVERED, 1.0, share).tolist())
-            / self.settings.pucks
-        )
+        way = float(total(np.where(self._gone == DELIVERED, 1.0, share)))
+        way /= self.settings.pucks
         delivered = self._count()
         return self._ended(
             delivered, way, way, all_arrived=delivered == self.settings.pucks

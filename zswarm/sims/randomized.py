@@ -181,7 +181,7 @@ def _corners(found: Mapping[Path, Mapping[str, Any]]) -> Iterator[dict[Path, Any
         else [(1,) * len(outer)]
     )
     for sides in combinations:
-        if sum(sides) > 1:
+        if int(sum(sides)) > 1:
             yield dict(
                 zip(
                     found,

@@ -190,6 +190,15 @@ class Simulator(ABC):
         """Return the seeds of an experiment's trials if the problem fixes them, else None."""
         return None
 
+    def use_machine(self) -> None:  # noqa: B027  few simulators need it
+        """Let trials drive what is outside of zswarm's own programs, such as robots.
+
+        Only the slots of servers call this. Without it a trial must not reach anything outside.
+
+        Raises:
+            ConfigError: this machine has nothing that the settings name.
+        """
+
     @abstractmethod
     def reset(self, seed: int) -> Turn:
         """Start a trial; the same seed starts the same trial."""

@@ -16,7 +16,14 @@ from zswarm.config.suggest import nearest
 from zswarm.errors import ConfigError
 from zswarm.plugins import registry as plugins
 from zswarm.plugins.version_hash import differing, lacking, version_hash, versions
-from zswarm.protocol.messages import MAX_PARTS, MAX_TEXT, Offer, Requirements, Reserve
+from zswarm.protocol.messages import (
+    FEATURES,
+    MAX_PARTS,
+    MAX_TEXT,
+    Offer,
+    Requirements,
+    Reserve,
+)
 from zswarm.ss.detected_labels import detected_labels
 from zswarm.system.extras import installing
 from zswarm.system.text import clean
@@ -110,6 +117,7 @@ class Admission:
             representations=self.representations,
             labels=detected | {name: str(value) for name, value in labels.items()},
             limits=[str(limit) for limit in self.limits],
+            features=FEATURES,
         )
 
     def mismatch(self, asked: Requirements | Reserve) -> str:

@@ -129,6 +129,7 @@ def _try(call: Callable[[], None]) -> None:
 
 def main() -> None:
     """Entry point."""
-    from zswarm.system import program
+    from zswarm.system import program, start
 
+    start.prepare("zswarm-ss")
     program.run(command)

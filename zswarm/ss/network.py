@@ -6,6 +6,7 @@ their link return to their leases. Zenoh's callbacks only put items into the inb
 
 import contextlib
 import os
+import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -15,19 +16,21 @@ import structlog
 import zenoh
 
 from zswarm import session
-from zswarm.errors import RemoteProtocolError
-from zswarm.protocol import codec, keys
-from zswarm.protocol.messages import MAX_TEXT, Refused
+from zswarm.errors import RemoteProtocolError, UnknownMessageError
+from zswarm.protocol import codec, keys, versions
+from zswarm.protocol.messages import MAX_TEXT, Refusal, Refused
 from zswarm.security import refusals
 from zswarm.session import Reach
 from zswarm.ss.local.control import LocalQuery
 from zswarm.ss.slots import events
-from zswarm.ss.workers.remote import Unheard
+from zswarm.ss.workers.remote import FullPipe, Unheard
 from zswarm.system.text import clean
 
 ANSWER_S = 2.0  # for the optimizer to answer; zenoh keeps a kilobyte per query as long
 MAX_SENDERS = 256  # runs that have a thread for answers
-MAX_INBOX = 10_000  # items; further queries are dropped unanswered
+# Items, and bytes of queries among them; further queries are dropped unanswered.
+MAX_INBOX = 10_000
+MAX_INBOX_BYTES = 256 << 20
 
 log = structlog.get_logger()
 
@@ -40,6 +43,7 @@ class PeerQuery:
         self.key = str(query.key_expr)
         self.body = query.payload.to_bytes() if query.payload is not None else b""
         self.run = "malformed"  # user and run, once it is decoded
+        self.version = keys.CURRENT  # of the peer's protocol
 
     def answer(self, body: bytes) -> None:
         """Answer, in a thread that may block; the peer may be gone."""
@@ -56,7 +60,7 @@ class PeerQuery:
 
 
 # An int is the number of a signal.
-Item = PeerQuery | LocalQuery | Unheard | events.Event | int
+Item = PeerQuery | LocalQuery | Unheard | FullPipe | events.Event | int
 
 
 class Inbox:
@@ -102,8 +106,11 @@ class Presence(msgspec.Struct, eq=False):
     endpoints: list[str] = []  # that it listens on
     malformed: int = 0  # number of messages
     _session: zenoh.Session | None = None
-    _token: zenoh.LivelinessToken | None = None
+    _tokens: list[zenoh.LivelinessToken] = []  # one for each version of the protocol
+    _older: dict[str, str] = {}  # runs that speak an older version, and which
     _senders: dict[str, session.Sender] = {}
+    _waiting: int = 0  # bytes of queries in the inbox
+    _counting: threading.Lock = msgspec.field(default_factory=threading.Lock)  # of these
 
     def open(self, listen: list[str], reach: Reach, *, visible: bool) -> None:
         """Open the session; declare the liveliness token if the server is to be visible."""
@@ -113,31 +120,43 @@ class Presence(msgspec.Struct, eq=False):
         refusals.watch_routers(reach.connect, reach.keyring)
         on_query = zenoh.handlers.Callback(self._on_query, indirect=False)
         on_run = zenoh.handlers.Callback(self._on_run, indirect=False)
-        self._session.declare_queryable(keys.offer(self.realm, self.server), on_query)
-        self._session.declare_queryable(keys.requests(self.realm, self.server), on_query)
         liveliness = self._session.liveliness()
-        runs = keys.run_alive(self.realm, "*", "*")
-        liveliness.declare_subscriber(runs, on_run, history=True)
-        if visible:
-            self._token = liveliness.declare_token(keys.alive(self.realm, self.server))
+        here = self.realm, self.server
+        for version in (keys.CURRENT, *versions.OLDER):
+            self._session.declare_queryable(keys.offer(*here, version), on_query)
+            self._session.declare_queryable(keys.requests(*here, version), on_query)
+            runs = keys.run_alive(self.realm, "*", "*", version)
+            liveliness.declare_subscriber(runs, on_run, history=True)
+            if visible:
+                token = liveliness.declare_token(keys.alive(*here, version))
+                self._tokens.append(token)
 
     def leave(self) -> None:
-        """Undeclare the liveliness token; queries are still answered."""
-        if self._token is not None:
-            self._token.undeclare()
-            self._token = None
+        """Undeclare the liveliness tokens; queries are still answered."""
+        while self._tokens:
+            self._tokens.pop().undeclare()
 
     def close(self) -> None:
         """Close the session."""
         if self._session is not None:
             session.close(self._session)
-        self._session = self._token = None
+        self._session = None
+        self._tokens.clear()
 
     def _on_query(self, query: zenoh.Query) -> None:
-        if len(self.inbox) < MAX_INBOX:
+        size = len(query.payload) if query.payload is not None else 0
+        with self._counting:
+            taken = self._waiting + size <= MAX_INBOX_BYTES
+            self._waiting += size * taken
+        if taken and len(self.inbox) < MAX_INBOX:
             self.inbox.put(PeerQuery(query))
         else:
             query.drop()
+            self._count_taken(size * taken)
+
+    def _count_taken(self, size: int) -> None:
+        with self._counting:
+            self._waiting -= size
 
     def _on_run(self, sample: zenoh.Sample) -> None:
         try:
@@ -151,6 +170,7 @@ class Presence(msgspec.Struct, eq=False):
 
     def decode(self, query: PeerQuery) -> events.Asked | None:
         """Return the event of a query; answer one that is malformed."""
+        self._count_taken(len(query.body))
         try:
             key, message = codec.decode_query(query.key, query.body)
         except RemoteProtocolError as error:
@@ -159,13 +179,18 @@ class Presence(msgspec.Struct, eq=False):
                 # A flood must not fill the disk.
                 fields = {"key": clean(query.key), "reason": str(error)}
                 log.warning("malformed", **fields, count=self.malformed)
-            self.answer(query, codec.encode(Refused(code="malformed", reason=str(error))))
+            unknown = isinstance(error, UnknownMessageError)
+            code: Refusal = "unsupported" if unknown else "malformed"
+            self.answer(query, codec.encode(Refused(code=code, reason=str(error))))
             return None
-        query.run = f"{key.user}/{key.run}"
+        query.run, query.version = f"{key.user}/{key.run}", key.version
+        if key.version in versions.OLDER:
+            self._older[query.run] = key.version
         return events.Asked(id(query), key.user, key.run, message)
 
     def answer(self, query: PeerQuery, body: bytes) -> None:
         """Answer in the thread of the run: a send into a dying link blocks."""
+        body = versions.sent(query.version, body)
         if not self._sender(query.run).send(lambda: query.answer(body)):
             log.warning("answer_dropped", run=query.run)
             query.drop()
@@ -183,6 +208,7 @@ class Presence(msgspec.Struct, eq=False):
 
     def forget(self, run: str) -> None:
         """End the thread of a run that is gone."""
+        self._older.pop(run, None)
         if (sender := self._senders.pop(run, None)) is not None:
             sender.close()
 
@@ -208,12 +234,13 @@ class Presence(msgspec.Struct, eq=False):
             take: called with the number and the answer, in zenoh's threads.
             at_once: send in this thread, because it does not block.
         """
+        version = self._older.get("/".join(run), keys.CURRENT)
 
         def on_answer(answer: bytes | None, _replier: str = "") -> None:
             if answer is None:
                 self.inbox.put(Unheard(number))
             else:
-                take(number, answer)
+                take(number, versions.taken(version, answer))
 
         def send() -> None:
             if (opened := self._session) is None:  # during a reload
@@ -221,8 +248,8 @@ class Presence(msgspec.Struct, eq=False):
                 return
             session.ask(
                 opened,
-                keys.control(self.realm, *run, self.server),
-                body,
+                keys.control(self.realm, *run, self.server, version),
+                versions.sent(version, body),
                 on_answer,
                 timeout_s=ANSWER_S,
                 priority=zenoh.Priority.INTERACTIVE_LOW,

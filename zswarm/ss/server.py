@@ -33,10 +33,10 @@ from zswarm.ss.options import AT_START, Options, offered
 from zswarm.ss.slots import events
 from zswarm.ss.slots.table import SlotTable
 from zswarm.ss.workers import memory, orphans
-from zswarm.ss.workers.child import Here
+from zswarm.ss.workers.child import Here, SharedMemory
 from zswarm.ss.workers.output import LINE_WIDTH
 from zswarm.ss.workers.parent import Worker
-from zswarm.ss.workers.remote import CANCELLED, Questions, Unheard
+from zswarm.ss.workers.remote import CANCELLED, FullPipe, Questions, Unheard
 from zswarm.system.systemd import Notify
 from zswarm.system.text import clean
 from zswarm.system.version import VERSION
@@ -60,6 +60,7 @@ class Server:
         self, read_options: Callable[[], Options], *, until_stdin_closes: bool = False
     ) -> None:
         self._read_options, self._private = read_options, until_stdin_closes
+        memory.check_machine()
         self.options = options = read_options()
         self._reach = self._find_reach(options)
         capacity = options.capacity or os.cpu_count() or 1
@@ -216,6 +217,8 @@ class Server:
                         answer.set_result(self._answer_local(request))
                 case Unheard():
                     self._questions.unheard(item.question, time.monotonic())
+                case FullPipe():
+                    self.workers[item.slot].watch_pipe()
                 case signal.SIGHUP:
                     self._reload()
                 case int():
@@ -252,15 +255,16 @@ class Server:
     def on_message(self, worker: Worker) -> None:
         """Take a message of a slot's process."""
         self.on_output(worker)  # first: what it wrote before its answer are no last words
-        match worker.receive():
-            case None | Here():
-                pass
-            case Sensors() as sensors:
-                self._forward(worker, sensors)
-            case event:
-                if isinstance(event, events.Died):
-                    self._questions.forget(worker.slot)
-                self._handle(event)
+        while (message := worker.receive()) is not None:
+            match message:
+                case Here() | SharedMemory():
+                    pass
+                case Sensors():
+                    self._forward(worker, message)
+                case _:
+                    if isinstance(message, events.Died):
+                        self._questions.forget(worker.slot)
+                    self._handle(message)
 
     def on_output(self, worker: Worker) -> None:
         """Log what a simulator wrote."""
@@ -274,6 +278,10 @@ class Server:
     def on_exit(self, worker: Worker) -> None:  # noqa: ARG002  as Owner
         """Look for orphans of a process that ended."""
         self._health.expect_orphans()
+
+    def on_full_pipe(self, worker: Worker) -> None:
+        """Have the loop send on what a slot's process did not take."""
+        self._inbox.put(FullPipe(worker.slot))
 
     def _forward(self, worker: Worker, sensors: Sensors) -> None:
         """Ask the optimizer for the actions of a slot's agents, unless the slot is to stop."""

@@ -19,6 +19,7 @@ from zswarm.ot.cluster.matching import Terms
 from zswarm.ot.notes import Note
 from zswarm.ot.workload import Workload
 from zswarm.protocol.messages import (
+    FEATURES,
     Evaluate,
     Fault,
     Lease,
@@ -122,13 +123,10 @@ def offer(
     capacity: int = 1, mismatch: str = "", *, free: int | None = None, **labels: str
 ) -> Offer:
     names = dict.fromkeys(("server", "program", "machine"), "")
-    none = {
-        "free": capacity if free is None else free,
-        "leases": 0,
-        "simulators": [],
-        "representations": [],
-    }
-    return Offer(**names, **none, capacity=capacity, mismatch=mismatch, labels=labels)  # type: ignore[arg-type]
+    none = {"leases": 0, "simulators": [], "representations": []}
+    none["free"] = capacity if free is None else free
+    fields = {"capacity": capacity, "mismatch": mismatch, "features": FEATURES}
+    return Offer(**names, **none, **fields, labels=labels)  # type: ignore[arg-type]
 
 
 def lease(

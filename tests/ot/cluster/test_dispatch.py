@@ -2,8 +2,10 @@
 
 from collections import deque
 
+import msgspec
 import numpy as np
 import pytest
+from msgspec import structs
 
 from tests.instruction_count import instructions
 from tests.ot.cluster.dispatching import (
@@ -40,6 +42,7 @@ from zswarm.protocol import codec, labels
 from zswarm.protocol.messages import (
     MAX_MESSAGE,
     Done,
+    Evaluate,
     Fault,
     Outcomes,
     Refused,
@@ -578,15 +581,46 @@ def test_a_running_batch_is_asked_again_at_once_and_its_empty_answers_are_forgot
         assert batch(ask) == number
 
 
+def bodies(asks: list[Ask]) -> list[int]:
+    """Return how many genomes are sent with each batch."""
+    messages = [ask.message for ask in asks if isinstance(ask.message, Evaluate)]
+    return [len(message.genomes) for message in messages]
+
+
+def test_a_batch_is_asked_for_again_by_its_id_alone_until_the_server_lacks_it() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a")
+    asks = [*optimizer.work(1)]
+    asks += optimizer.answer(asks[-1], Running(batch=batch(asks[0]), done=0))
+    optimizer.answer(asks[-1], None)
+    asks += optimizer.wait(1.0)
+    missing = Refused(code="unknown-batch", reason="there is no such batch")
+    asks += optimizer.answer(asks[-1], missing)
+    assert bodies(asks) == [1, 0, 0, 1]
+    assert {batch(ask) for ask in asks} == {batch(asks[0])}
+    asks = optimizer.answer(asks[-1], missing)
+    assert bodies(asks) == [1], "sent whole it cannot be missing: as another refusal"
+    optimizer.answer(asks[-1], outcomes(asks[-1]))
+    assert optimizer.counted == [0]
+
+
+def test_a_server_without_that_feature_gets_the_whole_batch_again() -> None:
+    optimizer = Optimizer()
+    (ask,) = optimizer.feed(Seen("a"))
+    (ask,) = optimizer.answer(ask, structs.replace(offer(), features=[]))
+    optimizer.answer(ask, lease("a", 1))
+    asks = optimizer.work(1)
+    asks += optimizer.answer(asks[-1], Running(batch=batch(asks[0]), done=0))
+    assert bodies(asks) == [1, 1]
+
+
 def test_early_outcomes_are_counted_once_and_a_batch_follows() -> None:
     """Slots of the server have nothing to do, as one trial of its batch takes long."""
     optimizer = Optimizer()
     optimizer.join("a", slots=2)
     first, second = optimizer.work(8)
     again, more = optimizer.answer(first, told(first, 1, given=True))
-    assert (batch(again), trials([again])) == (batch(first), trials([first])), (
-        "with the whole message"
-    )
+    assert (batch(again), trials([again])) == (batch(first), trials([first]))
     assert batch(more) not in (batch(first), batch(second))
     assert optimizer.counted == [trials([first])[1]]
     assert optimizer.answer(again, outcomes(again)) == []
@@ -1140,6 +1174,23 @@ def test_metrics_are_stored_by_index_and_simulator_errors_are_reported() -> None
         Note("simulator_raised", "a", "ValueError: x", 1)
     ]
     assert optimizer.counted == [0]
+
+
+def test_what_trials_leave_behind_is_reported_once() -> None:
+    optimizer = Optimizer(slots=1)
+    optimizer.join("a")
+    asks = optimizer.work(3)
+    texts = ["a file open (x)", "a file open (y); 1 thread running", "1 thread running"]
+    notes: list[Note] = []
+    for text in texts:
+        ask = asks.pop(0)
+        reply = msgspec.structs.replace(outcomes(ask, 1.0), left=text)
+        asks += optimizer.answer(ask, reply)
+        notes += optimizer.notes("simulator_left")
+    assert notes == [
+        Note("simulator_left", "a", "a file open (x)"),
+        Note("simulator_left", "a", "1 thread running"),
+    ]
 
 
 def test_counting_a_trial_twice_is_a_bug() -> None:

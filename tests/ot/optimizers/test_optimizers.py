@@ -258,10 +258,10 @@ class DeafToSeeds(NNGA):
         super().__init__(settings, representation, seed * 0)
 
 
-class Forgetful(NNGA):
+class Forgetful(RandomSearch):
     def restore(self, state: Mapping[str, Any], told: Iterable[Told]) -> None:
         super().restore(state, told)
-        self._islands = [island[::-1] for island in self._islands]
+        self.seed += 1
 
 
 class NotPlain(NNGA):

@@ -11,10 +11,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+import tomli_w
 
 from tests.robots.trials import built, by_network, by_policy
 from tests.ros.ros_here import need
 from tests.sims import robot_controllers
+from zswarm import evaluate
 from zswarm.errors import EvaluationError
 from zswarm.robots.profiles import profile as profiles
 from zswarm.ros.link import graph
@@ -227,12 +229,22 @@ def test_a_free_running_simulation_reports_how_late_the_controllers_are() -> Non
     assert min(turns[1:]) < turns[0] <= 30
 
 
-def test_a_simulation_that_runs_is_driven_by_one_slot(here: RosGraph) -> None:
-    reach = {"launch": "running", "connect": here.connect}
+def in_slot(here: RosGraph, folder: Path, patch: pytest.MonkeyPatch, **more: Any) -> Any:
+    """Build the simulator as a slot does, on a machine whose file says where the node is."""
+    file = {"link": "zenoh", "profile": "stage_ros2", "connect": here.connect}
+    (folder / "room.toml").write_text(tomli_w.dumps(file))
+    patch.setenv("ZSWARM_ROS", str(folder))
+    patch.setenv("RUNTIME_DIRECTORY", str(folder / "locks"))
+    settings = {**ROOM, "simulation": "room", **more}
+    name, network = "turtlebot-exit-ros", "fully-meshed"
+    return evaluate.build(name, settings, network, {}, in_slot=True)[0]
+
+
+def test_a_simulation_that_runs_is_driven_by_one_slot(
+    here: RosGraph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with node(here):
-        simulator, other = (
-            built("turtlebot-exit-ros", **ROOM, **reach) for _ in range(2)
-        )
+        simulator, other = (in_slot(here, tmp_path, monkeypatch) for _ in range(2))
         expected = by_network(built("turtlebot-exit", **ROOM), 6)
         for _ in range(2):
             assert by_network(simulator, 6).bits == expected.bits
@@ -247,16 +259,10 @@ def test_a_simulation_that_runs_is_driven_by_one_slot(here: RosGraph) -> None:
 
 
 def test_a_missing_simulation_is_named(
-    here: RosGraph, monkeypatch: pytest.MonkeyPatch
+    here: RosGraph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(simulation, "READY_S", 2.0)
-    simulator = built(
-        "turtlebot-exit-ros",
-        **ROOM,
-        launch="running",
-        connect=here.connect,
-        deadline_s=1.0,
-    )
+    simulator = in_slot(here, tmp_path, monkeypatch, deadline_s=1.0)
     lacking = "no node subscribes to .*; no node publishes .* after 2 s"
     with pytest.raises(
         EvaluationError, match=f"simulator 'turtlebot-exit-ros', trial seed 1: {lacking}"

@@ -181,20 +181,6 @@ def test_a_path_that_is_too_long_is_reported(folder: Path) -> None:
         new("s" * 120)
 
 
-def test_the_socket_folder_depends_on_the_user_and_the_environment(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """It is systemd's, root's, the session's, or one in the temporary folder."""
-    assert control.folder({"RUNTIME_DIRECTORY": "/run/a:/run/b"}) == Path("/run/a")
-    monkeypatch.setattr(control.os, "geteuid", lambda: 0)
-    assert control.folder({"XDG_RUNTIME_DIR": "/run/user/0"}) == Path("/run/zswarm")
-    monkeypatch.setattr(control.os, "geteuid", lambda: 7)
-    assert control.folder({"XDG_RUNTIME_DIR": "/run/user/7"}) == Path(
-        "/run/user/7/zswarm"
-    )
-    assert control.folder({}).name == "zswarm-7"
-
-
 def test_a_request_is_decoded() -> None:
     assert msgspec.json.decode(
         b'{"ask": "drain", "wait": true}', type=LocalRequest

@@ -7,6 +7,8 @@ import random
 from collections import Counter, deque
 from typing import Any
 
+import msgspec
+
 from zswarm.protocol import codec, messages
 from zswarm.protocol.messages import (
     Done,
@@ -237,8 +239,8 @@ class Server:
         process = self.processes[slot]
         does, process.does = process.does, ""
         how = self.random.choices(
-            ["well", "recycled", "exhausted", "badly", "dies", "memory"],
-            [60, 10, 20, 1, 3, 3],
+            ["well", "recycled", "spoiled", "exhausted", "badly", "dies", "memory"],
+            [60, 10, 10, 20, 1, 3, 3],
         )[0]
         if how in ("dies", "memory") and (does or self.random.random() < 0.1):
             process.end()
@@ -259,6 +261,12 @@ class Server:
             process.recycled = True
             self.feed(events.Exhausted(slot, self.random.randrange(len(process.trials))))
             self.seen["exhausted"] += 1
+        elif does == "evaluate" and how == "spoiled":
+            process.recycled, first = True, process.trials.start
+            end = first + self.random.randint(1, len(process.trials))
+            ended = codec.indices(range(end - first))
+            reply = msgspec.structs.replace(outcomes(first, end), trials=ended, left="x")
+            self.feed(events.Finished(slot, reply))
         elif does == "evaluate":
             process.recycled, trials = how == "recycled", process.trials
             reply = outcomes(trials.start, trials.stop)
@@ -290,7 +298,14 @@ class Server:
             assert process.prepared or slot.prepared_for is None or process.does, (
                 "a fresh process is taken for prepared"
             )
-        shares = self.slots.leases.shares(len(self.slots.slots))
+        table = self.slots.leases
+        rights, shares = table.sharing.shares(
+            table.values(), len(self.slots.slots), self.now
+        )
+        for lease, right in rights.items():
+            assert not lease.lent or lease.lent + len(lease.slots) <= right, (
+                "more is lent than the lease has a right to"
+            )
         if self.slots.free() and not self.slots.draining:
             short = [lease for lease, share in shares.items() if len(lease.slots) < share]
             assert not short, "a slot is free, and a run has less than its share"

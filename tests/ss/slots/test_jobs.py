@@ -2,6 +2,7 @@
 
 import itertools
 
+import msgspec
 import pytest
 
 from tests.instruction_count import instructions
@@ -213,7 +214,6 @@ def test_a_chunk_has_only_the_genomes_of_its_trials() -> None:
     "wrong",
     [
         {"seeds": b""},
-        {"seeds": b"", "participants": b""},
         {"participants": b"\0" * 6},
         {"participants": b""},
     ],
@@ -235,6 +235,20 @@ def test_a_malformed_batch_goes_to_one_slot_whole_which_refuses_it(
     for slot in range(len(server.commands)):
         server.feed(Finished(slot, refused))
     assert server.answers[query] == refused
+
+
+def test_a_batch_is_asked_for_by_its_id_alone_or_reported_missing() -> None:
+    server = Server(1)
+    lease = server.ready()
+    whole, again = evaluate(lease, 1), Evaluate(lease=lease, batch=1)
+    missing = server.ask(again)
+    assert server.answers[missing].code == "unknown-batch"  # type: ignore[union-attr]
+    first = server.ask(whole)
+    assert len(server.commands) == 1
+    second = server.ask(again)
+    assert server.answers[first] == Refused(code="cancelled", reason="asked again")
+    server.feed(Finished(0, outcomes(1)))
+    assert server.answers[second] == server.answers[server.ask(again)]
 
 
 def test_handing_out_a_chunk_takes_constant_time() -> None:
@@ -435,6 +449,35 @@ def test_a_recycled_process_of_an_ended_lease_is_prepared_again() -> None:
         KillSlot(0),
         PrepareSlot(0, reserve(slots=2), probe=False),
     ]
+
+
+def test_trials_after_one_that_left_something_are_played_in_a_new_process() -> None:
+    """The outcome of that one counts, and what was left is reported."""
+    server, _, query = running_one(trials=4)
+    work = server.slots.slots[0].chunk
+    assert work is not None
+    end = work.positions.stop
+    assert end >= 2, "several trials are in a chunk"
+
+    def played_one(first: int, left: str) -> Outcomes:
+        one = msgspec.structs.replace(some(first, first + 1), left=left)
+        return msgspec.structs.replace(one, trials=codec.indices([0]))
+
+    assert server.feed(Finished(0, played_one(0, "a file open (x)"))) == [
+        KillSlot(0),
+        PrepareSlot(0, reserve(), probe=False),
+    ]
+    assert seeds(server.feed(Prepared(0, b"", 0.0))) == [(0, [*range(1, end)])]
+    server.feed(Finished(0, played_one(1, "1 thread running")))
+    server.feed(Prepared(0, b"", 0.0))
+    while query not in server.answers:
+        chunk = server.slots.slots[0].chunk
+        assert chunk is not None
+        server.feed(Finished(0, some(chunk.positions.start, chunk.positions.stop)))
+    answer = server.answer(query, Outcomes)
+    assert (answer.trials, answer.fitness) == (b"", bytes(range(4)))
+    assert answer.left == "a file open (x); 1 thread running"
+    assert server.slots.trials == 4
 
 
 def test_an_exhausted_chunk_is_split_and_the_batch_is_answered_whole() -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from zswarm.errors import ConfigError
 from zswarm.ss.workers import memory
 
 MACHINE_MB = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") >> 20
@@ -66,6 +67,19 @@ def test_a_slot_gets_its_share_of_the_machine_without_a_lower_group_limit(
     assert abs(memory.per_slot_mb(1) - MACHINE_MB * 8 // 10) <= 1
     (tmp_path / "membership").unlink()
     assert abs(memory.per_slot_mb(1) - MACHINE_MB * 8 // 10) <= 1
+
+
+def test_a_machine_with_too_little_memory_to_start_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise the fork server would be killed, again and again."""
+    groups(tmp_path, monkeypatch, "0::/a\n", {"a/memory.max": str(100 * MB)})
+    with pytest.raises(
+        ConfigError, match="has 100 MB of memory; expected at least 160 MB"
+    ):
+        memory.check_machine()
+    (tmp_path / "a/memory.max").write_text(str(200 * MB))
+    memory.check_machine()
 
 
 def in_a_child(what: str) -> list[str]:

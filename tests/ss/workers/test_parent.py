@@ -1,13 +1,18 @@
 """A slot's process and the server's end of it: real processes."""
 
+import ctypes
 import math
 import multiprocessing.connection
 import multiprocessing.forkserver
 import os
+import select
 import selectors
 import signal
+import socket
+import threading
 import time
 from collections.abc import Callable, Iterator
+from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +35,7 @@ from zswarm.ss.slots.events import (
     RunChunk,
     Unprepared,
 )
-from zswarm.ss.workers import parent
+from zswarm.ss.workers import child, parent
 from zswarm.ss.workers.child import FromSlot, Here
 from zswarm.ss.workers.parent import LONGEST_PAUSE_S, Worker
 
@@ -42,6 +47,7 @@ class Owner:
 
     def __init__(self) -> None:
         self.ended = 0
+        self.full: list[Worker] = []
 
     def on_message(self, worker: Worker) -> None: ...
 
@@ -49,6 +55,9 @@ class Owner:
 
     def on_exit(self, _: Worker) -> None:
         self.ended += 1
+
+    def on_full_pipe(self, worker: Worker) -> None:
+        self.full.append(worker)
 
 
 def unstarted(memory_mb: int = 1024) -> Worker:
@@ -111,9 +120,16 @@ def die(slot: Worker) -> None:
 
 
 def answer(of: Worker) -> FromSlot | None:
-    assert of.pipe is not None
-    assert of.pipe.poll(ANSWER_S)
-    return of.receive()
+    """Return the next message; None if no process could be started."""
+    message = None
+    while message is None and of.pipe is not None:
+        wanted = select.POLLIN | (select.POLLOUT if of.pipe.sending else 0)
+        poll = select.poll()
+        poll.register(of.pipe, wanted)
+        assert poll.poll(ANSWER_S * 1000)
+        of.pipe.flush()
+        message = of.receive()
+    return message
 
 
 # A machine's table has a row for each combination of 18 inputs.
@@ -350,6 +366,110 @@ def test_a_suspended_fork_server_does_not_block_the_loop(
     assert isinstance(answer(fresh), Prepared)
     assert slot.missing_from(30.0) == fresh.missing_from(30.0) == math.inf
     fresh.close()
+
+
+def test_a_stopped_process_does_not_block_the_loop(
+    new_worker: Callable[..., Worker],
+) -> None:
+    """Megabytes wait for it; its trial is timed only once it has them."""
+    slot = new_worker()
+    prepare(slot, reserve())
+    assert isinstance(answer(slot), Prepared)
+    (small,) = build("minisim", {}, "fully-meshed", {})[1].random(1, Stream(1))
+    work = Evaluate(
+        lease=bytes(16),
+        batch=5,
+        genomes=[small, bytes(2_000_000), bytes(2_000_000)],
+        participants=np.zeros(1, "<u4").tobytes(),
+        seeds=bytes(8),
+    )
+    os.kill(pid(slot), signal.SIGSTOP)
+    slot.run(RunChunk(0, work))
+    assert slot.trial() == -1, "it cannot have begun"
+    assert slot._selector.get_key(slot.pipe).events & selectors.EVENT_WRITE
+    slot.stop()
+    assert slot.receive() is None
+    os.kill(pid(slot), signal.SIGCONT)
+    finished = answer(slot)
+    assert isinstance(finished, Finished)
+    assert slot.trial() == 0
+    slot._on_pipe()
+    slot.watch_pipe()
+    assert slot._selector.get_key(slot.pipe).events == selectors.EVENT_READ
+
+
+def test_answers_that_do_not_fit_into_the_pipe_wait(
+    new_worker: Callable[..., Worker],
+) -> None:
+    """Another thread may give them; the loop sends on."""
+    slot = new_worker()
+    os.kill(pid(slot), signal.SIGSTOP)
+    thread = threading.Thread(target=slot.answer, args=(bytes(2_000_000),))
+    thread.start()
+    thread.join(ANSWER_S)
+    assert not thread.is_alive()
+    assert slot._owner.full == [slot]
+    slot.watch_pipe()
+    assert slot._selector.get_key(slot.pipe).events & selectors.EVENT_WRITE
+
+
+@pytest.mark.parametrize(
+    ("stray", "words"),
+    [
+        (b"s", "b's'... is not the beginning of a message"),
+        (bytes(300_000), "is not the beginning of a message"),
+    ],
+)
+def test_what_is_no_message_ends_the_process(
+    stray: bytes, words: str, new_worker: Callable[..., Worker]
+) -> None:
+    slot = new_worker()
+    before = pid(slot)
+    assert slot.pipe is not None
+    (number,) = (
+        path.name
+        for path in Path(f"/proc/{before}/fd").iterdir()
+        if "socket" in str(path.readlink())
+    )
+    assert int(number) > 512, "nobody reaches it by counting"
+    with socket.socket(fileno=borrowed(before, int(number))) as pipe:
+        pipe.setblocking(False)
+        pipe.send(stray)
+    died = answer(slot)
+    assert isinstance(died, Died)
+    assert died.kind == "crashed"
+    assert words in died.reason
+    assert slot.pipe is None
+    start(slot)
+    assert pid(slot) != before
+
+
+def borrowed(process: int, number: int) -> int:
+    """Return a copy of a descriptor of another process."""
+    opened = os.pidfd_open(process)
+    try:
+        # pidfd_getfd, which Python has not
+        return ctypes.CDLL(None, use_errno=True).syscall(438, opened, number, 0)
+    finally:
+        os.close(opened)
+
+
+def test_shared_memory_that_a_process_leaves_is_removed(
+    new_worker: Callable[..., Worker],
+) -> None:
+    slot, other = new_worker(), SharedMemory(create=True, size=10)
+    left = SharedMemory(create=True, size=10)
+    name = f"/{left.name}"
+    slot._take_shared_memory(child.SharedMemory(0, f"/{other.name}", exists=True))
+    slot._take_shared_memory(child.SharedMemory(0, f"/{other.name}", exists=False))
+    slot._take_shared_memory(child.SharedMemory(0, name, exists=True))
+    slot.close()
+    left.close()
+    with pytest.raises(FileNotFoundError):
+        SharedMemory(left.name)
+    SharedMemory(other.name).close()
+    other.close()
+    other.unlink()
 
 
 def test_a_process_killed_before_its_start_ends_on_its_own(

@@ -1,6 +1,6 @@
 """Questions to the optimizer: one at a time for each slot, asked again until it is answered."""
 
-import multiprocessing
+import select
 import threading
 from collections.abc import Sequence
 
@@ -9,6 +9,7 @@ import pytest
 
 from zswarm.protocol import codec
 from zswarm.protocol.messages import Actuators, Asks, Evaluate, Refused, Sensors
+from zswarm.ss.workers import frames
 from zswarm.ss.workers.remote import (
     AGAIN_S,
     AT_ONCE,
@@ -32,21 +33,26 @@ def played(
     answers: Sequence[Actuators | Refused], asks: Asks
 ) -> tuple[list[Sensors], list[np.ndarray]]:
     """Play two turns of three agents; return the questions and the agents' actions."""
-    here, there = multiprocessing.Pipe()
+    here, there = frames.new_pipe(b"12345678")
     asked: list[Sensors] = []
 
     def answer() -> None:
         for one in answers:
-            asked.append(codec.decode_sensors(there.recv_bytes()))
-            there.send_bytes(codec.encode(one))
+            while (question := here.receive()) is None:
+                select.select([here], [], [])
+            asked.append(codec.decode_sensors(question))
+            assert here.send(codec.encode(one))
 
     thread = threading.Thread(target=answer)
     thread.start()
-    trial = Trial(here, BATCH, 4, 1, asks)
+    end = frames.ProcessEnd(there, b"12345678")
+    trial = Trial(end, BATCH, 4, 1, asks)
     try:
         actions = [trial.decide([5, 0, 2], [1, 0, 1], OBSERVED) for _ in range(2)]
     finally:
         thread.join()
+        here.close()
+        end.close()
     return asked, actions
 
 

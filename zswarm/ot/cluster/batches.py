@@ -9,6 +9,7 @@ first and can be asked for them again.
 
 import msgspec
 import numpy as np
+from msgspec import structs
 
 from zswarm.errors import LocalProtocolError, RemoteProtocolError
 from zswarm.ot.cluster.events import Counted, Disputed, Outbox
@@ -51,6 +52,9 @@ class Batches(msgspec.Struct, eq=False):
     _fits: int = 1  # trials that fit into a message
     _failed_on: dict[int, list[str]] = {}  # by trial: the servers of its failed attempts
     _alone: bool = False  # the user knows that there is no second server
+    _left_behind: set[str] = (
+        set()
+    )  # what the user knows that trials leave in their processes
 
     # ---- workloads
 
@@ -174,16 +178,20 @@ class Batches(msgspec.Struct, eq=False):
         self.ask(batch)
 
     def ask(self, batch: SentBatch) -> None:
-        """Ask for a batch, or again for one that is out."""
+        """Ask for a batch, or again for one that is out: by its id if the server can have it."""
         assert self.workload is not None  # noqa: S101  batches are of one
-        genomes, participants, seeds = self.workload.batch(batch.trials)
-        message = Evaluate(
-            lease=batch.server.lease,
-            batch=batch.id,
-            genomes=[b""] * len(genomes) if self.terms.reserve.asks else genomes,
-            participants=participants.astype("<u4").tobytes(),
-            seeds=seeds.astype("<u8").tobytes(),
-        )
+        message = Evaluate(lease=batch.server.lease, batch=batch.id)
+        if batch.asked and messages.BY_ID in batch.server.features:
+            batch.asked = "by-id"
+        else:
+            batch.asked = "whole"
+            genomes, participants, seeds = self.workload.batch(batch.trials)
+            message = structs.replace(
+                message,
+                genomes=[b""] * len(genomes) if self.terms.reserve.asks else genomes,
+                participants=participants.astype("<u4").tobytes(),
+                seeds=seeds.astype("<u8").tobytes(),
+            )
         batch.question = self.out.ask(batch.server.id, message, batch.trials)
 
     def _size(self, server: RemoteServer, depth: int) -> int:
@@ -251,6 +259,11 @@ class Batches(msgspec.Struct, eq=False):
         )
         if not len(rows):
             return
+        left = {text.partition(" (")[0]: text for text in reply.left.split("; ") if text}
+        if new := left.keys() - self._left_behind:
+            self._left_behind |= new
+            text = "; ".join(left[kind] for kind in left if kind in new)
+            self.out.note(RunEvent.SIMULATOR_LEFT, server.id, text)
         measured = reply.seconds / len(rows)
         server.trial_s = (
             0.7 * server.trial_s + 0.3 * measured if server.trial_s else measured

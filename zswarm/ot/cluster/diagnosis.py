@@ -25,7 +25,7 @@ from zswarm.system import scouting
 DIAL_S = 2.0  # for one endpoint to answer
 SCOUT_S = 1.0  # for answers to multicast
 NAMED = 5  # servers or endpoints that a line names
-VERSION = f"v{keys.VERSION}"
+VERSION = keys.CURRENT
 
 
 class DialResult(NamedTuple):
@@ -93,8 +93,11 @@ def _not_used(seen: Iterable[ServerKey], realm: str) -> list[str]:
     """Return which servers of the network cannot be used."""
     ours = sorted(key for key in seen if key.realm == realm)
     if ours:
+        usable = {key.server for key in ours if key.version == VERSION}
         return [
-            f"{key.server} {other_version(key)}" for key in ours if key.version != VERSION
+            f"{key.server} {other_version(key)}"
+            for key in ours
+            if key.server not in usable
         ]
     return [
         f"{count} server{'s' if count != 1 else ''} in realm {other}, none in {realm}: use --realm"

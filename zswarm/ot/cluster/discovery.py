@@ -66,7 +66,11 @@ def survey(
         findings = [] if found else diagnosis.diagnose(realm, [opened], reach)
     finally:
         session.close(opened)
-    others = Counter(key.realm for key in tokens if key.realm != realm)
+    others = Counter(
+        other
+        for other, _ in {(key.realm, key.server) for key in tokens}
+        if other != realm
+    )
     return Survey(
         [found[name] for name in sorted(found)], dict(sorted(others.items())), findings
     )
@@ -91,6 +95,7 @@ def _ask_all(
     tokens: set[ServerKey] = set()
     newcomers = Newcomers()
     found: dict[str, Found] = {}
+    others: dict[str, ServerKey] = {}  # servers with a token of another version
     asked = 0
     deadline = time.monotonic() + wait_s
     while (now := time.monotonic()) < deadline or len(found) < asked:
@@ -109,11 +114,13 @@ def _ask_all(
             tokens.add(item)
             if item.realm != realm:
                 continue
-            asked += 1
             if item.version == VERSION:
+                asked += 1
                 newcomers.add(item.server, time.monotonic())
             else:
-                inbox.put(Found(item.server, None, other_version(item)))
+                others[item.server] = item
+    for server, key in others.items():
+        found.setdefault(server, Found(server, None, other_version(key)))
     return tokens, found
 
 

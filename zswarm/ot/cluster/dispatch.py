@@ -139,6 +139,9 @@ class Dispatch:
                 case Fault():
                     batches.count(batch, reply)
                     batches.fault(batch, reply.trial, f"{reply.kind}: {reply.reason}")
+                case Refused(code="unknown-batch") if batch.asked == "by-id":
+                    batch.asked = ""  # it was lost on the way
+                    batches.send(batch)
                 case Refused(code="malformed"):
                     batches.fault(batch, 0, f"refused: {reply.reason}")
                 case Refused():

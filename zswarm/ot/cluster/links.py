@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from zswarm.ot.cluster.remote_controllers import RemoteControllers
 
 RETRY_S = 0.1  # between two attempts to reach a router
+VERSIONS_S = 1.0  # for the token of this version, after one of another
 # Until a query ends without an answer (docs/protocol.md, "Times of a lease").
 QUERY_S: dict[Verb, float] = {
     "offer": discovery.OFFER_S,
@@ -124,7 +125,6 @@ class Links(msgspec.Struct, eq=False):
             and ask.trials is not None
         ):
             controllers.give(server, message.lease, message.batch, ask.trials)
-        body = codec.encode(message)
 
         def on_answer(answer: bytes | None, _replier: str = "") -> None:
             if answer is None:
@@ -139,7 +139,7 @@ class Links(msgspec.Struct, eq=False):
             session.ask(
                 self.home[server],
                 keys.request(key.realm, server, key.user, key.run, verb),
-                body,
+                codec.encode(message),  # not before: many may wait here
                 on_answer,
                 timeout_s=QUERY_S[verb],
                 priority=zenoh.Priority.DATA if verb == "evaluate" else CONTROL,
@@ -148,13 +148,15 @@ class Links(msgspec.Struct, eq=False):
         if server not in self.senders:
             self.senders[server] = session.Sender(server, partial(self._not_sent, server))
         at_once = False
-        if verb == "evaluate":
+        if isinstance(message, Evaluate):
+            size = sum(map(len, message.genomes)) + 8 * len(message.genomes)
+            size += len(message.participants) + len(message.seeds)
             link_busy = (
                 self._unanswered
                 if self.reach.through_router
                 else self._waited_for[server]
             )
-            at_once = may_block and len(body) < AT_ONCE and not link_busy
+            at_once = may_block and size < AT_ONCE and not link_busy
             self._unanswered[ask.question] = server
             self._waited_for[server] += 1
         if not self.senders[server].send(send, at_once=at_once):
@@ -203,10 +205,16 @@ class Links(msgspec.Struct, eq=False):
         key = diagnosis.parsed(sample)
         if key is None:
             return
-        if key.version == diagnosis.VERSION:
+        if key.version == keys.CURRENT:
             self.home[key.server] = opened
             self.post(Seen(key.server) if seen else Gone(key.server))
         elif seen:
+            wait = threading.Timer(VERSIONS_S, self._note_other_version, (key,))
+            wait.daemon = True
+            wait.start()
+
+    def _note_other_version(self, key: keys.ServerKey) -> None:
+        if key.server not in self.home:
             text = diagnosis.other_version(key)
             self.post(Note(RunEvent.SERVER_MISMATCH, key.server, text))
 

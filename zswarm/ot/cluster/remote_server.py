@@ -37,6 +37,7 @@ When a lease can be resumed: docs/protocol.md, "Times of a lease".
 
 import math
 from enum import Enum, auto
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -84,6 +85,7 @@ class SentBatch(msgspec.Struct, eq=False):
     avoid: frozenset[str] = frozenset()  # servers on which one of them ended in a fault
     check: bool = False  # they are counted already, and evaluated again for comparison
     question: int = 0  # the query that asked for it last
+    asked: Literal["", "whole", "by-id"] = ""  # how it was asked for last
     unanswered: int = 0  # queries in a row that ended without an answer
     all_started: bool = False  # none of it waits for a slot any more
 
@@ -109,6 +111,7 @@ class RemoteServer(msgspec.Struct, eq=False):
     capacity: int = 0
     free: int = 0  # slots that no run held when it offered, or released it
     lot: bytes = b""  # decides between servers of one rank; another one for each run
+    features: frozenset[str] = frozenset()
     place: tuple[float, ...] = ()  # its rank; the lowest comes first
     mismatch: str = ""  # as last reported to the user
     wanted: int = 0  # slots it was asked for

@@ -202,6 +202,7 @@ class Servers(msgspec.Struct, eq=False):
             server.mismatch = mismatch
             return
         server.capacity, server.mismatch = offer.capacity, ""
+        server.features = frozenset(offer.features)
         server.place = self.terms.choice.place(offer)
         self.allotment.offered(server, offer.free, self.out.now)
         self._move(server, Phase.SPARE)

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 MENU = ("Evolve", 3)
 NAME_WIDTH = 40  # of a server: with the other columns it fits into 80
-HIDDEN = ("type", "v", "server")  # keys of an offer that JSON does not repeat
 
 
 @click.command("servers")
@@ -125,10 +124,10 @@ def show(
 
 
 def _print_json(server: "Found", choice: "Choice") -> None:
-    values = {"server": server.server}
+    values: dict[str, Any] = {"server": server.server}
     if server.offer is not None:
-        offer = msgspec.to_builtins(server.offer)
-        values |= {key: value for key, value in offer.items() if key not in HIDDEN}
+        offer = msgspec.structs.asdict(server.offer)
+        values = offer | values  # which has the server's id, too
         values["mismatch"] = choice.mismatch(server.offer)
     tables.print_json({**values, "address": server.address, "reason": server.reason})
 

@@ -9,9 +9,9 @@ import numpy as np
 from zswarm.config.meta import about
 from zswarm.errors import ConfigError
 from zswarm.kernels.random import Stream, derive_seed
+from zswarm.kernels.sums import mean
 from zswarm.nets.representation import Representation
 from zswarm.ot.optimizers.optimizer import Optimizer, Told
-from zswarm.ot.optimizers.sums import mean
 
 Measures = Annotated[list[str], about("metrics that describe behaviour; at least one")]
 

@@ -9,6 +9,7 @@ from msgspec import Meta
 
 from zswarm.config.meta import PartSettings, about, above
 from zswarm.kernels.random import Stream
+from zswarm.kernels.sums import mean
 from zswarm.nets.representation import Representation
 
 Share = Annotated[float, Meta(ge=0, le=1)]
@@ -64,9 +65,7 @@ def set_fitness(individuals: Iterable[Individual], fitness: np.ndarray) -> None:
 
 def mean_fitness(individuals: Iterable[Individual]) -> float:
     """Return the mean fitness of the individuals that did not fail; NaN if there are none."""
-    fitness = np.array([individual.fitness for individual in individuals])
-    known = fitness[~np.isnan(fitness)]
-    return float(known.mean()) if known.size else float("nan")
+    return mean(np.array([individual.fitness for individual in individuals]))
 
 
 def mutants(

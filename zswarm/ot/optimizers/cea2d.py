@@ -14,6 +14,7 @@ from msgspec import Meta
 
 from zswarm.config.meta import about
 from zswarm.kernels.random import Stream
+from zswarm.kernels.sums import mean
 from zswarm.nets.representation import Representation
 from zswarm.ot.optimizers.base import BaseOptimizer, setting_error
 from zswarm.ot.optimizers.breeding import (
@@ -22,7 +23,6 @@ from zswarm.ot.optimizers.breeding import (
     distances_of_pairs,
     mutants,
 )
-from zswarm.ot.optimizers.sums import mean
 
 OPERATORS = ("elite", "mutation", "crossover", "renew")
 HOOD = 9  # a cell and its neighbours

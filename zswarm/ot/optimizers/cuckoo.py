@@ -11,10 +11,10 @@ import numpy as np
 
 from zswarm.config.meta import PartSettings, about, above, within
 from zswarm.kernels.random import Stream
+from zswarm.kernels.sums import mean
 from zswarm.nets.representation import Representation
 from zswarm.ot.optimizers.base import BaseOptimizer
 from zswarm.ot.optimizers.space import Bound, Positive, Space, spread
-from zswarm.ot.optimizers.sums import mean
 
 DEVIATION = 0.6965745025576967  # Mantegna, eq. 11, for the exponent 3/2
 

@@ -234,5 +234,5 @@ class CmaMe(Elites):
             emitter.tell(**part, add_info=info)
 
     def _numbers(self) -> dict[str, float]:
-        restarts = sum(emitter.restarts for emitter in self._emitters)
+        restarts = int(sum(emitter.restarts for emitter in self._emitters))
         return super()._numbers() | {"restarts": float(restarts)}

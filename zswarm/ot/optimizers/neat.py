@@ -25,6 +25,7 @@ from msgspec import Meta
 from zswarm.config.meta import PartSettings, about, above, within
 from zswarm.errors import ConfigError
 from zswarm.kernels.random import Stream
+from zswarm.kernels.sums import mean
 from zswarm.nets.neat import Neat
 from zswarm.nets.representation import Representation
 from zswarm.ot.optimizers import breeding
@@ -263,8 +264,8 @@ class NEAT(BaseOptimizer):
             "species": float(len(self._species)),
             "species_largest": float(max(len(kind.members) for kind in self._species)),
             "threshold": self._threshold,
-            "hidden_mean": float(hidden.mean()),
-            "links_mean": float(links.mean()),
+            "hidden_mean": mean(hidden),
+            "links_mean": mean(links),
             "hidden_best": float(hidden_best),
             "links_best": float(links_best),
         }
@@ -281,6 +282,6 @@ def _rounded(shares: list[float], count: int) -> list[int]:
     exact = [count * (share / total) for share in shares]
     counts = [int(number) for number in exact]
     largest = sorted(range(len(shares)), key=lambda index: counts[index] - exact[index])
-    for index in largest[: count - sum(counts)]:
+    for index in largest[: count - int(sum(counts))]:
         counts[index] += 1
     return counts

@@ -19,6 +19,7 @@ import numpy as np
 from zswarm.config.meta import about, within
 from zswarm.errors import ConfigError
 from zswarm.kernels.random import Stream
+from zswarm.kernels.sums import mean
 from zswarm.nets.representation import Representation
 from zswarm.ot.optimizers.base import BaseOptimizer
 from zswarm.ot.optimizers.breeding import (
@@ -68,7 +69,7 @@ class NNGA(BaseOptimizer):
         super().__init__(settings, representation, seed)
         size = settings.population
         counts = {name: int(size * getattr(settings, name)) for name in OPERATORS[1:]}
-        elite = size - sum(counts.values())
+        elite = size - int(sum(counts.values()))
         if elite < 1:
             raise ConfigError(
                 "optimizer: random, mutation, crossover and renew leave "
@@ -190,14 +191,15 @@ class NNGA(BaseOptimizer):
                 for island in self._islands
             ]
         )
+        centre = mean(pairs)
         return {
             "best": self._best[1],
             "mean": mean_fitness(_joined(self._islands)),
             "evaluations": float(self._evaluations),
-            "diversity_mean": float(pairs.mean()),
+            "diversity_mean": centre,
             "diversity_max": float(pairs.max()),
             "diversity_min": float(pairs.min()),
-            "diversity_deviation": float(pairs.std()),
+            "diversity_deviation": float(np.sqrt(mean((pairs - centre) ** 2))),
             **{name: self._statistics[name] for name in self._statistics if "_" in name},
         }
 

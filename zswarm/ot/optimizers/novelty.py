@@ -14,10 +14,10 @@ from msgspec import field
 
 from zswarm.config.meta import about, within
 from zswarm.kernels.random import Stream
+from zswarm.kernels.sums import mean
 from zswarm.nets.representation import Representation
 from zswarm.ot.optimizers.base import BaseOptimizer, Measures, check_measures
 from zswarm.ot.optimizers.breeding import MutationSettings, Share, mutants
-from zswarm.ot.optimizers.sums import mean
 
 # More new entries of the archive in a generation raise the threshold.
 MANY, RAISE = 4, 1.2

@@ -12,11 +12,11 @@ import numpy as np
 
 from zswarm.config.meta import PartSettings, about, within
 from zswarm.kernels.random import Stream, derive_seed
+from zswarm.kernels.sums import mean, total
 from zswarm.nets.representation import Representation
 from zswarm.ot.optimizers.base import BaseOptimizer, setting_error
 from zswarm.ot.optimizers.breeding import Population
 from zswarm.ot.optimizers.space import Positive, Space
-from zswarm.ot.optimizers.sums import mean, total
 
 BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-8  # as recommended for Adam
 

@@ -11,11 +11,11 @@ import numpy as np
 from msgspec import Meta
 
 from zswarm.config.meta import PartSettings, about, within
+from zswarm.kernels.sums import mean
 from zswarm.nets.representation import Representation
 from zswarm.ot.optimizers.base import BaseOptimizer
 from zswarm.ot.optimizers.breeding import Population
 from zswarm.ot.optimizers.space import Bound, Positive, Space, spread
-from zswarm.ot.optimizers.sums import mean
 
 Pull = Annotated[float, Meta(ge=0, le=100)]
 

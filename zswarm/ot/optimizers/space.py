@@ -9,8 +9,8 @@ from msgspec import Meta
 from zswarm.config.meta import about
 from zswarm.errors import ConfigError
 from zswarm.kernels.random import Stream
+from zswarm.kernels.sums import mean, total
 from zswarm.nets.representation import Representation
-from zswarm.ot.optimizers.sums import mean, total
 
 LARGEST = float(np.finfo(np.float32).max)
 

@@ -96,8 +96,10 @@ class Tournament(Ranking):
             results = results + np.roll(played.results[side :: self.sides], side, axis=1)
         results = np.where(np.isfinite(results), results, np.nan)
         one, other = results[:, :, None], results[:, None, :]
-        better = ((one > other) | (np.isnan(other) & ~np.isnan(one))).sum(axis=2)
-        level = (one == other).sum(axis=2) - ~np.isnan(results)  # not with itself
+        wins = (one > other) | (np.isnan(other) & ~np.isnan(one))
+        better = np.count_nonzero(wins, axis=2)
+        # not with itself
+        level = np.count_nonzero(one == other, axis=2) - ~np.isnan(results)
         return PlayedMatch(groups, results, better, level)
 
 

@@ -29,13 +29,11 @@ def page(trace: Trace, title: str) -> str:
         "STYLE": (HERE / "player.css").read_text(encoding="utf-8"),
         "PLAYER": player(),
         "TRACE": base64.b64encode(encode(trace)).decode(),
-        # The last: no placeholder is searched in texts that come from somewhere else.
         "TITLE": html.escape(clean(title)),
     }
     text = (HERE / NAME).read_text(encoding="utf-8")
-    for name, part in parts.items():
-        text = text.replace(f"@{name}@", part)
-    return text
+    # One pass: no placeholder is searched in texts that come from somewhere else.
+    return re.sub("@([A-Z]+)@", lambda found: parts[found[1]], text)
 
 
 def player() -> str:

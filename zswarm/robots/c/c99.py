@@ -14,8 +14,9 @@ import numpy as np
 from zswarm.controller import Controller
 from zswarm.errors import UnknownPlugin
 from zswarm.plugins import registry as plugins
-from zswarm.robots.c.c_types import FLOAT32, Array, comment, folded, literal, quoted
+from zswarm.robots.c.c_types import FLOAT32, Array, folded, literal
 from zswarm.robots.c.kernel_function import parse, plain
+from zswarm.robots.c.quoting import Code, c_comment, c_string
 from zswarm.robots.c.reference_steps import STEPS, check_steps, sha256
 from zswarm.robots.c.templates import fill
 from zswarm.robots.c.translate import Translation
@@ -75,15 +76,17 @@ def pair(controller: Controller, name: str) -> dict[str, str]:
     words = {
         "unit": unit.prefix,
         "macro": unit.prefix.upper(),
-        "about": "\n".join(f" * {line}".rstrip() for line in _about(controller)),
         "inputs": controller.inputs,
         "outputs": controller.outputs,
         "state": max(1, network.state_size),
         "sha256": sha256(parameters),
         "version": VERSION,
+        "steps": STEPS,
+    }
+    code = {
+        "about": "\n".join(f" * {line}".rstrip() for line in _about(controller)),
         "names": _names(controller, unit.prefix.upper()),
         "call": _call(callee),
-        "steps": STEPS,
         "observations": _rows(steps.observations),
         "actions": _rows(steps.actions),
         "states": textwrap.fill(
@@ -92,9 +95,11 @@ def pair(controller: Controller, name: str) -> dict[str, str]:
         "guards": GUARDS,
         **source._asdict(),
     }
+    made = {name: Code("c", text) for name, text in code.items()}
     kinds = ("h", "c")
     return {
-        f"{unit.prefix}.{kind}": fill(f"c/controller.{kind}", words) for kind in kinds
+        f"{unit.prefix}.{kind}": fill(f"c/controller.{kind}", words | made)
+        for kind in kinds
     }
 
 
@@ -102,7 +107,7 @@ def _names(controller: Controller, macro: str) -> str:
     """Return macros with the names of sensors and actuators."""
     kinds = (("SENSOR", controller.sensors), ("ACTUATOR", controller.actuators))
     return "".join(
-        f"#define {macro}_{kind}_{at} {quoted(text)}\n"
+        f"#define {macro}_{kind}_{at} {c_string(text)}\n"
         for kind, texts in kinds
         for at, text in enumerate(texts)
     )
@@ -120,7 +125,7 @@ def _about(controller: Controller) -> list[str]:
         *_meaning(controller.simulator),
     ]
     wrap = textwrap.TextWrapper(WIDTH, subsequent_indent="  ").wrap
-    return [line for text in paragraphs for line in wrap(comment(text))]
+    return [line for text in paragraphs for line in wrap(c_comment(text))]
 
 
 def _shown(settings: dict[str, object]) -> str:

@@ -162,14 +162,6 @@ def identifier(name: str) -> str:
     return f"{spelled(name)}_" if spelled(name) in WORDS else spelled(name)
 
 
-def comment(text: str) -> str:
-    """Make a text safe in a C comment: one line of ASCII, without ``*/`` and trigraphs."""
-    shown = re.sub("[^ -~]", " ", text.encode("ascii", "backslashreplace").decode())
-    for mark in ("*/", "/*", "??", "//"):
-        shown = shown.replace(mark, f"{mark[0]} {mark[1]}")
-    return shown.rstrip("\\ ")
-
-
 def folded(name: str) -> str:
     """Return any name as a part of C names: a letter, then letters, digits and single ``_``.
 
@@ -180,11 +172,3 @@ def folded(name: str) -> str:
     if not plain:
         return "controller"
     return plain if plain[0].isalpha() else f"n{plain}"[:LONGEST].rstrip("_")
-
-
-def quoted(text: str) -> str:
-    """Return a text as a C string literal in ASCII; other bytes are octal escapes."""
-    letters = text.encode("utf-8", "replace").decode("latin-1")
-    special = re.compile(r"[^A-Za-z0-9 _\-.,:;/()\[\]+*=%<>!]")
-    escaped = special.sub(lambda letter: f"\\{ord(letter[0]):03o}", letters)
-    return f'"{escaped}"'

@@ -13,9 +13,10 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from zswarm.robots.c.c_file import CFile, CSource
-from zswarm.robots.c.c_types import NOTHING, Array, Type, comment, identifier, spelled
+from zswarm.robots.c.c_types import NOTHING, Array, Type, identifier, spelled
 from zswarm.robots.c.kernel_function import KernelFunction, names_in, parse, plain
 from zswarm.robots.c.operations import Operations
+from zswarm.robots.c.quoting import c_comment
 from zswarm.robots.c.scopes import assigned, scope
 from zswarm.robots.c.statements import Statements
 from zswarm.robots.c.tree import INDENT, Callee, Local, Value, drop_unused, render
@@ -150,7 +151,7 @@ class Translation(CFile):
 def _remark(source: KernelFunction) -> str:
     """Return the first line of a docstring as a comment."""
     about = (ast.get_docstring(source.tree) or "").split("\n")[0]
-    return f"/* {comment(about)} */\n" if about else ""
+    return f"/* {c_comment(about)} */\n" if about else ""
 
 
 def _parameter(name: str, given: Value, is_written: bool) -> str:

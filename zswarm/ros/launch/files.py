@@ -20,6 +20,7 @@ from zswarm.config.decode import convert
 from zswarm.controller import Controller
 from zswarm.errors import ConfigError, EvaluationError, UnknownPlugin
 from zswarm.kernels.random import Stream
+from zswarm.kernels.sums import mean
 from zswarm.plugins import manifests
 from zswarm.plugins import registry as plugins
 from zswarm.plugins.manifests import LaunchManifest, LaunchTarget
@@ -133,7 +134,7 @@ class RosFiles(HostingSimulator):
         robots = logs.read(results, len(self.owners))
         fitness = logs.fitness(self._rule, robots)
         known = [robot.distance for robot in robots if robot.distance is not None]
-        distance = sum(known) / len(known) if known else np.nan
+        distance = mean(np.array(known, np.float64))
         return Outcome([fitness], [distance, max(robot.steps for robot in robots)])
 
     def _copied(self) -> tuple[Supervisor, Path]:

@@ -3,19 +3,19 @@
 from typing import Annotated, Literal
 
 from zswarm.config.meta import about
+from zswarm.plugins import manifests
 from zswarm.ros.link.graph import LinkKind
 from zswarm.sims import turtlebot_exit
 
+OWN = "own"
 PROFILES: dict[LinkKind, str] = {
     "rospy": "stageros",
     "rclpy": "stage_ros2",
     "zenoh": "stage_ros2",
 }
-LINK = "zenoh: ROS 2 as rmw_zenoh speaks it, without ROS here; rclpy: ROS 2; rospy: ROS 1"
-PROFILE = "a bundled profile or FILE.toml; empty: stageros for rospy, else stage_ros2"
-LAUNCH = (
-    "own: each slot starts a simulation node; running: one at master, domain or connect"
-)
+LINK = "own: zenoh: ROS 2 as rmw_zenoh speaks it, without ROS here; rclpy: ROS 2; rospy: ROS 1"
+PROFILE = "own: a bundled profile; empty: stageros for rospy, else stage_ros2"
+SIMULATION = "own: each slot starts a simulation node; else the name of a server's file"
 MODE = "lock-step: waits for the robots; free-running: does not wait, is not repeatable"
 RATE = "own and free-running: speed as a multiple of real time"
 
@@ -29,23 +29,24 @@ class RosSettings(
     """Settings of ``[problem.settings]``."""
 
     link: Annotated[LinkKind, about(LINK)] = "zenoh"
-    profile: Annotated[str, about(PROFILE)] = ""
-    launch: Annotated[Literal["own", "running"], about(LAUNCH)] = "own"
+    profile: Annotated[str, about(PROFILE, pattern=r"^[a-z0-9_-]*$")] = ""
+    simulation: Annotated[
+        str, about(SIMULATION, pattern=f"^{manifests.NAME.pattern}$")
+    ] = OWN
     mode: Annotated[Literal["lock-step", "free-running"], about(MODE)] = "lock-step"
     rate: Annotated[float, about(RATE, ge=1e-3, le=1e3)] = 1.0
     deadline_s: Annotated[
         float, about("s for the simulation to answer", ge=0.1, le=1e5)
     ] = 10.0
-    master: Annotated[str, about("running, rospy: master URI; empty: ROS_MASTER_URI")] = (
-        ""
-    )
-    domain: Annotated[
-        int, about("running, rclpy and zenoh: ROS domain", ge=0, le=232)
-    ] = 0
-    # msgspec copies the default.
-    connect: Annotated[list[str], about("running, zenoh: endpoints to dial")] = []  # noqa: RUF012
+
+    def __post_init__(self) -> None:
+        if self.simulation != OWN and (self.profile or self.link != "zenoh"):
+            raise ValueError(
+                f"simulation {self.simulation!r}: link and profile are those of the server's "
+                "file; expected neither here"
+            )
 
     @property
     def profile_or_default(self) -> str:
-        """The profile's name, or the default for the link."""
+        """The profile's name, or the default for the link, of a slot's own simulation."""
         return self.profile or PROFILES[self.link]

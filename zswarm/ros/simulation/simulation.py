@@ -1,14 +1,10 @@
 """A ROS simulation as a slot drives it: its own node, or one that already runs."""
 
 import contextlib
-import fcntl
-import hashlib
 import sys
-import tempfile
 import time
 import weakref
 from collections.abc import Iterable, Iterator, Sequence
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -20,10 +16,12 @@ from zswarm.ros.link.child import Child
 from zswarm.ros.link.graph import RosGraph
 from zswarm.ros.link.link import Link
 from zswarm.ros.link.messages import ResetWorld, Velocity
+from zswarm.ros.simulation.machine import MachineSimulation
 from zswarm.ros.simulation.pairing import Readings
 from zswarm.ros.simulation.settings import RosSettings
 from zswarm.sims import turtlebot_exit
 from zswarm.sims.simulator import RobotInterface
+from zswarm.system.locks import locked
 
 NS = 1_000_000_000
 READY_S = 30.0  # for both sides to find each other
@@ -37,9 +35,17 @@ class Simulation:
     """A simulation at work, until it is closed or garbage-collected."""
 
     def __init__(
-        self, settings: RosSettings, profile: Profile, interface: RobotInterface
+        self,
+        settings: RosSettings,
+        profile: Profile,
+        interface: RobotInterface,
+        machine: MachineSimulation | None = None,
     ) -> None:
-        """Start the link, and the node if it is the slot's own."""
+        """Start the link, and the node if it is the slot's own.
+
+        Args:
+            machine: the simulation to drive, of a file of this machine; None: the slot's own.
+        """
         self._settings, self._profile = settings, profile
         self._robots, self._lock_step = settings.robots, settings.mode == "lock-step"
         self._step_ns = round(settings.step_s * NS)
@@ -48,20 +54,18 @@ class Simulation:
         pose: Channel = "odometry" if profile.ground_truth is None else "ground_truth"
         self._readings = Readings(interface, truth=pose == "ground_truth")
         used: list[Channel] = ["velocity", "scan", pose, "reset"]
-        if not self._lock_step:
+        # Of robots that are not simulated none is published, so the link is never ready.
+        if not (self._lock_step and (machine is None or machine.real_robots)):
             used.append("clock")
         with contextlib.ExitStack() as opened:
-            if settings.launch == "own":
+            if machine is None:
                 here = opened.enter_context(graph.private(settings.link))
                 command = _node(settings, here.dialled(), f"scan,{pose}")
                 environment = here.environment(profile.distribution)
                 self._node = Child("the simulation node", command, environment, {})
                 opened.callback(self._node.close)
             else:
-                names = ("link", "master", "domain", "connect")
-                here = RosGraph(
-                    local=False, **{name: getattr(settings, name) for name in names}
-                )
+                here = machine.graph()
                 opened.enter_context(_alone_with(here))
             link = Link(
                 here, profile, robots=self._robots, side="controllers", channels=used
@@ -187,12 +191,15 @@ def _node(settings: RosSettings, here: RosGraph, channels: str) -> list[str]:
 @contextlib.contextmanager
 def _alone_with(here: RosGraph) -> Iterator[None]:
     """Reserve a running simulation against other slots of this machine."""
-    name = hashlib.blake2b(msgspec.json.encode(here), digest_size=8).hexdigest()
-    with Path(tempfile.gettempdir(), f"zswarm-ros-{name}.lock").open("w") as held:
-        try:
-            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise EvaluationError(
-                "another slot drives this simulation; one server with --capacity 1 was expected"
-            ) from None
+    try:
+        held = locked(msgspec.json.encode(here))
+    except BlockingIOError:
+        raise EvaluationError(
+            "another slot drives this simulation; one server with --capacity 1 was expected"
+        ) from None
+    except OSError as error:
+        raise EvaluationError(
+            f"the lock of this simulation cannot be taken: {error.filename}: {error.strerror}"
+        ) from None
+    with contextlib.closing(held):
         yield

@@ -13,7 +13,10 @@ import numpy as np
 from zswarm.errors import ConfigError, EvaluationError
 from zswarm.kernels.portable import atan2
 from zswarm.robots.profiles import profile as profiles
-from zswarm.ros.simulation.settings import RosSettings
+from zswarm.robots.profiles.profile import Profile
+from zswarm.ros.simulation import machine
+from zswarm.ros.simulation.machine import MachineSimulation
+from zswarm.ros.simulation.settings import OWN, RosSettings
 from zswarm.ros.simulation.simulation import Simulation
 from zswarm.sims.simulator import Frame, Outcome, Simulator, Turn
 from zswarm.sims.turtlebot_exit import ExitTask, TurtlebotExit
@@ -42,14 +45,22 @@ class TurtlebotExitRos(Simulator):
         self._inside = TurtlebotExit(settings)
         self.task = ExitTask(settings)
         self.owners, self.robot = self._inside.owners, self.task.interface
-        self.repeatable = settings.mode == "lock-step"
-        self._profile = profiles.read(settings.profile_or_default)
-        if not self.repeatable and self._profile.clock is None:
-            raise ConfigError(f"{NAME}: mode: free-running needs a profile with a clock")
+        own = settings.simulation == OWN
+        self.repeatable = own and settings.mode == "lock-step"
+        self._machine: MachineSimulation | None = None
+        self._profile: Profile | None = None
+        if own:
+            self._profile = self._checked(profiles.read(settings.profile_or_default))
         self._scans = np.zeros((settings.robots, settings.rays), np.float32)
         # x, y, and z, w of the quaternion; a robot that is out keeps its last pose.
         self.poses = np.zeros((settings.robots, 4))
         self._simulation: Simulation | None = None
+
+    def use_machine(self) -> None:
+        """Let trials drive the simulation that a file of this machine names."""
+        if self.settings.simulation != OWN:
+            self._machine, profile = machine.find(self.settings.simulation)
+            self._profile = self._checked(profile)
 
     def reset(self, seed: int) -> Turn:
         """Have the simulation begin a trial."""
@@ -95,9 +106,14 @@ class TurtlebotExitRos(Simulator):
     def _running(self) -> Iterator[Simulation]:
         """Provide the simulation; its errors are the machine's, and end it."""
         try:
+            if self._profile is None:
+                raise EvaluationError(
+                    f"simulation {self.settings.simulation!r} is driven by slots of servers only; "
+                    f'expected simulation = "{OWN}" here'
+                )
             if self._simulation is None:
                 self._simulation = Simulation(
-                    self.settings, self._profile, self.task.interface
+                    self.settings, self._profile, self.task.interface, self._machine
                 )
             yield self._simulation
         except (ConfigError, EvaluationError) as error:
@@ -105,3 +121,8 @@ class TurtlebotExitRos(Simulator):
             raise EvaluationError(
                 f"simulator {NAME!r}, trial seed {self._seed}: {error}"
             ) from None
+
+    def _checked(self, profile: Profile) -> Profile:
+        if self.settings.mode == "free-running" and profile.clock is None:
+            raise ConfigError(f"{NAME}: mode: free-running needs a profile with a clock")
+        return profile

@@ -122,7 +122,7 @@ def _composed(
         ]
         return compose(made)
 
-    return Acts(sum(each.size for each in acts), action)
+    return Acts(int(sum(each.size for each in acts)), action)
 
 
 def _slices(sizes: Sequence[int]) -> list[slice]:

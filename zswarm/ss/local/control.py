@@ -10,16 +10,16 @@ import contextlib
 import errno
 import os
 import socket
-import stat
 import struct
-import tempfile
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import msgspec
+
+from zswarm.system.locks import make_private, private_folder
 
 MAX_CLIENTS = 16  # at once; one more, and the oldest is dropped
 MAX_REQUEST = 1024  # bytes
@@ -47,17 +47,6 @@ class Draining(msgspec.Struct, frozen=True):
     draining: Literal[True] = True
 
 
-def folder(environment: Mapping[str, str] = os.environ) -> Path:
-    """Return where a server of this user puts its socket."""
-    if runtime := environment.get("RUNTIME_DIRECTORY", "").split(":")[0]:  # by systemd
-        return Path(runtime)
-    if os.geteuid() == 0:
-        return Path("/run/zswarm")
-    if runtime := environment.get("XDG_RUNTIME_DIR", ""):
-        return Path(runtime) / "zswarm"
-    return Path(tempfile.gettempdir()) / f"zswarm-{os.geteuid()}"
-
-
 class LocalQuery(NamedTuple):
     """A request to the server's loop, and where it puts the answer."""
 
@@ -74,8 +63,8 @@ class Control:
     """
 
     def __init__(self, server: str, put: Callable[[LocalQuery], None]) -> None:
-        here = folder()
-        _make(here)
+        here = private_folder()
+        make_private(here)
         for path in here.glob("*" + SUFFIX):
             if _is_dead(path):
                 with contextlib.suppress(OSError):
@@ -166,20 +155,6 @@ class Control:
         return await asyncio.wrap_future(
             query.answer
         ), request.ask == "drain" and request.wait
-
-
-def _make(here: Path) -> None:
-    """Make the folder; refuse one that other users can write in."""
-    if not here.parent.is_dir():
-        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(here.parent))
-    with contextlib.suppress(FileExistsError):
-        here.mkdir(mode=0o755 if os.geteuid() == 0 else 0o700)
-    # systemd's folder is a link if the user is dynamic
-    found = here.stat(follow_symlinks="RUNTIME_DIRECTORY" in os.environ)
-    own = found.st_uid in (0, os.geteuid())
-    if not stat.S_ISDIR(found.st_mode) or not own or found.st_mode & 0o022:
-        reason = "it is not a folder of this user, or others can write in it"
-        raise PermissionError(errno.EPERM, reason, str(here))
 
 
 def _is_dead(path: Path) -> bool:

@@ -75,7 +75,8 @@ class Died(SlotMessage, frozen=True):
 class Tick(msgspec.Struct, frozen=True):
     """Time passed; comes at least every 0.25 s while there are leases, or slots that stop."""
 
-    # For each slot the trial that it is at, an index in its chunk.
+    # For each slot the trial that it is at, an index in its chunk; -1 while the chunk is on the
+    # way to its process.
     positions: tuple[int, ...]
 
 

@@ -33,6 +33,9 @@ from zswarm.ss.slots.reply_cache import ReplyCache
 
 # Least work in a chunk: some twenty times the time to hand out the next one.
 CHUNK_S = 0.003
+CHUNK_AT_MOST_S = (
+    2.0  # so that slots can be given to others soon; one trial may be longer
+)
 SHARED_S = 0.00025  # least work in a chunk where idle slots share little work
 HOLD_QUERY_S = 30.0  # a batch that takes longer is answered "running"
 
@@ -68,12 +71,14 @@ class Job(msgspec.Struct, eq=False):
         """Return the fields of a message that report outcomes, ordered by trial."""
         parts = sorted(self.parts[first_part:], key=lambda part: part[0].start)
         found = [outcomes for _, outcomes in parts]
+        left = [outcomes.left for outcomes in found if outcomes.left]
         return {
             "trials": codec.indices(trial for trials, _ in parts for trial in trials),
             "fitness": b"".join(outcomes.fitness for outcomes in found),
             "metrics": b"".join(outcomes.metrics for outcomes in found),
             "seconds": sum(outcomes.seconds for outcomes in found),
             "error": next((outcomes.error for outcomes in found if outcomes.error), ""),
+            "left": "; ".join(dict.fromkeys(left))[:MAX_TEXT],
         }
 
     def reply(self) -> messages.Message | None:
@@ -144,15 +149,21 @@ class JobQueue(msgspec.Struct, eq=False):
     def next_chunk(self, slots: int, idle: int) -> Chunk:
         """Cut the next chunk for one of the idle slots of a lease.
 
-        It is half of a slot's share of all waiting trials, but at least ``CHUNK_S`` of work. If
-        there is less work than that for each idle slot, they share it.
+        It is half of a slot's share of all waiting trials, but at least ``CHUNK_S`` and at most
+        ``CHUNK_AT_MOST_S`` of work. If there is less work than that for each idle slot, they share
+        it.
         """
         job = self.waiting[0]
         first = job.waiting[0]
         trial_s = self.trial_s
-        least, shared = (CHUNK_S / trial_s, SHARED_S / trial_s) if trial_s else (1.0, 1.0)
+        least, shared, most = (
+            (CHUNK_S / trial_s, SHARED_S / trial_s, CHUNK_AT_MOST_S / trial_s)
+            if trial_s
+            else (1.0, 1.0, math.inf)
+        )
         rest = sum(waiting.rest() for waiting in self.waiting)
-        size = math.ceil(max(shared, min(max(rest / (2 * slots), least), rest / idle)))
+        share = min(max(rest / (2 * slots), least), rest / idle)
+        size = math.ceil(max(shared, min(share, most)))
         if not job.cuttable or len(first) - size < shared / 2:
             size = len(first)
         positions, later = first[:size], first[size:]
@@ -165,14 +176,18 @@ class JobQueue(msgspec.Struct, eq=False):
     # ---- ends of chunks; the slot has given the chunk back
 
     def finished(self, chunk: Chunk, reply: Outcomes | Refused) -> int:
-        """Take what a slot replied; return for how many trials it has outcomes."""
+        """Take what a slot replied; return for how many trials it has outcomes.
+
+        They are the first ones of the chunk if a trial left something behind in the process.
+        """
         job, count = chunk.job, 0
         if isinstance(reply, Refused):
             job.failure = reply
             self._hand_out_no_more(job)
         elif not job.cancelled:
-            count = len(chunk.positions)
-            job.parts.append((chunk.positions, reply))
+            count = len(reply.trials) // 4 or len(chunk.positions)
+            job.parts.append((chunk.positions[:count], reply))
+            self._hand_out_first(job, [chunk.positions[count:]])
             self.trials += count
             measured = reply.seconds / count
             self.trial_s = (
@@ -184,16 +199,10 @@ class JobQueue(msgspec.Struct, eq=False):
     def exhausted(self, chunk: Chunk, trial: int) -> None:
         """Hand out an exhausted chunk again, before all else, with one trial by itself."""
         job, positions = chunk.job, chunk.positions
-        if not (job.cancelled or job.failure or self._draining):
-            parts = (
-                positions[:trial],
-                positions[trial : trial + 1],
-                positions[trial + 1 :],
-            )
-            job.waiting[:0] = [part for part in parts if part]
-            if job in self.waiting:
-                self.waiting.remove(job)
-            self.waiting.appendleft(job)
+        if not job.cancelled:
+            alone = positions[trial : trial + 1]
+            parts = [positions[:trial], alone, positions[trial + 1 :]]
+            self._hand_out_first(job, parts)
         self._conclude(job)
 
     def failed(self, chunk: Chunk, event: Died, simulator: str) -> None:
@@ -259,6 +268,16 @@ class JobQueue(msgspec.Struct, eq=False):
             )
             self.out.answer(job.query, running)
             job.query, job.reported = None, len(job.parts)
+
+    def _hand_out_first(self, job: Job, parts: list[range]) -> None:
+        """Hand out trials again before all others, unless none are to be handed out."""
+        parts = [part for part in parts if part]
+        if not parts or job.failure or self._draining:
+            return
+        job.waiting[:0] = parts
+        if job in self.waiting:
+            self.waiting.remove(job)
+        self.waiting.appendleft(job)
 
     def _hand_out_no_more(self, job: Job) -> None:
         if job in self.waiting:

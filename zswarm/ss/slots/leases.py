@@ -1,22 +1,7 @@
 """Leases: which run may use which slots, and for how long.
 
-A run sends ``Reserve`` and holds one lease from then on. The state of a lease is not stored; it
-follows from its slots:
-
-=========  =========================================  ==========================================
-state      the lease ...                              it leaves the state when ...
-=========  =========================================  ==========================================
-waiting    has no slot: none is free yet              a slot is assigned to it (preparing)
-preparing  has slots, none ready for its problem      the first slot is prepared (ready), or all
-                                                      are given back (waiting)
-ready      has a slot that evaluates, or could        its last ready slot dies (preparing), or its
-                                                      last slot is given back (waiting)
-failed     cannot be served: ``failure`` has the      never; the run is to release it
-           reason, and it has no slots
-=========  =========================================  ==========================================
-
-A lease fails when a slot cannot be prepared, or takes too long to; or when the process of a slot
-dies three times while it is prepared, and no other slot of the lease could be.
+A run sends ``Reserve`` and holds one lease from then on (its states: ``state``). How slots are
+shared among leases: ``sharing``.
 
 A lease ends, from every state, when
 
@@ -34,144 +19,29 @@ the same lease, which is how a program resumes a lease after its link was cut. `
 often the run was resumed: ``zswarm-ot resume`` raises it in the record. So the slots of a run that
 another program resumes are taken over, and the first program, if it still lives, is refused with
 ``superseded`` when it reserves again, and ends (docs/protocol.md, "Life of a lease").
-
-A slot is prepared for one problem at a time; ``MOVES`` has the allowed changes of its state:
-
-=========  =========================================  ==========================================
-state      the slot ...                               it leaves the state when ...
-=========  =========================================  ==========================================
-free       is held by no lease                        it is assigned to a lease
-assigned   is held by a lease, and waits              its process is to be prepared, or is known
-                                                      to be prepared for the problem already
-preparing  compiles or loads the problem              it is prepared (ready)
-ready      is idle                                    it gets a chunk (busy)
-busy       evaluates a chunk                          the chunk is finished (ready)
-stopping   lost its lease while it worked             its work ended (free)
-=========  =========================================  ==========================================
-
-A slot whose process dies, or is replaced for its memory, is assigned again. One that is given back,
-or whose lease ends, becomes free if it is assigned or ready, and stopping otherwise.
 """
 
 from collections import OrderedDict
 from collections.abc import Callable
-from typing import Literal, NamedTuple
 
-import msgspec
-
-from zswarm.errors import LocalProtocolError
-from zswarm.protocol.messages import MAX_TEXT, Lease, Refusal, Reserve, State
-from zswarm.ss.slots.events import CommandList, Query, StopSlot
-from zswarm.ss.slots.jobs import Chunk, JobQueue
+from zswarm.protocol.messages import MAX_TEXT, Refusal, Reserve
+from zswarm.ss.slots.events import CommandList, StopSlot
+from zswarm.ss.slots.jobs import JobQueue
 from zswarm.ss.slots.reply_cache import ReplyCache
+from zswarm.ss.slots.sharing import Sharing
+from zswarm.ss.slots.state import HeldLease, Slot
 
-LEASE_S = 60.0  # after the last message
-GRACE_S = 30.0  # after the holder's token vanished
 MAX_EPOCHS = 10_000  # runs whose highest epoch is remembered
 
 
-SlotState = Literal["free", "assigned", "preparing", "ready", "busy", "stopping"]
-MOVES: dict[SlotState, set[SlotState]] = {
-    "free": {"assigned"},
-    "assigned": {"preparing", "ready", "free"},
-    "preparing": {"ready", "assigned", "stopping"},
-    "ready": {"busy", "assigned", "free"},
-    "busy": {"ready", "assigned", "stopping"},
-    "stopping": {"free"},
-}
-
-
-class Slot(msgspec.Struct, eq=False):
-    """Room for one evaluation."""
-
-    index: int
-    state: SlotState = "free"
-    # What it does is timed from then: its state or its trial began, or it was told to stop.
-    timed_from: float = 0.0
-    lease: "HeldLease | None" = None
-    prepared_for: Reserve | None = None  # whose problem its process is prepared for
-    chunk: Chunk | None = None
-    trial: int = -1  # that it is at, an index in the chunk; -1 if not known yet
-    deaths: int = 0  # in a row, while it was prepared for this lease
-
-    def move(self, state: SlotState, now: float) -> None:
-        """Change the state.
-
-        Raises:
-            LocalProtocolError: the move is not allowed.
-        """
-        if state not in MOVES[self.state]:
-            raise LocalProtocolError(f"slot {self.index}: {self.state} to {state}")
-        self.state, self.timed_from = state, now
-
-
-class Renewal(NamedTuple):
-    """An open query for the state of a lease."""
-
-    query: Query
-    known_ready: int  # number of ready slots that the run knows of
-    since: float
-
-
-class HeldLease(msgspec.Struct, eq=False):
-    """A lease."""
-
-    token: bytes
-    user: str
-    run: str
-    reserve: Reserve  # the message that asked for it
-    wanted: int  # slots
-    since: float
-    last_message: float
-    jobs: JobQueue
-    gone_since: float | None = None  # the holder's token vanished then
-    slots: list[Slot] = []
-    # Since when slots are idle while outcomes are not reported.
-    unreported_since: float | None = None
-    renewals: list[Renewal] = []
-    probe: bytes = b""
-    probe_s: float = 0.0  # of one trial of the probe
-    failure: str = ""
-
-    def ready(self) -> int:
-        """Return how many slots evaluate, or could."""
-        return sum(slot.state in ("ready", "busy") for slot in self.slots)
-
-    def status(self) -> Lease:
-        """Return the message that reports the state, as in the table above."""
-        ready = self.ready()
-        state: State = "ready" if ready else "preparing" if self.slots else "waiting"
-        return Lease(
-            lease=self.token,
-            state="failed" if self.failure else state,
-            slots=len(self.slots),
-            ready=ready,
-            probe=self.probe,
-            trial_s=self.probe_s,
-            reason=self.failure,
-        )
-
-    def renew(self, now: float) -> None:
-        """Restart the time of the lease: its run sent a message."""
-        self.last_message, self.gone_since = now, None
-
-    def expired(self, now: float) -> bool:
-        """Return whether the run was silent or gone for too long."""
-        gone = self.gone_since is not None and now - self.gone_since > GRACE_S
-        return gone or now - self.last_message > LEASE_S
-
-    def prepared(self, slot: Slot) -> bool:
-        """Return whether the process of a slot is prepared for the problem of this lease."""
-        return slot.prepared_for is not None and _problem(slot.prepared_for) == _problem(
-            self.reserve
-        )
-
-
 class LeaseTable(dict[tuple[str, str], HeldLease]):
-    """The leases by user and run, in the order in which they get slots."""
+    """The leases by user and run."""
 
-    def __init__(self, out: CommandList, new_token: Callable[[], bytes]) -> None:
+    def __init__(
+        self, out: CommandList, new_token: Callable[[], bytes], server: str
+    ) -> None:
         super().__init__()
+        self.sharing = Sharing(server)
         self.replies = ReplyCache()
         self._out, self._new_token = out, new_token
         self._epochs: OrderedDict[tuple[str, str], int] = OrderedDict()
@@ -242,7 +112,7 @@ class LeaseTable(dict[tuple[str, str], HeldLease]):
         free = [slot for slot in slots if slot.state == "free"]
         if not free and len(self) < 2:
             return
-        shares = self.shares(len(slots))
+        rights, shares = self.sharing.shares(self.values(), len(slots), self._out.now)
         free += self._take_back(shares, slots, len(free))
         for lease, share in shares.items():
             known = {slot.index for slot in free if lease.prepared(slot)}
@@ -252,6 +122,7 @@ class LeaseTable(dict[tuple[str, str], HeldLease]):
                 slot.move("assigned", self._out.now)
                 slot.lease, slot.deaths = lease, 0
                 lease.slots.append(slot)
+            lease.lent = max(0, min(lease.lent, rights[lease] - len(lease.slots)))
 
     def _take_back(
         self, shares: dict[HeldLease, int], slots: list[Slot], free: int
@@ -268,25 +139,6 @@ class LeaseTable(dict[tuple[str, str], HeldLease]):
                     "slot_given_back", user=lease.user, run=lease.run, slot=slot.index
                 )
                 self.give_back(slot)
+                lease.lent += lease.idle_since is not None
                 taken.append(slot)
         return taken
-
-    def shares(self, capacity: int) -> dict[HeldLease, int]:
-        """Return how many slots each lease should have.
-
-        All leases get the same number, as far as they want it; earlier ones share the remainder.
-        """
-        leases = [lease for lease in self.values() if not lease.failure]
-        shares = dict.fromkeys(leases, 0)
-        served, left = leases[:capacity], capacity
-        served.reverse()  # the sort is stable: the remainder is left to earlier leases
-        served.sort(key=lambda lease: lease.wanted)
-        for number, lease in enumerate(served):
-            shares[lease] = min(lease.wanted, left // (len(served) - number))
-            left -= shares[lease]
-        return shares
-
-
-def _problem(reserve: Reserve) -> tuple[object, ...]:
-    parts = reserve.simulator, reserve.representation
-    return *parts, reserve.version_hash, reserve.trial_memory_mb, reserve.asks

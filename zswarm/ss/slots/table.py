@@ -1,10 +1,11 @@
 """The slot table: a pure state machine. Events and the time go in, commands come out.
 
-``leases.py`` has the states of leases and slots, ``jobs.py`` how a batch is cut for the slots and
-what happens when memory runs out, ``events.py`` the events and commands. An event changes only what
-it is about; what follows from the new state is derived once, at the end of ``handle``.
+``state.py`` has the states of leases and slots, ``sharing.py`` who gets slots, ``jobs.py`` how a
+batch is cut for the slots and what happens when memory runs out, ``events.py`` the events and
+commands. An event changes only what it is about; what follows from the new state is derived once,
+at the end of ``handle``.
 
-- Leases share the slots evenly. One that has too many gives slots back, each when it is idle.
+- Users share the slots evenly. A lease that has too many gives slots back, each when it is idle.
 - The first slot of a lease is prepared alone, for it compiles; then the others load what it
   compiled.
 - The answer to a batch is sent when its last chunk is finished. It is sent earlier, as *running*,
@@ -22,7 +23,8 @@ from zswarm.errors import LocalProtocolError
 from zswarm.protocol import messages
 from zswarm.ss.slots import events
 from zswarm.ss.slots.jobs import Chunk
-from zswarm.ss.slots.leases import HeldLease, LeaseTable, Renewal, Slot, SlotState
+from zswarm.ss.slots.leases import LeaseTable
+from zswarm.ss.slots.state import HeldLease, Renewal, Slot, SlotState
 
 HOLD_RENEWAL_S = 10.0
 IDLE_S = 0.01  # when slots are idle for longer, outcomes are reported before their batch is done
@@ -55,7 +57,7 @@ class SlotTable:
     ) -> None:
         self._out = events.CommandList()
         self.slots = [Slot(index) for index in range(capacity)]
-        self.leases = LeaseTable(self._out, new_token)
+        self.leases = LeaseTable(self._out, new_token, offer.server)
         self.offer = offer
         self.draining = False
         self.trials = 0
@@ -100,6 +102,7 @@ class SlotTable:
         for lease in self.leases.values():
             self._prepare(lease)
             self._start(lease)
+            lease.watch_idle(self._out.now)
             self._answer_renewals(lease)
         if ends:
             self._out.append(events.Drained())
@@ -182,8 +185,10 @@ class SlotTable:
     ) -> None:
         if lease.jobs.ask_again(message.batch, query):
             return
-        slots, refuse = len(lease.slots), self._out.refuse
-        if self.draining:
+        slots, refuse = len(lease.slots) + lease.lent, self._out.refuse
+        if not message.seeds and not message.participants:
+            refuse(query, "unknown-batch", f"there is no batch {message.batch}")
+        elif self.draining:
             refuse(query, "draining", "the server is draining")
         elif lease.failure:
             refuse(query, "mismatch", lease.failure)
@@ -197,6 +202,7 @@ class SlotTable:
     def _slot_event(self, slot: Slot, event: events.SlotEvent) -> None:
         """Take an event of a slot's process; a slot that has lost its lease becomes free."""
         lease, chunk, slot.chunk = slot.lease, slot.chunk, None
+        taken_s = self._out.now - slot.timed_from
         if chunk is not None:
             self.seconds += self._out.now - chunk.begun
             chunk.job.running -= 1
@@ -205,6 +211,9 @@ class SlotTable:
                 return self._died(slot, event, chunk)
             case events.Unprepared():
                 slot.prepared_for = None
+            case events.Finished(reply=messages.Outcomes(left=left)) if left:
+                self._out.log("slot_spoiled", slot=slot.index, left=left)
+                self._kill(slot)
             case events.Exhausted() | events.Finished(recycle=True):
                 self._out.log("slot_worn", slot=slot.index)
                 self._kill(slot)
@@ -213,7 +222,8 @@ class SlotTable:
         self._move(slot, "assigned" if slot.prepared_for is None else "ready")
         match event:
             case events.Prepared():
-                self._prepared(slot, lease, event)
+                slot.deaths = 0
+                self._prepared(lease, event, taken_s)
             case events.Unprepared():
                 self.leases.fail(lease, event.reason)
             case events.Finished() if chunk is not None:
@@ -226,8 +236,8 @@ class SlotTable:
                 )
         return None
 
-    def _prepared(self, slot: Slot, lease: HeldLease, event: events.Prepared) -> None:
-        slot.deaths = 0
+    def _prepared(self, lease: HeldLease, event: events.Prepared, taken_s: float) -> None:
+        lease.prepare_s = max(lease.prepare_s, taken_s)
         if not lease.probe:
             lease.probe, lease.probe_s = event.probe, event.trial_s
             lease.jobs.trial_s = event.trial_s
@@ -279,6 +289,7 @@ class SlotTable:
         now = self._out.now
         for lease in [lease for lease in self.leases.values() if lease.expired(now)]:
             self.leases.end(lease, "expired")
+        self.leases.sharing.pass_time(self.leases.values(), len(self.slots), now)
         for slot, trial in zip(self.slots, positions, strict=True):
             if (event := self._overdue(slot, trial)) is not None:
                 self._kill(slot)
@@ -291,14 +302,17 @@ class SlotTable:
             lease.jobs.report(chunks, idle=since is not None and now - since >= IDLE_S)
 
     def _overdue(self, slot: Slot, trial: int) -> events.Died | events.Unprepared | None:
-        """Return the event that ends a slot's work if it takes too long; else None."""
+        """Return the event that ends a slot's work if it takes too long; else None.
+
+        Args:
+            trial: that its process is at; -1 while its work is on the way to it.
+        """
         lease, chunk, now = slot.lease, slot.chunk, self._out.now
         taken_s = now - slot.timed_from
         if slot.state == "stopping" or (chunk is not None and chunk.job.cancelled):
             if taken_s > (STOP_S if chunk is not None else PREPARE_S):
-                return events.Died(
-                    slot.index, trial, "it did not stop in time", "stopped"
-                )
+                reason = "it did not stop in time"
+                return events.Died(slot.index, max(0, trial), reason, "stopped")
         elif lease is not None and slot.state == "preparing":
             probe_trials = messages.PROBE_GENOMES * messages.PROBE_SEEDS
             limit_s = PREPARE_S + probe_trials * lease.reserve.trial_timeout_s
@@ -311,7 +325,7 @@ class SlotTable:
                 slot.trial, slot.timed_from = trial, now
             elif taken_s > timeout_s:
                 reason = f"one trial took longer than {timeout_s:g} s (cluster.trial_timeout_s)"
-                return events.Died(slot.index, trial, reason, "timeout")
+                return events.Died(slot.index, max(0, trial), reason, "timeout")
         return None
 
     # ---- what follows from the state

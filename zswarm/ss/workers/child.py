@@ -3,6 +3,10 @@
 It is forked from a fork server that has numba loaded and never touched zenoh. It leads a session,
 and no process that it starts has its pipe: so it is over when it ends. It ends when its pipe
 closes, and is killed when the fork server ends.
+
+Trials that Python code plays may change the process that later ones are played in. So after each of
+them its state is compared with that after preparing, and if something was left behind, the chunk
+ends there: the rest of it is played in a new process.
 """
 
 import contextlib
@@ -10,10 +14,12 @@ import ctypes
 import faulthandler
 import gc
 import importlib
+import mmap
 import multiprocessing
 import multiprocessing.forkserver
 import os
 import signal
+import socket
 import sys
 import time
 from functools import partial
@@ -40,66 +46,90 @@ from zswarm.ss.slots.events import (
     Unprepared,
 )
 from zswarm.ss.workers import memory
+from zswarm.ss.workers.frames import BrokenFrameError, ProcessEnd
 from zswarm.ss.workers.remote import Trial, Unanswered
+from zswarm.system import shared_memory
+from zswarm.system.process_state import left_behind, process_state
 from zswarm.system.text import clean
 
-PRELOADED = ["zswarm.ss.workers.child", "zswarm.evaluate"]
+# In this order; the fork server binds itself to the server before all that takes long.
+FORK_SERVER = "zswarm.ss.workers.fork_server"
+PRELOADED = [FORK_SERVER, "zswarm.ss.workers.child", "zswarm.evaluate"]
 if not PLAIN:
     PRELOADED.append("zswarm.kernels.compiler")
-PR_SET_PDEATHSIG = 1
 TRIAL, STOP = range(2)  # the shared numbers, see evaluate.py
+MAP_FIXED = 0x10  # the same on Linux and macOS
+CUT_OFF = 86  # exit code: a simulator closed or used the pipe to the server
 
 
 class Here(SlotMessage, frozen=True):
     """The process has started and is warm: numba is loaded."""
 
 
+class SharedMemory(SlotMessage, frozen=True):
+    """A simulator creates shared memory by name, or has removed it."""
+
+    name: str
+    exists: bool
+
+
 # Messages on the pipe; after ``Sensors`` of the wire, the bytes of the optimizer's answer follow.
 ToSlot = PrepareSlot | RunChunk
-FromSlot = Here | Sensors | SlotEvent
+FromSlot = Here | SharedMemory | Sensors | SlotEvent
 encode = Encoder().encode
 to_slot: Decoder[ToSlot] = Decoder(ToSlot)
 from_slot: Decoder[FromSlot] = Decoder(FromSlot)
 
 
 def main(
-    pipe: Connection, slot: int, shared: object, memory_mb: int, output: Connection
+    end: socket.socket,
+    key: bytes,
+    slot: int,
+    shared: object,
+    memory_mb: int,
+    output: Connection,
 ) -> None:
     """Run the process of a slot.
 
     Args:
+        end: of the pipe to the server, whose frames begin with the key.
         shared: int64 (2,), the trial that it is at and whether to stop.
         memory_mb: for runs that do not ask for less.
         output: pipe for stdout and stderr.
     """
-    _end_with_parent()
+    if (fork_server := sys.modules.get(FORK_SERVER)) is not None:
+        fork_server.end_with_parent(fork_server.PID)
     os.setsid()
-    os.set_inheritable(pipe.fileno(), False)
-    # A forked copy of this process that returns to here finds its pipe closed.
-    os.register_at_fork(after_in_child=pipe.close)
+    progress = np.frombuffer(shared, np.int64)  # type: ignore[call-overload]  # ctypes is a buffer
+    pipe = ProcessEnd(end, key)
+    pipe.hide()
+    _cut_off_copies(pipe, progress)
     _redirect(output)
     memory.go_first()
     # Every child inherits the pipe that keeps the fork server alive: it must end with the server.
     os.close(multiprocessing.forkserver._forkserver._forkserver_alive_fd)  # type: ignore[attr-defined]  # private
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # the server decides when a slot ends
-    progress = np.frombuffer(shared, np.int64)  # type: ignore[call-overload]  # ctypes is a buffer
-    for module in PRELOADED[1:]:  # loaded already unless the fork server could not
+    for module in PRELOADED[2:]:  # loaded already unless the fork server could not
         importlib.import_module(module)
     gc.freeze()
     process = SlotProcess(slot, memory_mb, pipe, progress)
+    shared_memory.watch(process.on_shared_memory)
     with contextlib.suppress(EOFError, OSError):
-        pipe.send_bytes(encode(Here(slot)))
+        pipe.send(encode(Here(slot)))
         while True:
-            command = to_slot.decode(pipe.recv_bytes())
-            pipe.send_bytes(encode(process.handle(command)))
+            try:
+                command = to_slot.decode(pipe.receive())
+            except BrokenFrameError:
+                os._exit(CUT_OFF)
+            pipe.send(encode(process.handle(command)))
 
 
 class SlotProcess:
     """The loop's state: a problem that was prepared, with a limit of memory."""
 
     def __init__(
-        self, slot: int, memory_mb: int, pipe: Connection, progress: np.ndarray
+        self, slot: int, memory_mb: int, pipe: ProcessEnd, progress: np.ndarray
     ) -> None:
         # numba comes with it: imported here, never in the server's process
         from zswarm import evaluate
@@ -108,6 +138,8 @@ class SlotProcess:
         self._slot, self._memory_mb = slot, memory_mb
         self._pipe, self._progress = pipe, progress
         self._recycle_at = 0  # bytes
+        self._shared_memory: set[str] = set()  # that simulators created
+        self._left: list[str] = []  # what a trial left behind
 
     def handle(self, command: ToSlot) -> SlotEvent:
         """Carry out a command, and return what came of it."""
@@ -137,6 +169,7 @@ class SlotProcess:
             reserve.representation.kind,
             reserve.representation.settings,
             hosting=not reserve.asks,
+            in_slot=True,
         )
         probe, trial_s, in_turns = b"", 0.0, bool(reserve.asks)
         if command.probe:
@@ -144,6 +177,8 @@ class SlotProcess:
         else:
             self._evaluate.warm_up(*parts, in_turns=in_turns)
         self._recycle_at = (memory.used() + (limit_mb << 20)) // 2
+        self._prepared = process_state()
+        self._known_memory = self._shared_memory.copy()
         # The probe's trials do not ask the optimizer; those of the run take longer.
         return Prepared(self._slot, probe, 0.0 if reserve.asks else trial_s)
 
@@ -153,6 +188,7 @@ class SlotProcess:
         try:
             participants, seeds = codec.trials(work, self.simulator.participants)
             asking = partial(self._asking, command) if self._reserve.asks else None
+            self._left = []
             found = self._evaluate.evaluate(
                 self.simulator,
                 self.representation,
@@ -161,13 +197,17 @@ class SlotProcess:
                 seeds,
                 self._progress,
                 asking,
+                self._spoiled,
             )
+            played = len(found.fitness)
             reply = Outcomes(
                 batch=work.batch,
                 fitness=found.fitness.astype("<f8", copy=False).tobytes(),
                 metrics=found.metrics.astype("<f8", copy=False).tobytes(),
                 seconds=time.perf_counter() - begin,
+                trials=b"" if played == len(seeds) else codec.indices(range(played)),
                 error=clean(found.error),
+                left=clean("; ".join(self._left)),
             )
         except Unanswered as error:
             reply = error.refused
@@ -180,6 +220,21 @@ class SlotProcess:
         return Trial(
             self._pipe, command.work, trial, self.simulator.outputs, self._reserve.asks
         )
+
+    def _spoiled(self) -> bool:
+        """Return whether the last trial left something behind that later ones could meet."""
+        if not self._pipe.connected():
+            os._exit(CUT_OFF)  # at this trial, which is to blame
+        self._left = left_behind(self._prepared)
+        new = sorted(self._shared_memory - self._known_memory)
+        self._left += [f"shared memory ({name})" for name in new]
+        return bool(self._left)
+
+    def on_shared_memory(self, name: str, exists: bool) -> None:
+        """Let the server know: it removes what is there when this process has ended."""
+        (self._shared_memory.add if exists else self._shared_memory.discard)(name)
+        with contextlib.suppress(OSError):  # a forked copy has no pipe
+            self._pipe.send(encode(SharedMemory(self._slot, name, exists)))
 
     def _trial(self) -> int:
         return max(0, int(self._progress[TRIAL]))
@@ -214,7 +269,11 @@ def _check_version(reserve: Reserve) -> None:
 
 
 def _redirect(output: Connection) -> None:
-    """Write stdout and stderr to a pipe, those of C code too, and where a crash was."""
+    """Write stdout and stderr to a pipe, those of C code too, and where a crash was; no stdin."""
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    if nothing:
+        os.dup2(nothing, 0)
+        os.close(nothing)
     for number, name in ((1, "stdout"), (2, "stderr")):
         os.dup2(output.fileno(), number)
         options: dict[str, Any] = {"encoding": "utf-8", "errors": "backslashreplace"}
@@ -225,11 +284,22 @@ def _redirect(output: Connection) -> None:
     faulthandler.enable()
 
 
-def _end_with_parent() -> None:
-    """Have the kernel kill this process when the fork server ends, even inside a simulator."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-        parent = multiprocessing.parent_process()
-        if os.getppid() in (1, parent.pid if parent else 1):
-            # It ended before the call above, and the server adopted this process.
-            os._exit(1)
+def _cut_off_copies(pipe: ProcessEnd, progress: np.ndarray) -> None:
+    """Have forked copies of this process, which a simulator may make, do nothing of its work.
+
+    One that returns to the loop finds its pipe closed; before, it gets a page of its own for the
+    shared numbers, which tells it to stop.
+    """
+    libc = ctypes.CDLL(None, use_errno=True)
+    libc.mmap.argtypes = [ctypes.c_void_p, ctypes.c_size_t, *[ctypes.c_int] * 3]
+    libc.mmap.argtypes += [ctypes.c_long]
+    page = progress.ctypes.data & -mmap.PAGESIZE
+    protection = mmap.PROT_READ | mmap.PROT_WRITE
+    flags = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | MAP_FIXED
+
+    def cut_off() -> None:
+        pipe.close()
+        libc.mmap(page, mmap.PAGESIZE, protection, flags, -1, 0)
+        progress[STOP] = 1
+
+    os.register_at_fork(after_in_child=cut_off)

@@ -13,7 +13,11 @@ from pathlib import Path
 
 import psutil
 
+from zswarm.errors import ConfigError
+
 SHARE = 0.8  # of the machine's memory, for all slots together
+# For the server, the fork server and the first slot, where nothing is evaluated yet.
+LEAST_MACHINE_MB = 160
 LEAST_MB = 512  # of a slot by default; a fresh one takes about 100
 CGROUPS = Path("/sys/fs/cgroup")
 MEMBERSHIP = Path("/proc/self/cgroup")
@@ -25,6 +29,15 @@ OOM_RAISE = 500
 def per_slot_mb(capacity: int) -> int:
     """Return a slot's share of the memory of the machine, or of this program's control group."""
     return max(LEAST_MB, int(SHARE * _machine()) // capacity >> 20)
+
+
+def check_machine() -> None:
+    """Raise ``ConfigError`` if there is too little memory to start."""
+    if (there_mb := machine_mb()) < LEAST_MACHINE_MB:
+        raise ConfigError(
+            f"the machine, or the control group of this program, has {there_mb} MB of memory; "
+            f"expected at least {LEAST_MACHINE_MB} MB, and 100 MB more for each slot that works"
+        )
 
 
 def machine_mb() -> int:

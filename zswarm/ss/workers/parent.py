@@ -1,11 +1,10 @@
 """The server's end of a slot's process (``child.py``): starts it, watches it, replaces it.
 
 The fork server starts processes and reports how they ended; while it hangs it does neither.
-So a thread asks it for processes, and a killed one is waited for no longer than a moment: the
-server's loop never hangs.
+So a thread asks it for processes, and a killed one is waited for no longer than a moment. Pipes do
+not block either (``frames.py``): the server's loop never hangs.
 """
 
-import contextlib
 import functools
 import math
 import multiprocessing
@@ -13,6 +12,7 @@ import multiprocessing.forkserver
 import os
 import queue
 import selectors
+import socket
 import threading
 import time
 from collections.abc import Callable
@@ -20,14 +20,18 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerProcess
 from typing import Protocol
 
+import msgspec
 import numpy as np
 import structlog
 
 from zswarm.ss.slots.events import Died, PrepareSlot, RunChunk
-from zswarm.ss.workers import child
-from zswarm.ss.workers.child import FromSlot, Here, encode, from_slot
+from zswarm.ss.workers import child, memory
+from zswarm.ss.workers.child import FromSlot, Here, SharedMemory, encode, from_slot
+from zswarm.ss.workers.frames import BrokenFrameError, ServerEnd, new_key, new_pipe
 from zswarm.ss.workers.output import Output
+from zswarm.system import shared_memory
 from zswarm.system.processes import exit_reason
+from zswarm.system.text import clean
 
 # A slot is one thread; a BLAS takes 40 MB for each.
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -35,6 +39,7 @@ ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.2, 10.0
 KILLED_S = 0.2  # for a killed process to go, before the loop continues
 EXIT_S = 1.0  # for the fork server to report how a process ended
+CUT_OFF = "closed its pipe"  # how it ended if a simulator did that
 
 _context = multiprocessing.get_context("forkserver")
 log = structlog.get_logger()
@@ -46,6 +51,8 @@ def start_fork_server() -> None:
     It loads numba, so it is to be started before slow imports; and before zenoh is opened.
     """
     os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
+    # A simulator that iterates over a set of strings then does so in one order in all slots.
+    os.environ["PYTHONHASHSEED"] = "0"
     _context.set_forkserver_preload(child.PRELOADED)
     multiprocessing.forkserver.ensure_running()
 
@@ -54,13 +61,16 @@ class Owner(Protocol):
     """The owner of workers: what they call."""
 
     def on_message(self, worker: "Worker") -> None:
-        """Call ``receive``: a message came."""
+        """Call ``receive`` until it returns None: something came."""
 
     def on_output(self, worker: "Worker") -> None:
         """Call ``read_output``: the process wrote something."""
 
     def on_exit(self, worker: "Worker") -> None:
         """Look for orphans: a process is gone."""
+
+    def on_full_pipe(self, worker: "Worker") -> None:
+        """Have the loop call ``watch_pipe``; called in any thread."""
 
 
 class Worker:
@@ -76,7 +86,7 @@ class Worker:
         self, slot: int, memory_mb: int, selector: selectors.BaseSelector, owner: Owner
     ) -> None:
         self.slot, self.memory_mb = slot, memory_mb
-        self.pipe: Connection | None = None
+        self.pipe: ServerEnd | None = None
         self.here = False
         self.leaving: ForkServerProcess | None = None
         self._selector, self._owner = selector, owner
@@ -87,6 +97,7 @@ class Worker:
         self._output: Output | None = None
         self._prepared = False
         self._held = b""  # a message for the process that is to come
+        self._shared_memory: set[str] = set()  # that the process created
         self._early_deaths = 0  # in a row: before any answer
         self._start_at = 0.0
         self._missing_since = math.inf
@@ -108,12 +119,12 @@ class Worker:
     def start(self) -> None:
         """Ask for the process; ``receive`` returns Here, or logs why it could not be started."""
         self._progress[:] = 0
-        self.pipe, child_end = _context.Pipe()
+        self.pipe, child_end = new_pipe(key := new_key())
         output, write_end = _context.Pipe(duplex=False)
         self._output = Output(output)
-        self._register(self.pipe, functools.partial(self._owner.on_message, self))
+        self._register(self.pipe, self._on_pipe)
         self._register(self._output, functools.partial(self._owner.on_output, self))
-        arguments = (child_end, self.slot, self._shared, self.memory_mb, write_end)
+        arguments = child_end, key, self.slot, self._shared, self.memory_mb, write_end
         self._process = _context.Process(target=child.main, args=arguments, daemon=True)
         self._start_faults = []
         self._start_at = math.inf
@@ -185,9 +196,8 @@ class Worker:
 
     def answer(self, body: bytes) -> None:
         """Pass on the optimizer's answer to ``Sensors``; from any thread."""
-        if (pipe := self.pipe) is not None:
-            with contextlib.suppress(OSError):  # as in _send
-                pipe.send_bytes(body)
+        if (pipe := self.pipe) is not None and not pipe.send(body):
+            self._owner.on_full_pipe(self)
 
     def stop(self) -> None:
         """Stop the chunk before its next trial."""
@@ -199,18 +209,30 @@ class Worker:
         return bool(self._progress[child.STOP])
 
     def trial(self) -> int:
-        """Return the trial of the chunk that the process is at."""
+        """Return the trial of the chunk that the process is at; -1 while the chunk is sent."""
+        if self.pipe is not None and self.pipe.sending:
+            return -1
         return max(0, int(self._progress[child.TRIAL]))
 
     def receive(self) -> FromSlot | None:
-        """Return the next message; Died if the process ended, None if it could not be started."""
+        """Return the next message; None if there is none, or the process could not be started.
+
+        It is Died if the process ended, or wrote something else than messages.
+        """
         if self.pipe is None:
             # Killed by what another descriptor of the same turn brought.
             return None
         try:
-            message = from_slot.decode(self.pipe.recv_bytes())
-        except (EOFError, OSError):
+            if (body := self.pipe.receive()) is None:
+                return None
+            message = from_slot.decode(body)
+        except EOFError:
             return self._ended()
+        except (BrokenFrameError, msgspec.DecodeError) as error:
+            return self._spoken_over(error)
+        if isinstance(message, SharedMemory):
+            self._take_shared_memory(message)
+            return self.receive()
         if isinstance(message, Here):
             self.here, self._missing_since = True, math.inf
             if self._held:
@@ -222,6 +244,11 @@ class Worker:
         if isinstance(message, Died):
             self.kill()
         return message
+
+    def _take_shared_memory(self, message: SharedMemory) -> None:
+        """Remember what is to be removed when the process has ended."""
+        names = self._shared_memory
+        (names.add if message.exists else names.discard)(message.name)
 
     def read_output(self) -> list[str]:
         """Return the lines to log of what the process wrote."""
@@ -242,13 +269,22 @@ class Worker:
         assert self._process is not None  # noqa: S101  it was there to end
         self._held = b""
         self._process.join(EXIT_S)
-        reason = exit_reason(self._process.exitcode, "closed its pipe")
+        reason = exit_reason(self._process.exitcode, CUT_OFF)
+        if self._process.exitcode == child.CUT_OFF:
+            reason = CUT_OFF
         if words := self._output.last_words() if self._output is not None else "":
             reason += f"; it wrote: {words}"
-        trial = self.trial()
+        trial = max(0, self.trial())
         self._pause(reason)
         self.close()
         return Died(self.slot, trial, f"the slot's process {reason}")
+
+    def _spoken_over(self, error: Exception) -> Died:
+        """End a process in which something wrote into the pipe, of which nothing can be trusted."""
+        reason = f"the simulator wrote into the pipe of its process: {error}"
+        trial = max(0, self.trial())
+        self.kill()
+        return Died(self.slot, trial, clean(reason))
 
     def _pause(self, reason: str) -> None:
         """Have a new process started: at once, but after growing pauses if it dies early again."""
@@ -268,12 +304,25 @@ class Worker:
             self._held = message
             return
         self._held = b""
-        with contextlib.suppress(OSError):  # it ended, and its closed pipe wakes the loop
-            self.pipe.send_bytes(message)
+        if not self.pipe.send(message):
+            self.watch_pipe()
 
-    def _register(
-        self, file: Connection | Output | int, call: Callable[[], None]
-    ) -> None:
+    def watch_pipe(self) -> None:
+        """Have the loop wait until more can be sent, if something is not handed over yet."""
+        if (pipe := self.pipe) is None:
+            return
+        wanted = selectors.EVENT_READ
+        if pipe.sending:
+            wanted |= selectors.EVENT_WRITE
+        self._selector.modify(pipe, wanted, self._on_pipe)
+
+    def _on_pipe(self) -> None:
+        """Send on, if something is left to send, and look for messages."""
+        if self.pipe is not None and self.pipe.sending and self.pipe.flush():
+            self.watch_pipe()
+        self._owner.on_message(self)
+
+    def _register(self, file: ServerEnd | Output | int, call: Callable[[], None]) -> None:
         self._selector.register(file, selectors.EVENT_READ, call)
 
     def _close_pipes(self) -> None:
@@ -282,6 +331,8 @@ class Worker:
                 self._selector.unregister(file)
                 file.close()
         self.pipe = self._output = None
+        while self._shared_memory:
+            shared_memory.remove(self._shared_memory.pop())
 
 
 @functools.cache
@@ -298,14 +349,20 @@ def _starter() -> queue.SimpleQueue[Callable[[], None]]:
 
 
 def _start(
-    process: ForkServerProcess, its_ends: tuple[Connection, ...], faults: list[str]
+    process: ForkServerProcess,
+    its_ends: tuple[socket.socket | Connection, ...],
+    faults: list[str],
 ) -> None:
     try:
         process.start()
         # Python would look at all that it gathers here whenever a process starts, and at its end.
         multiprocessing.process._children.discard(process)  # type: ignore[attr-defined]  # private
     except (OSError, EOFError) as error:  # no process or memory, or the fork server ended
-        faults.append(f"could not be started: {type(error).__name__}: {error}")
+        cause = "the fork server ended" if isinstance(error, EOFError) else str(error)
+        faults.append(
+            f"could not be started: {cause}; this machine, or the control group of the server, "
+            f"has {memory.machine_mb()} MB of memory, which may be too little"
+        )
     finally:
         for end in its_ends:
             end.close()  # which wakes the loop if there is no process

@@ -10,7 +10,6 @@ import math
 import os
 import threading
 from collections.abc import Callable, Sequence
-from multiprocessing.connection import Connection
 
 import msgspec
 import numpy as np
@@ -18,6 +17,7 @@ import numpy as np
 from zswarm.errors import EvaluationError
 from zswarm.protocol import codec
 from zswarm.protocol.messages import Asks, Evaluate, Refused, Sensors
+from zswarm.ss.workers.frames import ProcessEnd
 
 # Before a lost question is asked again; the last one from then on.
 AGAIN_S = (0.05, 0.2, 1.0)
@@ -42,7 +42,7 @@ class Unanswered(EvaluationError):
 class Trial(msgspec.Struct, eq=False):
     """The controllers of a trial of a run's batch, which the optimizer evaluates."""
 
-    pipe: Connection
+    pipe: ProcessEnd
     batch: Evaluate
     trial: int  # index in the batch
     outputs: int
@@ -78,8 +78,8 @@ class Trial(msgspec.Struct, eq=False):
             participants=np.array(participants, "<u4").tobytes(),
             observations=observations.astype("<f4", copy=False).tobytes(),
         )
-        self.pipe.send_bytes(codec.encode(question))
-        reaction = codec.decode_reaction(self.pipe.recv_bytes())
+        self.pipe.send(codec.encode(question))
+        reaction = codec.decode_reaction(self.pipe.receive())
         if isinstance(reaction, Refused):
             raise Unanswered(reaction)
         self._number += 1
@@ -93,6 +93,12 @@ class Unheard(msgspec.Struct, frozen=True):
     """A question ended without an answer."""
 
     question: int
+
+
+class FullPipe(msgspec.Struct, frozen=True):
+    """A slot's process did not take all of an answer yet."""
+
+    slot: int
 
 
 class PendingQuestion(msgspec.Struct, eq=False):
@@ -111,7 +117,7 @@ class Questions:
     Args:
         send: sends a question to a run (user, run): its number, its body, what takes the answer,
             and whether to send it in this thread, because it does not block.
-        reply: writes an answer into a slot's pipe.
+        reply: writes an answer into a slot's pipe, and does not block.
     """
 
     def __init__(self, send: Send, reply: Callable[[int, bytes], None]) -> None:

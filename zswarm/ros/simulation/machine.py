@@ -1,0 +1,87 @@
+"""ROS simulations and robots of this machine: files of its administrator (docs/ros.md).
+
+``NAME.toml`` says where one is, which profile it has and whether its robots are real. An experiment
+names it; no message on the wire holds an address, a path or a profile's file.
+"""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+from zswarm.config import decode
+from zswarm.config.suggest import nearest
+from zswarm.errors import ConfigError
+from zswarm.plugins import manifests
+from zswarm.robots.profiles import profile as profiles
+from zswarm.robots.profiles.profile import Profile
+from zswarm.ros.link.graph import LinkKind, RosGraph
+
+KIND = "ros"  # of the folders
+
+
+class MachineSimulation(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
+):
+    """The content of a file."""
+
+    link: LinkKind
+    profile: Annotated[str, Meta(min_length=1)]  # bundled, or FILE.toml next to this file
+    real_robots: bool = False  # may move what is not a simulation
+    master: str = ""  # rospy: URI; empty: ROS_MASTER_URI
+    domain: Annotated[int, Meta(ge=0, le=232)] = 0  # rclpy, zenoh
+    connect: list[str] = []  # zenoh: endpoints to dial
+    description: str = ""
+
+    def graph(self) -> RosGraph:
+        """Return the graph in which it runs."""
+        return RosGraph(
+            link=self.link,
+            master=self.master,
+            domain=self.domain,
+            connect=self.connect,
+            local=False,
+        )
+
+
+def find(name: str) -> tuple[MachineSimulation, Profile]:
+    """Return the simulation of a name, and its profile.
+
+    Raises:
+        ConfigError: this machine has none of that name, or its file is not valid. Its text holds
+            nothing of the file: it is an answer to the user who sent the name.
+    """
+    files = manifests.files_in(KIND)
+    if name not in files:
+        there = ", ".join(files) or "none"
+        raise ConfigError(
+            f"no ROS simulation {name!r} on this machine{nearest(name, files)}; it has {there}"
+        )
+    try:
+        return read(files[name])
+    except ConfigError as error:
+        print(error, file=sys.stderr)  # noqa: T201  the server logs what a slot writes
+        raise ConfigError(
+            f"the file of the ROS simulation {name!r} on this machine is not valid; the log of "
+            "its server has the reason"
+        ) from None
+
+
+def read(path: Path) -> tuple[MachineSimulation, Profile]:
+    """Read a file, and the profile that it names.
+
+    Raises:
+        ConfigError: not valid, with what was expected.
+    """
+    found = decode.convert(decode.read(path), MachineSimulation, str(path))
+    named = found.profile
+    beside = str(path.parent / named) if named.endswith(".toml") else named
+    profile = profiles.read(beside)
+    if profile.clock is None and not found.real_robots:
+        raise ConfigError(
+            f"{path}: profile {named} has no clock, which shows that robots are simulated; "
+            "expected one that has, or real_robots = true"
+        )
+    return found, profile
