@@ -161,6 +161,12 @@ class Cluster:
                 if self._watch is not None:
                     self._watch.hint(item, self.standing)
 
+    def pause(self, *, paused: bool) -> None:
+        """Release all leases while a run pauses, or ask for slots again."""
+        if self._watch is not None:
+            self._watch.begin()
+        self._inbox.put(events.Pause(paused))
+
     def rest(self) -> Iterator[Item]:
         """Iterate over what happened and was not yielded yet."""
         while (item := self._next(0.0)) is not None:
