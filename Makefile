@@ -6,7 +6,7 @@ TESTS ?= -n $$((2 * $$(nproc))) --dist worksteal  # many wait for programs; neig
 
 KILLS ?= 200
 
-.PHONY: run test long programs product vmas browser robots rest chaos faults machines units kills lint format docs docs-commands reference bench bench-quick bench-methods benchmarks paper scale soak clean
+.PHONY: run test long attacks programs product vmas browser robots rest chaos faults machines units kills lint format docs docs-commands reference bench bench-quick bench-methods benchmarks paper scale soak clean
 
 run: $(READY)
 	$(BIN)/zswarm-ot run $(or $(ARGS),stadium)
@@ -16,6 +16,10 @@ test: $(READY)
 
 long: $(READY)
 	$(BIN)/python -m pytest $(TESTS) -m long $(ARGS)
+
+# Attacks on the real programs, on loopback.
+attacks: $(READY)
+	$(BIN)/python -m pytest $(TESTS) -m attacks $(ARGS)
 
 # Servers and optimizers as real programs.
 programs: $(READY)
@@ -43,7 +47,7 @@ benchmarks: $(READY)
 
 # All of these but vmas and machines, in one go: tests that wait run next to tests that compute.
 rest: $(READY)
-	$(BIN)/python -m pytest $(TESTS) -m "long or programs or product or browser or robots or faults or docs or benchmarks" $(ARGS)
+	$(BIN)/python -m pytest $(TESTS) -m "long or programs or product or browser or robots or faults or docs or benchmarks or attacks" $(ARGS)
 
 chaos: $(READY)
 	$(BIN)/python -m tests.chaos $(if $(SEED),--seed $(SEED)) $(if $(SECONDS),--seconds $(SECONDS))

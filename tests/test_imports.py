@@ -76,8 +76,8 @@ ros.simulation:     BASE kernels plugins robots.profiles ros.link ros.link.bridg
 ss:                 BASE plugins protocol security session ss.local ss.slots ss.workers
 ss.local:           BASE ss.slots ss.workers
 ss.slots:           errors protocol
-ss.workers:         BASE evaluate kernels plugins protocol ss.slots
-testing:            config evaluate kernels nets ot.optimizers plugins sims
+ss.workers:         BASE evaluate kernels plugins protocol security ss.slots
+testing:            config evaluate kernels nets ot.optimizers plugins sims system
 """
 BASE = {"errors", "config", "system"}
 MAY_IMPORT = {

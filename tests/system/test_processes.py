@@ -1,9 +1,12 @@
 """Words for how a child process ended."""
 
+import re
 import signal
+from pathlib import Path
 
 import pytest
 
+import zswarm
 from zswarm.system.processes import MAX_OUTPUT, exit_reason, last_lines, wrote
 
 
@@ -30,3 +33,15 @@ def test_the_last_lines_are_bounded_and_safe_for_a_terminal() -> None:
     assert len(last_lines("x" * 1000)) == MAX_OUTPUT
     assert wrote("no map") == "; it wrote: no map"
     assert wrote("\n--\n") == ""
+
+
+def test_every_command_with_our_python_leaves_the_current_folder_out() -> None:
+    """By -P, or -I; ``zswarm.ros.link.child`` asks older Pythons in the folder /."""
+    found = []
+    for path in sorted(Path(zswarm.__file__).parent.rglob("*.py")):
+        text = path.read_text()
+        commands = re.findall(r"\[\s*sys\.executable,\s*([^,\]]+)", text)
+        safe = ("*MODULE", "*CODE", '"-I"')
+        found += [(path.name, option) for option in commands if option not in safe]
+        found += [(path.name, option) for option in re.findall(r'"-[mc]",', text)]
+    assert found == [("child.py", '"-c",'), ("program.py", '"-c",')], "sh -c is the last"

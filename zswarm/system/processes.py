@@ -1,10 +1,12 @@
-"""How a child process ended, in words for an error message."""
+"""Options to start programs of zswarm, and how a child process ended, in words for an error."""
 
 import re
 import signal
 
 from zswarm.system.text import clean
 
+# Options of Python for programs of zswarm: without -P what lies in the current folder would be run.
+MODULE, CODE = ("-P", "-m"), ("-P", "-c")
 MAX_OUTPUT = 300  # characters of a process's output in an error message
 SIGNALS = {number.value: number.name for number in signal.Signals}
 

@@ -115,6 +115,23 @@ def test_slots_are_divided_evenly_as_far_as_they_are_wanted() -> None:
     assert divide(8, [100, 1, 100, 100]) == [3, 1, 2, 2]
     assert divide(2, [0, 5, 5, 5]) == [0, 1, 1, 0]
     assert divide(8, []) == []
+    assert divide(5, [3, 100]) == [3, 2], "the remainder is not for those who want most"
+
+
+def test_users_share_evenly_however_many_runs_they_have() -> None:
+    """Also what cannot be divided: it is another user's in each turn."""
+    lab = Busy(4)
+    for who in [("ada", str(run)) for run in range(9)] + [("bob", "b"), ("eve", "e")]:
+        lab.reserve(*who)
+        lab.working.add(who)
+    lab.wait(600.0)
+    users = Counter[str]()
+    for (user, _), seconds in lab.held.items():
+        users[user] += seconds
+    assert min(users.values()) > 0.8 * max(users.values())
+    of_ada = [seconds for (user, _), seconds in lab.held.items() if user == "ada"]
+    assert len(of_ada) == 9
+    assert min(of_ada) > 0.4 * max(of_ada)
 
 
 def test_a_second_user_gets_half_of_the_slots_of_a_study_within_5_s() -> None:
@@ -166,6 +183,49 @@ def test_idle_slots_stay_where_nobody_needs_them() -> None:
         lab.reserve(*who)
     lab.wait(10.0)
     assert lab.slots() == {("ada", "a"): 2, ("bob", "b"): 2}
+
+
+def test_one_slot_is_lent_for_each_trial_that_waits() -> None:
+    lab = Busy(8, trial_s=20.0)
+    lab.reserve("ada", "a", kind="minisim")
+    lab.reserve("bob", "b", kind="maze")
+    lab.wait(LEND_S + 2.0)
+    lab.ask(("bob", "b"), evaluate(lab.table.leases["bob", "b"].token, 1, 5))
+    lab.wait(2 * TICK_S)
+    assert lab.slots() == {("ada", "a"): 3, ("bob", "b"): 5}
+
+
+def test_a_lease_without_a_right_gets_a_slot_that_is_idle() -> None:
+    for name in ("ss-1", "ss-2", "ss-3", "ss-4"):  # whoever stands first in line there
+        lab = Busy(1, name=name)
+        lab.reserve("ada", "a")
+        lab.wait(LEND_S + 2.0)
+        lab.reserve("bob", "b")
+        lab.working.add(("bob", "b"))
+        lab.wait(3.0)
+        assert lab.of_user("bob") == 1
+
+
+def test_servers_of_one_slot_do_not_all_begin_with_the_same_run() -> None:
+    first = Counter[Who]()
+    for number in range(32):
+        lab = Busy(1, name=f"ss-{number}")
+        for run in range(4):
+            lab.reserve("ada", f"run-{run}")
+            lab.working.add(("ada", f"run-{run}"))
+        lab.wait(3.0)
+        first += lab.slots()
+    assert len(first) == 4
+
+
+def test_a_run_that_takes_over_keeps_what_it_used() -> None:
+    lab = Busy(1)
+    lab.reserve("ada", "a")
+    lab.wait(20.0)
+    used = lab.table.leases["ada", "a"].used
+    assert used > 10.0
+    lab.ask(("ada", "a"), reserve(nonce=9, epoch=1))
+    assert lab.table.leases["ada", "a"].used == used
 
 
 def test_slots_that_were_lent_are_no_more_after_the_lease_ended() -> None:

@@ -5,6 +5,8 @@ import sys
 import tempfile
 from pathlib import Path
 
+from zswarm.system.processes import MODULE
+
 NAME = "local"  # of the server; its id is this, "-" and 8 hex digits
 LOG_TAIL = 1000  # characters shown if it ended by itself
 
@@ -23,7 +25,7 @@ class LocalServer:
             self._process = subprocess.Popen(
                 [
                     sys.executable,
-                    "-m",
+                    *MODULE,
                     "zswarm.ss",
                     *server,
                     *private,

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 from zswarm.errors import ConfigError
+from zswarm.system.processes import CODE
 from zswarm.system.text import clean
 
 LONGEST_S = 120.0  # the first replay of a simulator compiles it
@@ -50,7 +51,7 @@ class ReplayCache:
 async def _compute(folder: Path, *numbers: int) -> bytes:
     program = await asyncio.create_subprocess_exec(
         sys.executable,
-        "-c",
+        *CODE,
         PROGRAM,
         str(folder.resolve()),
         *map(str, numbers),

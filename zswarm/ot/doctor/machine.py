@@ -23,6 +23,7 @@ from zswarm.ot.doctor.finding import Findings, broken, ok, warning
 from zswarm.ot.record import database
 from zswarm.security import keyring
 from zswarm.system.extras import how, requirements
+from zswarm.system.processes import CODE
 from zswarm.system.version import VERSION
 
 OLDEST, NEWEST = (3, 11), (3, 14)  # Python versions
@@ -68,7 +69,7 @@ def packages() -> Findings:
     script = "".join(
         f"print({name!r}, flush=True); import {name}\n" for name in IMPORTED.values()
     )
-    command = [sys.executable, "-c", script]
+    command = [sys.executable, *CODE, script]
     try:
         done = subprocess.run(
             command, capture_output=True, text=True, timeout=IMPORT_S, check=False

@@ -23,6 +23,7 @@ from zswarm.protocol.messages import Requirements
 from zswarm.session import Reach
 from zswarm.system import scouting
 from zswarm.system.format import plural
+from zswarm.system.processes import MODULE
 from zswarm.system.text import clean
 
 ASK_S = 10.0
@@ -62,7 +63,7 @@ def _daemons() -> dict[str, list[str]]:
     """Return the endpoints of this machine's servers that can be asked."""
     try:
         views = map(
-            json.loads, _output(sys.executable, "-m", "zswarm.ss", "status", "--json")
+            json.loads, _output(sys.executable, *MODULE, "zswarm.ss", "status", "--json")
         )
         return {
             clean(str(view["server"])): [str(end) for end in view["listen"]]

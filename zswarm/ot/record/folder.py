@@ -68,7 +68,8 @@ def lock_folder(folder: Path, what: str = "run") -> int:
         ConfigError: another program has the lock, or the folder cannot be written.
     """
     try:
-        lock = os.open(folder / "lock", os.O_CREAT | os.O_RDWR, 0o644)
+        # Of a folder that somebody else made: a link would create a file elsewhere.
+        lock = os.open(folder / "lock", os.O_CREAT | os.O_RDWR | os.O_NOFOLLOW, 0o644)
     except OSError as error:
         raise ConfigError(f"{folder}: cannot be written: {error.strerror}") from None
     for attempt in range(LOCK_TRIES):
@@ -84,7 +85,7 @@ def lock_folder(folder: Path, what: str = "run") -> int:
 def is_running(folder: Path) -> bool:
     """Return whether a program has locked the folder."""
     try:
-        lock = os.open(folder / "lock", os.O_RDONLY | os.O_NONBLOCK)
+        lock = os.open(folder / "lock", os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
     except OSError:
         return False
     try:

@@ -168,7 +168,10 @@ def _python_with(library: str) -> str:
     for python in candidates:
         with contextlib.suppress(OSError, subprocess.CalledProcessError):
             subprocess.run(
-                [python, "-c", f"import {library}"], capture_output=True, check=True
+                [python, "-c", f"import {library}"],
+                capture_output=True,
+                check=True,
+                cwd="/",  # which -c puts on the path; Pythons before 3.11 have no -P
             )
             return python
     return candidates[-1]

@@ -22,6 +22,7 @@ from zswarm.ros.simulation.settings import RosSettings
 from zswarm.sims import turtlebot_exit
 from zswarm.sims.simulator import RobotInterface
 from zswarm.system.locks import locked
+from zswarm.system.processes import MODULE
 
 NS = 1_000_000_000
 READY_S = 30.0  # for both sides to find each other
@@ -183,7 +184,7 @@ def _node(settings: RosSettings, here: RosGraph, channels: str) -> list[str]:
         "--deadline-s": settings.deadline_s,
         "--settings": msgspec.json.encode(world).decode(),
     }
-    command = [sys.executable, "-m", "zswarm.ros.simulation.node", "--child"]
+    command = [sys.executable, *MODULE, "zswarm.ros.simulation.node", "--child"]
     command += [str(word) for option in options.items() for word in option]
     return command + [word for endpoint in here.listen for word in ("--listen", endpoint)]
 

@@ -67,6 +67,7 @@ class LeaseTable(dict[tuple[str, str], HeldLease]):
         lease = HeldLease(token, user, run, reserve, reserve.slots, now, now, jobs)
         self[user, run] = lease
         if previous is not None:
+            lease.used, lease.used_at_turn = previous.used, previous.used_at_turn
             self._close(previous, "taken over")
         return lease
 

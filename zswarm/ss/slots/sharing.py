@@ -3,13 +3,14 @@
 - Users get equal shares, as far as their runs want slots; then the runs of a user do. What cannot
   be divided goes to those who stand first in line.
 - A lease that had nothing to evaluate for ``LEND_S`` keeps its right, but its idle slots are lent
-  to leases with trials that wait. It gets them back, each at the end of a chunk, when it has work.
+  to leases with trials that wait, one for each trial at most. It gets them back, each at the end of
+  a chunk, when it has work.
 - Where a lease would have no slot at all, leases take turns: after ``TURN_S`` those that used most
   slot-seconds lately go to the end of the line. A turn is longer where a trial or the preparation
   takes long, so that more time is computed than is prepared.
 
 The line is another one at each server: of several servers with one slot, each begins with another
-user.
+user, or another run of a user.
 """
 
 import hashlib
@@ -49,17 +50,23 @@ class Sharing(msgspec.Struct, eq=False):
         """Return what each lease may hold; those that failed are left out."""
         line = sorted(
             (lease for lease in leases if not lease.failure),
-            key=lambda lease: (self._place(lease.user), lease.user, lease.used_at_turn),
+            key=lambda lease: (
+                self._place(self.at_turn.get(lease.user, 0.0), lease.user),
+                lease.user,
+                self._place(lease.used_at_turn, f"{lease.user}/{lease.run}"),
+            ),
         )
         rights = _by_user(line, capacity, lambda lease: lease.wanted)
         idle = {lease for lease in line if lease.idle(now, LEND_S)}
-        if not idle or not any(lease.jobs.waiting for lease in line):
+        if not idle or not any(lease.jobs.waiting or not rights[lease] for lease in line):
             return Shares(rights, rights)
 
         def needed(lease: HeldLease) -> int:
             if lease in idle:
                 return min(rights[lease], lease.working())
-            return lease.wanted if lease.jobs.waiting else rights[lease]
+            # One that has no right to a slot shows that it has work once it has one.
+            useful = lease.useful() if lease.jobs.waiting else 1
+            return max(rights[lease], min(lease.wanted, useful))
 
         shares = _by_user(line, capacity, needed)
         left = capacity - sum(shares.values())  # that nobody borrows
@@ -69,9 +76,9 @@ class Sharing(msgspec.Struct, eq=False):
             left -= kept
         return Shares(rights, shares)
 
-    def _place(self, user: str) -> tuple[float, bytes]:
-        tie = hashlib.blake2b(f"{self.server}\n{user}".encode(), digest_size=8).digest()
-        return self.at_turn.get(user, 0.0), tie
+    def _place(self, used: float, name: str) -> tuple[float, bytes]:
+        tie = hashlib.blake2b(f"{self.server}\n{name}".encode(), digest_size=8).digest()
+        return used, tie
 
     def pass_time(self, leases: Collection[HeldLease], capacity: int, now: float) -> None:
         """Count what was used since the last call, and begin the next turn when it is due."""
@@ -118,9 +125,15 @@ def divide(count: int, wanted: Sequence[int]) -> list[int]:
     """Give everybody the same number, as far as it is wanted; the first ones get the remainder."""
     shares = [0] * len(wanted)
     served = [place for place, want in enumerate(wanted) if want][:count]
-    served.reverse()  # the sort is stable: the remainder is left to those in front
-    served.sort(key=lambda place: wanted[place])
-    for number, place in enumerate(served):
-        shares[place] = min(wanted[place], count // (len(served) - number))
-        count -= shares[place]
+    while served:
+        level = count // len(served)
+        content = [place for place in served if wanted[place] <= level]
+        for place in content or served:
+            shares[place] = min(wanted[place], level)
+            count -= shares[place]
+        if not content:
+            for place in served[:count]:
+                shares[place] += 1
+            break
+        served = [place for place in served if wanted[place] > level]
     return shares

@@ -125,6 +125,11 @@ class HeldLease(msgspec.Struct, eq=False):
         """Return how many slots evaluate or are prepared."""
         return sum(slot.state in ("preparing", "busy") for slot in self.slots)
 
+    def useful(self) -> int:
+        """Return how many slots have a trial, or could have one that waits."""
+        busy = sum(slot.state == "busy" for slot in self.slots)
+        return busy + sum(job.rest() for job in self.jobs.waiting)
+
     def watch_idle(self, now: float) -> None:
         """Notice whether slots are idle, or lent because they were."""
         if self.jobs.waiting or not (

@@ -34,6 +34,7 @@ from zswarm.kernels.jit import PLAIN
 from zswarm.plugins.version_hash import version_hash
 from zswarm.protocol import codec
 from zswarm.protocol.messages import Outcomes, Refused, Reserve, Sensors
+from zswarm.security import keyring
 from zswarm.ss.slots.events import (
     Died,
     Exhausted,
@@ -48,8 +49,8 @@ from zswarm.ss.slots.events import (
 from zswarm.ss.workers import memory
 from zswarm.ss.workers.frames import BrokenFrameError, ProcessEnd
 from zswarm.ss.workers.remote import Trial, Unanswered
-from zswarm.system import shared_memory
-from zswarm.system.process_state import left_behind, process_state
+from zswarm.system import landlock, shared_memory
+from zswarm.system.process_state import TIMERS, left_behind, process_state
 from zswarm.system.text import clean
 
 # In this order; the fork server binds itself to the server before all that takes long.
@@ -106,6 +107,7 @@ def main(
     _cut_off_copies(pipe, progress)
     _redirect(output)
     memory.go_first()
+    landlock.hide({keyring.SYSTEM, keyring.of_user(), keyring.find() or keyring.SYSTEM})
     # Every child inherits the pipe that keeps the fork server alive: it must end with the server.
     os.close(multiprocessing.forkserver._forkserver._forkserver_alive_fd)  # type: ignore[attr-defined]  # private
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -177,7 +179,8 @@ class SlotProcess:
         else:
             self._evaluate.warm_up(*parts, in_turns=in_turns)
         self._recycle_at = (memory.used() + (limit_mb << 20)) // 2
-        self._prepared = process_state()
+        # No trial may leave a timer, that of the warm-up neither.
+        self._prepared = process_state()._replace(timers=[False] * len(TIMERS))
         self._known_memory = self._shared_memory.copy()
         # The probe's trials do not ask the optimizer; those of the run take longer.
         return Prepared(self._slot, probe, 0.0 if reserve.asks else trial_s)

@@ -9,10 +9,12 @@ import functools
 import math
 import multiprocessing
 import multiprocessing.forkserver
+import multiprocessing.util
 import os
 import queue
 import selectors
 import socket
+import subprocess
 import threading
 import time
 from collections.abc import Callable
@@ -54,7 +56,15 @@ def start_fork_server() -> None:
     # A simulator that iterates over a set of strings then does so in one order in all slots.
     os.environ["PYTHONHASHSEED"] = "0"
     _context.set_forkserver_preload(child.PRELOADED)
+    # Its socket is in a private folder, and the current folder is not on its path.
+    multiprocessing.util.abstract_sockets_supported = False  # type: ignore[misc]  # once
+    multiprocessing.util._args_from_interpreter_flags = _flags  # type: ignore[attr-defined]  # private
     multiprocessing.forkserver.ensure_running()
+
+
+def _flags() -> list[str]:
+    """Return options of Python for the fork server and multiprocessing's own programs."""
+    return [*subprocess._args_from_interpreter_flags(), "-P"]  # type: ignore[attr-defined]  # private
 
 
 class Owner(Protocol):

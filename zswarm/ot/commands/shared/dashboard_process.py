@@ -7,6 +7,8 @@ import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from zswarm.system.processes import MODULE
+
 END_S = 5.0  # until it is killed
 
 
@@ -27,7 +29,7 @@ def dashboard(
     program = subprocess.Popen(
         [
             sys.executable,
-            "-m",
+            *MODULE,
             "zswarm.ot",
             "dashboard",
             str(folder),
