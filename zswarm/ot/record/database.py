@@ -17,6 +17,7 @@ from zswarm.ot.record.schema import TABLES
 COMMIT_S = 0.1
 RETRY_S = 1.0  # during a disk outage
 WAL = b"\x02\x02"  # bytes 18 and 19 of a database with a write-ahead log
+TRIGGERS = "SELECT 1 FROM sqlite_master WHERE type = 'trigger'"
 SIDE_FILES = ("-wal", "-shm", "-journal")  # that SQLite keeps next to a database
 NETWORK_FILE_SYSTEMS = frozenset(
     "nfs nfs4 cifs smb3 smbfs 9p afs ceph glusterfs lustre fuse.sshfs".split()
@@ -113,7 +114,7 @@ class Database:
         """Commit everything in one transaction, now.
 
         Raises:
-            ConfigError: the file is gone.
+            ConfigError: the file is gone, or a value is too large for SQLite.
             sqlite3.OperationalError, OSError: the disk refuses it; see ``outage``.
         """
         pause = COMMIT_S if self._outage_since is None else RETRY_S
@@ -124,7 +125,13 @@ class Database:
             raise ConfigError(
                 f"{self._folder}: moved, removed or unmounted while the run went on"
             )
-        transact(self._connection, self.unwritten)
+        try:
+            transact(self._connection, self.unwritten)
+        except (sqlite3.DataError, OverflowError) as error:
+            raise ConfigError(
+                f"{self._folder}: cannot be recorded: {error}; SQLite takes at most "
+                "1,000,000,000 bytes in a value"
+            ) from None
         self.unwritten = []
 
     def write_once(self) -> None:
@@ -175,6 +182,10 @@ def connect(path: Path) -> sqlite3.Connection:
             f"PRAGMA journal_mode = {'DELETE' if on_network(path) else 'WAL'}"
         )
         connection.execute("PRAGMA synchronous = FULL")
+        connection.execute("PRAGMA trusted_schema = OFF")
+        # The record may come from somebody else, whose SQL would run when something is written.
+        if connection.execute(TRIGGERS).fetchone():
+            raise sqlite3.DatabaseError("it has a trigger; zswarm makes none")
         # macOS: without it the drive may still have what was synced in its cache.
         connection.execute("PRAGMA fullfsync = ON")
     except BaseException:  # KeyboardInterrupt, too
