@@ -105,8 +105,7 @@ class Requests:
         asked = control.asked(self._folder)
         if asked == "pause":
             self._logger.on_say(
-                "the run pauses, as requested, until it is asked to continue; others may have "
-                "its slots"
+                "the run pauses, as requested, until it is asked to continue"
             )
             cluster.pause(paused=True)
             while asked == "pause" and not self._stop.is_set():
