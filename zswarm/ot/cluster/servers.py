@@ -228,10 +228,10 @@ class Servers(msgspec.Struct, eq=False):
             self._reserve(*choice)
         at = allotment.at if allotment.at > now else math.inf
         while (choice := allotment.partial()) is not None:
-            server, server.wanted = choice
-            server.growing = True
-            self.roster.update(server)
-            self._ask(server)
+            grown, grown.wanted = choice
+            grown.growing = True
+            self.roster.update(grown)
+            self._ask(grown)
         allotment.rounds(now)
         allotment.at = at
 
