@@ -228,8 +228,8 @@ class Servers(msgspec.Struct, eq=False):
             self._reserve(*choice)
         at = allotment.at if allotment.at > now else math.inf
         while (choice := allotment.partial()) is not None:
-            grown, grown.wanted = choice
-            grown.growing = True
+            grown, wanted = choice
+            grown.wanted, grown.growing = wanted, True
             self.roster.update(grown)
             self._ask(grown)
         allotment.rounds(now)
