@@ -114,9 +114,25 @@ def test_a_new_run_gets_idle_slots_at_once_and_others_after_their_chunk() -> Non
 
 def test_slots_are_shared_evenly_and_the_remainder_goes_to_earlier_runs() -> None:
     server = Server(8)
-    for name, wanted in (("a", 100), ("b", 1), ("c", 100), ("d", 100)):
-        server.ready(name, slots=wanted)
-    assert [server.reserve(name).slots for name in "abcd"] == [3, 1, 2, 2]
+    wanted = {"a": 100, "b": 1, "c": 100, "d": 100}
+    for name, slots in wanted.items():
+        server.ready(name, slots=slots)
+    assert [
+        server.reserve(name, slots=slots).slots for name, slots in wanted.items()
+    ] == [
+        3,
+        1,
+        2,
+        2,
+    ]
+
+
+def test_the_holder_of_a_lease_may_want_more_slots() -> None:
+    """It keeps the lease."""
+    server = Server(4)
+    first = server.reserve(slots=1)
+    grown = server.reserve(slots=3)
+    assert (first.slots, grown.slots, grown.lease) == (1, 3, first.lease)
 
 
 def test_a_run_gets_slots_back_when_other_runs_end() -> None:

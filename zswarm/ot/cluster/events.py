@@ -57,11 +57,27 @@ class TimePassed(msgspec.Struct, frozen=True):
     """The time that was asked for has come."""
 
 
+class Pause(msgspec.Struct, frozen=True):
+    """The run pauses, and holds no slots; or the pause is over."""
+
+    paused: bool
+
+
 class Leave(msgspec.Struct, frozen=True):
     """Release all leases."""
 
 
-Event = Seen | Gone | Answered | Work | Arbitrated | ProbeArbitrated | TimePassed | Leave
+Event = (
+    Seen
+    | Gone
+    | Answered
+    | Work
+    | Arbitrated
+    | ProbeArbitrated
+    | TimePassed
+    | Pause
+    | Leave
+)
 
 
 class Ask(msgspec.Struct, frozen=True):

@@ -159,6 +159,8 @@ class SlotTable:
         lease = self.leases.get((user, run))
         if lease is not None and lease.reserve.nonce == message.nonce:
             lease.renew(out.now)
+            if message.slots != lease.reserve.slots:
+                lease.reserve, lease.wanted = message, message.slots
         elif reason := self.leases.outdated(user, run, message.epoch):
             return out.refuse(query, "superseded", reason)
         elif self.draining:
