@@ -22,7 +22,12 @@ from zswarm.kernels.random import Stream, derive_seed
 from zswarm.nets.networks import Networks
 from zswarm.nets.representation import Representation
 from zswarm.plugins import registry as plugins
-from zswarm.protocol.messages import PROBE_GENOMES, PROBE_SEEDS
+from zswarm.protocol.messages import (
+    PROBE_DIGEST,
+    PROBE_GENOMES,
+    PROBE_SEEDS,
+    PROBE_TRIALS,
+)
 from zswarm.sims.raised import error_text, is_outcome
 from zswarm.sims.randomized import Varied
 from zswarm.sims.simulator import (
@@ -59,10 +64,13 @@ class _Played(NamedTuple):
     spoiled: bool = False  # the process is not to play others
 
 
+PROBE_S = 10.0  # seconds that a probe may take, except for its first trial
+
+
 class Probe(NamedTuple):
     """The result of the trials that every machine plays."""
 
-    digest: bytes  # of the outcomes
+    digest: bytes  # of each trial's outcomes, PROBE_DIGEST bytes; empty if it is not repeatable
     trial_s: float  # time of one of the trials
 
 
@@ -350,22 +358,54 @@ def warm_up(
 
 
 def probe(
-    simulator: Simulator, representation: Representation, *, in_turns: bool = False
+    simulator: Simulator,
+    representation: Representation,
+    most: int = PROBE_TRIALS,
+    *,
+    budget_s: float = PROBE_S,
+    in_turns: bool = False,
 ) -> Probe:
     """Play the trials by which machines are compared, after warming up.
 
-    They are four random genomes on two seeds. If the simulator is not repeatable, the digest is the
-    same on all machines.
+    They are four random genomes on two seeds. Of a simulator that is not repeatable, one trial is
+    played.
+
+    Args:
+        most: trials to play.
+        budget_s: seconds; what would take longer is left out, except for the first trial.
     """
-    first = warm_up(simulator, representation, in_turns=in_turns)
+    if not in_turns:
+        compile_all()  # what this takes is not the time of a trial
     begin = time.perf_counter()
-    rest = _play_probe(simulator, representation, slice(1, None), in_turns=in_turns)
-    elapsed = time.perf_counter() - begin
-    digest = hashlib.blake2b(digest_size=16)
-    for outcomes in (first, rest) if simulator.repeatable else ():
-        digest.update(outcomes.fitness.astype("<f8").tobytes())
-        digest.update(outcomes.metrics.astype("<f8").tobytes())
-    return Probe(digest.digest(), elapsed / len(rest.fitness))
+    parts = [warm_up(simulator, representation, in_turns=in_turns)]
+    spent_s = trial_s = time.perf_counter() - begin
+    if not simulator.repeatable:
+        return Probe(b"", trial_s)
+    played = 1
+    while played < most:
+        # One more first: the first one may have loaded something.
+        count = 1 if played == 1 else most - played
+        count = int(min(count, (budget_s - spent_s) // trial_s))
+        if count < 1:
+            break
+        some = slice(played, played + count)
+        parts.append(_play_probe(simulator, representation, some, in_turns=in_turns))
+        before_s, spent_s = spent_s, time.perf_counter() - begin
+        trial_s = (spent_s - before_s) / count
+        played += count
+    return Probe(b"".join(map(_digests, parts)), trial_s)
+
+
+def _digests(outcomes: TrialOutcomes) -> bytes:
+    """Return a digest for each trial, one after the other."""
+    rows = zip(outcomes.fitness, outcomes.metrics, strict=True)
+    return b"".join(
+        hashlib.blake2b(
+            fitness.astype("<f8").tobytes() + metrics.astype("<f8").tobytes(),
+            digest_size=PROBE_DIGEST,
+        ).digest()
+        for fitness, metrics in rows
+    )
 
 
 def _play_probe(

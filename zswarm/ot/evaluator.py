@@ -7,6 +7,7 @@ together.
 
 import contextlib
 import logging
+import math
 import operator
 import secrets
 import threading
@@ -216,7 +217,9 @@ def arbitrate(
     """Evaluate on this machine what servers disagree about; trials are of the workload."""
     simulator, representation = problem.simulator, problem.representation
     if isinstance(dispute, ProbeDisputed):
-        return ProbeArbitrated(evaluate.probe(simulator, representation).digest)
+        most = dispute.trials
+        probe = evaluate.probe(simulator, representation, most, budget_s=math.inf)
+        return ProbeArbitrated(probe.digest)
     assert workload is not None  # noqa: S101  a trial is of one
     trials = workload.batch(np.array([dispute.trial]))
     outcomes = evaluate.evaluate(simulator, representation, *trials)

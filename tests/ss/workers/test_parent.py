@@ -181,7 +181,7 @@ def test_bundled_parts_work_with_the_least_memory_that_may_be_asked_for(
     prepare(slot, reserve(simulator, representation, MIN_MEMORY_MB), probe=True)
     prepared = answer(slot)
     assert isinstance(prepared, Prepared), prepared
-    assert len(prepared.probe) == 16
+    assert len(prepared.probe) == PROBE_TRIALS * PROBE_DIGEST
     assert limit(slot, "Max data size") == str(MIN_MEMORY_MB << 20)
     assert limit(slot, "Max core file size") == "0"
     assert int(Path(f"/proc/{pid(slot)}/oom_score_adj").read_text()) >= 500

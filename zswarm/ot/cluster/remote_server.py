@@ -43,6 +43,8 @@ from typing import Literal, Self
 import msgspec
 import numpy as np
 
+from zswarm.protocol.messages import PROBE_DIGEST
+
 # A server is faulty that failed this many trials that others could evaluate, and this share of all
 # it evaluated.
 BLAMED = 3
@@ -104,7 +106,7 @@ class RemoteServer(msgspec.Struct, eq=False):
     lease: bytes = b""  # while LEASED or LEAVING
     # A lease given up for silence, which may still be valid at the server.
     resumable_lease: bytes = b""
-    # Digest of its outcomes of the probe: some trials that every server plays. Equal code computes
+    # Digests of the trials of the probe, which every server plays. Equal code computes
     # equal bits on all machines (docs/architecture.md, "Determinism"): a server that differs from
     # this machine is wrong.
     probe: bytes = b""
@@ -164,3 +166,11 @@ class Standing(msgspec.Struct, frozen=True):
             slots=sum(server.ready for server in leased),
             probe=probe,
         )
+
+
+def differing_trial(one: bytes, other: bytes) -> int | None:
+    """Return the first trial of the probe that both played with different outcomes."""
+    for at in range(0, min(len(one), len(other)), PROBE_DIGEST):
+        if one[at : at + PROBE_DIGEST] != other[at : at + PROBE_DIGEST]:
+            return at // PROBE_DIGEST
+    return None

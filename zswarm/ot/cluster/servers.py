@@ -12,9 +12,16 @@ from msgspec import structs
 from zswarm.errors import LocalProtocolError
 from zswarm.ot.cluster.events import OpenQuery, Outbox, ProbeDisputed, Retracted
 from zswarm.ot.cluster.matching import Terms
-from zswarm.ot.cluster.remote_server import MOVES, Phase, RemoteServer, Standing
+from zswarm.ot.cluster.remote_server import (
+    MOVES,
+    Phase,
+    RemoteServer,
+    Standing,
+    differing_trial,
+)
 from zswarm.ot.notes import RunEvent
 from zswarm.protocol.messages import Lease, Offer, Refused, Release, Renew, Reply, Verb
+from zswarm.system.format import plural
 
 # A third of the lease time; only the reply to a renewal has the current number of slots.
 RENEW_S = 20.0
@@ -38,7 +45,7 @@ class Servers(msgspec.Struct, eq=False):
     leaving: dict[str, RemoteServer] = {}  # those in the phase LEAVING
     probe: bytes = b""  # digest of the probe's outcomes, once known
     _probe_disputed: bool = False
-    _probe_arbitrated: bool = False
+    _probe_arbitrated: bytes = b""  # what this machine computed of it
     _ask_at: float = math.inf  # no server is due before
     _allot_at: float = math.inf  # no slots are to be allotted before
 
@@ -234,9 +241,11 @@ class Servers(msgspec.Struct, eq=False):
             self._move(server, Phase.LEASED)
             self.out.note(RunEvent(f"lease_{lease.state}"), server.id, count=lease.slots)
         if lease.probe:
-            server.probe, self.probe = lease.probe, self.probe or lease.probe
-            if server.probe != self.probe:
-                self._probe_differs(server)
+            server.probe = lease.probe
+            if (trial := differing_trial(server.probe, self.probe)) is None:
+                self.probe = max(self.probe, server.probe, key=len)
+            else:
+                self._probe_differs(server, trial)
                 return
         if not server.trial_s:
             server.trial_s = lease.trial_s
@@ -294,24 +303,28 @@ class Servers(msgspec.Struct, eq=False):
 
     # ---- servers that are wrong or faulty
 
-    def _probe_differs(self, server: RemoteServer) -> None:
-        if self._probe_arbitrated:
+    def _probe_differs(self, server: RemoteServer, trial: int) -> None:
+        if differing_trial(server.probe, self._probe_arbitrated) is not None:
             self.ban(server, "its outcomes of the probe are wrong")
             return
         self._end(server, Phase.BACKED_OFF, release=True, again_s=BACK_OFF_S)
-        text = "its outcomes of the probe differ from those of other servers; this machine decides"
+        text = (
+            f"its outcome of trial {trial} of the probe differs from that of other servers; this"
+            f" machine decides, and plays {plural(trial + 1, 'trial')} without compiled code"
+        )
         self.out.note(RunEvent.SERVER_DIFFERS, server.id, text)
         if not self._probe_disputed:
             self._probe_disputed = True
-            self.out.commands.append(ProbeDisputed())
+            self.out.commands.append(ProbeDisputed(trial + 1))
 
     def arbitrate_probe(self, digest: bytes) -> None:
         """Ban the servers whose outcomes of the probe differ from this machine's."""
-        self.probe, self._probe_arbitrated = digest, True
+        self.probe = self._probe_arbitrated = digest
+        self._probe_disputed = False
         for server in self.by_id.values():
-            if server.probe and server.probe != digest:
+            if differing_trial(server.probe, digest) is not None:
                 self.ban(server, "its outcomes of the probe are wrong")
-            elif server.probe == digest and server.phase == Phase.BACKED_OFF:
+            elif server.probe and server.phase == Phase.BACKED_OFF:
                 self._ask_by(server, self.out.now)
 
     def ban(self, server: RemoteServer, text: str) -> None:
