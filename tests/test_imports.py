@@ -77,7 +77,7 @@ ss:                 BASE plugins protocol security session ss.local ss.slots ss.
 ss.local:           BASE ss.slots ss.workers
 ss.slots:           errors protocol
 ss.workers:         BASE evaluate kernels plugins protocol security ss.slots
-testing:            config evaluate kernels nets ot.optimizers plugins sims
+testing:            config evaluate kernels nets ot.optimizers plugins sims system
 """
 BASE = {"errors", "config", "system"}
 MAY_IMPORT = {

@@ -33,6 +33,7 @@ from zswarm.config.sections import (
     Positive,
     ProblemConfig,
     RankingKind,
+    RecordConfig,
     StudyConfig,
 )
 from zswarm.config.suggest import nearest
@@ -59,6 +60,7 @@ class Experiment(msgspec.Struct, frozen=True, kw_only=True):
     optimizer: PartConfig
     ranking: PartConfig = PartConfig(kind=ABSOLUTE, settings={})
     cluster: ClusterConfig
+    record: RecordConfig = RecordConfig()
     study: StudyConfig = StudyConfig()
 
 
@@ -84,6 +86,7 @@ class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     optimizer: dict[str, Any]
     ranking: dict[str, Any] = {}
     cluster: ClusterConfig = ClusterConfig()
+    record: RecordConfig = RecordConfig()
     study: StudyConfig = StudyConfig()
 
 
@@ -93,6 +96,7 @@ TABLES: dict[str, type[msgspec.Struct]] = {
     "optimizer": PartKind,
     "ranking": RankingKind,
     "cluster": ClusterConfig,
+    "record": RecordConfig,
     "study": StudyConfig,
 }
 CHECKS: dict[str, Callable[[list[str], str], Any]] = {  # of [cluster]

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.ot.record.sealing import reseal
 from zswarm import experiment
 from zswarm.controller import Controller
 from zswarm.ot.record.schema import SCHEMA_VERSION
@@ -111,15 +112,18 @@ def write(
         *events,
     ]
     with sqlite3.connect(folder / "run.sqlite") as database:
-        database.executemany("INSERT INTO generations VALUES (?, ?, ?, ?, ?, ?)", history)
         database.executemany(
-            "INSERT INTO candidates (generation, candidate, genome, fitness) VALUES (?, ?, ?, ?)",
+            "INSERT INTO generations VALUES (?, ?, ?, ?, ?, ?, x'', 0, 0)", history
+        )
+        database.executemany(
+            "INSERT INTO candidates (generation, candidate, genome, fitness, digest) "
+            "VALUES (?, ?, ?, ?, x'')",
             told,
         )
         database.executemany(
             "INSERT INTO outcomes (generation, asked, count, trials, fitness, metrics, faulted, "
-            "server, seconds, at) "
-            "VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+            "server, seconds, at, digest) "
+            "VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, 0)",
             outcomes,
         )
         database.executemany(EVENT, kinds)
@@ -129,6 +133,7 @@ def write(
                 "INSERT INTO meta VALUES ('history_hash', ?)", ("0123456789abcdef" * 2,)
             )
     database.close()
+    reseal(folder)
     return folder
 
 
@@ -136,11 +141,12 @@ def grow(folder: Path, generation: int, best: float) -> None:
     """Add a generation, as an active run would."""
     with sqlite3.connect(folder / "run.sqlite", timeout=30) as database:
         database.execute(
-            "INSERT INTO generations VALUES (?, ?, ?, ?, ?, ?)",
+            "INSERT INTO generations VALUES (?, ?, ?, ?, ?, ?, x'', 0, 0)",
             (generation, time.time(), best, best / 2, CANDIDATES, "{}"),
         )
         database.execute(EVENT, (time.time(), generation, "requeued", "", "", 3))
     database.close()
+    reseal(folder)
 
 
 def from_the_future(folder: Path) -> None:
@@ -151,3 +157,4 @@ def from_the_future(folder: Path) -> None:
             (SCHEMA_VERSION + 1,),
         )
     database.close()
+    reseal(folder)

@@ -13,6 +13,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from tests.browser.conftest import Dashboard, Watched
 from tests.browser.records import BEGUN, from_the_future, grow, write
+from tests.ot.record.sealing import reseal
 from zswarm.ot.record import control_file as control
 from zswarm.ot.record.folder import lock_folder
 
@@ -272,6 +273,7 @@ def test_hostile_names_are_text(page: Page, dashboard: Start, tmp_path: Path) ->
             (f'{{"best": 1, "mean": 0, "{HOSTILE.replace(chr(34), chr(39))}": 1}}',),
         )
     database.close()
+    reseal(folder)
     url = dashboard(tmp_path).url
     page.goto(url)
     page.locator(".tall tbody a").click()

@@ -335,7 +335,7 @@ def test_every_key_of_an_experiment_has_a_description(
 
 def test_the_top_level_keys_of_an_experiment_are_documented() -> None:
     """The plain ones in a table, the tables each in a section."""
-    tables = {"problem", "representation", "optimizer", "ranking", "cluster", "study"}
+    tables = {*experiment.TABLES}
     plain_keys = [
         field.name for field in fields(experiment.Experiment) if field.name not in tables
     ]

@@ -87,7 +87,7 @@ class _Check:
         self.trials = int(experiment["problem"].get("trials", 1))
         self.meta = dict(database.execute("SELECT key, value FROM meta"))
         self.claim(
-            self.meta.get("schema_version") in (1, 2, 3, 4),
+            self.meta.get("schema_version") == 5,
             f"schema {self.meta.get('schema_version')}",
         )
         self.generations = database.execute(
@@ -95,8 +95,9 @@ class _Check:
         ).fetchall()
         self.candidates: dict[int, list[tuple[bytes, float | None]]] = {}
         self.measures: dict[int, list[bytes]] = {}
-        for generation, candidate, genome, fitness, *measures in database.execute(
-            "SELECT * FROM candidates ORDER BY generation, candidate"
+        for generation, candidate, genome, fitness, measures in database.execute(
+            "SELECT generation, candidate, genome, fitness, measures FROM candidates "
+            "ORDER BY generation, candidate"
         ):
             of = self.candidates.setdefault(generation, [])
             self.claim(
@@ -104,15 +105,14 @@ class _Check:
                 f"generation {generation}: candidate {candidate} comes after {len(of) - 1}",
             )
             of.append((genome, fitness))
-            # None in schema 3.
-            self.measures.setdefault(generation, []).append((*measures, None)[0] or b"")
+            self.measures.setdefault(generation, []).append(measures or b"")
         rows = database.execute("SELECT * FROM outcomes ORDER BY id").fetchall()
-        self.rows = [(*row, 0)[:12] for row in rows]  # nothing is doubtful in schema 1
+        self.rows = [row[:12] for row in rows]
         # Candidates that played a trial, where they play each other.
         self.players: dict[tuple[int, int], list[int]] = {}
         self.each = 1  # participants of a trial
-        for _, generation, _, count, trials, *_, participants in (
-            row for row in rows if len(row) == 14 and row[13] is not None
+        for _, generation, _, count, trials, *_, participants, _ in (
+            row for row in rows if row[13] is not None
         ):
             games = np.frombuffer(participants, "<u4").reshape(count, -1)
             self.each = games.shape[1]
@@ -124,7 +124,9 @@ class _Check:
         self.events = database.execute(
             "SELECT generation, event, server, count, at FROM events ORDER BY rowid"
         ).fetchall()
-        self.optimizer = database.execute("SELECT generation FROM optimizer").fetchall()
+        self.optimizer = database.execute(
+            "SELECT DISTINCT generation FROM optimizer"
+        ).fetchall()
         self.outcomes: dict[tuple[int, int], bytes] = {}
         # Faulted or doubtful: no outcome of the genome.
         self.unsure: set[tuple[int, int]] = set()
@@ -292,9 +294,11 @@ class _Check:
                 sorted(counted[generation]) == expected,
                 f"{where}: more trials than its candidates have",
             )
-            digest = hashlib.blake2b(
-                b"".join(genome for genome, _ in candidates), digest_size=8
-            ).digest()
+            whole = b"".join(
+                hashlib.blake2b(genome, digest_size=16).digest()
+                for genome, _ in candidates
+            )
+            digest = hashlib.blake2b(whole, digest_size=8).digest()
             self.claim(
                 self.asked[generation] == digest,
                 f"{where}: its genomes are not those that were evaluated",

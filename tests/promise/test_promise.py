@@ -121,7 +121,7 @@ def flipped(blob: bytes, bit: int = 0) -> bytes:
 def count_twice(database: sqlite3.Connection) -> None:
     columns = (
         "generation, asked, count, trials, fitness, metrics, faulted, server, seconds, at, "
-        "doubtful"
+        "doubtful, digest"
     )
     database.execute(
         f"INSERT INTO outcomes ({columns}) SELECT {columns} FROM outcomes "  # noqa: S608

@@ -1,6 +1,6 @@
 """Shared memory by name: reported when it is created and removed."""
 
-import _posixshmem
+from collections.abc import Iterator
 from multiprocessing.shared_memory import SharedMemory
 
 import pytest
@@ -9,12 +9,11 @@ from zswarm.system import shared_memory
 
 
 @pytest.fixture
-def reports(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, bool]]:
-    for name in ("shm_open", "shm_unlink"):
-        monkeypatch.setattr(_posixshmem, name, getattr(_posixshmem, name))
+def reports() -> Iterator[list[tuple[str, bool]]]:
     found: list[tuple[str, bool]] = []
-    shared_memory.watch(lambda name, exists: found.append((name, exists)))
-    return found
+    stop = shared_memory.watch(lambda name, exists: found.append((name, exists)))
+    yield found
+    stop()
 
 
 def test_what_is_created_and_removed_is_reported(reports: list[tuple[str, bool]]) -> None:

@@ -10,6 +10,8 @@ import textwrap
 import threading
 import time
 from collections.abc import Iterator
+from multiprocessing.shared_memory import SharedMemory
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -201,10 +203,35 @@ class KeepsProcesses(Gather):
         return super().reset(seed)
 
 
+class SetsAnAlarm(Gather):
+    def reset(self, seed: int) -> Turn:
+        signal.alarm(3600)
+        return super().reset(seed)
+
+
+class ChangesSettings(Gather):
+    def reset(self, seed: int) -> Turn:
+        sys.setrecursionlimit(2345)
+        os.chdir("/")
+        os.environ["CHANGED"] = "1"
+        return super().reset(seed)
+
+
+class KeepsSharedMemory(Gather):
+    def reset(self, seed: int) -> Turn:
+        held.append(SharedMemory(create=True, size=10))
+        return super().reset(seed)
+
+
 @pytest.fixture
 def let_go() -> Iterator[None]:
     """Release what the simulators above keep."""
+    recursion, folder = sys.getrecursionlimit(), Path.cwd()
     yield
+    signal.alarm(0)
+    sys.setrecursionlimit(recursion)
+    os.chdir(folder)
+    os.environ.pop("CHANGED", None)
     while held:
         match held.pop():
             case int(process):
@@ -214,6 +241,9 @@ def let_go() -> Iterator[None]:
                 event.set()
             case bytearray():
                 pass
+            case SharedMemory() as shared:
+                shared.close()
+                shared.unlink()
             case file:
                 file.close()
 
@@ -288,6 +318,19 @@ AGAIN = "played again, after other trials, has another outcome: "
         (KeepsFilesOpen, "KeepsFilesOpen: each trial leaks 1 open files;"),
         (KeepsThreads, "KeepsThreads: each trial leaks 1 threads;"),
         (KeepsProcesses, "KeepsProcesses: each trial leaks 1 processes;"),
+        (
+            SetsAnAlarm,
+            "SetsAnAlarm: trials leave in their process: a timer or an alarm set;",
+        ),
+        (
+            ChangesSettings,
+            "the recursion limit changed to 2345; the working folder changed to /; the environment "
+            "variable CHANGED changed; restore or remove it at the end of the trial",
+        ),
+        (
+            KeepsSharedMemory,
+            r"KeepsSharedMemory: trials leave in their process: shared memory \(/psm_",
+        ),
     ],
 )
 def test_a_broken_rule_is_named(

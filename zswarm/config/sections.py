@@ -14,6 +14,7 @@ from zswarm.config.meta import about, above, within
 from zswarm.protocol.messages import MIN_MEMORY_MB, Megabytes
 
 Positive = Annotated[int, Meta(ge=1, le=1_000_000_000)]
+KeptGenomes = Literal["all", "best"] | Positive
 MAX_RUNS = 10_000  # of a study
 ABSOLUTE = "absolute"  # the default ranking
 KindName = Annotated[
@@ -177,6 +178,19 @@ class ClusterConfig(
             raise ValueError(
                 f"trial_memory_mb: expected 0 or at least {MIN_MEMORY_MB}, not {memory}"
             )
+
+
+class RecordConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[record]``: what is kept of a run. Nothing in it changes the result."""
+
+    genomes: Annotated[
+        KeptGenomes,
+        about(
+            "whose genomes are kept of a finished generation "
+            '([record.md](record.md#fewer-genomes)): "all"; "best": that of its best candidate; a '
+            "number N: all of every N-th generation, that of the best candidate of the others"
+        ),
+    ] = "all"
 
 
 class StudyConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -47,6 +47,11 @@ def build(complete: Experiment) -> Parts:
             f"{complete.ranking.kind} compare only within one; optimizers that take them: "
             f"{', '.join(_competing())}"
         )
+    if optimizer.replays and complete.record.genomes != "all":
+        raise ConfigError(
+            f'record: genomes: expected "all" with the optimizer {kind}: a resume tells it all '
+            "genomes again"
+        )
     optimizer.relative = problem.ranking.relative
     if optimizer.candidates is not None and optimizer.candidates < simulator.participants:
         raise ConfigError(

@@ -10,11 +10,17 @@ import numpy as np
 from zswarm import evaluate
 from zswarm.config.decode import convert
 from zswarm.controller import Controller
+from zswarm.errors import ConfigError, RemoteProtocolError
 from zswarm.experiment import Experiment
 from zswarm.kernels.random import Stream, derive_seed
 from zswarm.ot.rankings.ranking import Ranking, Round
 from zswarm.ot.workload import Workload
 from zswarm.plugins import registry as plugins
+from zswarm.protocol import codec
+from zswarm.protocol.messages import MAX_GENOME, MAX_GENOMES, MAX_MESSAGE, Requirements
+
+CHECKED_BYTES = 16 << 20  # of genomes that are checked at once
+OTHER_BYTES = 1000  # of a message, besides genomes, for each of them and once more
 
 
 class Problem:
@@ -37,6 +43,41 @@ class Problem:
         loaded = plugins.load("ranking", ranking.kind)
         settings = convert(ranking.settings, loaded.settings_type, "ranking")
         self.ranking: Ranking = loaded(settings, self.simulator.participants)
+        self._check_limits()
+
+    def _check_limits(self) -> None:
+        """Refuse what could not be sent to a server; genomes that grow are not known yet."""
+        problem, network = self.experiment.problem, self.experiment.representation
+        for where, sent in (
+            ("problem.settings", problem.settings),
+            ("representation", network.settings),
+        ):
+            try:
+                codec.decode_request(codec.encode(Requirements(settings=sent)))
+            except RemoteProtocolError as error:
+                raise ConfigError(
+                    f"{where}: cannot be sent to servers: {error}"
+                ) from None
+        participants = self.simulator.participants
+        if participants > MAX_GENOMES:
+            raise ConfigError(
+                f"problem.simulator: {problem.simulator} has {participants:,} participants in a"
+                f" trial; at most {MAX_GENOMES:,} can be sent to a server"
+            )
+        if self.genes is None or self.experiment.cluster.controller == "optimizer":
+            return
+        size = 4 * self.genes
+        genome = (
+            f"representation: {network.kind} has {self.genes:,} parameters with these"
+        )
+        genome += f" settings, a genome of {size:,} bytes"
+        if size > MAX_GENOME:
+            raise ConfigError(f"{genome}; at most {MAX_GENOME:,} can be sent to a server")
+        if participants * size > MAX_MESSAGE - OTHER_BYTES * (participants + 1):
+            raise ConfigError(
+                f"{genome}, and a trial of {problem.simulator} has {participants}"
+                f" participants; at most {MAX_MESSAGE:,} bytes can be sent to a server"
+            )
 
     def __eq__(self, other: object) -> bool:
         """Return whether the same genomes have the same outcomes."""
@@ -165,7 +206,11 @@ class Problem:
             )
         else:
             genomes = [vector.tobytes() for vector in self._float32(candidates)]
-        self.representation.parameters(genomes)  # refuses what no server could evaluate
+        at_once = max(1, CHECKED_BYTES // max(1, *map(len, genomes)))
+        for first in range(
+            0, len(genomes), at_once
+        ):  # refuses what no server could evaluate
+            self.representation.parameters(genomes[first : first + at_once])
         return genomes
 
     def vectors(self, genomes: Sequence[bytes]) -> np.ndarray:

@@ -4,8 +4,6 @@ import threading
 import time
 from collections.abc import Generator, Iterator
 
-import msgspec
-
 from zswarm.ot.build import Parts
 from zswarm.ot.cluster.connection import Connection
 from zswarm.ot.cluster.events import Counted, Retracted
@@ -13,7 +11,9 @@ from zswarm.ot.cluster.shell import Cluster, Item
 from zswarm.ot.generation import Assessment
 from zswarm.ot.logger import Generation, Logger, Result, Started
 from zswarm.ot.notes import Note, RunEvent, words
+from zswarm.ot.record.packing import PackedState
 from zswarm.ot.record.writer import Record
+from zswarm.ot.retelling import retell, timed
 from zswarm.ot.workload import Workload
 from zswarm.protocol import messages
 
@@ -90,11 +90,16 @@ class _Notebook:
         """Restore the optimizer, log how the run begins, and return its first generation."""
         record, optimizer, say = self._record, self._optimizer, self._logger.on_say
         complete, resumed = self._problem.experiment, record.resumed()
+        told = timed(record.told(), resumed.generation, say)
         if resumed.state is not None:
-            optimizer.restore(resumed.state, record.told())
-            if optimizer.best()[0]:
-                self._keep_champion()  # the program may have ended before it was written
-        self._history, self._improved = record.history(), optimizer.best()[1]
+            optimizer.restore(resumed.state, told)
+        elif optimizer.replays:
+            optimizer.restore({"generation": resumed.generation}, told)
+        else:
+            retell(optimizer, told, record.digests)
+        if resumed.generation and optimizer.best()[0]:
+            self._keep_champion()  # the program may have ended before it was written
+        self._improved = optimizer.best()[1]
         self._candidates = record.evaluations()
         record.note(Note(RunEvent.BEGAN, count=record.meta("epoch")))
         self._logger.on_start(Started(record.folder, complete, resumed.generation))
@@ -156,22 +161,22 @@ class _Notebook:
             )
             self._logger.on_progress(assessment.generation, counted, trials)
 
-    def tell(self, ended: Assessment) -> msgspec.Raw:
+    def tell(self, ended: Assessment) -> PackedState:
         """Tell the optimizer a generation, and return its state before the next ask."""
         self._fitness, self._measures = (
             ended.fitness(),
             ended.measures(self._optimizer.measures),
         )
         self._optimizer.tell(self._fitness, self._measures)
-        return msgspec.Raw(msgspec.msgpack.encode(self._optimizer.state()))
+        state = self._optimizer.state()
+        return self._record.pack(ended.generation, ended.genomes, state)
 
     def finish(
-        self, ended: Assessment, state: msgspec.Raw, cluster: Cluster
+        self, ended: Assessment, state: PackedState, cluster: Cluster
     ) -> Generation:
         """Record a generation, and its champion if it is a better one."""
         record, optimizer, standing = self._record, self._optimizer, cluster.standing
         genomes, fitness, measures = ended.genomes, self._fitness, self._measures
-        self._history.add(genomes, fitness, measures)
         statistics = optimizer.statistics()
         record.finish(ended.generation, genomes, fitness, statistics, state, measures)
         genome, best = optimizer.best()
@@ -197,7 +202,7 @@ class _Notebook:
 
     def result(self, seconds: float) -> Result:
         """Record the end of the run."""
-        record, history = self._record, self._history.hex()
+        record, history = self._record, self._record.history().hex()
         record.set_meta("history_hash", history)
         return Result(
             run=str(record.folder),

@@ -10,9 +10,9 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-MAX_MESSAGE = 8 << 20  # bytes
+MAX_MESSAGE = 32 << 20  # bytes
 MAX_GENOMES = 4096  # in one batch
-MAX_GENOME = 4_000_000  # bytes
+MAX_GENOME = 16_000_000  # bytes
 MAX_TRIALS = 65_536  # in one batch
 MAX_TEXT = 500  # characters
 MAX_SLOTS = 65_535

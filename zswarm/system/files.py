@@ -1,5 +1,7 @@
 """Write files completely or not at all."""
 
+import contextlib
+import fcntl
 import os
 from collections.abc import Collection
 from pathlib import Path
@@ -27,7 +29,7 @@ def write_whole(
                 os.fchown(opened, *owner)
             file.write(content)
             file.flush()
-            os.fsync(opened)
+            sync_descriptor(opened)
         part.replace(path)
     except BaseException:
         part.unlink(missing_ok=True)
@@ -50,9 +52,18 @@ def sync(folder: Path) -> None:
     """Sync a folder to disk, so that renamed files in it survive a crash."""
     opened = os.open(folder, os.O_RDONLY)
     try:
-        os.fsync(opened)
+        sync_descriptor(opened)
     finally:
         os.close(opened)
+
+
+def sync_descriptor(descriptor: int) -> None:
+    """Wait until an open file or folder is on the disk; on macOS, also out of the drive's cache."""
+    if hasattr(fcntl, "F_FULLFSYNC"):
+        with contextlib.suppress(OSError):  # a file system that does not know it
+            fcntl.fcntl(descriptor, fcntl.F_FULLFSYNC)
+            return
+    os.fsync(descriptor)
 
 
 def make_private(

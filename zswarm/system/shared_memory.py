@@ -8,8 +8,8 @@ from multiprocessing import resource_tracker
 from typing import Any
 
 
-def watch(report: Callable[[str, bool], None]) -> None:
-    """Report each name before it is created, and once it is removed, by this process.
+def watch(report: Callable[[str, bool], None]) -> Callable[[], None]:
+    """Report each name before it is created, and once it is removed; return what ends that.
 
     Args:
         report: called with the name, and whether it is to exist.
@@ -29,7 +29,11 @@ def watch(report: Callable[[str, bool], None]) -> None:
         remove(path)
         report(path, False)
 
+    def stop() -> None:
+        _posixshmem.shm_open, _posixshmem.shm_unlink = create, remove
+
     _posixshmem.shm_open, _posixshmem.shm_unlink = shm_open, shm_unlink
+    return stop
 
 
 def remove(name: str) -> None:

@@ -26,6 +26,8 @@ from zswarm.nets.networks import Networks
 from zswarm.nets.representation import Representation
 from zswarm.sims.simulator import CompiledSimulator, Simulator
 from zswarm.sims.turns import BrokenContractError, play_turns
+from zswarm.system import shared_memory
+from zswarm.system.process_state import left_behind, process_state
 from zswarm.testing.proxies import CheckedSimulator, Speed, TimedSimulator
 from zswarm.testing.rules import BrokenRule, checking, fully_meshed, require
 
@@ -56,6 +58,8 @@ def check_simulator(
     - A seed gives the same bits again: after other trials, after one that was abandoned, in another
       instance, at another time, whatever the state of ``random`` and ``numpy.random``.
     - No trial leaks memory, open files, threads or processes.
+    - No trial leaves timers or shared memory, or changes limits, signal handling, the recursion
+      limit, the umask, the working folder or environment variables.
     - A ``CompiledSimulator`` gives the same bits in its turns, in a batch, and trial by trial, and
       reports its progress and stops on request.
 
@@ -85,7 +89,7 @@ def check_simulator(
 def _check(new: Callable[[], Simulator]) -> Speed:
     checked = CheckedSimulator(new())
     trials = _CheckedTrials(new, checked.simulator)
-    with trials.world.in_state(1):
+    with trials.world.in_state(1), _leaving_nothing():
         trials.expected = [
             trials.play(checked, trial) for trial in range(len(trials.seeds))
         ]
@@ -325,6 +329,32 @@ def _check_leaks(play: Callable[[], object]) -> None:
     name, count = next(item for item in least.items() if item[1] > 0)
     text = "close or end what it opens, starts or stores, or use it for all trials"
     raise BrokenRule(f": each trial leaks {count:,} {name}; {text}")
+
+
+@contextlib.contextmanager
+def _leaving_nothing() -> Iterator[None]:
+    """Compare what this process has, but for files and threads, which may be for all trials."""
+    shared: set[str] = set()
+
+    def on_shared_memory(name: str, exists: bool) -> None:
+        (shared.add if exists else shared.discard)(name)
+
+    before = process_state()
+    stop = shared_memory.watch(on_shared_memory)
+    try:
+        yield
+    finally:
+        stop()
+    now = process_state()
+    # The compiler, which networks load when they are first used, sets variables of its own.
+    numba = {name: each for name, each in now.environment.items() if b"NUMBA" in name}
+    before.environment.update(numba)
+    left = left_behind(before._replace(files=now.files, threads=now.threads))
+    left += [f"shared memory ({name})" for name in sorted(shared)]
+    text = (
+        "restore or remove it at the end of the trial, or do it once in the constructor"
+    )
+    require(not left, f": trials leave in their process: {'; '.join(left)}; {text}")
 
 
 def _holds() -> dict[str, int]:

@@ -52,9 +52,11 @@ def written(parent: Path, seed: int = 1) -> Path:
     ) as record:
         for generation, best in enumerate(SCORES):
             statistics = {"best": best, "mean": 6.0}
-            record.finish(generation, [b"a", b"b"], np.array([best, 0.0]), statistics, {})
+            record.finish(
+                generation, [b"%d" % seed, b"b"], np.array([best, 0.0]), statistics, {}
+            )
         record.champion(champion(seed))
-        record.set_meta("history_hash", f"{seed:032}")
+        record.set_meta("history_hash", record.history().hex())
         return record.folder
 
 

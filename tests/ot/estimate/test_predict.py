@@ -11,6 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from tests.ot.invented_record import written
+from tests.ot.record.sealing import reseal
 from zswarm import experiment
 from zswarm.ot import cli
 from zswarm.ot.build import Parts, build
@@ -187,6 +188,7 @@ def with_times(folder: Path, seconds: float) -> Run:
             (begun, seconds),
         )
     database.close()
+    reseal(folder)
     return Run(folder)
 
 

@@ -15,7 +15,7 @@ from zswarm.kernels.sums import mean
 from zswarm.nets.fully_meshed import FullyMeshed, FullyMeshedSettings
 from zswarm.ot.optimizers import nnga
 from zswarm.ot.optimizers.breeding import MOST, STRIP, distances_of_pairs
-from zswarm.ot.optimizers.nnga import NNGA, OPERATORS, REPEATS, NNGASettings
+from zswarm.ot.optimizers.nnga import NNGA, OPERATORS, REPEATS, SUITORS, NNGASettings
 from zswarm.ot.record.history_hash import History
 from zswarm.testing import check_optimizer
 
@@ -765,6 +765,7 @@ class Counting(FullyMeshed):
 
     def distances(self, left: Any, right: Any) -> np.ndarray:
         self.calls["distances"] += 1
+        self.calls["pairs"] += len(left) * len(right)
         return super().distances(left, right)
 
 
@@ -772,18 +773,19 @@ class Counting(FullyMeshed):
 def test_a_generation_asks_the_representation_once_for_all_and_once_for_each_child(
     population: int,
 ) -> None:
-    """Only the array of distances grows with the square of the population."""
+    """Nothing grows with the square of the population."""
     network = Counting()
     optimizer = evolved(NNGA(NNGASettings(population=population), network, 1), 2)
     network.calls.clear()
     optimizer.statistics()
+    assert network.calls.pop("pairs") <= MOST * (MOST + STRIP)
     assert network.calls == {"distances": -(-min(MOST, population) // STRIP)}
     network.calls.clear()
     optimizer.ask()
-    assert (
-        0.3 * population <= network.calls.pop("crossover") <= 0.3 * population + REPEATS
-    )
-    assert network.calls == {"random": 1, "mutate": 1, "distances": 1}
+    children = network.calls.pop("crossover")
+    assert 0.3 * population <= children <= 0.3 * population + REPEATS
+    assert network.calls.pop("pairs") == SUITORS * children
+    assert network.calls == {"random": 1, "mutate": 1, "distances": children}
 
 
 # ---- the contract

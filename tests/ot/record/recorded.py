@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from tests.ot.record.sealing import reseal
 from zswarm import experiment
 from zswarm.controller import Controller
 from zswarm.errors import ConfigError
@@ -82,11 +83,12 @@ def evolve(record: Record, generations: int = 2, trials: int = 2) -> None:
 
 
 def edit(folder: Path, sql: str, *parameters: Any) -> None:
-    """Edit a record with another program."""
+    """Edit a record with another program, which also writes the digests again."""
     database = sqlite3.connect(folder / "run.sqlite")
     database.executescript(sql) if not parameters else database.execute(sql, parameters)
     database.commit()
     database.close()
+    reseal(folder)
 
 
 def content(folder: Path) -> dict[str, bytes]:

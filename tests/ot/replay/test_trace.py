@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from tests.evaluated_record import SHORT, played
+from tests.ot.record.sealing import reseal
 from zswarm import evaluate
 from zswarm.errors import ConfigError
 from zswarm.kernels.random import Stream
@@ -39,6 +40,7 @@ def changed(folder: Path, to: Path, sql: str, *values: Any) -> Run:
     database.execute(sql, values)
     database.commit()
     database.close()
+    reseal(to)
     return Run(to)
 
 
@@ -158,6 +160,9 @@ def test_a_run_of_other_code_is_played_where_the_bits_agree_and_else_refused(
     database = sqlite3.connect(run.folder / "run.sqlite")
     database.execute("UPDATE outcomes SET fitness = zeroblob(length(fitness))")
     database.commit()
+    database.close()
+    reseal(run.folder)
+    run = Run(run.folder)
     with pytest.raises(
         ConfigError,
         match=r"differs: computed by other code \(version hash f+, here [0-9a-f]{32}\), and trial "

@@ -12,6 +12,7 @@ from click.testing import CliRunner
 
 import zswarm
 from tests.ot.invented_record import written
+from tests.ot.record.sealing import reseal
 from zswarm.config.sections import PartConfig
 from zswarm.controller import CHAMPION, load_controller
 from zswarm.ot import cli
@@ -155,6 +156,7 @@ def test_the_report_claims_repeatability_only_if_others_can_repeat_the_run(
     assert "the same history hash" in page
     with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as database, database:
         database.execute(sql)
+    reseal(folder)
     page = Page(report.of_run(Run(folder), trials=0)).text
     assert words in page
     assert SAME not in page
@@ -229,9 +231,10 @@ def test_hostile_texts_stay_texts(tmp_path: Path) -> None:
         database.execute("UPDATE events SET event = ?, at = 1e300", (EVIL,))
         database.executemany(
             "UPDATE meta SET value = ? WHERE key = ?",
-            [(EVIL, key) for key in ("machine", "history_hash")],
+            [(EVIL, key) for key in ("machine", "zswarm")],
         )
     database.close()
+    reseal(folder)
     champion = load_controller(folder)
     hostile = msgspec.structs.replace(
         champion, simulator=EVIL, sensors=[EVIL], actuators=[EVIL, EVIL]

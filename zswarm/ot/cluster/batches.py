@@ -25,6 +25,9 @@ from zswarm.protocol.messages import Cancel, Evaluate, Fault, Outcomes, Running
 
 ATTEMPTS = 3  # of a trial that ends in a fault
 DEPTH = 2  # batches per server: one is evaluated, and one waits behind it
+BATCH_BYTES = (
+    4 << 20
+)  # in a message; a trial whose genomes are larger is a batch of its own
 BATCH_S = 0.075  # of work in a batch for each slot, by measured time
 # Of work in a batch for each slot, times the number of servers that serve: if each of N servers
 # ends a batch every N * 2 ms, the optimizer has one to handle every 2 ms. That takes it 0.5 ms at
@@ -70,7 +73,7 @@ class Batches(msgspec.Struct, eq=False):
         genome = max(map(len, workload.genomes), default=0)
         sent = (genome + 16) * participants + 16
         answered = 8 * (participants + self.terms.metrics) + 4
-        by_bytes = messages.MAX_MESSAGE // 2 // max(sent, answered)
+        by_bytes = BATCH_BYTES // max(sent, answered)
         self._fits = min(
             messages.MAX_TRIALS, messages.MAX_GENOMES // participants, by_bytes
         )

@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from zswarm.errors import ConfigError
 from zswarm.ot.commands.shared import options, suggestions
 from zswarm.system.text import clean
 
@@ -16,10 +17,24 @@ MENU = ("Evolve", 2)
 @click.argument(
     "folder", type=options.PATH, metavar="RUN|STUDY", shell_complete=suggestions.runs
 )
+@click.option(
+    "--from",
+    "generation",
+    type=click.IntRange(min=0),
+    metavar="N",
+    help="Go back first: drop generation N, counted from 0, and all after it, and evaluate them "
+    "again. The record as it was is kept next to the new one.",
+)
 @options.cluster_options
 @options.dashboard_option
 @options.json_lines_option
-def command(folder: Path, with_dashboard: bool, as_json: bool, **cluster: Any) -> None:
+def command(
+    folder: Path,
+    generation: int | None,
+    with_dashboard: bool,
+    as_json: bool,
+    **cluster: Any,
+) -> None:
     """Resume a run or a study that was stopped.
 
     It continues from the last thing that was recorded, and ends with the same history as if it had
@@ -27,6 +42,7 @@ def command(folder: Path, with_dashboard: bool, as_json: bool, **cluster: Any) -
 
     \b
       zswarm-ot resume runs/stadium
+      zswarm-ot resume runs/stadium --from 12
     """
     from zswarm.ot import evolution
     from zswarm.ot.cluster.connection import Connection
@@ -36,6 +52,8 @@ def command(folder: Path, with_dashboard: bool, as_json: bool, **cluster: Any) -
     from zswarm.ot.record.results import finished_result
     from zswarm.ot.study.study import Study, is_study
 
+    if generation is not None:
+        _go_back(folder, generation)
     if not (folder / DATABASE).exists() and is_study(folder):
         with playing.figures() as folders, Study.open(folder) as study:
             settings = options.with_cluster(study.experiment, cluster).cluster
@@ -66,3 +84,19 @@ def command(folder: Path, with_dashboard: bool, as_json: bool, **cluster: Any) -
     ):
         folders.append(run.folder)
         playing.finish(run, shown, with_dashboard=with_dashboard)
+
+
+def _go_back(folder: Path, generation: int) -> None:
+    """Drop a generation and all after it, and say so."""
+    from zswarm.ot.record.folder import DATABASE
+    from zswarm.ot.record.rollback import go_back
+    from zswarm.ot.study.study import is_study
+
+    if not (folder / DATABASE).exists() and is_study(folder):
+        raise ConfigError(f"{folder}: --from takes the folder of a run, not a study's")
+    aside = go_back(folder, generation)
+    click.echo(
+        f"{clean(str(folder))}: generations from {generation} on are evaluated again; the record "
+        f"as it was is {clean(aside.name)}",
+        err=True,
+    )

@@ -101,7 +101,7 @@ def candidate(run: Run, query: Query) -> dict[str, Any]:
     of, which = number(query, "generation"), number(query, "candidate")
     rows = run.rows(
         "SELECT genome, fitness FROM candidates WHERE generation = ? AND candidate = ?",
-        tuple[bytes, float | None],
+        tuple[bytes | None, float | None],
         of,
         which,
     )
@@ -120,7 +120,7 @@ def candidate(run: Run, query: Query) -> dict[str, Any]:
         "generation": of,
         "candidate": which,
         "fitness": fitness,
-        "genome": genome.hex(),
+        "genome": "" if genome is None else genome.hex(),
         "trials": trials[:TRIALS],
         "left_out": max(0, len(trials) - TRIALS),
         **_network(run, genome),
@@ -141,8 +141,10 @@ def _champion(run: Run) -> Controller | str:
         return str(error)
 
 
-def _network(run: Run, genome: bytes) -> dict[str, Any]:
+def _network(run: Run, genome: bytes | None) -> dict[str, Any]:
     """Return the numbers and the graph of a genome, or why it cannot be drawn here."""
+    if genome is None:
+        return {"graph": None, "why": "its genome was not kept ([record] genomes)"}
     champion = _champion(run)
     if isinstance(champion, str):
         return {"graph": None, "why": champion}

@@ -48,6 +48,7 @@ class Adapter(BaseOptimizer):
     """
 
     portable = False
+    replays = True
 
     def __init__(
         self, settings: msgspec.Struct, representation: Representation, seed: int

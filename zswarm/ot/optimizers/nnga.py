@@ -158,18 +158,16 @@ class NNGA(BaseOptimizer):
     ) -> list[bytes]:
         """Return children of random mothers with the most different of eleven random fathers."""
         children: list[bytes] = []
-        distances = [
-            self.representation.distances(mothers, fathers) for fathers in islands
-        ]
         repeats = REPEATS
         while len(children) < self.counts["crossover"]:
             mother, island = stream.integer(len(mothers)), stream.integer(len(islands))
-            suitors = [stream.integer(len(islands[island])) for _ in range(SUITORS)]
+            fathers = islands[island]
+            suitors = [fathers[stream.integer(len(fathers))] for _ in range(SUITORS)]
+            # Only of these: among all survivors there are too many in a large population.
+            (distances,) = self.representation.distances([mothers[mother]], suitors)
             # The first of equals.
-            father = max(suitors, key=distances[island][mother].item)
-            child = self.representation.crossover(
-                mothers[mother], islands[island][father], stream
-            )
+            father = suitors[int(distances.argmax())]
+            child = self.representation.crossover(mothers[mother], father, stream)
             if child not in existing:
                 existing.add(child)
                 children.append(child)

@@ -24,6 +24,8 @@ class Optimizer(ABC):
     Attributes:
         settings_type: the struct of its settings in an experiment file.
         portable: whether it gives the same bits on every machine (linear algebra does not).
+        replays: whether ``restore`` tells all generations again, for which the record keeps all
+            genomes; then the state is the number of generations, ``{"generation": n}``.
         competes: whether it accepts fitness that compares within a generation only, as of a
             tournament.
         relative: whether fitness is such; set before the first ask. Then an ask returns all genomes
@@ -37,6 +39,7 @@ class Optimizer(ABC):
 
     settings_type: ClassVar[type[msgspec.Struct]]
     portable: ClassVar[bool]
+    replays: ClassVar[bool] = False
     competes: ClassVar[bool] = False
     relative: bool = False
     measures: Sequence[str] = ()

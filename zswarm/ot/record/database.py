@@ -17,6 +17,7 @@ from zswarm.ot.record.schema import TABLES
 COMMIT_S = 0.1
 RETRY_S = 1.0  # during a disk outage
 WAL = b"\x02\x02"  # bytes 18 and 19 of a database with a write-ahead log
+SIDE_FILES = ("-wal", "-shm", "-journal")  # that SQLite keeps next to a database
 NETWORK_FILE_SYSTEMS = frozenset(
     "nfs nfs4 cifs smb3 smbfs 9p afs ceph glusterfs lustre fuse.sshfs".split()
 )
@@ -61,6 +62,10 @@ class Database:
     Args:
         report: called with a line for the user when an outage begins (and None), and when it ends
             (and its seconds).
+
+    Attributes:
+        path: of the file.
+        unwritten: what is not committed yet.
     """
 
     def __init__(
@@ -70,7 +75,7 @@ class Database:
         report: Callable[[str, float | None], None],
     ) -> None:
         self.unwritten: list[Statement] = []
-        self._path, self._folder = path, path.parent
+        self.path, self._folder = path, path.parent
         self._connection, self._report = connection, report
         self._next_commit = 0.0
         self._outage_since: float | None = None
@@ -115,12 +120,20 @@ class Database:
         self._next_commit = time.monotonic() + pause
         if not self.unwritten:
             return
-        if not self._path.exists():  # SQLite would write to the unlinked file
+        if not self.path.exists():  # SQLite would write to the unlinked file
             raise ConfigError(
                 f"{self._folder}: moved, removed or unmounted while the run went on"
             )
         transact(self._connection, self.unwritten)
         self.unwritten = []
+
+    def write_once(self) -> None:
+        """Do without a write-ahead log, in which all that is large would be written first.
+
+        Other programs cannot read while a commit is written then. If one reads now, the log stays.
+        """
+        with contextlib.suppress(sqlite3.OperationalError):
+            self._connection.execute("PRAGMA journal_mode = DELETE")
 
     def close(self) -> None:
         """Close the file without a commit."""
@@ -162,6 +175,8 @@ def connect(path: Path) -> sqlite3.Connection:
             f"PRAGMA journal_mode = {'DELETE' if on_network(path) else 'WAL'}"
         )
         connection.execute("PRAGMA synchronous = FULL")
+        # macOS: without it the drive may still have what was synced in its cache.
+        connection.execute("PRAGMA fullfsync = ON")
     except BaseException:  # KeyboardInterrupt, too
         connection.close()
         raise

@@ -6,7 +6,7 @@ import platform
 import secrets
 import sqlite3
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -17,16 +17,18 @@ import numpy as np
 from zswarm.config.sections import ABSOLUTE
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
+from zswarm.ot.record import verify
 from zswarm.ot.record.database import Statement, transact
+from zswarm.ot.record.digests import seal
 from zswarm.ot.record.folder import DATABASE, EXPERIMENT
-from zswarm.ot.record.schema import CREATE, SCHEMA_VERSION, check_version
+from zswarm.ot.record.history_hash import VERSION as HISTORY_VERSION
+from zswarm.ot.record.schema import CREATE, SCHEMA_VERSION
 from zswarm.ot.record.statements import SET_META
 from zswarm.system.files import sync
-from zswarm.system.text import clean
 from zswarm.system.version import VERSION
 
 # These may change while a run is stopped.
-NOT_DECISIVE = ("generations", "cluster", "study")
+NOT_DECISIVE = ("generations", "cluster", "record", "study")
 
 
 def new_meta(
@@ -35,6 +37,7 @@ def new_meta(
     """Return the rows of the table ``meta`` of a new record."""
     return {
         "schema_version": SCHEMA_VERSION,
+        "history_version": HISTORY_VERSION,
         "zswarm": VERSION,
         "run_id": f"{complete.name[:54].strip('-')}-{secrets.token_hex(4)}",
         "version_hash": version_hash,
@@ -53,17 +56,25 @@ def create(path: Path, meta: dict[str, Any]) -> None:
     connection = sqlite3.connect(part, isolation_level=None)
     try:
         connection.executescript(f"BEGIN; {CREATE} COMMIT")
-        transact(connection, [(SET_META, item) for item in meta.items()])
+        rows = [*meta.items(), seal(meta)]
+        transact(connection, [(SET_META, item) for item in rows])
     finally:
         connection.close()
     part.replace(path)
     sync(path.parent)
 
 
-def check(folder: Path, connection: sqlite3.Connection, complete: Experiment) -> None:
-    """Raise ConfigError unless the run can be resumed with this experiment."""
-    path, meta = folder / DATABASE, _meta(connection)
-    check_version(meta, path)
+def check(
+    folder: Path, connection: sqlite3.Connection, complete: Experiment
+) -> dict[str, Any]:
+    """Return the table ``meta`` of a run that can be resumed with this experiment.
+
+    Raises:
+        ConfigError: it cannot.
+        Damage: the record is not what was written.
+    """
+    path = folder / DATABASE
+    meta = verify.read_meta(connection, path)
     began = meta.get("experiment")
     if not isinstance(began, str) or not isinstance(meta.get("epoch"), int):
         raise ConfigError(
@@ -74,12 +85,10 @@ def check(folder: Path, connection: sqlite3.Connection, complete: Experiment) ->
             f"{folder}: was imported, without a state of the optimizer to resume from; its "
             f"experiment can be run again from {folder / EXPERIMENT}"
         )
-    state = str(connection.execute("PRAGMA quick_check").fetchone()[0])
-    if state != "ok":
-        first = state.removeprefix("*** in database main ***\n").partition("\n")[0]
-        raise ConfigError(f"{path}: damaged: {clean(first)}")
+    verify.check_record(connection)
+    verify.check_end(connection)
     if began == (now := decisive(complete)):
-        return
+        return meta
     try:
         before = dict(json.loads(began))
     except (ValueError, TypeError, RecursionError):
@@ -88,19 +97,26 @@ def check(folder: Path, connection: sqlite3.Connection, complete: Experiment) ->
     keys = [key for key in sorted(before | after) if before.get(key) != after.get(key)]
     raise ConfigError(
         f"{folder / EXPERIMENT}: {', '.join(keys)} changed since the run began; "
-        "only generations and [cluster] may"
+        "only generations, [cluster] and [record] may"
     )
 
 
-def raise_epoch(connection: sqlite3.Connection, complete: Experiment) -> None:
-    """Count a resume; the hash of a run that gets more generations is dropped."""
+def raise_epoch(
+    connection: sqlite3.Connection, complete: Experiment, meta: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Count a resume; the hash of a run that gets more generations is dropped.
+
+    Returns:
+        The new table ``meta``.
+    """
     finished = connection.execute("SELECT count(*) FROM generations").fetchone()[0]
-    changes: list[Statement] = [
-        (SET_META, ("epoch", int(_meta(connection)["epoch"]) + 1))
-    ]
+    now = {**meta, "epoch": int(meta["epoch"]) + 1}
+    changes: list[Statement] = [(SET_META, ("epoch", now["epoch"]))]
     if finished < complete.generations:
+        now.pop("history_hash", None)
         changes.append(("DELETE FROM meta WHERE key = 'history_hash'", ()))
-    transact(connection, changes)
+    transact(connection, [*changes, (SET_META, seal(now))])
+    return now
 
 
 def decisive(complete: Experiment) -> str:
@@ -118,10 +134,6 @@ def machine() -> str:
     blas = config["Build Dependencies"]["blas"]
     library = f"{blas.get('name', 'no BLAS')} {blas.get('version', '')}"
     return f"{_processor()}, numpy {version('numpy')}, {library}".strip()
-
-
-def _meta(connection: sqlite3.Connection) -> dict[str, Any]:
-    return dict(connection.execute("SELECT key, value FROM meta").fetchall())
 
 
 def _processor() -> str:

@@ -3,25 +3,26 @@
 A record may come from somewhere else: its types are checked, and its texts made safe to show.
 """
 
+import contextlib
 import html
 import json
-from collections.abc import Iterable, Sequence
+import sqlite3
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
-from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
-import numpy as np
 
 from zswarm import experiment
 from zswarm.config.sections import ABSOLUTE
 from zswarm.controller import CHAMPION, Controller, load_controller
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
-from zswarm.ot.record.database import UNREADABLE, describe, outage, read_only
+from zswarm.ot.record import verify
+from zswarm.ot.record.database import UNREADABLE, describe, read_only
 from zswarm.ot.record.folder import DATABASE, EXPERIMENT, check_run, is_running
-from zswarm.ot.record.schema import check_version
+from zswarm.ot.record.trials import numbers, trials_of
 from zswarm.system.extras import need
 from zswarm.system.text import clean, clean_all
 
@@ -54,14 +55,14 @@ class Run:
         self.folder, self.name = folder, clean(folder.name or folder.resolve().name)
         self.shown = clean(str(folder))
         check_run(folder)
-        self._meta = dict(self.rows("SELECT key, value FROM meta", tuple[str, Any]))
+        with self._reading() as database:
+            self._meta = verify.read_meta(database, folder / DATABASE)
         self.meta = {
             clean(key): clean(value)
             if isinstance(value, str) and not _plain(value)
             else value
             for key, value in self._meta.items()
         }
-        check_version(self._meta, folder / DATABASE)
 
     def __repr__(self) -> str:
         return f"Run({self.shown!r})"
@@ -135,11 +136,7 @@ class Run:
         include earlier generations, except ``best`` of ``relative`` fitness.
         """
         previous, evaluations, history = self.meta.get("created_at"), 0, []
-        for generation, at, best, mean, count, statistics in self.rows(
-            "SELECT generation, finished_at, best, mean, evaluations, statistics "
-            "FROM generations ORDER BY generation",
-            tuple[int, float, float | None, float | None, int, str],
-        ):
+        for generation, at, best, mean, count, statistics in self._generations():
             evaluations += count
             history.append(
                 {
@@ -163,10 +160,10 @@ class Run:
 
     def best(self) -> float | None:
         """Return the best fitness; if it is ``relative``, that of the last generation."""
-        sql = "SELECT max(best) FROM generations"
+        best = [row[2] for row in self._generations()]
         if self.relative:
-            sql += " WHERE generation = (SELECT max(generation) FROM generations)"
-        return self.rows(sql, tuple[float | None])[0][0]
+            return best[-1] if best else None
+        return max((value for value in best if value is not None), default=None)
 
     def events(self) -> list[Row]:
         """Return the rows of the table ``events``, in order."""
@@ -191,23 +188,19 @@ class Run:
         return self.rows(f"SELECT {sums} FROM outcomes", tuple[int, int])[0]  # noqa: S608  ours
 
     def candidates(self, generation: int) -> list[Row]:
-        """Return candidate, genome (bytes), fitness and measures (a list) of each, as asked.
+        """Return candidate, genome (bytes; None: not kept), fitness and measures of each, as asked.
 
-        Fitness and measures are as the optimizer was told, NaN as None. Without measures the list
-        is empty.
+        Fitness and measures are as the optimizer was told, NaN as None. Measures are a list.
         """
-        rows = self.rows(
-            "SELECT candidate, genome, fitness, measures FROM candidates WHERE generation = ? "
-            "ORDER BY candidate",
-            tuple[int, bytes, float | None, bytes | None],
-            generation,
-        )
-        try:
-            found = [(*row[:3], _numbers(row[3] or b"", -1)) for row in rows]
-        except ValueError:
-            what = f"measures of generation {generation} are not float64 numbers"
-            raise self._damaged(what) from None
-        return _named("candidate genome fitness measures", found)
+        with self._reading() as database:
+            found = verify.whole_candidates(database, generation)
+        kind = tuple[int, bytes | None, float | None, bytes | None, bytes]
+        rows = self._typed(found, kind, "candidates")
+        told = [
+            (candidate, genome, fitness, numbers(measures or b"", -1))
+            for candidate, genome, fitness, measures, _ in rows
+        ]
+        return _named("candidate genome fitness measures", told)
 
     def trials(self, generation: int) -> list[Row]:
         """Return candidate, trial, fitness (by participant), metrics (by name) and server of each.
@@ -215,41 +208,16 @@ class Run:
         The generation may be unfinished; NaN is None. If candidates play each other a trial has
         instead of ``candidate`` its ``game`` and its ``candidates``, in the order of fitness.
         """
-        each, found = self.experiment.problem.trials, []
-        for count, trials, fitness, metrics, server, participants in self.rows(
-            "SELECT count, trials, fitness, metrics, server, participants FROM outcomes "
-            "WHERE generation = ? ORDER BY id",
-            tuple[int, bytes, bytes, bytes, str, bytes | None],
-            generation,
-        ):
-            try:
-                indices = np.frombuffer(trials, "<u4").reshape(count).tolist()
-                scores, measured = (
-                    _numbers(fitness, count, -1),
-                    _numbers(metrics, count, -1),
-                )
-                players = None
-                if participants is not None:
-                    shape = (count, len(scores[0]))
-                    players = np.frombuffer(participants, "<u4").reshape(shape).tolist()
-            except ValueError:
-                what = f"outcomes of generation {generation} do not fit together"
-                raise self._damaged(what) from None
-            names = self._metric_names(len(measured[0]))
-            for row, index in enumerate(indices):
-                judged, number = divmod(index, each)
-                trial = {
-                    "trial": number,
-                    "fitness": scores[row],
-                    "metrics": dict(zip(names, measured[row], strict=True)),
-                    "server": clean(server),
-                }
-                if players is None:
-                    trial = {"candidate": judged, **trial}
-                else:
-                    trial = {"game": judged, "candidates": players[row], **trial}
-                found.append((index, trial))
-        return [trial for _, trial in sorted(found, key=itemgetter(0))]
+        with self._reading() as database:
+            rows = verify.whole_outcomes(database, generation)
+        kind = tuple[int, bytes, bytes, bytes, str, bytes | None]
+        outcomes = [(*row[3:7], row[8], row[-1]) for row in rows]
+        batches = self._typed(outcomes, kind, "outcomes")
+        try:
+            return trials_of(batches, self.experiment.problem.trials, self._metric_names)
+        except ValueError:
+            what = f"outcomes of generation {generation} do not fit together"
+            raise self._damaged(what) from None
 
     def champion(self) -> Controller | None:
         """Return the best controller, its texts safe to show; None before there is one.
@@ -324,18 +292,46 @@ class Run:
         Raises:
             ConfigError: the record is damaged, or cannot be read now.
         """
+        with self._reading() as database:
+            rows = database.execute(sql, parameters).fetchall()
+        found: list[T] = self._typed(rows, kind, sql.partition("FROM ")[2].split()[0])
+        return found
+
+    def _typed(self, rows: Sequence[Any], kind: Any, table: str) -> list[Any]:
         try:
-            with read_only(self.folder / DATABASE) as database:
-                rows = database.execute(sql, parameters).fetchall()
-            return msgspec.convert(rows, list[kind])  # type: ignore[valid-type]
+            return msgspec.convert(rows, list[kind])
         except msgspec.ValidationError as error:
-            table = sql.partition("FROM ")[2].split()[0]
             raise self._damaged(f"table {table}: {clean(str(error))}") from None
+
+    def check(self) -> None:
+        """Compare everything in the record with its digests.
+
+        Raises:
+            ConfigError: something differs.
+        """
+        with self._reading() as database:
+            verify.check_record(database)
+            verify.check_end(database)
+
+    @contextlib.contextmanager
+    def _reading(self) -> Iterator[sqlite3.Connection]:
+        """Open the database; raise ConfigError for what is damaged or cannot be read."""
+        try:
+            with (
+                verify.in_words(self.folder),
+                read_only(self.folder / DATABASE) as database,
+            ):
+                yield database
         except UNREADABLE as error:
-            if outage(error, self.folder) or isinstance(error, OSError):
-                why = f"cannot be read: {describe(error, self.folder)}"
-                raise ConfigError(f"{self.shown}/{DATABASE}: {why}") from None
-            raise self._damaged(clean(str(error))) from None
+            why = f"cannot be read: {describe(error, self.folder)}"
+            raise ConfigError(f"{self.shown}/{DATABASE}: {why}") from None
+
+    def _generations(self) -> list[tuple[Any, ...]]:
+        """Return number, time, best, mean, evaluations and statistics of each generation."""
+        with self._reading() as database:
+            rows = verify.whole_generations(database)
+        kind = tuple[int, float, float | None, float | None, int, str]
+        return self._typed(rows, kind, "generations")
 
     @property
     def _began(self) -> Row:
@@ -387,11 +383,3 @@ def _plain(text: str) -> bool:
 def _named(names: str, rows: Iterable[Sequence[Any]]) -> list[Row]:
     """Return rows by the names of their columns, with texts that are safe to show."""
     return [dict(zip(names.split(), map(clean_all, row), strict=True)) for row in rows]
-
-
-def _numbers(raw: bytes, *shape: int) -> list[Any]:
-    """Return float64 numbers as nested lists of a shape; NaN is None."""
-    numbers = np.frombuffer(raw, "<f8").reshape(shape).astype(object)
-    numbers[numbers != numbers] = None
-    found: list[Any] = numbers.tolist()
-    return found

@@ -10,10 +10,16 @@ from zswarm.ot.record.reader import Run
 
 
 def finished_result(folder: Path, complete: Experiment) -> Result | None:
-    """Return the result of a run that has all its generations and whose experiment is unchanged."""
+    """Return the result of a run that has all its generations and whose experiment is unchanged.
+
+    Raises:
+        ConfigError: its record is damaged.
+    """
     run = Run(folder)
     if run.generations() != complete.generations or run.changed:
         return None
+    if run.finished:
+        run.check()
     return result_after(folder, complete.generations)
 
 

@@ -1,5 +1,8 @@
 """The tables and views of a record; docs/record.md describes them."""
 
+import contextlib
+import functools
+import sqlite3
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -8,26 +11,29 @@ from zswarm.errors import ConfigError
 from zswarm.system.text import clean
 from zswarm.system.version import VERSION
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 TABLES = ("meta", "generations", "candidates", "outcomes", "events", "optimizer")
 _TABLES = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value) WITHOUT ROWID;
 CREATE TABLE generations (
     generation INTEGER PRIMARY KEY, finished_at REAL NOT NULL, best REAL, mean REAL,
-    evaluations INTEGER NOT NULL, statistics TEXT NOT NULL);
+    evaluations INTEGER NOT NULL, statistics TEXT NOT NULL, history BLOB NOT NULL,
+    outcomes INTEGER NOT NULL, digest INTEGER NOT NULL);
 CREATE TABLE candidates (
-    generation INTEGER NOT NULL, candidate INTEGER NOT NULL, genome BLOB NOT NULL, fitness REAL,
-    measures BLOB, PRIMARY KEY (generation, candidate)) WITHOUT ROWID;
+    generation INTEGER NOT NULL, candidate INTEGER NOT NULL, genome BLOB, fitness REAL,
+    measures BLOB, digest BLOB NOT NULL, PRIMARY KEY (generation, candidate)) WITHOUT ROWID;
 CREATE TABLE outcomes (
     id INTEGER PRIMARY KEY, generation INTEGER NOT NULL, asked BLOB NOT NULL,
     count INTEGER NOT NULL, trials BLOB NOT NULL, fitness BLOB NOT NULL, metrics BLOB NOT NULL,
     faulted INTEGER NOT NULL, server TEXT NOT NULL, seconds REAL NOT NULL, at REAL NOT NULL,
-    doubtful INTEGER NOT NULL DEFAULT 0, round INTEGER NOT NULL DEFAULT 0, participants BLOB);
+    doubtful INTEGER NOT NULL DEFAULT 0, round INTEGER NOT NULL DEFAULT 0, participants BLOB,
+    digest INTEGER NOT NULL);
 CREATE TABLE events (
     at REAL NOT NULL, generation INTEGER, event TEXT NOT NULL, server TEXT, text TEXT,
     count INTEGER);
 CREATE TABLE optimizer (
-    id INTEGER PRIMARY KEY CHECK (id = 0), generation INTEGER NOT NULL, state BLOB NOT NULL);
+    part INTEGER NOT NULL, piece INTEGER NOT NULL, generation INTEGER NOT NULL, state BLOB NOT NULL,
+    digest INTEGER NOT NULL, PRIMARY KEY (part, piece));
 """
 # Views show the record in plain SQL, without blobs; SQLite 3.31 suffices. A CAST types a column.
 _UTC = "CAST(strftime('%Y-%m-%d %H:%M:%f', {}, 'unixepoch') AS TEXT) AS utc"
@@ -72,6 +78,15 @@ VIEWS = {
         WHERE m.key = 'experiment' AND s.atom IS NOT NULL ORDER BY s.id""",
 }
 CREATE = _TABLES + "".join(f"CREATE VIEW {name} AS {sql};" for name, sql in VIEWS.items())
+
+
+@functools.cache
+def definitions() -> dict[str, str]:
+    """Return the SQL of each table and view, as a database has it."""
+    with contextlib.closing(sqlite3.connect(":memory:")) as database:
+        database.executescript(CREATE)
+        sql = "SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL"
+        return dict(database.execute(sql).fetchall())
 
 
 def check_version(meta: Mapping[str, Any], path: Path) -> None:

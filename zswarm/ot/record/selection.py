@@ -57,6 +57,28 @@ def candidate_of(
     return candidate
 
 
+def genome_of(
+    run: Run, generation: int, candidates: dict[int, Row], candidate: int
+) -> bytes:
+    """Return the genome of a candidate.
+
+    Args:
+        candidates: rows of ``Run.candidates`` by their number.
+
+    Raises:
+        ConfigError: it is not kept.
+    """
+    genome: bytes | None = candidates[candidate]["genome"]
+    if genome is None:
+        kept = [number for number, row in candidates.items() if row["genome"] is not None]
+        numbers = ", ".join(map(str, kept[:5]))
+        raise ConfigError(
+            f"{run.shown}: the genome of candidate {candidate} in generation {generation} was not "
+            f"kept ([record] genomes); of this generation there are those of {numbers or 'none'}"
+        )
+    return genome
+
+
 def available(what: str, count: int) -> str:
     """Return, in words, the valid numbers of things that are counted from 0."""
     if count < 2:
@@ -87,7 +109,8 @@ def controller(
         run = Run(path)
         generation = generation_of(run, generation)
         rows = {row["candidate"]: row for row in run.candidates(generation)}
-        row = rows[candidate_of(run, generation, rows, candidate)]
+        number = candidate_of(run, generation, rows, candidate)
+        row, genome = rows[number], genome_of(run, generation, rows, number)
         fitness = math.nan if row["fitness"] is None else row["fitness"]
-        found = msgspec.structs.replace(found, genome=row["genome"], fitness=fitness)
+        found = msgspec.structs.replace(found, genome=genome, fitness=fitness)
     return cleaned(found, *NAMES)

@@ -2,28 +2,35 @@
 
 import itertools
 from collections.abc import Iterator, Sequence
-from typing import Any
 
-import msgspec
 import numpy as np
 
 from zswarm.config.decode import to_json
 from zswarm.ot.cluster.events import Counted
 from zswarm.ot.notes import Note
 from zswarm.ot.record.database import Statement
+from zswarm.ot.record.digests import of_row, real
+from zswarm.ot.record.packing import PackedState
 from zswarm.ot.workload import Workload
 
 SET_META = "INSERT OR REPLACE INTO meta VALUES (?, ?)"
-ADD_OUTCOMES = f"INSERT OR REPLACE INTO outcomes VALUES ({', '.join('?' * 14)})"  # noqa: S608  ours
+ADD_OUTCOMES = f"INSERT OR REPLACE INTO outcomes VALUES ({', '.join('?' * 15)})"  # noqa: S608  ours
 ADD_EVENT = (
     "INSERT OR REPLACE INTO events (rowid, at, generation, event, server, text, count) "
     "VALUES (?, ?, ?, ?, ?, ?, ?)"
 )
 ADD_CANDIDATES = "INSERT OR REPLACE INTO candidates VALUES "
-# Of five values; every SQLite takes 999 parameters in a statement.
-CANDIDATES_AT_ONCE = 199
-ADD_GENERATION = "INSERT OR REPLACE INTO generations VALUES (?, ?, ?, ?, ?, ?)"
-SET_OPTIMIZER = "INSERT OR REPLACE INTO optimizer VALUES (0, ?, ?)"
+# Of six values; every SQLite takes 999 parameters in a statement.
+CANDIDATES_AT_ONCE = 166
+BYTES_AT_ONCE = 4 << 20  # of genomes: SQLite copies a statement's values
+ADD_GENERATION = f"INSERT OR REPLACE INTO generations VALUES ({', '.join('?' * 9)})"  # noqa: S608  ours
+# Of a candidate that is not the best of its generation.
+DROP_GENOME = (
+    "UPDATE candidates SET genome = NULL WHERE (generation, candidate) = (?, ?) AND candidate <> "
+    "(SELECT candidate FROM candidates WHERE generation = ? ORDER BY fitness DESC, candidate)"
+)
+DROP_STATE = "DELETE FROM optimizer"
+ADD_STATE = "INSERT OR REPLACE INTO optimizer VALUES (?, ?, ?, ?, ?)"
 
 
 def outcomes(
@@ -41,6 +48,7 @@ def outcomes(
         at: s since 1970.
     """
     trials = counted.trials
+    players = games(workload, trials)
     values = (
         row,
         generation,
@@ -51,13 +59,11 @@ def outcomes(
         workload.metrics[trials].astype("<f8").tobytes(),
         int(workload.faulted[trials].sum()),
         counted.server,
-        counted.seconds,
+        float(counted.seconds),
         at,
-        0,
-        workload.round,
-        games(workload, trials),
     )
-    return ADD_OUTCOMES, values
+    written = of_row(*values, workload.round, players)
+    return ADD_OUTCOMES, (*values, 0, workload.round, players, written)
 
 
 def games(workload: Workload, trials: np.ndarray) -> bytes | None:
@@ -74,33 +80,57 @@ def event(note: Note, row: int, generation: int | None, at: float) -> Statement:
 
 def candidates(
     generation: int,
-    genomes: Sequence[bytes],
+    genomes: Sequence[bytes | None],
+    digests: Sequence[bytes],
     fitness: np.ndarray,
     measures: np.ndarray | None,
 ) -> list[Statement]:
-    """Return what adds a generation's candidates."""
+    """Return what adds a generation's candidates; a genome may be dropped."""
     packed: Iterator[bytes | None] = itertools.repeat(None)
     if measures is not None and measures.size:
         packed = map(bytes, measures.astype("<f8"))
-    numbers, count = itertools.repeat(generation), len(genomes)
-    rows = list(
-        zip(numbers, range(count), genomes, fitness.tolist(), packed, strict=False)
+    rows = zip(
+        itertools.repeat(generation),
+        range(len(genomes)),
+        genomes,
+        fitness.tolist(),
+        packed,
+        digests,
+        strict=False,
     )
     statements: list[Statement] = []
-    for begin in range(0, count, CANDIDATES_AT_ONCE):
-        part = rows[begin : begin + CANDIDATES_AT_ONCE]
-        sql = ADD_CANDIDATES + ", ".join(["(?, ?, ?, ?, ?)"] * len(part))
+    size = max(map(len, filter(None, genomes)), default=0) or 1
+    at_once = max(1, min(CANDIDATES_AT_ONCE, BYTES_AT_ONCE // size))
+    while part := list(itertools.islice(rows, at_once)):
+        sql = ADD_CANDIDATES + ", ".join(["(?, ?, ?, ?, ?, ?)"] * len(part))
         statements.append((sql, tuple(itertools.chain.from_iterable(part))))
     return statements
 
 
 def generation_end(
-    generation: int, count: int, statistics: dict[str, float], state: Any, at: float
-) -> list[Statement]:
-    """Return statements that add a generation of candidates, and the optimizer's state if any."""
-    best, mean = statistics["best"], statistics["mean"]
-    row = (generation, at, best, mean, count, to_json(statistics))
-    if state is None:
-        return [(ADD_GENERATION, row)]
-    packed = msgspec.msgpack.encode(state)
-    return [(ADD_GENERATION, row), (SET_OPTIMIZER, (generation, packed))]
+    generation: int,
+    count: int,
+    statistics: dict[str, float],
+    history: bytes,
+    trials: int,
+    at: float,
+) -> Statement:
+    """Return what adds a generation of candidates.
+
+    Args:
+        history: the history hash after it.
+        trials: digest of its outcomes.
+    """
+    best, mean = real(statistics["best"]), real(statistics["mean"])
+    row = (generation, at, best, mean, count, to_json(statistics), history, trials)
+    return ADD_GENERATION, (*row, of_row(*row))
+
+
+def state(generation: int, packed: PackedState) -> list[Statement]:
+    """Return what replaces the optimizer's state."""
+    pieces = packed.pieces()
+    statements: list[Statement] = [(DROP_STATE, ())]
+    for part, piece, body in pieces:
+        written = of_row(part, piece, len(pieces), generation, body)
+        statements.append((ADD_STATE, (part, piece, generation, body, written)))
+    return statements

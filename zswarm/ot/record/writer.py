@@ -12,28 +12,30 @@ import shutil
 import sqlite3
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import msgspec
 import numpy as np
 
 from zswarm import experiment
+from zswarm.config.sections import KeptGenomes
 from zswarm.controller import CHAMPION, Controller
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
 from zswarm.ot.cluster.events import Counted
 from zswarm.ot.notes import Note, RunEvent
-from zswarm.ot.optimizers.optimizer import Told
-from zswarm.ot.record import opening, statements
+from zswarm.ot.record import opening, statements, verify
 from zswarm.ot.record.database import (
     Database,
+    Statement,
     connect,
     describe,
     on_network,
     outage,
 )
+from zswarm.ot.record.digests import seal, total
 from zswarm.ot.record.folder import (
     DATABASE,
     EXPERIMENT,
@@ -42,28 +44,32 @@ from zswarm.ot.record.folder import (
     new_folder,
     unusable,
 )
-from zswarm.ot.record.history_hash import History
+from zswarm.ot.record.history_hash import History, digest
+from zswarm.ot.record.packing import PackedState, pack
+from zswarm.ot.record.resuming import Recorded
 from zswarm.ot.record.statements import ADD_OUTCOMES, SET_META
 from zswarm.ot.workload import Workload
 from zswarm.system.files import write_whole
-from zswarm.system.text import clean
+
+LARGE = 16 << 20  # bytes of a generation's genomes
 
 
-class Resumed(NamedTuple):
-    """Where a run resumes."""
-
-    generation: int  # the first unfinished one
-    state: Any  # of the optimizer; None before the first generation ended
-
-
-class Record:
+class Record(Recorded):
     """The folder of one run, open for writing by one program at a time.
 
     Attributes:
         say: called with a line for the user.
     """
 
-    def __init__(self, folder: Path, connection: sqlite3.Connection, lock: int) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        connection: sqlite3.Connection,
+        lock: int,
+        meta: Mapping[str, Any],
+        genomes: KeptGenomes,
+    ) -> None:
+        super().__init__()
         self.folder = folder
         self.say: Callable[[str], None] = _to_stderr
         self.on_network = on_network(folder)
@@ -71,8 +77,13 @@ class Record:
         self._lock = lock
         self._outcomes = itertools.count(_first_free(connection, "outcomes"))
         self._events = itertools.count(_first_free(connection, "events"))
+        self._meta, self._keep = dict(meta), genomes
+        self._history = self.history().value
         self._generation: int | None = None
         self._round, self._asked = 0, b""
+        self._digests: tuple[Sequence[bytes], list[bytes]] = ([], [])  # of these genomes
+        # Sum of the digests of the generation's outcomes; None: it is to be read.
+        self._trials: int | None = None
 
     @classmethod
     def create(
@@ -103,10 +114,9 @@ class Record:
             path = folder / DATABASE
             try:
                 write_whole(folder / EXPERIMENT, experiment.to_toml(complete).encode())
-                opening.create(
-                    path, opening.new_meta(complete, version_hash, metrics, **meta)
-                )
-                record = cls(folder, connect(path), lock)
+                rows = opening.new_meta(complete, version_hash, metrics, **meta)
+                opening.create(path, rows)
+                record = cls(folder, connect(path), lock, rows, complete.record.genomes)
             except (sqlite3.OperationalError, OSError) as error:
                 why = f"cannot be written: {describe(error, parent)}"
                 raise unusable(folder, why) from None
@@ -125,19 +135,15 @@ class Record:
             lock = lock_folder(folder)
             undo.callback(os.close, lock)
             try:
-                connection = connect(folder / DATABASE)
-                undo.callback(connection.close)
-                opening.check(folder, connection, complete)
-                opening.raise_epoch(connection, complete)
-                record = cls(folder, connection, lock)
-            except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
-                if outage(error, folder):
-                    why = f"cannot be written: {describe(error, folder)}"
-                    raise ConfigError(f"{folder}: {why}") from None
-                raise ConfigError(
-                    f"{folder / DATABASE}: damaged: {clean(str(error))}; the experiment can be "
-                    f"run again from {folder / EXPERIMENT}"
-                ) from None
+                with verify.in_words(folder):
+                    connection = connect(folder / DATABASE)
+                    undo.callback(connection.close)
+                    meta = opening.check(folder, connection, complete)
+                    meta = opening.raise_epoch(connection, complete, meta)
+                    record = cls(folder, connection, lock, meta, complete.record.genomes)
+            except sqlite3.DatabaseError as error:
+                why = f"cannot be written: {describe(error, folder)}"
+                raise ConfigError(f"{folder}: {why}") from None
             undo.pop_all()
         return record, complete
 
@@ -171,11 +177,12 @@ class Record:
 
     def meta(self, key: str) -> Any:
         """Return a value, or None."""
-        return self._value("SELECT max(value) FROM meta WHERE key = ?", key)
+        return self._meta.get(key)
 
     def set_meta(self, key: str, value: Any) -> None:
         """Set a value and wait until it is on the disk."""
-        self._database.write_now((SET_META, (key, value)))
+        self._meta[key] = value
+        self._database.write_now((SET_META, (key, value)), (SET_META, seal(self._meta)))
 
     def machine_changed(self) -> str:
         """Return the machine that the run began on if it differs from this one, else ""."""
@@ -186,8 +193,12 @@ class Record:
 
     def begin(self, generation: int, workload: Workload) -> None:
         """Count the outcomes that follow for this generation and this round of its games."""
+        if generation != self._generation:
+            # Nothing is recorded yet of a generation that follows another.
+            self._trials = None if self._generation is None else 0
         self._generation, self._round = generation, workload.round
-        self._asked = hashlib.blake2b(b"".join(workload.genomes), digest_size=8).digest()
+        whole = b"".join(self._digests_of(workload.genomes))
+        self._asked = hashlib.blake2b(whole, digest_size=8).digest()
 
     def end(self) -> None:
         """Record what follows as after the last generation."""
@@ -197,7 +208,10 @@ class Record:
         """Add outcomes."""
         row, at = next(self._outcomes), time.time()
         of = (self._generation, self._asked)
-        self._database.write(statements.outcomes(counted, workload, row, *of, at))
+        statement = statements.outcomes(counted, workload, row, *of, at)
+        if self._trials is not None:
+            self._trials += statement[1][-1]
+        self._database.write(statement)
 
     def retract(self, server: str) -> None:
         """Delete a faulty server's outcomes of this round, and mark its earlier ones doubtful."""
@@ -207,18 +221,27 @@ class Record:
             round_ = self._value(
                 "SELECT max(round) FROM outcomes WHERE generation = ?", generation
             )
-        of = (generation, round_ or 0, server)
+        of, self._trials = (generation, round_ or 0, server), None
         self._database.write(
             (
                 "DELETE FROM outcomes WHERE (generation, round) = (?, ?) AND server = ?",
                 of,
             ),
             (
-                "UPDATE outcomes SET doubtful = 1 WHERE (generation, round) < (?, ?) "
-                "AND server = ?",
+                "UPDATE outcomes SET doubtful = 1, digest = ~digest "
+                "WHERE (generation, round) < (?, ?) AND server = ? AND doubtful = 0",
                 of,
             ),
         )
+
+    def forget_others(self) -> int:
+        """Delete this generation's outcomes of other candidates than its own; return how many."""
+        of = (self._generation, self._asked)
+        other = "FROM outcomes WHERE generation = ? AND asked <> ?"
+        found = self._sum(f"sum(count) {other}", *of)
+        self._database.write((f"DELETE {other}", of))
+        self._trials = None
+        return found
 
     def note(self, note: Note) -> None:
         """Add an event."""
@@ -238,14 +261,85 @@ class Record:
 
         Args:
             fitness, measures: as the optimizer was told.
-            state: None: the optimizer was another program's, and the run cannot be resumed.
+            state: plain values, or what ``pack`` returned; None: the optimizer was another
+                program's, and the run cannot be resumed.
         """
+        digests, history = self._digests_of(genomes), History(self._history)
+        history.add_digests(digests, fitness, measures)
+        packed = state
+        if state is not None and not isinstance(state, PackedState):
+            packed = self.pack(generation, genomes, state)
+        if sum(map(len, genomes)) > LARGE:
+            self._database.write_once()
         self._database.write_now(
-            *statements.candidates(generation, genomes, fitness, measures),
-            *statements.generation_end(
-                generation, len(genomes), statistics, state, time.time()
+            *self._candidates(generation, genomes, digests, fitness, measures, packed),
+            statements.generation_end(
+                generation,
+                len(genomes),
+                statistics,
+                history.value,
+                self._trials_of(generation),
+                time.time(),
             ),
+            *([] if packed is None else statements.state(generation, packed)),
         )
+        self._known = {} if packed is None else dict(packed.genomes)
+        self._history = history.value
+
+    def pack(self, generation: int, genomes: Sequence[bytes], state: Any) -> PackedState:
+        """Pack the optimizer's state after a generation, for ``finish``."""
+        places = {genome: (generation, at) for at, genome in enumerate(genomes)}
+        return pack(state, self._known | places)
+
+    def _candidates(
+        self,
+        generation: int,
+        genomes: Sequence[bytes],
+        digests: Sequence[bytes],
+        fitness: np.ndarray,
+        measures: np.ndarray | None,
+        packed: PackedState | None,
+    ) -> list[Statement]:
+        """Return what adds a generation's candidates, and drops genomes that are not kept."""
+        if self._keep == "all" or packed is None:
+            return statements.candidates(generation, genomes, digests, fitness, measures)
+        needed = set(packed.genomes.values())
+        kept: Sequence[bytes | None] = genomes
+        if self._drops(generation):
+            best = (generation, int(np.argsort(-fitness, kind="stable")[0]))  # NaN last
+            needed.add(best)
+            kept = [
+                genome if (generation, at) in needed else None
+                for at, genome in enumerate(genomes)
+            ]
+        former = [
+            place
+            for place in self._known.values()
+            if place not in needed and self._drops(place[0])
+        ]
+        return [
+            *statements.candidates(generation, kept, digests, fitness, measures),
+            *((statements.DROP_GENOME, (*place, place[0])) for place in former),
+        ]
+
+    def _drops(self, generation: int) -> bool:
+        """Return whether only some of a generation's genomes are kept."""
+        return self._keep == "best" or (
+            isinstance(self._keep, int) and generation % self._keep > 0
+        )
+
+    def _trials_of(self, generation: int) -> int:
+        """Return the digest of a generation's outcomes."""
+        if self._trials is not None and generation == self._generation:
+            return total([self._trials])
+        sql = "SELECT doubtful, digest FROM outcomes WHERE generation = ?"
+        rows = self._database.rows(sql, generation)
+        return total(~written if doubtful else written for doubtful, written in rows)
+
+    def _digests_of(self, genomes: Sequence[bytes]) -> list[bytes]:
+        if self._digests[0] is not genomes:
+            self._digests = (genomes, [digest(genome) for genome in genomes])
+        return self._digests[1]
 
     def flush(self) -> None:
         """Commit if the last commit was 0.1 s ago; during a disk outage data wait."""
@@ -255,107 +349,6 @@ class Record:
         """Replace the champion's file in one step."""
         content = msgspec.msgpack.encode(controller)
         self._database.retry(lambda: write_whole(self.folder / CHAMPION, content))
-
-    # ---- reading back
-
-    def resumed(self) -> Resumed:
-        """Return where the run resumes."""
-        rows = self._database.rows("SELECT generation, state FROM optimizer")
-        if not rows:
-            return Resumed(0, None)
-        try:
-            return Resumed(rows[0][0] + 1, msgspec.msgpack.decode(rows[0][1]))
-        except (msgspec.DecodeError, UnicodeDecodeError, TypeError, RecursionError):
-            what = "damaged: the optimizer's state cannot be read"
-            raise ConfigError(f"{self.folder / DATABASE}: {what}") from None
-
-    def restore(self, workload: Workload) -> int:
-        """Copy the recorded outcomes of the current round into its workload; return how many.
-
-        Raises:
-            ConfigError: they belong to other candidates or games: the code of the optimizer,
-                representation or ranking was changed.
-        """
-        restored = 0
-        for (
-            asked,
-            trials,
-            fitness,
-            metrics,
-            faulted,
-            server,
-            participants,
-        ) in self._database.rows(
-            "SELECT asked, trials, fitness, metrics, faulted, server, participants FROM outcomes "
-            "WHERE (generation, round) = (?, ?)",
-            self._generation,
-            self._round,
-        ):
-            indices = np.frombuffer(trials, "<u4").astype(np.int64) - workload.first
-            played = statements.games(workload, indices)
-            if asked != self._asked or participants != played:
-                raise ConfigError(
-                    f"{self.folder}: generation {self._generation} was begun with other candidates "
-                    "or games: this program proposes differently than the one that began the run"
-                )
-            count = len(indices)
-            workload.fitness[indices] = np.frombuffer(fitness, "<f8").reshape(count, -1)
-            workload.metrics[indices] = np.frombuffer(metrics, "<f8").reshape(count, -1)
-            workload.counted[indices], workload.source[indices] = True, server
-            # Faulted trials are counted one by one.
-            workload.faulted[indices] = bool(faulted)
-            restored += count
-        return restored
-
-    def forget_others(self) -> int:
-        """Delete this generation's outcomes of other candidates than its own; return how many."""
-        of = (self._generation, self._asked)
-        other = "FROM outcomes WHERE generation = ? AND asked <> ?"
-        found = self._sum(f"sum(count) {other}", *of)
-        self._database.write((f"DELETE {other}", of))
-        return found
-
-    def told(self) -> Iterator[Told]:
-        """Yield what the optimizer was told, a generation at a time."""
-        for (generation,) in self._database.rows(
-            "SELECT generation FROM generations ORDER BY generation"
-        ):
-            rows = self._database.rows(
-                "SELECT genome, fitness, measures FROM candidates WHERE generation = ? "
-                "ORDER BY candidate",
-                generation,
-            )
-            fitness = np.array([row[1] for row in rows], np.float64)  # None becomes NaN
-            measures = np.array([np.frombuffer(row[2] or b"", "<f8") for row in rows])
-            shape = (len(rows), -1 if rows else 0)
-            yield Told([row[0] for row in rows], fitness, measures.reshape(shape))
-
-    def history(self) -> History:
-        """Return the hash of the finished generations."""
-        history = History()
-        for told in self.told():
-            history.add(*told)
-        return history
-
-    def evaluations(self) -> int:
-        """Return the number of candidates of the finished generations."""
-        return self._sum("sum(evaluations) FROM generations")
-
-    def counts(self) -> dict[str, Any]:
-        """Return the numbers of trials ``requeued``, ``faulted`` and ``doubtful``, for a result."""
-        sums = {
-            "requeued": "sum(count) FROM events WHERE event = 'requeued'",
-            "faulted": "sum(faulted) FROM outcomes",
-            "doubtful": "sum(count) FROM outcomes WHERE doubtful",
-        }
-        return {name: self._sum(sql) for name, sql in sums.items()}
-
-    def _sum(self, what: str, *parameters: Any) -> int:
-        return int(self._value(f"SELECT {what}", *parameters) or 0)
-
-    def _value(self, sql: str, *parameters: Any) -> Any:
-        """Return the value of an aggregate query."""
-        return self._database.rows(sql, *parameters)[0][0]
 
     def _report(self, line: str, waited_s: float | None) -> None:
         """Report the begin of a disk outage, or its end and how long it took."""

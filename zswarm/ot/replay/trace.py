@@ -20,7 +20,12 @@ from zswarm.evaluate import turns
 from zswarm.nets.representation import Representation
 from zswarm.ot.problem import Problem
 from zswarm.ot.record.reader import Run
-from zswarm.ot.record.selection import available, candidate_of, generation_of
+from zswarm.ot.record.selection import (
+    available,
+    candidate_of,
+    generation_of,
+    genome_of,
+)
 from zswarm.plugins.version_hash import version_hash
 from zswarm.sims import randomized
 from zswarm.sims.simulator import Frame, Outcome, Simulator
@@ -106,7 +111,7 @@ def trace(
                 f"candidate {player} played in generation {generation}, and has no genome"
             )
             raise ConfigError(f"{run.shown}: damaged: {why}")
-    genomes = [candidates[player]["genome"] for player in players]
+    genomes = [genome_of(run, generation, candidates, player) for player in players]
     try:
         found = record(problem.simulator, problem.representation, genomes, seed)
     except ValueError as error:

@@ -50,7 +50,7 @@ from zswarm.ss.workers import memory
 from zswarm.ss.workers.frames import BrokenFrameError, ProcessEnd
 from zswarm.ss.workers.remote import Trial, Unanswered
 from zswarm.system import landlock, shared_memory
-from zswarm.system.process_state import left_behind, process_state
+from zswarm.system.process_state import TIMERS, left_behind, process_state
 from zswarm.system.text import clean
 
 # In this order; the fork server binds itself to the server before all that takes long.
@@ -179,7 +179,8 @@ class SlotProcess:
         else:
             self._evaluate.warm_up(*parts, in_turns=in_turns)
         self._recycle_at = (memory.used() + (limit_mb << 20)) // 2
-        self._prepared = process_state()
+        # No trial may leave a timer, that of the warm-up neither.
+        self._prepared = process_state()._replace(timers=[False] * len(TIMERS))
         self._known_memory = self._shared_memory.copy()
         # The probe's trials do not ask the optimizer; those of the run take longer.
         return Prepared(self._slot, probe, 0.0 if reserve.asks else trial_s)

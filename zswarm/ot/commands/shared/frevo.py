@@ -16,7 +16,6 @@ from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
 from zswarm.ot.commands.shared import frevo_file as file
 from zswarm.ot.problem import Problem
-from zswarm.ot.record.history_hash import History
 from zswarm.ot.record.writer import Record
 from zswarm.plugins.version_hash import version_hash
 from zswarm.protocol import keys
@@ -106,8 +105,6 @@ def record(result: FrevoResult, out: Path) -> Imported:
     complete, genomes, fitness = result.experiment, result.genomes, result.fitness
     problem = Problem(complete)
     best = int(np.nanargmax(fitness))
-    history = History()
-    history.add(genomes, fitness)
     code = version_hash(complete.problem.simulator, complete.representation.kind)
     metrics = problem.simulator.metrics
     with Record.create(out, complete, code, metrics, imported_from=result.source) as made:
@@ -116,7 +113,7 @@ def record(result: FrevoResult, out: Path) -> Imported:
         run = made.meta("run_id")
         champion = problem.controller(genomes[best], float(fitness[best]), run)
         made.champion(champion)
-        made.set_meta("history_hash", history.hex())
+        made.set_meta("history_hash", made.history().hex())
     return Imported(made.folder, champion, _play(problem, champion.genome))
 
 

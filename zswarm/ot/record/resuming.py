@@ -1,0 +1,149 @@
+"""What a resumed run reads back from its record."""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from zswarm.errors import ConfigError
+from zswarm.ot.optimizers.optimizer import Told
+from zswarm.ot.record import statements
+from zswarm.ot.record.database import Database
+from zswarm.ot.record.history_hash import START, History
+from zswarm.ot.record.packing import Place, unpack
+from zswarm.ot.workload import Workload
+
+
+class Resumed(NamedTuple):
+    """Where a run resumes."""
+
+    generation: int  # the first unfinished one
+    state: Any  # of the optimizer; None before the first generation ended, or if it was dropped
+
+
+class Recorded:
+    """Everything in a record that was finished, for the program that writes it."""
+
+    _database: Database
+    _generation: int | None
+    _round: int
+    _asked: bytes
+
+    def __init__(self) -> None:
+        self._known: dict[bytes, Place] = {}  # genomes that the last state refers to
+
+    def resumed(self) -> Resumed:
+        """Return where the run resumes."""
+        generation = self._value("SELECT count(*) FROM generations")
+        pieces = self._database.rows(
+            "SELECT part, state FROM optimizer ORDER BY part, piece"
+        )
+        if not pieces:
+            return Resumed(generation, None)
+        try:
+            state, self._known = unpack(pieces, self._genome)
+        except (
+            msgspec.DecodeError,
+            LookupError,
+            TypeError,
+            ValueError,
+            RecursionError,
+        ):
+            what = "damaged: the optimizer's state cannot be read"
+            raise ConfigError(f"{self._database.path}: {what}") from None
+        return Resumed(generation, state)
+
+    def restore(self, workload: Workload) -> int:
+        """Copy the recorded outcomes of the current round into its workload; return how many.
+
+        Raises:
+            ConfigError: they belong to other candidates or games: the code of the optimizer,
+                representation or ranking was changed.
+        """
+        restored = 0
+        for (
+            asked,
+            trials,
+            fitness,
+            metrics,
+            faulted,
+            server,
+            participants,
+        ) in self._database.rows(
+            "SELECT asked, trials, fitness, metrics, faulted, server, participants FROM outcomes "
+            "WHERE (generation, round) = (?, ?)",
+            self._generation,
+            self._round,
+        ):
+            indices = np.frombuffer(trials, "<u4").astype(np.int64) - workload.first
+            played = statements.games(workload, indices)
+            if asked != self._asked or participants != played:
+                raise ConfigError(
+                    f"{self._database.path.parent}: generation {self._generation} was begun with "
+                    "other candidates or games: this program proposes differently than the one "
+                    "that began the run"
+                )
+            count = len(indices)
+            workload.fitness[indices] = np.frombuffer(fitness, "<f8").reshape(count, -1)
+            workload.metrics[indices] = np.frombuffer(metrics, "<f8").reshape(count, -1)
+            workload.counted[indices], workload.source[indices] = True, server
+            # Faulted trials are counted one by one.
+            workload.faulted[indices] = bool(faulted)
+            restored += count
+        return restored
+
+    def told(self) -> Iterator[Told]:
+        """Yield what the optimizer was told, a generation at a time; dropped genomes are empty."""
+        for (generation,) in self._database.rows(
+            "SELECT generation FROM generations ORDER BY generation"
+        ):
+            rows = self._database.rows(
+                "SELECT genome, fitness, measures FROM candidates WHERE generation = ? "
+                "ORDER BY candidate",
+                generation,
+            )
+            fitness = np.array([row[1] for row in rows], np.float64)  # None becomes NaN
+            measures = np.array([np.frombuffer(row[2] or b"", "<f8") for row in rows])
+            shape = (len(rows), -1 if rows else 0)
+            genomes = [row[0] or b"" for row in rows]
+            yield Told(genomes, fitness, measures.reshape(shape))
+
+    def digests(self, generation: int) -> list[bytes]:
+        """Return the digests of a generation's genomes."""
+        sql = "SELECT digest FROM candidates WHERE generation = ? ORDER BY candidate"
+        return [row[0] for row in self._database.rows(sql, generation)]
+
+    def history(self) -> History:
+        """Return the hash of the finished generations."""
+        last = self._database.rows(
+            "SELECT history FROM generations ORDER BY generation DESC LIMIT 1"
+        )
+        return History(last[0][0] if last else START)
+
+    def evaluations(self) -> int:
+        """Return the number of candidates of the finished generations."""
+        return self._sum("sum(evaluations) FROM generations")
+
+    def counts(self) -> dict[str, Any]:
+        """Return the numbers of trials ``requeued``, ``faulted`` and ``doubtful``, for a result."""
+        sums = {
+            "requeued": "sum(count) FROM events WHERE event = 'requeued'",
+            "faulted": "sum(faulted) FROM outcomes",
+            "doubtful": "sum(count) FROM outcomes WHERE doubtful",
+        }
+        return {name: self._sum(sql) for name, sql in sums.items()}
+
+    def _genome(self, place: Place) -> bytes:
+        sql = "SELECT genome FROM candidates WHERE (generation, candidate) = (?, ?)"
+        found: bytes | None = self._database.rows(sql, *place)[0][0]
+        if found is None:
+            raise LookupError(place)
+        return found
+
+    def _sum(self, what: str, *parameters: Any) -> int:
+        return int(self._value(f"SELECT {what}", *parameters) or 0)
+
+    def _value(self, sql: str, *parameters: Any) -> Any:
+        """Return the value of an aggregate query."""
+        return self._database.rows(sql, *parameters)[0][0]
