@@ -26,7 +26,15 @@ from zswarm.kernels.random import Stream
 from zswarm.plugins import registry as plugins
 from zswarm.plugins.version_hash import version_hash
 from zswarm.protocol import codec
-from zswarm.protocol.messages import MIN_MEMORY_MB, Evaluate, Outcomes, Part, Reserve
+from zswarm.protocol.messages import (
+    MIN_MEMORY_MB,
+    PROBE_DIGEST,
+    PROBE_TRIALS,
+    Evaluate,
+    Outcomes,
+    Part,
+    Reserve,
+)
 from zswarm.ss.slots.events import (
     Died,
     Finished,
