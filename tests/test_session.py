@@ -1,11 +1,14 @@
 """Sessions on loopback: who sees whom, what is refused, and what is waited for."""
 
+import contextlib
 import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import zenoh
@@ -178,6 +181,33 @@ def test_a_query_that_cannot_be_sent_counts_as_not_answered() -> None:
             timeout_s=1.0,
         )
     assert answers == [None]
+
+
+class Answering:
+    """A session on which the answer is there at once, and then the query ends."""
+
+    def get(self, _: str, callback: zenoh.handlers.Callback, **__: object) -> None:
+        payload = SimpleNamespace(to_bytes=lambda: b"answer")
+        reply = SimpleNamespace(ok=SimpleNamespace(payload=payload), replier_id=None)
+        with contextlib.suppress(MemoryError):  # as zenoh does, which logs it
+            callback(reply)
+        callback.drop()
+
+
+def test_an_answer_that_cannot_be_read_counts_as_none() -> None:
+    """There may be no memory for it: without an end of its query, nobody would ask again."""
+    answers: list[bytes | None] = []
+
+    def answered(answer: bytes | None, _: str) -> None:
+        if answer is not None and len(answers) == 0:
+            answers.append(answer)
+            raise MemoryError
+        answers.append(answer)
+
+    for _ in range(2):
+        answering: Any = Answering()
+        session.ask(answering, "zswarm/key", b"", answered, timeout_s=1.0)
+    assert answers == [b"answer", None, b"answer"]
 
 
 HANGING = """

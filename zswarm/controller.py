@@ -2,10 +2,11 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 import numpy as np
+from msgspec import Meta
 
 from zswarm.config.decode import convert
 from zswarm.errors import ConfigError
@@ -16,6 +17,7 @@ if TYPE_CHECKING:  # imports the compiler
     from zswarm.nets.representation import Representation
 
 CHAMPION = "champion.zsc"
+MOST = 1_000_000  # numbers that an agent observes, or sets: a file with more is not a controller
 
 
 class Controller(
@@ -28,8 +30,8 @@ class Controller(
     simulator_settings: dict[str, Any]
     representation: str
     representation_settings: dict[str, Any]
-    inputs: int
-    outputs: int
+    inputs: Annotated[int, Meta(ge=1, le=MOST)]
+    outputs: Annotated[int, Meta(ge=1, le=MOST)]
     sensors: list[str]
     actuators: list[str]
     genome: bytes

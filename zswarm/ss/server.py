@@ -71,8 +71,7 @@ class Server:
         self._presence = Presence(
             options.realm, self.id, self._inbox, private=self._private
         )
-        # This one takes a stdin that is a file, too.
-        self._selector = selectors.PollSelector()
+        self._selector = selectors.DefaultSelector()
         memory_mb = options.slot_memory_mb or memory.per_slot_mb(capacity)
         limits = read(options.limits, offered(options), "limits")
         self.workers = [
@@ -150,7 +149,10 @@ class Server:
             stack.callback(self._health.open_metrics(self.options.metrics).close)
         self._selector.register(self._inbox, selectors.EVENT_READ, self._inbox.clear_wake)
         if self._private:
-            self._selector.register(sys.stdin, selectors.EVENT_READ, self._exit)
+            try:
+                self._selector.register(sys.stdin, selectors.EVENT_READ, self._exit)
+            except PermissionError:  # a file, which is at its end
+                self._exit()
             return
         try:
             stack.callback(Control(self.id, self._inbox.put).close)

@@ -349,7 +349,7 @@ def _leaving_nothing() -> Iterator[None]:
     # The compiler, which networks load when they are first used, sets variables of its own.
     numba = {name: each for name, each in now.environment.items() if b"NUMBA" in name}
     before.environment.update(numba)
-    left = left_behind(before._replace(files=now.files, threads=now.threads))
+    left = left_behind(before._replace(files=now.files, threads=sys.maxsize))
     left += [f"shared memory ({name})" for name in sorted(shared)]
     text = (
         "restore or remove it at the end of the trial, or do it once in the constructor"

@@ -12,7 +12,16 @@ from zswarm.ot.record.reader import Run
 
 def test_an_address_must_ask_for_a_number(tmp_path: Path) -> None:
     run = Run(written(tmp_path, [1.0]))
-    for text in ("", "-1", "1.5", "x", "1" * 40, "\u0663"):
+    for text in (
+        "",
+        "-1",
+        "1.5",
+        "x",
+        "1" * 40,
+        "0" * 20 + "9" * 30,
+        "1" * 5000,
+        "\u0663",
+    ):
         with pytest.raises(ConfigError, match="generation: expected a whole number"):
             endpoints.BY_NAME["generation"](run, {"generation": text})
     with pytest.raises(

@@ -120,6 +120,24 @@ def test_a_websocket_of_another_page_is_refused() -> None:
     assert ask(websocket=True, path="/ws")[0] == 1008
 
 
+def test_a_page_of_another_site_reads_nothing_and_has_nothing_computed() -> None:
+    """Browsers state where a request comes from; other programs do not."""
+    for site in ("cross-site", "same-site", "nonsense"):
+        for path in ("/api/runs", "/api/runs/x/curve", "/api/runs/x/trace"):
+            right = {"authorization": f"Bearer {TOKEN}", "sec-fetch-site": site}
+            assert ask(path=path, **right)[0] == 403
+        assert ask(**{"sec-fetch-site": site})[0] == 200, "a link to the page itself"
+    for site in ("same-origin", "none"):
+        assert ask(path="/api/runs", **{"sec-fetch-site": site})[0] == 200
+    assert ask(path="/api/runs")[0] == 200
+
+
+def test_a_replay_is_computed_for_holders_of_the_token_only() -> None:
+    assert ask(path="/api/runs/a/b/trace")[0] == 401
+    right = {"authorization": f"Bearer {TOKEN}"}
+    assert ask(path="/api/runs/a/b/trace", **right)[0] == 200
+
+
 def test_reading_from_the_network_needs_the_token() -> None:
     """The page itself has nothing to hide; what it reads has."""
     assert ask(closed=True)[0] == 200

@@ -1,5 +1,6 @@
 """A database waits for its disk: what is written is there as a whole, once, in the end."""
 
+import contextlib
 import errno
 import os
 import sqlite3
@@ -209,3 +210,15 @@ def test_a_network_file_system_is_known_by_its_mount(
     )
     assert on_network(tmp_path / "run.sqlite")
     assert not on_network(Path("/somewhere/else"))
+
+
+def test_a_record_with_a_trigger_is_not_written(tmp_path: Path) -> None:
+    """Its SQL would run in the user's program."""
+    path = tmp_path / "run.sqlite"
+    with contextlib.closing(connect(path)) as made:
+        made.execute("CREATE TABLE events (x)")
+        made.execute(
+            "CREATE TRIGGER t AFTER INSERT ON events BEGIN DELETE FROM events; END"
+        )
+    with pytest.raises(sqlite3.DatabaseError, match="has a trigger; zswarm makes none"):
+        connect(path)

@@ -526,6 +526,7 @@ def test_a_slot_process_leads_its_session(
 ) -> None:
     """The session identifies the processes that it starts, which end with it."""
     slot = new_worker()
-    assert os.getsid(slot.session) == slot.session == pid(slot)
+    process = pid(slot)
+    assert os.getsid(process) == slot.session == process
     slot.close()
     assert slot.session == 0

@@ -25,13 +25,15 @@ Answer = Callable[[Run, Query], Any]
 EVENTS = 300  # in an answer
 GENES = 2000  # numbers of a genome that are shown
 EDGES = 2000  # of a network that are drawn: the strongest
+LONGEST_NUMBER = 16  # digits of 2^53
 TRIALS = 1000  # of a candidate that are listed
 
 
 def number(query: Query, name: str, default: int | None = None, most: int = 2**53) -> int:
     """Return a number of the address; raise ConfigError if it is missing or not valid."""
     text = query.get(name, "" if default is None else str(default))
-    if not (text.isascii() and text.isdecimal()) or int(text[:20]) > most:
+    digits = len(text) <= LONGEST_NUMBER and text.isascii() and text.isdecimal()
+    if not digits or int(text) > most:
         shown = f"{clean(text)!r:.60}"
         raise ConfigError(
             f"{name}: expected a whole number from 0 to {most}, not {shown}"

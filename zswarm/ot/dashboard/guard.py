@@ -1,9 +1,10 @@
 """Refuse requests that do not come from the dashboard's own page.
 
-A page of another site can have a browser send requests here. Three checks stop it
-(docs/dashboard.md): ``Host`` must name this machine, which prevents DNS rebinding; ``Origin`` must
-be the dashboard's own, except for GET; and what controls runs takes a token. Browsers let pages of
-any origin open WebSockets, so these are checked like POST.
+A page of another site can have a browser send requests here. Four checks stop it
+(docs/dashboard.md): ``Host`` must name this machine, which prevents DNS rebinding; a browser must
+not say that another site asks for a record; ``Origin`` must be the dashboard's own, except for GET;
+and what controls runs, or computes, takes a token. Browsers let pages of any origin open
+WebSockets, so these are checked like POST.
 """
 
 import hmac
@@ -19,6 +20,9 @@ LOCAL = ("localhost",)
 READING = ("GET", "HEAD")
 PROTOCOL = "zswarm"  # of the WebSocket; the page may name its token as a second one
 TOKEN = "token."  # noqa: S105  the prefix of that one
+# What browsers state of a request from the dashboard's page, or from the address bar.
+OWN_SITE = ("same-origin", "none")
+FOREIGN = "refused: this request does not come from the dashboard's own page"
 REFUSED = 1008  # close code: policy violation
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
@@ -39,7 +43,7 @@ class Guard:
 
     Args:
         hosts: names of this machine, in addition to ``localhost`` and addresses.
-        token: needed to control runs.
+        token: needed to control runs, and for replays, which are computed.
         closed: whether reading takes the token, too.
     """
 
@@ -76,17 +80,18 @@ class Guard:
             )
         websocket = scope["type"] == "websocket"
         reads = not websocket and scope["method"] in READING
+        private = websocket or scope["path"].startswith("/api/")
+        from_page = headers.get("sec-fetch-site", "same-origin") in OWN_SITE
+        if private and not from_page:
+            return 403, FOREIGN
         if not reads and origin not in (f"http://{host}", f"https://{host}"):
-            return (
-                403,
-                "refused: this request does not come from the dashboard's own page",
-            )
+            return 403, FOREIGN
         given = headers.get("authorization", "").removeprefix("Bearer ")
         # All that browsers can send.
         for word in scope["subprotocols"] if websocket else ():
             given = word.removeprefix(TOKEN) if word.startswith(TOKEN) else given
-        private = websocket or scope["path"].startswith("/api/")
-        needed = (self._closed and private) or not (reads or websocket)
+        computes = scope["path"].startswith("/api/") and scope["path"].endswith("/trace")
+        needed = (self._closed and private) or computes or not (reads or websocket)
         if needed and not hmac.compare_digest(given.encode(), self._token.encode()):
             return (
                 401,

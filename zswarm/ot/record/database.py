@@ -17,6 +17,7 @@ from zswarm.ot.record.schema import TABLES
 COMMIT_S = 0.1
 RETRY_S = 1.0  # during a disk outage
 WAL = b"\x02\x02"  # bytes 18 and 19 of a database with a write-ahead log
+TRIGGERS = "SELECT 1 FROM sqlite_master WHERE type = 'trigger'"
 SIDE_FILES = ("-wal", "-shm", "-journal")  # that SQLite keeps next to a database
 NETWORK_FILE_SYSTEMS = frozenset(
     "nfs nfs4 cifs smb3 smbfs 9p afs ceph glusterfs lustre fuse.sshfs".split()
@@ -175,6 +176,10 @@ def connect(path: Path) -> sqlite3.Connection:
             f"PRAGMA journal_mode = {'DELETE' if on_network(path) else 'WAL'}"
         )
         connection.execute("PRAGMA synchronous = FULL")
+        connection.execute("PRAGMA trusted_schema = OFF")
+        # The record may come from somebody else, whose SQL would run when something is written.
+        if connection.execute(TRIGGERS).fetchone():
+            raise sqlite3.DatabaseError("it has a trigger; zswarm makes none")
         # macOS: without it the drive may still have what was synced in its cache.
         connection.execute("PRAGMA fullfsync = ON")
     except BaseException:  # KeyboardInterrupt, too

@@ -551,3 +551,13 @@ def test_import_fails_with_one_line(tmp_path: Path) -> None:
     assert complaint.startswith("zswarm-ot: ")
     assert complaint.isprintable()
     assert not (tmp_path / "runs").exists()
+
+
+def test_more_elements_than_a_result_has_are_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Each takes some 700 bytes of memory: a small file could fill it."""
+    monkeypatch.setattr(frevo_file, "MAX_ELEMENTS", 1000)
+    assert frevo_file.parse(b"<frevo>" + b"<a/>" * 999 + b"</frevo>")[1] == []
+    with pytest.raises(ConfigError, match="more than 1,000 elements"):
+        frevo_file.parse(b"<frevo>" + b"<a/>" * 1000 + b"</frevo>")

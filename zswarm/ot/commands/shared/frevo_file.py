@@ -18,6 +18,7 @@ from zswarm.errors import ConfigError
 from zswarm.system.text import clean
 
 MAX_DEPTH = 32
+MAX_ELEMENTS = 2_000_000  # some 700 bytes each; a network of 300 nodes has 90,000
 NET, NET_DEPTH = "FullyMeshedNet", 4  # frevo/populations/population/FullyMeshedNet
 ACTIVATIONS = {"LINEAR": "clamp", "SIGMOID": "sigmoid", "RELU": "relu"}
 INTEGER = re.compile(r"[+-]?\d{1,18}")
@@ -39,12 +40,16 @@ def parse(body: bytes) -> tuple[Element, list[Net]]:
     Raises:
         ConfigError: not an XML text that FREVO wrote.
     """
-    parser, builder, depth = expat.ParserCreate(), TreeBuilder(), 0
+    parser, builder, depth, elements = expat.ParserCreate(), TreeBuilder(), 0, 0
     nets: list[Net] = []
 
     def begin(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal depth
-        depth += 1
+        nonlocal depth, elements
+        depth, elements = depth + 1, elements + 1
+        if elements > MAX_ELEMENTS:
+            raise ConfigError(
+                f"not a result of FREVO: more than {MAX_ELEMENTS:,} elements"
+            )
         if depth > MAX_DEPTH:
             raise ConfigError(f"not a result of FREVO: nested deeper than {MAX_DEPTH}")
         builder.start(tag, attributes)
