@@ -10,10 +10,11 @@ import pytest
 from msgspec import Meta
 
 from zswarm.errors import ConfigError, EvaluationError, UnknownPlugin
-from zswarm.evaluate import TrialOutcomes, build, evaluate, probe
+from zswarm.evaluate import TrialOutcomes, build, evaluate
 from zswarm.kernels.random import Stream
 from zswarm.nets.fully_meshed import FullyMeshed, FullyMeshedSettings
 from zswarm.plugins import registry as plugins
+from zswarm.probe import probe
 from zswarm.protocol.messages import PROBE_DIGEST, PROBE_TRIALS
 from zswarm.sims.minisim import Minisim
 from zswarm.sims.raised import MAX_ERROR_TEXT
@@ -689,19 +690,9 @@ def test_a_probe_of_long_trials_has_fewer_and_at_least_one() -> None:
     assert probe(*built(), budget_s=0.0).digest == probe(*built()).digest[:PROBE_DIGEST]
 
 
-def test_one_trial_is_played_of_a_simulator_that_is_not_repeatable(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    seeds = []
-    turns = Duel.turns
-
-    def counted(self: Duel, seed: int) -> Any:
-        seeds.append(seed)
-        return turns(self, seed)
-
-    monkeypatch.setattr(Duel, "turns", counted)
+def test_one_trial_is_played_of_a_simulator_that_is_not_repeatable() -> None:
     simulator, network = built()
     simulator.repeatable = False
     found = probe(simulator, network)
-    assert (found.digest, len(seeds)) == (b"", 1)
+    assert (found.digest, len(simulator.played)) == (b"", 1)
     assert found.trial_s > 0.0

@@ -6,7 +6,6 @@ that is not finite (always the same NaN). A process that crashes or hangs, and a
 faults, not outcomes: they are detected outside.
 """
 
-import hashlib
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -23,10 +22,8 @@ from zswarm.nets.networks import Networks
 from zswarm.nets.representation import Representation
 from zswarm.plugins import registry as plugins
 from zswarm.protocol.messages import (
-    PROBE_DIGEST,
     PROBE_GENOMES,
     PROBE_SEEDS,
-    PROBE_TRIALS,
 )
 from zswarm.sims.raised import error_text, is_outcome
 from zswarm.sims.randomized import Varied
@@ -62,16 +59,6 @@ class _Played(NamedTuple):
     error: str  # of the first trial that failed, or ""
     trials: int
     spoiled: bool = False  # the process is not to play others
-
-
-PROBE_S = 10.0  # seconds that a probe may take, except for its first trial
-
-
-class Probe(NamedTuple):
-    """The result of the trials that every machine plays."""
-
-    digest: bytes  # of each trial's outcomes, PROBE_DIGEST bytes; empty if it is not repeatable
-    trial_s: float  # time of one of the trials
 
 
 def build(
@@ -354,63 +341,13 @@ def warm_up(
     """
     if not in_turns:
         compile_all()
-    return _play_probe(simulator, representation, slice(1), in_turns=in_turns)
+    return play_probe(simulator, representation, slice(1), in_turns=in_turns)
 
 
-def probe(
-    simulator: Simulator,
-    representation: Representation,
-    most: int = PROBE_TRIALS,
-    *,
-    budget_s: float = PROBE_S,
-    in_turns: bool = False,
-) -> Probe:
-    """Play the trials by which machines are compared, after warming up.
-
-    They are four random genomes on two seeds. Of a simulator that is not repeatable, one trial is
-    played.
-
-    Args:
-        most: trials to play.
-        budget_s: seconds; what would take longer is left out, except for the first trial.
-    """
-    if not in_turns:
-        compile_all()  # what this takes is not the time of a trial
-    begin = time.perf_counter()
-    parts = [warm_up(simulator, representation, in_turns=in_turns)]
-    spent_s = trial_s = time.perf_counter() - begin
-    if not simulator.repeatable:
-        return Probe(b"", trial_s)
-    played = 1
-    while played < most:
-        # One more first: the first one may have loaded something.
-        count = 1 if played == 1 else most - played
-        count = int(min(count, (budget_s - spent_s) // trial_s))
-        if count < 1:
-            break
-        some = slice(played, played + count)
-        parts.append(_play_probe(simulator, representation, some, in_turns=in_turns))
-        before_s, spent_s = spent_s, time.perf_counter() - begin
-        trial_s = (spent_s - before_s) / count
-        played += count
-    return Probe(b"".join(map(_digests, parts)), trial_s)
-
-
-def _digests(outcomes: TrialOutcomes) -> bytes:
-    """Return a digest for each trial, one after the other."""
-    rows = zip(outcomes.fitness, outcomes.metrics, strict=True)
-    return b"".join(
-        hashlib.blake2b(
-            fitness.astype("<f8").tobytes() + metrics.astype("<f8").tobytes(),
-            digest_size=PROBE_DIGEST,
-        ).digest()
-        for fitness, metrics in rows
-    )
-
-
-def _play_probe(
+def play_probe(
     simulator: Simulator, network: Representation, some: slice, *, in_turns: bool
 ) -> TrialOutcomes:
+    """Return the outcomes of some trials of the probe."""
     genomes = network.random(PROBE_GENOMES, Stream(derive_seed(0, "probe")))
     first = np.repeat(np.arange(PROBE_GENOMES), PROBE_SEEDS)[some]
     participants = (first[:, None] + np.arange(simulator.participants)) % PROBE_GENOMES

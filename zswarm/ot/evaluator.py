@@ -33,6 +33,7 @@ from zswarm.ot.generation import Assessment
 from zswarm.ot.notes import Note, words
 from zswarm.ot.problem import Problem, check_whole
 from zswarm.ot.workload import Workload
+from zswarm.probe import probe as play_probe
 
 IDLE_S = 10.0  # without a call; then others may have the slots
 LOG = logging.getLogger("zswarm")
@@ -218,7 +219,7 @@ def arbitrate(
     simulator, representation = problem.simulator, problem.representation
     if isinstance(dispute, ProbeDisputed):
         most = dispute.trials
-        probe = evaluate.probe(simulator, representation, most, budget_s=math.inf)
+        probe = play_probe(simulator, representation, most, budget_s=math.inf)
         return ProbeArbitrated(probe.digest)
     assert workload is not None  # noqa: S101  a trial is of one
     trials = workload.batch(np.array([dispute.trial]))

@@ -40,6 +40,7 @@ KEYS = (
 PACKAGE = Path(__file__).parents[1]
 SHARED = [
     "evaluate.py",
+    "probe.py",
     "config/ranges.py",
     "sims/randomized.py",
     "sims/turns.py",

@@ -303,7 +303,7 @@ def test_probes_are_compared_as_far_as_both_played_them() -> None:
     join(optimizer, "c", b"")
     assert verbs(join(optimizer, "d", one + wrong)) == [("d", "release")]
     assert ProbeDisputed(2) in optimizer.commands
-    assert "plays 2 trials" in optimizer.notes("server_differs")[0].text
+    assert "plays 2 and decides" in optimizer.notes("server_differs")[0].text
     optimizer.feed(ProbeArbitrated(one + two))
     assert [note.server for note in optimizer.notes("server_wrong")] == ["d"]
     assert optimizer.dispatch.servers.standing().serving == ["a", "b", "c"]

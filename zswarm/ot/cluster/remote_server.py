@@ -138,6 +138,13 @@ class RemoteServer(msgspec.Struct, eq=False):
             return self.wanted
         return self.slots if self.phase == Phase.LEASED else 0
 
+    def differs_at(self, probe: bytes) -> int | None:
+        """Return the first trial of the probe that was played with other outcomes."""
+        for at in range(0, min(len(self.probe), len(probe)), PROBE_DIGEST):
+            if self.probe[at : at + PROBE_DIGEST] != probe[at : at + PROBE_DIGEST]:
+                return at // PROBE_DIGEST
+        return None
+
     def fails_too_much(self) -> bool:
         """Return whether too many trials failed here that other servers could evaluate."""
         return self.blamed >= max(BLAMED, BLAMED_SHARE * self.counted)
@@ -166,11 +173,3 @@ class Standing(msgspec.Struct, frozen=True):
             slots=sum(server.ready for server in leased),
             probe=probe,
         )
-
-
-def differing_trial(one: bytes, other: bytes) -> int | None:
-    """Return the first trial of the probe that both played with different outcomes."""
-    for at in range(0, min(len(one), len(other)), PROBE_DIGEST):
-        if one[at : at + PROBE_DIGEST] != other[at : at + PROBE_DIGEST]:
-            return at // PROBE_DIGEST
-    return None

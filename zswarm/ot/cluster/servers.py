@@ -12,16 +12,9 @@ from msgspec import structs
 from zswarm.errors import LocalProtocolError
 from zswarm.ot.cluster.events import OpenQuery, Outbox, ProbeDisputed, Retracted
 from zswarm.ot.cluster.matching import Terms
-from zswarm.ot.cluster.remote_server import (
-    MOVES,
-    Phase,
-    RemoteServer,
-    Standing,
-    differing_trial,
-)
+from zswarm.ot.cluster.remote_server import MOVES, Phase, RemoteServer, Standing
 from zswarm.ot.notes import RunEvent
 from zswarm.protocol.messages import Lease, Offer, Refused, Release, Renew, Reply, Verb
-from zswarm.system.format import plural
 
 # A third of the lease time; only the reply to a renewal has the current number of slots.
 RENEW_S = 20.0
@@ -242,7 +235,7 @@ class Servers(msgspec.Struct, eq=False):
             self.out.note(RunEvent(f"lease_{lease.state}"), server.id, count=lease.slots)
         if lease.probe:
             server.probe = lease.probe
-            if (trial := differing_trial(server.probe, self.probe)) is None:
+            if (trial := server.differs_at(self.probe)) is None:
                 self.probe = max(self.probe, server.probe, key=len)
             else:
                 self._probe_differs(server, trial)
@@ -304,25 +297,21 @@ class Servers(msgspec.Struct, eq=False):
     # ---- servers that are wrong or faulty
 
     def _probe_differs(self, server: RemoteServer, trial: int) -> None:
-        if differing_trial(server.probe, self._probe_arbitrated) is not None:
-            self.ban(server, "its outcomes of the probe are wrong")
-            return
+        if server.differs_at(self._probe_arbitrated) is not None:
+            return self.ban(server, "its outcomes of the probe are wrong")
         self._end(server, Phase.BACKED_OFF, release=True, again_s=BACK_OFF_S)
-        text = (
-            f"its outcome of trial {trial} of the probe differs from that of other servers; this"
-            f" machine decides, and plays {plural(trial + 1, 'trial')} without compiled code"
-        )
+        text = f"trial {trial} of the probe differs; this machine plays {trial + 1} and decides"
         self.out.note(RunEvent.SERVER_DIFFERS, server.id, text)
         if not self._probe_disputed:
             self._probe_disputed = True
             self.out.commands.append(ProbeDisputed(trial + 1))
+        return None
 
     def arbitrate_probe(self, digest: bytes) -> None:
         """Ban the servers whose outcomes of the probe differ from this machine's."""
-        self.probe = self._probe_arbitrated = digest
-        self._probe_disputed = False
+        self.probe, self._probe_arbitrated, self._probe_disputed = digest, digest, False
         for server in self.by_id.values():
-            if differing_trial(server.probe, digest) is not None:
+            if server.differs_at(digest) is not None:
                 self.ban(server, "its outcomes of the probe are wrong")
             elif server.probe and server.phase == Phase.BACKED_OFF:
                 self._ask_by(server, self.out.now)
