@@ -483,7 +483,7 @@ def test_bytes_after_the_message_are_refused() -> None:
 
 
 def test_a_message_that_is_too_large_is_refused_unread() -> None:
-    body = codec.encode(evaluate(genomes=[bytes(3_000_000)] * 3))
+    body = codec.encode(evaluate(genomes=[bytes(12_000_000)] * 3))
     assert (
         refusal(body)
         == f"a message has {len(body)} bytes; at most {MAX_MESSAGE} are taken"

@@ -161,8 +161,7 @@ class Layered(vector.VectorRepresentation):
 
     def distances(self, left: Sequence[bytes], right: Sequence[bytes]) -> np.ndarray:
         """Return means of |difference| / range over all genes, added in gene order."""
-        a, b = (self._numbers(side) / self.ranges for side in (left, right))
-        return vector.absolute_differences(a, b) / self.genes
+        return self._differences(left, right, self.ranges) / self.genes
 
     def graph(self, genome: bytes) -> Graph:
         """Return the network with the weights of its genome."""

@@ -16,6 +16,9 @@ from zswarm.kernels.random import Stream
 from zswarm.nets.representation import Representation
 
 BLOCK = 64_000  # differences computed at once: 256 kB stay in the processor's cache
+PART = (
+    4_000_000  # numbers of genomes computed at once: large populations take much memory
+)
 FINE, COARSE = 0.1, 10.0  # FREVO's least reaches of mutation 2
 
 Range = Annotated[float, Meta(gt=0, le=1e6)]
@@ -72,8 +75,12 @@ class VectorRepresentation(Representation):
 
     def random(self, count: int, stream: Stream) -> list[bytes]:
         """Draw each number uniformly in plus or minus its range."""
-        draws = stream.uniform(-1.0, 1.0, count * self.genes).reshape(count, self.genes)
-        return _split(draws * self.ranges)
+        genomes: list[bytes] = []
+        for rows in self._parts(count):
+            size = (rows.stop - rows.start) * self.genes
+            draws = stream.uniform(-1.0, 1.0, size)
+            genomes += _split(draws.reshape(-1, self.genes) * self.ranges)
+        return genomes
 
     def mutate(
         self,
@@ -90,17 +97,30 @@ class VectorRepresentation(Representation):
         code, s = max(g / 5, least reach), truncated where that reach is 10. So a negative g always
         has the least reach.
         """
-        numbers = self._numbers(genomes)
-        hit = stream.uniform(0.0, 1.0, numbers.size).reshape(numbers.shape) < probability
-        draws = stream.uniform(-1.0, 1.0, numbers.size).reshape(numbers.shape)
+        size = len(genomes) * self.genes
+        hits = Stream(stream.seed, stream.position)
+        moves = Stream(stream.seed, stream.position + size)
+        stream.position += 2 * size
+        made: list[bytes] = []
+        for part in self._parts(len(genomes)):
+            numbers = self._numbers(genomes[part])
+            hit = hits.uniform(0.0, 1.0, numbers.size) < probability
+            draws = moves.uniform(-1.0, 1.0, numbers.size).reshape(numbers.shape)
+            moved = self._moved(numbers, draws, method, severity)
+            made += _split(np.where(hit.reshape(numbers.shape), moved, numbers))
+        return made
+
+    def _moved(
+        self, numbers: np.ndarray, draws: np.ndarray, method: int, severity: float
+    ) -> np.ndarray:
+        """Return (genomes, genes) float32: every gene moved by its draw."""
         if method == 1:
             reach = severity * self.ranges
         else:
             reach = np.maximum(numbers.astype(np.float64) / 5.0, self.least)
             reach = np.where(self.least == COARSE, np.trunc(reach), reach)
-        return _split(
-            np.where(hit, numbers + (draws * reach).astype(np.float32), numbers)
-        )
+        moved: np.ndarray = numbers + (draws * reach).astype(np.float32)
+        return moved
 
     def crossover(self, mother: bytes, father: bytes, stream: Stream) -> bytes:
         """Return the mother with all genes of a block of the father's neurons."""
@@ -112,7 +132,35 @@ class VectorRepresentation(Representation):
 
     def distances(self, left: Sequence[bytes], right: Sequence[bytes]) -> np.ndarray:
         """Return sums of the absolute differences of all genes, added in gene order."""
-        return absolute_differences(self._numbers(left), self._numbers(right))
+        return self._differences(left, right)
+
+    def _differences(
+        self,
+        left: Sequence[bytes],
+        right: Sequence[bytes],
+        scale: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Return sums of absolute differences, of genes divided by a scale if there is one."""
+
+        def numbers(genomes: Sequence[bytes]) -> np.ndarray:
+            found = self._numbers(genomes)
+            return found if scale is None else found / scale
+
+        found = np.empty((len(left), len(right)))
+        for rows in self._parts(len(left)):
+            some = numbers(left[rows])
+            for columns in self._parts(len(right)):
+                others = numbers(right[columns])
+                found[rows, columns] = absolute_differences(some, others)
+        return found
+
+    def _parts(self, count: int) -> list[slice]:
+        """Return parts of so many genomes that are computed at once."""
+        at_once = max(1, PART // self.genes)
+        return [
+            slice(begin, min(begin + at_once, count))
+            for begin in range(0, count, at_once)
+        ]
 
     def _numbers(self, genomes: Sequence[bytes]) -> np.ndarray:
         return np.frombuffer(b"".join(genomes), "<f4").reshape(len(genomes), self.genes)

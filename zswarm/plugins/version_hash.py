@@ -42,24 +42,12 @@ SHARED = [
     "evaluate.py",
     "probe.py",
     "config/ranges.py",
-    "sims/randomized.py",
-    "sims/turns.py",
-    "sims/simulator.py",
+    *(f"sims/{name}.py" for name in ("raised", "randomized", "simulator", "turns")),
+    *(f"kernels/{name}.py" for name in ("compiler", "jit", "lanes", "portable")),
+    *(f"kernels/{name}.py" for name in ("random", "signatures", "sums", "vectors")),
+    *(f"nets/{name}.py" for name in ("meshed", "networks", "neurons")),
+    *(f"nets/{name}.py" for name in ("representation", "vector")),
 ]
-SHARED += [
-    "kernels/jit.py",
-    "kernels/compiler.py",
-    "kernels/lanes.py",
-    "kernels/vectors.py",
-]
-SHARED += [
-    "kernels/signatures.py",
-    "kernels/portable.py",
-    "kernels/random.py",
-    "kernels/sums.py",
-]
-SHARED += ["nets/meshed.py", "nets/networks.py", "nets/neurons.py"]
-SHARED += ["nets/representation.py", "nets/vector.py"]
 
 
 @cache
@@ -222,7 +210,7 @@ def _hashed(total: "hashlib.blake2b", files: Iterable[Path]) -> "hashlib.blake2b
 
 @cache  # files are in the hashes of many problems, and may be large
 def _content(file: Path, *_: int) -> bytes:
-    """Return the digest of a file's content, computed anew when the file was changed."""
+    """Return the digest of a file's content, computed again when the file was changed."""
     with file.open("rb") as content:
         made = hashlib.file_digest(content, lambda: hashlib.blake2b(digest_size=16))
     return made.digest()

@@ -114,7 +114,7 @@ class Database:
         """Commit everything in one transaction, now.
 
         Raises:
-            ConfigError: the file is gone.
+            ConfigError: the file is gone, or a value is too large for SQLite.
             sqlite3.OperationalError, OSError: the disk refuses it; see ``outage``.
         """
         pause = COMMIT_S if self._outage_since is None else RETRY_S
@@ -125,7 +125,13 @@ class Database:
             raise ConfigError(
                 f"{self._folder}: moved, removed or unmounted while the run went on"
             )
-        transact(self._connection, self.unwritten)
+        try:
+            transact(self._connection, self.unwritten)
+        except (sqlite3.DataError, OverflowError) as error:
+            raise ConfigError(
+                f"{self._folder}: cannot be recorded: {error}; SQLite takes at most "
+                "1,000,000,000 bytes in a value"
+            ) from None
         self.unwritten = []
 
     def write_once(self) -> None:

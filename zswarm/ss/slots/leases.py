@@ -56,7 +56,10 @@ class LeaseTable(dict[tuple[str, str], HeldLease]):
             return ""
         if epoch == highest:
             return f"another program holds the lease of epoch {epoch}"
-        return f"the run was taken over: its epoch is {highest}, not {epoch}"
+        return (
+            f"the run was taken over: its epoch is {highest}, not {epoch}; if no other program "
+            "evolves it, this is an older copy of its record: resume it again"
+        )
 
     def grant(self, user: str, run: str, reserve: Reserve) -> HeldLease:
         """Add a lease, in the place of the previous lease of the run if there is one."""
