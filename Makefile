@@ -6,7 +6,7 @@ TESTS ?= -n $$((2 * $$(nproc))) --dist worksteal  # many wait for programs; neig
 
 KILLS ?= 200
 
-.PHONY: run test long attacks programs product vmas browser robots rest chaos faults machines units kills lint format docs docs-commands reference bench bench-quick bench-methods benchmarks paper scale soak clean
+.PHONY: run test long attacks programs product vmas browser robots rest chaos faults machines units kills bits-everywhere lint format docs docs-commands reference bench bench-quick bench-methods benchmarks paper scale soak clean
 
 run: $(READY)
 	$(BIN)/zswarm-ot run $(or $(ARGS),stadium)
@@ -67,6 +67,10 @@ units: $(READY)
 # So many kills during one run.
 kills: $(READY)
 	KILLS=$(KILLS) $(BIN)/python -m pytest -s -m faults tests/integration/test_kills.py $(ARGS)
+
+# Results with every supported Python that is installed, and with the oldest and newest numpy and numba.
+bits-everywhere: $(READY)
+	$(BIN)/python -m pytest -n 2 -m versions tests/bits $(ARGS)
 
 lint: $(READY)
 	$(BIN)/ruff check .

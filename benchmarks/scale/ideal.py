@@ -6,7 +6,7 @@ from collections import deque
 from typing import Any, NamedTuple
 
 from scale.pretended import CAPACITY, Times, draws, durations, salt, speed
-from zswarm.ot.cluster.batches import DEPTH
+from zswarm.ot.cluster.schedule import DEPTH
 from zswarm.ot.workload import Workload
 
 

@@ -5,7 +5,8 @@ variants with one simulator: outcomes of some trials, played in a batch and turn
 results of the networks' operators, and what short runs of each optimizer variant with each network
 propose, receive and store on the smallest problem. Finally, cover every pair of simulator and
 network. With ``short``, shorten the trials for plain Python; with ``few``, also play only a few of
-them and omit runs and pairs.
+them and omit runs and pairs; with ``versions``, do as with ``few``, but with the runs of the
+optimizers for one network, and for the one that ``neat`` needs.
 """
 
 import contextlib
@@ -28,7 +29,7 @@ from zswarm.ot.record.history_hash import History
 from zswarm.plugins import registry as plugins
 from zswarm.sims.turns import play_turns
 
-FEW = sys.argv[1:] == ["few"]
+FEW = sys.argv[1:] in (["few"], ["versions"])
 # Of a trial, if not as many as the simulator's settings say.
 STEPS = 25 if sys.argv[1:] else None
 GENOMES = 2 if FEW else 6
@@ -36,6 +37,8 @@ SEEDS = np.array([1] if FEW else [1, 2**63 + 5], np.uint64)
 GENERATIONS = 3
 # Partners: whose metrics show every bit of what is decided, lanes.
 SIMULATOR, NETWORK, SMALLEST = "arena", "fully-meshed", "xor"
+# Networks that optimizers evolve; None: all.
+EVOLVED = {"few": [], "versions": [NETWORK, "neat"]}.get("".join(sys.argv[1:]))
 # Environments of other packages have their own bits; trials in ROS have those of turtlebot-exit.
 SIMULATORS = [
     name
@@ -210,7 +213,8 @@ def results() -> Iterator[tuple[str, bytes | int]]:
     for representation in plugins.names("representation"):
         _, simulator, network = problem(SMALLEST, representation, {}, {})
         yield f"{representation}: operators", operated(network)
-        for kind in [] if FEW else plugins.names("optimizer"):
+        evolves = EVOLVED is None or representation in EVOLVED
+        for kind in plugins.names("optimizer") if evolves else []:
             optimizer_class = plugins.load("optimizer", kind)
             for chosen in (
                 ways(optimizer_class.settings_type) if representation == NETWORK else [{}]

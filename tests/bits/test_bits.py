@@ -54,11 +54,13 @@ TRIALS = {
 }
 
 
-def bits(*arguments: str, **environment: str) -> dict[str, str | int]:
+def bits(
+    *arguments: str, python: Path | str = sys.executable, **environment: str
+) -> dict[str, str | int]:
     """Return a digest per compared item, and per problem the number of distinct outcomes."""
     cleared = {"ZSWARM_PLAIN": "", "NUMBA_DISABLE_JIT": "0"}
     done = subprocess.run(
-        [sys.executable, "-W", "ignore", Path(__file__).with_name("bits.py"), *arguments],
+        [python, "-W", "ignore", Path(__file__).with_name("bits.py"), *arguments],
         env=os.environ | cleared | environment,
         capture_output=True,
         text=True,

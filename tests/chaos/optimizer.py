@@ -269,8 +269,9 @@ class Optimizer(Node[events.Event]):
         )
 
     def _check(self) -> None:
-        """Check that every trial is in one place."""
+        """Check that every trial is in one place, or in the two that are known to have it."""
         servers, batches = self.dispatch.servers.by_id.values(), self.dispatch.batches
+        self._check_pairs()
         if batches.workload is not None:
             places = [entry.trials for entry in batches.queue.entries]
             places += [
@@ -281,8 +282,20 @@ class Optimizer(Node[events.Event]):
             ]
             places.append(np.flatnonzero(batches.workload.counted))
             found = np.bincount(np.concatenate(places), minlength=len(self._once))
-            if found.tolist() != self._once:
+            once = np.array(self._once)
+            once[list(batches.second.pairs)] += 1
+            if found.tolist() != once.tolist():
                 self.world.fail(f"{self.run}: a trial is lost, or in two places")
         for server in servers:
             if server.batches and server.phase not in (Phase.LEASED, Phase.LEAVING):
                 self.world.fail(f"{server.id} has batches")
+
+    def _check_pairs(self) -> None:
+        """Check that a trial that was started twice is awaited from two servers."""
+        for trial, pair in self.dispatch.batches.second.pairs.items():
+            there = [
+                batch.server.batches.get(batch.id) is batch and trial in batch.rest()
+                for batch in pair
+            ]
+            if not all(there) or pair[0].server is pair[1].server:
+                self.world.fail(f"{self.run}: a second start of trial {trial} is lost")

@@ -13,6 +13,7 @@ from zswarm.ot.cluster.dispatch import Dispatch
 from zswarm.ot.cluster.events import Answered, Counted
 from zswarm.ot.cluster.queue import QueuedTrials
 from zswarm.ot.cluster.remote_server import SentBatch
+from zswarm.ot.cluster.second_starts import SecondStarts
 from zswarm.ot.cluster.servers import Servers
 from zswarm.protocol.messages import Outcomes
 from zswarm.ss.slots.reply_cache import ReplyCache
@@ -134,6 +135,49 @@ def a_lie_is_believed(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(Servers, "ban", lambda *_: None)
 
 
+def a_second_outcome_counts(patch: pytest.MonkeyPatch) -> None:
+    """Leave a trial in its other copy when one is counted."""
+    patch.setattr(SecondStarts, "counted", lambda self, *_: self.pairs.clear() or [])
+
+
+def a_copy_is_cancelled_too_soon(patch: pytest.MonkeyPatch) -> None:
+    """Cancel a batch of which one trial was counted elsewhere, with all others."""
+    counted = SecondStarts.counted
+
+    def ends(self: SecondStarts, batch: SentBatch, trials: list[int]) -> list[SentBatch]:
+        pairs = [self.pairs[trial] for trial in trials if trial in self.pairs]
+        counted(self, batch, trials)
+        others = {id(one): one for pair in pairs for one in pair if one is not batch}
+        return [one for one in others.values() if one.id in one.server.batches]
+
+    patch.setattr(SecondStarts, "counted", ends)
+
+
+def a_lost_copy_is_sent_again(patch: pytest.MonkeyPatch) -> None:
+    """Queue the trials of a lost copy, though another server still has them."""
+    patch.setattr(SecondStarts, "lost", lambda *_: None)
+
+
+def a_failed_copy_is_sent_again(patch: pytest.MonkeyPatch) -> None:
+    """Queue a trial that failed, though another server still has it."""
+    patch.setattr(SecondStarts, "elsewhere", lambda *_: False)
+
+
+def a_copy_is_of_another_trial(patch: pytest.MonkeyPatch) -> None:
+    """Send the genome and seed of the next trial with a second start."""
+    ask = Batches.ask
+
+    def asks(self: Batches, batch: SentBatch) -> None:
+        trials, pair = batch.trials, self.second.pairs.get(int(batch.trials[0]))
+        if pair is not None and pair[1] is batch:
+            assert self.workload is not None
+            batch.trials = (trials + 1) % len(self.workload.seeds)
+        ask(self, batch)
+        batch.trials = trials
+
+    patch.setattr(Batches, "ask", asks)
+
+
 PLANTED: list[Callable[[pytest.MonkeyPatch], None]] = [
     no_dedupe,
     a_lease_is_never_freed,
@@ -141,6 +185,11 @@ PLANTED: list[Callable[[pytest.MonkeyPatch], None]] = [
     a_batch_is_not_kept,
     a_cut_link_forgets,
     a_lie_is_believed,
+    a_second_outcome_counts,
+    a_copy_is_cancelled_too_soon,
+    a_lost_copy_is_sent_again,
+    a_failed_copy_is_sent_again,
+    a_copy_is_of_another_trial,
 ]
 
 

@@ -12,11 +12,12 @@ from zswarm import experiment
 from zswarm.config.sections import StudyConfig
 from zswarm.errors import Stopped
 from zswarm.experiment import Experiment
-from zswarm.ot import run
+from zswarm.ot import identity, run
 from zswarm.ot.build import Parts, build
 from zswarm.ot.cluster.connection import Connection
 from zswarm.ot.logger import Generation, Logger, Result, Started
 from zswarm.ot.record import control_file as control
+from zswarm.ot.record import epochs
 from zswarm.ot.record.folder import load_experiment
 from zswarm.ot.record.reader import Run
 from zswarm.ot.record.results import finished_result
@@ -163,9 +164,12 @@ def resume(folder: Path, connection: Connection, logger: Logger) -> Iterator[Evo
         parts = build(complete)
         if not parts.optimizer.portable and (machine := record.machine_changed()):
             logger.on_say(f"this run was made with {machine}; {CHANGED}")
-        if record.meta("version_hash") != _code(complete):
+        before = epochs.epochs(Run(folder))[-1:]
+        now = identity.here(complete, record.resumed().generation)
+        portable = parts.optimizer.portable
+        if before and (how := identity.change(before[0], now, portable=portable)):
             logger.on_say(
-                f"the code that computes was changed since this run began; {CHANGED}"
+                f"what computes was changed before generation {now.generation}: {how}; {CHANGED}"
             )
         with contextlib.closing(
             _evolution(parts, record, connection, logger)

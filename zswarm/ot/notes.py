@@ -54,6 +54,7 @@ class RunEvent(StrEnum):
     LEASE_READY = "lease_ready"
     DISK_WAITED = "disk_waited", "warning"
     REQUEUED = "requeued", "warning"
+    SECOND_START = "second_start"
     FAULT = "fault", "error", "{server}: {text}"
     MALFORMED = (
         "malformed",

@@ -9,6 +9,7 @@ from zswarm.ot.cluster.connection import Connection
 from zswarm.ot.cluster.events import Counted, Retracted
 from zswarm.ot.cluster.shell import Cluster, Item
 from zswarm.ot.generation import Assessment
+from zswarm.ot.identity import here
 from zswarm.ot.logger import Generation, Logger, Result, Started
 from zswarm.ot.notes import Note, RunEvent, words
 from zswarm.ot.record.packing import PackedState
@@ -101,7 +102,8 @@ class _Notebook:
             self._keep_champion()  # the program may have ended before it was written
         self._improved = optimizer.best()[1]
         self._candidates = record.evaluations()
-        record.note(Note(RunEvent.BEGAN, count=record.meta("epoch")))
+        now = here(complete, resumed.generation)
+        record.note(Note(RunEvent.BEGAN, text=now.text, count=record.meta("epoch")))
         self._logger.on_start(Started(record.folder, complete, resumed.generation))
         say(f"{complete.name}: {connection.who_computes()}")
         if not self._problem.simulator.repeatable:

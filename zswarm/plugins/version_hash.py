@@ -28,6 +28,7 @@ from zswarm.plugins import registry as plugins
 from zswarm.plugins.distributions import compiled_files, regular
 
 LIBRARIES = ("llvmlite", "numba", "numpy", "pymunk")
+PROPOSING = {"cmaes": "cmaes", "cma-me": "ribs", "map-elites": "ribs"}  # by optimizer
 CODE, BUILD, NONE = "code of ", "build of ", "none"
 PHYSICS = "pymunk"  # compiled differently by PyPI, conda and distributions of Linux
 PACKAGE_VERSION = re.compile(r"\w[\w.!+-]*")
@@ -83,6 +84,13 @@ def versions(simulator: str, representation: str) -> dict[str, str]:
         f"{CODE}simulator {simulator}": _code("simulator", simulator),
         f"{CODE}representation {representation}": _code("representation", representation),
     }
+
+
+def proposing(optimizer: str) -> dict[str, str]:
+    """Return the versions of the packages that propose an optimizer's candidates."""
+    name = PROPOSING.get(optimizer)
+    packages = {name: _version(name)} if name else {}
+    return packages | plugins.distribution_versions("optimizer", optimizer)
 
 
 def differing(here: Mapping[str, str], asked: Mapping[str, str]) -> list[str]:

@@ -153,6 +153,7 @@ class _Server:
     def __init__(self, lab: Lab, name: str, machine: Machine) -> None:
         self.lab, self.name, self.machine = lab, name, machine
         self.dead = False
+        self._stalled_until = 0.0
         self._open: set[int] = set()  # questions
         self._free_at = {"there": 0.0, "back": 0.0}  # the link's directions
         token = name.encode().ljust(16, b"-")
@@ -169,6 +170,10 @@ class _Server:
         self.lab.at(0.01, lambda: self.lab.feed(Gone(self.name)))
         for question in self._open:
             self.lab.at(0.02, lambda q=question: self.lab.feed(Answered(q, None)))  # type: ignore[misc]
+
+    def stall(self, seconds: float) -> None:
+        """Answer nothing for a while."""
+        self._stalled_until = self.lab.now + seconds
 
     def asked(self, ask: Ask) -> None:
         """Carry a question to the server."""
@@ -188,6 +193,8 @@ class _Server:
         """Call after the time that some bytes take; without ``wait`` they overtake others."""
         begin = max(self.lab.now, self._free_at[way]) if wait else self.lab.now
         sent = begin + size / self.machine.rate
+        if way == "back":
+            sent = max(sent, self._stalled_until)
         if wait:
             self._free_at[way] = sent
         self.lab.at(sent - self.lab.now + self.machine.delay_s, arrive)

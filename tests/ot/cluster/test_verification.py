@@ -187,7 +187,7 @@ def test_a_check_of_retracted_trials_may_arrive_after_the_end() -> None:
     optimizer = Optimizer(verify=0.3)
     optimizer.join("a", slots=3)
     (ask,) = optimizer.work(3)
-    optimizer.join("b", "c")
+    optimizer.join("b", "c", trial_s=0.01)
     late, check = optimizer.answer(ask, outcomes(ask))
     assert (late.server, trials([late]), check.server, trials([check])) == (
         "b",
@@ -195,14 +195,14 @@ def test_a_check_of_retracted_trials_may_arrive_after_the_end() -> None:
         "c",
         [2],
     )
-    optimizer.answer(check, outcomes(check, 7.0))
+    optimizer.answer(check, outcomes(check, 7.0, seconds=0.01))
     asks = [
         ask
         for ask in optimizer.feed(arbitrate(2, 7.0))
         if verb(ask.message) == "evaluate"
     ]
     while asks:
-        asks += optimizer.answer(asks[0], outcomes(asks.pop(0)))
+        asks += optimizer.answer(asks[0], outcomes(asks.pop(0), seconds=0.01))
     assert optimizer.commands[-1] == Complete()
     assert optimizer.answer(late, outcomes(late)) == []
     assert optimizer.commands == []

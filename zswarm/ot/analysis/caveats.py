@@ -1,5 +1,6 @@
 """Caveats that a reader of a run's results has to know."""
 
+from zswarm.ot.record.epochs import epochs, mark
 from zswarm.ot.record.folder import EXPERIMENT
 from zswarm.ot.record.reader import Run
 from zswarm.system.format import plural
@@ -13,7 +14,9 @@ def caveats(run: Run) -> list[str]:
         run.changed,
     )
     wrong = "came from a server that was later proved to compute wrong."
+    versions = mark(epochs(run), run.generations())
     found = {
+        f"The run was {versions}.": versions,
         f"The run was imported, not evolved here: {source}.": source,
         f"{plural(faulted, 'trial')} failed by what a machine did, and counted as failed.": faulted,
         f"{plural(doubtful, 'trial')} {wrong}": doubtful,

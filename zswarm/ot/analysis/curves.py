@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 
 from zswarm.errors import ConfigError
+from zswarm.ot.record.epochs import epochs, mark
 from zswarm.system.format import plural
 from zswarm.system.text import clean
 
@@ -67,7 +68,7 @@ def load(
     for group, runs in groups.items():
         counted, omitted = distinct(runs)
         loaded[group] = [series(run) for run in counted]
-        notes += [*omitted, *unfinished(counted)]
+        notes += [*omitted, *unfinished(counted), *mixed(counted)]
     return loaded, notes
 
 
@@ -89,6 +90,12 @@ def distinct(runs: Iterable["Run"]) -> tuple[list["Run"], list[str]]:
             why = f"its history is that of {other.shown}, bit by bit"
             notes.append(f"{run.shown} is omitted: {why}")
     return list(unique.values()), notes
+
+
+def mixed(runs: Iterable["Run"]) -> list[str]:
+    """Return a note on each run that several versions of the code computed."""
+    marks = {run.shown: mark(epochs(run), run.generations()) for run in runs}
+    return [f"{name} was {text}" for name, text in marks.items() if text]
 
 
 def problems(runs: Iterable["Run"]) -> list[str]:

@@ -1,11 +1,12 @@
 """The trials of a workload: which wait, which are out in batches, and which are counted.
 
-Each server has two batches or, if trials are long, as many as it needs to have two trials for each
-slot. It hands them out to its slots itself. A batch is about 75 ms of measured work for each of
-these slots, and shrinks towards the end of a workload that several servers share. Every trial is
-counted once. Trials that a server did not answer go to another one, unless this server is back
-first and can be asked for them again.
+``schedule`` knows who gets how many trials; a server hands them out to its slots itself. Every
+trial is counted once. Trials that a server did not answer go to other ones, unless this server is
+back first and can be asked for them again. When nothing waits, some are sent to a second server
+(``second_starts``).
 """
+
+from typing import Self
 
 import msgspec
 import numpy as np
@@ -13,9 +14,12 @@ from msgspec import structs
 
 from zswarm.errors import LocalProtocolError, RemoteProtocolError
 from zswarm.ot.cluster.events import Counted, Disputed, Outbox
+from zswarm.ot.cluster.idle import IdleServers
 from zswarm.ot.cluster.matching import Terms
 from zswarm.ot.cluster.queue import QueuedTrials, TrialQueue
 from zswarm.ot.cluster.remote_server import Phase, RemoteServer, SentBatch
+from zswarm.ot.cluster.schedule import DEPTH, Schedule
+from zswarm.ot.cluster.second_starts import MEASURE_ALONE_S, SecondStarts
 from zswarm.ot.cluster.servers import Servers
 from zswarm.ot.cluster.verification import Checks
 from zswarm.ot.notes import RunEvent
@@ -24,17 +28,6 @@ from zswarm.protocol import codec, messages
 from zswarm.protocol.messages import Cancel, Evaluate, Fault, Outcomes, Running
 
 ATTEMPTS = 3  # of a trial that ends in a fault
-DEPTH = 2  # batches per server: one is evaluated, and one waits behind it
-BATCH_BYTES = (
-    4 << 20
-)  # in a message; a trial whose genomes are larger is a batch of its own
-BATCH_S = 0.075  # of work in a batch for each slot, by measured time
-# Of work in a batch for each slot, times the number of servers that serve: if each of N servers
-# ends a batch every N * 2 ms, the optimizer has one to handle every 2 ms. That takes it 0.5 ms at
-# most, a quarter of its time.
-SERVER_S = 0.002
-# Of work for each slot: with less, the way to a server and back would take longer than a batch.
-SMALLEST_BATCH_S = 0.003
 
 
 class Batches(msgspec.Struct, eq=False):
@@ -44,39 +37,36 @@ class Batches(msgspec.Struct, eq=False):
     out: Outbox
     servers: Servers
     checks: Checks
-    queue: TrialQueue = msgspec.field(default_factory=TrialQueue)
+    queue: TrialQueue
+    schedule: Schedule
+    second: SecondStarts
     workload: Workload | None = None  # the present one
-    uncounted: int = 0  # number of its trials that are not counted
-    # Servers that failed a trial, once for each; the caller takes them out.
-    blamed: list[str] = []
-    refill: bool = False  # any server may have room for trials that wait, not only one
-    _serving: dict[str, RemoteServer] = {}  # servers that can be given work
-    _slots: int = 0  # of these
-    _fits: int = 1  # trials that fit into a message
-    _failed_on: dict[int, list[str]] = {}  # by trial: the servers of its failed attempts
+    uncounted: int = 0  # of its trials
+    blamed: list[str] = []  # servers that failed a trial, for each; the caller takes them
+    _serving_changed: bool = False
+    idle: IdleServers = msgspec.field(default_factory=IdleServers)
     _alone: bool = False  # the user knows that there is no second server
-    _left_behind: set[str] = (
-        set()
-    )  # what the user knows that trials leave in their processes
+    _left_behind: set[str] = set()  # by trials in their processes, as the user knows
+
+    @classmethod
+    def of(cls, terms: Terms, out: Outbox, servers: Servers) -> Self:
+        """Return the batches of a run."""
+        queue, checks = TrialQueue(), Checks(terms.verify)
+        schedule = Schedule(out, queue)
+        return cls(terms, out, servers, checks, queue, schedule, SecondStarts(schedule))
 
     # ---- workloads
 
     def begin(self, workload: Workload) -> None:
         """Evaluate the trials of a workload that are not counted yet."""
         self.end()
-        self.workload, self.refill = workload, True
+        self.workload = workload
+        self.idle.reset(self.schedule.serving)
         trials = np.flatnonzero(~workload.counted)
         self.uncounted = len(trials)
         if len(trials):
             self.queue.put(QueuedTrials(trials))
-        participants = self.terms.participants
-        genome = max(map(len, workload.genomes), default=0)
-        sent = (genome + 16) * participants + 16
-        answered = 8 * (participants + self.terms.metrics) + 4
-        by_bytes = BATCH_BYTES // max(sent, answered)
-        self._fits = min(
-            messages.MAX_TRIALS, messages.MAX_GENOMES // participants, by_bytes
-        )
+        self.schedule.begin(workload, self.terms)
         restored = np.flatnonzero(workload.source != "")  # and perhaps not verified
         self.checks.choose(restored, workload.source[restored].tolist())
 
@@ -85,7 +75,8 @@ class Batches(msgspec.Struct, eq=False):
         for batch in self.queue.clear():
             batch.server.unwanted.append(batch.id)
         self.workload = None
-        self._failed_on.clear()
+        self.second.failed_on.clear()
+        self.second.pairs.clear()
         self.checks.clear()
         for server in self.servers.by_id.values():
             if server.batches:
@@ -103,7 +94,7 @@ class Batches(msgspec.Struct, eq=False):
 
     def follow(self, server: RemoteServer) -> None:
         """Resume, strand or forget a server's batches, as its phase requires."""
-        self.refill = True
+        self._serving_changed = True
         if server.phase == Phase.LEASED:
             if server.resumable_lease not in (b"", server.lease):
                 self._forget_stranded(server)
@@ -128,6 +119,7 @@ class Batches(msgspec.Struct, eq=False):
         for entry in self.queue.stranded(server):
             if entry.stranded is not None:
                 self.queue.remove(entry)
+                self.schedule.expect(entry.stranded, alone=False)
                 self.send(entry.stranded)
         if server.unwanted:
             self._cancel(server, server.unwanted)
@@ -141,7 +133,8 @@ class Batches(msgspec.Struct, eq=False):
     def strand(self, batch: SentBatch) -> None:
         """Queue a batch for any server; the server that may still have it can resume it."""
         del batch.server.batches[batch.id]
-        if batch.check:
+        self.second.lost(batch)
+        if batch.check or not batch.missing:
             batch.server.unwanted.append(batch.id)
             self.give_back(batch)
         else:
@@ -157,25 +150,62 @@ class Batches(msgspec.Struct, eq=False):
         """Send batches that wait: first one to every server, then the second.
 
         Args:
-            answered: the only server that may have room, unless ``refill`` is set.
+            answered: a server that may have room again.
         """
-        if self.workload is None or not (self.queue.count or self.checks.waiting):
+        if self.workload is None:
             return
-        idle = [answered] if answered and answered.id in self._serving else []
-        if self.refill:
-            self.refill = False
-            self._serving = self.servers.serving()
-            idle = list(self._serving.values())
-            self._slots = sum(server.ready for server in idle)
-            if not idle:
+        if answered and answered.id in self.schedule.serving:
+            self.idle.add(answered, self.out.now)
+        if self._waits() or self.idle.looking:
+            servers = self._with_room(answered)
+            for depth in range(1, DEPTH + 1):
+                for server in servers:
+                    if self._waits():
+                        self._fill_server(server, depth)
+            self._drop_unverifiable()
+        if self.idle.looking:
+            self.idle.looking = False
+            self._start_again()
+        if self.uncounted or self.checks.waiting:
+            self.idle.look_later(self.out.now, len(self.servers.by_id))
+
+    def _waits(self) -> bool:
+        return bool(self.queue.count or self.checks.waiting)
+
+    def _with_room(self, answered: RemoteServer | None) -> list[RemoteServer]:
+        """Return the servers that may have room for what waits."""
+        if self._serving_changed:
+            self._serving_changed = False
+            self.schedule.serve(self.servers.serving())
+            self.idle.reset(self.schedule.serving)
+        if self.idle.more:
+            self.idle.more = False
+            if not self.schedule.serving:
                 self.servers.recall_faulty()
-        for depth in range(1, DEPTH + 1):
-            for server in idle:
-                while (size := self._size(server, depth)) and (
-                    batch := self._take(server, size)
-                ):
-                    self.send(batch)
-        self._drop_unverifiable()
+            return list(self.idle.idle.values())
+        return [answered] if answered and answered.id in self.idle.idle else []
+
+    def _fill_server(self, server: RemoteServer, depth: int) -> None:
+        while size := self.schedule.size(server, depth):
+            batch = self._take(server, size)
+            if batch is None:
+                if self._waits():
+                    self.idle.spared(server)
+                return
+            self.send(batch)
+        if depth == DEPTH:
+            self.idle.full(server)
+
+    def _start_again(self) -> None:
+        """Send trials that are out to a second server where that is expected to help."""
+        servers, waits = self.servers.by_id.values(), self._waits()
+        if not self.terms.second_starts:
+            return
+        for server, first, trials in self.second.find(servers, self.idle, waits=waits):
+            copy = self._batch(server, trials, first.avoid)
+            self.second.begin(first, trials, copy)
+            self.send(copy)
+            self.out.note(RunEvent.SECOND_START, server.id, count=len(trials))
 
     def send(self, batch: SentBatch) -> None:
         """Send a batch to its server, the first time or again."""
@@ -191,59 +221,46 @@ class Batches(msgspec.Struct, eq=False):
         else:
             batch.asked = "whole"
             genomes, participants, seeds = self.workload.batch(batch.trials)
+            if self.terms.reserve.asks:
+                genomes = [b""] * len(genomes)
+            batch.size = sum(map(len, genomes)) + participants.size * 16
             message = structs.replace(
                 message,
-                genomes=[b""] * len(genomes) if self.terms.reserve.asks else genomes,
+                genomes=genomes,
                 participants=participants.astype("<u4").tobytes(),
                 seeds=seeds.astype("<u8").tobytes(),
             )
         batch.question = self.out.ask(batch.server.id, message, batch.trials)
 
-    def _size(self, server: RemoteServer, depth: int) -> int:
-        """Return the number of trials in the next batch for a server; 0 if it has enough.
-
-        It has enough with ``depth`` trials for each ready slot, in ``depth`` batches that are not
-        all started.
-        """
-        batches = server.batches.values()
-        lacking = depth * server.ready - sum(batch.missing for batch in batches)
-        waiting = sum(not batch.all_started for batch in batches)
-        enough = lacking <= 0 and waiting >= depth
-        if enough or len(batches) >= DEPTH * server.ready:  # it refuses more as busy
-            return 0
-        return max(1, min(max(lacking, self._size_by_time(server)), self._fits))
-
-    def _size_by_time(self, server: RemoteServer) -> int:
-        """Return the number of trials in a batch by measured time; 0 if none was measured yet.
-
-        If several servers serve, a server's share of all that waits is cut into ``2 * DEPTH``
-        batches: these shrink as less waits, and all servers end at about the same time. If it
-        serves alone, nothing is held back for others.
-        """
-        if not server.trial_s:
-            return 0
-        serving = len(self._serving)
-        parts = 2 * DEPTH if serving > 1 else 1
-        share = self.queue.count * server.ready / (self._slots * parts)
-        smallest = server.ready * SMALLEST_BATCH_S / server.trial_s
-        work_s = max(server.trial_s, BATCH_S, serving * SERVER_S)
-        largest = server.ready * (work_s / server.trial_s)
-        return int(min(max(share, smallest), largest))
-
     def _take(self, server: RemoteServer, size: int) -> SentBatch | None:
         """Return a new batch, or None if all that waits is for others; checks come last."""
-        queued = self.queue.take(server.id, size, self._serving)
+        useful = self.schedule.useful(server, size, checks=self.checks.count)
+        idle_s = self.out.now - server.pace.batch_at
+        if not useful and idle_s > MEASURE_ALONE_S and not self.terms.second_starts:
+            useful = 1
+        queued = self.queue.take(server.id, useful, self.schedule.serving)
         if queued is not None:
-            trials, avoid, stranded = queued.trials, queued.avoid, queued.stranded
-            if stranded is not None:
-                stranded.server.unwanted.append(stranded.id)
-        else:
-            trials, avoid = self.checks.take(server.id, size), frozenset()
-            if not len(trials):
-                return None
+            if queued.stranded is not None:
+                queued.stranded.server.unwanted.append(queued.stranded.id)
+            return self._batch(server, queued.trials, queued.avoid)
+        trials = self.checks.take(server.id, useful)
+        return (
+            self._batch(server, trials, frozenset(), check=True) if len(trials) else None
+        )
+
+    def _batch(
+        self,
+        server: RemoteServer,
+        trials: np.ndarray,
+        avoid: frozenset[str],
+        *,
+        check: bool = False,
+    ) -> SentBatch:
         done = np.zeros(len(trials), bool)
-        number, check = self.out.number(), queued is None
-        return SentBatch(server, number, trials, done, len(trials), avoid, check)
+        number = self.out.number()
+        batch = SentBatch(server, number, trials, done, len(trials), avoid, check)
+        self.schedule.expect(batch, alone=not server.batches)
+        return batch
 
     # ---- answered
 
@@ -270,9 +287,10 @@ class Batches(msgspec.Struct, eq=False):
             text = "; ".join(left[kind] for kind in left if kind in new)
             self.out.note(RunEvent.SIMULATOR_LEFT, server.id, text)
         measured = reply.seconds / len(rows)
-        server.trial_s = (
-            0.7 * server.trial_s + 0.3 * measured if server.trial_s else measured
-        )
+        self.schedule.computed(server, reply.seconds, len(rows))
+        if isinstance(reply, Outcomes):
+            self.second.answered(batch)
+            self.schedule.answered(batch, measured)
         if batch.done[rows].any():
             new = ~batch.done[rows]
             rows, fitness, metrics = rows[new], fitness[new], metrics[new]
@@ -293,11 +311,24 @@ class Batches(msgspec.Struct, eq=False):
         self.workload.fitness[trials], self.workload.metrics[trials] = fitness, metrics
         server.counted += len(trials)
         self.checks.choose(trials, [server.id] * len(trials))
-        self.refill |= bool(self.checks.waiting)  # others may be idle
+        self.idle.more |= bool(self.checks.waiting)  # others may be idle
         self._count_once(trials, server.id, measured * len(trials))
-        if self._failed_on:  # another server could evaluate what failed there
+        if self.second.pairs:
+            for other in self.second.counted(batch, trials.tolist()):
+                self._overtaken(other)
+        if self.second.failed_on:  # another server could evaluate what failed there
             for trial in trials:
-                self.blamed += set(self._failed_on.get(trial, ())) - {server.id}
+                self.blamed += set(self.second.failed_on.get(trial, ())) - {server.id}
+
+    def _overtaken(self, batch: SentBatch) -> None:
+        """Cancel a batch of which another server was the first to answer the rest."""
+        server = batch.server
+        del server.batches[batch.id]
+        self._cancel(server, [batch.id])
+        self.schedule.overtaken(batch)
+        if server.id in self.schedule.serving:
+            self.idle.add(server, self.out.now)
+            self.idle.more = True
 
     def _count_once(self, trials: np.ndarray, server: str, seconds: float) -> None:
         workload = self.workload
@@ -317,6 +348,7 @@ class Batches(msgspec.Struct, eq=False):
         if trial not in rest:
             trial = int(rest[0])
         which = f"trial {trial}, its seed {workload.seeds[trial]}"
+        elsewhere = self.second.elsewhere(batch, trial)
         batch.done |= batch.trials == trial
         self.give_back(batch)
         if batch.check:
@@ -326,9 +358,11 @@ class Batches(msgspec.Struct, eq=False):
             self.checks.drop([trial])
             self.blamed.append(server)
             return
-        servers = self._failed_on.setdefault(trial, [])
+        servers = self.second.failed_on.setdefault(trial, [])
         servers.append(server)
         self.out.note(RunEvent.FAULT, server, f"{text} ({which}, attempt {len(servers)})")
+        if elsewhere:
+            return
         failed = rest[rest == trial]
         if len(servers) < ATTEMPTS:
             self._requeue(QueuedTrials(failed, frozenset(servers)))
@@ -342,25 +376,25 @@ class Batches(msgspec.Struct, eq=False):
     def give_back(self, batch: SentBatch) -> None:
         """Queue the trials of a batch again, which its server no longer has."""
         if not batch.check:
+            self.second.lost(batch)
             self._requeue(QueuedTrials(batch.rest(), batch.avoid))
         elif self.workload is not None:
-            self.refill = True
+            self.idle.more = True
             self.checks.give_back(batch.rest(), self.workload)
 
     def _drop_unverifiable(self) -> None:
         """Leave trials unverified if there is no second server for them."""
         if self.checks.waiting and not self.uncounted:
-            alone = self.checks.alone(self._serving)
+            alone = self.checks.alone(self.schedule.serving)
             if alone:
                 self.checks.drop(alone)
             if alone and not self._alone:
-                self.out.note(
-                    RunEvent.UNVERIFIED, text="there is no second server to verify with"
-                )
+                text = "there is no second server to verify with"
+                self.out.note(RunEvent.UNVERIFIED, text=text)
             self._alone = bool(alone)
 
     def _requeue(self, entry: QueuedTrials) -> None:
         if count := len(entry.trials):
-            self.refill = True
+            self.idle.more = True
             self.queue.put(entry)
             self.out.note(RunEvent.REQUEUED, count=count)

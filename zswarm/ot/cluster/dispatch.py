@@ -12,7 +12,6 @@ from zswarm.ot.cluster.events import Answered, Command, Event, OpenQuery, Outbox
 from zswarm.ot.cluster.matching import Terms
 from zswarm.ot.cluster.remote_server import Phase, RemoteServer, SentBatch
 from zswarm.ot.cluster.servers import RETRY_S, Servers
-from zswarm.ot.cluster.verification import Checks
 from zswarm.ot.notes import RunEvent
 from zswarm.protocol.messages import Fault, Outcomes, Refused, Reply, Running
 
@@ -23,12 +22,13 @@ class Dispatch:
     def __init__(self, terms: Terms) -> None:
         self.out = Outbox()
         self.servers = Servers(terms, self.out, probe=terms.probe)
-        self.batches = Batches(terms, self.out, self.servers, Checks(terms.verify))
+        self.batches = Batches.of(terms, self.out, self.servers)
         self._just_answered_by: RemoteServer | None = None  # a batch
 
     def next_time(self) -> float:
         """Return when TimePassed is due."""
-        return min(self.servers.next_time(), self.out.next_time())
+        parts = (self.servers, self.batches.idle, self.out)
+        return min(part.next_time() for part in parts)
 
     def handle(self, event: Event, now: float) -> list[Command]:
         """Take an event at a time (seconds, monotonic); return the commands, in order."""
@@ -54,6 +54,7 @@ class Dispatch:
             case events.TimePassed():
                 self._repeat()
                 servers.ask_due()
+                batches.idle.look(now)
             case events.Leave():
                 batches.end()
                 servers.leave()
@@ -146,6 +147,7 @@ class Dispatch:
             self.servers.drop(server, RunEvent.MALFORMED, str(error))
 
     def _batch_not_answered(self, query: OpenQuery, batch: SentBatch) -> None:
+        batch.alone = False
         if batch.server.phase == Phase.LEAVING:
             self.batches.strand(batch)
         elif batch.unanswered < len(RETRY_S):

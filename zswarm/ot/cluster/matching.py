@@ -43,6 +43,8 @@ class Terms(msgspec.Struct, frozen=True, kw_only=True):
     quarantine: bool = False  # count a trial that faults again and again as NaN
     verify: float = 0.0  # share of the trials that a second server evaluates, too
     probe: bytes = b""  # digest of the probe's outcomes; b"": the first server's counts
+    # Whether a trial may be with two servers, of which the first outcome is counted.
+    second_starts: bool = True
 
 
 def choice(options: ClusterConfig) -> Choice:
@@ -98,4 +100,7 @@ def terms(
         quarantine=options.on_fault == "quarantine",
         verify=options.verify if simulator.repeatable else 0.0,
         probe=probe,
+        # Of outcomes that differ, the first one is that of a short trial more often; robots may be
+        # real. And a controller at the optimizer would be asked twice.
+        second_starts=simulator.repeatable and not reserve.asks,
     )

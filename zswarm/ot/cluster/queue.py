@@ -35,13 +35,16 @@ class TrialQueue(msgspec.Struct, eq=False):
 
         They come with the batch that they were stranded in, if any: it is to be cancelled, and
         what is left of it waits like any trials. A server gets trials that should avoid it only if
-        they should avoid all that serve. Return None if there is nothing for this server.
+        they should avoid all that serve, and with a size of 0 one trial that others should avoid.
+        Return None if there is nothing for this server.
         """
         for entry in self.entries:
-            if server not in entry.avoid or entry.avoid.issuperset(serving):
+            allowed = server not in entry.avoid or entry.avoid.issuperset(serving)
+            if allowed and (size or entry.avoid):
                 break
         else:
             return None
+        size = max(1, size)
         if size >= len(entry.trials):
             self.remove(entry)
             return entry

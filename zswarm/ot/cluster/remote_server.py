@@ -43,6 +43,7 @@ from typing import Literal, Self
 import msgspec
 import numpy as np
 
+from zswarm.ot.cluster.pace import Pace
 from zswarm.protocol.messages import PROBE_DIGEST
 
 # A server is faulty that failed this many trials that others could evaluate, and this share of all
@@ -91,11 +92,20 @@ class SentBatch(msgspec.Struct, eq=False):
     asked: Literal["", "whole", "by-id"] = ""  # how it was asked for last
     unanswered: int = 0  # queries in a row that ended without an answer
     all_started: bool = False  # none of it waits for a slot any more
+    sent_at: float = 0.0
+    due: float = 0.0  # when the answer is expected
+    alone: bool = False  # nothing else was with the server
+    size: int = 0  # bytes of the message
 
     def rest(self) -> np.ndarray:
         """Return the trials whose outcome did not come."""
         rest: np.ndarray = self.trials[~self.done]
         return rest
+
+    def drop(self, trial: int) -> None:
+        """Await the outcome of a trial no more."""
+        self.done |= self.trials == trial
+        self.missing = len(self.done) - int(self.done.sum())
 
 
 class RemoteServer(msgspec.Struct, eq=False):
@@ -117,7 +127,7 @@ class RemoteServer(msgspec.Struct, eq=False):
     wanted: int = 0  # slots it was asked for
     slots: int = 0
     ready: int = 0  # slots that can evaluate
-    trial_s: float = 0.0  # measured; 0.0: not yet
+    pace: Pace = msgspec.field(default_factory=Pace)
     # Its open query for an offer, a reservation or a renewal; 0: none.
     question: int = 0
     asked_at: float = 0.0  # when that was sent

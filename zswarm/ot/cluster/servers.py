@@ -109,6 +109,7 @@ class Servers(msgspec.Struct, eq=False):
                 self._not_answered(server, verb)
                 return
         server.unanswered, server.silence_reported = 0, False
+        server.pace.asked(self.out.now - server.asked_at, held=verb == "renew")
 
     def ask_due(self) -> None:
         """Ask the servers whose time has come, and end pauses."""
@@ -240,8 +241,8 @@ class Servers(msgspec.Struct, eq=False):
             else:
                 self._probe_differs(server, trial)
                 return
-        if not server.trial_s:
-            server.trial_s = lease.trial_s
+        if not server.pace.trial_s:
+            server.pace.trial_s = lease.trial_s
         self._ask_by(server, server.asked_at + RENEW_S)
         if lease.ready != was_ready:
             self.changed[server.id] = server

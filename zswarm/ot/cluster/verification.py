@@ -20,6 +20,7 @@ class Checks(msgspec.Struct, eq=False):
     open: set[int] = set()  # trials that are to be verified, or disputed
     # Those of them that no server has, in order, by the server that was counted.
     waiting: dict[str, dict[int, None]] = {}
+    count: int = 0  # of these
     _drawn: int = 0  # trials that were chosen, or not
     _disputes: dict[int, dict[str, bytes]] = {}  # outcomes by trial and server
 
@@ -27,6 +28,7 @@ class Checks(msgspec.Struct, eq=False):
         """Forget all trials: the workload ended."""
         self.open.clear()
         self.waiting.clear()
+        self.count = 0
         self._disputes.clear()
 
     def choose(self, trials: np.ndarray, sources: Iterable[str]) -> None:
@@ -44,15 +46,17 @@ class Checks(msgspec.Struct, eq=False):
     def take(self, server: str, limit: int) -> np.ndarray:
         """Take trials for a server that were counted for another one."""
         taken: list[int] = []
-        for source in [source for source in self.waiting if source != server]:
+        while len(taken) < limit:
+            source = next((source for source in self.waiting if source != server), None)
+            if source is None:
+                break
             trials = self.waiting[source]
             for trial in list(itertools.islice(trials, limit - len(taken))):
                 del trials[trial]
                 taken.append(trial)
             if not trials:
                 del self.waiting[source]
-            if len(taken) == limit:
-                break
+        self.count -= len(taken)
         return np.array(sorted(taken), int)
 
     def give_back(self, trials: np.ndarray, workload: Workload) -> None:
@@ -64,7 +68,7 @@ class Checks(msgspec.Struct, eq=False):
     def drop(self, trials: Iterable[int]) -> None:
         """Leave trials unverified."""
         self.open.difference_update(trials)
-        waiting, self.waiting = self.waiting, {}
+        waiting, self.waiting, self.count = self.waiting, {}, 0
         for source, of_source in waiting.items():
             for trial in of_source:
                 if trial in self.open:
@@ -72,6 +76,8 @@ class Checks(msgspec.Struct, eq=False):
 
     def alone(self, servers: Collection[str]) -> list[int]:
         """Return the waiting trials for which none of these servers is a second one."""
+        if len(servers) > 1:
+            return []
         return [
             trial
             for source, waiting in self.waiting.items()
@@ -115,7 +121,9 @@ class Checks(msgspec.Struct, eq=False):
         return [server for server, outcome in outcomes.items() if outcome != right]
 
     def _wait(self, trial: int, source: str) -> None:
-        self.waiting.setdefault(source, {})[trial] = None
+        waiting = self.waiting.setdefault(source, {})
+        self.count += trial not in waiting
+        waiting[trial] = None
 
 
 def _bits(fitness: np.ndarray, metrics: np.ndarray) -> bytes:

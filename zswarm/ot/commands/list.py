@@ -79,3 +79,6 @@ def _show_runs(runs: list[dict[str, Any]]) -> None:
         history = row["history_hash"][:12] if row["history_hash"] else "not finished"
         tables.row(table, row["run"], row["generations"], best, at, history)
     tables.show(table)
+    for row in runs:
+        if row.get("versions"):
+            tables.paragraph(f"{row['run']} was {row['versions']}.")

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 
 from zswarm.errors import ConfigError
-from zswarm.ot.record import control_file
+from zswarm.ot.record import control_file, epochs
 from zswarm.ot.record.database import UNREADABLE, describe, outage, read_only
 from zswarm.ot.record.folder import DATABASE, EXPERIMENT, is_running, no_run
 from zswarm.ot.record.reader import Run
@@ -88,6 +88,7 @@ def summary(folder: Path) -> dict[str, Any]:
     try:
         with read_only(folder / DATABASE) as database:
             row = database.execute(SUMMARY).fetchone()
+            texts = [text for (text,) in database.execute(epochs.TEXTS)]
         kind = tuple[int, int | None, float | None, float | None, str | None]
         generations, candidates, at, best, history = msgspec.convert(row, kind)
     except msgspec.ValidationError as error:
@@ -102,6 +103,7 @@ def summary(folder: Path) -> dict[str, Any]:
         "candidates": candidates or 0,
         "finished_at": at,
         "history_hash": clean(history) if history else None,
+        "versions": epochs.mark(epochs.decoded(texts), generations),
     }
 
 

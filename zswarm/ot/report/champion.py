@@ -56,7 +56,7 @@ def _played(champion: Controller, trials: int) -> dict[str, Any]:
     """Return the champion's results, or why it could not be played."""
     try:
         return {"played": held_out.play(champion, trials, SEED)}
-    except (ConfigError, MemoryError) as error:
+    except (ConfigError, EvaluationError, MemoryError) as error:
         return {"not_played": clean(str(error)) or "there is not enough memory"}
 
 

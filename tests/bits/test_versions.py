@@ -1,0 +1,113 @@
+"""Check that results have the same bits on every supported Python, numpy and numba.
+
+Environments are made in ``build/bits`` with what ``pyproject.toml`` asks for, once: with the newest
+packages for each Python but the one that runs the tests, and with the oldest numpy and numba for
+the oldest Python. Later Pythons have no builds of these.
+"""
+
+import functools
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.bits.test_bits import bits
+from tests.repository import REPOSITORY
+
+pytestmark = pytest.mark.versions
+PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
+SUPPORTED = ("3.11", "3.12", "3.13")
+HERE = "{}.{}".format(*sys.version_info)
+OLDEST = ("numba", "numpy")
+USABLE = "import sys, ensurepip, venv; print('{}.{}'.format(*sys.version_info))"
+
+
+def said(*command: str | Path) -> str:
+    """Return what a program prints; "" if it fails."""
+    if shutil.which(command[0]) is None:
+        return ""
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    return done.stdout.strip() if done.returncode == 0 else ""
+
+
+def candidates(python: str) -> Iterator[str]:
+    """Yield where an interpreter may be: this one, the system's, uv's, pyenv's."""
+    if python == HERE:
+        yield sys.executable
+    yield f"python{python}"
+    yield said("uv", "python", "find", python)
+    if latest := said("pyenv", "latest", python):
+        yield f"{said('pyenv', 'prefix', latest)}/bin/python"
+
+
+def interpreter(python: str) -> str:
+    """Return an interpreter of a version that can make environments, or skip the test."""
+    for found in filter(None, candidates(python)):
+        if said(found, "-c", USABLE) == python:
+            return found
+    pytest.skip(f"no Python {python}: install it, or uv or pyenv with it")
+
+
+def requirements(*, oldest: bool) -> list[str]:
+    """Return what zswarm needs, with the lower bounds of what decides bits if asked for."""
+    found: list[str] = PROJECT["dependencies"]
+    if not oldest:
+        return found
+    return [
+        name.replace(">=", "==") if name.split(">=")[0] in OLDEST else name
+        for name in found
+    ]
+
+
+def environment(python: str, *, oldest: bool) -> Path:
+    """Return the interpreter of an environment, which is made if it is missing or outdated."""
+    folder = (
+        REPOSITORY / "build" / "bits" / f"{python}-{'oldest' if oldest else 'newest'}"
+    )
+    needed, ready = requirements(oldest=oldest), folder / "ready"
+    made = folder / "bin" / "python"
+    if ready.exists() and ready.read_text() == "\n".join(needed):
+        return made
+    base = interpreter(python)
+    shutil.rmtree(folder, ignore_errors=True)
+    subprocess.run([base, "-m", "venv", folder], check=True)
+    install = [made, "-m", "pip", "install", "--disable-pip-version-check"]
+    if shutil.which("uv"):
+        install = ["uv", "pip", "install", "--python", made]
+    subprocess.run([*install, "--quiet", *needed], check=True)
+    ready.write_text("\n".join(needed))
+    return made
+
+
+@functools.cache
+def here() -> dict[str, str | int]:
+    """Return the digests as the Python that runs the tests computes them."""
+    return bits("versions")
+
+
+@pytest.mark.parametrize(
+    ("python", "oldest"),
+    [
+        (SUPPORTED[0], True),
+        *((python, False) for python in SUPPORTED if python != HERE),
+    ],
+)
+def test_the_bits_are_the_same_with_other_versions(python: str, oldest: bool) -> None:
+    found = bits(
+        "versions",
+        python=environment(python, oldest=oldest),
+        PYTHONPATH=str(REPOSITORY),
+        ZSWARM_CACHE=str(REPOSITORY / "build" / "bits" / "cache"),
+    )
+    differing = [name for name, digest in here().items() if found.get(name) != digest]
+    assert differing == []
+    assert len(found) == len(here()) > 100
+
+
+def test_the_supported_versions_begin_where_the_project_says() -> None:
+    assert PROJECT["requires-python"] == f">={SUPPORTED[0]}"
+    assert {"numba==0.61", "numpy==2.0"} <= set(requirements(oldest=True))

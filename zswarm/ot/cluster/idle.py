@@ -1,0 +1,65 @@
+"""Which servers have room while nothing waits that they should get, and when to look again."""
+
+import math
+
+import msgspec
+
+from zswarm.ot.cluster.remote_server import RemoteServer
+
+# Until they are looked at again: so much of the time in which no server became idle, within these
+# limits, and so long for each server of the run.
+LOOK_SHARE, LOOK_S, LOOK_MOST_S, LOOK_SERVER_S = 0.05, 0.01, 1.0, 0.00005
+
+
+class IdleServers(msgspec.Struct, eq=False):
+    """The servers of a run that have room."""
+
+    idle: dict[str, RemoteServer] = {}  # nothing waited that they may get
+    spare: dict[str, RemoteServer] = {}  # others are expected to end sooner what waits
+    more: bool = False  # trials wait that idle servers have not seen
+    looking: bool = False  # now
+    look_at: float = math.inf
+    _since: float = 0.0  # when a server became idle last
+
+    def reset(self, serving: dict[str, RemoteServer]) -> None:
+        """Let all that serve have room, and see what waits."""
+        self.idle, self.spare, self.more = dict(serving), {}, True
+
+    def add(self, server: RemoteServer, now: float) -> None:
+        """Take note that a server may have room."""
+        self.idle[server.id], self._since = server, now
+
+    def full(self, server: RemoteServer) -> None:
+        """Take note that a server has no room."""
+        self.idle.pop(server.id, None)
+
+    def spared(self, server: RemoteServer) -> None:
+        """Leave what waits to others until the next look."""
+        self.idle.pop(server.id, None)
+        self.spare[server.id] = server
+
+    def all(self) -> list[RemoteServer]:
+        """Return all servers that have room."""
+        return [*self.idle.values(), *self.spare.values()]
+
+    def next_time(self) -> float:
+        """Return when they are to be looked at again."""
+        return self.look_at
+
+    def look(self, now: float) -> None:
+        """Look again, if it is time."""
+        if now >= self.look_at:
+            self.look_at = math.inf
+            self.idle |= self.spare
+            self.spare = {}
+            self.more = self.looking = True
+
+    def look_later(self, now: float, servers: int) -> None:
+        """Look again soon, if there is a server with room, and another one.
+
+        Args:
+            servers: of the run, all of which are looked at.
+        """
+        if servers > 1 and self.look_at == math.inf and (self.idle or self.spare):
+            idle_s = min(LOOK_SHARE * (now - self._since), LOOK_MOST_S)
+            self.look_at = now + max(LOOK_S, LOOK_SERVER_S * servers, idle_s)

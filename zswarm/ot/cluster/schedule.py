@@ -1,0 +1,274 @@
+"""Who gets how many trials: what servers are expected to take, by what was measured of them.
+
+- A batch has about 75 ms of work for each slot; more if the way to the server takes longer. It
+  shrinks towards the end of a workload that several servers share.
+- A server has two batches, so that it computes one while the next is on its way. Trials that are
+  long compared with that way wait here instead, once there is less than one for each slot: then
+  the first server that is idle gets them.
+- A server gets trials only if it is expected to end them before the others would have done all
+  that waits: as long as a list of trials would take that gives each to where it ends first.
+"""
+
+import heapq
+import math
+
+import msgspec
+
+from zswarm.ot.cluster.events import Outbox
+from zswarm.ot.cluster.matching import Terms
+from zswarm.ot.cluster.queue import TrialQueue
+from zswarm.ot.cluster.remote_server import RemoteServer, SentBatch
+from zswarm.ot.workload import Workload
+from zswarm.protocol import messages
+
+DEPTH = 2  # batches per server: one is evaluated, and one waits behind it
+# In a message; a trial whose genomes are larger is a batch of its own.
+BATCH_BYTES = 4 << 20
+BATCH_S = 0.075  # of work in a batch for each slot, by measured time
+# Of work in a batch for each slot, times the number of servers that serve: if each of N servers
+# ends a batch every N * 2 ms, the optimizer has one to handle every 2 ms. That takes it 0.5 ms at
+# most, a quarter of its time.
+SERVER_S = 0.002
+# Of work for each slot: with less, the way to a server and back would take longer than a batch.
+SMALLEST_BATCH_S = 0.003
+# A trial is long that takes this many times as long as its server is idle between two trials: a
+# round trip, and the time until a server with idle slots answers.
+LONG, IDLE_S = 10.0, 0.01
+TOLERANCE = 1.05  # of what a server may take longer than others: times are estimates
+ROUNDS = 2  # of trials on all slots; the end of more is estimated by rates alone
+STALE = (
+    1 / 8
+)  # an estimate is made again after this share of the time until the estimated end
+
+
+class Schedule(msgspec.Struct, eq=False):
+    """What the servers of a workload are expected to do."""
+
+    out: Outbox
+    queue: TrialQueue
+    serving: dict[str, RemoteServer] = {}  # servers that can be given work
+    slots: int = 0  # of these
+    fits: int = 1  # trials that fit into a message
+    trial_bytes: float = 1.0  # of a trial on a link
+    _rate: float = 0.0  # trials per second of all that serve
+    _end: float = 0.0  # of all that waits, as estimated last
+    _stale_at: float = -math.inf
+
+    def begin(self, workload: Workload, terms: Terms) -> None:
+        """Schedule the trials of a workload."""
+        participants = terms.participants
+        sizes = [0] if terms.reserve.asks else list(map(len, workload.genomes))
+        sent = (max(sizes, default=0) + 16) * participants + 16
+        answered = 8 * (participants + terms.metrics) + 4
+        by_bytes = BATCH_BYTES // max(sent, answered)
+        self.fits = min(
+            messages.MAX_TRIALS, messages.MAX_GENOMES // participants, by_bytes
+        )
+        genomes = sum(sizes) / max(1, len(workload.seeds))
+        self.trial_bytes = genomes + 16 * participants + answered
+        self.restart()
+
+    def serve(self, serving: dict[str, RemoteServer]) -> None:
+        """Schedule for other servers, or for servers with other slots."""
+        self.serving = serving
+        self.slots = sum(server.ready for server in serving.values())
+        self.restart()
+
+    def restart(self) -> None:
+        """Estimate again."""
+        self._rate = sum(map(self.rate, self.serving.values()))
+        self._stale_at = -math.inf
+
+    def rate(self, server: RemoteServer) -> float:
+        """Return the trials per second of a server; 0.0 if none was measured."""
+        if not (server.pace.trial_s and server.ready):
+            return 0.0
+        return 1.0 / server.pace.each_s(server.ready, self.trial_bytes)
+
+    def computed(self, server: RemoteServer, seconds: float, trials: int) -> None:
+        """Take the seconds that a server computed for some trials."""
+        if server.id in self.serving:
+            self._rate -= self.rate(server)
+            server.pace.computed(seconds, trials)
+            self._rate += self.rate(server)
+        else:
+            server.pace.computed(seconds, trials)
+
+    # ---- what is measured
+
+    def expect(self, batch: SentBatch, *, alone: bool) -> None:
+        """Expect the answer to a batch that is sent now.
+
+        Args:
+            alone: nothing else is with its server, so that the time to the answer is the batch's.
+        """
+        server, now = batch.server, self.out.now
+        batch.sent_at = server.pace.batch_at = now
+        batch.due, batch.alone = self.due(server, batch.missing), alone
+
+    def answered(self, batch: SentBatch, trial_s: float) -> None:
+        """Measure by a batch that was answered, whose trials took that long."""
+        server = batch.server
+        if batch.alone:
+            rounds = math.ceil(len(batch.trials) / max(1, server.ready))
+            elapsed = self.out.now - batch.sent_at
+            server.pace.batch_answered(elapsed, trial_s * rounds, batch.size)
+
+    def overtaken(self, batch: SentBatch) -> None:
+        """Measure by a batch that was not answered before another server had all its trials."""
+        server = batch.server
+        if batch.alone and server.ready:
+            trials_s = server.pace.trials_s(len(batch.trials), server.ready)
+            elapsed = self.out.now - batch.sent_at
+            server.pace.batch_overtaken(elapsed, trials_s, batch.size)
+
+    # ---- sizes of batches
+
+    def size(self, server: RemoteServer, depth: int) -> int:
+        """Return the number of trials in the next batch for a server; 0 if it has enough.
+
+        It has enough with ``depth`` trials for each ready slot, in ``depth`` batches that are not
+        all started.
+        """
+        batches = server.batches.values()
+        missing = sum([batch.missing for batch in batches])
+        lacking = depth * server.ready - missing
+        waiting = sum([not batch.all_started for batch in batches])
+        enough = lacking <= 0 and (waiting >= depth or self._waits_here(server))
+        if enough or len(batches) >= DEPTH * server.ready:  # it refuses more as busy
+            return 0
+        if depth > 1 and self._waits_here(server):
+            return 0
+        size = max(lacking, self._size_by_time(server))
+        if not server.pace.link_measured and len(self.serving) > 1:
+            first = server.pace.first_trials(self.trial_bytes)
+            if missing >= first:
+                return 0
+            size = min(size, first - missing)
+        return max(1, min(size, self.fits))
+
+    def _waits_here(self, server: RemoteServer) -> bool:
+        """Return whether trials wait here rather than behind others of a server."""
+        if self.queue.count >= self.slots or len(self.serving) < 2:
+            return False
+        pace = server.pace
+        return pace.trial_s > LONG * (pace.round_trip_s + IDLE_S)
+
+    def _size_by_time(self, server: RemoteServer) -> int:
+        """Return the number of trials in a batch by measured time; 0 if none was measured yet.
+
+        If several servers serve, a server's share of all that waits is cut into ``2 * DEPTH``
+        batches: these shrink as less waits, and all servers end at about the same time. If it
+        serves alone, nothing is held back for others.
+        """
+        pace = server.pace
+        if not pace.trial_s:
+            return 0
+        each_s, serving = pace.each_s(server.ready, self.trial_bytes), len(self.serving)
+        parts = 2 * DEPTH if serving > 1 else 1
+        share = self.queue.count / (each_s * max(self._rate, 1e-9) * parts)
+        smallest_s = max(SMALLEST_BATCH_S, pace.round_trip_s)
+        work_s = max(pace.trial_s, BATCH_S, serving * SERVER_S, 2 * pace.round_trip_s)
+        return int(min(max(share, smallest_s / each_s), work_s / each_s))
+
+    # ---- expected ends
+
+    def due(self, server: RemoteServer, trials: int) -> float:
+        """Return when trials are expected to be done that are sent to a server now."""
+        pace, now = server.pace, self.out.now
+        begin = now + pace.round_trip_s + trials * self.trial_bytes * pace.byte_s
+        if batches := server.batches.values():
+            missing = sum([batch.missing for batch in batches])
+            if missing + trials > server.ready:
+                latest = max([batch.due for batch in batches])
+                begin = max(begin, self._end_of(server, latest, missing))
+        return begin + pace.trials_s(trials, server.ready)
+
+    def ends(self, batch: SentBatch) -> float:
+        """Return when a batch is expected to be done; one that is late, in as long again."""
+        missing = sum(other.missing for other in batch.server.batches.values())
+        return self._end_of(batch.server, batch.due, missing)
+
+    def _end_of(self, server: RemoteServer, due: float, missing: int) -> float:
+        """Return when what was due then is expected to be done, of all that a server misses."""
+        now, pace = self.out.now, server.pace
+        if due <= now:
+            return 2 * now - due
+        # Slots may have become ready since it was sent.
+        on_link_s = missing * self.trial_bytes * pace.byte_s
+        backlog_s = on_link_s + pace.trials_s(missing, server.ready)
+        return min(due, now + pace.round_trip_s + backlog_s)
+
+    def fitting(self, server: RemoteServer, trials: int, end: float) -> int:
+        """Return how many trials, at most, are expected to be done by then; 0 if none is."""
+        while trials and self.due(server, trials) > end:
+            trials //= 2
+        return trials
+
+    def useful(self, server: RemoteServer, trials: int, *, checks: int = 0) -> int:
+        """Return how many of some trials a server does not end later than others would.
+
+        Args:
+            checks: trials that wait for a second server: one of the two that are first to end one.
+        """
+        if len(self.serving) < 2:
+            return trials
+        now = self.out.now
+        if now >= self._stale_at:
+            self._end = self._expected_end(self.queue.count + checks)
+            if checks:
+                ends = sorted(self.due(one, 1) for one in self.serving.values())
+                self._end = max(self._end, ends[1])
+            self._stale_at = now + STALE * (self._end - now)
+        return self.fitting(server, trials, now + TOLERANCE * (self._end - now))
+
+    def _expected_end(self, waiting: int) -> float:
+        """Return when all that waits is done if each trial is done where it ends first."""
+        self._rate = sum(map(self.rate, self.serving.values()))
+        servers = [server for server in self.serving.values() if self.rate(server)]
+        if waiting > ROUNDS * self.slots:
+            return self._end_by_rates(waiting, servers)
+        rounds = [one for server in servers for one in self._rounds(server)]
+        if not rounds:
+            return math.inf
+        heapq.heapify(rounds)
+        while True:
+            end, step, trials = rounds[0]
+            waiting -= trials
+            if waiting <= 0:
+                return end
+            heapq.heapreplace(rounds, (end + step, step, trials))
+
+    def _end_by_rates(self, waiting: int, servers: list[RemoteServer]) -> float:
+        """Return when all that waits is done by the servers that end a trial before that."""
+        found = []
+        for server in servers:
+            pace, each_s = server.pace, 1.0 / self.rate(server)
+            missing = sum(batch.missing for batch in server.batches.values())
+            ahead = missing - min(missing, server.ready) / 2  # what runs is half done
+            begin_s = pace.round_trip_s + ahead * each_s
+            found.append((begin_s + max(pace.trial_s, each_s), begin_s, 1.0 / each_s))
+        found.sort()
+        trials, rate, end_s = float(waiting), 0.0, math.inf
+        for first_s, begin_s, each in found:
+            if first_s >= end_s:
+                break
+            trials, rate = trials + begin_s * each, rate + each
+            end_s = max(first_s, trials / rate)
+        return self.out.now + end_s
+
+    def _rounds(self, server: RemoteServer) -> list[tuple[float, float, int]]:
+        """Return rounds of a server: when the first ends, seconds of a further one, trials."""
+        pace = server.pace
+        link_s, trial_s = self.trial_bytes * pace.byte_s, pace.trial_s
+        first = self.out.now + pace.round_trip_s + link_s + trial_s
+        ends = [self.ends(batch) for batch in server.batches.values()]
+        if link_s * server.ready > trial_s:
+            return [(max([first, *(end + link_s for end in ends)]), link_s, 1)]
+        missing = sum(batch.missing for batch in server.batches.values())
+        busy = min(missing, server.ready)
+        rounds = [(first, trial_s, server.ready - busy)] if busy < server.ready else []
+        if busy:
+            free = min(ends) if missing <= server.ready else max(ends)
+            rounds.append((max(first, free + trial_s), trial_s, busy))
+        return rounds
