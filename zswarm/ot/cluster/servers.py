@@ -236,11 +236,10 @@ class Servers(msgspec.Struct, eq=False):
             self.out.note(RunEvent(f"lease_{lease.state}"), server.id, count=lease.slots)
         if lease.probe:
             server.probe = lease.probe
-            if (trial := server.differs_at(self.probe)) is None:
-                self.probe = max(self.probe, server.probe, key=len)
-            else:
+            if (trial := server.differs_at(self.probe)) is not None:
                 self._probe_differs(server, trial)
                 return
+            self.probe = max(self.probe, server.probe, key=len)
         if not server.pace.trial_s:
             server.pace.trial_s = lease.trial_s
         self._ask_by(server, server.asked_at + RENEW_S)
@@ -299,14 +298,14 @@ class Servers(msgspec.Struct, eq=False):
 
     def _probe_differs(self, server: RemoteServer, trial: int) -> None:
         if server.differs_at(self._probe_arbitrated) is not None:
-            return self.ban(server, "its outcomes of the probe are wrong")
+            self.ban(server, "its outcomes of the probe are wrong")
+            return
         self._end(server, Phase.BACKED_OFF, release=True, again_s=BACK_OFF_S)
         text = f"trial {trial} of the probe differs; this machine plays {trial + 1} and decides"
         self.out.note(RunEvent.SERVER_DIFFERS, server.id, text)
         if not self._probe_disputed:
             self._probe_disputed = True
             self.out.commands.append(ProbeDisputed(trial + 1))
-        return None
 
     def arbitrate_probe(self, digest: bytes) -> None:
         """Ban the servers whose outcomes of the probe differ from this machine's."""
