@@ -266,10 +266,10 @@ def test_on_different_probes_the_second_server_waits_until_this_machine_decides(
     optimizer = Optimizer()
     join(optimizer, "a", b"right")
     assert verbs(join(optimizer, "b", b"other")) == [("b", "release")]
-    assert ProbeDisputed() in optimizer.commands
+    assert ProbeDisputed(1) in optimizer.commands
     assert optimizer.notes("server_differs")
     join(optimizer, "c", b"other")
-    assert ProbeDisputed() not in optimizer.commands, "once is enough"
+    assert ProbeDisputed(1) not in optimizer.commands, "once is enough"
     optimizer.feed(ProbeArbitrated(b"right"))
     assert sorted(note.server for note in optimizer.notes("server_wrong")) == ["b", "c"]
     assert sorted(optimizer.dispatch.servers.roster.ready) == ["a"]
@@ -294,6 +294,35 @@ def test_a_first_server_with_a_wrong_probe_is_replaced_by_correct_ones() -> None
     assert optimizer.dispatch.servers.probe == b"right"
 
 
+def test_probes_are_compared_as_far_as_both_played_them() -> None:
+    """A slow server plays fewer trials; this machine plays up to the one that differs."""
+    optimizer = Optimizer()
+    one, two, wrong = b"1" * 8, b"2" * 8, b"x" * 8
+    join(optimizer, "a", one)
+    join(optimizer, "b", one + two)
+    assert optimizer.dispatch.servers.probe == one + two
+    join(optimizer, "c", b"")
+    assert verbs(join(optimizer, "d", one + wrong)) == [("d", "release")]
+    assert ProbeDisputed(2) in optimizer.commands
+    assert "plays 2 and decides" in optimizer.notes("server_differs")[0].text
+    optimizer.feed(ProbeArbitrated(one + two))
+    assert [note.server for note in optimizer.notes("server_wrong")] == ["d"]
+    assert optimizer.dispatch.servers.standing().serving == ["a", "b", "c"]
+
+
+def test_a_trial_that_was_not_arbitrated_is_disputed_anew() -> None:
+    optimizer = Optimizer()
+    one, two, wrong = b"1" * 8, b"2" * 8, b"x" * 8
+    join(optimizer, "a", one)
+    join(optimizer, "b", wrong)
+    optimizer.feed(ProbeArbitrated(one))
+    join(optimizer, "c", one + wrong)
+    join(optimizer, "d", one + two)
+    assert ProbeDisputed(2) in optimizer.commands
+    optimizer.feed(ProbeArbitrated(one + two))
+    assert [note.server for note in optimizer.notes("server_wrong")] == ["c"]
+
+
 def test_after_arbitration_a_differing_server_is_wrong_at_once() -> None:
     optimizer = Optimizer()
     join(optimizer, "a", b"right")
@@ -301,7 +330,7 @@ def test_after_arbitration_a_differing_server_is_wrong_at_once() -> None:
     optimizer.feed(ProbeArbitrated(b"right"))
     join(optimizer, "c", b"third")
     assert optimizer.notes("server_wrong")
-    assert ProbeDisputed() not in optimizer.commands
+    assert ProbeDisputed(1) not in optimizer.commands
 
 
 # ---- blame

@@ -15,7 +15,7 @@ class Bans(msgspec.Struct, eq=False):
 
     out: Outbox
     servers: Servers
-    arbitrated: bool = False  # this machine computed the probe
+    arbitrated: bytes = b""  # what this machine computed of the probe
     _disputed: bool = False  # it was asked to
     _faulty: dict[str, RemoteServer] = {}  # that were backed off for it
 
@@ -25,26 +25,29 @@ class Bans(msgspec.Struct, eq=False):
         """Back off or ban the servers whose outcomes of the probe differ from the first ones."""
         while self.servers.differing:
             server = self.servers.differing.pop()
-            if self.arbitrated:
+            if server.differs_at(self.arbitrated) is not None:
                 self.ban(server, "its outcomes of the probe are wrong")
                 continue
             self.servers.end(server, Phase.BACKED_OFF, release=True, again_s=BACK_OFF_S)
+            trial = server.differs_at(self.servers.probe)
+            if trial is None:  # it differs no more: it is asked again
+                continue
             text = (
-                "its outcomes of the probe differ from those of other servers;"
-                " this machine decides"
+                f"trial {trial} of the probe differs; this machine plays {trial + 1} and "
+                "decides"
             )
             self.out.note(RunEvent.SERVER_DIFFERS, server.id, text)
             if not self._disputed:
                 self._disputed = True
-                self.out.commands.append(ProbeDisputed())
+                self.out.commands.append(ProbeDisputed(trial + 1))
 
     def arbitrate_probe(self, digest: bytes) -> None:
         """Ban the servers whose outcomes of the probe differ from this machine's."""
-        self.servers.probe, self.arbitrated = digest, True
+        self.servers.probe, self.arbitrated, self._disputed = digest, digest, False
         for server in self.servers.by_id.values():
-            if server.probe and server.probe != digest:
+            if server.differs_at(digest) is not None:
                 self.ban(server, "its outcomes of the probe are wrong")
-            elif server.probe == digest and server.phase == Phase.BACKED_OFF:
+            elif server.probe and server.phase == Phase.BACKED_OFF:
                 self.servers.ask_by(server, self.out.now)
 
     def ban(self, server: RemoteServer, text: str) -> None:

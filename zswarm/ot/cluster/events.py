@@ -106,6 +106,8 @@ class Disputed(msgspec.Struct, frozen=True):
 class ProbeDisputed(msgspec.Struct, frozen=True):
     """Two servers have different digests of the probe: to be answered with ProbeArbitrated."""
 
+    trials: int  # first ones of the probe; the last of them differs
+
 
 class Retracted(msgspec.Struct, frozen=True):
     """Trials that were counted for a server do not count: it computes wrong outcomes."""

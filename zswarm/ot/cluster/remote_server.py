@@ -43,6 +43,7 @@ import msgspec
 import numpy as np
 
 from zswarm.ot.cluster.pace import Pace
+from zswarm.protocol.messages import PROBE_DIGEST
 
 # A server is faulty that failed this many trials that others could evaluate, and this share of all
 # it evaluated.
@@ -115,7 +116,7 @@ class RemoteServer(msgspec.Struct, eq=False):
     lease: bytes = b""  # while LEASED or LEAVING
     # A lease given up for silence, which may still be valid at the server.
     resumable_lease: bytes = b""
-    # Digest of its outcomes of the probe: some trials that every server plays. Equal code computes
+    # Digests of the trials of the probe, which every server plays. Equal code computes
     # equal bits on all machines (docs/architecture.md, "Determinism"): a server that differs from
     # this machine is wrong.
     probe: bytes = b""
@@ -149,6 +150,13 @@ class RemoteServer(msgspec.Struct, eq=False):
         if self.phase == Phase.RESERVING or self.growing:
             return self.wanted
         return self.slots if self.phase == Phase.LEASED else 0
+
+    def differs_at(self, probe: bytes) -> int | None:
+        """Return the first trial of the probe that was played with other outcomes."""
+        for at in range(0, min(len(self.probe), len(probe)), PROBE_DIGEST):
+            if self.probe[at : at + PROBE_DIGEST] != probe[at : at + PROBE_DIGEST]:
+                return at // PROBE_DIGEST
+        return None
 
     def fails_too_much(self) -> bool:
         """Return whether too many trials failed here that other servers could evaluate."""

@@ -253,10 +253,11 @@ class Servers(msgspec.Struct, eq=False):
             self._move(server, Phase.LEASED)
             self.out.note(RunEvent(f"lease_{lease.state}"), server.id, count=lease.slots)
         if lease.probe:
-            server.probe, self.probe = lease.probe, self.probe or lease.probe
-            if server.probe != self.probe:
+            server.probe = lease.probe
+            if server.differs_at(self.probe) is not None:
                 self.differing.append(server)
                 return
+            self.probe = max(self.probe, server.probe, key=len)
         if not server.pace.trial_s:
             server.pace.trial_s = lease.trial_s
         self.ask_by(server, server.asked_at + RENEW_S)
