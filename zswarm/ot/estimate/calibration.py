@@ -13,8 +13,8 @@ from zswarm import evaluate
 from zswarm.errors import EvaluationError, NoServers
 from zswarm.ot.build import Parts
 from zswarm.ot.cluster import discovery, matching
-from zswarm.ot.cluster.schedule import BATCH_S
 from zswarm.ot.cluster.connection import Connection
+from zswarm.ot.cluster.schedule import BATCH_S
 from zswarm.ot.estimate.cost_model import TABLE_I, Constants, Plan
 from zswarm.ot.estimate.sample import breed, rounds, simulations
 from zswarm.ot.problem import Problem
