@@ -14,6 +14,8 @@ from zswarm.evaluate import TrialOutcomes, build, evaluate
 from zswarm.kernels.random import Stream
 from zswarm.nets.fully_meshed import FullyMeshed, FullyMeshedSettings
 from zswarm.plugins import registry as plugins
+from zswarm.probe import probe
+from zswarm.protocol.messages import PROBE_DIGEST, PROBE_TRIALS
 from zswarm.sims.minisim import Minisim
 from zswarm.sims.raised import MAX_ERROR_TEXT
 from zswarm.sims.simulator import KernelBatch, Outcome, Simulator, Turn
@@ -665,3 +667,32 @@ def test_a_sound_simulator_passes_the_check() -> None:
 def test_the_check_names_what_is_broken(broken: type[Simulator], text: str) -> None:
     with pytest.raises(AssertionError, match=text):
         check_simulator(broken)
+
+
+# ---- the probe --------------------------------------------------------------------------
+
+
+def built(rounds: int = 3) -> tuple[Duel, FullyMeshed]:
+    simulator = Duel(Settings(rounds=rounds))
+    network = FullyMeshed(FullyMeshedSettings(hidden=1), 1, 1)
+    return simulator, network
+
+
+def test_a_probe_has_a_digest_for_each_trial() -> None:
+    whole = probe(*built(), budget_s=1e9).digest
+    assert len(whole) == PROBE_TRIALS * PROBE_DIGEST
+    assert len({whole[at : at + 8] for at in range(0, len(whole), 8)}) == PROBE_TRIALS
+    assert probe(*built(), 3, budget_s=1e9).digest == whole[: 3 * PROBE_DIGEST]
+
+
+def test_a_probe_of_long_trials_has_fewer_and_at_least_one() -> None:
+    """No time for a second one."""
+    assert probe(*built(), budget_s=0.0).digest == probe(*built()).digest[:PROBE_DIGEST]
+
+
+def test_one_trial_is_played_of_a_simulator_that_is_not_repeatable() -> None:
+    simulator, network = built()
+    simulator.repeatable = False
+    found = probe(simulator, network)
+    assert (found.digest, len(simulator.played)) == (b"", 1)
+    assert found.trial_s > 0.0

@@ -35,13 +35,14 @@ sims.adapters:      BASE sims
 sims.foreign:       BASE plugins sims
 experiment:         BASE plugins protocol
 evaluate:           BASE kernels nets plugins protocol sims
+probe:              evaluate kernels nets protocol sims
 controller:         BASE nets plugins
 security:           BASE protocol
 session:            errors protocol security system
 router:             BASE security session
 api:                errors experiment ot ot.analysis ot.cluster ot.record ot.study
 ot:                 BASE controller evaluate experiment kernels ot.cluster ot.commands.shared
-                    ot.display ot.optimizers ot.rankings ot.record ot.study plugins protocol
+                    ot.display ot.optimizers ot.rankings ot.record ot.study plugins probe protocol
 ot.analysis:        BASE experiment ot.record
 ot.cluster:         BASE experiment nets ot.evaluator ot.notes ot.problem ot.workload plugins
                     protocol security session sims
@@ -76,7 +77,7 @@ ros.simulation:     BASE kernels plugins robots.profiles ros.link ros.link.bridg
 ss:                 BASE plugins protocol security session ss.local ss.slots ss.workers
 ss.local:           BASE ss.slots ss.workers
 ss.slots:           errors protocol
-ss.workers:         BASE evaluate kernels plugins protocol security ss.slots
+ss.workers:         BASE evaluate probe kernels plugins protocol security ss.slots
 testing:            config evaluate kernels nets ot.optimizers plugins sims system
 """
 BASE = {"errors", "config", "system"}

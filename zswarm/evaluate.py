@@ -6,7 +6,6 @@ that is not finite (always the same NaN). A process that crashes or hangs, and a
 faults, not outcomes: they are detected outside.
 """
 
-import hashlib
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -22,7 +21,10 @@ from zswarm.kernels.random import Stream, derive_seed
 from zswarm.nets.networks import Networks
 from zswarm.nets.representation import Representation
 from zswarm.plugins import registry as plugins
-from zswarm.protocol.messages import PROBE_GENOMES, PROBE_SEEDS
+from zswarm.protocol.messages import (
+    PROBE_GENOMES,
+    PROBE_SEEDS,
+)
 from zswarm.sims.raised import error_text, is_outcome
 from zswarm.sims.randomized import Varied
 from zswarm.sims.simulator import (
@@ -57,13 +59,6 @@ class _Played(NamedTuple):
     error: str  # of the first trial that failed, or ""
     trials: int
     spoiled: bool = False  # the process is not to play others
-
-
-class Probe(NamedTuple):
-    """The result of the trials that every machine plays."""
-
-    digest: bytes  # of the outcomes
-    trial_s: float  # time of one of the trials
 
 
 def build(
@@ -346,31 +341,13 @@ def warm_up(
     """
     if not in_turns:
         compile_all()
-    return _play_probe(simulator, representation, slice(1), in_turns=in_turns)
+    return play_probe(simulator, representation, slice(1), in_turns=in_turns)
 
 
-def probe(
-    simulator: Simulator, representation: Representation, *, in_turns: bool = False
-) -> Probe:
-    """Play the trials by which machines are compared, after warming up.
-
-    They are four random genomes on two seeds. If the simulator is not repeatable, the digest is the
-    same on all machines.
-    """
-    first = warm_up(simulator, representation, in_turns=in_turns)
-    begin = time.perf_counter()
-    rest = _play_probe(simulator, representation, slice(1, None), in_turns=in_turns)
-    elapsed = time.perf_counter() - begin
-    digest = hashlib.blake2b(digest_size=16)
-    for outcomes in (first, rest) if simulator.repeatable else ():
-        digest.update(outcomes.fitness.astype("<f8").tobytes())
-        digest.update(outcomes.metrics.astype("<f8").tobytes())
-    return Probe(digest.digest(), elapsed / len(rest.fitness))
-
-
-def _play_probe(
+def play_probe(
     simulator: Simulator, network: Representation, some: slice, *, in_turns: bool
 ) -> TrialOutcomes:
+    """Return the outcomes of some trials of the probe."""
     genomes = network.random(PROBE_GENOMES, Stream(derive_seed(0, "probe")))
     first = np.repeat(np.arange(PROBE_GENOMES), PROBE_SEEDS)[some]
     participants = (first[:, None] + np.arange(simulator.participants)) % PROBE_GENOMES

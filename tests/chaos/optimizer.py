@@ -84,7 +84,8 @@ class Optimizer(Node[events.Event]):
             version_hash="",
             trial_timeout_s=TRIAL_TIMEOUT_S,
         )
-        self.max_slots = choice.max_slots or messages.MAX_SLOTS
+        slots = reserve.slots + bool(verify)
+        self.max_slots = min(slots, choice.max_slots or slots)
         self.dispatch = Dispatch(
             Terms(
                 requirements=messages.Requirements(),
@@ -225,7 +226,7 @@ class Optimizer(Node[events.Event]):
         if sum(len(row[1]) for row in self.journal.counted) != len(fitness):
             world.fail("the record does not have every trial once")
         wrong = {server for server in set(load.source) if server.endswith(WRONG)}
-        if self.dispatch.servers._probe_arbitrated and any(
+        if self.dispatch.bans.arbitrated and any(
             server.probe
             for server in self.dispatch.servers.by_id.values()
             if server.id in wrong

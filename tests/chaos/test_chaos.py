@@ -8,13 +8,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from zswarm.ot.cluster.bans import Bans
 from zswarm.ot.cluster.batches import Batches
 from zswarm.ot.cluster.dispatch import Dispatch
 from zswarm.ot.cluster.events import Answered, Counted
 from zswarm.ot.cluster.queue import QueuedTrials
 from zswarm.ot.cluster.remote_server import SentBatch
 from zswarm.ot.cluster.second_starts import SecondStarts
-from zswarm.ot.cluster.servers import Servers
 from zswarm.protocol.messages import Outcomes
 from zswarm.ss.slots.reply_cache import ReplyCache
 
@@ -132,7 +132,7 @@ def a_cut_link_forgets(patch: pytest.MonkeyPatch) -> None:
 
 def a_lie_is_believed(patch: pytest.MonkeyPatch) -> None:
     """Never ban a server that was found to be wrong."""
-    patch.setattr(Servers, "ban", lambda *_: None)
+    patch.setattr(Bans, "ban", lambda *_: None)
 
 
 def a_second_outcome_counts(patch: pytest.MonkeyPatch) -> None:

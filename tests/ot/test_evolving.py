@@ -10,16 +10,18 @@ import pytest
 
 from tests.ot.cluster.fake_connection import FakeConnection, result
 from zswarm import experiment
-from zswarm.errors import ConfigError
+from zswarm.errors import ConfigError, Stopped
 from zswarm.nets.representation import Representation
 from zswarm.ot import run
 from zswarm.ot.build import build
 from zswarm.ot.cluster.events import Counted
+from zswarm.ot.evolution import Requests
 from zswarm.ot.generation import Assessment
 from zswarm.ot.logger import Generation, Logger, Result
 from zswarm.ot.optimizers.cmaes import CMAES
 from zswarm.ot.optimizers.nnga import NNGA, NNGASettings
 from zswarm.ot.optimizers.optimizer import Told
+from zswarm.ot.record import control_file
 from zswarm.ot.record.history_hash import History
 from zswarm.ot.record.reader import Run
 from zswarm.ot.record.writer import Record
@@ -69,6 +71,33 @@ class Genes(FakeConnection):
         )
         workload.counted[trials] = True
         yield Counted(trials, "lab-1-0123abcd", 0.01)
+
+
+class Continuing(FakeConnection):
+    """A run's servers, which take back the request to pause once the run pauses."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self.folder = folder
+
+    def pause(self, *, paused: bool) -> None:
+        super().pause(paused=paused)
+        control_file.forget(self.folder)
+
+
+def test_a_run_that_pauses_gives_its_slots_back_until_it_continues(
+    tmp_path: Path,
+) -> None:
+    servers, stop = Continuing(tmp_path), threading.Event()
+    requests = Requests(tmp_path, Logger(), stop)
+    requests.obey(servers)  # type: ignore[arg-type]
+    assert servers.pauses == []
+    control_file.ask(tmp_path, "pause")
+    requests.obey(servers)  # type: ignore[arg-type]
+    assert servers.pauses == [True, False]
+    control_file.ask(tmp_path, "drain")
+    with pytest.raises(Stopped):
+        requests.obey(servers)  # type: ignore[arg-type]
 
 
 @pytest.fixture

@@ -11,11 +11,12 @@ import pytest
 from tests.config.test_ranges import Settings
 from zswarm.config import ranges
 from zswarm.errors import ConfigError
-from zswarm.evaluate import build, evaluate, probe, turns
+from zswarm.evaluate import build, evaluate, turns
 from zswarm.kernels.random import Stream, derive_seed
 from zswarm.nets.fully_meshed import FullyMeshed, FullyMeshedSettings
 from zswarm.ot.replay import trace
 from zswarm.plugins import registry as plugins
+from zswarm.probe import probe
 from zswarm.sims.emergency_exit import EmergencyExit
 from zswarm.sims.randomized import KEPT, Varied, drawn
 from zswarm.sims.simulator import HostingSimulator, KernelBatch, Outcome, Simulator, Turn

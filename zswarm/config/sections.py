@@ -119,7 +119,7 @@ class ClusterConfig(
             0,
             1_000_000_000,
             "slots that a run holds at the same time, including this machine's; the best by "
-            "`rank`. 0: all",
+            "`rank`. It never holds more than it has trials at once. 0: no other limit",
         ),
     ] = 0
     trial_timeout_s: Annotated[

@@ -7,6 +7,7 @@ together.
 
 import contextlib
 import logging
+import math
 import operator
 import secrets
 import threading
@@ -32,6 +33,7 @@ from zswarm.ot.generation import Assessment
 from zswarm.ot.notes import Note, words
 from zswarm.ot.problem import Problem, check_whole
 from zswarm.ot.workload import Workload
+from zswarm.probe import probe as play_probe
 
 IDLE_S = 10.0  # without a call; then others may have the slots
 LOG = logging.getLogger("zswarm")
@@ -216,7 +218,9 @@ def arbitrate(
     """Evaluate on this machine what servers disagree about; trials are of the workload."""
     simulator, representation = problem.simulator, problem.representation
     if isinstance(dispute, ProbeDisputed):
-        return ProbeArbitrated(evaluate.probe(simulator, representation).digest)
+        most = dispute.trials
+        probe = play_probe(simulator, representation, most, budget_s=math.inf)
+        return ProbeArbitrated(probe.digest)
     assert workload is not None  # noqa: S101  a trial is of one
     trials = workload.batch(np.array([dispute.trial]))
     outcomes = evaluate.evaluate(simulator, representation, *trials)

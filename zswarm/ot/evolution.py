@@ -15,6 +15,7 @@ from zswarm.experiment import Experiment
 from zswarm.ot import identity, run
 from zswarm.ot.build import Parts, build
 from zswarm.ot.cluster.connection import Connection
+from zswarm.ot.cluster.shell import Cluster
 from zswarm.ot.logger import Generation, Logger, Result, Started
 from zswarm.ot.record import control_file as control
 from zswarm.ot.record import epochs
@@ -86,23 +87,32 @@ class Evolution:
                         self.result = end.value
                         return
                     yield generation
-                    self._obey()
         finally:
             self._logger.on_end(self.result)
 
-    def _obey(self) -> None:
-        """Pause or stop between two generations, if the control file asks for it.
 
-        Servers have the next generation already; they keep it while the run pauses.
+class Requests:
+    """What the control file of a run asks for, between two generations."""
+
+    def __init__(self, folder: Path, logger: Logger, stop: threading.Event) -> None:
+        self._folder, self._logger, self._stop = folder, logger, stop
+
+    def obey(self, cluster: Cluster) -> None:
+        """Pause or stop. A run that pauses holds no slots, and loses nothing that was counted.
+
+        Raises:
+            Stopped: the run is to end after this generation.
         """
-        asked = control.asked(self.folder)
+        asked = control.asked(self._folder)
         if asked == "pause":
             self._logger.on_say(
                 "the run pauses, as requested, until it is asked to continue"
             )
-        while asked == "pause" and not self._stop.is_set():
-            time.sleep(control.CHECK_S)
-            asked = control.asked(self.folder)
+            cluster.pause(paused=True)
+            while asked == "pause" and not self._stop.is_set():
+                time.sleep(control.CHECK_S)
+                asked = control.asked(self._folder)
+            cluster.pause(paused=False)
         if asked == "drain":
             raise Stopped("stopped after a generation, as requested")
 
@@ -186,7 +196,8 @@ def _evolution(
 ) -> Evolution:
     def evolve(stop: threading.Event) -> Generations:
         with connection.run():
-            return (yield from run.evolve(parts, record, connection, logger, stop))
+            obey = Requests(record.folder, logger, stop).obey
+            return (yield from run.evolve(parts, record, connection, logger, stop, obey))
 
     if record.on_network:
         logger.on_say(

@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
 
 from zswarm.ot.build import Parts
 from zswarm.ot.cluster.connection import Connection
@@ -25,12 +25,14 @@ def evolve(
     connection: Connection,
     logger: Logger,
     stop: threading.Event,
+    obey: Callable[[Cluster], None] = lambda _: None,
 ) -> Generator[Generation, None, Result]:
     """Evolve from where the record ends to the last generation; yield each one once it is recorded.
 
     Servers have the next generation by then: they evaluate it while the caller looks at this one.
 
-    Closing the generator ends the run within a moment, as setting ``stop`` does.
+    Closing the generator ends the run within a moment, as setting ``stop`` does. ``obey`` is called
+    between two generations, and may wait or raise ``Stopped``.
 
     Raises:
         EvaluationError: trials cannot be evaluated.
@@ -69,6 +71,7 @@ def evolve(
                 assessment = Assessment(problem, optimizer.ask(), generation + 1)
                 items = cluster.evaluate(assessment.workload)
             yield notebook.finish(ended, state, cluster)
+            obey(cluster)
             if generation + 1 < last:
                 record.begin(generation + 1, assessment.workload)
         record.end()
@@ -195,7 +198,7 @@ class _Notebook:
             statistics["best"],
             statistics["mean"],
             self._candidates,
-            len(standing.serving),
+            standing.serving,
             standing.slots,
             statistics,
         )

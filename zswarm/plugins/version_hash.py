@@ -41,6 +41,7 @@ KEYS = (
 PACKAGE = Path(__file__).parents[1]
 SHARED = [
     "evaluate.py",
+    "probe.py",
     "config/ranges.py",
     *(f"sims/{name}.py" for name in ("raised", "randomized", "simulator", "turns")),
     *(f"kernels/{name}.py" for name in ("compiler", "jit", "lanes", "portable")),

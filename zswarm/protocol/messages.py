@@ -26,6 +26,8 @@ MAX_AGENTS = 65_536  # of a trial whose controllers are at the optimizer
 # Every server plays these trials for its digest: each genome on each seed.
 PROBE_GENOMES = 4
 PROBE_SEEDS = 2
+PROBE_TRIALS = PROBE_GENOMES * PROBE_SEEDS
+PROBE_DIGEST = 8  # bytes, of one trial
 
 Text = Annotated[str, Meta(max_length=MAX_TEXT)]
 Token = Annotated[bytes, Meta(min_length=16, max_length=16)]
@@ -168,7 +170,7 @@ class Lease(Message, frozen=True, tag="lease"):
     state: State
     slots: Count  # slots held
     ready: Count  # of them ready to evaluate
-    # Digest of the probe's outcomes, once ready.
+    # Digests of the first trials of the probe, in order, once ready.
     probe: Annotated[bytes, Meta(max_length=64)] = b""
     trial_s: Seconds = 0.0  # seconds of one trial of the probe
     reason: Text = ""  # of a failure

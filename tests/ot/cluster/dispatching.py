@@ -36,10 +36,10 @@ PROBE = b"digest"
 NAN = float("nan")
 
 
-def terms(slots: int = 100, **options: Any) -> Terms:
+def terms(slots: int = 100, *, nonce: bytes = bytes(16), **options: Any) -> Terms:
     """Return the terms of a run."""
     reserve = Reserve(
-        nonce=bytes(16),
+        nonce=nonce,
         epoch=0,
         slots=slots,
         simulator=Part("", {}),
@@ -119,9 +119,12 @@ class Optimizer:
         return self.dispatch.batches.workload
 
 
-def offer(capacity: int = 1, mismatch: str = "", **labels: str) -> Offer:
+def offer(
+    capacity: int = 1, mismatch: str = "", *, free: int | None = None, **labels: str
+) -> Offer:
     names = dict.fromkeys(("server", "program", "machine"), "")
-    none = {"free": 0, "leases": 0, "simulators": [], "representations": []}
+    none = {"leases": 0, "simulators": [], "representations": []}
+    none["free"] = capacity if free is None else free
     fields = {"capacity": capacity, "mismatch": mismatch, "features": FEATURES}
     return Offer(**names, **none, **fields, labels=labels)  # type: ignore[arg-type]
 

@@ -14,12 +14,13 @@ from zswarm.ot.workload import Workload
 class FakeConnection:
     """Connection and cluster in one; a subclass decides the outcomes."""
 
-    standing = Standing(serving=["lab-1"], slots=2, probe=b"digest")
+    standing = Standing(serving=1, slots=2, probe=b"digest")
     options = ClusterConfig()
 
     def __init__(self) -> None:
         self.asked: dict[str, Any] = {}
         self.handed: list[Workload] = []  # in their order
+        self.pauses: list[bool] = []  # begun and ended
 
     @contextlib.contextmanager
     def cluster(self, *_args: object, **asked: Any) -> "Iterator[FakeConnection]":
@@ -33,6 +34,9 @@ class FakeConnection:
         return iter(())
 
     rest = wait
+
+    def pause(self, *, paused: bool) -> None:
+        self.pauses.append(paused)
 
     def evaluate(self, workload: Workload) -> Iterator[Counted | Retracted]:
         self.handed.append(workload)

@@ -21,6 +21,7 @@ from tests.ot.cluster.dispatching import (
     verbs,
 )
 from zswarm.errors import LocalProtocolError
+from zswarm.ot.cluster.allotment import ALLOT_AFTER_S
 from zswarm.ot.cluster.batches import ATTEMPTS
 from zswarm.ot.cluster.events import (
     Ask,
@@ -34,7 +35,7 @@ from zswarm.ot.cluster.events import (
     Work,
 )
 from zswarm.ot.cluster.matching import Choice
-from zswarm.ot.cluster.servers import ALLOT_AFTER_S, BACK_OFF_S, PAUSE_S, RENEW_S, RETRY_S
+from zswarm.ot.cluster.servers import BACK_OFF_S, PAUSE_S, RENEW_S, RETRY_S
 from zswarm.ot.notes import Note
 from zswarm.ot.workload import Workload
 from zswarm.protocol import codec, labels
@@ -64,7 +65,7 @@ def test_a_server_is_asked_for_its_offer_then_reserved_then_given_work() -> None
     asks = optimizer.answer(ask, lease("a", 1))
     assert verbs(asks) == [("a", "evaluate")] * 2
     assert asks[0].message.lease == lease("a", 1).lease
-    assert optimizer.dispatch.servers.standing().serving == ["a"]
+    assert sorted(optimizer.dispatch.servers.roster.ready) == ["a"]
 
 
 def test_a_server_is_asked_once_even_if_seen_repeatedly() -> None:
@@ -108,10 +109,9 @@ def test_a_server_that_prepares_is_renewed_until_all_slots_are_ready() -> None:
 
 def test_a_run_waits_for_no_more_slots_than_it_wants() -> None:
     optimizer = Optimizer(slots=1)
-    optimizer.join("a")
-    (ask,) = optimizer.feed(Seen("b"))
+    (ask,) = optimizer.feed(Seen("a"))
     (ask,) = optimizer.answer(ask, offer(8))
-    assert optimizer.answer(ask, lease("b", 1)) == []
+    assert optimizer.answer(ask, lease("a", 1)) == []
 
 
 def test_a_server_that_does_not_match_is_looked_at_again_when_it_is_seen_again() -> None:
@@ -300,13 +300,13 @@ def test_a_server_whose_probe_differs_is_released_and_not_used() -> None:
         ("b", "release")
     ]
     assert [note.server for note in optimizer.notes("server_differs")] == ["b"]
-    assert optimizer.dispatch.servers.standing().serving == ["a"]
+    assert sorted(optimizer.dispatch.servers.roster.ready) == ["a"]
 
 
 def test_the_probe_of_the_record_holds_for_the_first_server_too() -> None:
     optimizer = Optimizer(probe=b"recorded")
     optimizer.join("a")
-    assert optimizer.dispatch.servers.standing().serving == []
+    assert sorted(optimizer.dispatch.servers.roster.ready) == []
     assert optimizer.dispatch.servers.probe == b"recorded"
 
 
@@ -378,7 +378,7 @@ def test_a_lost_lease_is_reserved_again_after_a_pause_and_its_trials_move(
         lost = optimizer.asked["a", "renew"]
     optimizer.answer(lost, Refused(code="lease-lost", reason="expired"))
     assert optimizer.notes("lease_lost")
-    assert optimizer.dispatch.servers.standing().serving == ["b"]
+    assert sorted(optimizer.dispatch.servers.roster.ready) == ["b"]
     assert verbs(optimizer.wait(PAUSE_S)) == [("a", "offer")]
     (ask,) = optimizer.answer(optimizer.asked["a", "offer"], offer())
     asks = optimizer.answer(ask, lease("a", 1, number=1))
@@ -401,7 +401,7 @@ def test_an_answer_to_a_lost_lease_does_not_affect_the_next_one() -> None:
     asks = optimizer.answer(ask, lease("a", 1, number=1))
     assert ("a", "renew") in verbs(asks)
     assert optimizer.answer(renewal, Refused(code="lease-lost", reason="expired")) == []
-    assert optimizer.dispatch.servers.standing().serving == ["a"]
+    assert sorted(optimizer.dispatch.servers.roster.ready) == ["a"]
 
 
 def test_a_renewal_refused_for_another_reason_ends_the_use_of_the_server() -> None:
@@ -741,7 +741,7 @@ def test_a_draining_server_still_answers_running_batches() -> None:
     optimizer.join("a")
     first, second = optimizer.work(4)[:2]
     assert optimizer.answer(second, Refused(code="draining", reason="")) == []
-    assert optimizer.dispatch.servers.standing().serving == [], (
+    assert sorted(optimizer.dispatch.servers.roster.ready) == [], (
         "or it would be asked and refuse in a loop until its token vanishes"
     )
     optimizer.feed(Gone("a"))
@@ -1025,7 +1025,7 @@ def test_the_number_of_messages_depends_on_the_work_and_not_on_slots() -> None:
     """Servers of four slots take no more messages than servers of one."""
     counts = []
     for slots in (1, 4):
-        optimizer = Optimizer()
+        optimizer = Optimizer(slots=256)
         optimizer.join(*[f"s{number}" for number in range(64)], slots=slots)
         counts.append(len(sizes(optimizer, 64 * slots * 4, trial_s=1.0)))
     assert counts[0] == counts[1] == 64 * 4

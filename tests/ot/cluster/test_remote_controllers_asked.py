@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.ot.cluster.fake_connection import FakeConnection
 from zswarm.errors import Stopped
-from zswarm.ot.evolution import Evolution
+from zswarm.ot.evolution import Evolution, Requests
 from zswarm.ot.logger import Generation, Logger, Result
 from zswarm.ot.record import control_file as control
 
@@ -41,6 +42,7 @@ def evolution(folder: Path, logger: Logger, closed: list[int]) -> Evolution:
                 if stop.is_set():
                     raise Stopped("stopped")
                 yield Generation(number, 1.0, 0.5, number + 1, 1, 1, {})
+                Requests(folder, logger, stop).obey(FakeConnection())  # type: ignore[arg-type]
         finally:
             closed.append(1)
         return RESULT

@@ -135,7 +135,7 @@ class Asking:
     def __init__(self, *, through_router: bool = False) -> None:
         self.cluster = Cluster(
             KEY,
-            terms(slots=1),
+            terms(slots=2),
             reach=Reach(
                 ["tcp/127.0.0.1:1"], multicast=False, through_router=through_router
             ),

@@ -12,6 +12,7 @@ from tests.ot.cluster.dispatching import (
     trials,
     verbs,
 )
+from zswarm.ot.cluster.bans import FAULTY_S
 from zswarm.ot.cluster.events import (
     Arbitrated,
     Ask,
@@ -25,7 +26,7 @@ from zswarm.ot.cluster.events import (
     Work,
 )
 from zswarm.ot.cluster.remote_server import BLAMED, Phase
-from zswarm.ot.cluster.servers import BACK_OFF_S, FAULTY_S, PAUSE_S, RETRY_S
+from zswarm.ot.cluster.servers import BACK_OFF_S, PAUSE_S, RETRY_S
 from zswarm.ot.workload import Workload
 from zswarm.protocol.messages import Refused, verb
 
@@ -213,7 +214,7 @@ def test_two_servers_that_were_both_wrong_are_banned() -> None:
     optimizer.answer(check, outcomes(check, 8.0))
     optimizer.feed(arbitrate(0, 9.0))
     assert sorted(note.server for note in optimizer.notes("server_wrong")) == ["a", "b"]
-    assert optimizer.dispatch.servers.standing().serving == []
+    assert sorted(optimizer.dispatch.servers.roster.ready) == []
     assert Complete() not in optimizer.commands
     optimizer.join("c")
     ask = optimizer.asked["c", "evaluate"]
@@ -265,13 +266,13 @@ def test_on_different_probes_the_second_server_waits_until_this_machine_decides(
     optimizer = Optimizer()
     join(optimizer, "a", b"right")
     assert verbs(join(optimizer, "b", b"other")) == [("b", "release")]
-    assert ProbeDisputed() in optimizer.commands
+    assert ProbeDisputed(1) in optimizer.commands
     assert optimizer.notes("server_differs")
     join(optimizer, "c", b"other")
-    assert ProbeDisputed() not in optimizer.commands, "once is enough"
+    assert ProbeDisputed(1) not in optimizer.commands, "once is enough"
     optimizer.feed(ProbeArbitrated(b"right"))
     assert sorted(note.server for note in optimizer.notes("server_wrong")) == ["b", "c"]
-    assert optimizer.dispatch.servers.standing().serving == ["a"]
+    assert sorted(optimizer.dispatch.servers.roster.ready) == ["a"]
 
 
 def test_a_first_server_with_a_wrong_probe_is_replaced_by_correct_ones() -> None:
@@ -289,8 +290,37 @@ def test_a_first_server_with_a_wrong_probe_is_replaced_by_correct_ones() -> None
     assert ("b", "offer") in optimizer.asked
     optimizer.feed(Gone("b"))
     join(optimizer, "b", b"right")
-    assert optimizer.dispatch.servers.standing().serving == ["b"]
+    assert sorted(optimizer.dispatch.servers.roster.ready) == ["b"]
     assert optimizer.dispatch.servers.probe == b"right"
+
+
+def test_probes_are_compared_as_far_as_both_played_them() -> None:
+    """A slow server plays fewer trials; this machine plays up to the one that differs."""
+    optimizer = Optimizer()
+    one, two, wrong = b"1" * 8, b"2" * 8, b"x" * 8
+    join(optimizer, "a", one)
+    join(optimizer, "b", one + two)
+    assert optimizer.dispatch.servers.probe == one + two
+    join(optimizer, "c", b"")
+    assert verbs(join(optimizer, "d", one + wrong)) == [("d", "release")]
+    assert ProbeDisputed(2) in optimizer.commands
+    assert "plays 2 and decides" in optimizer.notes("server_differs")[0].text
+    optimizer.feed(ProbeArbitrated(one + two))
+    assert [note.server for note in optimizer.notes("server_wrong")] == ["d"]
+    assert set(optimizer.dispatch.servers.serving()) == {"a", "b", "c"}
+
+
+def test_a_trial_that_was_not_arbitrated_is_disputed_anew() -> None:
+    optimizer = Optimizer()
+    one, two, wrong = b"1" * 8, b"2" * 8, b"x" * 8
+    join(optimizer, "a", one)
+    join(optimizer, "b", wrong)
+    optimizer.feed(ProbeArbitrated(one))
+    join(optimizer, "c", one + wrong)
+    join(optimizer, "d", one + two)
+    assert ProbeDisputed(2) in optimizer.commands
+    optimizer.feed(ProbeArbitrated(one + two))
+    assert [note.server for note in optimizer.notes("server_wrong")] == ["c"]
 
 
 def test_after_arbitration_a_differing_server_is_wrong_at_once() -> None:
@@ -300,7 +330,7 @@ def test_after_arbitration_a_differing_server_is_wrong_at_once() -> None:
     optimizer.feed(ProbeArbitrated(b"right"))
     join(optimizer, "c", b"third")
     assert optimizer.notes("server_wrong")
-    assert ProbeDisputed() not in optimizer.commands
+    assert ProbeDisputed(1) not in optimizer.commands
 
 
 # ---- blame
@@ -310,7 +340,7 @@ def test_a_server_with_faults_that_others_do_not_have_is_banned() -> None:
     optimizer = Optimizer()
     optimizer.join("a", "b")
     for number in range(BLAMED):
-        assert "a" in optimizer.dispatch.servers.standing().serving
+        assert "a" in optimizer.dispatch.servers.roster.ready
         (first, *rest) = optimizer.work(1)
         assert first.server == "a"
         assert rest == []
@@ -319,7 +349,7 @@ def test_a_server_with_faults_that_others_do_not_have_is_banned() -> None:
         optimizer.answer(again, outcomes(again))
         assert Complete() in optimizer.commands
         assert bool(optimizer.notes("server_faulty")) == (number == BLAMED - 1)
-    assert optimizer.dispatch.servers.standing().serving == ["b"]
+    assert sorted(optimizer.dispatch.servers.roster.ready) == ["b"]
     assert [ask for ask in optimizer.wait(FAULTY_S - 1.0) if ask.server == "a"] == []
     assert ("a", "offer") in verbs(optimizer.wait(2.0))
 
@@ -333,7 +363,7 @@ def test_a_trial_that_fails_everywhere_blames_no_server() -> None:
             (ask,) = asks
             asks = optimizer.answer(ask, fault(ask))
         assert Complete() in optimizer.commands
-    assert optimizer.dispatch.servers.standing().serving == ["a", "b", "c"]
+    assert sorted(optimizer.dispatch.servers.roster.ready) == ["a", "b", "c"]
 
 
 def test_a_server_that_counted_many_trials_is_allowed_a_few_faults() -> None:
@@ -345,7 +375,7 @@ def test_a_server_that_counted_many_trials_is_allowed_a_few_faults() -> None:
         assert first.server == "a"
         (again,) = optimizer.answer(first, fault(first))
         optimizer.answer(again, outcomes(again))
-    assert "a" in optimizer.dispatch.servers.standing().serving
+    assert "a" in optimizer.dispatch.servers.roster.ready
 
 
 def test_a_faulty_server_is_used_again_when_there_is_no_other() -> None:
@@ -355,7 +385,7 @@ def test_a_faulty_server_is_used_again_when_there_is_no_other() -> None:
         (first,) = optimizer.work(1)
         (again,) = optimizer.answer(first, fault(first))
         optimizer.answer(again, outcomes(again))
-    assert optimizer.dispatch.servers.standing().serving == ["b"]
+    assert sorted(optimizer.dispatch.servers.roster.ready) == ["b"]
     optimizer.work(1)
     optimizer.feed(Gone("b"))
     optimizer.answer(optimizer.asked["b", "evaluate"], None)

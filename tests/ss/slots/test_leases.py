@@ -1,5 +1,7 @@
 """Leases: who gets which slots, and for how long."""
 
+from typing import Any
+
 import pytest
 
 from tests.ss.slots.table_server import (
@@ -90,8 +92,8 @@ def test_a_run_waits_for_slots_until_another_releases_them() -> None:
     waiting = server.reserve("b")
     assert (waiting.state, waiting.slots) == ("waiting", 0)
     assert server.asked(Release(lease=first), "a") == Done()
-    assert server.commands == [PrepareSlot(0, reserve(), probe=True, known=True)]
-    assert server.reserve("b").slots == 1
+    assert server.commands == []
+    assert server.reserve("b").ready == 1
 
 
 def test_a_new_run_gets_idle_slots_at_once_and_others_after_their_chunk() -> None:
@@ -101,7 +103,7 @@ def test_a_new_run_gets_idle_slots_at_once_and_others_after_their_chunk() -> Non
     queries = server.evaluate(first, 1, 2, 3)
     renewal = server.ask(Renew(lease=first, known_ready=4), "a")
     lease = server.reserve("b")
-    assert (lease.state, lease.slots) == ("preparing", 1), "the idle one"
+    assert (lease.state, lease.slots) == ("ready", 1), "the idle one"
     assert server.answer(renewal, Lease).ready == 3
     server.evaluate(first, 4)
     assert server.finish(0, 1) == [], (
@@ -114,9 +116,25 @@ def test_a_new_run_gets_idle_slots_at_once_and_others_after_their_chunk() -> Non
 
 def test_slots_are_shared_evenly_and_the_remainder_goes_to_earlier_runs() -> None:
     server = Server(8)
-    for name, wanted in (("a", 100), ("b", 1), ("c", 100), ("d", 100)):
-        server.ready(name, slots=wanted)
-    assert [server.reserve(name).slots for name in "abcd"] == [3, 1, 2, 2]
+    wanted = {"a": 100, "b": 1, "c": 100, "d": 100}
+    for name, slots in wanted.items():
+        server.ready(name, slots=slots)
+    assert [
+        server.reserve(name, slots=slots).slots for name, slots in wanted.items()
+    ] == [
+        3,
+        1,
+        2,
+        2,
+    ]
+
+
+def test_the_holder_of_a_lease_may_want_more_slots() -> None:
+    """It keeps the lease."""
+    server = Server(4)
+    first = server.reserve(slots=1)
+    grown = server.reserve(slots=3)
+    assert (first.slots, grown.slots, grown.lease) == (1, 3, first.lease)
 
 
 def test_a_run_gets_slots_back_when_other_runs_end() -> None:
@@ -163,10 +181,9 @@ def test_a_slot_prepared_for_the_same_problem_is_ready_at_once() -> None:
     first = server.ready("a", slots=2)
     server.ready("b", slots=1)
     server.ask(reserve(slots=3), "c")
-    # Its probe is not known yet.
-    assert server.commands == [PrepareSlot(0, reserve(slots=3), probe=True, known=True)]
+    assert server.commands == []
     server.ask(Release(lease=first), "a")
-    assert server.feed(Prepared(0, PROBE, 0.5)) == []
+    assert server.commands == []
     assert server.reserve("c").ready == 2
 
 
@@ -178,7 +195,7 @@ def test_a_lease_gets_the_slots_that_are_prepared_for_its_problem_first() -> Non
     for lease, name in ((first, "a"), (second, "b"), (third, "c")):
         server.ask(Release(lease=lease), name)
     server.ask(reserve(slots=1), "d")
-    assert server.commands == [PrepareSlot(1, reserve(slots=1), probe=True, known=True)]
+    assert (server.commands, server.states()) == ([], ["free", "ready", "free"])
 
 
 def test_a_slot_that_is_ready_at_once_is_reported_and_takes_waiting_work() -> None:
@@ -360,6 +377,58 @@ def test_only_its_own_run_can_use_a_lease(message: object) -> None:
     assert server.commands == []
 
 
+# ---- the probe --------------------------------------------------------------------------
+
+
+def test_a_problems_probe_is_played_once_while_the_server_runs() -> None:
+    """Later leases have its digest and time, and all their slots are prepared at once."""
+    server = Server(2)
+    lease = server.ready("a")
+    server.ask(Release(lease=lease), "a")
+    server.ready("b", simulator="other")
+    server.ask(Release(lease=server.slots.leases["user", "b"].token), "b")
+    again = server.reserve("c")
+    assert (again.state, again.probe, again.trial_s) == ("preparing", PROBE, 0.5)
+    server.ask(Release(lease=again.lease), "c")
+    server.feed(Prepared(0, b"", 0.0))
+    server.feed(Prepared(1, b"", 0.0))
+    server.ready("d", simulator="other")
+    server.ask(Release(lease=server.slots.leases["user", "d"].token), "d")
+    server.reserve("e")
+    assert server.commands == [
+        PrepareSlot(0, reserve(), probe=False),
+        PrepareSlot(1, reserve(), probe=False),
+    ]
+
+
+def test_a_probe_without_a_digest_is_played_once_too() -> None:
+    """The simulator is not repeatable."""
+    server = Server(2)
+    server.reserve("a")
+    assert server.feed(Prepared(0, b"", 15.0)) == [PrepareSlot(1, reserve(), probe=False)]
+    lease = server.reserve("a")
+    assert (lease.state, lease.probe, lease.trial_s) == ("ready", b"", 15.0)
+
+
+@pytest.mark.parametrize(
+    "other", [{"simulator": "other"}, {"memory_mb": 512}], ids=["simulator", "memory"]
+)
+def test_the_probe_of_another_problem_is_played(other: dict[str, Any]) -> None:
+    server = Server(1)
+    server.ask(Release(lease=server.ready("a")), "a")
+    server.ask(reserve(**other), "b")
+    assert server.commands == [PrepareSlot(0, reserve(**other), probe=True)]
+
+
+def test_the_oldest_probes_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(leases, "MAX_PROBES", 1)
+    server = Server(1)
+    for name in ("minisim", "other"):
+        server.ask(Release(lease=server.ready(simulator=name)))
+    server.ask(reserve())
+    assert server.commands == [PrepareSlot(0, reserve(), probe=True)]
+
+
 # ---- epochs -----------------------------------------------------------------------------
 
 
@@ -374,9 +443,8 @@ def test_a_higher_epoch_takes_the_slots_over() -> None:
     assert lease.lease != old
     assert server.commands == [StopSlot(0), StopSlot(1)]
     assert [code(server.answers[query]) for query in queries] == ["lease-lost"] * 4
-    assert server.finish(0, 1) == [
-        PrepareSlot(0, reserve(nonce=2, epoch=1), probe=True, known=True)
-    ]
+    assert server.finish(0, 1) == []
+    assert server.reserve(nonce=2, epoch=1).ready == 1
     assert code(server.asked(Renew(lease=old))) == "lease-lost"
     server.finish(1, 2)
     assert server.reserve(nonce=2, epoch=1).slots == 2

@@ -14,8 +14,6 @@ from tests.ss.slots.table_server import (
     running_one,
 )
 from zswarm.protocol.messages import (
-    PROBE_GENOMES,
-    PROBE_SEEDS,
     Cancel,
     Done,
     Fault,
@@ -182,7 +180,7 @@ def test_a_preparation_that_does_not_end_is_killed(released: bool) -> None:
     if released:
         server.ask(Release(lease=lease))
     limit_s = table.PREPARE_S + (
-        0 if released else PROBE_GENOMES * PROBE_SEEDS * reserve().trial_timeout_s
+        0 if released else table.PROBE_TIMEOUTS * reserve().trial_timeout_s
     )
     for _ in range(20):
         server.ask(Renew(lease=lease, known_ready=0))

@@ -26,7 +26,15 @@ from zswarm.kernels.random import Stream
 from zswarm.plugins import registry as plugins
 from zswarm.plugins.version_hash import version_hash
 from zswarm.protocol import codec
-from zswarm.protocol.messages import MIN_MEMORY_MB, Evaluate, Outcomes, Part, Reserve
+from zswarm.protocol.messages import (
+    MIN_MEMORY_MB,
+    PROBE_DIGEST,
+    PROBE_TRIALS,
+    Evaluate,
+    Outcomes,
+    Part,
+    Reserve,
+)
 from zswarm.ss.slots.events import (
     Died,
     Finished,
@@ -181,7 +189,7 @@ def test_bundled_parts_work_with_the_least_memory_that_may_be_asked_for(
     prepare(slot, reserve(simulator, representation, MIN_MEMORY_MB), probe=True)
     prepared = answer(slot)
     assert isinstance(prepared, Prepared), prepared
-    assert len(prepared.probe) == 16
+    assert len(prepared.probe) == PROBE_TRIALS * PROBE_DIGEST
     assert limit(slot, "Max data size") == str(MIN_MEMORY_MB << 20)
     assert limit(slot, "Max core file size") == "0"
     assert int(Path(f"/proc/{pid(slot)}/oom_score_adj").read_text()) >= 500

@@ -180,8 +180,6 @@ class Batches(msgspec.Struct, eq=False):
             self.idle.reset(self.schedule.serving)
         if self.idle.more:
             self.idle.more = False
-            if not self.schedule.serving:
-                self.servers.recall_faulty()
             return list(self.idle.idle.values())
         return [answered] if answered and answered.id in self.idle.idle else []
 

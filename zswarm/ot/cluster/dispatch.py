@@ -7,6 +7,7 @@ at the end of each event.
 
 from zswarm.errors import RemoteProtocolError
 from zswarm.ot.cluster import events
+from zswarm.ot.cluster.bans import Bans
 from zswarm.ot.cluster.batches import Batches
 from zswarm.ot.cluster.events import Answered, Command, Event, OpenQuery, Outbox
 from zswarm.ot.cluster.matching import Terms
@@ -22,6 +23,7 @@ class Dispatch:
     def __init__(self, terms: Terms) -> None:
         self.out = Outbox()
         self.servers = Servers(terms, self.out, probe=terms.probe)
+        self.bans = Bans(self.out, self.servers)
         self.batches = Batches.of(terms, self.out, self.servers)
         self._just_answered_by: RemoteServer | None = None  # a batch
 
@@ -48,13 +50,15 @@ class Dispatch:
                 for name in batches.checks.arbitrate(
                     event.trial, event.fitness, event.metrics
                 ):
-                    servers.ban_wrong(name, event.trial)
+                    self.bans.ban_wrong(name, event.trial)
             case events.ProbeArbitrated():
-                servers.arbitrate_probe(event.digest)
+                self.bans.arbitrate_probe(event.digest)
             case events.TimePassed():
                 self._repeat()
                 servers.ask_due()
                 batches.idle.look(now)
+            case events.Pause():
+                servers.pause_run(paused=event.paused)
             case events.Leave():
                 batches.end()
                 servers.leave()
@@ -67,7 +71,8 @@ class Dispatch:
         if out.failure:
             batches.end()
         while batches.blamed:
-            servers.blame(batches.blamed.pop(0))
+            self.bans.blame(batches.blamed.pop(0))
+        self.bans.judge_probes()
         servers.allot()
         self._follow()
         for server in [
@@ -76,6 +81,8 @@ class Dispatch:
             servers.lose(server)
         self._follow()
         batches.fill(self._just_answered_by)
+        if batches.workload is not None and not servers.roster.ready:
+            self.bans.recall_faulty()
         if out.failure:
             out.commands.append(events.Failed(out.failure))
         elif batches.finish_if_done():
@@ -106,7 +113,8 @@ class Dispatch:
 
     def _sent(self, query: OpenQuery) -> SentBatch | None:
         """Return the batch of a query, or None if another server has it or its workload ended."""
-        batch = self.servers.by_id[query.server].batches.get(query.batch)
+        server = self.servers.by_id.get(query.server)
+        batch = server.batches.get(query.batch) if server is not None else None
         wanted = self.batches.workload is not None
         return batch if wanted and batch and batch.question == query.question else None
 

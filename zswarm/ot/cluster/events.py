@@ -57,11 +57,27 @@ class TimePassed(msgspec.Struct, frozen=True):
     """The time that was asked for has come."""
 
 
+class Pause(msgspec.Struct, frozen=True):
+    """The run pauses, and holds no slots; or the pause is over."""
+
+    paused: bool
+
+
 class Leave(msgspec.Struct, frozen=True):
     """Release all leases."""
 
 
-Event = Seen | Gone | Answered | Work | Arbitrated | ProbeArbitrated | TimePassed | Leave
+Event = (
+    Seen
+    | Gone
+    | Answered
+    | Work
+    | Arbitrated
+    | ProbeArbitrated
+    | TimePassed
+    | Pause
+    | Leave
+)
 
 
 class Ask(msgspec.Struct, frozen=True):
@@ -89,6 +105,8 @@ class Disputed(msgspec.Struct, frozen=True):
 
 class ProbeDisputed(msgspec.Struct, frozen=True):
     """Two servers have different digests of the probe: to be answered with ProbeArbitrated."""
+
+    trials: int  # first ones of the probe; the last of them differs
 
 
 class Retracted(msgspec.Struct, frozen=True):

@@ -36,14 +36,14 @@ When a lease can be resumed: docs/protocol.md, "Times of a lease".
 """
 
 import math
-from collections.abc import Collection
 from enum import Enum, auto
-from typing import Literal, Self
+from typing import Literal
 
 import msgspec
 import numpy as np
 
 from zswarm.ot.cluster.pace import Pace
+from zswarm.protocol.messages import PROBE_DIGEST
 
 # A server is faulty that failed this many trials that others could evaluate, and this share of all
 # it evaluated.
@@ -112,18 +112,22 @@ class RemoteServer(msgspec.Struct, eq=False):
 
     id: str  # a server that is restarted has another one
     phase: Phase = Phase.IDLE
+    present: bool = False  # its token is there
     lease: bytes = b""  # while LEASED or LEAVING
     # A lease given up for silence, which may still be valid at the server.
     resumable_lease: bytes = b""
-    # Digest of its outcomes of the probe: some trials that every server plays. Equal code computes
+    # Digests of the trials of the probe, which every server plays. Equal code computes
     # equal bits on all machines (docs/architecture.md, "Determinism"): a server that differs from
     # this machine is wrong.
     probe: bytes = b""
     capacity: int = 0
+    free: int = 0  # slots that no run held when it offered, or released it
+    lot: bytes = b""  # decides between servers of one rank; another one for each run
     features: frozenset[str] = frozenset()
     place: tuple[float, ...] = ()  # its rank; the lowest comes first
     mismatch: str = ""  # as last reported to the user
     wanted: int = 0  # slots it was asked for
+    growing: bool = False  # LEASED, and asked for more slots than before
     slots: int = 0
     ready: int = 0  # slots that can evaluate
     pace: Pace = msgspec.field(default_factory=Pace)
@@ -143,9 +147,16 @@ class RemoteServer(msgspec.Struct, eq=False):
 
     def taken(self) -> int:
         """Return how many slots the run has here, or asked for."""
-        if self.phase == Phase.RESERVING:
+        if self.phase == Phase.RESERVING or self.growing:
             return self.wanted
         return self.slots if self.phase == Phase.LEASED else 0
+
+    def differs_at(self, probe: bytes) -> int | None:
+        """Return the first trial of the probe that was played with other outcomes."""
+        for at in range(0, min(len(self.probe), len(probe)), PROBE_DIGEST):
+            if self.probe[at : at + PROBE_DIGEST] != probe[at : at + PROBE_DIGEST]:
+                return at // PROBE_DIGEST
+        return None
 
     def fails_too_much(self) -> bool:
         """Return whether too many trials failed here that other servers could evaluate."""
@@ -155,23 +166,9 @@ class RemoteServer(msgspec.Struct, eq=False):
 class Standing(msgspec.Struct, frozen=True):
     """The state of a run's servers."""
 
-    serving: list[str] = []  # servers with a slot ready
-    preparing: list[str] = []  # servers that prepare their first slot
+    serving: int = 0  # servers with a slot ready
+    preparing: list[str] = []  # some of the servers that prepare their first slot
     leased: int = 0  # servers that granted a lease
     spare: int = 0  # servers that match and whose slots are not wanted
     slots: int = 0  # that are ready
     probe: bytes = b""  # digest of the probe's outcomes, once known
-
-    @classmethod
-    def of(cls, servers: Collection[RemoteServer], probe: bytes) -> Self:
-        """Summarize all servers of a run."""
-        leased = [server for server in servers if server.phase == Phase.LEASED]
-        preparing = [server for server in leased if server.slots and not server.ready]
-        return cls(
-            serving=[server.id for server in leased if server.ready],
-            preparing=[server.id for server in preparing],
-            leased=len(leased),
-            spare=sum(server.phase == Phase.SPARE for server in servers),
-            slots=sum(server.ready for server in leased),
-            probe=probe,
-        )

@@ -4,27 +4,30 @@ A lease that was dropped for silence may still be valid at the server. It is res
 batches that are stranded there, if the server grants it again.
 """
 
+import heapq
 import math
 
 import msgspec
 from msgspec import structs
 
 from zswarm.errors import LocalProtocolError
-from zswarm.ot.cluster.events import OpenQuery, Outbox, ProbeDisputed, Retracted
+from zswarm.ot.cluster.allotment import Allotment
+from zswarm.ot.cluster.events import OpenQuery, Outbox
 from zswarm.ot.cluster.matching import Terms
 from zswarm.ot.cluster.remote_server import MOVES, Phase, RemoteServer, Standing
+from zswarm.ot.cluster.roster import Roster
 from zswarm.ot.notes import RunEvent
 from zswarm.protocol.messages import Lease, Offer, Refused, Release, Renew, Reply, Verb
 
 # A third of the lease time; only the reply to a renewal has the current number of slots.
 RENEW_S = 20.0
 RETRY_S = (0.05, 0.2, 1.0)  # before a query that was not answered is sent again
-# From the first offer until slots are allotted: the best are known then.
-ALLOT_AFTER_S = 1.0
 PAUSE_S = 1.0  # before a server that had no room, or that ended the lease, is asked again
 # Before a server that did not answer is asked again, unless it is seen before.
 BACK_OFF_S = 30.0
-FAULTY_S = 600.0  # the same for a server on which too many trials failed
+# Servers without a token that are remembered, for their leases may be resumed: more than can be
+# linked at a time. One that is restarted has another id.
+MAX_ABSENT = 10_000
 
 
 class Servers(msgspec.Struct, eq=False):
@@ -32,42 +35,50 @@ class Servers(msgspec.Struct, eq=False):
 
     terms: Terms
     out: Outbox
-    by_id: dict[str, RemoteServer] = {}  # every server ever seen
+    by_id: dict[str, RemoteServer] = {}  # those that are known
     # Whose phase, slots or pause changed, by id: the caller revisits their batches.
     changed: dict[str, RemoteServer] = {}
     leaving: dict[str, RemoteServer] = {}  # those in the phase LEAVING
+    forgotten: list[
+        str
+    ] = []  # those that are not known any more; the caller takes them out
     probe: bytes = b""  # digest of the probe's outcomes, once known
-    _probe_disputed: bool = False
-    _probe_arbitrated: bool = False
-    _ask_at: float = math.inf  # no server is due before
-    _allot_at: float = math.inf  # no slots are to be allotted before
+    differing: list[RemoteServer] = []  # with another digest; the caller takes them out
+    roster: Roster = msgspec.field(default_factory=Roster)
+    allotment: Allotment = msgspec.UNSET  # type: ignore[assignment]
+    _absent: dict[
+        str, RemoteServer
+    ] = {}  # IDLE and without a token, the longest in front
+    # When servers are due; an entry counts only if its server is still due then.
+    _due: list[tuple[float, str]] = []
+
+    def __post_init__(self) -> None:
+        self.allotment = Allotment(self.terms, self.roster)
 
     def next_time(self) -> float:
         """Return when a server is due, or slots are to be allotted."""
-        return min(self._ask_at, self._allot_at)
+        while self._due and not self._is_due(*self._due[0]):
+            heapq.heappop(self._due)
+        return min(self._due[0][0] if self._due else math.inf, self.allotment.at)
 
     def standing(self) -> Standing:
         """Return how the run stands with its servers."""
-        return Standing.of(self.by_id.values(), self.probe)
+        return self.roster.standing(self.probe)
 
     def serving(self) -> dict[str, RemoteServer]:
         """Return the servers that can be given work, those that rank first in front."""
-        leased = [
-            server for server in self.by_id.values() if server.phase == Phase.LEASED
-        ]
+        ready = list(self.roster.ready.values())
         if self.terms.choice.rank:
-            leased.sort(key=lambda server: server.place)
-        return {
-            server.id: server
-            for server in leased
-            if server.ready and server.paused_until is None
-        }
+            ready.sort(key=lambda server: server.place)
+        return {server.id: server for server in ready if server.paused_until is None}
 
     # ---- events
 
     def seen(self, name: str) -> None:
         """Ask a server whose token appeared; if only its link was cut, resume its lease."""
-        server = self._server(name)
+        server = self.known(name)
+        server.present = True
+        self._absent.pop(name, None)
         if server.phase == Phase.LEAVING:
             self._move(server, Phase.LEASED)
             self.out.note(RunEvent.SERVER_BACK, name)
@@ -80,17 +91,20 @@ class Servers(msgspec.Struct, eq=False):
         server = self.by_id.get(name)
         if server is None:
             return
+        server.present = False
         if server.phase == Phase.LEASED:
             out = sum(batch.missing for batch in server.batches.values())
             self.out.note(RunEvent.SERVER_LEFT, name, f"{out} trials were with it")
             self._move(server, Phase.LEAVING)
-        elif server.phase not in (Phase.LEAVING, Phase.BANNED, Phase.IDLE):
+        elif server.phase == Phase.IDLE:
+            self._remember(server)
+        elif server.phase not in (Phase.LEAVING, Phase.BANNED):
             self._move(server, Phase.IDLE)
 
     def answered(self, query: OpenQuery, reply: Reply | None) -> None:
         """Take the reply to any query but Evaluate."""
-        server, verb = self.by_id[query.server], query.verb
-        if query.question != server.question:
+        server, verb = self.by_id.get(query.server), query.verb
+        if server is None or query.question != server.question:
             return  # to Cancel or Release, or its server has left the phase in which it was asked
         server.question = 0
         if server.phase == Phase.LEAVING:
@@ -99,6 +113,7 @@ class Servers(msgspec.Struct, eq=False):
             case "offer", Offer():
                 self._offered(server, reply)
             case "reserve" | "renew", Lease():
+                server.growing &= verb == "renew"
                 self._granted(server, reply)
             case _, Refused():
                 self._refused(server, verb, reply)
@@ -114,10 +129,11 @@ class Servers(msgspec.Struct, eq=False):
     def ask_due(self) -> None:
         """Ask the servers whose time has come, and end pauses."""
         now = self.out.now
-        if now < self._ask_at:
-            return
-        self._ask_at = math.inf
-        for server in self.by_id.values():
+        while self._due and self._due[0][0] <= now:
+            entry = heapq.heappop(self._due)
+            if not self._is_due(*entry):
+                continue
+            server = self.by_id[entry[1]]
             if server.paused_until is not None and server.paused_until <= now:
                 server.paused_until, server.ask_at = None, now
                 self.changed[server.id] = server
@@ -126,14 +142,16 @@ class Servers(msgspec.Struct, eq=False):
                     self._ask_for_offer(server)
                 else:
                     self._ask(server)
-            due = min(server.ask_at, server.paused_until or math.inf)
-            self._ask_at = min(self._ask_at, due)
+
+    def _is_due(self, time: float, name: str) -> bool:
+        server = self.by_id.get(name)
+        return server is not None and time in (server.ask_at, server.paused_until)
 
     def leave(self) -> None:
         """Release all leases."""
         for server in self.by_id.values():
             if server.phase not in (Phase.IDLE, Phase.BANNED):
-                self._end(server, Phase.IDLE, release=True)
+                self.end(server, Phase.IDLE, release=True)
 
     # ---- queries
 
@@ -151,7 +169,7 @@ class Servers(msgspec.Struct, eq=False):
         match server.phase:
             case Phase.SEEN:
                 question = self.out.ask(server.id, terms.requirements)
-            case Phase.RESERVING:
+            case Phase.RESERVING | Phase.LEASED if server.growing or not server.lease:
                 reserve = structs.replace(terms.reserve, slots=server.wanted)
                 question = self.out.ask(server.id, reserve)
             case Phase.LEASED:
@@ -161,15 +179,16 @@ class Servers(msgspec.Struct, eq=False):
                 return
         server.question, server.asked_at = question, self.out.now
 
-    def _ask_by(self, server: RemoteServer, time: float) -> None:
+    def ask_by(self, server: RemoteServer, time: float) -> None:
         """Ask a server at a time, or sooner, unless it leaves its phase before."""
-        server.ask_at = min(server.ask_at, time)
-        self._ask_at = min(self._ask_at, time)
+        if time < server.ask_at:
+            server.ask_at = time
+            heapq.heappush(self._due, (time, server.id))
 
     def _not_answered(self, server: RemoteServer, verb: Verb) -> None:
         """Ask again a server that may be too busy, or not known to the link yet."""
         if server.unanswered < len(RETRY_S):
-            self._ask_by(server, self.out.now + RETRY_S[server.unanswered])
+            self.ask_by(server, self.out.now + RETRY_S[server.unanswered])
             server.unanswered += 1
         else:
             self.back_off(server, verb)
@@ -183,51 +202,50 @@ class Servers(msgspec.Struct, eq=False):
                 self.out.note(RunEvent.SERVER_MISMATCH, server.id, mismatch)
             server.mismatch = mismatch
             return
-        self._move(server, Phase.SPARE)
         server.capacity, server.mismatch = offer.capacity, ""
         server.features = frozenset(offer.features)
         server.place = self.terms.choice.place(offer)
-        if self.terms.choice.max_slots:
-            self._allot_at = min(self._allot_at, self.out.now + ALLOT_AFTER_S)
-        else:
-            self._reserve(server, self.terms.reserve.slots)
+        self.allotment.offered(server, offer.free, self.out.now)
+        self._move(server, Phase.SPARE)
 
     def _reserve(self, server: RemoteServer, slots: int) -> None:
-        self._move(server, Phase.RESERVING)
         server.wanted = slots
+        self._move(server, Phase.RESERVING)
         self._ask(server)
 
     def allot(self) -> None:
-        """Reserve and release servers until the run holds ``max_slots`` slots, if that changed.
-
-        The servers that rank first are reserved. Held slots stay, except those beyond the limit:
-        the servers that rank last are released.
-        """
-        if self.out.now < self._allot_at:
+        """Reserve and release servers until the run holds as many slots as it wants."""
+        allotment, now = self.allotment, self.out.now
+        if now < allotment.at:
             return
-        servers = sorted(self.by_id.values(), key=lambda server: server.place)
-        # A lease may have no slot now, because other runs hold them, and get some later.
-        room = self.terms.choice.max_slots - sum(server.taken() for server in servers)
-        for server in reversed(servers):
-            if room < 0 and server.phase == Phase.LEASED and server.slots:
-                room += server.slots
-                text = "as many slots as wanted are held without it"
-                self._end(server, Phase.SPARE, release=True)
-                self.out.note(RunEvent.SERVER_SPARE, server.id, text)
-        for server in servers:
-            if room > 0 and server.phase == Phase.SPARE:
-                self._reserve(
-                    server, min(room, server.capacity, self.terms.reserve.slots)
-                )
-                room -= server.wanted
-        self._allot_at = math.inf
+        while (server := allotment.surplus()) is not None:
+            server.free = server.slots
+            text = "as many slots as wanted are held without it"
+            self.end(server, Phase.SPARE, release=True)
+            self.out.note(RunEvent.SERVER_SPARE, server.id, text)
+        allotment.at = math.inf
+        while (choice := allotment.choose(now)) is not None:
+            self._reserve(*choice)
+        at = allotment.at if allotment.at > now else math.inf
+        while (choice := allotment.partial()) is not None:
+            grown, wanted = choice
+            grown.wanted, grown.growing = wanted, True
+            self.roster.update(grown)
+            self._ask(grown)
+        allotment.rounds(now)
+        allotment.at = at
+
+    def pause_run(self, *, paused: bool) -> None:
+        """Release all leases while the run pauses; ask for slots again when it is over."""
+        self.allotment.paused, self.allotment.at = paused, 0.0
 
     # ---- leases
 
     def _granted(self, server: RemoteServer, lease: Lease) -> None:
         was_ready = server.ready
         server.lease, server.slots, server.ready = lease.lease, lease.slots, lease.ready
-        self._allot_soon()
+        self.roster.update(server)
+        self.allotment.granted(server)
         if lease.state == "failed":
             self.drop(server, RunEvent.SERVER_REFUSED, lease.reason)
             return
@@ -235,13 +253,14 @@ class Servers(msgspec.Struct, eq=False):
             self._move(server, Phase.LEASED)
             self.out.note(RunEvent(f"lease_{lease.state}"), server.id, count=lease.slots)
         if lease.probe:
-            server.probe, self.probe = lease.probe, self.probe or lease.probe
-            if server.probe != self.probe:
-                self._probe_differs(server)
+            server.probe = lease.probe
+            if server.differs_at(self.probe) is not None:
+                self.differing.append(server)
                 return
+            self.probe = max(self.probe, server.probe, key=len)
         if not server.pace.trial_s:
             server.pace.trial_s = lease.trial_s
-        self._ask_by(server, server.asked_at + RENEW_S)
+        self.ask_by(server, server.asked_at + RENEW_S)
         if lease.ready != was_ready:
             self.changed[server.id] = server
             event = RunEvent.SERVER_SLOTS if was_ready else RunEvent.SERVER_JOINED
@@ -255,6 +274,8 @@ class Servers(msgspec.Struct, eq=False):
                 self.lease_lost(server, refused.reason)
             case "renew", _:
                 self.drop(server, RunEvent.SERVER_REFUSED, refused.reason)
+            case "reserve", _ if server.phase == Phase.LEASED:
+                self.drop(server, RunEvent.SERVER_REFUSED, refused.reason)
             case "reserve", "superseded":
                 self._move(server, Phase.IDLE)
                 self.out.failure = f"{server.id}: {refused.reason}"
@@ -264,20 +285,20 @@ class Servers(msgspec.Struct, eq=False):
 
     def drop(self, server: RemoteServer, note: RunEvent, text: str) -> None:
         """Release the lease of a server; do not use it until its token appears again."""
-        self._end(server, Phase.IDLE, release=True)
+        self.end(server, Phase.IDLE, release=True)
         self.out.note(note, server.id, text)
 
     def lose(self, server: RemoteServer) -> None:
         """Give up a server whose token vanished, once none of its batches is out."""
-        self._end(server, Phase.IDLE, resumable=True)
+        self.end(server, Phase.IDLE, resumable=True)
         self.out.note(RunEvent.SERVER_LOST, server.id)
 
     def lease_lost(self, server: RemoteServer, reason: str) -> None:
         """Reserve again, after a pause, at a server that ended the lease."""
         if server.phase == Phase.LEAVING:
-            self._end(server, Phase.IDLE)
+            self.end(server, Phase.IDLE)
         else:
-            self._end(server, Phase.BACKED_OFF, again_s=PAUSE_S)
+            self.end(server, Phase.BACKED_OFF, again_s=PAUSE_S)
         self.out.note(RunEvent.LEASE_LOST, server.id, reason)
 
     def back_off(self, server: RemoteServer, verb: Verb) -> None:
@@ -285,74 +306,21 @@ class Servers(msgspec.Struct, eq=False):
         if server.phase == Phase.LEASED or not server.silence_reported:
             self.out.note(RunEvent.SERVER_SILENT, server.id, f"no answer to {verb}")
         server.silence_reported = True
-        self._end(server, Phase.BACKED_OFF, resumable=True, again_s=BACK_OFF_S)
+        self.end(server, Phase.BACKED_OFF, resumable=True, again_s=BACK_OFF_S)
 
     def pause(self, server: RemoteServer) -> None:
         """Send no batch to a server without room for a while, then renew its lease."""
         server.paused_until = self.out.now + PAUSE_S
-        self._ask_at = min(self._ask_at, server.paused_until)
+        heapq.heappush(self._due, (server.paused_until, server.id))
         self.changed[server.id] = server
-
-    # ---- servers that are wrong or faulty
-
-    def _probe_differs(self, server: RemoteServer) -> None:
-        if self._probe_arbitrated:
-            self.ban(server, "its outcomes of the probe are wrong")
-            return
-        self._end(server, Phase.BACKED_OFF, release=True, again_s=BACK_OFF_S)
-        text = "its outcomes of the probe differ from those of other servers; this machine decides"
-        self.out.note(RunEvent.SERVER_DIFFERS, server.id, text)
-        if not self._probe_disputed:
-            self._probe_disputed = True
-            self.out.commands.append(ProbeDisputed())
-
-    def arbitrate_probe(self, digest: bytes) -> None:
-        """Ban the servers whose outcomes of the probe differ from this machine's."""
-        self.probe, self._probe_arbitrated = digest, True
-        for server in self.by_id.values():
-            if server.probe and server.probe != digest:
-                self.ban(server, "its outcomes of the probe are wrong")
-            elif server.probe == digest and server.phase == Phase.BACKED_OFF:
-                self._ask_by(server, self.out.now)
-
-    def ban(self, server: RemoteServer, text: str) -> None:
-        """Never use a server again, and retract what was counted for it."""
-        if server.phase == Phase.BANNED:
-            return
-        # Before the note: if the record ends between the two, a resumed run finds the server out
-        # again. The other way round it would restore what was counted for the server.
-        self.out.commands.append(Retracted(server.id))
-        self._end(server, Phase.BANNED, release=True)
-        self.out.note(RunEvent.SERVER_WRONG, server.id, text)
-
-    def ban_wrong(self, name: str, trial: int) -> None:
-        """Ban a server for its outcome of a trial; after a resume it may not be known yet."""
-        self.ban(self._server(name), f"its outcome of trial {trial} is wrong")
-
-    def blame(self, name: str) -> None:
-        """Back off a server on which too many trials fail, if there is another one."""
-        server = self.by_id[name]
-        server.blamed += 1
-        if server.phase != Phase.LEASED or not server.fails_too_much():
-            return
-        if set(self.standing().serving) - {name}:
-            text = f"{server.blamed} trials that failed on it did not fail elsewhere"
-            self._end(server, Phase.BACKED_OFF, release=True, again_s=FAULTY_S)
-            self.out.note(RunEvent.SERVER_FAULTY, server.id, text)
-            server.blamed, server.counted, server.faulty = 0, 0, True
-
-    def recall_faulty(self) -> None:
-        """Ask faulty servers again soon: they are better than none."""
-        for server in self.by_id.values():
-            if server.phase == Phase.BACKED_OFF and server.faulty:
-                self._ask_by(server, self.out.now + PAUSE_S)
 
     # ---- state
 
-    def _server(self, name: str) -> RemoteServer:
+    def known(self, name: str) -> RemoteServer:
+        """Return a server; one that was not known is IDLE."""
         return self.by_id.setdefault(name, RemoteServer(name))
 
-    def _end(
+    def end(
         self,
         server: RemoteServer,
         to: Phase,
@@ -373,16 +341,16 @@ class Servers(msgspec.Struct, eq=False):
         held = server.lease or server.resumable_lease
         server.resumable_lease = held if resumable else b""
         server.lease, server.slots, server.ready = b"", 0, 0
-        server.paused_until = None
+        server.paused_until, server.growing = None, False
         self._move(server, to)
-        self._ask_by(server, self.out.now + again_s)
+        self.ask_by(server, self.out.now + again_s)
         self.changed[server.id] = server
 
     def _move(self, server: RemoteServer, to: Phase) -> None:
         """Move a server to another phase: the only place that does."""
         if to not in MOVES[server.phase]:
             raise LocalProtocolError(f"{server.id} cannot go from {server.phase} to {to}")
-        both = {server.phase, to}
+        was, both = server.phase, {server.phase, to}
         server.phase, server.ask_at = to, math.inf
         self.leaving.pop(server.id, None)
         if to == Phase.LEAVING:
@@ -391,9 +359,17 @@ class Servers(msgspec.Struct, eq=False):
             server.question = 0
         if Phase.LEASED in both:
             self.changed[server.id] = server
-        if {Phase.RESERVING, Phase.LEASED} & both:
-            self._allot_soon()
+        if to == Phase.IDLE and not server.present:
+            self._remember(server)
+        self.roster.update(server)
+        self.allotment.follow(server, was)
 
-    def _allot_soon(self) -> None:
-        if self.terms.choice.max_slots:
-            self._allot_at = 0.0
+    def _remember(self, server: RemoteServer) -> None:
+        """Remember an IDLE server without a token, and forget another one if there are many."""
+        self._absent[server.id] = server
+        if len(self._absent) > MAX_ABSENT:
+            oldest = self._absent.pop(next(iter(self._absent)))
+            if oldest.phase == Phase.IDLE:
+                self.roster.forget(oldest)
+                del self.by_id[oldest.id]
+                self.forgotten.append(oldest.id)

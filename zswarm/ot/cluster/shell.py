@@ -161,6 +161,12 @@ class Cluster:
                 if self._watch is not None:
                     self._watch.hint(item, self.standing)
 
+    def pause(self, *, paused: bool) -> None:
+        """Release all leases while a run pauses, or ask for slots again."""
+        if self._watch is not None:
+            self._watch.begin()
+        self._inbox.put(events.Pause(paused))
+
     def rest(self) -> Iterator[Item]:
         """Iterate over what happened and was not yielded yet."""
         while (item := self._next(0.0)) is not None:
@@ -284,11 +290,13 @@ class Cluster:
                 lost |= (
                     isinstance(command, Note) and command.event == RunEvent.SERVER_LOST
                 )
+        servers = self._dispatch.servers
         if lost:
-            servers = self._dispatch.servers.by_id
             for name in list(self._links.senders):
-                if servers[name].phase == Phase.IDLE:
+                if name not in servers.by_id or servers.by_id[name].phase == Phase.IDLE:
                     self._links.hang_up(name)
+        while servers.forgotten:
+            self._links.home.pop(servers.forgotten.pop(), None)
 
     def _take(self) -> list[Event | None]:
         """Wait for the next events, at most until the dispatch or newcomers are due."""

@@ -41,7 +41,7 @@ class HolderAlive(msgspec.Struct, frozen=True):
 class Prepared(SlotMessage, frozen=True):
     """The slot is ready for its problem."""
 
-    probe: bytes  # digest of the probe's outcomes; b"" without a probe
+    probe: bytes  # digests of the probe's trials; b"" without a probe
     trial_s: float  # of one trial of the probe
 
 

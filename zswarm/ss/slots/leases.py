@@ -29,9 +29,10 @@ from zswarm.ss.slots.events import CommandList, StopSlot
 from zswarm.ss.slots.jobs import JobQueue
 from zswarm.ss.slots.reply_cache import ReplyCache
 from zswarm.ss.slots.sharing import Sharing
-from zswarm.ss.slots.state import HeldLease, Slot
+from zswarm.ss.slots.state import HeldLease, KnownProbe, Slot, problem_key
 
 MAX_EPOCHS = 10_000  # runs whose highest epoch is remembered
+MAX_PROBES = 1_000  # problems whose probe is remembered
 
 
 class LeaseTable(dict[tuple[str, str], HeldLease]):
@@ -44,6 +45,8 @@ class LeaseTable(dict[tuple[str, str], HeldLease]):
         self.sharing = Sharing(server)
         self.replies = ReplyCache()
         self._out, self._new_token = out, new_token
+        # By problem, as long as the server runs; those used last at the end.
+        self._probes: OrderedDict[bytes, KnownProbe] = OrderedDict()
         self._epochs: OrderedDict[tuple[str, str], int] = OrderedDict()
 
     def outdated(self, user: str, run: str, epoch: int) -> str:
@@ -108,6 +111,28 @@ class LeaseTable(dict[tuple[str, str], HeldLease]):
             slot.lease = None
         working = slot.state in ("preparing", "busy")
         slot.move("stopping" if working else "free", self._out.now)
+
+    # ---- probes
+
+    def look_up_probe(self, lease: HeldLease) -> None:
+        """Let a lease know the probe of its problem, if it was played before."""
+        if lease.probe is None:
+            key = problem_key(lease.reserve)
+            if (probe := self._probes.get(key)) is not None:
+                self._probes.move_to_end(key)
+                self._know(lease, probe)
+
+    def probe_played(self, lease: HeldLease, probe: KnownProbe) -> None:
+        """Cache the probe of a lease's problem."""
+        self._probes[problem_key(lease.reserve)] = probe
+        if len(self._probes) > MAX_PROBES:
+            self._probes.popitem(last=False)
+        self._know(lease, probe)
+
+    @staticmethod
+    def _know(lease: HeldLease, probe: KnownProbe) -> None:
+        lease.probe = probe
+        lease.jobs.trial_s = lease.jobs.trial_s or probe.trial_s
 
     # ---- shares
 

@@ -14,7 +14,6 @@ user, or another run of a user.
 """
 
 import hashlib
-from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from typing import NamedTuple
 
@@ -41,7 +40,7 @@ class Sharing(msgspec.Struct, eq=False):
 
     server: str
     # Slot-seconds that users used, those before the last turn faded; and those at the last turn.
-    used: Counter[str] = msgspec.field(default_factory=Counter)
+    used: dict[str, float] = {}
     at_turn: dict[str, float] = {}
     _turn_began: float | None = None  # None: everybody has a slot
     _used_until: float = 0.0
@@ -84,8 +83,9 @@ class Sharing(msgspec.Struct, eq=False):
         """Count what was used since the last call, and begin the next turn when it is due."""
         passed, self._used_until = min(now - self._used_until, LONGEST_S), now
         for lease in leases:
-            lease.used += passed * len(lease.slots)
-            self.used[lease.user] += passed * len(lease.slots)
+            used_s = passed * len(lease.slots)
+            lease.used += used_s
+            self.used[lease.user] = self.used.get(lease.user, 0.0) + used_s
         if all(self.shares(leases, capacity, now).now.values()):
             self._turn_began = None
         elif self._turn_began is None:
@@ -97,7 +97,7 @@ class Sharing(msgspec.Struct, eq=False):
                 lease.used_at_turn = lease.used
                 lease.used *= FADE
             users = {lease.user for lease in leases}
-            self.used = Counter({user: FADE * self.used[user] for user in users})
+            self.used = {user: FADE * self.used[user] for user in users}
 
     def _turn_s(self, leases: Collection[HeldLease]) -> float:
         longest = max(

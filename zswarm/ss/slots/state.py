@@ -59,6 +59,13 @@ MOVES: dict[SlotState, set[SlotState]] = {
 }
 
 
+class KnownProbe(NamedTuple):
+    """The probe of a problem, played on this server."""
+
+    digest: bytes  # of the trials in order; empty if the simulator is not repeatable
+    trial_s: float  # of one trial
+
+
 class Slot(msgspec.Struct, eq=False):
     """Room for one evaluation."""
 
@@ -107,8 +114,8 @@ class HeldLease(msgspec.Struct, eq=False):
     # Since when slots are idle while outcomes are not reported.
     unreported_since: float | None = None
     renewals: list[Renewal] = []
-    probe: bytes = b""
-    probe_s: float = 0.0  # of one trial of the probe
+    probe: KnownProbe | None = None  # of its problem, once played
+    served: bool = False  # a slot has been prepared for it
     prepare_s: float = 0.0  # of the slot that took longest
     idle_since: float | None = None  # a slot has had nothing to evaluate since then
     lent: int = 0  # slots that others use until this one has work
@@ -152,8 +159,8 @@ class HeldLease(msgspec.Struct, eq=False):
             state="failed" if self.failure else state,
             slots=len(self.slots) + self.lent,
             ready=ready,
-            probe=self.probe,
-            trial_s=self.probe_s,
+            probe=self.probe.digest if self.probe else b"",
+            trial_s=self.probe.trial_s if self.probe else 0.0,
             reason=self.failure,
         )
 
@@ -168,11 +175,14 @@ class HeldLease(msgspec.Struct, eq=False):
 
     def prepared(self, slot: Slot) -> bool:
         """Return whether the process of a slot is prepared for the problem of this lease."""
-        return slot.prepared_for is not None and _problem(slot.prepared_for) == _problem(
-            self.reserve
+        return slot.prepared_for is not None and (
+            slot.prepared_for is self.reserve
+            or problem_key(slot.prepared_for) == problem_key(self.reserve)
         )
 
 
-def _problem(reserve: Reserve) -> tuple[object, ...]:
-    parts = reserve.simulator, reserve.representation
-    return *parts, reserve.version_hash, reserve.trial_memory_mb, reserve.asks
+def problem_key(reserve: Reserve) -> bytes:
+    """Return a key that is equal for leases whose slots are prepared alike."""
+    parts = (reserve.simulator, reserve.representation, reserve.version_hash)
+    how = (reserve.trial_memory_mb, reserve.asks)
+    return msgspec.msgpack.encode((*parts, *how), order="deterministic")

@@ -6,8 +6,9 @@ commands. An event changes only what it is about; what follows from the new stat
 at the end of ``handle``.
 
 - Users share the slots evenly. A lease that has too many gives slots back, each when it is idle.
-- The first slot of a lease is prepared alone, for it compiles; then the others load what it
-  compiled.
+- The first slot of a lease is prepared alone, for it compiles and plays the probe; then the others
+  load what it compiled. The probe of a problem is played once while the server runs; where it is
+  known, all slots are prepared at once.
 - The answer to a batch is sent when its last chunk is finished. It is sent earlier, as *running*,
   when slots are idle while the run does not know all outcomes, or when the query is open for long.
 - Every query is answered once.
@@ -24,12 +25,13 @@ from zswarm.protocol import messages
 from zswarm.ss.slots import events
 from zswarm.ss.slots.jobs import Chunk
 from zswarm.ss.slots.leases import LeaseTable
-from zswarm.ss.slots.state import HeldLease, Renewal, Slot, SlotState
+from zswarm.ss.slots.state import HeldLease, KnownProbe, Renewal, Slot, SlotState
 
 HOLD_RENEWAL_S = 10.0
 IDLE_S = 0.01  # when slots are idle for longer, outcomes are reported before their batch is done
 STOP_S = 2.0  # a stopped chunk that runs longer is killed
-PREPARE_S = 60.0  # to compile; preparing may take this and the time of the probe's trials
+PREPARE_S = 60.0  # to compile, and for the probe's short trials
+PROBE_TIMEOUTS = 2  # trials of the probe that may be long
 STALL_S = 2.0  # without an event: the server itself stood still, and no slot is to blame
 PREPARE_ATTEMPTS = 3  # of a slot whose process dies while it is prepared
 
@@ -159,6 +161,8 @@ class SlotTable:
         lease = self.leases.get((user, run))
         if lease is not None and lease.reserve.nonce == message.nonce:
             lease.renew(out.now)
+            if message.slots != lease.reserve.slots:
+                lease.reserve, lease.wanted = message, message.slots
         elif reason := self.leases.outdated(user, run, message.epoch):
             return out.refuse(query, "superseded", reason)
         elif self.draining:
@@ -236,11 +240,16 @@ class SlotTable:
 
     def _prepared(self, lease: HeldLease, event: events.Prepared, taken_s: float) -> None:
         lease.prepare_s = max(lease.prepare_s, taken_s)
-        if not lease.probe:
-            lease.probe, lease.probe_s = event.probe, event.trial_s
-            lease.jobs.trial_s = event.trial_s
+        if lease.probe is None:
+            self.leases.probe_played(lease, KnownProbe(event.probe, event.trial_s))
+        if not lease.served and lease.probe is not None:
+            lease.served = True
             self._out.log(
-                "lease_ready", user=lease.user, run=lease.run, trial_s=event.trial_s
+                "lease_ready",
+                user=lease.user,
+                run=lease.run,
+                trial_s=lease.probe.trial_s,
+                probe_trials=len(lease.probe.digest) // messages.PROBE_DIGEST,
             )
 
     def _died(self, slot: Slot, event: events.Died, chunk: Chunk | None) -> None:
@@ -266,7 +275,7 @@ class SlotTable:
         slot.deaths += state == "preparing"
         if slot.deaths < PREPARE_ATTEMPTS:
             return
-        if lease.probe and len(lease.slots) > 1:
+        if lease.served and len(lease.slots) > 1:
             # The others could be prepared: there may be too little memory for all of them.
             lease.wanted = min(lease.wanted, len(self.slots)) - 1
             self.leases.give_back(slot)
@@ -312,8 +321,7 @@ class SlotTable:
                 reason = "it did not stop in time"
                 return events.Died(slot.index, max(0, trial), reason, "stopped")
         elif lease is not None and slot.state == "preparing":
-            probe_trials = messages.PROBE_GENOMES * messages.PROBE_SEEDS
-            limit_s = PREPARE_S + probe_trials * lease.reserve.trial_timeout_s
+            limit_s = PREPARE_S + PROBE_TIMEOUTS * lease.reserve.trial_timeout_s
             if taken_s > limit_s:
                 reason = f"the simulator's first trials took longer than {limit_s:g} s"
                 return events.Unprepared(slot.index, reason)
@@ -331,18 +339,19 @@ class SlotTable:
     def _prepare(self, lease: HeldLease) -> None:
         """Prepare the slots that are assigned: at first one, which compiles."""
         preparing = any(slot.state == "preparing" for slot in lease.slots)
+        self.leases.look_up_probe(lease)
         for slot in lease.slots:
             if slot.state != "assigned":
                 continue
             known = lease.prepared(slot)
-            if lease.probe and known:
+            if lease.probe is not None and known:
                 self._move(slot, "ready")
-            elif lease.probe or not preparing:
+                lease.served = True
+            elif lease.probe is not None or not preparing:
                 self._move(slot, "preparing")
                 slot.prepared_for, preparing = lease.reserve, True
-                command = events.PrepareSlot(
-                    slot.index, lease.reserve, probe=not lease.probe, known=known
-                )
+                probe = lease.probe is None
+                command = events.PrepareSlot(slot.index, lease.reserve, probe, known)
                 self._out.append(command)
 
     def _start(self, lease: HeldLease) -> None:

@@ -135,8 +135,9 @@ class SlotProcess:
     ) -> None:
         # numba comes with it: imported here, never in the server's process
         from zswarm import evaluate
+        from zswarm.probe import probe
 
-        self._evaluate = evaluate
+        self._evaluate, self._play_probe = evaluate, probe
         self._slot, self._memory_mb = slot, memory_mb
         self._pipe, self._progress = pipe, progress
         self._recycle_at = 0  # bytes
@@ -175,7 +176,7 @@ class SlotProcess:
         )
         probe, trial_s, in_turns = b"", 0.0, bool(reserve.asks)
         if command.probe:
-            probe, trial_s = self._evaluate.probe(*parts, in_turns=in_turns)
+            probe, trial_s = self._play_probe(*parts, in_turns=in_turns)
         else:
             self._evaluate.warm_up(*parts, in_turns=in_turns)
         self._recycle_at = (memory.used() + (limit_mb << 20)) // 2
