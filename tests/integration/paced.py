@@ -367,6 +367,11 @@ class Scene:
             if found == event and name.startswith(server)
         ]
 
+    def second_starts(self) -> int:
+        """Return how many trials were sent to a second server."""
+        text = "SELECT coalesce(sum(count), 0) FROM events WHERE event = 'second_start'"
+        return int(query(self.run, text)[0][0])
+
     def check(
         self, done: dict[str, Any], undisturbed: Undisturbed, run: Path | None = None
     ) -> None:

@@ -28,8 +28,11 @@ def test_trials_of_a_killed_or_stopped_server_move_to_another(
         scene.stop(victim.process.pid)
     done = optimizer.done()
     scene.check(done, undisturbed)
-    assert done["requeued"] > 0
-    assert len(scene.events("server_left", "victim")) == 1
+    # Trials of a server that stands still are started again before it is taken for gone.
+    assert done["requeued"] + scene.second_starts() > 0
+    # The run may be done before a stopped server is taken for gone.
+    least = 1 if number == signal.SIGKILL else 0
+    assert least <= len(scene.events("server_left", "victim")) <= 1
     assert not scene.events("fault"), "the server is to blame, no trial is"
     assert "victim-" in optimizer.err.read_text()
 
