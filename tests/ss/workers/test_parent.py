@@ -350,6 +350,7 @@ def test_a_suspended_fork_server_does_not_block_the_loop(
     process = slot._process
     forking = multiprocessing.forkserver._forkserver._forkserver_pid  # type: ignore[attr-defined]  # private
     os.kill(forking, signal.SIGSTOP)
+    os.waitid(os.P_PID, forking, os.WSTOPPED | os.WNOWAIT)
     try:
         begin = time.monotonic()
         slot.kill()
