@@ -65,6 +65,12 @@ def test_a_server_that_computes_wrong_is_named_and_the_history_is_the_same(
     )
     assert named.startswith("broken-")
     assert f"{named} is banned" in optimizer.err.read_text()
+    probe = "SELECT value FROM meta WHERE key = 'probe'"
+    (recorded,), (sound,) = (
+        query(run, probe)[0],
+        query(tmp_path / "runs" / "rough", probe)[0],
+    )
+    assert recorded[:8] == sound[:8], "the probe of the wrong server is kept"
     checker = Program(
         tmp_path,
         "promise",

@@ -189,7 +189,7 @@ class _Notebook:
         if best > self._improved or (optimizer.relative and genome):
             self._improved = best
             self._keep_champion(log=True)
-        if standing.probe and not self.probe:
+        if standing.probe not in (b"", self.probe):  # or it was wrong, or of fewer trials
             self.probe = standing.probe
             record.set_meta("probe", self.probe)
         self._candidates += len(genomes)
