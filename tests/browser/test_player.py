@@ -238,7 +238,9 @@ def test_a_trial_is_played_on_the_page_of_its_candidate(
 ) -> None:
     """The dashboard serves the same player; its policy forbids scripts and styles in a page."""
     played(tmp_path)
-    page.goto(f"{dashboard(tmp_path).url}/candidate?run=minisim")
+    shown = dashboard(tmp_path)
+    page.goto(f"{shown.url}/#token={shown.token}")
+    page.goto(f"{shown.url}/candidate?run=minisim")
     page.get_by_role("button", name="Play trial 0").click()
     expect(page.get_by_role("slider", name="round")).to_be_visible()
     page.get_by_role("combobox", name="speed").select_option("16")
