@@ -22,6 +22,8 @@ import msgspec
 from zswarm.system.locks import make_private, private_folder
 
 MAX_CLIENTS = 16  # at once; one more, and the oldest is dropped
+# Turns of the loop after which a client that was just accepted has a task, which is then ended.
+ACCEPTED = 3
 MAX_REQUEST = 1024  # bytes
 CLIENT_S = 5.0  # for request and answer
 SUFFIX = ".sock"
@@ -108,6 +110,8 @@ class Control:
         )
         await self._closing.wait()
         server.close()
+        for _ in range(ACCEPTED):
+            await asyncio.sleep(0)
 
     async def _serve(
         self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
