@@ -2,8 +2,8 @@
 
 The same code runs in a server's slots and in the optimizer's own tools. What a simulator decides is
 an outcome: fitness and metrics, or NaN where it raised, broke its contract or returned a number
-that is not finite (always the same NaN). A process that crashes or hangs, and a lack of memory, are
-faults, not outcomes: they are detected outside.
+that is not finite or beyond 1e300 (always the same NaN). A process that crashes or hangs, and a
+lack of memory, are faults, not outcomes: they are detected outside.
 """
 
 import time
@@ -22,6 +22,7 @@ from zswarm.nets.networks import Networks
 from zswarm.nets.representation import Representation
 from zswarm.plugins import registry as plugins
 from zswarm.protocol.messages import (
+    MAX_OUTCOME,
     PROBE_GENOMES,
     PROBE_SEEDS,
 )
@@ -218,16 +219,24 @@ def _play_alike(trials: _Assignment) -> _Played:
     batch, fitness, metrics = trials.batch, trials.batch.fitness, trials.batch.metrics
     played = _play_batch(trials) or _play_each(trials)
     error = played.error
-    failed = np.flatnonzero(~np.isfinite(fitness[: played.trials]).all(axis=1))
+    failed = np.flatnonzero(_beyond(fitness[: played.trials]).any(axis=1))
     if not error and len(failed) and not batch.progress[1]:
         first = int(failed[0])
+        finite = np.isfinite(fitness[first]).all()
+        rule = f"at most {MAX_OUTCOME:g} either way" if finite else "finite"
         broken = BrokenContractError(
-            f"fitness must be finite, not {fitness[first].tolist()}"
+            f"fitness must be {rule}, not {fitness[first].tolist()}"
         )
         error = error_text(trials.simulator, batch.seeds[first], broken)
-    fitness[~np.isfinite(fitness)] = np.nan
-    metrics[~np.isfinite(metrics)] = np.nan
+    fitness[_beyond(fitness)] = np.nan
+    metrics[_beyond(metrics)] = np.nan
     return played._replace(error=error)
+
+
+def _beyond(numbers: np.ndarray) -> np.ndarray:
+    """Return where numbers cannot be outcomes: not finite, or so large that sums overflow."""
+    beyond: np.ndarray = ~(np.abs(numbers) <= MAX_OUTCOME)
+    return beyond
 
 
 def _play_batch(trials: _Assignment) -> _Played | None:

@@ -45,7 +45,9 @@ pack = msgspec.msgpack.encode
 SHOWN = st.text(st.characters(categories=("L", "N", "P", "S", "Zs")), max_size=40)
 TOKENS = st.binary(min_size=16, max_size=16)
 COUNTS = st.integers(0, 2**53)
-SECONDS = st.floats(0, 1e9)
+SECONDS = st.just(0.0) | st.floats(messages.MIN_SECONDS, messages.MAX_SECONDS)
+SLOTS = st.integers(0, messages.MAX_SLOTS)
+TRIALS = st.integers(0, MAX_TRIALS - 1)
 PLAIN = st.recursive(
     st.one_of(
         st.booleans(),
@@ -68,12 +70,12 @@ REQUESTS = {
     },
     Reserve: {
         "nonce": TOKENS,
-        "epoch": COUNTS,
+        "epoch": st.integers(0, messages.MAX_EPOCH),
         "slots": st.integers(1, messages.MAX_SLOTS),
         "simulator": PARTS,
         "representation": PARTS,
         "version_hash": SHOWN,
-        "trial_timeout_s": st.floats(0, 1e9, exclude_min=True),
+        "trial_timeout_s": st.floats(messages.MIN_SECONDS, messages.MAX_SECONDS),
         "trial_memory_mb": st.integers(0, 2**40),
         "asks": st.sampled_from(["", "turn", "agent"]),
     },
@@ -98,7 +100,8 @@ TOLD = {
 REPLIES = {
     messages.Offer: {
         **dict.fromkeys(("server", "program", "machine", "mismatch"), SHOWN),
-        **dict.fromkeys(("capacity", "free", "leases"), COUNTS),
+        **dict.fromkeys(("capacity", "free"), SLOTS),
+        "leases": COUNTS,
         **dict.fromkeys(
             ("simulators", "representations", "limits", "features"),
             st.lists(SHOWN, max_size=4),
@@ -111,17 +114,18 @@ REPLIES = {
     messages.Lease: {
         "lease": TOKENS,
         "state": st.sampled_from(["waiting", "preparing", "ready", "failed"]),
-        **dict.fromkeys(("slots", "ready"), COUNTS),
+        **dict.fromkeys(("slots", "ready"), SLOTS),
         "trial_s": SECONDS,
         "probe": st.binary(max_size=64),
         "reason": SHOWN,
+        "passing": st.booleans(),
     },
     Outcomes: TOLD,
-    messages.Running: {"done": COUNTS, "given": st.booleans(), **TOLD},
+    messages.Running: {"done": TRIALS, "given": st.booleans(), **TOLD},
     messages.Fault: {
         **TOLD,
         "kind": st.sampled_from(["crashed", "timeout", "memory"]),
-        "trial": COUNTS,
+        "trial": TRIALS,
         "reason": SHOWN,
     },
     messages.Refused: {
@@ -134,7 +138,8 @@ REPLIES = {
 }
 SENSORS = {
     **dict.fromkeys(("lease", "play"), TOKENS),
-    **dict.fromkeys(("batch", "trial", "number"), COUNTS),
+    **dict.fromkeys(("batch", "number"), COUNTS),
+    "trial": TRIALS,
     **dict.fromkeys(("agents", "participants", "observations"), st.binary(max_size=30)),
 }
 ACTUATORS = {"actions": st.binary(max_size=30)}
@@ -1127,11 +1132,47 @@ def test_outcomes_of_a_wrong_size_are_refused(
         codec.outcomes(outcomes(fitness, metrics), 2, 1, 1)
 
 
-@pytest.mark.parametrize("infinite", [float("inf"), float("-inf")])
-def test_infinite_outcomes_are_refused(infinite: float) -> None:
-    for fitness, metrics in (([infinite, 0], [0, 0]), ([0, 0], [0, infinite])):
-        with pytest.raises(RemoteProtocolError, match="an outcome is infinite"):
+@pytest.mark.parametrize("large", [float("inf"), float("-inf"), 1.1e300, -1.7e308])
+def test_outcomes_are_refused_whose_sums_could_overflow(large: float) -> None:
+    for fitness, metrics in (([large, 0], [0, 0]), ([0, 0], [0, large])):
+        with pytest.raises(RemoteProtocolError, match=r"an outcome is beyond 1e\+300"):
             codec.outcomes(outcomes(fitness, metrics), 2, 1, 1)
+    most = messages.MAX_OUTCOME
+    trials, *_ = codec.outcomes(outcomes([most, -most], [most, -most]), 2, 1, 1)
+    assert trials.tolist() == [0, 1]
+
+
+LEASE = messages.Lease(lease=bytes(16), state="ready", slots=1, ready=1)
+TOO_MUCH: list[tuple[messages.Message, dict[str, float]]] = [
+    *((LEASE, {"trial_s": time}) for time in (5e-324, 9.9e-10, -1.0, 1.1e9)),
+    *((LEASE, {name: 2**16}) for name in ("slots", "ready")),
+    *((OFFER, {name: 2**16}) for name in ("capacity", "free")),
+    *((outcomes([], []), {"seconds": time}) for time in (5e-324, float("nan"), 2e9)),
+    (messages.Running(batch=1, done=0), {"seconds": 1e-310}),
+    (messages.Running(batch=1, done=0), {"done": MAX_TRIALS + 1}),
+    (
+        messages.Fault(batch=1, kind="crashed", trial=0, reason=""),
+        {"trial": MAX_TRIALS},
+    ),
+]
+
+
+@pytest.mark.parametrize(("message", "fields"), TOO_MUCH)
+def test_a_number_of_a_server_beyond_its_range_is_refused(
+    message: messages.Message, fields: dict[str, float]
+) -> None:
+    (name,) = fields
+    assert name in refusal(changed(message, **fields), codec.decode_reply)
+
+
+@pytest.mark.parametrize(
+    ("name", "number"),
+    [("epoch", 2**53), ("epoch", -1), ("slots", 2**16), ("trial_timeout_s", 5e-324)],
+)
+def test_a_number_of_an_optimizer_beyond_its_range_is_refused(
+    name: str, number: float
+) -> None:
+    assert name in refusal(changed(reserve(), **{name: number}))
 
 
 def test_outcomes_cut_in_a_number_are_refused() -> None:

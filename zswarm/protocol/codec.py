@@ -33,6 +33,10 @@ SHOWN: dict[type[msgspec.Struct], list[str]] = {
     kind: [field.name for field in structs.fields(kind) if field.type in _TEXTS]
     for kind in messages.Message.__subclasses__()
 }
+TIMES: dict[type[msgspec.Struct], list[str]] = {
+    kind: [field.name for field in structs.fields(kind) if field.type == messages.Seconds]
+    for kind in SHOWN
+}
 _TYPES = {kind.__struct_config__.tag for kind in SHOWN}
 _encoder = Encoder()
 _requests: Decoder[messages.Request] = Decoder(messages.Request)
@@ -205,8 +209,9 @@ def outcomes(
             f"{n} trials need {n * participants} fitness numbers and {n * metrics} metrics,"
             f" not {fitness.size} and {measured.size}"
         )
-    if np.isinf(fitness).any() or np.isinf(measured).any():
-        raise RemoteProtocolError("an outcome is infinite")
+    most = messages.MAX_OUTCOME
+    if (np.abs(fitness) > most).any() or (np.abs(measured) > most).any():
+        raise RemoteProtocolError(f"an outcome is beyond {most:g}")
     return trials, fitness.reshape(n, participants), measured.reshape(n, metrics)
 
 
@@ -230,6 +235,10 @@ def _decode(body: bytes, decoder: Decoder[M]) -> M:
         message = decoder.decode(body)
     except INVALID as error:
         raise _refusal(body, error) from None
+    for name in TIMES[type(message)]:
+        if 0.0 < (value := getattr(message, name)) < messages.MIN_SECONDS:
+            expected = f"expected 0 or at least {messages.MIN_SECONDS:g}"
+            raise RemoteProtocolError(f"{name}: {expected}, not {value:g}")
     names = SHOWN[type(message)]
     texts = {name: _clean(text) for name in names if (text := getattr(message, name))}
     return structs.replace(message, **texts) if texts else message

@@ -16,6 +16,10 @@ MAX_GENOME = 16_000_000  # bytes
 MAX_TRIALS = 65_536  # in one batch
 MAX_TEXT = 500  # characters
 MAX_SLOTS = 65_535
+MAX_EPOCH = 1_000_000  # resumes of a run
+MAX_SECONDS = 1e9
+MIN_SECONDS = 1e-9  # of a time that is not 0: it is divided by
+MAX_OUTCOME = 1e300  # absolute value: sums of many stay finite
 # Per slot, that a run may ask for or a server give: with less, there is no room for a compiler.
 MIN_MEMORY_MB = 256
 MAX_LABELS = 64  # of a server
@@ -32,7 +36,10 @@ PROBE_DIGEST = 8  # bytes, of one trial
 Text = Annotated[str, Meta(max_length=MAX_TEXT)]
 Token = Annotated[bytes, Meta(min_length=16, max_length=16)]
 Count = Annotated[int, Meta(ge=0, le=2**53)]
-Seconds = Annotated[float, Meta(ge=0, le=1e9)]
+Seconds = Annotated[float, Meta(ge=0, le=MAX_SECONDS)]  # 0, or MIN_SECONDS at least
+Slots = Annotated[int, Meta(ge=0, le=MAX_SLOTS)]
+Epoch = Annotated[int, Meta(ge=0, le=MAX_EPOCH)]
+TrialIndex = Annotated[int, Meta(ge=0, lt=MAX_TRIALS)]  # in a batch
 Megabytes = Annotated[int, Meta(ge=0, le=2**40)]  # of 2^20 bytes
 Genome = Annotated[bytes, Meta(max_length=MAX_GENOME)]
 LabelName = Annotated[str, Meta(pattern=rf"\A{LABEL_NAME}\Z")]
@@ -96,12 +103,12 @@ class Reserve(Message, frozen=True, tag="reserve"):
     """Phase 2: the right to slots, and all that is needed to evaluate for this run."""
 
     nonce: Token  # the same nonce gets the same lease
-    epoch: Count  # raised by every resume; a higher one takes the run's lease over
+    epoch: Epoch  # raised by every resume; a higher one takes the run's lease over
     slots: Annotated[int, Meta(ge=1, le=MAX_SLOTS)]
     simulator: Part
     representation: Part
     version_hash: Text
-    trial_timeout_s: Annotated[float, Meta(gt=0, le=1e9)]
+    trial_timeout_s: Annotated[float, Meta(ge=MIN_SECONDS, le=MAX_SECONDS)]
     # That a slot's process may take; 0: what the server gives.
     trial_memory_mb: Megabytes = 0
     # The controllers stay at the optimizer, which is asked in each turn, or for each agent.
@@ -152,8 +159,8 @@ class Offer(Message, frozen=True, tag="offer"):
     server: Text
     program: Text  # zswarm's version
     machine: Text  # operating system and processor
-    capacity: Count
-    free: Count
+    capacity: Slots
+    free: Slots
     leases: Count
     simulators: Names
     representations: Names
@@ -168,16 +175,20 @@ class Lease(Message, frozen=True, tag="lease"):
 
     lease: Token
     state: State
-    slots: Count  # slots held
-    ready: Count  # of them ready to evaluate
+    slots: Slots  # slots held
+    ready: Slots  # of them ready to evaluate
     # Digests of the first trials of the probe, in order, once ready.
     probe: Annotated[bytes, Meta(max_length=64)] = b""
     trial_s: Seconds = 0.0  # seconds of one trial of the probe
     reason: Text = ""  # of a failure
+    passing: bool = False  # the failure may pass: the run may reserve again later
 
 
 class Outcomes(Message, frozen=True, tag="outcomes"):
-    """Outcomes of trials of a batch; others of the batch are to go to other servers."""
+    """Outcomes of trials of a batch; others of the batch are to go to other servers.
+
+    No number in them is beyond ``MAX_OUTCOME``.
+    """
 
     batch: BatchId
     fitness: bytes  # (trials, k) float64, NaN where the simulator raised
@@ -192,7 +203,7 @@ class Running(Message, frozen=True, tag="running"):
     """The batch still runs: ask again with the same id. Holds outcomes that were not sent yet."""
 
     batch: BatchId
-    done: Count  # trials
+    done: Annotated[int, Meta(ge=0, le=MAX_TRIALS)]  # trials
     given: bool = False  # none of it waits for a slot
     trials: bytes = b""  # as in Outcomes; b"": none
     fitness: bytes = b""
@@ -207,7 +218,7 @@ class Fault(Message, frozen=True, tag="fault"):
 
     batch: BatchId
     kind: FaultKind
-    trial: Count
+    trial: TrialIndex
     reason: Text
     trials: bytes = b""  # that are done, as in Outcomes; b"": none
     fitness: bytes = b""
@@ -222,7 +233,7 @@ class Sensors(Message, frozen=True, tag="sensors"):
 
     lease: Token
     batch: BatchId
-    trial: Count  # index in the batch
+    trial: TrialIndex  # in the batch
     play: Token  # drawn when the trial is begun
     number: Count  # of the question in its trial
     agents: bytes  # (agents,) uint32, below MAX_AGENTS

@@ -15,6 +15,7 @@ SMOOTHING = (
 # Of what an answer took beyond its trials and a round trip: not of its bytes.
 JITTER_S = 0.005
 JITTER_SHARE = 0.5  # the same, as a share of the time of its trials
+LEAST_S = 1e-9  # of a trial: what a server reports is divided by
 LONGEST_S = 5.0  # that a round trip is taken to last: the clock may have jumped
 # A batch of fewer bytes does not show how fast a link is.
 MEASURABLE_BYTES = 4_000
@@ -38,7 +39,7 @@ class Pace(msgspec.Struct, eq=False):
         measured = seconds / trials
         if self.trial_s and not self.outdated:
             measured = (1 - SMOOTHING) * self.trial_s + SMOOTHING * measured
-        self.trial_s, self.outdated = measured, False
+        self.trial_s, self.outdated = max(measured, LEAST_S), False
 
     def asked(self, seconds: float, *, held: bool = False) -> None:
         """Take the time that a short message took until it was answered.
