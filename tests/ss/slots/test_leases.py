@@ -17,6 +17,7 @@ from tests.ss.slots.table_server import (
 from zswarm.protocol.messages import (
     Cancel,
     Done,
+    FaultKind,
     Lease,
     Offer,
     Release,
@@ -34,6 +35,7 @@ from zswarm.ss.slots.events import (
     StopSlot,
     Unprepared,
 )
+from zswarm.ss.slots.table import PREPARE_ATTEMPTS
 
 # ---- leases and their slots -------------------------------------------------------------
 
@@ -218,6 +220,40 @@ def test_a_slot_that_could_not_be_prepared_is_prepared_again() -> None:
     assert server.feed(Unprepared(0, "no memory")) == [
         PrepareSlot(0, reserve(slots=2), probe=False)
     ]
+
+
+def failing(event: Event, times: int = 1) -> Lease:
+    """Return the lease of a server whose slot could not be prepared."""
+    server = Server(1)
+    server.reserve()
+    for _ in range(times):
+        server.feed(event)
+    lease = server.answer(server.ask(reserve()), Lease)
+    assert lease.state == "failed"
+    return lease
+
+
+@pytest.mark.parametrize("passing", [True, False])
+def test_a_failure_that_may_pass_is_reported_as_one(passing: bool) -> None:
+    lease = failing(Unprepared(0, "No space left on device", passing))
+    assert (lease.passing, lease.reason) == (passing, "No space left on device")
+
+
+@pytest.mark.parametrize(("kind", "passing"), [("crashed", True), ("memory", False)])
+def test_a_process_that_dies_may_be_prepared_later_unless_it_needs_too_much(
+    kind: FaultKind, passing: bool
+) -> None:
+    assert failing(Died(0, 0, "it ended", kind), PREPARE_ATTEMPTS).passing == passing
+
+
+def test_a_run_that_reserves_again_after_a_failure_is_prepared_again() -> None:
+    server = Server(1)
+    lease = server.reserve()
+    server.feed(Unprepared(0, "No space left on device", passing=True))
+    server.ask(Release(lease=lease.lease))
+    query = server.ask(reserve())
+    assert server.commands == [PrepareSlot(0, reserve(), probe=True)]
+    assert server.answer(query, Lease).state == "preparing"
 
 
 def test_a_server_needs_ticks_while_a_lease_is_held_or_a_slot_stops() -> None:

@@ -49,6 +49,7 @@ class Unprepared(SlotMessage, frozen=True):
     """The slot cannot evaluate its problem."""
 
     reason: str
+    passing: bool = False  # it may be able to later
 
 
 class Finished(SlotMessage, frozen=True):

@@ -90,10 +90,10 @@ class LeaseTable(dict[tuple[str, str], HeldLease]):
         for renewal in lease.renewals:
             self._out.refuse(renewal.query, "lease-lost", f"the lease was {how}")
 
-    def fail(self, lease: HeldLease, reason: str) -> None:
+    def fail(self, lease: HeldLease, reason: str, *, passing: bool) -> None:
         """Fail a lease whose problem could not be prepared."""
         self._out.log("prepare_failed", user=lease.user, run=lease.run, reason=reason)
-        lease.failure = reason[:MAX_TEXT]
+        lease.failure, lease.passing = reason[:MAX_TEXT], passing
         self._strip(lease, "mismatch", reason)
 
     def _strip(self, lease: HeldLease, code: Refusal, reason: str) -> None:

@@ -15,7 +15,9 @@ failed     cannot be served: ``failure`` has the      never; the run is to relea
 =========  =========================================  ==========================================
 
 A lease fails when a slot cannot be prepared, or takes too long to; or when the process of a slot
-dies three times while it is prepared, and no other slot of the lease could be.
+dies three times while it is prepared, and no other slot of the lease could be. Such a failure may
+pass if the machine can be the reason, not the problem alone: it took too long, the process died
+for another reason than its limit of memory, or what it needed was missing (``workers/passing``).
 
 A slot is prepared for one problem at a time; ``MOVES`` has the allowed changes of its state:
 
@@ -123,6 +125,7 @@ class HeldLease(msgspec.Struct, eq=False):
     used: float = 0.0
     used_at_turn: float = 0.0
     failure: str = ""
+    passing: bool = False  # the failure may pass
 
     def ready(self) -> int:
         """Return how many slots evaluate, or could: those that are lent come back for work."""
@@ -162,6 +165,7 @@ class HeldLease(msgspec.Struct, eq=False):
             probe=self.probe.digest if self.probe else b"",
             trial_s=self.probe.trial_s if self.probe else 0.0,
             reason=self.failure,
+            passing=self.passing,
         )
 
     def renew(self, now: float) -> None:

@@ -227,7 +227,7 @@ class SlotTable:
                 slot.deaths = 0
                 self._prepared(lease, event, taken_s)
             case events.Unprepared():
-                self.leases.fail(lease, event.reason)
+                self.leases.fail(lease, event.reason, passing=event.passing)
             case events.Finished() if chunk is not None:
                 self.trials += lease.jobs.finished(chunk, event.reply)
             case events.Exhausted() if chunk is not None:
@@ -281,7 +281,7 @@ class SlotTable:
             self.leases.give_back(slot)
         else:
             reason = f"the simulator's process ended while it was prepared: {reason}"
-            self.leases.fail(lease, reason)
+            self.leases.fail(lease, reason, passing=event.kind != "memory")
 
     def _kill(self, slot: Slot) -> None:
         self._out.append(events.KillSlot(slot.index))
@@ -324,7 +324,7 @@ class SlotTable:
             limit_s = PREPARE_S + PROBE_TIMEOUTS * lease.reserve.trial_timeout_s
             if taken_s > limit_s:
                 reason = f"the simulator's first trials took longer than {limit_s:g} s"
-                return events.Unprepared(slot.index, reason)
+                return events.Unprepared(slot.index, reason, passing=True)
         elif lease is not None and slot.state == "busy":
             timeout_s = lease.reserve.trial_timeout_s
             if trial != slot.trial:

@@ -48,6 +48,7 @@ from zswarm.ss.slots.events import (
 )
 from zswarm.ss.workers import memory
 from zswarm.ss.workers.frames import BrokenFrameError, ProcessEnd
+from zswarm.ss.workers.passing import may_pass
 from zswarm.ss.workers.remote import Trial, Unanswered
 from zswarm.system import landlock, shared_memory
 from zswarm.system.process_state import TIMERS, left_behind, process_state
@@ -157,8 +158,10 @@ class SlotProcess:
             return Died(self._slot, self._trial(), self._too_much(), "memory")
         except EvaluationError as error:  # the program of a foreign simulator ended
             return Died(self._slot, self._trial(), clean(str(error)))
-        except (ConfigError, RemoteProtocolError) as error:
-            return Unprepared(self._slot, clean(str(error)))
+        except (ConfigError, RemoteProtocolError, OSError) as error:
+            if isinstance(error, OSError) and isinstance(command, RunChunk):
+                raise
+            return Unprepared(self._slot, clean(str(error)), may_pass(error))
 
     def _prepare(self, command: PrepareSlot) -> Prepared:
         """Build a problem, and compile or load all that a trial needs."""
