@@ -221,7 +221,7 @@ def _config(
                 "max_sessions": 4096,
             },
             "shared_memory": {"enabled": False},
-            "link": _link(reach.keyring),
+            "link": _link(reach.keyring, [*listen, *reach.connect]),
         },
         "adminspace": {"enabled": False},
     }
@@ -232,8 +232,8 @@ def _config(
     return config
 
 
-def _link(keyring: Keyring | None) -> dict[str, Any]:
-    """Return the settings of each link."""
+def _link(keyring: Keyring | None, given: Sequence[str]) -> dict[str, Any]:
+    """Return the settings of each link; none but TCP is dialled unless the user gave it."""
     blocked = {"wait_before_close": WAIT_BEFORE_CLOSE_S * 1_000_000}
     link: dict[str, Any] = {
         "tx": {
@@ -243,6 +243,7 @@ def _link(keyring: Keyring | None) -> dict[str, Any]:
             "queue": {"congestion_control": {"block": blocked}},
         },
         "rx": {"max_message_size": 64 << 20},
+        "protocols": sorted({"tcp", *(endpoint.parse(text).protocol for text in given)}),
     }
     if keyring is not None:
         link |= {"protocols": ["tls"], "tls": _tls(keyring)}
@@ -368,7 +369,12 @@ class Sender:
             at_once: the call does not block: make it in this thread if the queue is empty.
         """
         if at_once and not self._calls.unfinished_tasks:
-            call()
+            try:
+                call()
+            except (KeyboardInterrupt, SystemExit):
+                raise
+            except BaseException as error:
+                self._failed(error)
             return True
         try:
             self._calls.put_nowait(call)
@@ -386,6 +392,7 @@ class Sender:
             try:
                 call()
             except BaseException as error:  # a panic in zenoh is not an Exception
-                self._failed(error)
+                with contextlib.suppress(Exception):  # it has to be reported, but once
+                    self._failed(error)
             finally:
                 self._calls.task_done()

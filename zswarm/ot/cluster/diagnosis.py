@@ -13,7 +13,7 @@ from typing import NamedTuple
 import zenoh
 
 from zswarm import session
-from zswarm.errors import NoRouter, RemoteProtocolError
+from zswarm.errors import ConfigError, NoRouter, RemoteProtocolError
 from zswarm.protocol import endpoint, keys
 from zswarm.protocol.endpoint import Endpoint
 from zswarm.protocol.keys import ServerKey
@@ -24,6 +24,7 @@ from zswarm.system import scouting
 
 DIAL_S = 2.0  # for one endpoint to answer
 SCOUT_S = 1.0  # for answers to multicast
+ANSWERS, DIALLED = 256, 16  # to multicast; endpoints of one, at most
 NAMED = 5  # servers or endpoints that a line names
 VERSION = keys.CURRENT
 
@@ -62,7 +63,7 @@ def diagnose(
     groups = [[text] for text in reach.connect]  # of endpoints that lead to one program
     if not reach.connect:
         silent = bool(seen or scouting.fault())
-        groups = [] if silent else _scout(routers=reach.through_router)
+        groups = [] if silent else _scout(tcp, routers=reach.through_router)
         if not groups:
             lines += _no_multicast(reach, tcp, answered=bool(seen))
     with ThreadPoolExecutor(16) as pool:
@@ -106,22 +107,35 @@ def _not_used(seen: Iterable[ServerKey], realm: str) -> list[str]:
     ]
 
 
-def _scout(*, routers: bool) -> list[list[str]]:
-    """Return the endpoints of each server and router that answers to multicast."""
+def _scout(protocol: str, *, routers: bool) -> list[list[str]]:
+    """Return the endpoints of each server and router that answers to multicast.
+
+    Anybody can answer, with anything: only endpoints that speak the protocol count.
+    """
     config = zenoh.Config()
     config.insert_json5("scouting/multicast/address", f'"{scouting.GROUP}"')
     scout = zenoh.scout(what="router" if routers else "peer|router", config=config)
     time.sleep(SCOUT_S)
     answers: dict[str, list[str]] = {}
-    while (hello := scout.try_recv()) is not None:
-        answers[str(hello.zid)] = list(hello.locators)
+    while (hello := scout.try_recv()) is not None and len(answers) < ANSWERS:
+        answers[str(hello.zid)] = [
+            text for text in hello.locators if _speaks(text, protocol)
+        ]
     scout.stop()
     return [ends for ends in answers.values() if ends]  # an optimizer has none
 
 
+def _speaks(text: str, protocol: str) -> bool:
+    """Return whether a text is an endpoint that speaks a protocol."""
+    try:
+        return endpoint.parse(text).protocol == protocol
+    except ConfigError:
+        return False
+
+
 def _dial(group: list[str], ring: Keyring | None) -> DialResult:
     """Return what is at the first of these endpoints that can be dialled."""
-    for text in group:
+    for text in group[:DIALLED]:
         at = endpoint.parse(text)
         fault = _unreachable(at) or tls_diagnosis.refusal(at, ring)
         if not fault:
