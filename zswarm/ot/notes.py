@@ -38,6 +38,22 @@ class RunEvent(StrEnum):
         "{server} is banned: {text}; what it did in this generation, or round of games, is "
         "evaluated again, and marked as doubtful in earlier ones",
     )
+    SERVER_UNPREPARED = (
+        "server_unprepared",
+        "warning",
+        "{server} cannot get ready now: {text}; it is asked again in {count} s",
+    )
+    SERVER_STALLED = (
+        "server_stalled",
+        "warning",
+        "{server} is put aside: {text}; it is asked again in {count} s",
+    )
+    ANSWER_FAILED = (
+        "answer_failed",
+        "error",
+        "{server} is put aside: its answer could not be handled: {text}; it is asked again in "
+        "{count} s",
+    )
     SERVER_SILENT = (
         "server_silent",
         "warning",

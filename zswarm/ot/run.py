@@ -50,6 +50,7 @@ def evolve(
         probe=notebook.probe,
         say=logger.on_say,
         stop=stop,
+        taken_over=record.taken_over,
     )
     with leased as cluster:
         for early in connection.wait(cluster):

@@ -75,12 +75,14 @@ def test_runs_spread_over_servers_of_one_rank() -> None:
 def test_free_servers_and_this_machine_come_first() -> None:
     for run in range(8):
         optimizer = Wanting(4, nonce=bytes([run] * 16))
-        names = ("full", "free", "local-1", "other")
-        asks = [ask for name in names for ask in optimizer.feed(Seen(name))]
+        names = ("full", "free", "own", "local-1")
+        asks = [
+            ask for name in names for ask in optimizer.feed(Seen(name, own=name == "own"))
+        ]
         for ask in asks:
             free = {"full": 0}.get(ask.server, 2)
             optimizer.settle(optimizer.answer(ask, offer(2, free=free)))
-        assert optimizer.held()["local-1"] == 2, run
+        assert optimizer.held()["own"] == 2, run
         assert "full" not in optimizer.held(), run
 
 

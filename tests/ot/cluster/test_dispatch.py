@@ -24,6 +24,8 @@ from zswarm.errors import LocalProtocolError
 from zswarm.ot.cluster.allotment import ALLOT_AFTER_S
 from zswarm.ot.cluster.batches import ATTEMPTS
 from zswarm.ot.cluster.events import (
+    MARGIN_S,
+    QUERY_S,
     Ask,
     Complete,
     Counted,
@@ -31,11 +33,12 @@ from zswarm.ot.cluster.events import (
     Gone,
     Leave,
     Seen,
+    Superseded,
     TimePassed,
     Work,
 )
 from zswarm.ot.cluster.matching import Choice
-from zswarm.ot.cluster.servers import BACK_OFF_S, PAUSE_S, RENEW_S, RETRY_S
+from zswarm.ot.cluster.servers import AGAIN_S, BACK_OFF_S, PAUSE_S, RENEW_S, RETRY_S
 from zswarm.ot.notes import Note
 from zswarm.ot.workload import Workload
 from zswarm.protocol import codec, labels
@@ -310,15 +313,30 @@ def test_the_probe_of_the_record_holds_for_the_first_server_too() -> None:
     assert optimizer.dispatch.servers.probe == b"recorded"
 
 
-def test_a_run_that_was_taken_over_fails() -> None:
+def superseded(*, own: bool) -> Optimizer:
     optimizer = Optimizer()
     optimizer.join("a")
     optimizer.work(5)
-    (ask,) = optimizer.feed(Seen("b"))
+    (ask,) = optimizer.feed(Seen("local-b", own))
     (ask,) = optimizer.answer(ask, offer())
-    asks = optimizer.answer(ask, Refused(code="superseded", reason="taken over"))
-    assert verbs(asks) == [("a", "cancel")]
-    assert Failed("b: taken over") in optimizer.commands
+    optimizer.answer(ask, Refused(code="superseded", reason="taken over"))
+    return optimizer
+
+
+def test_a_run_fails_that_its_own_slots_report_as_taken_over() -> None:
+    optimizer = superseded(own=True)
+    assert Failed("local-b: taken over") in optimizer.commands
+    assert ("a", "cancel") in optimizer.asked
+
+
+def test_another_server_that_reports_so_refuses_and_the_record_is_asked() -> None:
+    """Whatever its name is: anybody may call a server ``local-...``."""
+    optimizer = superseded(own=False)
+    assert Superseded("local-b", "taken over") in optimizer.commands
+    assert [note.text for note in optimizer.notes("server_refused")] == ["taken over"]
+    assert not any(isinstance(command, Failed) for command in optimizer.commands)
+    optimizer.answer(optimizer.asked["a", "evaluate"], None)
+    assert verbs(optimizer.wait(1.0)) == [("a", "evaluate")], "the run goes on"
 
 
 # ---- leases that last and end
@@ -329,7 +347,8 @@ def test_a_lease_is_renewed_after_a_while() -> None:
     optimizer.join("a")
     assert optimizer.dispatch.next_time() == optimizer.now + RENEW_S
     assert verbs(optimizer.wait(RENEW_S)) == [("a", "renew")]
-    assert optimizer.dispatch.next_time() == float("inf")
+    deadline = optimizer.now + QUERY_S["renew"] + MARGIN_S
+    assert optimizer.dispatch.next_time() == deadline
     optimizer.answer(optimizer.asked["a", "renew"], lease("a", 1))
     assert verbs(optimizer.wait(RENEW_S)) == [("a", "renew")]
 
@@ -357,6 +376,7 @@ def test_a_run_without_pauses_learns_that_it_lost_slots() -> None:
     assert verbs(optimizer.wait(1.0)) == [("a", "renew")]
     optimizer.answer(optimizer.asked["a", "renew"], lease("a", 2))
     assert optimizer.dispatch.servers.standing().slots == 2
+    optimizer.wait(AGAIN_S)
     assert optimizer.asked["a", "renew"].message.known_ready == 2, (
         "the server is to say when they come back"
     )
@@ -480,7 +500,8 @@ def test_a_silent_server_is_reported_once_and_retried() -> None:
     for _ in range(3 * (len(RETRY_S) + 1)):
         optimizer.answer(optimizer.asked["a", "offer"], None)
         told += len(optimizer.notes("server_silent"))
-        optimizer.wait(BACK_OFF_S)
+        while not optimizer.wait(1.0):
+            pass
     assert told == 1
     assert verbs(optimizer.answer(optimizer.asked["a", "offer"], offer())) == [
         ("a", "reserve")
@@ -567,18 +588,24 @@ def test_a_repeatedly_unanswered_batch_moves_to_another_server() -> None:
     assert optimizer.counted == []
 
 
-def test_a_running_batch_is_asked_again_at_once_and_its_empty_answers_are_forgotten() -> (
+def test_a_batch_without_outcomes_is_asked_again_and_its_missing_answers_forgotten() -> (
     None
 ):
+    """After a second, at the earliest: an honest server holds the query for 30."""
     optimizer = Optimizer()
     optimizer.join("a")
     (ask,) = optimizer.work(1)
     number = batch(ask)
     for _ in range(3 * len(RETRY_S)):
         optimizer.answer(ask, None)
-        (ask,) = optimizer.wait(1.0)
-        (ask,) = optimizer.answer(ask, Running(batch=number, done=0))
+        (ask,) = optimizer.wait(RETRY_S[0])
+        optimizer.now += 0.5
+        assert optimizer.answer(ask, Running(batch=number, done=0)) == []
+        (ask,) = optimizer.wait(AGAIN_S - 0.5)
         assert batch(ask) == number
+    optimizer.now += 30.0
+    (ask,) = optimizer.answer(ask, Running(batch=number, done=0))
+    assert batch(ask) == number
 
 
 def bodies(asks: list[Ask]) -> list[int]:
@@ -591,14 +618,16 @@ def test_a_batch_is_asked_for_again_by_its_id_alone_until_the_server_lacks_it() 
     optimizer = Optimizer()
     optimizer.join("a")
     asks = [*optimizer.work(1)]
-    asks += optimizer.answer(asks[-1], Running(batch=batch(asks[0]), done=0))
+    optimizer.answer(asks[-1], Running(batch=batch(asks[0]), done=0))
+    asks += optimizer.wait(AGAIN_S)
     optimizer.answer(asks[-1], None)
     asks += optimizer.wait(1.0)
     missing = Refused(code="unknown-batch", reason="there is no such batch")
     asks += optimizer.answer(asks[-1], missing)
     assert bodies(asks) == [1, 0, 0, 1]
     assert {batch(ask) for ask in asks} == {batch(asks[0])}
-    asks = optimizer.answer(asks[-1], missing)
+    assert optimizer.answer(asks[-1], missing) == []
+    asks = optimizer.wait(PAUSE_S)
     assert bodies(asks) == [1], "sent whole it cannot be missing: as another refusal"
     optimizer.answer(asks[-1], outcomes(asks[-1]))
     assert optimizer.counted == [0]
@@ -610,7 +639,8 @@ def test_a_server_without_that_feature_gets_the_whole_batch_again() -> None:
     (ask,) = optimizer.answer(ask, structs.replace(offer(), features=[]))
     optimizer.answer(ask, lease("a", 1))
     asks = optimizer.work(1)
-    asks += optimizer.answer(asks[-1], Running(batch=batch(asks[0]), done=0))
+    optimizer.answer(asks[-1], Running(batch=batch(asks[0]), done=0))
+    asks += optimizer.wait(AGAIN_S)
     assert bodies(asks) == [1, 1]
 
 

@@ -4,7 +4,8 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
-from typing import NoReturn
+from types import SimpleNamespace
+from typing import Any, NoReturn
 
 import numpy as np
 import pytest
@@ -12,14 +13,18 @@ import zenoh
 
 from tests.ot.cluster.dispatching import terms
 from zswarm import session
+from zswarm.config.sections import ClusterConfig
+from zswarm.errors import EvaluationError
 from zswarm.ot.cluster import links
 from zswarm.ot.cluster.events import Answered, Ask, Event, Gone, Seen, Work
+from zswarm.ot.cluster.remote_server import Standing
 from zswarm.ot.cluster.shell import Cluster, Item
+from zswarm.ot.cluster.watch import Watch
 from zswarm.ot.notes import Note
 from zswarm.ot.workload import Workload
 from zswarm.protocol import codec, keys
 from zswarm.protocol.keys import RunKey
-from zswarm.protocol.messages import Cancel, Lease, Offer, Reply, Verb
+from zswarm.protocol.messages import Cancel, Lease, Offer, Refused, Reply, Verb
 from zswarm.session import Reach
 
 KEY = RunKey("default", "ada", "run-1")
@@ -132,7 +137,7 @@ def interrupted(*_: object, **__: object) -> None:
 class Asking:
     """A cluster whose sessions send nothing, and who was asked by which thread."""
 
-    def __init__(self, *, through_router: bool = False) -> None:
+    def __init__(self, *, through_router: bool = False, taken_over: bool = False) -> None:
         self.cluster = Cluster(
             KEY,
             terms(slots=2),
@@ -140,6 +145,7 @@ class Asking:
                 ["tcp/127.0.0.1:1"], multicast=False, through_router=through_router
             ),
             arbitrate=no_dispute,
+            taken_over=lambda: taken_over,
         )
         self.batches: list[tuple[str, str]] = []  # server and thread
         self._here = threading.current_thread()
@@ -272,3 +278,114 @@ def test_a_query_that_zenoh_panics_at_is_noted_and_asked_again() -> None:
     asking.work(1)
     assert asking.batches
     asking.close()
+
+
+def test_a_batch_that_cannot_be_sent_at_once_is_noted_and_asked_for_again() -> None:
+    """This is the caller's thread: it would raise there, and end the run."""
+    asking = Asking()
+    asking.join("lab-1")
+    asking.idle()
+    get, panics = asking.get, [True]
+
+    def panic(*arguments: object, **options: object) -> None:
+        asking.get = get  # type: ignore[method-assign]
+        panics.pop()
+        raise SystemError("a panic")
+
+    asking.get = panic  # type: ignore[method-assign]
+    work = Workload([b"g"], np.zeros((1, 1), int), np.zeros(1, np.uint64), 0)
+    asking.feed(Work(work))
+    answer = asking.cluster._inbox.get(timeout=60)
+    assert isinstance(answer, Answered)
+    assert answer.reply is None
+    texts = [item.text for item in asking.cluster.rest() if isinstance(item, Note)]
+    assert "sending to lab-1 failed: SystemError('a panic')" in texts
+    assert not panics
+    asking.close()
+
+
+def test_a_query_to_a_server_without_a_session_ends_and_is_noted() -> None:
+    asking = Asking()
+    asking.join("lab-1")
+    asking.idle()
+    del asking.cluster._links.home["lab-1"]
+    cancel = Cancel(lease=bytes(16), batches=[])
+    asking.cluster._links.ask(Ask(99, "lab-1", cancel), may_block=False)
+    asking.idle()
+    assert asking.cluster._inbox.get(timeout=60) == Answered(99, None)
+    texts = [item.text for item in asking.cluster.rest() if isinstance(item, Note)]
+    assert "sending to lab-1 failed: KeyError('lab-1')" in texts
+    asking.close()
+
+
+def test_a_server_for_which_no_thread_can_be_started_is_noted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asking = Asking()
+    asking.cluster._links.home["lab-1"] = asking  # type: ignore[assignment]
+
+    def fails(*_: object) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(session, "Sender", fails)
+    asking.feed(Seen("lab-1"))
+    answer = asking.cluster._inbox.get(timeout=60)
+    assert isinstance(answer, Answered)
+    assert answer.reply is None
+    (note,) = [item for item in asking.cluster.rest() if isinstance(item, Note)]
+    assert note.text.startswith("sending to lab-1 failed: RuntimeError")
+
+
+# ---- whom to believe
+
+
+@pytest.mark.parametrize("taken_over", [True, False])
+def test_a_run_ends_as_taken_over_only_if_its_record_shows_it(taken_over: bool) -> None:
+    asking = Asking(taken_over=taken_over)
+    asking.cluster._links.home["lab-1"] = asking  # type: ignore[assignment]
+    asking.feed(Seen("lab-1"))
+    asking.answer("lab-1", "offer", OFFER)
+    asking.answer("lab-1", "reserve", Refused(code="superseded", reason="taken over"))
+    if taken_over:
+        with pytest.raises(EvaluationError, match="lab-1: taken over"):
+            list(asking.cluster.rest())
+    else:
+        notes = list(asking.cluster.rest())
+        assert Note("server_refused", "lab-1", "taken over") in notes
+    asking.close()
+
+
+def test_a_stranger_cannot_take_the_name_of_this_machines_server() -> None:
+    """Its token comes on another session than the one to the child."""
+    run, strangers = Asking(), Asking()
+    posted: list[object] = []
+    run.cluster._links.post = posted.append
+    key = keys.alive("default", "local-01234567")
+    put = SimpleNamespace(kind=zenoh.SampleKind.PUT, key_expr=key)
+    gone = SimpleNamespace(kind=zenoh.SampleKind.DELETE, key_expr=key)
+    tokens = run.cluster._links._on_token
+    tokens(run, True, put)  # type: ignore[arg-type]
+    tokens(strangers, False, put)  # type: ignore[arg-type]
+    tokens(strangers, False, gone)  # type: ignore[arg-type]
+    assert posted == [Seen("local-01234567", own=True)]
+    assert run.cluster._links.home == {"local-01234567": run}
+    tokens(
+        strangers, False, SimpleNamespace(kind=put.kind, key_expr=key[:-7] + "8/alive")
+    )  # type: ignore[arg-type]
+    assert posted[1:] == [Seen("local-01234568")]
+
+
+def test_only_this_machines_own_slots_end_a_run_by_their_refusal() -> None:
+    def watch() -> Watch:
+        options, none = ClusterConfig(), threading.Event()
+        local: Any = SimpleNamespace(ended=lambda: "")
+        return Watch(options, "xor", local, none, say=lambda _: None, check=lambda: None)
+
+    standing = Standing(own="local-01234567")
+    for event in ("server_refused", "server_mismatch", "server_unprepared"):
+        watch().report(Note(event, "local-00000000", "you lose"), standing)
+        with pytest.raises(EvaluationError, match="it does not fit"):
+            watch().report(Note(event, "local-01234567", "it does not fit"), standing)
+    served = watch()
+    served.report(None, Standing(serving=1, own="local-01234567"))
+    served.report(Note("server_unprepared", "local-01234567", "disk full"), standing)

@@ -53,6 +53,16 @@ def record(tmp_path: Path, complete: experiment.Experiment) -> Iterator[Record]:
     record.close()  # some tests did so themselves
 
 
+def test_a_record_shows_that_another_program_resumed_the_run(record: Record) -> None:
+    """On a file system without locks: a server's word alone ends no run."""
+    assert not record.taken_over()
+    database = sqlite3.connect(record.folder / "run.sqlite")
+    with database:
+        database.execute("UPDATE meta SET value = 1 WHERE key = 'epoch'")
+    database.close()
+    assert record.taken_over()
+
+
 def workload(candidates: int = 3) -> Workload:
     genomes = [bytes([i]) * 8 for i in range(candidates)]
     return Workload(

@@ -20,7 +20,6 @@ import math
 
 import msgspec
 
-from zswarm.ot.cluster.local import is_local
 from zswarm.ot.cluster.matching import Terms
 from zswarm.ot.cluster.remote_server import Phase, RemoteServer
 from zswarm.ot.cluster.roster import Roster
@@ -123,8 +122,7 @@ class Allotment(msgspec.Struct, eq=False):
         return None
 
     def _order(self, server: RemoteServer) -> tuple[object, ...]:
-        far = not is_local(server.id)
-        return self._full(server), server.place, far, server.lot, server.id
+        return self._full(server), server.place, not server.own, server.lot, server.id
 
     def _full(self, server: RemoteServer) -> bool:
         return not server.free and not self.terms.choice.rank

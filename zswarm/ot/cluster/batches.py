@@ -112,7 +112,7 @@ class Batches(msgspec.Struct, eq=False):
             trials = self.workload.retract(server.id)
             self.checks.drop(trials.tolist())
             self.uncounted += len(trials)
-            self._requeue(QueuedTrials(trials))
+            self.requeue(QueuedTrials(trials))
 
     def _resume(self, server: RemoteServer) -> None:
         """Ask again for the batches that no other server took meanwhile, and cancel the others."""
@@ -139,7 +139,7 @@ class Batches(msgspec.Struct, eq=False):
             self.give_back(batch)
         else:
             batch.unanswered = batch.question = 0
-            self._requeue(QueuedTrials(batch.rest(), batch.avoid, batch))
+            self.requeue(QueuedTrials(batch.rest(), batch.avoid, batch))
 
     def _cancel(self, server: RemoteServer, batches: list[int]) -> None:
         self.out.ask(server.id, Cancel(lease=server.lease, batches=batches))
@@ -279,6 +279,7 @@ class Batches(msgspec.Struct, eq=False):
         )
         if not len(rows):
             return
+        batch.heard[rows], server.setbacks = True, 0
         left = {text.partition(" (")[0]: text for text in reply.left.split("; ") if text}
         if new := left.keys() - self._left_behind:
             self._left_behind |= new
@@ -363,7 +364,7 @@ class Batches(msgspec.Struct, eq=False):
             return
         failed = rest[rest == trial]
         if len(servers) < ATTEMPTS:
-            self._requeue(QueuedTrials(failed, frozenset(servers)))
+            self.requeue(QueuedTrials(failed, frozenset(servers)))
         elif self.terms.quarantine:
             workload.faulted[trial] = True
             self._count_once(failed, "", 0.0)
@@ -375,7 +376,7 @@ class Batches(msgspec.Struct, eq=False):
         """Queue the trials of a batch again, which its server no longer has."""
         if not batch.check:
             self.second.lost(batch)
-            self._requeue(QueuedTrials(batch.rest(), batch.avoid))
+            self.requeue(QueuedTrials(batch.rest(), batch.avoid))
         elif self.workload is not None:
             self.idle.more = True
             self.checks.give_back(batch.rest(), self.workload)
@@ -391,7 +392,8 @@ class Batches(msgspec.Struct, eq=False):
                 self.out.note(RunEvent.UNVERIFIED, text=text)
             self._alone = bool(alone)
 
-    def _requeue(self, entry: QueuedTrials) -> None:
+    def requeue(self, entry: QueuedTrials) -> None:
+        """Queue trials again, if these are any."""
         if count := len(entry.trials):
             self.idle.more = True
             self.queue.put(entry)

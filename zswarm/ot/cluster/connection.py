@@ -164,6 +164,7 @@ class Connection:
         stop: threading.Event,
         epoch: int = 0,
         probe: bytes = b"",
+        taken_over: Callable[[], bool] = lambda: False,
     ) -> "Iterator[Cluster]":
         """Hold leases of all servers that match a problem, within a ``with`` block.
 
@@ -173,6 +174,7 @@ class Connection:
             say: takes lines for the user.
             stop: ends an evaluation when it is set.
             probe: digest of the probe's outcomes, if it is known.
+            taken_over: returns whether another program resumed the run, as its record shows.
         """
         from zswarm.ot.cluster.matching import terms
         from zswarm.ot.cluster.remote_controllers import RemoteControllers
@@ -204,6 +206,7 @@ class Connection:
             asked,
             reach=reach,
             arbitrate=functools.partial(arbitrate, problem),
+            taken_over=taken_over,
             local=local.endpoint if local is not None else "",
             controllers=controllers,
             watch=watch,

@@ -17,13 +17,14 @@ from zswarm.errors import NoRouter, RemoteProtocolError
 from zswarm.ot.cluster import diagnosis
 from zswarm.ot.cluster.debounce import Newcomers
 from zswarm.ot.cluster.diagnosis import DIAL_S, VERSION, other_version, parsed
+from zswarm.ot.cluster.events import QUERY_S
 from zswarm.ot.cluster.matching import Choice
 from zswarm.protocol import codec, keys
 from zswarm.protocol.keys import ServerKey
 from zswarm.protocol.messages import Offer, Reply, Requirements
 from zswarm.session import Reach
 
-OFFER_S = 3.0  # for an offer, at most
+OFFER_S = QUERY_S["offer"]
 ROUND_TRIPS_WAIT_S = 1.0  # until all servers whose answers are timed are found
 
 
@@ -179,14 +180,13 @@ def round_trips(
         sessions = []
         if reach.through_router:
             sessions.append(session.open_through_router(reach, timeout_s=DIAL_S))
-            stack.callback(session.close, sessions[-1])
-            reach = Reach((), multicast=False)
-        if local or not sessions:
-            here = [local] if local else []
-            sessions.append(
-                session.open_optimizer(reach._replace(connect=[*reach.connect, *here]))
-            )
-            stack.callback(session.close, sessions[-1])
+        elif reach.connect or reach.multicast:
+            sessions.append(session.open_optimizer(reach))
+        if local:
+            here = Reach([local], multicast=False)
+            sessions.append(session.open_optimizer(here))
+        for opened in sessions:
+            stack.callback(session.close, opened)
         for opened in sessions:
             _, found = _ask_all(opened, realm, requirements, ROUND_TRIPS_WAIT_S)
             names = [name for name, server in found.items() if server.offer is not None]

@@ -1,5 +1,6 @@
 """Events that go into the dispatch, and commands that come out."""
 
+import heapq
 import math
 
 import msgspec
@@ -9,11 +10,24 @@ from zswarm.ot.notes import Note, RunEvent
 from zswarm.ot.workload import Workload
 from zswarm.protocol.messages import Reply, Request, Verb, verb
 
+# Until zenoh ends a query without an answer (docs/protocol.md, "Times of a lease").
+QUERY_S: dict[Verb, float] = {
+    "offer": 3.0,
+    "reserve": 10.0,
+    "renew": 25.0,
+    "evaluate": 60.0,
+    "cancel": 3.0,
+    "release": 3.0,
+}
+# After that, a query that zenoh did not end counts as not answered.
+MARGIN_S = 15.0
+
 
 class Seen(msgspec.Struct, frozen=True):
     """A server's liveliness token appeared."""
 
     server: str
+    own: bool = False  # it is this machine's: its token came from the child
 
 
 class Gone(msgspec.Struct, frozen=True):
@@ -125,7 +139,24 @@ class Failed(msgspec.Struct, frozen=True):
     reason: str
 
 
-Command = Ask | Counted | Disputed | ProbeDisputed | Retracted | Complete | Failed | Note
+class Superseded(msgspec.Struct, frozen=True):
+    """A server reports that another program resumed the run; the run's record shows if it did."""
+
+    server: str
+    reason: str
+
+
+Command = (
+    Ask
+    | Counted
+    | Disputed
+    | ProbeDisputed
+    | Retracted
+    | Complete
+    | Failed
+    | Superseded
+    | Note
+)
 
 
 class OpenQuery(msgspec.Struct, frozen=True):
@@ -135,6 +166,7 @@ class OpenQuery(msgspec.Struct, frozen=True):
     verb: Verb
     batch: int = 0
     question: int = 0
+    asked_at: float = 0.0
 
     def not_answered_by(self, reply: Reply | None) -> str:
         """Describe a reply of a kind that does not answer the query."""
@@ -149,6 +181,7 @@ class Outbox(msgspec.Struct, eq=False):
     commands: list[Command] = []
     queries: dict[int, OpenQuery] = {}
     _later: list[tuple[float, OpenQuery]] = []
+    _deadlines: list[tuple[float, int]] = []  # of open queries, and of answered ones
     _numbers: int = 0
 
     def number(self) -> int:
@@ -159,8 +192,9 @@ class Outbox(msgspec.Struct, eq=False):
     def ask(self, server: str, message: Request, trials: np.ndarray | None = None) -> int:
         """Send a query; return its number."""
         number = self.number()
-        batch = getattr(message, "batch", 0)
-        self.queries[number] = OpenQuery(server, verb(message), batch, number)
+        batch, what = getattr(message, "batch", 0), verb(message)
+        self.queries[number] = OpenQuery(server, what, batch, number, self.now)
+        heapq.heappush(self._deadlines, (self.now + QUERY_S[what] + MARGIN_S, number))
         self.commands.append(Ask(number, server, message, trials))
         return number
 
@@ -180,6 +214,18 @@ class Outbox(msgspec.Struct, eq=False):
         self._later = [(time, query) for time, query in self._later if time > self.now]
         return due
 
+    def overdue(self) -> list[int]:
+        """Return the numbers of the open queries whose time is over."""
+        numbers = []
+        while self._deadline() <= self.now:
+            numbers.append(heapq.heappop(self._deadlines)[1])
+        return numbers
+
     def next_time(self) -> float:
-        """Return when the next query is to be repeated."""
-        return min((time for time, _ in self._later), default=math.inf)
+        """Return when the next query is to be repeated, or its time is over."""
+        return min((self._deadline(), *(time for time, _ in self._later)))
+
+    def _deadline(self) -> float:
+        while self._deadlines and self._deadlines[0][1] not in self.queries:
+            heapq.heappop(self._deadlines)
+        return self._deadlines[0][0] if self._deadlines else math.inf

@@ -18,10 +18,10 @@ import zenoh
 from zswarm import session
 from zswarm.errors import NoRouter, RemoteProtocolError
 from zswarm.ot.cluster import diagnosis, discovery
-from zswarm.ot.cluster.events import Answered, Ask, Event, Gone, Seen
+from zswarm.ot.cluster.events import QUERY_S, Answered, Ask, Event, Gone, Seen
 from zswarm.ot.notes import Note, RunEvent
 from zswarm.protocol import codec, keys, messages
-from zswarm.protocol.messages import Evaluate, Fault, Outcomes, Verb
+from zswarm.protocol.messages import Evaluate, Fault, Outcomes
 from zswarm.security import refusals
 from zswarm.security.keyring import Keyring
 from zswarm.session import Reach
@@ -32,15 +32,6 @@ if TYPE_CHECKING:
 
 RETRY_S = 0.1  # between two attempts to reach a router
 VERSIONS_S = 1.0  # for the token of this version, after one of another
-# Until a query ends without an answer (docs/protocol.md, "Times of a lease").
-QUERY_S: dict[Verb, float] = {
-    "offer": discovery.OFFER_S,
-    "reserve": 10.0,
-    "renew": 25.0,
-    "evaluate": 60.0,
-    "cancel": 3.0,
-    "release": 3.0,
-}
 CONTROL = zenoh.Priority.INTERACTIVE_HIGH  # overtakes batches on the way
 RELEASE_S = 2.0  # for the last messages, at most
 # Bytes of a message that zenoh takes without waiting, on a link on which nothing is unanswered.
@@ -62,6 +53,7 @@ class Links(msgspec.Struct, eq=False):
     # The session that saw a server; written before the server is Seen.
     home: dict[str, zenoh.Session] = {}
     senders: dict[str, session.Sender] = {}
+    own: str = ""  # this machine's server, once its token is seen
     _tokens: list[zenoh.LivelinessToken] = []
     _leaving: threading.Event = msgspec.field(default_factory=threading.Event)
     _unanswered: dict[int, str] = {}  # questions that carry batches, with the server
@@ -73,20 +65,18 @@ class Links(msgspec.Struct, eq=False):
         Args:
             local: endpoint of this machine's slots; "": there are none.
         """
-        reach, here = self.reach, [local] if local else []
-        # This machine's slots are reached neither through a router nor with keys.
-        if reach.through_router or reach.keyring is not None:
-            if local:
-                self._join(session.open_optimizer(Reach(here, multicast=False)))
-            if not reach.through_router:
-                self._join(session.open_optimizer(reach), reach.keyring)
-        else:
-            everything = reach._replace(connect=[*reach.connect, *here])
-            self._join(session.open_optimizer(everything))
+        reach = self.reach
+        # This machine's slots have a session of their own: nobody else is there to take their name,
+        # and they are reached neither through a router nor with keys.
+        if local:
+            here = Reach([local], multicast=False)
+            self._join(session.open_optimizer(here), own=True)
         if reach.through_router:
             threading.Thread(
                 target=self._open_through_router, name="router", daemon=True
             ).start()
+        elif reach.connect or reach.multicast:
+            self._join(session.open_optimizer(reach), reach.keyring)
 
     def close(self) -> None:
         """Send what waits, for some seconds at most, and close the sessions."""
@@ -136,17 +126,21 @@ class Links(msgspec.Struct, eq=False):
             (self.answered if verb == "evaluate" else self.post)(event)
 
         def send() -> None:
+            try:
+                home = self.home[server]
+                body = codec.encode(message)  # not before: many may wait here
+            except BaseException:  # which the sender reports
+                on_answer(None)
+                raise
             session.ask(
-                self.home[server],
+                home,
                 keys.request(key.realm, server, key.user, key.run, verb),
-                codec.encode(message),  # not before: many may wait here
+                body,
                 on_answer,
                 timeout_s=QUERY_S[verb],
                 priority=zenoh.Priority.DATA if verb == "evaluate" else CONTROL,
             )
 
-        if server not in self.senders:
-            self.senders[server] = session.Sender(server, partial(self._not_sent, server))
         at_once = False
         if isinstance(message, Evaluate):
             size = sum(map(len, message.genomes)) + 8 * len(message.genomes)
@@ -159,11 +153,20 @@ class Links(msgspec.Struct, eq=False):
             at_once = may_block and size < AT_ONCE and not link_busy
             self._unanswered[ask.question] = server
             self._waited_for[server] += 1
-        if not self.senders[server].send(send, at_once=at_once):
+        try:
+            if server not in self.senders:
+                failed = partial(self._failed_at, f"sending to {server}")
+                self.senders[server] = session.Sender(server, failed)
+            sent = self.senders[server].send(send, at_once=at_once)
+        except Exception as error:  # no thread can be started
+            self._failed_at(f"sending to {server}", error)
+            sent = False
+        if not sent:
             on_answer(None)
 
-    def _not_sent(self, server: str, error: BaseException) -> None:
-        self.post(Note(RunEvent.DIAGNOSIS, "", f"sending to {server} failed: {error!r}"))
+    def _failed_at(self, what: str, error: BaseException) -> None:
+        """Report what failed in a thread of its own, or in one of zenoh's: the run goes on."""
+        self.post(Note(RunEvent.DIAGNOSIS, "", f"{what} failed: {error!r}"))
 
     def _open_through_router(self) -> None:
         while not self._leaving.wait(RETRY_S):
@@ -180,8 +183,10 @@ class Links(msgspec.Struct, eq=False):
                 self._join(opened, self.reach.keyring)
             return
 
-    def _join(self, opened: zenoh.Session, ring: Keyring | None = None) -> None:
-        """Show the run on a session, and watch for servers there."""
+    def _join(
+        self, opened: zenoh.Session, ring: Keyring | None = None, *, own: bool = False
+    ) -> None:
+        """Show the run on a session, and watch for servers there; only this machine's if own."""
         self.sessions.append(opened)
         if self.controllers is not None:
             on_sensors = partial(self._on_sensors, self.controllers)
@@ -192,7 +197,7 @@ class Links(msgspec.Struct, eq=False):
         if ring is not None:
             refusals.watch_members(opened, ring, self._on_refusal)
         on_token = zenoh.handlers.Callback(
-            partial(self._on_token, opened), indirect=False
+            partial(self._on_token, opened, own), indirect=False
         )
         alive = keys.any_version_alive(self.key.realm)
         liveliness.declare_subscriber(alive, on_token, history=True)
@@ -200,14 +205,16 @@ class Links(msgspec.Struct, eq=False):
     def _on_refusal(self, name: str, at: str, reason: str) -> None:
         self.post(Note(RunEvent.DIAGNOSIS, "", f"{name} at {at} is {reason}"))
 
-    def _on_token(self, opened: zenoh.Session, sample: zenoh.Sample) -> None:
+    def _on_token(self, opened: zenoh.Session, own: bool, sample: zenoh.Sample) -> None:
         seen = sample.kind == zenoh.SampleKind.PUT
         key = diagnosis.parsed(sample)
-        if key is None:
+        if key is None or (key.server == self.own and not own):
             return
         if key.version == keys.CURRENT:
+            if own:
+                self.own = key.server
             self.home[key.server] = opened
-            self.post(Seen(key.server) if seen else Gone(key.server))
+            self.post(Seen(key.server, own) if seen else Gone(key.server))
         elif seen:
             wait = threading.Timer(VERSIONS_S, self._note_other_version, (key,))
             wait.daemon = True
@@ -226,9 +233,9 @@ class Links(msgspec.Struct, eq=False):
         except RemoteProtocolError:  # not such a key
             query.drop()
             return
-        except BaseException as error:
+        except BaseException as error:  # the server asks again
             query.drop()
-            self.failed(error)
+            self._failed_at("answering a server", error)
             return
 
         def answer() -> None:

@@ -87,8 +87,3 @@ def remove_orphans(parent: Path) -> None:
                 shutil.rmtree(folder)
             finally:
                 os.close(lock)
-
-
-def is_local(server: str) -> bool:
-    """Return whether a server is this machine's own."""
-    return server.startswith(f"{NAME}-")

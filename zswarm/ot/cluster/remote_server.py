@@ -15,7 +15,9 @@ LEAVING     has no token any more: it drains or    its token is back (LEASED), o
             died, or the link is cut               batches is out (IDLE)
 BACKED_OFF  is not asked for a while: it did not   the pause is over, or its token appears
             answer, ended the lease, failed too    (SEEN)
-            many trials, or its probe is disputed
+            many trials, cannot get ready now,
+            sent what cannot be handled, or its
+            probe is disputed
 BANNED      computes wrong outcomes                never
 ==========  =====================================  =============================================
 
@@ -68,7 +70,7 @@ _ENDS = {Phase.IDLE, Phase.BANNED}
 MOVES = {
     Phase.IDLE: {Phase.SEEN, Phase.BANNED},
     Phase.SEEN: {Phase.SPARE, Phase.BACKED_OFF, *_ENDS},
-    Phase.SPARE: {Phase.SEEN, Phase.RESERVING, *_ENDS},
+    Phase.SPARE: {Phase.SEEN, Phase.RESERVING, Phase.BACKED_OFF, *_ENDS},
     Phase.RESERVING: {Phase.LEASED, Phase.BACKED_OFF, *_ENDS},
     Phase.LEASED: {Phase.LEAVING, Phase.SPARE, Phase.BACKED_OFF, *_ENDS},
     Phase.LEAVING: {Phase.LEASED, *_ENDS},
@@ -90,11 +92,16 @@ class SentBatch(msgspec.Struct, eq=False):
     question: int = 0  # the query that asked for it last
     asked: Literal["", "whole", "by-id"] = ""  # how it was asked for last
     unanswered: int = 0  # queries in a row that ended without an answer
+    heard: np.ndarray = msgspec.UNSET  # type: ignore[assignment]  # (trials,) bool: from its server
+    give_up_at: float = math.inf  # unless its server has sent another outcome by then
     all_started: bool = False  # none of it waits for a slot any more
     sent_at: float = 0.0
     due: float = 0.0  # when the answer is expected
     alone: bool = False  # nothing else was with the server
     size: int = 0  # bytes of the message
+
+    def __post_init__(self) -> None:
+        self.heard = np.zeros(len(self.trials), bool)
 
     def rest(self) -> np.ndarray:
         """Return the trials whose outcome did not come."""
@@ -112,6 +119,7 @@ class RemoteServer(msgspec.Struct, eq=False):
 
     id: str  # a server that is restarted has another one
     phase: Phase = Phase.IDLE
+    own: bool = False  # it is this machine's, as its link shows
     present: bool = False  # its token is there
     lease: bytes = b""  # while LEASED or LEAVING
     # A lease given up for silence, which may still be valid at the server.
@@ -142,6 +150,7 @@ class RemoteServer(msgspec.Struct, eq=False):
     counted: int = 0  # trials
     blamed: int = 0  # trials that failed here and were evaluated elsewhere
     faulty: bool = False  # backed off for that
+    setbacks: int = 0  # since it sent an outcome: the pause grows with them
     unanswered: int = 0  # queries in a row, but for batches, that ended without an answer
     silence_reported: bool = False  # to the user
 
@@ -172,3 +181,4 @@ class Standing(msgspec.Struct, frozen=True):
     spare: int = 0  # servers that match and whose slots are not wanted
     slots: int = 0  # that are ready
     probe: bytes = b""  # digest of the probe's outcomes, once known
+    own: str = ""  # this machine's server, once seen

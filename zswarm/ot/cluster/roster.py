@@ -22,6 +22,7 @@ class Roster(msgspec.Struct, eq=False):
     slots: int = 0  # ready
     granted: int = 0  # slots
     taken: int = 0  # slots, granted or asked for
+    own: str = ""  # this machine's server, once seen
     _counted: dict[str, tuple[Phase, int, int, int]] = {}
 
     def update(self, server: RemoteServer) -> None:
@@ -56,6 +57,7 @@ class Roster(msgspec.Struct, eq=False):
             spare=self.phases[Phase.SPARE],
             slots=self.slots,
             probe=probe,
+            own=self.own,
         )
 
     def _add(self, counted: tuple[Phase, int, int, int] | None, sign: int) -> None:

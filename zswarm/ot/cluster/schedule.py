@@ -17,6 +17,7 @@ import msgspec
 from zswarm.ot.cluster.events import Outbox
 from zswarm.ot.cluster.matching import Terms
 from zswarm.ot.cluster.queue import TrialQueue
+from zswarm.ot.cluster.recovery import patience_s
 from zswarm.ot.cluster.remote_server import RemoteServer, SentBatch
 from zswarm.ot.workload import Workload
 from zswarm.protocol import messages
@@ -50,6 +51,7 @@ class Schedule(msgspec.Struct, eq=False):
     slots: int = 0  # of these
     fits: int = 1  # trials that fit into a message
     trial_bytes: float = 1.0  # of a trial on a link
+    _trial_timeout_s: float = 0.0
     _rate: float = 0.0  # trials per second of all that serve
     _end: float = 0.0  # of all that waits, as estimated last
     _stale_at: float = -math.inf
@@ -57,6 +59,7 @@ class Schedule(msgspec.Struct, eq=False):
     def begin(self, workload: Workload, terms: Terms) -> None:
         """Schedule the trials of a workload."""
         participants = terms.participants
+        self._trial_timeout_s = terms.reserve.trial_timeout_s
         sizes = [0] if terms.reserve.asks else list(map(len, workload.genomes))
         sent = (max(sizes, default=0) + 16) * participants + 16
         answered = 8 * (participants + terms.metrics) + 4
@@ -105,6 +108,11 @@ class Schedule(msgspec.Struct, eq=False):
         server, now = batch.server, self.out.now
         batch.sent_at = server.pace.batch_at = now
         batch.due, batch.alone = self.due(server, batch.missing), alone
+        self.be_patient(batch)
+
+    def be_patient(self, batch: SentBatch) -> None:
+        """Give a server the time in which it sends an outcome of a batch if it computes."""
+        batch.give_up_at = self.out.now + patience_s(batch, self._trial_timeout_s)
 
     def answered(self, batch: SentBatch, trial_s: float) -> None:
         """Measure by a batch that was answered, whose trials took that long."""

@@ -12,7 +12,7 @@ from msgspec import structs
 
 from zswarm.errors import LocalProtocolError
 from zswarm.ot.cluster.allotment import Allotment
-from zswarm.ot.cluster.events import OpenQuery, Outbox
+from zswarm.ot.cluster.events import OpenQuery, Outbox, Superseded
 from zswarm.ot.cluster.matching import Terms
 from zswarm.ot.cluster.remote_server import MOVES, Phase, RemoteServer, Standing
 from zswarm.ot.cluster.roster import Roster
@@ -25,6 +25,9 @@ RETRY_S = (0.05, 0.2, 1.0)  # before a query that was not answered is sent again
 PAUSE_S = 1.0  # before a server that had no room, or that ended the lease, is asked again
 # Before a server that did not answer is asked again, unless it is seen before.
 BACK_OFF_S = 30.0
+# Before one is asked again that cannot serve now; longer each time, until it sends an outcome.
+SETBACKS_S = (5, 10, 20, 40, 80, 160, 320, 600)
+AGAIN_S = 1.0  # before the same is asked again of a server that had nothing new
 # Servers without a token that are remembered, for their leases may be resumed: more than can be
 # linked at a time. One that is restarted has another id.
 MAX_ABSENT = 10_000
@@ -39,16 +42,14 @@ class Servers(msgspec.Struct, eq=False):
     # Whose phase, slots or pause changed, by id: the caller revisits their batches.
     changed: dict[str, RemoteServer] = {}
     leaving: dict[str, RemoteServer] = {}  # those in the phase LEAVING
-    forgotten: list[
-        str
-    ] = []  # those that are not known any more; the caller takes them out
+    # Those that are not known any more; the caller takes them out.
+    forgotten: list[str] = []
     probe: bytes = b""  # digest of the probe's outcomes, once known
     differing: list[RemoteServer] = []  # with another digest; the caller takes them out
     roster: Roster = msgspec.field(default_factory=Roster)
     allotment: Allotment = msgspec.UNSET  # type: ignore[assignment]
-    _absent: dict[
-        str, RemoteServer
-    ] = {}  # IDLE and without a token, the longest in front
+    # IDLE and without a token, the longest in front.
+    _absent: dict[str, RemoteServer] = {}
     # When servers are due; an entry counts only if its server is still due then.
     _due: list[tuple[float, str]] = []
 
@@ -74,10 +75,12 @@ class Servers(msgspec.Struct, eq=False):
 
     # ---- events
 
-    def seen(self, name: str) -> None:
+    def seen(self, name: str, *, own: bool = False) -> None:
         """Ask a server whose token appeared; if only its link was cut, resume its lease."""
         server = self.known(name)
-        server.present = True
+        server.present, server.own = True, own
+        if own:
+            self.roster.own = name
         self._absent.pop(name, None)
         if server.phase == Phase.LEAVING:
             self._move(server, Phase.LEASED)
@@ -114,7 +117,7 @@ class Servers(msgspec.Struct, eq=False):
                 self._offered(server, reply)
             case "reserve" | "renew", Lease():
                 server.growing &= verb == "renew"
-                self._granted(server, reply)
+                self._granted(server, reply, verb)
             case _, Refused():
                 self._refused(server, verb, reply)
             case _:
@@ -241,17 +244,22 @@ class Servers(msgspec.Struct, eq=False):
 
     # ---- leases
 
-    def _granted(self, server: RemoteServer, lease: Lease) -> None:
-        was_ready = server.ready
-        server.lease, server.slots, server.ready = lease.lease, lease.slots, lease.ready
+    def _granted(self, server: RemoteServer, lease: Lease, verb: Verb) -> None:
+        was_ready, server.lease = server.ready, lease.lease
+        server.slots = min(lease.slots, server.wanted)
+        server.ready = ready = min(lease.ready, server.slots)
         self.roster.update(server)
         self.allotment.granted(server)
+        if lease.state == "failed" and lease.passing:
+            self.set_back(server, RunEvent.SERVER_UNPREPARED, lease.reason)
+            return
         if lease.state == "failed":
             self.drop(server, RunEvent.SERVER_REFUSED, lease.reason)
             return
         if server.phase == Phase.RESERVING:
             self._move(server, Phase.LEASED)
-            self.out.note(RunEvent(f"lease_{lease.state}"), server.id, count=lease.slots)
+            state = RunEvent(f"lease_{lease.state}")
+            self.out.note(state, server.id, count=server.slots)
         if lease.probe:
             server.probe = lease.probe
             if server.differs_at(self.probe) is not None:
@@ -261,12 +269,16 @@ class Servers(msgspec.Struct, eq=False):
         if not server.pace.trial_s:
             server.pace.trial_s = lease.trial_s
         self.ask_by(server, server.asked_at + RENEW_S)
-        if lease.ready != was_ready:
+        if ready != was_ready:
             self.changed[server.id] = server
             event = RunEvent.SERVER_SLOTS if was_ready else RunEvent.SERVER_JOINED
-            self.out.note(event, server.id, count=lease.ready)
-        if server.ready < min(server.wanted, server.capacity):
-            self._ask(server)  # the server answers when more slots are ready
+            self.out.note(event, server.id, count=ready)
+        if ready < min(server.wanted, server.capacity):
+            # The server answers when more slots are ready, or after a while.
+            if verb == "reserve" or ready > was_ready:
+                self._ask(server)
+            else:
+                self.ask_by(server, max(self.out.now, server.asked_at + AGAIN_S))
 
     def _refused(self, server: RemoteServer, verb: Verb, refused: Refused) -> None:
         match verb, refused.code:
@@ -276,12 +288,14 @@ class Servers(msgspec.Struct, eq=False):
                 self.drop(server, RunEvent.SERVER_REFUSED, refused.reason)
             case "reserve", _ if server.phase == Phase.LEASED:
                 self.drop(server, RunEvent.SERVER_REFUSED, refused.reason)
-            case "reserve", "superseded":
+            case "reserve", "superseded" if server.own:
                 self._move(server, Phase.IDLE)
                 self.out.failure = f"{server.id}: {refused.reason}"
             case _:
                 self._move(server, Phase.IDLE)
                 self.out.note(RunEvent.SERVER_REFUSED, server.id, refused.reason)
+                if refused.code == "superseded":
+                    self.out.commands.append(Superseded(server.id, refused.reason))
 
     def drop(self, server: RemoteServer, note: RunEvent, text: str) -> None:
         """Release the lease of a server; do not use it until its token appears again."""
@@ -300,6 +314,15 @@ class Servers(msgspec.Struct, eq=False):
         else:
             self.end(server, Phase.BACKED_OFF, again_s=PAUSE_S)
         self.out.note(RunEvent.LEASE_LOST, server.id, reason)
+
+    def set_back(self, server: RemoteServer, note: RunEvent, text: str) -> None:
+        """Release a server that cannot serve now; reserve again after a pause, a growing one."""
+        pause_s = SETBACKS_S[server.setbacks]
+        server.setbacks = min(server.setbacks + 1, len(SETBACKS_S) - 1)
+        to = Phase.BACKED_OFF if Phase.BACKED_OFF in MOVES[server.phase] else Phase.IDLE
+        if to in MOVES[server.phase]:
+            self.end(server, to, release=True, again_s=pause_s)
+        self.out.note(note, server.id, text, pause_s)
 
     def back_off(self, server: RemoteServer, verb: Verb) -> None:
         """Ask a server that did not answer repeatedly again only after a pause."""

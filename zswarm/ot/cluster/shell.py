@@ -18,7 +18,6 @@ from zswarm.ot.cluster.debounce import Newcomers
 from zswarm.ot.cluster.dispatch import Dispatch
 from zswarm.ot.cluster.events import Answered, Ask, Complete, Counted, Event, Retracted
 from zswarm.ot.cluster.links import RELEASE_S, Links
-from zswarm.ot.cluster.local import is_local
 from zswarm.ot.cluster.matching import Terms
 from zswarm.ot.cluster.remote_server import Phase, Standing
 from zswarm.ot.cluster.watch import Watch
@@ -39,7 +38,7 @@ ALONE_S = 5.0
 
 Item = Counted | Retracted | Note
 Dispute = events.Disputed | events.ProbeDisputed
-ForCaller = Item | Complete | events.Failed | Dispute
+ForCaller = Item | Complete | events.Failed | events.Superseded | Dispute
 Arbitrate = Callable[
     [Dispute, Workload | None], events.Arbitrated | events.ProbeArbitrated
 ]
@@ -50,6 +49,7 @@ class Cluster:
 
     Args:
         arbitrate: computes the outcome of a disputed trial, or the digest of the probe.
+        taken_over: returns whether another program resumed the run, as its record shows.
         local: endpoint of this machine's slots; "": there are none.
         controllers: those that servers ask; None: candidates are sent.
         watch: takes what happens, and may end it.
@@ -65,6 +65,7 @@ class Cluster:
         *,
         reach: Reach,
         arbitrate: Arbitrate,
+        taken_over: Callable[[], bool] = lambda: False,
         local: str = "",
         controllers: "RemoteControllers | None" = None,
         watch: Watch | None = None,
@@ -72,6 +73,7 @@ class Cluster:
         self.standing = Standing(probe=terms.probe)
         self._key, self._reach, self._local = key, reach, local
         self._controllers, self._arbitrate, self._watch = controllers, arbitrate, watch
+        self._taken_over = taken_over
         self._dispatch = Dispatch(terms)
         self._links = Links(
             key,
@@ -178,9 +180,12 @@ class Cluster:
 
         def post_findings() -> None:
             sessions, known = list(self._links.sessions), list(self._links.home)
-            for line in diagnosis.diagnose(
-                self._key.realm, sessions, self._reach, known=known
-            ):
+            realm, reach = self._key.realm, self._reach
+            try:
+                lines = diagnosis.diagnose(realm, sessions, reach, known=known)
+            except Exception as error:  # the run does not need it
+                lines = [f"it could not be found out why servers are missing: {error!r}"]
+            for line in lines:
                 self._post(Note(RunEvent.DIAGNOSIS, "", line))
 
         threading.Thread(target=post_findings, name="diagnosis", daemon=True).start()
@@ -195,6 +200,10 @@ class Cluster:
                 raise item
             case events.Failed():
                 raise EvaluationError(item.reason)
+            case events.Superseded():
+                if self._taken_over():
+                    raise EvaluationError(f"{item.server}: {item.reason}")
+                return None
             case events.Disputed() | events.ProbeDisputed():
                 self._inbox.put(self._arbitrate(item, self._workload))
                 return None
@@ -218,7 +227,7 @@ class Cluster:
         return known.slots if known is not None else 1
 
     def _on_alone(self) -> None:
-        if all(map(is_local, list(self._links.home))):
+        if set(self._links.home) <= {self._links.own}:
             self.diagnose()
 
     # ---- the owner of the state

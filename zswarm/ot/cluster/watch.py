@@ -8,13 +8,14 @@ import msgspec
 
 from zswarm.config.sections import ClusterConfig
 from zswarm.errors import EvaluationError
-from zswarm.ot.cluster.local import LocalServer, is_local
+from zswarm.ot.cluster.local import LocalServer
 from zswarm.ot.cluster.remote_server import Standing
 from zswarm.ot.notes import Note, RunEvent
 
 PREPARING_S = 1.0  # of a server, before it is reported
 PAUSE_S = 3.0  # without any server, before it is reported
 HINT = "zswarm-ot doctor explains why, docs/network.md what to do"
+REFUSALS = RunEvent.SERVER_REFUSED, RunEvent.SERVER_MISMATCH
 NOBODY_YET = "no slot is ready yet: waiting for one (Ctrl-C stops; nothing is lost)"
 NOBODY = "no server computes now: waiting for one (Ctrl-C stops; nothing is lost)"
 
@@ -30,6 +31,7 @@ class Watch(msgspec.Struct, eq=False):
     check: Callable[[], None]  # raises Stopped when the run is to end
     _begun: float = msgspec.field(default_factory=time.monotonic)
     _met: bool = False  # a server of the network
+    _ever_served: bool = False
     # Or when the workload began.
     _served_at: float = msgspec.field(default_factory=time.monotonic)
     _served: bool = False
@@ -49,12 +51,12 @@ class Watch(msgspec.Struct, eq=False):
         self.check()
         options, local = self.options, self.local
         if isinstance(item, Note):
-            self._met = self._met or (bool(item.server) and not is_local(item.server))
+            own = item.server == standing.own != ""
+            self._met = self._met or bool(item.server and not own)
             others = bool(options.require) and options.servers != "local"
-            refused = item.event in (
-                RunEvent.SERVER_REFUSED,
-                RunEvent.SERVER_MISMATCH,
-            ) and is_local(item.server)
+            # Slots that were ready before may be again.
+            unready = item.event == RunEvent.SERVER_UNPREPARED and not self._ever_served
+            refused = own and (item.event in REFUSALS or unready)
             if refused and not others and local is not None and not standing.serving:
                 raise EvaluationError(item.text)
         silent = self._met or self.hinted.is_set() or options.servers == "local"
@@ -74,7 +76,7 @@ class Watch(msgspec.Struct, eq=False):
         local, idle_s = self.local, time.monotonic() - self._served_at
         if standing.serving:
             self.begin()
-            self._served = True
+            self._served = self._ever_served = True
         elif local is not None and (words := local.ended()):
             raise EvaluationError(f"the slots of this machine ended: {words}")
         elif standing.preparing:

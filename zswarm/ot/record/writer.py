@@ -179,6 +179,11 @@ class Record(Recorded):
         """Return a value, or None."""
         return self._meta.get(key)
 
+    def taken_over(self) -> bool:
+        """Return whether another program resumed the run: it raised the epoch on the disk."""
+        now = self._value("SELECT value FROM meta WHERE key = 'epoch'")
+        return bool(now > self.meta("epoch"))
+
     def set_meta(self, key: str, value: Any) -> None:
         """Set a value and wait until it is on the disk."""
         self._meta[key] = value
