@@ -92,7 +92,10 @@ class Link:
     def ask(self, question: int, message: messages.Request) -> None:
         """Send from the optimizer to the server."""
         world = self.world
-        self.open[question] = verb = messages.verb(message)
+        verb = messages.verb(message)
+        if world.chance(world.failing):
+            return  # it never ends, as if the link's own program had a bug
+        self.open[question] = verb
         world.at(QUERY_S[verb], lambda: self._arrive(question, None))
         if self.state in ("down", "mute") or world.chance(world.failing):
             world.soon(lambda: self._arrive(question, None))

@@ -56,6 +56,7 @@ class Optimizer(Node[events.Event]):
         experiment: Experiment,
         *,
         verify: float,
+        second_starts: bool = True,
         epoch: int = 0,
         journal: Journal | None = None,
     ) -> None:
@@ -66,7 +67,7 @@ class Optimizer(Node[events.Event]):
             epoch,
             verify,
         )
-        self.nonce = world.random.randbytes(16)
+        self.nonce, self.second_starts = world.random.randbytes(16), second_starts
         self.journal = journal or Journal()
         self.links: dict[str, Link] = {}  # by server
         self.left = False  # it is done
@@ -94,6 +95,7 @@ class Optimizer(Node[events.Event]):
                 metrics=1,
                 quarantine=True,
                 verify=verify,
+                second_starts=second_starts,
             )
         )
         self.workload = experiment.workload(None)  # the one that runs
@@ -176,9 +178,12 @@ class Optimizer(Node[events.Event]):
                 case events.Complete():
                     self._finish()
                 case events.Failed():
-                    if "taken over" not in command.reason or not self.superseded:
-                        world.fail(f"{self.run} failed: {command.reason}")
-                    self.end()
+                    world.fail(f"{self.run} failed: {command.reason}")
+                case events.Superseded():
+                    if self.superseded:  # as the record of its run shows
+                        self.end()
+                case Note(event="answer_failed"):
+                    world.fail(f"{self.run}: {command.text}")
                 case Note():
                     self._missed |= (
                         command.event == "unverified"
@@ -265,6 +270,7 @@ class Optimizer(Node[events.Event]):
             self.world,
             self.experiment,
             verify=self.verify,
+            second_starts=self.second_starts,
             epoch=self.epoch + 1,
             journal=journal,
         )

@@ -12,6 +12,7 @@ from .server import DEATHS, Server
 from .world import BOUND_S, CALM_S, CHAOS_S, END_S, World
 
 LINK_TIMEOUT_S = 8.0
+STUCK_S = 1000.0  # in which a server of 40 trials is to send an outcome
 LASTS_S = [0.1, 0.1, 3.0, 20.0, 70.0]  # faults
 FAULTS = [
     *("down", "mute", "deaf", "slow"),  # a server's link
@@ -49,6 +50,8 @@ class Lab:
         self.alone = draw.random() < 0.15
         # One server computes some trials wrong, and all are verified.
         self.liar = not self.alone and draw.random() < 0.15
+        # One answers for ever that it computes.
+        self.stuck = not self.alone and draw.random() < 0.15
         if self.alone:
             self.add_server(sound=True).alone = True
             self._add_run("run-1")
@@ -58,13 +61,22 @@ class Lab:
             self.world.at(draw.choice([0.0, 5.0]), self.add_server)
         if self.liar:
             self.add_server(sound=True, lies=0.3)
+        if self.stuck:
+            self.add_server(sound=True, stuck=True)
         for run in ["run-1", "run-2", "run-3"][: draw.randint(1, 3)]:
             self._add_run(run)
 
-    def add_server(self, *, sound: bool = False, lies: float = 0.0) -> Server:
+    def add_server(
+        self, *, sound: bool = False, lies: float = 0.0, stuck: bool = False
+    ) -> Server:
         """Start a server."""
         server = Server(
-            self.world, next(self._numbers), self._deaths, sound=sound, lies=lies
+            self.world,
+            next(self._numbers),
+            self._deaths,
+            sound=sound,
+            lies=lies,
+            stuck=stuck,
         )
         self.servers.append(server)
         for optimizer in self.optimizers:
@@ -82,7 +94,11 @@ class Lab:
             trials=draw.randint(1, 5),
         )
         verify = 1.0 if self.liar else draw.choice([0.0, 0.0, 0.2])
-        self.add_optimizer(Optimizer(self.world, experiment, verify=verify))
+        # A stuck server's trials are to come back also where none is started twice.
+        twice = not (self.stuck and draw.random() < 0.5)
+        self.add_optimizer(
+            Optimizer(self.world, experiment, verify=verify, second_starts=twice)
+        )
 
     def add_optimizer(self, optimizer: Optimizer) -> None:
         """Start an optimizer."""
@@ -196,18 +212,19 @@ class Lab:
             link.set("up")
         if not any(server.good() for server in self.servers):
             self.add_server(sound=True)
-        world.run(world.now + BOUND_S, self._done)
+        bound_s = BOUND_S + STUCK_S * self.stuck
+        world.run(world.now + bound_s, self._done)
         standing = self._standing()
         undone = not all(optimizer.left for optimizer in standing)
         if undone and all(
-            optimizer.progressed_at < world.now - BOUND_S for optimizer in standing
+            optimizer.progressed_at < world.now - bound_s for optimizer in standing
         ):
             world.fail("no run makes progress")
         for optimizer in self._standing():
             if (
                 not optimizer.left
                 and max(optimizer.progressed_at, optimizer.unserved_at)
-                < world.now - BOUND_S
+                < world.now - bound_s
             ):
                 world.fail(f"{optimizer.run} has slots and makes no progress")
         world.run(END_S, self._done)

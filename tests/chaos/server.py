@@ -13,9 +13,11 @@ from .problem import Trial, outcome, poisonous
 from .world import Node, World
 
 TICK_S = 0.25
+HELD_S = 30.0  # by a server that answers "running" for ever, as an honest one does
 TRIAL_TIMEOUT_S = 20.0
 PROBE, WRONG_PROBE = b"p" * 16, b"w" * 16
-WRONG, LIAR = "-wrong", "-liar"  # ends of the ids of servers that are
+# Ends of the ids of servers that are, or that compute nothing and answer "running".
+WRONG, LIAR, STUCK = "-wrong", "-liar", "-stuck"
 # Of a worker by chance at one trial: one fewer than would put it in quarantine.
 DEATHS = 2
 
@@ -31,6 +33,7 @@ class Server(Node[events.Event]):
         *,
         sound: bool,
         lies: float,
+        stuck: bool = False,
     ) -> None:
         super().__init__(world)
         self.links: dict[str, Link] = {}  # by optimizer
@@ -38,8 +41,9 @@ class Server(Node[events.Event]):
         # It computes other numbers, which the probe shows.
         self.wrong = not sound and world.random.random() < 0.05
         # Share of the trials with other numbers; the probe is never among them.
-        self.lies = lies
-        self.id = f"ss-{number}{WRONG if self.wrong else LIAR if lies else ''}"
+        self.lies, self.stuck = lies, stuck
+        kind = WRONG if self.wrong else LIAR if lies else STUCK if stuck else ""
+        self.id = f"ss-{number}{kind}"
         self.broken = not sound and world.random.random() < 0.05  # cannot be prepared
         # Every third trial ends its process.
         self.faulty = not sound and world.random.random() < 0.05
@@ -76,6 +80,7 @@ class Server(Node[events.Event]):
             self.ended
             or self.wrong
             or self.lies
+            or self.stuck
             or self.broken
             or self.faulty
             or self.slots.draining
@@ -86,6 +91,11 @@ class Server(Node[events.Event]):
         if self.frozen:
             self.when_awake(lambda: self.receive(link, question, message))
             return
+        if self.stuck and isinstance(message, messages.Evaluate):
+            running = messages.Running(batch=message.batch, done=0, given=True)
+            body = codec.encode(running)
+            self.world.at(HELD_S, lambda: self.answer_late(link, question, body))
+            return
         query = next(self._queries)
         self.pending[query] = (link, question)
         token = getattr(message, "lease", b"")
@@ -95,6 +105,11 @@ class Server(Node[events.Event]):
         ):
             self.world.fail(f"{self.id}: a lease is used by two")
         self.handle(events.Asked(query, "user", link.optimizer.run, message))
+
+    def answer_late(self, link: Link, question: int, body: bytes) -> None:
+        """Answer a question that was held for a while."""
+        if not self.ended:
+            self.when_awake(lambda: link.answer(question, body))
 
     def react(self, event: events.Event) -> None:
         """Give the slot table an event and execute its commands."""

@@ -3,6 +3,7 @@
 A seed that fails names the line that replays it, such as ``make chaos SEED=17``.
 """
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from zswarm.ot.cluster.bans import Bans
 from zswarm.ot.cluster.batches import Batches
 from zswarm.ot.cluster.dispatch import Dispatch
-from zswarm.ot.cluster.events import Answered, Counted
+from zswarm.ot.cluster.events import Answered, Counted, Outbox
 from zswarm.ot.cluster.queue import QueuedTrials
 from zswarm.ot.cluster.remote_server import SentBatch
 from zswarm.ot.cluster.second_starts import SecondStarts
@@ -111,13 +112,13 @@ def a_lease_is_never_freed(patch: pytest.MonkeyPatch) -> None:
 
 def a_lost_requeue(patch: pytest.MonkeyPatch) -> None:
     """Do not queue the unanswered trials of a server again, one time in four."""
-    requeue = Batches._requeue
+    requeue = Batches.requeue
 
     def loses(self: Batches, entry: QueuedTrials) -> None:
         if self.out.number() % 4:
             requeue(self, entry)
 
-    patch.setattr(Batches, "_requeue", loses)
+    patch.setattr(Batches, "requeue", loses)
 
 
 def a_batch_is_not_kept(patch: pytest.MonkeyPatch) -> None:
@@ -178,6 +179,17 @@ def a_copy_is_of_another_trial(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(Batches, "ask", asks)
 
 
+def a_question_without_deadline(patch: pytest.MonkeyPatch) -> None:
+    """Trust the link to end every question."""
+    patch.setattr(Outbox, "overdue", lambda _: [])
+    patch.setattr(Outbox, "_deadline", lambda _: math.inf)
+
+
+def a_batch_may_run_for_ever(patch: pytest.MonkeyPatch) -> None:
+    """Believe a server that it computes, however long it sends no outcome."""
+    patch.setattr("zswarm.ot.cluster.schedule.patience_s", lambda *_: math.inf)
+
+
 PLANTED: list[Callable[[pytest.MonkeyPatch], None]] = [
     no_dedupe,
     a_lease_is_never_freed,
@@ -190,6 +202,8 @@ PLANTED: list[Callable[[pytest.MonkeyPatch], None]] = [
     a_lost_copy_is_sent_again,
     a_failed_copy_is_sent_again,
     a_copy_is_of_another_trial,
+    a_question_without_deadline,
+    a_batch_may_run_for_ever,
 ]
 
 
