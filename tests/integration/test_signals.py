@@ -217,7 +217,7 @@ def test_a_stopped_fork_server_is_reported_when_a_slot_needs_a_process(
 def test_a_copy_that_is_resumed_takes_over_from_a_stopped_optimizer(
     scene: Scene, undisturbed: Undisturbed
 ) -> None:
-    """The stopped program continues later: it ends with one line, and its record is intact."""
+    """The stopped program continues later: it is refused, and its record is intact."""
     server, pace = scene.server("ss", capacity=2)
     old = scene.optimizer(server.endpoint)
     wait_until(lambda: scene.counted() > 30, "some trials are counted")
@@ -233,11 +233,12 @@ def test_a_copy_that_is_resumed_takes_over_from_a_stopped_optimizer(
     )
     assert len(server.events("lease_taken_over")) == 1
     scene.go_on(old.process.pid)
-    assert old.wait() == 1
-    *_, reason, last = old.err.read_text().splitlines()
-    assert reason.startswith("zswarm-ot: ss-")
+    refusal = "refused: the run was taken over: its epoch is 1, not 0; "
+    wait_until(lambda: refusal in old.err.read_text(), "it is refused")
+    old.kill(signal.SIGINT)
+    assert old.wait() == 130
+    last = old.err.read_text().splitlines()[-1]
     assert last.startswith("stopped; nothing is lost. Resume with: ")
-    assert "the run was taken over: its epoch is 1, not 0; " in reason
     assert "Traceback" not in old.err.read_text()
     assert kept <= scene.counted() < undisturbed.trials
     scene.check(scene.optimizer(server.endpoint, resume=scene.run).done(), undisturbed)
