@@ -164,7 +164,7 @@ def pairs() -> Iterator[Any]:
 
 
 def pid(of: Worker) -> int:
-    """Wait for the process's id: it may report before the thread that started it has read the id."""
+    """Return the process's id, which its parent may read only after the process reported."""
     assert of._process is not None
     end = time.monotonic() + ANSWER_S
     while of._process.pid is None:
