@@ -194,11 +194,8 @@ class Connection:
         asked = terms(
             experiment, options, simulator, epoch=epoch, slots=slots, probe=probe
         )
-        controllers = None
-        if asked.reserve.asks:
-            controllers = RemoteControllers(
-                problem.representation, simulator.participants
-            )
+        hosted = problem.representation, simulator.participants
+        controllers = RemoteControllers(*hosted) if asked.reserve.asks else None
         name = experiment.problem.simulator
         watch = Watch(options, name, local, hinted=self._hinted, say=say, check=check)
         cluster = Cluster(

@@ -154,6 +154,8 @@ def read_reply(body: bytes) -> Reply | str:
         return codec.decode_reply(body)
     except RemoteProtocolError as error:
         return str(error)
+    except Exception as error:  # no memory, or a bug: only this answer is lost
+        return f"it cannot be decoded: {error!r}"
 
 
 class RoundTrips(NamedTuple):

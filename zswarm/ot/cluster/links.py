@@ -143,29 +143,33 @@ class Links(msgspec.Struct, eq=False):
 
         at_once = False
         if isinstance(message, Evaluate):
-            size = sum(map(len, message.genomes)) + 8 * len(message.genomes)
-            size += len(message.participants) + len(message.seeds)
-            link_busy = (
-                self._unanswered
-                if self.reach.through_router
-                else self._waited_for[server]
-            )
-            at_once = may_block and size < AT_ONCE and not link_busy
+            at_once = self._takes_at_once(server, message) and may_block
             self._unanswered[ask.question] = server
             self._waited_for[server] += 1
-        try:
-            if server not in self.senders:
-                failed = partial(self._failed_at, f"sending to {server}")
-                self.senders[server] = session.Sender(server, failed)
-            sent = self.senders[server].send(send, at_once=at_once)
-        except Exception as error:  # no thread can be started
-            self._failed_at(f"sending to {server}", error)
-            sent = False
-        if not sent:
+        if not self._hand_over(server, send, at_once=at_once):
             on_answer(None)
 
+    def _takes_at_once(self, server: str, message: Evaluate) -> bool:
+        """Return whether zenoh takes a batch without waiting."""
+        size = sum(map(len, message.genomes)) + 8 * len(message.genomes)
+        size += len(message.participants) + len(message.seeds)
+        shared = self.reach.through_router
+        link_busy = self._unanswered if shared else self._waited_for[server]
+        return size < AT_ONCE and not link_busy
+
+    def _hand_over(self, server: str, send: Callable[[], None], *, at_once: bool) -> bool:
+        """Have the server's thread make a call; return False if it cannot."""
+        failed = partial(self._failed_at, f"sending to {server}")
+        try:
+            if server not in self.senders:
+                self.senders[server] = session.Sender(server, failed)
+            return self.senders[server].send(send, at_once=at_once)
+        except Exception as error:  # no thread can be started
+            failed(error)
+            return False
+
     def _failed_at(self, what: str, error: BaseException) -> None:
-        """Report what failed in a thread of its own, or in one of zenoh's: the run goes on."""
+        """Report what failed in a thread, which may be one of zenoh's; the run continues."""
         self.post(Note(RunEvent.DIAGNOSIS, "", f"{what} failed: {error!r}"))
 
     def _open_through_router(self) -> None:
