@@ -9,6 +9,8 @@ functions from this file only.
 # mypy: disable-error-code=no-untyped-def
 # because numba infers the types of kernels.
 
+from typing import Any
+
 import numpy as np
 
 from zswarm.kernels.jit import inline
@@ -169,7 +171,7 @@ def log(x: np.ndarray) -> np.ndarray:
     return found
 
 
-def log_of_parts(f, k):
+def log_of_parts(f: Any, k: Any) -> Any:
     """Return the logarithm of (1 + f) 2^k, with 1 + f near 1."""
     s = f / (2.0 + f)
     z = s * s

@@ -11,6 +11,7 @@ generator: every purpose has a stream with a separate seed.
 
 import hashlib
 import struct
+from typing import Any
 
 import numpy as np
 
@@ -178,7 +179,7 @@ def _quantiles(p: np.ndarray) -> np.ndarray:
     return values
 
 
-def quotient(polynomials, x):
+def quotient(polynomials: Any, x: Any) -> Any:
     """Return the quotient of two polynomials, evaluated at x, also of arrays."""
     a, b = polynomials
     above = ((a[7] * x + a[6]) * x + a[5]) * x + a[4]

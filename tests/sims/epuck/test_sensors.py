@@ -143,7 +143,9 @@ def test_a_robot_hears_others_as_recorded() -> None:
 def test_robots_and_walls_hide_messages_as_recorded() -> None:
     made = world(3)
     for row in rows("rab_occl"):
-        for robot, (x, y) in enumerate([(0.0, 0.0), (0.4, 0.0), (0.2, float(row.parts[1]))]):
+        for robot, (x, y) in enumerate(
+            [(0.0, 0.0), (0.4, 0.0), (0.2, float(row.parts[1]))]
+        ):
             place(made, robot, x, y, 0.0)
         sensors.sense(made)
         assert made.robots[HEARD, row.robot] == row.numbers[0]
