@@ -10,6 +10,7 @@ in each of ten substeps. docs/epuck.md has the equations.
 
 from zswarm.kernels.jit import inline, sqrt
 from zswarm.kernels.portable import cos, sin
+from zswarm.sims.epuck.walls import first_near, is_near
 from zswarm.sims.epuck.world import (
     ANGLE,
     CENTRE_X,
@@ -43,6 +44,7 @@ from zswarm.sims.epuck.world import (
 SUBSTEPS = 10
 SUBSTEP_S = 0.01
 ITERATIONS = 10
+SETTLED = 1e-15  # N s; a millionth of a millionth of what a motor can do
 PER_MASS = 1.0 / MASS
 INERTIA = (
     0.5 * MASS * (2.0 * RADIUS) * (2.0 * RADIUS)
@@ -108,22 +110,21 @@ def list_pairs(world):
     bodies = number + world.walls.shape[0]
     fastest = 0.0
     for robot in range(number):
-        speed = robots[SPEED_X, robot] ** 2 + robots[SPEED_Y, robot] ** 2
-        target = robots[TARGET_X, robot] ** 2 + robots[TARGET_Y, robot] ** 2
-        fastest = max(fastest, speed, target)
+        x = robots[SPEED_X, robot]
+        y = robots[SPEED_Y, robot]
+        fastest = max(fastest, x * x + y * y)
+        x = robots[TARGET_X, robot]
+        y = robots[TARGET_Y, robot]
+        fastest = max(fastest, x * x + y * y)
     reach = 1.5 * SUBSTEPS * SUBSTEP_S * sqrt(fastest)  # of a robot in a step
     apart = 2.0 * (RADIUS + reach)
     found = 0
     for robot in range(number):
         x = robots[X, robot]
         y = robots[Y, robot]
-        for wall in range(bodies - number - 1, -1, -1):
-            box = world.walls[wall]
-            dx = x - box[CENTRE_X]
-            dy = y - box[CENTRE_Y]
-            along = abs(dx * box[WALL_COSINE] + dy * box[WALL_SINE]) - box[HALF_LENGTH]
-            across = abs(dy * box[WALL_COSINE] - dx * box[WALL_SINE]) - box[HALF_WIDTH]
-            if max(along, across) < RADIUS + reach:
+        first = first_near(world, x, y, RADIUS + reach)
+        for wall in range(bodies - number - 1, first - 1, -1):
+            if is_near(world.walls[wall], x, y, RADIUS + reach):
                 world.pairs[found] = robot * bodies + number + wall
                 found += 1
         for other in range(number - 1, robot, -1):
@@ -271,13 +272,54 @@ def solve(world, contacts):
             robots[SPEED_X, robot] += robots[PUSH_X, robot] * PER_MASS
             robots[SPEED_Y, robot] += robots[PUSH_Y, robot] * PER_MASS
             robots[SPIN, robot] += robots[PUSH_SPIN, robot] * PER_INERTIA
-    for _ in range(ITERATIONS):
-        for index in range(contacts):
-            separate(world, world.contacts[index])
-        for robot in range(world.number):
-            if robots[TOUCHES, robot] > 0.0:
-                pull(robots, robot)
+    connect(world, contacts)
+    for first in range(world.number):
+        if robots[TOUCHES, first] > 0.0 and world.groups[first] == first:
+            settle(world, contacts, first)
     robots[TOUCHES] = 0.0
+
+
+@inline(counts=False, inner=True)
+def connect(world, contacts):
+    """Give robots that touch each other, also through others, the number of the first of them."""
+    groups = world.groups
+    for robot in range(world.number):
+        groups[robot] = robot
+    changed = True
+    while changed:
+        changed = False
+        for index in range(contacts):
+            other = int(world.contacts[index, SECOND])
+            if other < world.number:
+                robot = int(world.contacts[index, FIRST])
+                if groups[robot] != groups[other]:
+                    groups[robot] = groups[other] = min(groups[robot], groups[other])
+                    changed = True
+
+
+@inline(counts=False, inner=True)
+def settle(world, contacts, group):
+    """Find the velocities of a group of robots that touch each other."""
+    robots = world.robots
+    members = 0
+    for robot in range(group, world.number):
+        if world.groups[robot] == group:
+            world.members[members] = robot
+            members += 1
+    listed = members
+    for index in range(contacts):
+        if world.groups[int(world.contacts[index, FIRST])] == group:
+            world.members[listed] = index
+            listed += 1
+    for _ in range(ITERATIONS):
+        change = 0.0
+        for at in range(members, listed):
+            contact = world.contacts[world.members[at]]
+            change = max(change, separate(world, contact))
+        for at in range(members):
+            change = max(change, pull(robots, world.members[at]))
+        if change < SETTLED:  # further iterations change nothing that matters
+            break
 
 
 @inline(counts=False, inner=True)
@@ -330,7 +372,11 @@ def push(world, contact, along, across):
 
 @inline(counts=False, inner=True)
 def separate(world, contact):
-    """Stop the approach of a contact, and its sliding as far as friction does."""
+    """Stop the approach of a contact, and its sliding as far as friction does.
+
+    Returns:
+        how much the impulses changed, N s.
+    """
     robots = world.robots
     robot = int(contact[FIRST])
     other = int(contact[SECOND])
@@ -347,12 +393,19 @@ def separate(world, contact):
     impulses[0] = max(old_along - along * contact[ALONG_MASS], 0.0)
     most = contact[FRICTION] * impulses[0]
     impulses[1] = min(max(old_across - across * contact[ACROSS_MASS], -most), most)
-    push(world, contact, impulses[0] - old_along, impulses[1] - old_across)
+    along = impulses[0] - old_along
+    across = impulses[1] - old_across
+    push(world, contact, along, across)
+    return max(abs(along), abs(across))
 
 
 @inline(counts=False, inner=True)
 def pull(robots, robot):
-    """Let the motors of a robot pull its velocities to their targets, within their force."""
+    """Let the motors of a robot pull its velocities to their targets, within their force.
+
+    Returns:
+        how much the impulses changed, N s and N m s.
+    """
     old_x = robots[PUSH_X, robot]
     old_y = robots[PUSH_Y, robot]
     x = old_x + MASS * (robots[TARGET_X, robot] - robots[SPEED_X, robot])
@@ -371,3 +424,4 @@ def pull(robots, robot):
     spin = min(max(spin, -MOST_IMPULSE), MOST_IMPULSE)
     robots[PUSH_SPIN, robot] = spin
     robots[SPIN, robot] += (spin - old) * PER_INERTIA
+    return max(abs(x - old_x), abs(y - old_y), abs(spin - old))

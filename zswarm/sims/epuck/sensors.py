@@ -12,17 +12,14 @@ import numpy as np
 from zswarm.kernels.jit import inline, sqrt
 from zswarm.kernels.portable import PI, atan2, cos, exp, sin
 from zswarm.kernels.random import draw_uniform
+from zswarm.sims.epuck.walls import first_near, is_near, to_box
 from zswarm.sims.epuck.world import (
     ANGLE,
-    CENTRE_X,
-    CENTRE_Y,
     COSINE,
     DISC,
     GREY,
     GROUND,
     GROUND_NOISE,
-    HALF_LENGTH,
-    HALF_WIDTH,
     HEARD,
     HEARD_X,
     HEARD_Y,
@@ -44,9 +41,7 @@ from zswarm.sims.epuck.world import (
     SINE,
     SIZE_X,
     SIZE_Y,
-    WALL_COSINE,
     WALL_HEIGHT,
-    WALL_SINE,
     X,
     Y,
 )
@@ -154,31 +149,6 @@ def hidden(world, robot, other, dx, dy):
 
 
 @inline(counts=False, inner=True)
-def to_box(box, x, y, dx, dy):
-    """Return the part of a way after which it enters a box; 2 if it does not."""
-    from_x = x - box[CENTRE_X]
-    from_y = y - box[CENTRE_Y]
-    along = from_x * box[WALL_COSINE] + from_y * box[WALL_SINE]
-    across = from_y * box[WALL_COSINE] - from_x * box[WALL_SINE]
-    to_along = dx * box[WALL_COSINE] + dy * box[WALL_SINE]
-    to_across = dy * box[WALL_COSINE] - dx * box[WALL_SINE]
-    if along < 0.0:
-        along, to_along = -along, -to_along
-    if across < 0.0:
-        across, to_across = -across, -to_across
-    # From the first quadrant two faces are visible.
-    if along > box[HALF_LENGTH] and to_along < 0.0:
-        part = (box[HALF_LENGTH] - along) / to_along
-        if part < 1.0 and abs(across + part * to_across) <= box[HALF_WIDTH]:
-            return part
-    if across > box[HALF_WIDTH] and to_across < 0.0:
-        part = (box[HALF_WIDTH] - across) / to_across
-        if part < 1.0 and abs(along + part * to_along) <= box[HALF_LENGTH]:
-            return part
-    return 2.0
-
-
-@inline(counts=False, inner=True)
 def hear(robots, robot, dx, dy, distance):
     """Count a message, and add its vector: 1 / (1 + the distance of the bodies in cm) long."""
     ahead = dx * robots[COSINE, robot] + dy * robots[SINE, robot]
@@ -199,13 +169,9 @@ def see_walls(world, robot):
     y = robots[Y, robot]
     cosine = robots[COSINE, robot]
     sine = robots[SINE, robot]
-    for wall in range(world.walls.shape[0]):
+    for wall in range(first_near(world, x, y, RING + RAY), world.walls.shape[0]):
         box = world.walls[wall]
-        dx = x - box[CENTRE_X]
-        dy = y - box[CENTRE_Y]
-        along = abs(dx * box[WALL_COSINE] + dy * box[WALL_SINE]) - box[HALF_LENGTH]
-        across = abs(dy * box[WALL_COSINE] - dx * box[WALL_SINE]) - box[HALF_WIDTH]
-        if max(along, across) >= RING + RAY:
+        if not is_near(box, x, y, RING + RAY):
             continue
         for sensor in range(SENSORS):
             ray_x = RAY_X[sensor] * cosine - RAY_Y[sensor] * sine

@@ -43,6 +43,7 @@ DODECAGON = [
     (-0.615, 1.066, -60), (-1.066, 0.615, -30), (0.615, -1.066, -60), (1.066, -0.615, -30),
 ]  # fmt: skip
 HALF_THICKNESS, HALF_WALL, WALL_TOP = 0.005, 0.33, 0.08  # m
+FREE = 1.225  # m, the radius of a disc that fits in
 PLACING = 1.2  # m, the radius of the disc in which robots start
 HALF_SIDE = 1.25  # m, of pictures
 
@@ -123,6 +124,7 @@ class Epuck(Teams):
             number=number,
             model=model,
             outer_walls=len(DODECAGON),
+            free=FREE,
             hearing=mission.hearing,
             placing=PLACING,
             noise=np.array(REALITIES[settings.reality]),
@@ -137,6 +139,8 @@ class Epuck(Teams):
             contacts=np.zeros((pairs + 1, CONTACT_COLUMNS)),
             impulses=np.zeros((pairs, 2)),
             touched=np.zeros(pairs, np.int64),
+            groups=np.zeros(number, np.int64),
+            members=np.zeros(number + pairs, np.int64),
             cells=np.zeros(missions.CELLS**2),
             tally=np.zeros(1),
             counts=np.zeros(COUNTS, np.int64),

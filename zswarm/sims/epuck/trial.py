@@ -14,18 +14,13 @@ from zswarm.kernels.jit import inline
 from zswarm.kernels.portable import PI, cos, sin
 from zswarm.kernels.random import draw_normal, draw_uniform
 from zswarm.sims.epuck import missions, physics, reference_models, sensors
+from zswarm.sims.epuck.walls import square_to
 from zswarm.sims.epuck.world import (
     ANGLE,
-    CENTRE_X,
-    CENTRE_Y,
-    HALF_LENGTH,
-    HALF_WIDTH,
     LEFT,
     RADIUS,
     RIGHT,
     STEP_NUMBER,
-    WALL_COSINE,
-    WALL_SINE,
     WHEEL_NOISE,
     X,
     Y,
@@ -84,14 +79,8 @@ def is_free(world, robot):
         if other != robot and dx * dx + dy * dy < 4.0 * RADIUS * RADIUS:
             return False
     for wall in range(world.walls.shape[0]):
-        box = world.walls[wall]
-        dx = robots[X, robot] - box[CENTRE_X]
-        dy = robots[Y, robot] - box[CENTRE_Y]
-        along = abs(dx * box[WALL_COSINE] + dy * box[WALL_SINE]) - box[HALF_LENGTH]
-        across = abs(dy * box[WALL_COSINE] - dx * box[WALL_SINE]) - box[HALF_WIDTH]
-        along = max(along, 0.0)
-        across = max(across, 0.0)
-        if along * along + across * across < RADIUS * RADIUS:
+        square = square_to(world.walls[wall], robots[X, robot], robots[Y, robot])
+        if square < RADIUS * RADIUS:
             return False
     return True
 

@@ -68,6 +68,7 @@ class EpuckWorld(NamedTuple):
     outer_walls: (
         int  # the first of ``walls``, which hide nothing because the arena is convex
     )
+    free: float  # m, the radius of the disc around the middle without outer walls
     hearing: float  # m, the range of messages
     placing: float  # m, the radius of the disc in which robots start
     noise: Float64s
@@ -82,6 +83,8 @@ class EpuckWorld(NamedTuple):
     contacts: Float64Rows  # that touch in this substep, see ``contacts``
     impulses: Float64Rows  # (pairs, 2) along and across the normal
     touched: Int64s  # (pairs,) the last substep of a contact
+    groups: Int64s  # (robots,) the first robot of those that touch each other
+    members: Int64s  # (robots + pairs,) the robots and the contacts of such a group
     cells: Float64s  # counters of grid exploration
     tally: Float64s
     counts: Int64s
