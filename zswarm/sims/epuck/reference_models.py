@@ -7,10 +7,8 @@ the equations, and what the implementations do beyond them.
 # mypy: disable-error-code=no-untyped-def
 # because numba infers the types of kernels.
 
-import numpy as np
-
 from zswarm.kernels.jit import inline, sqrt
-from zswarm.kernels.portable import PI, cos, exp, sin
+from zswarm.kernels.portable import PI, exp
 from zswarm.kernels.random import draw_uniform
 from zswarm.sims.epuck.sensors import ANGLES_X, ANGLES_Y, SENSORS
 from zswarm.sims.epuck.world import (
@@ -23,6 +21,7 @@ from zswarm.sims.epuck.world import (
     PROXIMITY,
     STEP_NUMBER,
     VOTES,
+    unit_vectors,
 )
 
 BRIGHT = 0.2  # a reading above it sees a lamp
@@ -32,8 +31,7 @@ DARK_GROUND, BRIGHT_GROUND = (
 )  # a reading below or above it votes for black or white
 MAJORITY = 10  # votes of 15; more decide
 DIRECTIONS = [PI / 4, 3 * PI / 4, 5 * PI / 4, 7 * PI / 4]
-DIRECTIONS_X = np.array([cos(angle) for angle in DIRECTIONS])
-DIRECTIONS_Y = np.array([sin(angle) for angle in DIRECTIONS])
+DIRECTIONS_X, DIRECTIONS_Y = unit_vectors(DIRECTIONS)
 QUADRANTS = "front_left", "back_left", "back_right", "front_right"
 SENSOR_NAMES = {
     1: (

@@ -10,7 +10,7 @@ nominal ones, which controllers use, for light.
 import numpy as np
 
 from zswarm.kernels.jit import inline, sqrt
-from zswarm.kernels.portable import PI, atan2, cos, exp, sin
+from zswarm.kernels.portable import PI, atan2, exp
 from zswarm.kernels.random import draw_uniform
 from zswarm.sims.epuck.walls import first_near, is_near, to_box
 from zswarm.sims.epuck.world import (
@@ -44,21 +44,19 @@ from zswarm.sims.epuck.world import (
     WALL_HEIGHT,
     X,
     Y,
+    unit_vectors,
 )
 
 SENSORS = 8  # of proximity, and of light
 RING = RADIUS + 0.001  # where rays of proximity sensors start
 RAY = float(np.float32(0.05))
-RAY_ANGLES = [PI / 16 + sensor * PI / 4 for sensor in range(SENSORS)]
-RAY_X = np.array([cos(angle) for angle in RAY_ANGLES])
-RAY_Y = np.array([sin(angle) for angle in RAY_ANGLES])
+RAY_X, RAY_Y = unit_vectors([PI / 16 + sensor * PI / 4 for sensor in range(SENSORS)])
 # The reading at a distance d: (SQUARE d + LINEAR) d + CONSTANT.
 SQUARE, LINEAR, CONSTANT = map(float, map(np.float32, (298.701, -36.8961, 1.08212)))
 # Nominal angles are pi divided by these.
 DIVISORS = 10.5884, 3.5999, 2.0, 1.2, 0.8571, 0.6667, 0.5806, 0.5247
 ANGLES = np.array([PI / float(np.float32(divisor)) for divisor in DIVISORS])
-ANGLES_X = np.array([cos(angle) for angle in ANGLES])
-ANGLES_Y = np.array([sin(angle) for angle in ANGLES])
+ANGLES_X, ANGLES_Y = unit_vectors(ANGLES.tolist())
 FARTHEST = 2.5  # distance / intensity at which a lamp is seen
 DECAY = 2.0  # of light, per distance / intensity
 GROUND_AHEAD, GROUND_ASIDE = 0.03, 0.009  # of the centre

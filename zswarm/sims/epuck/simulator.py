@@ -5,11 +5,11 @@ from typing import Annotated, Literal
 import numpy as np
 
 from zswarm.config.meta import PartSettings, about, within
-from zswarm.kernels.portable import PI, cos, sin
+from zswarm.kernels.portable import PI
 from zswarm.sims.epuck import missions, trial
+from zswarm.sims.epuck.contacts import CONTACT_COLUMNS
 from zswarm.sims.epuck.grey_readings import GREYS
 from zswarm.sims.epuck.missions import MISSIONS, Mission
-from zswarm.sims.epuck.physics import CONTACT_COLUMNS
 from zswarm.sims.epuck.reference_models import SENSOR_NAMES
 from zswarm.sims.epuck.world import (
     ANGLE,
@@ -25,6 +25,7 @@ from zswarm.sims.epuck.world import (
     EpuckWorld,
     X,
     Y,
+    unit_vectors,
 )
 from zswarm.sims.simulator import Body, Frame, Line, Rectangle
 from zswarm.sims.trial import Teams, play_many, problem
@@ -193,10 +194,11 @@ class Epuck(Teams):
 
 def _walls(mission: Mission) -> np.ndarray:
     """Return (walls, WALL_COLUMNS): the dodecagon, then what is inside."""
-    rows = []
-    for x, y, degrees in DODECAGON:
-        angle = degrees * PI / 180
-        rows.append([x, y, cos(angle), sin(angle), HALF_THICKNESS, HALF_WALL, WALL_TOP])
+    cosines, sines = unit_vectors([degrees * PI / 180 for _, _, degrees in DODECAGON])
+    rows = [
+        [x, y, cosine, sine, HALF_THICKNESS, HALF_WALL, WALL_TOP]
+        for (x, y, _), cosine, sine in zip(DODECAGON, cosines, sines, strict=True)
+    ]
     rows += [
         [x, y, 1.0, 0.0, half_x, half_y, WALL_TOP]
         for x, y, half_x, half_y in mission.walls

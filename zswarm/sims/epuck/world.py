@@ -4,10 +4,13 @@ Lengths are in m, angles in radians, counterclockwise, and all numbers are float
 the reference model stores as C floats have the value of the float.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from zswarm.kernels.jit import interpreted
+from zswarm.kernels.portable import cos, sin
 from zswarm.kernels.signatures import Float64Rows, Float64s, Int64s, UInt64s
 
 STEP_S = 0.1  # a controller decides once in each
@@ -89,3 +92,11 @@ class EpuckWorld(NamedTuple):
     tally: Float64s
     counts: Int64s
     stream: UInt64s
+
+
+def unit_vectors(angles: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the cosines and the sines of angles, without loading the compiler."""
+    with interpreted():
+        return np.array([cos(one) for one in angles]), np.array(
+            [sin(one) for one in angles]
+        )
