@@ -123,7 +123,7 @@ def test_plain_python_computes_the_same_bits(mission: str) -> None:
 
 
 def test_a_mission_that_does_not_exist_is_refused() -> None:
-    with pytest.raises(ConfigError, match="expected aggregation, .* not 'dance'"):
+    with pytest.raises(ConfigError, match=r"expected aggregation, .* not 'dance'"):
         build("epuck", {"mission": "dance"}, "feed-forward", {"hidden": []})
 
 
