@@ -87,7 +87,7 @@ class _Check:
         self.trials = int(experiment["problem"].get("trials", 1))
         self.meta = dict(database.execute("SELECT key, value FROM meta"))
         self.claim(
-            self.meta.get("schema_version") == 5,
+            self.meta.get("schema_version") == 6,
             f"schema {self.meta.get('schema_version')}",
         )
         self.generations = database.execute(

@@ -2,6 +2,7 @@
 
 import itertools
 from collections import Counter
+from collections.abc import Iterator
 
 import msgspec
 
@@ -57,6 +58,10 @@ class Roster(msgspec.Struct, eq=False):
             slots=self.slots,
             probe=probe,
         )
+
+    def computing(self) -> Iterator[RemoteServer]:
+        """Iterate over the servers that can evaluate, or will once a slot is prepared."""
+        return itertools.chain(self.ready.values(), self.preparing.values())
 
     def _add(self, counted: tuple[Phase, int, int, int] | None, sign: int) -> None:
         if counted is not None:

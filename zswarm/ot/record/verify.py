@@ -10,10 +10,12 @@ from zswarm.errors import ConfigError
 from zswarm.ot.record.database import outage
 from zswarm.ot.record.digests import (
     CANDIDATE,
+    EVENT,
     GENERATION,
     OUTCOMES,
     Damage,
     check_candidates,
+    check_event,
     check_generation,
     check_meta,
     check_outcomes,
@@ -97,6 +99,11 @@ def check_record(connection: sqlite3.Connection) -> None:
     if damaged:
         raise Damage(damaged, count)
     _check_state(connection, count)
+    try:
+        for _ in whole_events(connection):
+            pass
+    except Damage as damage:
+        raise Damage(str(damage), count) from None
     state = str(connection.execute("PRAGMA quick_check").fetchone()[0])
     if state != "ok":
         first = state.removeprefix("*** in database main ***\n").partition("\n")[0]
@@ -172,6 +179,18 @@ def whole_outcomes(
     if ended is not None and total(found) != ended[7]:
         raise Damage("outcomes of its trials are missing", generation)
     return rows
+
+
+def whole_events(connection: sqlite3.Connection) -> Iterator[tuple[Any, ...]]:
+    """Yield the columns ``EVENT`` of all events, in order.
+
+    Raises:
+        Damage: one is not what was written, or missing between others.
+    """
+    sql = f"SELECT {EVENT}, digest FROM events ORDER BY rowid"  # noqa: S608  ours
+    for number, (*row, written) in enumerate(_read(connection, sql, lambda _: 0), 1):
+        check_event(number, row, written)
+        yield tuple(row)
 
 
 def _generation(connection: sqlite3.Connection, number: int) -> tuple[Any, ...] | None:
