@@ -353,17 +353,15 @@ class Batches(msgspec.Struct, eq=False):
         batch.done |= batch.trials == trial
         self.give_back(batch)
         if batch.check:
-            self.out.note(
-                RunEvent.FAULT, server, f"{text} ({which}, when it was verified)"
-            )
+            said = f"{text} ({which}, when it was verified)"
+            self.out.note(RunEvent.FAULT, server, said)
             self.checks.drop([trial], workload.source[trial])
             self.blamed.append(batch.server.machine)
             return
         ready = {one.machine for one in self.servers.roster.ready.values()}
         machines = self.second.failed(trial, batch.server.machine, ready)
-        self.out.note(
-            RunEvent.FAULT, server, f"{text} ({which}, attempt {len(machines)})"
-        )
+        said = f"{text} ({which}, attempt {len(machines)})"
+        self.out.note(RunEvent.FAULT, server, said)
         if elsewhere:
             return
         failed = rest[rest == trial]
