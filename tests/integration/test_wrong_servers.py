@@ -18,6 +18,18 @@ def path(tmp_path: Path) -> str:
     return plugin.install(folder)
 
 
+def broken_server(folder: Path, name: str, path: str, wrong: str) -> Server:
+    """Start a server of another machine: without keys, that is another address."""
+    return Server(
+        folder,
+        name,
+        capacity=1,
+        address="127.0.0.2",
+        PYTHONPATH=path,
+        ROUGH_WRONG=wrong,
+    )
+
+
 @pytest.mark.parametrize(
     ("wrong", "options"), [("trials", ["--set", "cluster.verify=1.0"]), ("probe", [])]
 )
@@ -33,9 +45,7 @@ def test_a_server_that_computes_wrong_is_named_and_the_history_is_the_same(
     ).done()
     servers = [
         Server(tmp_path, "sound", capacity=1, PYTHONPATH=path).ready(),
-        Server(
-            tmp_path, "broken", capacity=1, PYTHONPATH=path, ROUGH_WRONG=wrong
-        ).ready(),
+        broken_server(tmp_path, "broken", path, wrong).ready(),
     ]
     remote = [
         "--servers",
@@ -80,12 +90,78 @@ def test_a_server_that_computes_wrong_is_named_and_the_history_is_the_same(
     assert checker.wait() == 0, checker.err.read_text()
 
 
+def test_no_wrong_outcome_of_a_machine_with_five_servers_stays_nor_after_a_resume(
+    tmp_path: Path, path: str
+) -> None:
+    """All its answers are wrong, and one trial in a hundred is verified."""
+    file = plugin.experiment(tmp_path, "slow")
+    arguments = ["run", str(file), "--json"]
+    longer = ["--set", "generations=5"]
+    right = Optimizer(
+        tmp_path, "alone", [*arguments, *longer, "--servers", "local"], PYTHONPATH=path
+    ).done()
+    programs: list[Program] = []
+
+    def start(server: Server) -> Server:
+        programs.append(server)
+        return server
+
+    def evolve(name: str, command: list[str], servers: list[Server]) -> Optimizer:
+        for server in servers:
+            server.ready()
+        ends = [f"--connect={server.endpoint}" for server in servers]
+        of = ["--servers", "2", "--no-multicast", *ends]
+        optimizer = Optimizer(tmp_path, name, [*command, *of], PYTHONPATH=path)
+        programs.append(optimizer)
+        return optimizer
+
+    run = tmp_path / "two" / "rough"
+    try:
+        sound = start(Server(tmp_path, "sound", capacity=1, PYTHONPATH=path))
+        broken = [
+            start(broken_server(tmp_path, f"broken-{number}", path, "trials"))
+            for number in range(5)
+        ]
+        verify = ["--set", "cluster.verify=0.01", "--out", "two"]
+        first = evolve("first", [*arguments, *verify], [sound, *broken])
+        assert first.done()["doubtful"] == 0
+        assert "is banned: its outcome of trial" in first.err.read_text()
+        (machines,) = query(
+            run, "SELECT DISTINCT machine FROM events WHERE event = 'server_wrong'"
+        )
+        assert machines == ("127.0.0.2",)
+        for server in broken:
+            server.close()
+        settings = run / "experiment.toml"
+        text = settings.read_text()
+        assert "generations = 3\n" in text
+        settings.write_text(text.replace("generations = 3\n", "generations = 5\n"))
+        again = start(broken_server(tmp_path, "innocent", path, "trials"))
+        resumed = evolve("resumed", ["resume", str(run), "--json"], [sound, again])
+        assert resumed.done()["history_hash"] == right["history_hash"]
+        said = resumed.err.read_text()
+        assert said.count("is not used: its machine, 127.0.0.2, computed wrong") == 1
+    finally:
+        for program in programs:
+            program.close()
+    servers = query(run, "SELECT DISTINCT server FROM outcomes")
+    assert [server.rpartition("-")[0] for (server,) in servers] == ["sound"]
+    refused = Optimizer(tmp_path, "refused", ["resume", str(run), "--trust", "x"])
+    assert refused.wait() == 0, "it is finished: nothing is used"
+
+
 def test_verification_with_sound_servers_changes_nothing(
     tmp_path: Path, path: str
 ) -> None:
     file = plugin.experiment(tmp_path, "slow")
     servers = [
-        Server(tmp_path, f"ss-{number}", capacity=1, PYTHONPATH=path).ready()
+        Server(
+            tmp_path,
+            f"ss-{number}",
+            capacity=1,
+            PYTHONPATH=path,
+            address=f"127.0.0.{number + 1}",
+        ).ready()
         for number in range(2)
     ]
     remote = [

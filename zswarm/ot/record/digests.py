@@ -147,18 +147,19 @@ def check_outcomes(row: Sequence[Any], doubtful: Any, written: Any) -> int | Non
 # ---- events
 
 
-def check_event(number: int, row: Sequence[Any], written: Any) -> None:
+def check_event(number: int, row: Sequence[Any], written: Any, generations: int) -> None:
     """Raise Damage unless a row of ``events`` is what was written.
 
     Args:
         number: of the row, counted from 1.
         row: the columns ``EVENT``.
         written: its digest.
+        generations: how many are finished, and do not depend on events.
     """
     if row[0] != number:
-        raise Damage(f"event {number} is missing")
+        raise Damage(f"event {number} is missing", generations)
     if of_row(*row) != written:
-        raise Damage(f"event {number} is not what was written")
+        raise Damage(f"event {number} is not what was written", generations)
 
 
 def _signed(body: bytes) -> int:
