@@ -48,13 +48,16 @@ def join(
     *,
     slots: int = 1,
     probe: bytes = PROBE,
+    trial_s: float = 1.0,
 ) -> list[Ask]:
     """Let a server of a machine appear and become ready, if it is used."""
     (ask,) = optimizer.feed(Seen(server))
     asks = optimizer.feed(Answered(ask.question, offer(slots), at))
     for ask in asks:
         if verb(ask.message) == "reserve":
-            return optimizer.answer(ask, lease(server, slots, probe=probe))
+            return optimizer.answer(
+                ask, lease(server, slots, probe=probe, trial_s=trial_s)
+            )
     return asks
 
 
@@ -351,16 +354,35 @@ def test_a_faulty_machine_is_backed_off_with_all_its_servers() -> None:
 
 def evolve(optimizer: Optimizer, asks: list[Ask], lies: Callable[[str], bool]) -> None:
     """Answer all questions; this machine computes the truth."""
-    while asks:
+    waited = 0
+    while asks or optimizer.dispatch.batches.workload is not None:
+        if not asks:
+            asks = optimizer.wait(1.0)
+            waited += 1
+            assert waited < 100, "it hangs"
+            continue
         ask = asks.pop(0)
         optimizer.now += 0.001
         if isinstance(ask.message, Evaluate):
             outcome = WRONG if lies(ask.server) else TRUE
-            reply = outcomes(ask, *[outcome] * len(trials([ask])), seconds=0.01)
+            trial_s = optimizer.dispatch.servers.by_id[ask.server].pace.trial_s
+            reply = outcomes(ask, *[outcome] * len(trials([ask])), seconds=trial_s)
             asks += optimizer.answer(ask, reply)
         for one in [one for one in optimizer.commands if isinstance(one, Disputed)]:
             truth = Arbitrated(one.trial, np.array([TRUE]), np.zeros(0))
             asks += optimizer.feed(truth)
+
+
+def test_a_slow_machine_verifies_what_many_fast_servers_of_another_one_counted() -> None:
+    optimizer = Optimizer(verify=1.0)
+    join(optimizer, "lab-01-00000001", trial_s=1.0)
+    for number in range(5):
+        join(optimizer, f"lab-66-{number:08x}", trial_s=0.01)
+    asks = optimizer.work(30)
+    workload = optimizer.workload
+    evolve(optimizer, asks, lambda server: server.startswith("lab-66"))
+    assert workload.counted.all()
+    assert (workload.fitness == TRUE).all()
 
 
 @pytest.mark.parametrize("honest", [1, 3])
