@@ -6,9 +6,10 @@ import numpy as np
 
 from zswarm.ot.cluster import events
 from zswarm.ot.cluster.dispatch import Dispatch
+from zswarm.ot.cluster.machines import Known
 from zswarm.ot.cluster.matching import Choice, Terms
 from zswarm.ot.cluster.remote_server import Phase
-from zswarm.ot.notes import Note
+from zswarm.ot.notes import Note, RunEvent
 from zswarm.ot.record.history_hash import History
 from zswarm.protocol import messages
 
@@ -27,6 +28,8 @@ class Journal:
         self.finished: list[tuple[list[bytes], np.ndarray]] = []
         # Wrong outcomes of a server may have remained undetected.
         self.doubtful = False
+        self.machines: dict[str, str] = {}  # by server
+        self.banned: dict[str, str] = {}  # machines, and as which server
         self.counted: list[
             tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray, str]
         ] = []
@@ -34,7 +37,8 @@ class Journal:
     def survives(self, now: float) -> "Journal":
         """Return what is on the disk after a crash: all but the last tenth of a second."""
         left = Journal()
-        left.doubtful = self.doubtful
+        left.doubtful, left.banned = self.doubtful, dict(self.banned)
+        left.machines = dict(self.machines)
         left.finished = list(self.finished)
         left.counted = [row for row in self.counted if row[0] < now - COMMIT_S]
         return copy.deepcopy(left)
@@ -94,6 +98,7 @@ class Optimizer(Node[events.Event]):
                 metrics=1,
                 quarantine=True,
                 verify=verify,
+                known=Known(self.journal.machines, self.journal.banned),
             )
         )
         self.workload = experiment.workload(None)  # the one that runs
@@ -180,6 +185,7 @@ class Optimizer(Node[events.Event]):
                         world.fail(f"{self.run} failed: {command.reason}")
                     self.end()
                 case Note():
+                    self._know(command)
                     self._missed |= (
                         command.event == "unverified"
                         or "when it was verified" in command.text
@@ -193,6 +199,14 @@ class Optimizer(Node[events.Event]):
             )
         self._check()
         self._set_alarm()
+
+    def _know(self, note: Note) -> None:
+        """Record the machines of servers, and which of them compute wrong."""
+        if note.event in (RunEvent.SERVER_JOINED, RunEvent.SERVER_WRONG):
+            machine = self.links[note.server].server.machine
+            self.journal.machines[note.server] = machine
+            if note.event == RunEvent.SERVER_WRONG:
+                self.journal.banned[machine] = note.server
 
     def _set_alarm(self) -> None:
         wanted = self.dispatch.next_time()
@@ -208,6 +222,13 @@ class Optimizer(Node[events.Event]):
         rows = [row[1] for row in self.journal.counted]
         if rows and np.isin(counted.trials, np.concatenate(rows)).any():
             self.world.fail("a trial was counted twice")
+        if (
+            counted.server
+            and (machine := self.links[counted.server].server.machine)
+            in self.journal.banned
+        ):
+            was = self.journal.banned[machine]
+            self.world.fail(f"{counted.server} was counted for, banned as {was}")
         load, trials = self.workload, counted.trials
         row = (
             load.fitness[trials].copy(),

@@ -36,7 +36,7 @@ from zswarm.ot.cluster.remote_server import Phase
 from zswarm.ot.cluster.servers import RETRY_S
 from zswarm.ot.notes import Note
 from zswarm.ot.workload import Workload
-from zswarm.protocol.messages import Evaluate, Refused, verb
+from zswarm.protocol.messages import Evaluate, Refused, Reserve
 
 TRUE, WRONG = 0.0, 1e6  # outcomes
 
@@ -54,7 +54,8 @@ def join(
     (ask,) = optimizer.feed(Seen(server))
     asks = optimizer.feed(Answered(ask.question, offer(slots), at))
     for ask in asks:
-        if verb(ask.message) == "reserve":
+        if isinstance(ask.message, Reserve):
+            slots = min(slots, ask.message.slots)
             return optimizer.answer(
                 ask, lease(server, slots, probe=probe, trial_s=trial_s)
             )
@@ -186,6 +187,17 @@ def test_a_slot_of_another_machine_that_is_getting_ready_is_waited_for() -> None
     assert [check.server for check in asks] == ["local-00000001"]
     optimizer.answer(asks[0], outcomes(asks[0], TRUE))
     assert Disputed(0) in optimizer.commands
+
+
+def test_with_verify_no_machine_gets_all_slots() -> None:
+    optimizer = Optimizer(slots=2, verify=0.01)
+    for number in range(3):
+        join(optimizer, f"lab-66-{number:08x}", slots=2)
+    optimizer.wait(1.0)
+    join(optimizer, "lab-01-00000001", slots=2)
+    roster = optimizer.dispatch.servers.roster
+    assert roster.machines == {"lab-66": 2, "lab-01": 1}
+    assert "lab-01-00000001" in roster.ready
 
 
 def test_the_first_trial_of_each_machine_is_verified() -> None:
