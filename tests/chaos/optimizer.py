@@ -146,6 +146,7 @@ class Optimizer(Node[events.Event]):
         for command in commands:
             match command:
                 case events.Ask():
+                    self._check_second(command)
                     self.links[command.server].ask(command.question, command.message)
                 case events.Counted():
                     self._record(command)
@@ -311,6 +312,18 @@ class Optimizer(Node[events.Event]):
         for server in servers:
             if server.batches and server.phase not in (Phase.LEASED, Phase.LEAVING):
                 self.world.fail(f"{server.id} has batches")
+
+    def _check_second(self, ask: events.Ask) -> None:
+        """Check that no outcome is verified by the machine that it is of."""
+        if not isinstance(ask.message, messages.Evaluate):
+            return
+        batch = self.dispatch.servers.by_id[ask.server].batches[ask.message.batch]
+        if not batch.check:
+            return
+        machine = self.links[ask.server].server.machine
+        for source in set(self.workload.source[batch.rest()]) - {""}:
+            if self.journal.machines[source] == machine:
+                self.world.fail(f"{ask.server} verifies {source}, of its own machine")
 
     def _check_pairs(self) -> None:
         """Check that a trial that was started twice is awaited from two servers."""
