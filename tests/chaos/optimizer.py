@@ -203,11 +203,15 @@ class Optimizer(Node[events.Event]):
 
     def _know(self, note: Note) -> None:
         """Record the machines of servers, and which of them compute wrong."""
-        if note.event in (RunEvent.SERVER_JOINED, RunEvent.SERVER_WRONG):
+        if note.event == RunEvent.SERVER_JOINED:
             machine = self.links[note.server].server.machine
             self.journal.machines[note.server] = machine
-            if note.event == RunEvent.SERVER_WRONG:
-                self.journal.banned[machine] = note.server
+        elif note.event == RunEvent.SERVER_WRONG:
+            # It may be found out by its probe before it joins, or end before a resume.
+            if note.server not in self.journal.machines:
+                machine = self.links[note.server].server.machine
+                self.journal.machines[note.server] = machine
+            self.journal.banned[self.journal.machines[note.server]] = note.server
 
     def _set_alarm(self) -> None:
         wanted = self.dispatch.next_time()

@@ -15,6 +15,7 @@ from zswarm.ot.generation import Assessment
 from zswarm.ot.identity import here
 from zswarm.ot.logger import Generation, Logger, Result, Started
 from zswarm.ot.notes import Note, RunEvent, words
+from zswarm.ot.record.history_hash import VERSION as HISTORY_VERSION
 from zswarm.ot.record.packing import PackedState
 from zswarm.ot.record.writer import Record
 from zswarm.ot.retelling import retell, timed
@@ -246,6 +247,7 @@ class _Notebook:
             history_hash=history,
             seconds=round(seconds, 3),
             relative=self._optimizer.relative,
+            history_version=HISTORY_VERSION,
             **record.counts(),
         )
 

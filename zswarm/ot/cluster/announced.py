@@ -1,7 +1,7 @@
 """The servers whose tokens are there: at a time, a limited number of each name is used.
 
-Each server that is used has a thread here, and lines in the record. Whoever may show tokens of one
-name could otherwise make as many as it likes.
+Each server that is used has a thread here, and lines in the record. A machine that may show tokens
+of one name could otherwise make as many as it likes.
 """
 
 import itertools

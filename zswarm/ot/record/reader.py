@@ -113,6 +113,12 @@ class Run:
         return value if isinstance(value, str) else None
 
     @property
+    def history_version(self) -> int:
+        """Version of the history hash: hashes of other versions do not compare."""
+        value = self.meta.get("history_version")
+        return value if isinstance(value, int) else 0
+
+    @property
     def finished(self) -> bool:
         """Return whether the run has all its generations."""
         return self.history_hash is not None

@@ -85,6 +85,7 @@ def of_run(run: Run, trials: int) -> str:
         folder=shlex.quote(run.name),
         again=shlex.quote(f"{run.name}/{EXPERIMENT}"),
         history=run.history_hash or "",
+        history_version=run.history_version,
         caveats=caveats.caveats(run),
         **parts,
     )
