@@ -28,6 +28,7 @@ TEMPLATE = "report.html.jinja"
 MAX_EVENTS = 1000  # that are listed
 TROUBLE = (
     RunEvent.SERVER_WRONG,
+    RunEvent.SERVER_BANNED,
     RunEvent.SERVER_FAULTY,
     RunEvent.FAULT,
     RunEvent.SIMULATOR_RAISED,
