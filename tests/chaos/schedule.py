@@ -1,6 +1,7 @@
 """Play one seeded schedule of programs and faults, and check what must hold at the end."""
 
 import itertools
+from functools import partial
 from typing import NamedTuple
 
 from zswarm.errors import ZswarmError
@@ -51,7 +52,7 @@ class Lab:
         # One server computes some trials wrong, and all are verified.
         self.liar = not self.alone and draw.random() < 0.15
         # One answers for ever that it computes.
-        self.stuck = not self.alone and draw.random() < 0.15
+        self.stuck = not self.alone and draw.random() < 0.3
         if self.alone:
             self.add_server(sound=True).alone = True
             self._add_run("run-1")
@@ -60,14 +61,24 @@ class Lab:
         for _ in range(draw.randint(1 if self.liar else 0, 3)):
             self.world.at(draw.choice([0.0, 5.0]), self.add_server)
         if self.liar:
-            self.add_server(sound=True, lies=0.3)
+            self.add_liars()
         if self.stuck:
             self.add_server(sound=True, stuck=True)
         for run in ["run-1", "run-2", "run-3"][: draw.randint(1, 3)]:
             self._add_run(run)
 
+    def add_liars(self) -> None:
+        """Start the servers of one machine, which tell the same lies."""
+        for _ in range(self.world.random.choice([1, 2, 3])):
+            self.add_server(sound=True, lies=0.3, machine="liar")
+
     def add_server(
-        self, *, sound: bool = False, lies: float = 0.0, stuck: bool = False
+        self,
+        *,
+        sound: bool = False,
+        lies: float = 0.0,
+        stuck: bool = False,
+        machine: str = "",
     ) -> Server:
         """Start a server."""
         server = Server(
@@ -77,6 +88,7 @@ class Lab:
             sound=sound,
             lies=lies,
             stuck=stuck,
+            machine=machine,
         )
         self.servers.append(server)
         for optimizer in self.optimizers:
@@ -95,7 +107,7 @@ class Lab:
         )
         verify = 1.0 if self.liar else draw.choice([0.0, 0.0, 0.2])
         # A stuck server's trials are to come back also where none is started twice.
-        twice = not (self.stuck and draw.random() < 0.5)
+        twice = not (self.stuck and draw.random() < 0.7)
         self.add_optimizer(
             Optimizer(self.world, experiment, verify=verify, second_starts=twice)
         )
@@ -143,7 +155,7 @@ class Lab:
                     world.at(lasts_s, lambda link=link: link.set("up"))
             case "crash":
                 server.end()
-                world.at(world.random.uniform(0.1, 5.0), self.add_server)
+                self._start_again(server)
             case "drain" if not server.slots.draining:
                 server.drain()
             case "worker":
@@ -152,6 +164,13 @@ class Lab:
                 self._freeze(server, list(server.links.values()), lasts_s)
             case "jump":
                 server.offset += world.random.choice([1.0, 30.0, 3600.0])
+
+    def _start_again(self, server: Server) -> None:
+        """Start another server where one crashed: a liar's machine goes on lying."""
+        again = self.add_server
+        if server.lies:
+            again = partial(again, sound=True, lies=server.lies, machine=server.machine)
+        self.world.at(self.world.random.uniform(0.1, 5.0), again)
 
     def _kill_worker(self, server: Server) -> None:
         worker = self.world.random.choice(server.workers)

@@ -34,6 +34,7 @@ class Server(Node[events.Event]):
         sound: bool,
         lies: float,
         stuck: bool = False,
+        machine: str = "",
     ) -> None:
         super().__init__(world)
         self.links: dict[str, Link] = {}  # by optimizer
@@ -44,6 +45,7 @@ class Server(Node[events.Event]):
         self.lies, self.stuck = lies, stuck
         kind = WRONG if self.wrong else LIAR if lies else STUCK if stuck else ""
         self.id = f"ss-{number}{kind}"
+        self.machine = machine or self.id  # of several servers, perhaps
         self.broken = not sound and world.random.random() < 0.05  # cannot be prepared
         # Every third trial ends its process.
         self.faulty = not sound and world.random.random() < 0.05

@@ -16,6 +16,7 @@ from zswarm import session
 from zswarm.config.sections import ClusterConfig
 from zswarm.errors import EvaluationError
 from zswarm.ot.cluster import links
+from zswarm.ot.cluster.announced import SAME_NAME
 from zswarm.ot.cluster.events import Answered, Ask, Event, Gone, Seen, Work
 from zswarm.ot.cluster.remote_server import Standing
 from zswarm.ot.cluster.shell import Cluster, Item
@@ -351,7 +352,7 @@ def test_a_run_ends_as_taken_over_only_if_its_record_shows_it(taken_over: bool) 
             list(asking.cluster.rest())
     else:
         notes = list(asking.cluster.rest())
-        assert Note("server_refused", "lab-1", "taken over") in notes
+        assert Note("server_refused", "lab-1", "taken over", machine="lab-1") in notes
     asking.close()
 
 
@@ -375,6 +376,27 @@ def test_a_stranger_cannot_take_the_name_of_this_machines_server() -> None:
     assert posted[1:] == [Seen("local-01234568")]
 
 
+def test_this_machines_server_is_used_however_many_take_a_name_like_its_own() -> None:
+    run, strangers = Asking(), Asking()
+    posted: list[object] = []
+    run.cluster._links.post = posted.append
+    put = zenoh.SampleKind.PUT
+    for number in range(SAME_NAME + 1):
+        key = keys.alive("default", f"local-{number:08x}")
+        sample: Any = SimpleNamespace(kind=put, key_expr=key)
+        run.cluster._links._on_token(strangers, False, sample)  # type: ignore[arg-type]
+    key = keys.alive("default", "local-01234567")
+    sample = SimpleNamespace(kind=put, key_expr=key)
+    run.cluster._links._on_token(run, True, sample)  # type: ignore[arg-type]
+    assert posted[-1] == Seen("local-01234567", own=True)
+
+
+def test_this_machines_server_is_known_as_such_and_not_held_back() -> None:
+    asking, seen = Asking(), Seen("local-01234567", own=True)
+    asking.cluster._post(seen)
+    assert asking.cluster._take() == [seen]
+
+
 def test_only_this_machines_own_slots_end_a_run_by_their_refusal() -> None:
     def watch() -> Watch:
         options, none = ClusterConfig(), threading.Event()
@@ -382,10 +404,90 @@ def test_only_this_machines_own_slots_end_a_run_by_their_refusal() -> None:
         return Watch(options, "xor", local, none, say=lambda _: None, check=lambda: None)
 
     standing = Standing(own="local-01234567")
-    for event in ("server_refused", "server_mismatch", "server_unprepared"):
+    for event in ("refused", "mismatch", "banned", "unprepared"):
+        event = f"server_{event}"
         watch().report(Note(event, "local-00000000", "you lose"), standing)
         with pytest.raises(EvaluationError, match="it does not fit"):
             watch().report(Note(event, "local-01234567", "it does not fit"), standing)
     served = watch()
     served.report(None, Standing(serving=1, own="local-01234567"))
     served.report(Note("server_unprepared", "local-01234567", "disk full"), standing)
+
+
+def test_300_tokens_of_a_name_make_sixteen_servers_and_one_note() -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    opened, _ = session.open_server([endpoint], Reach((), multicast=False))
+    posted: list[Event | Note] = []
+    watching = links.Links(
+        KEY,
+        Reach([endpoint], multicast=False),
+        None,
+        post=posted.append,
+        answered=posted.append,
+        failed=posted.append,
+        slots=lambda _: 1,
+    )
+    try:
+        tokens = [
+            opened.liveliness().declare_token(keys.alive("default", f"lab-02-{at:08x}"))
+            for at in range(300)
+        ]
+        last = opened.liveliness().declare_token(keys.alive("default", "lab-99-0"))
+        watching.open("")
+        wait_until(lambda: Seen("lab-99-0") in posted, "all tokens are seen")
+        seen = [item for item in posted if isinstance(item, Seen)]
+        (note,) = [item for item in posted if isinstance(item, Note)]
+        assert len(seen) == 16 + 1
+        assert len(watching.home) == 16 + 1
+        assert "16 servers named lab-02 are used already" in note.text
+        for token in (*tokens, last):
+            token.undeclare()
+        wait_until(lambda: not watching._announced._by_name, "no token is left")
+    finally:
+        watching.close()
+        session.close(opened)
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "127.0.0.2"])
+def test_a_server_that_answers_is_known_by_the_address_of_its_link(host: str) -> None:
+    endpoint = f"tcp/{host}:{free_port()}"
+    opened, _ = session.open_server([endpoint], Reach((), multicast=False))
+    posted: list[Event | Note] = []
+    watching = links.Links(
+        KEY,
+        Reach([endpoint], multicast=False),
+        None,
+        post=posted.append,
+        answered=posted.append,
+        failed=posted.append,
+        slots=lambda _: 1,
+    )
+
+    def answer(query: zenoh.Query) -> None:
+        with query:
+            query.reply(query.key_expr, codec.encode(OFFER))
+
+    try:
+        key = keys.offer("default", "lab-02-0123abcd")
+        opened.declare_queryable(key, zenoh.handlers.Callback(answer, indirect=False))
+        token = opened.liveliness().declare_token(
+            keys.alive("default", "lab-02-0123abcd")
+        )
+        watching.open("")
+        wait_until(lambda: Seen("lab-02-0123abcd") in posted, "the server is seen")
+
+        def machines() -> list[str]:
+            answers = [item for item in posted if isinstance(item, Answered)]
+            return [item.machine for item in answers if item.reply is not None]
+
+        def asked() -> bool:
+            ask = Ask(len(posted), "lab-02-0123abcd", terms().requirements)
+            watching.ask(ask, may_block=True)
+            return bool(machines())
+
+        wait_until(asked, "it answered")
+        assert machines()[0] == host
+        token.undeclare()
+    finally:
+        watching.close()
+        session.close(opened)

@@ -56,7 +56,7 @@ class Dispatch:
     def __init__(self, terms: Terms) -> None:
         self.out = Outbox()
         self.servers = Servers(terms, self.out, probe=terms.probe)
-        self.bans = Bans(self.out, self.servers)
+        self.bans = Bans(self.out, self.servers, terms.known.arbitrated)
         self.batches = Batches.of(terms, self.out, self.servers)
         self._just_answered_by: RemoteServer | None = None  # a batch
 
@@ -145,21 +145,20 @@ class Dispatch:
             return  # its time was over
         batch = self._sent(query)
         try:
-            self._take(query, batch, event.reply)
+            self._take(query, batch, event)
             self._derive()
         except LocalProtocolError:
             raise
         except Exception as error:
             self._not_handled(query, batch, error)
 
-    def _take(
-        self, query: OpenQuery, batch: SentBatch | None, reply: Reply | str | None
-    ) -> None:
+    def _take(self, query: OpenQuery, batch: SentBatch | None, event: Answered) -> None:
+        reply = event.reply
         if isinstance(reply, str):
             self.out.note(RunEvent.MALFORMED, query.server, reply)
             reply = None
         if not query.batch:
-            self.servers.answered(query, reply)
+            self.servers.answered(query, reply, event.machine)
         elif batch is not None:
             self._just_answered_by = batch.server
             self._batch_answered(query, batch, reply)

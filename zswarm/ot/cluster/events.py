@@ -21,6 +21,7 @@ QUERY_S: dict[Verb, float] = {
 }
 # After that, a query that zenoh did not end counts as not answered.
 MARGIN_S = 15.0
+MAX_TEXTS = 16  # of a machine's notes of one event, where servers can have any number
 
 
 class Seen(msgspec.Struct, frozen=True):
@@ -45,6 +46,7 @@ class Answered(msgspec.Struct, frozen=True):
 
     question: int
     reply: Reply | str | None
+    machine: str = ""  # that answered; "": not known
 
 
 class Work(msgspec.Struct, frozen=True):
@@ -182,6 +184,7 @@ class Outbox(msgspec.Struct, eq=False):
     queries: dict[int, OpenQuery] = {}
     _later: list[tuple[float, OpenQuery]] = []
     _deadlines: list[tuple[float, int]] = []  # of open queries, and of answered ones
+    _noted: dict[tuple[RunEvent, str], set[str]] = {}  # texts, by event and machine
     _numbers: int = 0
 
     def number(self) -> int:
@@ -199,10 +202,22 @@ class Outbox(msgspec.Struct, eq=False):
         return number
 
     def note(
-        self, event: RunEvent, server: str = "", text: str = "", count: int = 0
+        self,
+        event: RunEvent,
+        server: str = "",
+        text: str = "",
+        count: int = 0,
+        machine: str = "",
     ) -> None:
         """Add a note."""
-        self.commands.append(Note(event, server, text, count))
+        self.commands.append(Note(event, server, text, count, machine))
+
+    def note_once(self, event: RunEvent, server: str, text: str, machine: str) -> None:
+        """Add a note unless there was one of this machine and text, or too many of the machine."""
+        texts = self._noted.setdefault((event, machine), set())
+        if text not in texts and len(texts) < MAX_TEXTS:
+            texts.add(text)
+            self.note(event, server, text, machine=machine)
 
     def later(self, delay_s: float, query: OpenQuery) -> None:
         """Repeat a query, of a batch, after a delay."""

@@ -2,16 +2,20 @@
 
 import itertools
 from collections import Counter
+from collections.abc import Iterator
 
 import msgspec
 
 from zswarm.ot.cluster.remote_server import Phase, RemoteServer, Standing
 
 NAMED = 5  # servers that prepare, in a standing
+# Servers without a token that are remembered, for their leases may be resumed: more than can be
+# linked at a time. One that is restarted has another id.
+MAX_ABSENT = 10_000
 
 
 class Roster(msgspec.Struct, eq=False):
-    """The servers of a run that hold slots, by what they hold."""
+    """The servers of a run, by what they hold."""
 
     phases: Counter[Phase] = msgspec.field(default_factory=Counter)
     leased: dict[str, RemoteServer] = {}
@@ -23,14 +27,18 @@ class Roster(msgspec.Struct, eq=False):
     granted: int = 0  # slots
     taken: int = 0  # slots, granted or asked for
     own: str = ""  # this machine's server, once seen
-    _counted: dict[str, tuple[Phase, int, int, int]] = {}
+    machines: Counter[str] = msgspec.field(default_factory=Counter)  # taken, by machine
+    _counted: dict[str, tuple[Phase, int, int, int, str]] = {}
+    # IDLE and without a token, the longest in front.
+    _absent: dict[str, RemoteServer] = {}
 
     def update(self, server: RemoteServer) -> None:
         """Count a server as it is now."""
         self._add(self._counted.pop(server.id, None), -1)
         is_leased = server.phase == Phase.LEASED
         slots, ready = (server.slots, server.ready) if is_leased else (0, 0)
-        self._counted[server.id] = counted = server.phase, slots, ready, server.taken()
+        counted = server.phase, slots, ready, server.taken(), server.machine
+        self._counted[server.id] = counted
         self._add(counted, 1)
         for names, belongs in (
             (self.leased, is_leased),
@@ -44,9 +52,20 @@ class Roster(msgspec.Struct, eq=False):
             else:
                 names.pop(server.id, None)
 
-    def forget(self, server: RemoteServer) -> None:
-        """Count a server no more; it holds nothing."""
-        self._add(self._counted.pop(server.id, None), -1)
+    def came(self, name: str) -> None:
+        """Take note of a server's token."""
+        self._absent.pop(name, None)
+
+    def remember(self, server: RemoteServer) -> RemoteServer | None:
+        """Remember an IDLE server without a token; return the one that is forgotten for it."""
+        self._absent[server.id] = server
+        if len(self._absent) <= MAX_ABSENT:
+            return None
+        oldest = self._absent.pop(next(iter(self._absent)))
+        if oldest.phase != Phase.IDLE:
+            return None
+        self._add(self._counted.pop(oldest.id, None), -1)
+        return oldest
 
     def standing(self, probe: bytes) -> Standing:
         """Return how the run stands with its servers."""
@@ -60,10 +79,16 @@ class Roster(msgspec.Struct, eq=False):
             own=self.own,
         )
 
-    def _add(self, counted: tuple[Phase, int, int, int] | None, sign: int) -> None:
+    def computing(self) -> Iterator[RemoteServer]:
+        """Iterate over the servers that can evaluate, or will once a slot is prepared."""
+        return itertools.chain(self.ready.values(), self.preparing.values())
+
+    def _add(self, counted: tuple[Phase, int, int, int, str] | None, sign: int) -> None:
         if counted is not None:
-            phase, slots, ready, taken = counted
+            phase, slots, ready, taken, machine = counted
             self.phases[phase] += sign
             self.granted += sign * slots
             self.slots += sign * ready
             self.taken += sign * taken
+            if taken:
+                self.machines[machine] += sign * taken

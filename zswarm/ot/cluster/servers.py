@@ -13,6 +13,7 @@ from msgspec import structs
 from zswarm.errors import LocalProtocolError
 from zswarm.ot.cluster.allotment import Allotment
 from zswarm.ot.cluster.events import OpenQuery, Outbox, Superseded
+from zswarm.ot.cluster.machines import THIS, Machines
 from zswarm.ot.cluster.matching import Terms
 from zswarm.ot.cluster.remote_server import MOVES, Phase, RemoteServer, Standing
 from zswarm.ot.cluster.roster import Roster
@@ -25,12 +26,7 @@ RETRY_S = (0.05, 0.2, 1.0)  # before a query that was not answered is sent again
 PAUSE_S = 1.0  # before a server that had no room, or that ended the lease, is asked again
 # Before a server that did not answer is asked again, unless it is seen before.
 BACK_OFF_S = 30.0
-# Before one is asked again that cannot serve now; longer each time, until it sends an outcome.
-SETBACKS_S = (5, 10, 20, 40, 80, 160, 320, 600)
 AGAIN_S = 1.0  # before the same is asked again of a server that had nothing new
-# Servers without a token that are remembered, for their leases may be resumed: more than can be
-# linked at a time. One that is restarted has another id.
-MAX_ABSENT = 10_000
 
 
 class Servers(msgspec.Struct, eq=False):
@@ -47,14 +43,14 @@ class Servers(msgspec.Struct, eq=False):
     probe: bytes = b""  # digest of the probe's outcomes, once known
     differing: list[RemoteServer] = []  # with another digest; the caller takes them out
     roster: Roster = msgspec.field(default_factory=Roster)
+    machines: Machines = msgspec.UNSET  # type: ignore[assignment]
     allotment: Allotment = msgspec.UNSET  # type: ignore[assignment]
-    # IDLE and without a token, the longest in front.
-    _absent: dict[str, RemoteServer] = {}
     # When servers are due; an entry counts only if its server is still due then.
     _due: list[tuple[float, str]] = []
 
     def __post_init__(self) -> None:
         self.allotment = Allotment(self.terms, self.roster)
+        self.machines = Machines.after(self.terms.known)
 
     def next_time(self) -> float:
         """Return when a server is due, or slots are to be allotted."""
@@ -81,7 +77,7 @@ class Servers(msgspec.Struct, eq=False):
         server.present, server.own = True, own
         if own:
             self.roster.own = name
-        self._absent.pop(name, None)
+        self.roster.came(name)
         if server.phase == Phase.LEAVING:
             self._move(server, Phase.LEASED)
             self.out.note(RunEvent.SERVER_BACK, name)
@@ -104,8 +100,8 @@ class Servers(msgspec.Struct, eq=False):
         elif server.phase not in (Phase.LEAVING, Phase.BANNED):
             self._move(server, Phase.IDLE)
 
-    def answered(self, query: OpenQuery, reply: Reply | None) -> None:
-        """Take the reply to any query but Evaluate."""
+    def answered(self, query: OpenQuery, reply: Reply | None, machine: str = "") -> None:
+        """Take the reply of a machine to any query but Evaluate."""
         server, verb = self.by_id.get(query.server), query.verb
         if server is None or query.question != server.question:
             return  # to Cancel or Release, or its server has left the phase in which it was asked
@@ -114,7 +110,7 @@ class Servers(msgspec.Struct, eq=False):
             return  # it is asked again when it is back
         match verb, reply:
             case "offer", Offer():
-                self._offered(server, reply)
+                self._offered(server, reply, machine)
             case "reserve" | "renew", Lease():
                 server.growing &= verb == "renew"
                 self._granted(server, reply, verb)
@@ -198,11 +194,16 @@ class Servers(msgspec.Struct, eq=False):
 
     # ---- offers and reservations
 
-    def _offered(self, server: RemoteServer, offer: Offer) -> None:
+    def _offered(self, server: RemoteServer, offer: Offer, machine: str) -> None:
+        server.machine = THIS if server.own else machine or self.machines.of(server.id)
+        if banned := self.machines.why_banned(server.machine):
+            self._move(server, Phase.IDLE)
+            self._note_once(RunEvent.SERVER_BANNED, server, banned)
+            return
         if mismatch := self.terms.choice.mismatch(offer):
             self._move(server, Phase.IDLE)
             if server.mismatch != mismatch:
-                self.out.note(RunEvent.SERVER_MISMATCH, server.id, mismatch)
+                self._note_once(RunEvent.SERVER_MISMATCH, server, mismatch)
             server.mismatch = mismatch
             return
         server.capacity, server.mismatch = offer.capacity, ""
@@ -210,11 +211,6 @@ class Servers(msgspec.Struct, eq=False):
         server.place = self.terms.choice.place(offer)
         self.allotment.offered(server, offer.free, self.out.now)
         self._move(server, Phase.SPARE)
-
-    def _reserve(self, server: RemoteServer, slots: int) -> None:
-        server.wanted = slots
-        self._move(server, Phase.RESERVING)
-        self._ask(server)
 
     def allot(self) -> None:
         """Reserve and release servers until the run holds as many slots as it wants."""
@@ -228,7 +224,10 @@ class Servers(msgspec.Struct, eq=False):
             self.out.note(RunEvent.SERVER_SPARE, server.id, text)
         allotment.at = math.inf
         while (choice := allotment.choose(now)) is not None:
-            self._reserve(*choice)
+            asked, wanted = choice
+            asked.wanted = wanted
+            self._move(asked, Phase.RESERVING)
+            self._ask(asked)
         at = allotment.at if allotment.at > now else math.inf
         while (choice := allotment.partial()) is not None:
             grown, wanted = choice
@@ -272,7 +271,9 @@ class Servers(msgspec.Struct, eq=False):
         if ready != was_ready:
             self.changed[server.id] = server
             event = RunEvent.SERVER_SLOTS if was_ready else RunEvent.SERVER_JOINED
-            self.out.note(event, server.id, count=ready)
+            joined = "" if was_ready else server.machine
+            self.out.note(event, server.id, count=ready, machine=joined)
+            self.machines.use(server.id, server.machine)
         if ready < min(server.wanted, server.capacity):
             # The server answers when more slots are ready, or after a while.
             if verb == "reserve" or ready > was_ready:
@@ -284,16 +285,14 @@ class Servers(msgspec.Struct, eq=False):
         match verb, refused.code:
             case "renew", "lease-lost":
                 self.lease_lost(server, refused.reason)
-            case "renew", _:
-                self.drop(server, RunEvent.SERVER_REFUSED, refused.reason)
-            case "reserve", _ if server.phase == Phase.LEASED:
+            case _ if server.phase == Phase.LEASED:
                 self.drop(server, RunEvent.SERVER_REFUSED, refused.reason)
             case "reserve", "superseded" if server.own:
                 self._move(server, Phase.IDLE)
                 self.out.failure = f"{server.id}: {refused.reason}"
             case _:
                 self._move(server, Phase.IDLE)
-                self.out.note(RunEvent.SERVER_REFUSED, server.id, refused.reason)
+                self._note_once(RunEvent.SERVER_REFUSED, server, refused.reason)
                 if refused.code == "superseded":
                     self.out.commands.append(Superseded(server.id, refused.reason))
 
@@ -317,8 +316,7 @@ class Servers(msgspec.Struct, eq=False):
 
     def set_back(self, server: RemoteServer, note: RunEvent, text: str) -> None:
         """Release a server that cannot serve now; reserve again after a pause, a growing one."""
-        pause_s = SETBACKS_S[server.setbacks]
-        server.setbacks = min(server.setbacks + 1, len(SETBACKS_S) - 1)
+        pause_s = server.next_setback_s()
         to = Phase.BACKED_OFF if Phase.BACKED_OFF in MOVES[server.phase] else Phase.IDLE
         if to in MOVES[server.phase]:
             self.end(server, to, release=True, again_s=pause_s)
@@ -326,8 +324,11 @@ class Servers(msgspec.Struct, eq=False):
 
     def back_off(self, server: RemoteServer, verb: Verb) -> None:
         """Ask a server that did not answer repeatedly again only after a pause."""
-        if server.phase == Phase.LEASED or not server.silence_reported:
-            self.out.note(RunEvent.SERVER_SILENT, server.id, f"no answer to {verb}")
+        text = f"no answer to {verb}"
+        if server.phase == Phase.LEASED:
+            self.out.note(RunEvent.SERVER_SILENT, server.id, text)
+        elif not server.silence_reported:
+            self._note_once(RunEvent.SERVER_SILENT, server, text)
         server.silence_reported = True
         self.end(server, Phase.BACKED_OFF, resumable=True, again_s=BACK_OFF_S)
 
@@ -341,7 +342,12 @@ class Servers(msgspec.Struct, eq=False):
 
     def known(self, name: str) -> RemoteServer:
         """Return a server; one that was not known is IDLE."""
-        return self.by_id.setdefault(name, RemoteServer(name))
+        if name not in self.by_id:
+            self.by_id[name] = RemoteServer(name, machine=self.machines.of(name))
+        return self.by_id[name]
+
+    def _note_once(self, event: RunEvent, server: RemoteServer, text: str) -> None:
+        self.out.note_once(event, server.id, text, server.machine)
 
     def end(
         self,
@@ -389,10 +395,6 @@ class Servers(msgspec.Struct, eq=False):
 
     def _remember(self, server: RemoteServer) -> None:
         """Remember an IDLE server without a token, and forget another one if there are many."""
-        self._absent[server.id] = server
-        if len(self._absent) > MAX_ABSENT:
-            oldest = self._absent.pop(next(iter(self._absent)))
-            if oldest.phase == Phase.IDLE:
-                self.roster.forget(oldest)
-                del self.by_id[oldest.id]
-                self.forgotten.append(oldest.id)
+        if (oldest := self.roster.remember(server)) is not None:
+            del self.by_id[oldest.id]
+            self.forgotten.append(oldest.id)

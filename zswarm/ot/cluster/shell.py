@@ -175,6 +175,10 @@ class Cluster:
             if not isinstance(item, Complete):
                 yield item
 
+    def banned(self) -> dict[str, str]:
+        """Return the machines that computed wrong, and as which server."""
+        return dict(self._dispatch.servers.machines.banned)
+
     def diagnose(self) -> None:
         """Find out why servers are missing; the findings come as notes, some seconds later."""
 
@@ -320,7 +324,7 @@ class Cluster:
         except queue.Empty:
             return [events.TimePassed()] if time.monotonic() >= due else []
         match event:
-            case events.Seen():
+            case events.Seen(own=False):
                 self._newcomers.add(event.server, time.monotonic())
                 return []
             case events.Gone():

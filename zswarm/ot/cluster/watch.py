@@ -15,7 +15,11 @@ from zswarm.ot.notes import Note, RunEvent
 PREPARING_S = 1.0  # of a server, before it is reported
 PAUSE_S = 3.0  # without any server, before it is reported
 HINT = "zswarm-ot doctor explains why, docs/network.md what to do"
-REFUSALS = RunEvent.SERVER_REFUSED, RunEvent.SERVER_MISMATCH
+REFUSALS = (
+    RunEvent.SERVER_REFUSED,
+    RunEvent.SERVER_MISMATCH,
+    RunEvent.SERVER_BANNED,
+)
 NOBODY_YET = "no slot is ready yet: waiting for one (Ctrl-C stops; nothing is lost)"
 NOBODY = "no server computes now: waiting for one (Ctrl-C stops; nothing is lost)"
 
