@@ -1,6 +1,7 @@
 """Run the real dispatch in a simulated optimizer, with some generations and a record."""
 
 import copy
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -8,10 +9,11 @@ from zswarm.ot.cluster import events
 from zswarm.ot.cluster.dispatch import Dispatch
 from zswarm.ot.cluster.matching import Choice, Terms
 from zswarm.ot.cluster.remote_server import Phase
-from zswarm.ot.notes import Note
+from zswarm.ot.notes import Note, RunEvent
 from zswarm.ot.record.history_hash import History
 from zswarm.protocol import messages
 
+from .awaited import Awaited
 from .network import Link
 from .problem import Experiment, outcome
 from .server import LIAR, PROBE, TRIAL_TIMEOUT_S, WRONG
@@ -27,6 +29,7 @@ class Journal:
         self.finished: list[tuple[list[bytes], np.ndarray]] = []
         # Wrong outcomes of a server may have remained undetected.
         self.doubtful = False
+        self.banned: set[str] = set()  # servers
         self.counted: list[
             tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray, str]
         ] = []
@@ -34,7 +37,7 @@ class Journal:
     def survives(self, now: float) -> "Journal":
         """Return what is on the disk after a crash: all but the last tenth of a second."""
         left = Journal()
-        left.doubtful = self.doubtful
+        left.doubtful, left.banned = self.doubtful, set(self.banned)
         left.finished = list(self.finished)
         left.counted = [row for row in self.counted if row[0] < now - COMMIT_S]
         return copy.deepcopy(left)
@@ -47,6 +50,12 @@ class Journal:
         return history.hex()
 
 
+def ban_again(dispatch: Dispatch, servers: Iterable[str]) -> None:
+    """Ban servers that the record of a run has as banned."""
+    for server in servers:
+        dispatch.bans.ban(dispatch.servers.known(server), "it was before")
+
+
 class Optimizer(Node[events.Event]):
     """Start or resume an experiment in the simulated world."""
 
@@ -56,19 +65,20 @@ class Optimizer(Node[events.Event]):
         experiment: Experiment,
         *,
         verify: float,
+        user: str = "ada",
+        breeds_s: float = 0.0,
         epoch: int = 0,
         journal: Journal | None = None,
     ) -> None:
         super().__init__(world)
-        self.experiment, self.run, self.epoch, self.verify = (
-            experiment,
-            experiment.name,
-            epoch,
-            verify,
-        )
+        self.experiment, self.user, self.run = experiment, user, experiment.name
+        self.epoch, self.verify, self.breeds_s = epoch, verify, breeds_s
+        self.name = f"{self.user}/{self.run}"
         self.nonce = world.random.randbytes(16)
         self.journal = journal or Journal()
         self.links: dict[str, Link] = {}  # by server
+        self.awaited = Awaited()
+        self.paused = False
         self.left = False  # it is done
         self.superseded = False  # another one has resumed its run
         self.progressed_at = self.unserved_at = world.now
@@ -96,6 +106,7 @@ class Optimizer(Node[events.Event]):
                 verify=verify,
             )
         )
+        ban_again(self.dispatch, self.journal.banned)
         self.workload = experiment.workload(None)  # the one that runs
         self._wake_at = float("inf")
         world.soon(self._next_generation)
@@ -133,14 +144,20 @@ class Optimizer(Node[events.Event]):
         world = self.world
         if not isinstance(event, events.TimePassed):
             world.tell(
-                self.run, self.epoch, "Work" if isinstance(event, events.Work) else event
+                self.name, self.epoch, "Work" if isinstance(event, events.Work) else event
             )
         commands = self.dispatch.handle(event, self.clock())
+        if isinstance(event, events.Answered):
+            self.awaited.answered(event)
         if (held := self._slots_held()) > self.max_slots:
-            world.fail(f"{self.run} holds or asks for {held} slots of {self.max_slots}")
+            world.fail(f"{self.name} holds or asks for {held} slots of {self.max_slots}")
+        leased = self.dispatch.servers.roster.leased.values()
+        if self.paused and any(server.slots for server in leased):
+            world.fail(f"{self.name} holds slots while it pauses")
         for command in commands:
             match command:
                 case events.Ask():
+                    self.awaited.asked(command)
                     self.links[command.server].ask(command.question, command.message)
                 case events.Counted():
                     self._record(command)
@@ -177,9 +194,11 @@ class Optimizer(Node[events.Event]):
                     self._finish()
                 case events.Failed():
                     if "taken over" not in command.reason or not self.superseded:
-                        world.fail(f"{self.run} failed: {command.reason}")
+                        world.fail(f"{self.name} failed: {command.reason}")
                     self.end()
                 case Note():
+                    if command.event == RunEvent.SERVER_WRONG:
+                        self.journal.banned.add(command.server)
                     self._missed |= (
                         command.event == "unverified"
                         or "when it was verified" in command.text
@@ -208,6 +227,8 @@ class Optimizer(Node[events.Event]):
         rows = [row[1] for row in self.journal.counted]
         if rows and np.isin(counted.trials, np.concatenate(rows)).any():
             self.world.fail("a trial was counted twice")
+        if counted.server in self.journal.banned:
+            self.world.fail(f"{counted.server} is banned, and was counted for")
         load, trials = self.workload, counted.trials
         row = (
             load.fitness[trials].copy(),
@@ -244,7 +265,7 @@ class Optimizer(Node[events.Event]):
             (load.genomes, self.experiment.fitness(load.fitness[:, 0]))
         )
         self.journal.counted = []
-        world.at(0.0, lambda: self.when_awake(self._next_generation))
+        world.at(self.breeds_s, lambda: self.when_awake(self._next_generation))
 
     def _leave(self) -> None:
         self.handle(events.Leave())
@@ -257,6 +278,22 @@ class Optimizer(Node[events.Event]):
         for link in self.links.values():
             link.set("down")
 
+    def pause(self, seconds: float) -> None:
+        """Let the run hold no slots for a while."""
+
+        def pauses(paused: bool) -> None:
+            self.paused = paused and not self.left
+            self.progressed_at = self.world.now
+            self.handle(events.Pause(self.paused))
+
+        self.when_awake(lambda: pauses(True))
+        self.world.at(seconds, lambda: self.when_awake(lambda: pauses(False)))
+
+    def stop(self) -> None:
+        """End as after Ctrl-C: release all leases first."""
+        self.handle(events.Leave())
+        self.end()
+
     def resume(self) -> "Optimizer":
         """Start another program that resumes from the record, even if this one still runs."""
         self.superseded = True
@@ -265,6 +302,8 @@ class Optimizer(Node[events.Event]):
             self.world,
             self.experiment,
             verify=self.verify,
+            user=self.user,
+            breeds_s=self.breeds_s,
             epoch=self.epoch + 1,
             journal=journal,
         )
@@ -273,6 +312,8 @@ class Optimizer(Node[events.Event]):
         """Check that every trial is in one place, or in the two that are known to have it."""
         servers, batches = self.dispatch.servers.by_id.values(), self.dispatch.batches
         self._check_pairs()
+        if forgotten := self.awaited.forgotten(self.dispatch):
+            self.world.fail(f"{self.name}: {forgotten}")
         if batches.workload is not None:
             places = [entry.trials for entry in batches.queue.entries]
             places += [
@@ -286,7 +327,7 @@ class Optimizer(Node[events.Event]):
             once = np.array(self._once)
             once[list(batches.second.pairs)] += 1
             if found.tolist() != once.tolist():
-                self.world.fail(f"{self.run}: a trial is lost, or in two places")
+                self.world.fail(f"{self.name}: a trial is lost, or in two places")
         for server in servers:
             if server.batches and server.phase not in (Phase.LEASED, Phase.LEAVING):
                 self.world.fail(f"{server.id} has batches")
@@ -299,4 +340,4 @@ class Optimizer(Node[events.Event]):
                 for batch in pair
             ]
             if not all(there) or pair[0].server is pair[1].server:
-                self.world.fail(f"{self.run}: a second start of trial {trial} is lost")
+                self.world.fail(f"{self.name}: a second start of trial {trial} is lost")
