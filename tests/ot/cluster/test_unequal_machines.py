@@ -5,7 +5,8 @@ import pytest
 from tests.ot.cluster.dispatching import Optimizer, batch, fault, outcomes, trials
 from tests.ot.cluster.simulated_lab import Lab, Machine
 from zswarm.ot.cluster.events import Ask, Complete
-from zswarm.protocol.messages import Refused
+from zswarm.protocol import codec
+from zswarm.protocol.messages import Refused, Running
 
 
 def test_what_a_large_server_had_is_split_among_all_others() -> None:
@@ -128,6 +129,21 @@ def test_the_first_outcome_is_counted_and_the_other_copy_cancelled() -> None:
         assert (cancel.server, cancel.message.batches) == (lost.server, [batch(lost)])
         assert optimizer.answer(lost, outcomes(lost, 8.0)) == []
         assert optimizer.counted == [0]
+
+
+def test_a_batch_is_cancelled_of_which_another_server_sent_what_is_left() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a", slots=2, trial_s=100.0)
+    (first,) = optimizer.work(2)
+    optimizer.join("b", trial_s=60.0)
+    (copy,) = [ask for ask in optimizer.wait(1.0) if ask.server == "b"]
+    optimizer.answer(copy, outcomes(copy))
+    assert trials([copy]) == [1]
+    told = {"trials": codec.indices([0]), "fitness": bytes(8), "seconds": 1.0}
+    running = Running(batch=batch(first), done=1, **told)
+    (cancel,) = optimizer.answer(first, running)
+    assert (cancel.server, cancel.message.batches) == ("a", [batch(first)])
+    assert optimizer.counted == [1, 0]
 
 
 def test_a_lost_copy_leaves_its_trial_to_the_other_server() -> None:

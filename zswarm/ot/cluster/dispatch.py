@@ -132,8 +132,7 @@ class Dispatch:
                     batches.count(batch, reply)
                     batch.unanswered = 0
                     batch.all_started |= reply.given
-                    if batch.missing:
-                        batches.send(batch)
+                    batches.go_on(batch)
                 case Outcomes():
                     batches.count(batch, reply)
                     batches.give_back(batch)
