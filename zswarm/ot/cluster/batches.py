@@ -210,13 +210,6 @@ class Batches(msgspec.Struct, eq=False):
         batch.server.batches[batch.id] = batch
         self.ask(batch)
 
-    def go_on(self, batch: SentBatch) -> None:
-        """Await the rest of a batch, or cancel what other servers sent of it."""
-        if batch.missing:
-            self.send(batch)
-        else:
-            self._cancel(batch.server, [batch.id])
-
     def ask(self, batch: SentBatch) -> None:
         """Ask for a batch, or again for one that is out: by its id if the server can have it."""
         assert self.workload is not None  # noqa: S101  batches are of one
