@@ -10,9 +10,11 @@ from zswarm.ot.cluster.bans import Bans
 from zswarm.ot.cluster.batches import Batches
 from zswarm.ot.cluster.dispatch import Dispatch
 from zswarm.ot.cluster.events import Answered, Counted
+from zswarm.ot.cluster.machines import Machines
 from zswarm.ot.cluster.queue import QueuedTrials
 from zswarm.ot.cluster.remote_server import SentBatch
 from zswarm.ot.cluster.second_starts import SecondStarts
+from zswarm.ot.cluster.servers import Servers
 from zswarm.protocol.messages import Outcomes
 from zswarm.ss.slots.leases import LeaseTable
 from zswarm.ss.slots.reply_cache import ReplyCache
@@ -206,9 +208,26 @@ def turns_go_by_name(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(Sharing, "_place", lambda _self, _used, name: (0.0, name.encode()))
 
 
-def a_ban_is_forgotten_over_resume(patch: pytest.MonkeyPatch) -> None:
-    """Use servers again that the record has as banned."""
-    patch.setattr("tests.chaos.optimizer.ban_again", lambda *_: None)
+def a_machine_is_each_of_its_ids(patch: pytest.MonkeyPatch) -> None:
+    """Take the servers of a machine for as many machines."""
+    offered = Servers._offered
+    patch.setattr(
+        Servers,
+        "_offered",
+        lambda self, server, offer, _: offered(self, server, offer, server.id),
+    )
+
+
+def a_server_verifies_its_machine(patch: pytest.MonkeyPatch) -> None:
+    """Let a server verify what another server of its machine counted."""
+    patch.setattr(Machines, "of", lambda _self, server: server)
+
+
+def a_ban_ends_with_the_program(patch: pytest.MonkeyPatch) -> None:
+    """Use a machine again that an earlier program of the run banned."""
+    patch.setattr(
+        Machines, "after", lambda known: Machines(_by_server=dict(known.machines))
+    )
 
 
 PLANTED: list[Callable[[pytest.MonkeyPatch], None]] = [
@@ -231,5 +250,7 @@ PLANTED: list[Callable[[pytest.MonkeyPatch], None]] = [
     runs_are_ignored,
     leases_do_not_rotate,
     turns_go_by_name,
-    a_ban_is_forgotten_over_resume,
+    a_machine_is_each_of_its_ids,
+    a_server_verifies_its_machine,
+    a_ban_ends_with_the_program,
 ]

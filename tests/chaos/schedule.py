@@ -1,6 +1,7 @@
 """Play one seeded schedule of programs and faults, and check what must hold at the end."""
 
 import itertools
+from functools import partial
 from typing import NamedTuple
 
 from zswarm.errors import ZswarmError
@@ -66,7 +67,7 @@ class Lab:
         for _ in range(draw.randint(1 if self.liar else 0, 3)):
             self.world.at(draw.choice([0.0, 5.0]), self.add_server)
         if self.liar:
-            self.add_server(sound=True, lies=0.3)
+            self.add_liars()
         for run in ["run-1", "run-2", "run-3"][: draw.randint(1, 3)]:
             self._add_run(draw.choice(USERS), run)
 
@@ -86,7 +87,14 @@ class Lab:
                     lambda user=user, run=run: self._add_run(user, run, busy=True),
                 )
 
-    def add_server(self, *, sound: bool = False, lies: float = 0.0) -> Server:
+    def add_liars(self) -> None:
+        """Start the servers of one machine, which tell the same lies."""
+        for _ in range(self.world.random.choice([1, 2, 3])):
+            self.add_server(sound=True, lies=0.3, machine="liar")
+
+    def add_server(
+        self, *, sound: bool = False, lies: float = 0.0, machine: str = ""
+    ) -> Server:
         """Start a server."""
         server = Server(
             self.world,
@@ -96,6 +104,7 @@ class Lab:
             lies=lies,
             trials_s=self._trials_s,
             most=self._most,
+            machine=machine,
         )
         self.servers.append(server)
         for optimizer in self.optimizers:
@@ -163,7 +172,7 @@ class Lab:
                     world.at(lasts_s, lambda link=link: link.set("up"))
             case "crash":
                 server.end()
-                world.at(world.random.uniform(0.1, 5.0), self.add_server)
+                self._start_again(server)
             case "drain" if not server.slots.draining:
                 server.drain()
             case "worker":
@@ -172,6 +181,13 @@ class Lab:
                 self._freeze(server, list(server.links.values()), lasts_s)
             case "jump":
                 server.offset += world.random.choice([1.0, 30.0, 3600.0])
+
+    def _start_again(self, server: Server) -> None:
+        """Start another server where one crashed: a liar's machine goes on lying."""
+        again = self.add_server
+        if server.lies:
+            again = partial(again, sound=True, lies=server.lies, machine=server.machine)
+        self.world.at(self.world.random.uniform(0.1, 5.0), again)
 
     def _kill_worker(self, server: Server) -> None:
         worker = self.world.random.choice(server.workers)
