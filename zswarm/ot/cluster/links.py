@@ -66,6 +66,7 @@ class Links(msgspec.Struct, eq=False):
     senders: dict[str, session.Sender] = {}
     _local: str = ""  # endpoint of this machine's slots
     _addresses: dict[str, str] = {}  # of links, by zenoh's id of the other side
+    _members: frozenset[str] = frozenset()  # names of servers with certificates
     _announced: Announced = msgspec.UNSET  # type: ignore[assignment]
     # Names of which too many servers, or servers of another version, are there, as the user knows.
     _many: set[str] = set()
@@ -76,7 +77,9 @@ class Links(msgspec.Struct, eq=False):
     _waited_for: Counter[str] = msgspec.field(default_factory=Counter)  # these, by server
 
     def __post_init__(self) -> None:
-        self._announced = Announced(partial(name_of, members=self._members()))
+        if (ring := self.reach.keyring) is not None:
+            self._members = frozenset(ring.members.servers)
+        self._announced = Announced(partial(name_of, members=self._members))
 
     def open(self, local: str) -> None:
         """Open sessions; one through a router opens once the router is there.
@@ -174,20 +177,15 @@ class Links(msgspec.Struct, eq=False):
         if not self.senders[server].send(send, at_once=at_once):
             on_answer(None)
 
-    def _members(self) -> frozenset[str]:
-        """Return the names of servers with certificates; none in the clear."""
-        ring = self.reach.keyring
-        return frozenset(ring.members.servers) if ring is not None else frozenset()
-
     def _machine(self, server: str, replier: str) -> str:
         """Return the machine of a server by zenoh's id of who answered for it."""
-        if (
-            replier not in self._addresses
-        ):  # a link of which zenoh has not told yet, or none
-            for link in self.home[server].info.links():
+        opened = self.home.get(server)
+        if replier not in self._addresses and opened is not None:
+            # Zenoh has not told of the link yet, or there is none.
+            for link in opened.info.links():
                 self._addresses[str(link.zid)] = link.dst
         address = self._addresses.get(replier, "")
-        return machine(server, address, self._local, self._members())
+        return machine(server, address, self._local, self._members)
 
     def _not_sent(self, server: str, error: BaseException) -> None:
         self.post(Note(RunEvent.DIAGNOSIS, "", f"sending to {server} failed: {error!r}"))
@@ -240,7 +238,7 @@ class Links(msgspec.Struct, eq=False):
         key = diagnosis.parsed(sample)
         if key is None:
             return
-        name = name_of(key.server, self._members())
+        name = name_of(key.server, self._members)
         if key.version == keys.CURRENT:
             self._on_server(opened, key.server, name, seen=seen)
         elif seen and name not in self._others:
