@@ -7,7 +7,7 @@ Operators: docs/representations.md.
 """
 
 import functools
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from types import FunctionType
 from typing import Annotated, Any
 
@@ -22,7 +22,7 @@ from zswarm.kernels.portable import to_int
 from zswarm.kernels.random import Stream
 from zswarm.nets.graph import Graph
 from zswarm.nets.representation import Representation
-from zswarm.nets.vector import check_length
+from zswarm.nets.vector import check_lengths
 from zswarm.plugins import registry as plugins
 
 HEADER = 4  # parts, input, numbers of a part's parameters, of its state
@@ -178,19 +178,16 @@ class Bulk(Representation):
             ]
         return Graph(nodes, edges)
 
-    def _split(self, genomes: Iterable[bytes]) -> list[bytes]:
+    def _split(self, genomes: Sequence[bytes]) -> list[bytes]:
         """Return the parts of all genomes, in order.
 
         Raises:
             ValueError: a genome has the wrong length.
         """
-        size, parts = self.genome_bytes // self.settings.parts, []
-        for genome in genomes:
-            check_length(genome, self.genome_bytes)
-            parts += [
-                genome[begin : begin + size] for begin in range(0, len(genome), size)
-            ]
-        return parts
+        check_lengths(genomes, self.genome_bytes)
+        size = self.genome_bytes // self.settings.parts
+        begins = range(0, self.genome_bytes, size)
+        return [genome[begin : begin + size] for genome in genomes for begin in begins]
 
     def _join(self, parts: Sequence[bytes]) -> list[bytes]:
         count = self.settings.parts

@@ -108,9 +108,10 @@ class FullyMeshed(Meshed):
         neuron = [(settings.weight_range, vector.FINE)] * sources
         neuron.append((settings.bias_range, vector.COARSE))
         super().__init__(settings, inputs, outputs, neuron)
+        activation = neurons.ACTIVATIONS.index(settings.activation)
+        header = settings.iterations, activation, self.neurons, 0
+        self._header = np.array(header, np.float32)
 
     def parameters(self, genomes: Sequence[bytes]) -> np.ndarray:
         """Return header; per source its weights to all neurons, padded; the biases."""
-        activation = neurons.ACTIVATIONS.index(self.settings.activation)
-        header = self.settings.iterations, activation, self.neurons, 0
-        return neurons.parameter_rows(header, self.tables(genomes))
+        return neurons.parameter_rows(self._header, self.tables(genomes))
