@@ -67,7 +67,8 @@ class Batches(msgspec.Struct, eq=False):
         if len(trials):
             self.queue.put(QueuedTrials(trials))
         self.schedule.begin(workload, self.terms)
-        restored = np.flatnonzero(workload.source != "")  # and perhaps not verified
+        restored = np.flatnonzero(workload.counted)  # and perhaps not verified
+        restored = restored[workload.source[restored] != ""]
         self.checks.choose(restored, workload.source[restored].tolist())
 
     def end(self) -> None:

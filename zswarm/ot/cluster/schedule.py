@@ -57,15 +57,15 @@ class Schedule(msgspec.Struct, eq=False):
     def begin(self, workload: Workload, terms: Terms) -> None:
         """Schedule the trials of a workload."""
         participants = terms.participants
-        sizes = [0] if terms.reserve.asks else list(map(len, workload.genomes))
-        sent = (max(sizes, default=0) + 16) * participants + 16
+        genomes = [] if terms.reserve.asks else workload.genomes
+        sent = (max(map(len, genomes), default=0) + 16) * participants + 16
         answered = 8 * (participants + terms.metrics) + 4
         by_bytes = BATCH_BYTES // max(sent, answered)
         self.fits = min(
             messages.MAX_TRIALS, messages.MAX_GENOMES // participants, by_bytes
         )
-        genomes = sum(sizes) / max(1, len(workload.seeds))
-        self.trial_bytes = genomes + 16 * participants + answered
+        genome_bytes = sum(map(len, genomes)) / max(1, len(workload.seeds))
+        self.trial_bytes = genome_bytes + 16 * participants + answered
         self.restart()
 
     def serve(self, serving: dict[str, RemoteServer]) -> None:
