@@ -72,7 +72,7 @@ def step(parameters, state, observation, output):  # type: ignore[no-untyped-def
     inner = HEADER + inputs * row
     biases = inner + neurons * row
     speeds = biases + row
-    weigh(parameters, HEADER, row, observation, 0, inputs, state, from_inputs)
+    weigh(parameters, HEADER, row, observation, state, from_inputs)
     fire(state, firing, parameters, biases, row)
     for _ in range(iterations):
         for first in range(0, row, LANES):  # equation 1

@@ -59,7 +59,7 @@ def step(parameters, state, observation, output):  # type: ignore[no-untyped-def
     from_inputs, fresh = row, 2 * row  # behind the outputs
     inner = HEADER + inputs * row
     biases = inner + neurons * row
-    weigh(parameters, HEADER, row, observation, 0, inputs, state, from_inputs)
+    weigh(parameters, HEADER, row, observation, state, from_inputs)
     for _ in range(iterations):
         for first in range(0, row, LANES):
             sums = load(state, from_inputs + first)

@@ -75,17 +75,19 @@ def step(parameters, state, observation, output):  # type: ignore[no-untyped-def
             store(state, fresh + first, load(parameters, biases + first) + sums)
         for first in range(0, row, LANES):
             activate(CLAMP, state, fresh + first, first, LANES)
-    total, count = ZERO, 0
+    total = ZERO
     for neuron in range(neurons):
         change = rate * (np.float64(state[neuron]) - 0.5)
-        for source in range(inputs + neurons):
-            value = observation[source] if source < inputs else state[source - inputs]
-            delta = float32(change * (np.float64(value) - 0.5))
+        for source in range(inputs):
+            delta = float32(change * (np.float64(observation[source]) - 0.5))
             state[deltas + source * row + neuron] = delta
-            if source - inputs != neuron:
+            total = total + delta
+        for source in range(neurons):
+            delta = float32(change * (np.float64(state[source]) - 0.5))
+            state[deltas + (inputs + source) * row + neuron] = delta
+            if source != neuron:
                 total = total + delta
-                count += 1
-    mean = total / float32(count)
+    mean = total / float32(neurons * (inputs + neurons - 1))
     for source in range(inputs + neurons):
         for neuron in range(neurons):
             if source - inputs != neuron:

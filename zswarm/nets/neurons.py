@@ -69,18 +69,16 @@ def copy_outputs(state, end, output):  # type: ignore[no-untyped-def]  # compile
 
 
 @inline(counts=False)
-def weigh(parameters, at, row, values, begin, count, state, to):  # type: ignore[no-untyped-def]  # compiled
-    """Store sums of ``count`` values from ``begin``, in order, times weights, for all neurons.
+def weigh(parameters, at, row, values, state, to):  # type: ignore[no-untyped-def]  # compiled
+    """Store the sums of values, in order, times their weights, for all neurons.
 
     The weights of the first value, ``row`` numbers, begin at ``at``; those of the next follow.
     """
     for first in range(0, row, LANES):
         sums = fill(ZERO)
-        for source in range(count):
-            sums = (
-                sums
-                + load(parameters, at + source * row + first) * values[begin + source]
-            )
+        for source in range(values.shape[0]):
+            weights = load(parameters, at + source * row + first)
+            sums = sums + weights * values[source]
         store(state, to + first, sums)
 
 
