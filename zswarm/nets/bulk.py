@@ -72,11 +72,9 @@ part_step: Step  # of the parts' kind: ``_step_for`` gives it to ``decide``
 
 def decide(parameters, state, observation, output):  # type: ignore[no-untyped-def]  # compiled
     """Let the part decide that an input selects."""
-    parts, numbers, numbers_of_state = (
-        int(parameters[0]),
-        int(parameters[2]),
-        int(parameters[3]),
-    )
+    parts = int(parameters[0])
+    numbers = int(parameters[2])
+    numbers_of_state = int(parameters[3])
     part = min(max(to_int(observation[int(parameters[1])] + HALF), 0), parts - 1)
     begin, begin_of_state = HEADER + part * numbers, part * numbers_of_state
     part_step(  # noqa: F821  one of its globals
@@ -90,10 +88,8 @@ def decide(parameters, state, observation, output):  # type: ignore[no-untyped-d
 @functools.cache
 def _step_for(kind: str) -> Any:
     """Return ``decide`` for parts of a kind; a separate name and globals let numba cache it."""
-    name, part_step = (
-        f"decide_{kind.replace('-', '_')}",
-        plugins.load("representation", kind).step,
-    )
+    name = f"decide_{kind.replace('-', '_')}"
+    part_step = plugins.load("representation", kind).step
     function = FunctionType(decide.__code__, {**globals(), "part_step": part_step}, name)
     function.__qualname__ = name
     return kernel(STEP_SIGNATURE)(function)

@@ -50,11 +50,9 @@ def step(parameters, state, observation, output):  # type: ignore[no-untyped-def
     The inputs do not change between iterations, so their sums are computed once. The additions and
     their order are those of FREVO.
     """
-    iterations, activation, neurons = (
-        int(parameters[0]),
-        int(parameters[1]),
-        int(parameters[2]),
-    )
+    iterations = int(parameters[0])
+    activation = int(parameters[1])
+    neurons = int(parameters[2])
     inputs, row = observation.shape[0], state.shape[0] // 3
     from_inputs, fresh = row, 2 * row  # behind the outputs
     inner = HEADER + inputs * row

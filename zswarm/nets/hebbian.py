@@ -49,11 +49,9 @@ class HebbianSettings(MeshedSettings, frozen=True):
 @kernel(STEP_SIGNATURE)
 def step(parameters, state, observation, output):  # type: ignore[no-untyped-def]  # compiled
     """Make one decision, and learn from it."""
-    iterations, neurons, rate = (
-        int(parameters[0]),
-        int(parameters[1]),
-        np.float64(parameters[RATE]),
-    )
+    iterations = int(parameters[0])
+    neurons = int(parameters[1])
+    rate = np.float64(parameters[RATE])
     row = (neurons + LANES - 1) // LANES * LANES
     inputs = observation.shape[0]
     table = (inputs + neurons) * row

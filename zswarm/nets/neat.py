@@ -211,11 +211,9 @@ class Neat(Representation):
         sources, targets = self._ends(links, nodes)
         self._check_recurrence(sources, targets, hidden)
         enabled = links["enabled"] == 1
-        sources, targets, weights = (
-            sources[enabled],
-            targets[enabled],
-            links["weight"][enabled],
-        )
+        sources = sources[enabled]
+        targets = targets[enabled]
+        weights = links["weight"][enabled]
         sweeps = (
             1 if (sources - self.inputs < targets).all() else self.settings.iterations
         )
