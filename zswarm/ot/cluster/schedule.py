@@ -59,15 +59,16 @@ class Schedule(msgspec.Struct, eq=False):
     def begin(self, workload: Workload, terms: Terms) -> None:
         """Schedule the trials of a workload."""
         participants = terms.participants
-        sizes = [0] if terms.reserve.asks else list(map(len, workload.genomes))
-        sent = (max(sizes, default=0) + 16) * participants + 16
+        genomes = [] if terms.reserve.asks else workload.genomes
+        sent = (max(map(len, genomes), default=0) + 16) * participants + 16
         answered = 8 * (participants + terms.metrics) + 4
         by_bytes = BATCH_BYTES // max(sent, answered)
         self.fits = min(
             messages.MAX_TRIALS, messages.MAX_GENOMES // participants, by_bytes
         )
-        trials, candidates = len(workload.seeds), max(1, len(sizes))
-        self._genome_bytes = sum(sizes) / candidates * participants
+        trials = len(workload.seeds)
+        candidates = max(1, len(genomes))
+        self._genome_bytes = sum(map(len, genomes)) / candidates * participants
         self._trial_bytes = 16 * participants + answered
         self._alike = max(1.0, trials * participants / candidates)
         self.restart()
