@@ -215,18 +215,35 @@ def test_a_free_running_simulation_reports_how_late_the_controllers_are() -> Non
     """Few are late in real time; at 1,000 times the speed most are, and steps are missed."""
     need("zenoh")
     late, turns = [], []
+    room = {**ROOM, "mode": "free-running", "missed_limit": 1.0}
     for rate, trials in ((1.0, 1), (1000.0, 8)):
-        simulator = built("turtlebot-exit-ros", mode="free-running", rate=rate, **ROOM)
+        simulator = built("turtlebot-exit-ros", rate=rate, **room)
         for seed in range(3, 3 + trials):
             played = by_policy(simulator, robot_controllers.turtlebot_exit, seed)
-            late.append(played.outcome.metrics[-1])
+            out, _, seconds, share, missed = played.outcome.metrics
+            late.append(share)
             turns.append(len(played.poses) - 1)
-            out, _, seconds, _ = played.outcome.metrics
+            assert missed == 1 - turns[-1] / round(seconds / 0.2)
             assert seconds == 6.0 or out == 2, "all seconds have passed, or all are out"
         simulator.close()
         assert not simulator.repeatable
     assert late[0] < max(late[1:]) <= 1.0
     assert min(turns[1:]) < turns[0] <= 30
+
+
+def test_a_trial_whose_steps_passed_without_decisions_is_a_fault() -> None:
+    """It is no outcome: the robots were not asked."""
+    need("zenoh")
+    room = {**ROOM, "mode": "free-running", "rate": 1000.0, "missed_limit": 0.0}
+    simulator = built("turtlebot-exit-ros", **room)
+    with pytest.raises(
+        EvaluationError,
+        match=r"\d+ of \d+ steps passed without a decision: the simulation is about [\d.]+ times "
+        r"too fast .* at most 0 \(missed_limit\): slow it down, see docs/ros.md",
+    ):
+        for seed in range(20):
+            by_policy(simulator, robot_controllers.turtlebot_exit, seed)
+    simulator.close()
 
 
 def in_slot(here: RosGraph, folder: Path, patch: pytest.MonkeyPatch, **more: Any) -> Any:

@@ -32,7 +32,8 @@ class Link:
     """Publishes and receives the topics of a profile, for one side.
 
     The simulation publishes clock, scans, odometry and ground truth, and receives velocities and
-    resets; controllers do the opposite. Messages sent before ``ready`` may be lost.
+    resets; controllers do the opposite. Messages sent before ``ready`` may be lost. Where the reset
+    is a service, controllers receive a ``ResetWorld`` when a call of it returned.
     """
 
     def __init__(
@@ -189,13 +190,20 @@ class Link:
     def _shown(self, numbers: list[int]) -> str:
         """Describe topics without another side."""
         texts = []
-        for verb, publish in (("subscribes to", True), ("publishes", False)):
+        for verb in ("offers the service", "subscribes to", "publishes"):
             topics = [self._described[number] for number in numbers]
-            names = [topic["name"] for topic in topics if topic["publish"] is publish]
+            names = [topic["name"] for topic in topics if _verb(topic) == verb]
             if names:
                 more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
                 texts.append(f"no node {verb} {', '.join(names[:SHOWN])}{more}")
         return "; ".join(texts)
+
+
+def _verb(topic: dict[str, Any]) -> str:
+    """Return what the other side of a topic does."""
+    if topic["type"] == frames.EMPTY:
+        return "offers the service"
+    return "subscribes to" if topic["publish"] else "publishes"
 
 
 def _describe(

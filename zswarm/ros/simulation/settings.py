@@ -17,6 +17,7 @@ LINK = "own: zenoh: ROS 2 as rmw_zenoh speaks it, without ROS here; rclpy: ROS 2
 PROFILE = "own: a bundled profile; empty: stageros for rospy, else stage_ros2"
 SIMULATION = "own: each slot starts a simulation node; else the name of a server's file"
 MODE = "lock-step: waits for the robots; free-running: does not wait, is not repeatable"
+MISSED = "share of a trial's steps without a decision above which it is a fault"
 RATE = "own and free-running: speed as a multiple of real time"
 
 
@@ -38,6 +39,7 @@ class RosSettings(
     deadline_s: Annotated[
         float, about("s for the simulation to answer", ge=0.1, le=1e5)
     ] = 10.0
+    missed_limit: Annotated[float, about(MISSED, ge=0, le=1)] = 0.2
 
     def __post_init__(self) -> None:
         if self.simulation != OWN and (self.profile or self.link != "zenoh"):

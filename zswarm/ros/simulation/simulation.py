@@ -26,10 +26,11 @@ from zswarm.system.processes import MODULE
 
 NS = 1_000_000_000
 READY_S = 30.0  # for both sides to find each other
-LISTEN_S = 0.2  # to a simulation that may be running, before the first trial
+LISTEN_S = 0.2  # to a simulation that may be running, before a trial and after its reset
 FLOOD_S = 0.5  # spent at most on messages that come faster than they are taken
 LOOK_S = 0.2  # between checks of the node
-SOON = 0.75  # of a step: a scan so much later is the next one; free-running ones are not exact
+SOON = 0.75  # of a step: a scan so much later is the next, while the interval is unknown
+OFF = 0.1  # of a step, that the simulation's own steps may differ from it
 
 
 class Simulation:
@@ -52,6 +53,8 @@ class Simulation:
         self._step_ns = round(settings.step_s * NS)
         self._node: Child | None = None
         self.stamp_ns = 0
+        self._was_reset = False
+        self._is_simulated = machine is None or not machine.real_robots
         pose: Channel = "odometry" if profile.ground_truth is None else "ground_truth"
         self._readings = Readings(interface, truth=pose == "ground_truth")
         used: list[Channel] = ["velocity", "scan", pose, "reset"]
@@ -77,14 +80,18 @@ class Simulation:
 
     def begin(self, seed: int, scans: np.ndarray, poses: np.ndarray) -> None:
         """Begin a trial, and fill all robots' scans and poses; see ``Readings.fill``."""
+        self.halt(range(self._robots))  # that may drive as a stranded slot decided
         if not self._lock_step:
             self._listen(LISTEN_S)
         before_ns = self._readings.clock_ns
         self._readings.forget()
+        self._was_reset = False
         self._link.send([ResetWorld(seed=seed)])
         due_ns = self._step_ns
         if self._profile.reset.service:  # its clock is not reset
-            due_ns = before_ns + 2 * self._step_ns
+            self._await_return()
+            self._listen(LISTEN_S)
+            due_ns = self._readings.clock_ns + self._step_ns
         elif not self._lock_step:
             self._await_reset(before_ns)
         self._look(range(self._robots), due_ns, scans, poses)
@@ -111,8 +118,7 @@ class Simulation:
     def look(self, robots: Sequence[int], scans: np.ndarray, poses: np.ndarray) -> int:
         """Wait for the next readings of robots, and fill them; return how many steps passed."""
         before_ns = self.stamp_ns
-        wait_ns = self._step_ns if self._lock_step else round(SOON * self._step_ns)
-        self._look(robots, before_ns + wait_ns, scans, poses)
+        self._look(robots, before_ns + self._wait_ns(), scans, poses)
         return max(1, round((self.stamp_ns - before_ns) / self._step_ns))
 
     def halt(self, robots: Iterable[int]) -> None:
@@ -140,7 +146,38 @@ class Simulation:
                 self.halt(robots)
                 silent_at = deadline
             self._take(max(0.0, min(deadline, silent_at) - now))
-        self.stamp_ns = self._readings.fill(robots, scans, poses)
+        self.stamp_ns = self._readings.fill(robots, due_ns, scans, poses)
+
+    def _wait_ns(self) -> int:
+        """Return how much later than the last a scan is to be the next.
+
+        Raises:
+            EvaluationError: the simulation has no scans ``step_s`` apart.
+        """
+        interval_ns, step_ns = self._readings.interval_ns, self._step_ns
+        if self._lock_step:
+            return step_ns
+        if not interval_ns:
+            return round(SOON * step_ns)
+        nearest_ns = round(step_ns / interval_ns) * interval_ns
+        if self._is_simulated and abs(nearest_ns - step_ns) > OFF * step_ns:
+            raise EvaluationError(
+                f"step_s is {step_ns / NS:g}, and the simulation sends scans every "
+                f"{interval_ns / NS:g} s; expected a multiple of that"
+            )
+        return step_ns - interval_ns // 2
+
+    def _await_return(self) -> None:
+        """Wait until the service that resets returned."""
+        limit_s = self._settings.deadline_s
+        deadline = time.monotonic() + limit_s
+        while not self._was_reset:
+            if time.monotonic() > deadline:
+                name = self._profile.reset.name
+                raise EvaluationError(
+                    f"{name} did not return within {limit_s:g} s (deadline_s)"
+                )
+            self._take(limit_s)
 
     def _await_reset(self, before_ns: int) -> None:
         """Wait until the clock restarted."""
@@ -148,7 +185,11 @@ class Simulation:
         deadline = time.monotonic() + limit_s
         while self._readings.clock_ns == 0 or 0 < before_ns <= self._readings.clock_ns:
             if time.monotonic() > deadline:
-                raise EvaluationError(f"no trial began within {limit_s:g} s (deadline_s)")
+                raise EvaluationError(
+                    f"no trial began within {limit_s:g} s (deadline_s): the clock did not restart "
+                    f"after a message on {self._profile.reset.name}; expected a profile with the "
+                    "reset that this simulation has, see docs/profiles.md"
+                )
             self._readings.forget()
             self._take(limit_s)
 
@@ -162,7 +203,9 @@ class Simulation:
     def _take(self, timeout_s: float) -> bool:
         """Take the next message; return early without one, so that the node is checked often."""
         message = self._link.receive(min(timeout_s, LOOK_S))
-        if message is not None:
+        if isinstance(message, ResetWorld):
+            self._was_reset = True
+        elif message is not None:
             self._readings.take(message)
         elif self._node is not None:
             self._node.next(0.0)  # raises if it ended
@@ -193,7 +236,7 @@ def _node(settings: RosSettings, here: RosGraph, channels: str) -> list[str]:
 def _alone_with(here: RosGraph) -> Iterator[None]:
     """Reserve a running simulation against other slots of this machine."""
     try:
-        held = locked(msgspec.json.encode(here))
+        held = locked(msgspec.json.encode(here.identity()))
     except BlockingIOError:
         raise EvaluationError(
             "another slot drives this simulation; one server with --capacity 1 was expected"
