@@ -15,7 +15,12 @@ def test_one_master_has_one_identity_however_it_is_spelled(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("ROS_MASTER_URI", "http://localhost:11411/")
-    names = ("", "http://127.0.0.1:11411", "http://localhost:11411", "http://LOCALHOST:11411")
+    names = (
+        "",
+        "http://127.0.0.1:11411",
+        "http://localhost:11411",
+        "http://LOCALHOST:11411",
+    )
     assert {master(uri) for uri in names} == {"http://127.0.0.1:11411"}
 
 

@@ -241,9 +241,13 @@ def test_a_trial_whose_steps_passed_without_decisions_is_a_fault() -> None:
         match=r"\d+ of \d+ steps passed without a decision: the simulation is about [\d.]+ times "
         r"too fast .* at most 0 \(missed_limit\): slow it down, see docs/ros.md",
     ):
-        for seed in range(20):
-            by_policy(simulator, robot_controllers.turtlebot_exit, seed)
+        play_many(simulator)
     simulator.close()
+
+
+def play_many(simulator: Any) -> None:
+    for seed in range(20):
+        by_policy(simulator, robot_controllers.turtlebot_exit, seed)
 
 
 def in_slot(here: RosGraph, folder: Path, patch: pytest.MonkeyPatch, **more: Any) -> Any:

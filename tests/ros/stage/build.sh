@@ -12,8 +12,8 @@ trap 'rm -rf "$work"' EXIT
 tar -xJf "$sources/stage-4.3.tar.xz" -C "$work"
 tar -xJf "$sources/stage_ros-1.8.0.tar.xz" -C "$work"
 patch --quiet --directory "$work/stage_ros" --strip 1 < "$sources/stageros-reset.patch"
-# The library and its headers alone: no examples, no worlds.
-sed -i -E 's/^ *(ADD_SUBDIRECTORY|add_subdirectory) *\( *(examples|worlds|assets|avonstage) *\)//' "$work/Stage/CMakeLists.txt"
+# The library alone: no examples, no worlds.
+sed -i -E 's/^ *(ADD_SUBDIRECTORY|add_subdirectory) *\( *(examples|worlds|avonstage) *\)//' "$work/Stage/CMakeLists.txt"
 
 build() {  # SOURCE OPTION...: build and install it
     from=$1
@@ -24,6 +24,10 @@ build() {  # SOURCE OPTION...: build and install it
 }
 build "$work/Stage"
 build "$work/stage_ros" -DCATKIN_ENABLE_TESTING=OFF -DCMAKE_PREFIX_PATH="$folder" -DPYTHON_EXECUTABLE=/usr/bin/python3
-g++ -O2 -shared -fPIC -I"$(dirname "$(ls "$folder"/include/Stage-*/stage.hh)")" -o "$folder/lib/throttle.so" \
-    "$here/../../../examples/ros/stage/throttle.cc"
+PKG_CONFIG_PATH=$folder/lib/pkgconfig
+export PKG_CONFIG_PATH
+for controller in throttle lockstep; do
+    g++ -O2 -Wall -shared -fPIC $(pkg-config --cflags stage roscpp geometry_msgs std_srvs) \
+        -o "$folder/lib/$controller.so" "$here/../../../examples/ros/stage/$controller.cc"
+done
 touch "$folder/ready"

@@ -80,13 +80,14 @@ class Simulation:
 
     def begin(self, seed: int, scans: np.ndarray, poses: np.ndarray) -> None:
         """Begin a trial, and fill all robots' scans and poses; see ``Readings.fill``."""
+        if self._lock_step and self._profile.reset.service:
+            self._begin_in_steps(seed, scans, poses)
+            return
         self.halt(range(self._robots))  # that may drive as a stranded slot decided
         if not self._lock_step:
             self._listen(LISTEN_S)
         before_ns = self._readings.clock_ns
-        self._readings.forget()
-        self._was_reset = False
-        self._link.send([ResetWorld(seed=seed)])
+        self._ask_reset(seed)
         due_ns = self._step_ns
         if self._profile.reset.service:  # its clock is not reset
             self._await_return()
@@ -105,14 +106,16 @@ class Simulation:
             self._listen(0.0)
             late = self._readings.clock_ns > self.stamp_ns
         stamp_ns = self.stamp_ns
-        self._link.send(
-            [
-                Velocity(
-                    robot=at, stamp_ns=stamp_ns, linear=linear[at], angular=angular[at]
-                )
-                for at in robots
-            ]
-        )
+        sent = [
+            Velocity(robot=at, stamp_ns=stamp_ns, linear=linear[at], angular=angular[at])
+            for at in robots
+        ]
+        if (
+            self._lock_step and self._profile.reset.service
+        ):  # it waits for those that are out
+            driven = {velocity.robot for velocity in sent}
+            sent += self._still(at for at in range(self._robots) if at not in driven)
+        self._link.send(sent)
         return late
 
     def look(self, robots: Sequence[int], scans: np.ndarray, poses: np.ndarray) -> int:
@@ -124,10 +127,32 @@ class Simulation:
     def halt(self, robots: Iterable[int]) -> None:
         """Stop robots in a simulation that does not wait."""
         if not self._lock_step:
-            still = Velocity(robot=0, stamp_ns=self.stamp_ns, linear=0.0, angular=0.0)
-            self._link.send(
-                [msgspec.structs.replace(still, robot=robot) for robot in robots]
-            )
+            self._link.send(self._still(robots))
+
+    def _still(self, robots: Iterable[int]) -> list[Velocity]:
+        """Return velocities of robots that stand."""
+        still = Velocity(robot=0, stamp_ns=self.stamp_ns, linear=0.0, angular=0.0)
+        return [msgspec.structs.replace(still, robot=robot) for robot in robots]
+
+    def _ask_reset(self, seed: int) -> None:
+        self._readings.forget()
+        self._was_reset = False
+        self._link.send([ResetWorld(seed=seed)])
+
+    def _begin_in_steps(self, seed: int, scans: np.ndarray, poses: np.ndarray) -> None:
+        """Begin a trial of a simulation that waits, at multiples of ``step_s``, and resets there.
+
+        See ``examples/ros/stage/lockstep.cc``.
+        """
+        every = range(self._robots)
+        self._ask_reset(seed)
+        self._await_return()
+        if not self.stamp_ns:  # readings may be on their way that no trial waited for
+            self._listen(LISTEN_S)
+        self._link.send(self._still(every))
+        self._look(every, self._readings.clock_ns + 1, scans, poses)
+        steps = -(-self.stamp_ns // self._step_ns)
+        self._look(every, steps * self._step_ns, scans, poses)
 
     def _look(
         self, robots: Sequence[int], due_ns: int, scans: np.ndarray, poses: np.ndarray
@@ -173,11 +198,12 @@ class Simulation:
         deadline = time.monotonic() + limit_s
         while not self._was_reset:
             if time.monotonic() > deadline:
-                name = self._profile.reset.name
-                raise EvaluationError(
-                    f"{name} did not return within {limit_s:g} s (deadline_s)"
-                )
+                raise self._no_return()
             self._take(limit_s)
+
+    def _no_return(self) -> EvaluationError:
+        limit_s, name = self._settings.deadline_s, self._profile.reset.name
+        return EvaluationError(f"{name} did not return within {limit_s:g} s (deadline_s)")
 
     def _await_reset(self, before_ns: int) -> None:
         """Wait until the clock restarted."""
