@@ -48,9 +48,12 @@ define robot position
   block( points {corners}
 {points}
       z [0 {height:g}] )
-  scanner( pose [0 0 0 0] obstacle_return 0 ranger_return 0 )
+  scanner( pose [0 0 {down:g} 0] obstacle_return 0 ranger_return 0 )  # else on top, above all
 )
-define wall model ( color "gray30" gui_nose 0 gui_grid 0 gui_outline 0 )
+define wall model
+(
+  color "gray30" obstacle_return 1 ranger_return 1 gui_nose 0 gui_grid 0 gui_outline 0
+)
 define exit model
 (
   color "green" obstacle_return 0 ranger_return 0 gui_nose 0 gui_grid 0 gui_outline 0
@@ -84,6 +87,7 @@ def world(
         rays=settings.rays,
         diameter=2 * settings.radius,
         height=HEIGHT_M,
+        down=-HEIGHT_M / 2,
         speed=-settings.speed,
         speed_=settings.speed,
         turn=-turn,

@@ -261,6 +261,17 @@ def in_slot(here: RosGraph, folder: Path, patch: pytest.MonkeyPatch, **more: Any
     return evaluate.build(name, settings, network, {}, in_slot=True)[0]
 
 
+@pytest.mark.parametrize("contact", ["slide", "stall"])
+def test_robots_that_stay_are_the_same_in_ros(contact: str) -> None:
+    need("zenoh")
+    room = {**ROOM, "steps": 60, "epsilon": 1.0, "contact": contact, "after_exit": "stay"}
+    here, ros = (built(name, **room) for name in ("turtlebot-exit", "turtlebot-exit-ros"))
+    expected = by_policy(here, robot_controllers.turtlebot_exit, 3)
+    assert expected.outcome.metrics[0] > 0, "some leave"
+    assert by_policy(ros, robot_controllers.turtlebot_exit, 3).bits == expected.bits
+    ros.close()
+
+
 def test_a_simulation_that_runs_is_driven_by_one_slot(
     here: RosGraph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
