@@ -40,7 +40,7 @@ def in_slot(**settings: Any) -> Any:
 def test_a_file_says_where_a_simulation_is(files: Path) -> None:
     more = 'connect = ["tcp/127.0.0.1:7447"]\ndomain = 3\n'
     (files / "stage.toml").write_text(FILE + more)
-    found, profile = machine.find("stage")
+    found, profile, _ = machine.find("stage")
     graph = found.graph()
     assert (graph.link, graph.connect, graph.domain) == (
         "zenoh",
@@ -86,6 +86,29 @@ def test_a_file_that_is_not_valid_is_told_to_its_machine_only(
     assert "password" not in str(caught.value)
     assert str(files) not in str(caught.value)
     assert "password" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        ('launch = "stageros \'room.world"', "launch: No closing quotation"),
+        ('launch = " "', "launch: expected a command"),
+        (
+            'link = "zenoh"\nlaunch = "stage"',
+            'launch: expected link = "rospy" or "rclpy"',
+        ),
+        ('launch = "stage"\nmaster = "http://lab:11311"', "expected no master"),
+        ('launch = "stage"\nreal_robots = true', "expected no master, domain or real_"),
+    ],
+)
+def test_what_does_not_go_with_launch_is_refused(
+    files: Path, lines: str, said: str
+) -> None:
+    link = "" if "link" in lines else 'link = "rospy"\n'
+    profile = "stage_ros2" if "zenoh" in lines else "stage"
+    (files / "stage.toml").write_text(f'{link}profile = "{profile}"\n{lines}\n')
+    with pytest.raises(ConfigError, match=said):
+        machine.read(files / "stage.toml")
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,9 @@
 """Simulations that wait for nobody, as Stage: a stand-in for it, in a private ROS graph."""
 
 import json
+import os
+import shlex
+import signal
 import subprocess
 import time
 from collections.abc import Iterator
@@ -50,6 +53,16 @@ def in_slot(settings: dict[str, Any], **more: Any) -> Any:
     return evaluate.build(
         "turtlebot-exit-ros", {**settings, **more}, "fully-meshed", {}, in_slot=True
     )[0]
+
+
+@contextmanager
+def launched(folder: Path, patch: pytest.MonkeyPatch, program: str) -> Iterator[Any]:
+    """A file that has each slot start a program; yields settings as ``running``."""
+    need("rospy")
+    patch.setenv("ZSWARM_ROS", str(folder))
+    file = {"link": "rospy", "profile": "stage", "launch": program}
+    (folder / "room.toml").write_text(tomli_w.dumps(file))
+    yield {"robots": 2, "simulation": "room", "mode": "free-running", "steps": 30}
 
 
 def ahead(observations: np.ndarray) -> np.ndarray:
@@ -145,4 +158,51 @@ def test_a_profile_with_another_reset_is_named(
         with pytest.raises(
             EvaluationError, match="no node subscribes to /zswarm/reset after 5 s"
         ):
+            simulator.reset(1)
+
+
+def test_each_slot_starts_a_simulation_and_starts_it_again_when_it_died(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the folder of the file, and with a master of its own."""
+    (tmp_path / "options.json").write_text(json.dumps(NORMAL))
+    python = command("master", "rospy")[0]
+    started = tmp_path / "started"
+    line = f'echo $$ >> {started}; exec {python} {PROGRAM} "$(cat options.json)"'
+    with launched(tmp_path, monkeypatch, shlex.join(["sh", "-c", line])) as settings:
+        slots = [in_slot(settings) for _ in range(2)]
+        for slot in slots:
+            slot.reset(1)
+            assert slot.poses[:, :2].tolist() == STARTS
+        first, second = map(int, started.read_text().split())
+        os.kill(first, signal.SIGKILL)
+        with pytest.raises(
+            EvaluationError, match="the simulation was killed by signal 9"
+        ):
+            by_policy(slots[0], ahead, 1)
+        slots[1].reset(2)
+        slots[0].reset(1)
+        assert slots[0].poses[:, :2].tolist() == STARTS
+        for slot in slots:
+            slot.close()
+        third = int(started.read_text().split()[2])
+        assert not any(Path(f"/proc/{one}").exists() for one in (first, second, third))
+
+
+@pytest.mark.parametrize(
+    ("program", "said"),
+    [
+        ("no-such-stage room.world", "no-such-stage cannot be started: No such file"),
+        (
+            "sh -c 'echo world room is missing; exit 3'",
+            "the simulation ended with code 3; it wrote: world room is missing",
+        ),
+    ],
+)
+def test_a_simulation_that_does_not_start_is_named_at_once(
+    program: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with launched(tmp_path, monkeypatch, program) as settings:
+        simulator = in_slot(settings)
+        with pytest.raises(EvaluationError, match=said):
             simulator.reset(1)

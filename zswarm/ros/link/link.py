@@ -11,7 +11,7 @@ Example::
 
 import os
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, Literal, Self
 
 from zswarm.errors import ConfigError, EvaluationError
@@ -100,12 +100,14 @@ class Link:
         timeout_s: float,
         channels: Collection[Channel] | None = None,
         either: Collection[Channel] = (),
+        check: Callable[[], object] = lambda: None,
     ) -> None:
         """Wait until topics are connected. Once both sides waited, no message is lost.
 
         Args:
             channels: those that must be connected; None: all of the link.
             either: of these, one must be, too.
+            check: called meanwhile; it raises where waiting is in vain.
 
         Raises:
             EvaluationError: not in time, with the topics that have no other side; or the child
@@ -115,6 +117,7 @@ class Link:
         while missing := self._missing(self._connections(deadline), channels, either):
             if time.monotonic() > deadline:
                 raise EvaluationError(f"{self._shown(missing)} after {timeout_s:g} s")
+            check()
             time.sleep(POLL_S)
 
     def send(self, messages: Sequence[Message]) -> None:

@@ -1,6 +1,7 @@
 """A ROS simulation as a slot drives it: its own node, or one that already runs."""
 
 import contextlib
+import os
 import sys
 import time
 import weakref
@@ -11,18 +12,19 @@ import numpy as np
 
 from zswarm.errors import EvaluationError
 from zswarm.robots.profiles.profile import Channel, Profile
+from zswarm.ros.launch.roslaunch import Supervisor
 from zswarm.ros.link import graph
 from zswarm.ros.link.child import Child
 from zswarm.ros.link.graph import RosGraph
 from zswarm.ros.link.link import Link
 from zswarm.ros.link.messages import ResetWorld, Velocity
-from zswarm.ros.simulation.machine import MachineSimulation
+from zswarm.ros.simulation.machine import Found
 from zswarm.ros.simulation.pairing import Readings
 from zswarm.ros.simulation.settings import RosSettings
 from zswarm.sims import turtlebot_exit
 from zswarm.sims.simulator import RobotInterface
 from zswarm.system.locks import locked
-from zswarm.system.processes import MODULE
+from zswarm.system.processes import MODULE, ending
 
 NS = 1_000_000_000
 READY_S = 30.0  # for both sides to find each other
@@ -41,7 +43,7 @@ class Simulation:
         settings: RosSettings,
         profile: Profile,
         interface: RobotInterface,
-        machine: MachineSimulation | None = None,
+        machine: Found | None = None,
     ) -> None:
         """Start the link, and the node if it is the slot's own.
 
@@ -54,29 +56,48 @@ class Simulation:
         self._node: Child | None = None
         self.stamp_ns = 0
         self._was_reset = False
-        self._is_simulated = machine is None or not machine.real_robots
+        self._is_simulated = machine is None or not machine.simulation.real_robots
+        self._supervisor: Supervisor | None = None
         pose: Channel = "odometry" if profile.ground_truth is None else "ground_truth"
         self._readings = Readings(interface, truth=pose == "ground_truth")
         used: list[Channel] = ["velocity", "scan", pose, "reset"]
         # Of robots that are not simulated none is published, so the link is never ready.
-        if not (self._lock_step and (machine is None or machine.real_robots)):
+        if not (self._lock_step and (machine is None or machine.simulation.real_robots)):
             used.append("clock")
         with contextlib.ExitStack() as opened:
-            if machine is None:
-                here = opened.enter_context(graph.private(settings.link))
-                command = _node(settings, here.dialled(), f"scan,{pose}")
-                environment = here.environment(profile.distribution)
-                self._node = Child("the simulation node", command, environment, {})
-                opened.callback(self._node.close)
-            else:
-                here = machine.graph()
-                opened.enter_context(_alone_with(here))
+            here = self._open_graph(opened, machine, f"scan,{pose}")
             link = Link(
                 here, profile, robots=self._robots, side="controllers", channels=used
             )
             self._link = opened.enter_context(link)
-            self._link.ready(READY_S)
+            self._link.ready(READY_S, check=self._check_runs)
             self.close = weakref.finalize(self, opened.pop_all().close)
+
+    def _open_graph(
+        self, opened: contextlib.ExitStack, machine: Found | None, channels: str
+    ) -> RosGraph:
+        """Return the graph of the simulation, after starting it where that is for the slot."""
+        settings, distribution = self._settings, self._profile.distribution
+        if machine is None:
+            here = opened.enter_context(graph.private(settings.link))
+            command = _node(settings, here.dialled(), channels)
+            self._node = Child(
+                "the simulation node", command, here.environment(distribution), {}
+            )
+            opened.callback(self._node.close)
+        elif machine.simulation.launch:
+            here = opened.enter_context(graph.private(machine.simulation.link))
+            self._supervisor = Supervisor()
+            opened.callback(self._supervisor.close)
+            self._supervisor.start(
+                machine.simulation.command,
+                machine.folder,
+                {**os.environ, **here.environment(distribution)},
+            )
+        else:
+            here = machine.simulation.graph()
+            opened.enter_context(_alone_with(here))
+        return here
 
     def begin(self, seed: int, scans: np.ndarray, poses: np.ndarray) -> None:
         """Begin a trial, and fill all robots' scans and poses; see ``Readings.fill``."""
@@ -233,9 +254,16 @@ class Simulation:
             self._was_reset = True
         elif message is not None:
             self._readings.take(message)
-        elif self._node is not None:
-            self._node.next(0.0)  # raises if it ended
+        else:
+            self._check_runs()
         return message is not None
+
+    def _check_runs(self) -> None:
+        """Raise if the program that simulates for this slot ended."""
+        if self._node is not None:
+            self._node.next(0.0)
+        if self._supervisor is not None and (ended := self._supervisor.ended()):
+            raise EvaluationError(f"the simulation {ending(*ended)}")
 
 
 def _node(settings: RosSettings, here: RosGraph, channels: str) -> list[str]:
