@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from tests.robots.trials import built
-from zswarm import evaluate
+from zswarm import evaluate, experiment
 from zswarm.config.decode import convert
 from zswarm.errors import ConfigError, EvaluationError
 from zswarm.ros.simulation import machine
@@ -65,6 +65,19 @@ def test_robots_that_may_be_real_need_a_word_of_the_administrator(files: Path) -
     (files / "arena.toml").write_text(FILE.replace("stage_ros2", "ours.toml"))
     with pytest.raises(ConfigError, match=r"has no clock.*expected.*real_robots = true"):
         machine.read(files / "arena.toml")
+
+
+def test_the_example_of_stage_is_a_file_for_a_server_and_an_experiment(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    folder = experiment.examples_folder() / "ros" / "stage"
+    monkeypatch.setenv("ZSWARM_ROS", str(folder))
+    file = folder / "run" / "exit.toml"
+    loaded = experiment.complete(experiment.load(file), str(file))
+    found = machine.find(loaded.problem.settings["simulation"])
+    assert found.folder == folder
+    assert found.simulation.command[-2:] == ["room.world", "_base_watchdog_timeout:=0"]
+    assert found.profile.reset.name == "/lockstep/reset"
 
 
 def test_an_unknown_name_is_refused_in_a_slot_before_anything_is_dialled(

@@ -54,7 +54,7 @@ class MachineSimulation(
         )
 
 
-class Found(NamedTuple):
+class FoundSimulation(NamedTuple):
     """A simulation of this machine."""
 
     simulation: MachineSimulation
@@ -62,7 +62,7 @@ class Found(NamedTuple):
     folder: Path  # of its file
 
 
-def find(name: str) -> Found:
+def find(name: str) -> FoundSimulation:
     """Return the simulation of a name.
 
     Raises:
@@ -85,7 +85,7 @@ def find(name: str) -> Found:
         ) from None
 
 
-def read(path: Path) -> Found:
+def read(path: Path) -> FoundSimulation:
     """Read a file, and the profile that it names.
 
     Raises:
@@ -102,7 +102,7 @@ def read(path: Path) -> Found:
         )
     if found.launch:
         _check_launch(path, found)
-    return Found(found, profile, path.parent)
+    return FoundSimulation(found, profile, path.parent)
 
 
 def _check_launch(path: Path, found: MachineSimulation) -> None:

@@ -18,7 +18,7 @@ from zswarm.ros.link.child import Child
 from zswarm.ros.link.graph import RosGraph
 from zswarm.ros.link.link import Link
 from zswarm.ros.link.messages import ResetWorld, Velocity
-from zswarm.ros.simulation.machine import Found
+from zswarm.ros.simulation.machine import FoundSimulation
 from zswarm.ros.simulation.pairing import Readings
 from zswarm.ros.simulation.settings import RosSettings
 from zswarm.sims import turtlebot_exit
@@ -43,7 +43,7 @@ class Simulation:
         settings: RosSettings,
         profile: Profile,
         interface: RobotInterface,
-        machine: Found | None = None,
+        machine: FoundSimulation | None = None,
     ) -> None:
         """Start the link, and the node if it is the slot's own.
 
@@ -74,7 +74,7 @@ class Simulation:
             self.close = weakref.finalize(self, opened.pop_all().close)
 
     def _open_graph(
-        self, opened: contextlib.ExitStack, machine: Found | None, channels: str
+        self, opened: contextlib.ExitStack, machine: FoundSimulation | None, channels: str
     ) -> RosGraph:
         """Return the graph of the simulation, after starting it where that is for the slot."""
         settings, distribution = self._settings, self._profile.distribution

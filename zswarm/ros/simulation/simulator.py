@@ -15,7 +15,7 @@ from zswarm.kernels.portable import atan2
 from zswarm.robots.profiles import profile as profiles
 from zswarm.robots.profiles.profile import Profile
 from zswarm.ros.simulation import machine
-from zswarm.ros.simulation.machine import Found
+from zswarm.ros.simulation.machine import FoundSimulation
 from zswarm.ros.simulation.settings import OWN, RosSettings
 from zswarm.ros.simulation.simulation import Simulation
 from zswarm.sims.robot_interface import fit
@@ -49,7 +49,7 @@ class TurtlebotExitRos(Simulator):
         self.owners, self.robot = self._inside.owners, self.task.interface
         own = settings.simulation == OWN
         self.repeatable = own and settings.mode == "lock-step"
-        self._machine: Found | None = None
+        self._machine: FoundSimulation | None = None
         self._profile: Profile | None = None
         if own:
             self._profile = self._checked(profiles.read(settings.profile_or_default))
