@@ -138,6 +138,8 @@ def test_what_does_not_go_with_launch_is_refused(
         {"simulation": "stage\n"},
         {"simulation": "stage", "profile": "stageros"},
         {"simulation": "stage", "link": "rospy"},
+        {"repeatable": True},
+        {"simulation": "stage", "mode": "free-running", "repeatable": True},
     ],
 )
 def test_settings_hold_no_address_and_no_path(
@@ -157,6 +159,7 @@ def test_outside_of_a_slot_nothing_is_dialled(files: Path) -> None:
         (files / "stage.toml").write_text(FILE + dial)
         simulator = built(NAME, robots=1, simulation="stage")
         assert not simulator.repeatable
+        assert built(NAME, robots=1, simulation="stage", repeatable=True).repeatable
         with pytest.raises(EvaluationError, match="driven by slots of servers only"):
             simulator.reset(1)
         with pytest.raises(BlockingIOError):

@@ -4,6 +4,7 @@ import os
 import shlex
 import signal
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -36,6 +37,7 @@ steps = 40
 map = "open"
 epsilon = 0.6
 simulation = "stage"
+repeatable = true
 [representation]
 kind = "fully-meshed"
 [optimizer]
@@ -76,45 +78,66 @@ def test_twenty_controllers_rank_in_stage_as_with_contact_stall(
     assert escaped[:, 10 + BEST].tolist() == [4, 4]
 
 
-def test_two_slots_evolve_in_two_stages_though_one_is_killed(tmp_path: Path) -> None:
+def test_a_run_in_stage_is_the_same_on_two_servers_though_a_stage_is_killed(
+    tmp_path: Path,
+) -> None:
+    """Each of their three slots has a Stage; then another run has one slot."""
+    expected = run(tmp_path / "one", 1)["history_hash"]
+    done = run(tmp_path / "two", 1, 2, kill=True)
+    assert done["history_hash"] == expected
+
+
+def run(folder: Path, *capacities: int, kill: bool = False) -> dict[str, Any]:
+    """Play the experiment on servers of these capacities; return the last line."""
     stage_here.need()
+    folder.mkdir()
     settings = TurtlebotExitSettings(robots=3, map="open", epsilon=0.6)
     text = stage_here.make_world.world(settings, 1, "lockstep 0.2")
-    (tmp_path / "room.world").write_text(text)
+    (folder / "room.world").write_text(text)
     stageros = stage_here.BUILT / "lib" / "stage_ros" / "stageros"
     shell = (
         f"echo $$ >> started; STAGEPATH={stage_here.BUILT / 'lib'} "
         f"exec {stageros} -g room.world _base_watchdog_timeout:=0"
     )
     launch = shlex.join(["sh", "-c", shell])
-    (tmp_path / "stage.toml").write_text(
+    (folder / "stage.toml").write_text(
         f'link = "rospy"\nprofile = "stage-lockstep"\nlaunch = """{launch}"""\n'
     )
-    (tmp_path / "experiment.toml").write_text(EXPERIMENT)
-    server = Server(tmp_path, "ss", capacity=2, ZSWARM_ROS=str(tmp_path))
-    arguments = ["run", str(tmp_path / "experiment.toml"), "--json", "--no-multicast"]
-    arguments += ["--servers", "1", "--connect", server.endpoint]
-    optimizer = Optimizer(tmp_path, "ot", arguments)
+    (folder / "experiment.toml").write_text(EXPERIMENT)
+    servers = [
+        Server(folder, f"ss{number}", capacity=capacity, ZSWARM_ROS=str(folder))
+        for number, capacity in enumerate(capacities)
+    ]
+    arguments = ["run", str(folder / "experiment.toml"), "--json", "--no-multicast"]
+    arguments += ["--servers", str(len(servers))]
+    arguments += [word for one in servers for word in ("--connect", one.endpoint)]
+    optimizer = Optimizer(folder, "ot", arguments)
     try:
-        record = tmp_path / "runs" / "stage"
-        wait_until(
-            lambda: (
-                len(query(record, "SELECT 1 FROM outcomes")) > 20
-                or optimizer.process.poll() is not None
-            ),
-            "some are there",
-        )
-        assert optimizer.process.poll() is None, optimizer.err.read_text()
-        first = int((tmp_path / "started").read_text().split()[0])
-        os.kill(first, signal.SIGKILL)
+        if kill:
+            wait_for_outcomes(optimizer, folder)
+            os.kill(int((folder / "started").read_text().split()[-1]), signal.SIGKILL)
         done = optimizer.done()
-        (died,) = server.events("slot_died")
+        died = [event["reason"] for one in servers for event in one.events("slot_died")]
     finally:
         optimizer.close()
-        server.kill(signal.SIGTERM)
-        server.wait()
-    assert "the simulation was killed by signal 9" in died["reason"]
-    assert query(record, "SELECT count(*) FROM generations") == [(10,)]
-    assert done["requeued"] > 0
-    started = map(int, (tmp_path / "started").read_text().split())
+        for server in servers:
+            server.kill(signal.SIGTERM)
+            server.wait()
+    assert len(died) == kill
+    assert all("the simulation was killed by signal 9" in reason for reason in died)
+    assert query(folder / "runs" / "stage", "SELECT count(*) FROM generations") == [(10,)]
+    started = map(int, (folder / "started").read_text().split())
     assert not any(Path(f"/proc/{process}").exists() for process in started)
+    return done
+
+
+def wait_for_outcomes(optimizer: Optimizer, folder: Path) -> None:
+    record = folder / "runs" / "stage"
+    wait_until(
+        lambda: (
+            len(query(record, "SELECT 1 FROM outcomes")) > 20
+            or optimizer.process.poll() is not None
+        ),
+        "some are there",
+    )
+    assert optimizer.process.poll() is None, optimizer.err.read_text()

@@ -48,7 +48,7 @@ class TurtlebotExitRos(Simulator):
         self.task = ExitTask(settings)
         self.owners, self.robot = self._inside.owners, self.task.interface
         own = settings.simulation == OWN
-        self.repeatable = own and settings.mode == "lock-step"
+        self.repeatable = settings.mode == "lock-step" and (own or settings.repeatable)
         self._machine: FoundSimulation | None = None
         self._profile: Profile | None = None
         if own:
