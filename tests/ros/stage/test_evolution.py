@@ -115,7 +115,7 @@ def run(folder: Path, *capacities: int, kill: bool = False) -> dict[str, Any]:
     try:
         if kill:
             wait_for_outcomes(optimizer, folder)
-            os.kill(int((folder / "started").read_text().split()[-1]), signal.SIGKILL)
+            os.kill(int((folder / "started").read_text().split()[0]), signal.SIGKILL)
         done = optimizer.done()
         died = [event["reason"] for one in servers for event in one.events("slot_died")]
     finally:
