@@ -145,7 +145,7 @@ def test_a_robot_that_never_answers_is_named(here: RosGraph) -> None:
             ["--channels", "scan,map"],
             "--channels: expected some of scan, odometry, ground_truth, not 'map'",
         ),
-        (["--profile", "stage"], "no profile 'stage'"),
+        (["--profile", "stages"], "no profile 'stages'"),
         (["--profile", "stageros"], "the link zenoh speaks ROS 2"),
     ],
 )
