@@ -37,13 +37,14 @@ When a lease can be resumed: docs/protocol.md, "Times of a lease".
 
 import math
 from enum import Enum, auto
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import msgspec
 import numpy as np
 
 from zswarm.ot.cluster.pace import Pace
 from zswarm.protocol.messages import PROBE_DIGEST
+from zswarm.system.format import plural
 
 # A server is faulty that failed this many trials that others could evaluate, and this share of all
 # it evaluated.
@@ -75,6 +76,23 @@ MOVES = {
     Phase.BACKED_OFF: {Phase.SEEN, *_ENDS},
     Phase.BANNED: set[Phase](),
 }
+
+
+class Progress(NamedTuple):
+    """How far a server is that prepares its first slot."""
+
+    compiling: int  # kernels
+    probe_begun: int  # trials
+    probe_trials: int  # that the probe has
+
+    def words(self, simulator: str) -> str:
+        """Return what it does, for the user."""
+        if self.compiling:
+            kernels = plural(self.compiling, "kernel")
+            return f"compiling {kernels}, once for each version of zswarm"
+        if self.probe_trials == 1:
+            return f"plays one trial of {simulator}"
+        return f"plays trial {self.probe_begun} of {self.probe_trials} of {simulator}"
 
 
 class SentBatch(msgspec.Struct, eq=False):
@@ -130,6 +148,9 @@ class RemoteServer(msgspec.Struct, eq=False):
     growing: bool = False  # LEASED, and asked for more slots than before
     slots: int = 0
     ready: int = 0  # slots that can evaluate
+    progress: Progress | None = (
+        None  # while its first slot is prepared, if it reports that
+    )
     pace: Pace = msgspec.field(default_factory=Pace)
     # Its open query for an offer, a reservation or a renewal; 0: none.
     question: int = 0
@@ -168,6 +189,7 @@ class Standing(msgspec.Struct, frozen=True):
 
     serving: int = 0  # servers with a slot ready
     preparing: list[str] = []  # some of the servers that prepare their first slot
+    progress: Progress | None = None  # of the first of these
     leased: int = 0  # servers that granted a lease
     spare: int = 0  # servers that match and whose slots are not wanted
     slots: int = 0  # that are ready

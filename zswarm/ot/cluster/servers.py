@@ -14,7 +14,13 @@ from zswarm.errors import LocalProtocolError
 from zswarm.ot.cluster.allotment import Allotment
 from zswarm.ot.cluster.events import OpenQuery, Outbox
 from zswarm.ot.cluster.matching import Terms
-from zswarm.ot.cluster.remote_server import MOVES, Phase, RemoteServer, Standing
+from zswarm.ot.cluster.remote_server import (
+    MOVES,
+    Phase,
+    Progress,
+    RemoteServer,
+    Standing,
+)
 from zswarm.ot.cluster.roster import Roster
 from zswarm.ot.notes import RunEvent
 from zswarm.protocol.messages import Lease, Offer, Refused, Release, Renew, Reply, Verb
@@ -244,6 +250,8 @@ class Servers(msgspec.Struct, eq=False):
     def _granted(self, server: RemoteServer, lease: Lease) -> None:
         was_ready = server.ready
         server.lease, server.slots, server.ready = lease.lease, lease.slots, lease.ready
+        progress = lease.compiling, lease.probe_begun, lease.probe_trials
+        server.progress = Progress(*progress) if any(progress) else None
         self.roster.update(server)
         self.allotment.granted(server)
         if lease.state == "failed":
