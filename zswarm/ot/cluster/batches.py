@@ -6,6 +6,7 @@ back first and can be asked for them again. When nothing waits, some are sent to
 (``second_starts``).
 """
 
+from collections.abc import Iterator
 from typing import Self
 
 import msgspec
@@ -43,7 +44,7 @@ class Batches(msgspec.Struct, eq=False):
     workload: Workload | None = None  # the present one
     uncounted: int = 0  # of its trials
     blamed: list[str] = []  # servers that failed a trial, for each; the caller takes them
-    _serving_changed: bool = False
+    _moved: dict[str, RemoteServer] = {}  # servers that may serve now, or no more
     idle: IdleServers = msgspec.field(default_factory=IdleServers)
     _alone: bool = False  # the user knows that there is no second server
     _left_behind: set[str] = set()  # by trials in their processes, as the user knows
@@ -94,7 +95,7 @@ class Batches(msgspec.Struct, eq=False):
 
     def follow(self, server: RemoteServer) -> None:
         """Resume, strand or forget a server's batches, as its phase requires."""
-        self._serving_changed = True
+        self._moved[server.id] = server
         if server.phase == Phase.LEASED:
             if server.resumable_lease not in (b"", server.lease):
                 self._forget_stranded(server)
@@ -147,21 +148,21 @@ class Batches(msgspec.Struct, eq=False):
     # ---- out
 
     def fill(self, answered: RemoteServer | None) -> None:
-        """Send batches that wait: first one to every server, then the second.
+        """Send batches that wait.
 
         Args:
             answered: a server that may have room again.
         """
+        room = self._serve(answered)
         if self.workload is None:
             return
-        if answered and answered.id in self.schedule.serving:
-            self.idle.add(answered, self.out.now)
-        if self._waits() or self.idle.looking:
-            servers = self._with_room(answered)
-            for depth in range(1, DEPTH + 1):
-                for server in servers:
-                    if self._waits():
-                        self._fill_server(server, depth)
+        if self._waits():
+            if self.idle.more:
+                self.idle.more = False
+                ranked = bool(self.terms.choice.rank)
+                self._fill_servers(self.idle.each(ranked=ranked))
+            else:
+                self._fill_servers(iter(room))
             self._drop_unverifiable()
         if self.idle.looking:
             self.idle.looking = False
@@ -172,16 +173,34 @@ class Batches(msgspec.Struct, eq=False):
     def _waits(self) -> bool:
         return bool(self.queue.count or self.checks.waiting)
 
-    def _with_room(self, answered: RemoteServer | None) -> list[RemoteServer]:
-        """Return the servers that may have room for what waits."""
-        if self._serving_changed:
-            self._serving_changed = False
-            self.schedule.serve(self.servers.serving())
-            self.idle.reset(self.schedule.serving)
-        if self.idle.more:
-            self.idle.more = False
-            return list(self.idle.idle.values())
-        return [answered] if answered and answered.id in self.idle.idle else []
+    def _serve(self, answered: RemoteServer | None) -> list[RemoteServer]:
+        """Follow the servers that moved; return those that may have room they did not have."""
+        moved, self._moved = self._moved, {}
+        room = []
+        for server in moved.values():
+            if self.servers.serves(server):
+                self.schedule.serve(server)
+                room.append(server)
+            elif self.schedule.leave(server):
+                self.idle.reset(
+                    self.schedule.serving
+                )  # others get what it would have got
+        if answered and answered.id in self.schedule.serving:
+            room.append(answered)
+        for server in room:
+            self.idle.add(server, self.out.now)
+        return room
+
+    def _fill_servers(self, servers: Iterator[RemoteServer]) -> None:
+        """Fill servers as long as trials wait: first one batch for each, then the second."""
+        visited = []
+        while self._waits() and (server := next(servers, None)) is not None:
+            visited.append(server)
+            self._fill_server(server, 1)
+        for depth in range(2, DEPTH + 1):
+            for server in visited:
+                if self._waits():
+                    self._fill_server(server, depth)
 
     def _fill_server(self, server: RemoteServer, depth: int) -> None:
         while size := self.schedule.size(server, depth):

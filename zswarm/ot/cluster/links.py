@@ -62,6 +62,7 @@ class Links(msgspec.Struct, eq=False):
     # The session that saw a server; written before the server is Seen.
     home: dict[str, zenoh.Session] = {}
     senders: dict[str, session.Sender] = {}
+    _present: set[str] = set()  # servers whose token is there
     _tokens: list[zenoh.LivelinessToken] = []
     _leaving: threading.Event = msgspec.field(default_factory=threading.Event)
     _unanswered: dict[int, str] = {}  # questions that carry batches, with the server
@@ -100,6 +101,12 @@ class Links(msgspec.Struct, eq=False):
     def hang_up(self, server: str) -> None:
         """End the sender to a server that left: one that is restarted is another server."""
         self.senders.pop(server).close()
+
+    def forget(self, server: str) -> None:
+        """Forget a server that left long ago, unless its token appears just now."""
+        home = self.home.pop(server, None)
+        if home is not None and server in self._present:
+            self.home.setdefault(server, home)
 
     def was_answered(self, question: int) -> None:
         """Take note that a question which carried a batch has ended."""
@@ -206,6 +213,7 @@ class Links(msgspec.Struct, eq=False):
         if key is None:
             return
         if key.version == keys.CURRENT:
+            (self._present.add if seen else self._present.discard)(key.server)
             self.home[key.server] = opened
             self.post(Seen(key.server) if seen else Gone(key.server))
         elif seen:
