@@ -1,23 +1,23 @@
-"""Processor time that an optimizer's dispatch takes for an event, by the number of servers.
+"""Measure the processor time of an optimizer's dispatch for an event, by the number of servers.
 
-    python benchmarks/many_servers.py [SERVERS ...]
-
-Servers of 4 slots are simulated; no messages are sent. It measures the event's handling alone: a
-server that joins while trials wait, an answer with and without ``verify``, a renewal, and the
-passing of time; and prints a line of JSON for each number of servers, in microseconds. It does not
-measure what the shell and zenoh take besides.
+Servers of 4 slots are simulated; no messages are sent. It measures how an event is handled: a
+server that joins while trials wait (three events), an answer to a batch with and without
+``verify``, a renewal with its answer, and the passing of time; not what zenoh takes besides.
 """
 
+import argparse
 import gc
 import itertools
 import json
 import statistics
-import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 from typing import Any
 
+import machine
 import numpy as np
+import tables
 
 from zswarm.ot.cluster.dispatch import Dispatch
 from zswarm.ot.cluster.events import Answered, Ask, Command, Event, Seen, TimePassed, Work
@@ -147,7 +147,7 @@ def measure(servers: int) -> dict[str, Any]:
     return row
 
 
-def _each_us(event: Any) -> float:
+def _each_us(event: Callable[[], None]) -> float:
     gc.collect()
     gc.disable()
     times = []
@@ -160,10 +160,15 @@ def _each_us(event: Any) -> float:
 
 
 def main() -> None:
-    """Measure what the arguments name."""
-    for servers in map(int, sys.argv[1:] or SERVERS):
-        sys.stdout.write(json.dumps(measure(servers)) + "\n")
-        sys.stdout.flush()
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--quick", action="store_true", help="whether it works")
+    parser.add_argument(
+        "--folder", type=Path, help="where the results go [default: build/bench]"
+    )
+    options = parser.parse_args()
+    rows = [measure(servers) for servers in SERVERS[: 1 if options.quick else None]]
+    file = machine.write("many_servers", rows, folder=options.folder)
+    print(f"{tables.many_servers(json.loads(file.read_text()))}\n{file}")
 
 
 if __name__ == "__main__":
