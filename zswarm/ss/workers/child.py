@@ -59,7 +59,7 @@ from zswarm.ss.workers import memory
 from zswarm.ss.workers.frames import BrokenFrameError, ProcessEnd
 from zswarm.ss.workers.remote import Trial, Unanswered
 from zswarm.system import landlock, shared_memory
-from zswarm.system.process_state import TIMERS, left_behind, process_state
+from zswarm.system.process_state import StateWatch
 from zswarm.system.text import clean
 
 # In this order; the fork server binds itself to the server before all that takes long.
@@ -150,6 +150,7 @@ class SlotProcess:
         self._slot, self._memory_mb = slot, memory_mb
         self._pipe, self._progress = pipe, progress
         self._recycle_at = 0  # bytes
+        self._state = StateWatch()
         self._shared_memory: set[str] = set()  # that simulators created
         self._left: list[str] = []  # what a trial left behind
 
@@ -208,8 +209,7 @@ class SlotProcess:
         )
         limit_mb = self._reserve.trial_memory_mb or self._memory_mb
         self._recycle_at = (memory.used() + (limit_mb << 20)) // 2
-        # No trial may leave a timer, these neither.
-        self._prepared = process_state()._replace(timers=[False] * len(TIMERS))
+        self._state.begin()
         self._known_memory = self._shared_memory.copy()
         return Prepared(self._slot, probe, trial_s, first, loaded)
 
@@ -256,7 +256,7 @@ class SlotProcess:
         """Return whether the last trial left something behind that later ones could meet."""
         if not self._pipe.connected():
             os._exit(CUT_OFF)  # at this trial, which is to blame
-        self._left = left_behind(self._prepared)
+        self._left = self._state.left_behind()
         new = sorted(self._shared_memory - self._known_memory)
         self._left += [f"shared memory ({name})" for name in new]
         return bool(self._left)
