@@ -78,7 +78,7 @@ MOVES = {
 }
 
 
-class Progress(NamedTuple):
+class PrepareProgress(NamedTuple):
     """How far a server is that prepares its first slot."""
 
     compiling: int  # kernels
@@ -148,7 +148,7 @@ class RemoteServer(msgspec.Struct, eq=False):
     growing: bool = False  # LEASED, and asked for more slots than before
     slots: int = 0
     ready: int = 0  # slots that can evaluate
-    progress: Progress | None = (
+    progress: PrepareProgress | None = (
         None  # while its first slot is prepared, if it reports that
     )
     pace: Pace = msgspec.field(default_factory=Pace)
@@ -189,7 +189,7 @@ class Standing(msgspec.Struct, frozen=True):
 
     serving: int = 0  # servers with a slot ready
     preparing: list[str] = []  # some of the servers that prepare their first slot
-    progress: Progress | None = None  # of the first of these
+    progress: PrepareProgress | None = None  # of the first of these
     leased: int = 0  # servers that granted a lease
     spare: int = 0  # servers that match and whose slots are not wanted
     slots: int = 0  # that are ready

@@ -18,7 +18,7 @@ from zswarm.ot.cluster.matching import Terms
 from zswarm.ot.cluster.remote_server import (
     MOVES,
     Phase,
-    Progress,
+    PrepareProgress,
     RemoteServer,
     Standing,
 )
@@ -248,7 +248,7 @@ class Servers(msgspec.Struct, eq=False):
         was_ready = server.ready
         server.lease, server.slots, server.ready = lease.lease, lease.slots, lease.ready
         progress = lease.compiling, lease.probe_begun, lease.probe_trials
-        server.progress = Progress(*progress) if any(progress) else None
+        server.progress = PrepareProgress(*progress) if any(progress) else None
         self.roster.update(server)
         self.allotment.granted(server)
         if lease.state == "failed":

@@ -70,7 +70,7 @@ class KnownProbe(NamedTuple):
     trial_s: float  # of one trial
 
 
-class Progress(NamedTuple):
+class LeaseProgress(NamedTuple):
     """How far a lease is whose slots are prepared."""
 
     compiling: int = 0  # kernels
@@ -131,8 +131,8 @@ class HeldLease(msgspec.Struct, eq=False):
     renewals: list[Renewal] = []
     probe: KnownProbe | None = None  # of its problem, once played
     trials: ProbeTrials = msgspec.field(default_factory=ProbeTrials)  # of it
-    reported: tuple[Progress, float] = (
-        Progress(),
+    reported: tuple[LeaseProgress, float] = (
+        LeaseProgress(),
         0.0,
     )  # what the run knows, and since when
     served: bool = False  # a slot was ready for it
@@ -178,11 +178,11 @@ class HeldLease(msgspec.Struct, eq=False):
         """Return whether slots have had nothing to evaluate for so long."""
         return self.idle_since is not None and now - self.idle_since >= for_s
 
-    def progress(self) -> Progress:
+    def progress(self) -> LeaseProgress:
         """Return how far it is before the first slot is ready."""
         if not self.slots or self.ready():
-            return Progress()
-        return Progress(*self.trials.progress())
+            return LeaseProgress()
+        return LeaseProgress(*self.trials.progress())
 
     def got_on(self, now: float) -> bool:
         """Return whether the run is to know how far it is now."""
