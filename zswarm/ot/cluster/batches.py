@@ -6,7 +6,7 @@ back first and can be asked for them again. When nothing waits, some are sent to
 (``second_starts``).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable
 from typing import Self
 
 import msgspec
@@ -44,7 +44,6 @@ class Batches(msgspec.Struct, eq=False):
     workload: Workload | None = None  # the present one
     uncounted: int = 0  # of its trials
     blamed: list[str] = []  # servers that failed a trial, for each; the caller takes them
-    _moved: dict[str, RemoteServer] = {}  # servers that may serve now, or no more
     idle: IdleServers = msgspec.field(default_factory=IdleServers)
     _alone: bool = False  # the user knows that there is no second server
     _left_behind: set[str] = set()  # by trials in their processes, as the user knows
@@ -95,7 +94,7 @@ class Batches(msgspec.Struct, eq=False):
 
     def follow(self, server: RemoteServer) -> None:
         """Resume, strand or forget a server's batches, as its phase requires."""
-        self._moved[server.id] = server
+        self.idle.moved[server.id] = server
         if server.phase == Phase.LEASED:
             if server.resumable_lease not in (b"", server.lease):
                 self._forget_stranded(server)
@@ -153,16 +152,12 @@ class Batches(msgspec.Struct, eq=False):
         Args:
             answered: a server that may have room again.
         """
-        room = self._serve(answered)
+        room = self.idle.follow(self.schedule, self.servers.serves, answered)
         if self.workload is None:
             return
         if self._waits():
-            if self.idle.more:
-                self.idle.more = False
-                ranked = bool(self.terms.choice.rank)
-                self._fill_servers(self.idle.each(ranked=ranked))
-            else:
-                self._fill_servers(iter(room))
+            ranked = bool(self.terms.choice.rank)
+            self._fill_servers(self.idle.each(ranked=ranked) if self.idle.more else room)
             self._drop_unverifiable()
         if self.idle.looking:
             self.idle.looking = False
@@ -173,30 +168,14 @@ class Batches(msgspec.Struct, eq=False):
     def _waits(self) -> bool:
         return bool(self.queue.count or self.checks.waiting)
 
-    def _serve(self, answered: RemoteServer | None) -> list[RemoteServer]:
-        """Follow the servers that moved; return those that may have room they did not have."""
-        moved, self._moved = self._moved, {}
-        room = []
-        for server in moved.values():
-            if self.servers.serves(server):
-                self.schedule.serve(server)
-                room.append(server)
-            elif self.schedule.leave(server):
-                self.idle.reset(
-                    self.schedule.serving
-                )  # others get what it would have got
-        if answered and answered.id in self.schedule.serving:
-            room.append(answered)
-        for server in room:
-            self.idle.add(server, self.out.now)
-        return room
-
-    def _fill_servers(self, servers: Iterator[RemoteServer]) -> None:
+    def _fill_servers(self, servers: Iterable[RemoteServer]) -> None:
         """Fill servers as long as trials wait: first one batch for each, then the second."""
         visited = []
-        while self._waits() and (server := next(servers, None)) is not None:
+        for server in servers:
             visited.append(server)
             self._fill_server(server, 1)
+            if not self._waits():
+                break
         for depth in range(2, DEPTH + 1):
             for server in visited:
                 if self._waits():

@@ -2,11 +2,12 @@
 
 import math
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 
 import msgspec
 
 from zswarm.ot.cluster.remote_server import RemoteServer
+from zswarm.ot.cluster.schedule import Schedule
 
 # Until they are looked at again: so much of the time in which no server became idle, within these
 # limits, and so long for each server of the run.
@@ -19,6 +20,7 @@ class IdleServers(msgspec.Struct, eq=False):
     # Nothing waited that they may get.
     idle: OrderedDict[str, RemoteServer] = msgspec.field(default_factory=OrderedDict)
     spare: dict[str, RemoteServer] = {}  # others are expected to end sooner what waits
+    moved: dict[str, RemoteServer] = {}  # they may serve now, or no more
     more: bool = False  # trials wait that idle servers have not seen
     looking: bool = False  # now
     look_at: float = math.inf
@@ -27,6 +29,35 @@ class IdleServers(msgspec.Struct, eq=False):
     def reset(self, serving: Mapping[str, RemoteServer]) -> None:
         """Let all that serve have room, and see what waits."""
         self.idle, self.spare, self.more = OrderedDict(serving), {}, True
+
+    def follow(
+        self,
+        schedule: Schedule,
+        serves: Callable[[RemoteServer], bool],
+        answered: RemoteServer | None,
+    ) -> list[RemoteServer]:
+        """Have the schedule follow the servers that moved.
+
+        Args:
+            serves: returns whether a server can be given work.
+            answered: a server that may have room again.
+
+        Returns:
+            The servers that may have room that they did not have before.
+        """
+        moved, self.moved = self.moved, {}
+        room = []
+        for server in moved.values():
+            if serves(server):
+                schedule.serve(server)
+                room.append(server)
+            elif schedule.leave(server):
+                self.reset(schedule.serving)  # others get what it would have got
+        if answered is not None and answered.id in schedule.serving:
+            room.append(answered)
+        for server in room:
+            self.add(server, schedule.out.now)
+        return room
 
     def add(self, server: RemoteServer, now: float) -> None:
         """Take note that a server may have room."""
@@ -48,6 +79,7 @@ class IdleServers(msgspec.Struct, eq=False):
         Args:
             ranked: those that rank first first; for this all are looked at.
         """
+        self.more = False
         if ranked:
             yield from sorted(self.idle.values(), key=lambda server: server.place)
             return
