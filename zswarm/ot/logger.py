@@ -50,6 +50,7 @@ class Result(NamedTuple):
     doubtful: int  # trials of a server that was later proved to compute wrong
     # Best is a score of the last generation, and compares only within it.
     relative: bool = False
+    history_version: int = 0  # of the history hash: others do not compare
 
 
 class Logger:

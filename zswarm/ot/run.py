@@ -4,18 +4,23 @@ import threading
 import time
 from collections.abc import Callable, Generator, Iterator
 
+from msgspec import structs
+
 from zswarm.ot.build import Parts
 from zswarm.ot.cluster.connection import Connection
 from zswarm.ot.cluster.events import Counted, Retracted
+from zswarm.ot.cluster.machines import Known
 from zswarm.ot.cluster.shell import Cluster, Item
 from zswarm.ot.generation import Assessment
 from zswarm.ot.identity import here
 from zswarm.ot.logger import Generation, Logger, Result, Started
 from zswarm.ot.notes import Note, RunEvent, words
+from zswarm.ot.record.history_hash import VERSION as HISTORY_VERSION
 from zswarm.ot.record.packing import PackedState
 from zswarm.ot.record.writer import Record
 from zswarm.ot.retelling import retell, timed
 from zswarm.ot.workload import Workload
+from zswarm.plugins.version_hash import version_hash
 from zswarm.protocol import messages
 
 
@@ -48,6 +53,7 @@ def evolve(
         epoch=record.meta("epoch"),
         slots=problem.trials_at_once(optimizer.candidates) or messages.MAX_SLOTS,
         probe=notebook.probe,
+        known=notebook.known(),
         say=logger.on_say,
         stop=stop,
     )
@@ -89,6 +95,17 @@ class _Notebook:
         record.say = logger.on_say
         self.run_id: str = record.meta("run_id")
         self.probe: bytes = record.meta("probe") or b""
+
+    def known(self) -> Known:
+        """Return what earlier programs of the run found out about machines.
+
+        Their verdict on the probe counts while the same code computes.
+        """
+        known, record = self._record.known(), self._record
+        digest = record.meta("arbitrated")
+        if isinstance(digest, bytes) and record.meta("arbitrated_by") == self._code():
+            return structs.replace(known, arbitrated=digest)
+        return known
 
     def resume(self, connection: Connection) -> int:
         """Restore the optimizer, log how the run begins, and return its first generation."""
@@ -154,6 +171,8 @@ class _Notebook:
                 self._record.retract(item.server)
             case Note():
                 self._record.note(item)
+                if item.event == RunEvent.PROBE_ARBITRATED:
+                    self._arbitrated(bytes.fromhex(item.text))
                 self._logger.on_event(item)
                 if line := words(item):
                     self._logger.on_say(line)
@@ -165,6 +184,17 @@ class _Notebook:
                 work.first + len(work.seeds),
             )
             self._logger.on_progress(assessment.generation, counted, trials)
+
+    def _arbitrated(self, digest: bytes) -> None:
+        """Record what this machine computed of the probe: a resume does not decide again."""
+        self.probe = digest
+        self._record.set_meta("probe", digest)
+        self._record.set_meta("arbitrated", digest)
+        self._record.set_meta("arbitrated_by", self._code())
+
+    def _code(self) -> str:
+        complete = self._problem.experiment
+        return version_hash(complete.problem.simulator, complete.representation.kind)
 
     def tell(self, ended: Assessment) -> PackedState:
         """Tell the optimizer a generation, and return its state before the next ask."""
@@ -217,6 +247,7 @@ class _Notebook:
             history_hash=history,
             seconds=round(seconds, 3),
             relative=self._optimizer.relative,
+            history_version=HISTORY_VERSION,
             **record.counts(),
         )
 

@@ -113,6 +113,12 @@ class Run:
         return value if isinstance(value, str) else None
 
     @property
+    def history_version(self) -> int:
+        """Version of the history hash: hashes of other versions do not compare."""
+        value = self.meta.get("history_version")
+        return value if isinstance(value, int) else 0
+
+    @property
     def finished(self) -> bool:
         """Return whether the run has all its generations."""
         return self.history_hash is not None
@@ -166,11 +172,15 @@ class Run:
         return max((value for value in best if value is not None), default=None)
 
     def events(self) -> list[Row]:
-        """Return the rows of the table ``events``, in order."""
-        rows = self.rows(
-            "SELECT at, generation, event, server, text, count FROM events ORDER BY rowid",
-            tuple[float, int | None, str, str | None, str | None, int | None],
-        )
+        """Return the rows of the table ``events``, in order.
+
+        Raises:
+            ConfigError: one is not what was written, or missing.
+        """
+        with self._reading() as database:
+            found = [row[1:7] for row in verify.whole_events(database)]
+        kind = tuple[float, int | None, str, str | None, str | None, int | None]
+        rows = self._typed(found, kind, "events")
         return _named("at generation event server text count", rows)
 
     def servers(self) -> list[Row]:

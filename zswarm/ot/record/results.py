@@ -50,4 +50,5 @@ def result_after(folder: Path, generations: int) -> Result | None:
         faulted,
         doubtful,
         run.relative,
+        run.history_version,
     )

@@ -7,12 +7,16 @@ import msgspec
 import numpy as np
 
 from zswarm.errors import ConfigError
+from zswarm.ot.cluster.machines import Known
+from zswarm.ot.notes import RunEvent
 from zswarm.ot.optimizers.optimizer import Told
 from zswarm.ot.record import statements
 from zswarm.ot.record.database import Database
 from zswarm.ot.record.history_hash import START, History
 from zswarm.ot.record.packing import Place, unpack
 from zswarm.ot.workload import Workload
+
+BANS = (RunEvent.SERVER_WRONG, RunEvent.SERVER_BANNED)
 
 
 class Resumed(NamedTuple):
@@ -133,6 +137,24 @@ class Recorded:
             "doubtful": "sum(count) FROM outcomes WHERE doubtful",
         }
         return {name: self._sum(sql) for name, sql in sums.items()}
+
+    def known(self) -> Known:
+        """Return what was found out about machines; a user may trust one again."""
+        of = (RunEvent.SERVER_JOINED, *BANS, RunEvent.SERVER_TRUSTED)
+        sql = (
+            "SELECT event, server, machine FROM events "
+            "WHERE event IN (?, ?, ?, ?) AND machine <> '' ORDER BY rowid"
+        )
+        machines: dict[str, str] = {}
+        banned: dict[str, str] = {}
+        for event, server, machine in self._database.rows(sql, *map(str, of)):
+            if event == RunEvent.SERVER_TRUSTED:
+                banned.pop(machine, None)
+            elif event in BANS:
+                banned.setdefault(machine, server)
+            else:
+                machines[server] = machine
+        return Known(machines, banned)
 
     def _genome(self, place: Place) -> bytes:
         sql = "SELECT genome FROM candidates WHERE (generation, candidate) = (?, ?)"

@@ -11,7 +11,7 @@ from zswarm.errors import ConfigError
 from zswarm.system.text import clean
 from zswarm.system.version import VERSION
 
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 TABLES = ("meta", "generations", "candidates", "outcomes", "events", "optimizer")
 _TABLES = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value) WITHOUT ROWID;
@@ -30,7 +30,7 @@ CREATE TABLE outcomes (
     digest INTEGER NOT NULL);
 CREATE TABLE events (
     at REAL NOT NULL, generation INTEGER, event TEXT NOT NULL, server TEXT, text TEXT,
-    count INTEGER);
+    count INTEGER, machine TEXT, digest INTEGER NOT NULL);
 CREATE TABLE optimizer (
     part INTEGER NOT NULL, piece INTEGER NOT NULL, generation INTEGER NOT NULL, state BLOB NOT NULL,
     digest INTEGER NOT NULL, PRIMARY KEY (generation, part, piece));
