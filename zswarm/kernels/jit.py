@@ -41,6 +41,7 @@ __all__ = [
     "int64",
     "interpreted",
     "kernel",
+    "not_compiled",
     "sqrt",
     "uint8",
     "uint64",
@@ -167,6 +168,16 @@ def compile_all() -> None:
     """Compile all kernels of the imported modules, so that no trial waits for the compiler."""
     for declared in _kernels:
         _ = declared.dispatcher
+
+
+def not_compiled() -> int:
+    """Return how many of these kernels no program compiled before, so that it takes a while."""
+    if all("dispatcher" in declared.__dict__ for declared in _kernels):
+        return 0
+    from zswarm.kernels import compiler  # which imports numba
+
+    functions = [declared.py_func for declared in _kernels]
+    return len([one for one in functions if not compiler.is_cached(one)])
 
 
 @contextlib.contextmanager

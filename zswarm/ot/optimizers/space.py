@@ -1,6 +1,6 @@
 """Genomes as vectors, in units of the ranges of new genomes."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Annotated
 
 import numpy as np
@@ -9,9 +9,10 @@ from msgspec import Meta
 from zswarm.config.meta import about
 from zswarm.errors import ConfigError
 from zswarm.kernels.random import Stream
-from zswarm.kernels.sums import mean, total
+from zswarm.kernels.sums import mean_of, total
 from zswarm.nets.representation import Representation
 
+PART = 4_000_000  # numbers of points that are moved at once
 LARGEST = float(np.finfo(np.float32).max)
 
 Positive = Annotated[float, Meta(gt=0, le=1e6)]
@@ -50,6 +51,18 @@ class Space:
             count, self.dimensions
         )
 
+    def blocks(self, count: int) -> list[slice]:
+        """Return slices of so many points, of which there is room for one at a time."""
+        at_once = max(1, PART // self.dimensions)
+        return [
+            slice(first, min(first + at_once, count))
+            for first in range(0, count, at_once)
+        ]
+
+    def skip(self, stream: Stream, points: int) -> Stream:
+        """Return a stream from where another one is after so many points."""
+        return Stream(stream.seed, stream.position + points * self.dimensions)
+
     def genomes(self, points: np.ndarray) -> list[bytes]:
         """Return points as genomes, rounded and clipped to float32."""
         numbers = np.clip(points * self._ranges, -LARGEST, LARGEST).astype("<f4")
@@ -62,6 +75,14 @@ class Space:
         return points
 
 
-def spread(points: np.ndarray) -> float:
-    """Return the mean distance of a number from the mean of all points."""
-    return mean(np.abs(points - total(points) / len(points)))
+def spread(blocks: Callable[[], Iterable[np.ndarray]]) -> float:
+    """Return the mean distance of a number from the mean of all points.
+
+    Args:
+        blocks: called twice; returns the points in blocks, for there may not be room for all.
+    """
+    added, count = np.zeros(1), 0
+    for block in blocks():
+        added = total(np.concatenate((np.broadcast_to(added, block[:1].shape), block)))
+        count += len(block)
+    return mean_of(np.abs(block - added / count) for block in blocks())
