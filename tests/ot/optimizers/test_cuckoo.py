@@ -80,7 +80,8 @@ def test_an_egg_takes_the_place_of_its_own_nest_where_it_is_better() -> None:
     optimizer.tell(np.array([1.0, 2.0, np.nan, 4.0, 5.0, 6.0]))
     eggs = optimizer.ask()
     optimizer.tell(np.array([0.5, 2.5, -1.0, np.nan, 5.0, 7.0]))
-    assert optimizer._nests == [first[0], eggs[1], eggs[2], first[3], first[4], eggs[5]]
+    nests = optimizer._space.genomes(optimizer._nests)
+    assert nests == [first[0], eggs[1], eggs[2], first[3], first[4], eggs[5]]
     assert optimizer._fitness.tolist() == [1.0, 2.5, -1.0, 4.0, 5.0, 7.0]
     assert optimizer.best() == (eggs[5], 7.0)
     assert optimizer.statistics()["success"] == 0.5
@@ -109,7 +110,7 @@ def test_a_discovered_nest_moves_by_a_share_of_the_difference_of_two_nests() -> 
     for _ in range(2):
         genomes = optimizer.ask()
         optimizer.tell(sphere(genomes))
-    nests = places(optimizer._nests)
+    nests = optimizer._nests.copy()
     moved = places(optimizer.ask()) - nests
     differences = [nests[i] - nests[j] for i in range(5) for j in range(5) if i != j]
     for step in moved[np.abs(moved).max(axis=1) > 1e-6]:

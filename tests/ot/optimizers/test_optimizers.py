@@ -138,7 +138,7 @@ def test_other_settings_keep_the_contract(name: str, settings: dict[str, Any]) -
 
 YESTERDAY = {
     "cea2d": "4f39e20de871defc571dd0bb63efe373",
-    "cuckoo": "237304beada970cbb4be30d33bca8f0a",
+    "cuckoo": "ddcba845cb25886c8711162aee74db79",
     "novelty": "480d8efc75a5ae3e69f12a9814160423",
     "openai-es": "f523c3d55247224c579d090560e3fe61",
     "pso": "f30b229190cc15d276f7988383d1db36",

@@ -5,7 +5,6 @@ applications", Neural Computing and Applications 24, 2014. Steps of Lévy flight
 Physical Review E 49, 1994. Maths, and what differs from FREVO: docs/optimizers.md.
 """
 
-from collections.abc import Iterator
 from typing import Annotated
 
 import numpy as np
@@ -51,82 +50,57 @@ class CuckooSearch(BaseOptimizer):
         super().__init__(settings, representation, seed)
         self.candidates = settings.population
         self._space = Space(representation)
-        # A nest is where its genome is, so the record has all nests; genomes may be large.
-        self._nests: list[bytes] = []
-        self._eggs: list[bytes] = []
+        self._nests = self._eggs = np.empty((0, self._space.dimensions))
         self._laid = np.arange(settings.population)  # nests that have the eggs
         self._fitness = np.full(settings.population, np.nan)
 
     def _ask(self) -> list[bytes]:
-        settings, count, space = self.settings, self.settings.population, self._space
+        settings, count = self.settings, self.settings.population
         stream = self._stream("cuckoo")
-        self._laid = np.arange(count)
         if self.generation == 0:
-            moves = self._first(stream)
-        elif self.generation % 2:
-            moves = self._flights(stream)
+            self._nests = self._eggs = self._space.uniform(-1.0, 1.0, count, stream)
+            return self._space.genomes(self._eggs)
+        if self.generation % 2:
+            self._laid = np.arange(count)
+            moved = self._nests + self._flights(stream)
         else:
             found = stream.uniform(0.0, 1.0, count) < settings.discovery
             self._laid = (
                 np.flatnonzero(found) if found.any() else stream.integers(count, 1)
             )
-            moves = self._crossings(stream)
-        self._eggs = []
-        for moved in moves:
-            self._eggs += space.genomes(np.clip(moved, -settings.bound, settings.bound))
-        if self.generation == 0:
-            self._nests = self._eggs
-        return self._eggs
+            moved = self._nests[self._laid] + self._crossings(stream)[self._laid]
+        self._eggs = np.clip(moved, -settings.bound, settings.bound)
+        return self._space.genomes(self._eggs)
 
-    def _first(self, stream: Stream) -> Iterator[np.ndarray]:
-        """Yield blocks of new nests."""
-        for some in self._space.blocks(self.settings.population):
-            yield self._space.uniform(-1.0, 1.0, some.stop - some.start, stream)
-
-    def _flights(self, stream: Stream) -> Iterator[np.ndarray]:
-        """Yield blocks of nests moved by Lévy flights, scaled by the distance to the best nest."""
+    def _flights(self, stream: Stream) -> np.ndarray:
+        """Return steps of Lévy flights, scaled by the distance to the best nest."""
         space, count = self._space, len(self._nests)
-        order = np.argsort(-self._fitness, kind="stable")
-        best = space.points([self._nests[order[0]]])
-        for some in space.blocks(count):
-            one, two, three = (
-                space.normal(
-                    some.stop - some.start,
-                    space.skip(stream, table * count + some.start),
-                )
-                for table in range(3)
-            )
-            levy = DEVIATION * one / _two_thirds(two)  # Mantegna, eq. 5
-            nests = space.points(self._nests[some])
-            steps: np.ndarray = self.settings.step * levy * (nests - best)  # eq. 2
-            yield nests + steps * three
+        best = self._nests[np.argsort(-self._fitness, kind="stable")[0]]
+        normal = space.normal(count, stream)
+        # Mantegna, eq. 5.
+        levy = DEVIATION * normal / _two_thirds(space.normal(count, stream))
+        steps: np.ndarray = self.settings.step * levy * (self._nests - best)  # eq. 2
+        steps *= space.normal(count, stream)
+        return steps
 
-    def _crossings(self, stream: Stream) -> Iterator[np.ndarray]:
-        """Yield blocks of found nests, moved by shares of the differences of two others."""
-        space, count = self._space, len(self._nests)
-        one, other = (np.argsort(stream.words(count), kind="stable") for _ in range(2))
-        shares = stream.uniform(0.0, 1.0, count)[:, None]
-
-        def nests(which: np.ndarray) -> np.ndarray:
-            return space.points([self._nests[nest] for nest in which])
-
-        for some in space.blocks(len(self._laid)):
-            laid = self._laid[some]
-            difference = nests(one[laid]) - nests(other[laid])
-            yield nests(laid) + shares[laid] * difference  # eq. 1
+    def _crossings(self, stream: Stream) -> np.ndarray:
+        """Return shares of the differences of two other nests."""
+        count = len(self._nests)
+        one, other = (
+            self._nests[np.argsort(stream.words(count), kind="stable")] for _ in range(2)
+        )
+        return stream.uniform(0.0, 1.0, count)[:, None] * (one - other)  # eq. 1
 
     def _tell(self, fitness: np.ndarray, measures: np.ndarray) -> None:  # noqa: ARG002  unused
-        previous, space = self._fitness[self._laid], self._space
+        previous = self._fitness[self._laid]
         better = (fitness > previous) | (np.isnan(previous) & ~np.isnan(fitness))
         self._nests = self._nests.copy()
-        for egg in np.flatnonzero(better):
-            self._nests[self._laid[egg]] = self._eggs[egg]
+        self._nests[self._laid[better]] = self._eggs[better]
         self._fitness[self._laid[better]] = fitness[better]
-        nests, some = self._nests, space.blocks(len(self._nests))
         self._count(
             fitness,
             mean=mean(self._fitness),
-            spread=spread(lambda: (space.points(nests[block]) for block in some)),
+            spread=spread(lambda: [self._nests]),
             success=int(better.sum()) / len(better),
         )
 

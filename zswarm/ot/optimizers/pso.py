@@ -18,6 +18,8 @@ from zswarm.ot.optimizers.base import BaseOptimizer
 from zswarm.ot.optimizers.breeding import Population
 from zswarm.ot.optimizers.space import Bound, Positive, Space, spread
 
+PART = 4_000_000  # numbers of particles that are moved at once
+
 Pull = Annotated[float, Meta(ge=0, le=100)]
 
 
@@ -64,7 +66,7 @@ class PSO(BaseOptimizer):
     def _ask(self) -> list[bytes]:
         positions: list[bytes] = []
         velocities: list[bytes] = []
-        for some in self._space.blocks(self.settings.population):
+        for some in self._blocks():
             x, v = self._moved(some)
             positions += self._space.genomes(x)
             velocities += [row.tobytes() for row in v]
@@ -92,21 +94,28 @@ class PSO(BaseOptimizer):
 
     def _drawn(self, low: float, high: float, table: int, some: slice) -> np.ndarray:
         """Return rows of one of two tables of random numbers, a row for each particle."""
-        row = table * self.settings.population + some.start
-        stream = self._space.skip(self._stream("pso"), row)
-        return self._space.uniform(low, high, some.stop - some.start, stream)
+        stream, count = self._stream("pso"), self.settings.population
+        stream.position = (table * count + some.start) * self._space.dimensions
+        rows = min(some.stop, count) - some.start
+        return self._space.uniform(low, high, rows, stream)
 
     def _tell(self, fitness: np.ndarray, measures: np.ndarray) -> None:  # noqa: ARG002  unused
         better = fitness > self._best_fitness  # false for NaN
         self._best_fitness = np.where(better, fitness, self._best_fitness)
         both = zip(better, self._positions, self._best_positions, strict=True)
         self._best_positions = [here if new else best for new, here, best in both]
-        some = self._space.blocks(self.settings.population)
+        some = self._blocks()
         speeds = (np.abs(_floats(self._velocities[block])) for block in some)
         distance = spread(
             lambda: (self._space.points(self._positions[block]) for block in some)
         )
         self._count(fitness, spread=distance, speed=mean_of(speeds))
+
+    def _blocks(self) -> list[slice]:
+        """Return particles that are moved at once."""
+        count = max(1, PART // self._space.dimensions)
+        firsts = range(0, self.settings.population, count)
+        return [slice(first, first + count) for first in firsts]
 
 
 def _floats(rows: Sequence[bytes]) -> np.ndarray:

@@ -12,7 +12,6 @@ from zswarm.kernels.random import Stream
 from zswarm.kernels.sums import mean_of, total
 from zswarm.nets.representation import Representation
 
-PART = 4_000_000  # numbers of points that are moved at once
 LARGEST = float(np.finfo(np.float32).max)
 
 Positive = Annotated[float, Meta(gt=0, le=1e6)]
@@ -50,18 +49,6 @@ class Space:
         return stream.normal(0.0, 1.0, count * self.dimensions).reshape(
             count, self.dimensions
         )
-
-    def blocks(self, count: int) -> list[slice]:
-        """Return slices of so many points, of which there is room for one at a time."""
-        at_once = max(1, PART // self.dimensions)
-        return [
-            slice(first, min(first + at_once, count))
-            for first in range(0, count, at_once)
-        ]
-
-    def skip(self, stream: Stream, points: int) -> Stream:
-        """Return a stream from where another one is after so many points."""
-        return Stream(stream.seed, stream.position + points * self.dimensions)
 
     def genomes(self, points: np.ndarray) -> list[bytes]:
         """Return points as genomes, rounded and clipped to float32."""
