@@ -177,7 +177,7 @@ def not_compiled() -> int:
     from zswarm.kernels import compiler  # which imports numba
 
     functions = [declared.py_func for declared in _kernels]
-    return len([one for one in functions if not compiler.is_cached(one)])
+    return sum(not compiler.is_cached(function) for function in functions)
 
 
 @contextlib.contextmanager

@@ -141,7 +141,7 @@ YESTERDAY = {
     "cuckoo": "ddcba845cb25886c8711162aee74db79",
     "novelty": "480d8efc75a5ae3e69f12a9814160423",
     "openai-es": "f523c3d55247224c579d090560e3fe61",
-    "pso": "f30b229190cc15d276f7988383d1db36",
+    "pso": "88636ef5b690dc306781c12d58b4ecd6",
     "random": "2ece45d56a95218f24ce6054e4305998",
 }
 
@@ -339,7 +339,7 @@ class RanksTheOld(CEA2D):
 class ForgetsVelocity(PSO):
     def restore(self, state: Mapping[str, Any], told: Iterable[Told]) -> None:
         super().restore(state, told)
-        self._velocities = [bytes(len(velocity)) for velocity in self._velocities]
+        self._velocities = np.zeros_like(self._velocities)
 
 
 class DrawsFromOneStream(PSO):
@@ -348,11 +348,8 @@ class DrawsFromOneStream(PSO):
     def _ask(self) -> list[bytes]:
         genomes = super()._ask()
         self._shared = getattr(self, "_shared", Stream(self.seed))
-        factor = self._shared.uniform(0.9, 1.0, 1)
-        if not self.generation:
-            return genomes
-        self._positions = self._space.genomes(self._space.points(genomes) * factor)
-        return self._positions
+        self._positions = self._positions * self._shared.uniform(0.9, 1.0, 1)
+        return self._space.genomes(self._positions) if self.generation else genomes
 
 
 class IgnoresMeasures(Novelty):

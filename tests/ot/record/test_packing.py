@@ -20,7 +20,6 @@ def test_a_state_comes_back_as_it_was_with_long_values_in_pieces(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(packing, "PIECE", 100)
-    monkeypatch.setattr(packing, "INLINE", 100)
     state = {"a": [b"genome", b"other", 1.5, None], "long": bytes(range(250)), "b": "x"}
     packed = pack(state, {b"genome": (3, 4)})
     assert [(part, piece) for part, piece, _ in packed.pieces()] == [

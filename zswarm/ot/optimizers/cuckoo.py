@@ -100,7 +100,7 @@ class CuckooSearch(BaseOptimizer):
         self._count(
             fitness,
             mean=mean(self._fitness),
-            spread=spread(lambda: [self._nests]),
+            spread=spread(self._nests),
             success=int(better.sum()) / len(better),
         )
 

@@ -1,6 +1,6 @@
 """Genomes as vectors, in units of the ranges of new genomes."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
@@ -9,7 +9,7 @@ from msgspec import Meta
 from zswarm.config.meta import about
 from zswarm.errors import ConfigError
 from zswarm.kernels.random import Stream
-from zswarm.kernels.sums import mean_of, total
+from zswarm.kernels.sums import mean, total
 from zswarm.nets.representation import Representation
 
 LARGEST = float(np.finfo(np.float32).max)
@@ -62,14 +62,6 @@ class Space:
         return points
 
 
-def spread(blocks: Callable[[], Iterable[np.ndarray]]) -> float:
-    """Return the mean distance of a number from the mean of all points.
-
-    Args:
-        blocks: called twice; returns the points in blocks, for there may not be room for all.
-    """
-    added, count = np.zeros(1), 0
-    for block in blocks():
-        added = total(np.concatenate((np.broadcast_to(added, block[:1].shape), block)))
-        count += len(block)
-    return mean_of(np.abs(block - added / count) for block in blocks())
+def spread(points: np.ndarray) -> float:
+    """Return the mean distance of a number from the mean of all points."""
+    return mean(np.abs(points - total(points) / len(points)))

@@ -9,9 +9,6 @@ from typing import Any, NamedTuple
 import msgspec
 
 PIECE = 4 << 20  # bytes
-INLINE = (
-    1 << 16
-)  # bytes of a value: a longer one is referred to, for it is not copied then
 GENOME, LONG = 1, 2  # MessagePack's extension types
 
 Place = tuple[int, int]  # generation and candidate
@@ -51,7 +48,7 @@ def pack(state: Any, known: Mapping[bytes, Place]) -> PackedState:
             if place is not None:
                 genomes[value] = place
                 return msgspec.msgpack.Ext(GENOME, msgspec.msgpack.encode(place))
-            if len(value) > INLINE:
+            if len(value) > PIECE:
                 parts.append(value)
                 number = len(parts) - 1
                 return msgspec.msgpack.Ext(LONG, msgspec.msgpack.encode(number))
