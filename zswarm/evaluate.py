@@ -190,11 +190,12 @@ def evaluate(
     expected = len(seeds), simulator.participants
     if participants.shape != expected:
         raise ValueError(f"participants must be {expected}, not {participants.shape}")
-    if ((participants < 0) | (participants >= len(genomes))).any():
+    if len(seeds) and not 0 <= participants.min() <= participants.max() < len(genomes):
         raise ValueError(f"a participant is not among the {len(genomes)} genomes")
-    parameters = np.empty((len(genomes), 0), np.float32)
     if remote is None and len(seeds):
         parameters = representation.parameters(genomes)
+    else:
+        parameters = np.empty((len(genomes), 0), np.float32)
     batch = KernelBatch(
         state_size=representation.state_size,
         parameters=parameters,
@@ -216,21 +217,23 @@ def evaluate(
 
 def _play_alike(trials: _Assignment) -> _Played:
     """Play trials of one simulator, in its kernel or each alone."""
-    batch, fitness, metrics = trials.batch, trials.batch.fitness, trials.batch.metrics
+    batch = trials.batch
     played = _play_batch(trials) or _play_each(trials)
-    error = played.error
-    failed = np.flatnonzero(_beyond(fitness[: played.trials]).any(axis=1))
-    if not error and len(failed) and not batch.progress[1]:
-        first = int(failed[0])
-        finite = np.isfinite(fitness[first]).all()
-        rule = f"at most {MAX_OUTCOME:g} either way" if finite else "finite"
-        broken = BrokenContractError(
-            f"fitness must be {rule}, not {fitness[first].tolist()}"
-        )
-        error = error_text(trials.simulator, batch.seeds[first], broken)
-    fitness[_beyond(fitness)] = np.nan
-    metrics[_beyond(metrics)] = np.nan
-    return played._replace(error=error)
+    beyond = _beyond(batch.fitness)
+    if beyond.any():
+        failed = np.flatnonzero(beyond[: played.trials].any(axis=1))
+        if len(failed) and not played.error and not batch.progress[1]:
+            numbers = batch.fitness[failed[0]]
+            finite = np.isfinite(numbers).all()
+            rule = f"at most {MAX_OUTCOME:g} either way" if finite else "finite"
+            broken = BrokenContractError(
+                f"fitness must be {rule}, not {numbers.tolist()}"
+            )
+            error = error_text(trials.simulator, batch.seeds[failed[0]], broken)
+            played = played._replace(error=error)
+        batch.fitness[beyond] = np.nan
+    batch.metrics[_beyond(batch.metrics)] = np.nan
+    return played
 
 
 def _beyond(numbers: np.ndarray) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Run the real slot table in a simulated server, with workers that fail."""
 
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -8,6 +9,7 @@ from zswarm.protocol import codec, messages
 from zswarm.ss.slots import events
 from zswarm.ss.slots.table import SlotTable
 
+from .fairness import Fairness
 from .network import Link
 from .problem import Trial, outcome, poisonous
 from .world import Node, World
@@ -15,7 +17,10 @@ from .world import Node, World
 TICK_S = 0.25
 HELD_S = 30.0  # by a server that answers "running" for ever, as an honest one does
 TRIAL_TIMEOUT_S = 20.0
-PROBE, WRONG_PROBE = b"p" * 16, b"w" * 16
+TRIALS_S = [0.001, 0.03, 0.2, 0.8, 16.0]  # of a trial
+PROBE_BYTES = messages.PROBE_TRIALS * messages.PROBE_DIGEST
+PROBE, WRONG_PROBE = bytes(range(PROBE_BYTES)), b"w" * PROBE_BYTES
+ALONE_S = 0.25  # a process plays trials of the probe for so long before it reports them
 # Ends of the ids of servers that are, or that compute nothing and answer "running".
 WRONG, LIAR, STUCK = "-wrong", "-liar", "-stuck"
 # Of a worker by chance at one trial: one fewer than would put it in quarantine.
@@ -33,6 +38,8 @@ class Server(Node[events.Event]):
         *,
         sound: bool,
         lies: float,
+        trials_s: Sequence[float],
+        most: int,
         stuck: bool = False,
         machine: str = "",
     ) -> None:
@@ -49,14 +56,15 @@ class Server(Node[events.Event]):
         self.broken = not sound and world.random.random() < 0.05  # cannot be prepared
         # Every third trial ends its process.
         self.faulty = not sound and world.random.random() < 0.05
-        self.trial_s = world.random.choice([0.001, 0.03, 0.2, 0.8, 16.0])
+        self.trial_s = world.random.choice(trials_s)
         self.prepare_deaths = 0
         self.pending: dict[int, tuple[Link, int]] = {}  # queries to answer
         # Lease, batch, trials.
         self.ran: set[tuple[bytes, int, tuple[Trial, ...]]] = set()
+        self.fairness = Fairness()
         self.alone = False  # the only server of the world, for one run
         self.finished: set[tuple[bytes, Trial]] = set()  # trials by lease
-        capacity = world.random.randint(1, 3)
+        capacity = world.random.randint(1, most)
         offer = messages.Offer(
             server=self.id,
             program="",
@@ -106,7 +114,8 @@ class Server(Node[events.Event]):
             for lease in self.slots.leases.values()
         ):
             self.world.fail(f"{self.id}: a lease is used by two")
-        self.handle(events.Asked(query, "user", link.optimizer.run, message))
+        sender = link.optimizer
+        self.handle(events.Asked(query, sender.user, sender.run, message))
 
     def answer_late(self, link: Link, question: int, body: bytes) -> None:
         """Answer a question that was held for a while."""
@@ -126,7 +135,9 @@ class Server(Node[events.Event]):
                     link, question = self.pending.pop(command.query)
                     link.answer(question, command.body)
                 case events.PrepareSlot():
-                    self.workers[command.slot].prepare(command.probe)
+                    self.workers[command.slot].prepare(command)
+                case events.PlayProbe():
+                    self.workers[command.slot].play_probe(command)
                 case events.RunChunk():
                     self.workers[command.slot].evaluate(command.work)
                 case events.StopSlot():
@@ -150,6 +161,8 @@ class Server(Node[events.Event]):
             return
         self._ticking = False
         if self.slots.busy() or self.slots.draining:
+            if broken := self.fairness.passed(self.slots, TICK_S):
+                self.world.fail(f"{self.id}: {broken}")
             self.handle(events.Tick(tuple(worker.progress() for worker in self.workers)))
 
     def _check(self) -> None:
@@ -170,6 +183,10 @@ class Server(Node[events.Event]):
                 self.world.fail(
                     f"{self.id}: slot {slot.index} is {state}, its worker not"
                 )
+        begun = [worker.since for worker in self.workers]
+        broken = self.fairness.broken(self.slots, self.world.now, self.clock(), begun)
+        if broken:
+            self.world.fail(f"{self.id}: {broken}")
 
     def disappear(self) -> None:
         """Remove its links for good."""
@@ -220,8 +237,8 @@ class Worker:
 
         self.server.world.at(delay, lambda: self.server.when_awake(happen))
 
-    def prepare(self, probe: bool) -> None:
-        """Compile and play the probe."""
+    def prepare(self, command: events.PrepareSlot) -> None:
+        """Compile, and play at least one trial of the probe."""
         server, world = self.server, self.server.world
         if self.since is not None:
             world.fail(f"{server.id}: a slot that works is prepared")
@@ -233,8 +250,37 @@ class Worker:
             server.prepare_deaths += 1
             self._later(delay, events.Died(self.index, 0, "while it was prepared"))
         else:
-            digest = (WRONG_PROBE if server.wrong else PROBE) if probe else b""
-            self._later(delay, events.Prepared(self.index, digest, server.trial_s))
+            if not world.chance(0.3):  # it is built before it ends
+                compiling = events.Preparing(self.index, 0, messages.PROBE_TRIALS)
+                life = self.life
+
+                def built() -> None:
+                    if life == self.life:
+                        server.handle(compiling)
+
+                world.at(delay / 2, lambda: server.when_awake(built))
+            count = command.most if server.trial_s < ALONE_S else 1
+            self._played(delay + count * server.trial_s, command.first, count)
+
+    def play_probe(self, command: events.PlayProbe) -> None:
+        """Play further trials of the probe."""
+        server, world = self.server, self.server.world
+        if self.since is not None:
+            world.fail(f"{server.id}: a slot that works is to play the probe")
+        self.since, self.trials = world.now, []
+        seconds = command.count * server.trial_s
+        self._played(seconds, command.first, command.count, loaded=True)
+
+    def _played(
+        self, seconds: float, first: int, count: int, *, loaded: bool = False
+    ) -> None:
+        server, size = self.server, messages.PROBE_DIGEST
+        whole = WRONG_PROBE if server.wrong else PROBE
+        digest = whole[first * size : (first + count) * size]
+        self._later(
+            seconds,
+            events.Prepared(self.index, digest, server.trial_s, first, loaded),
+        )
 
     def evaluate(self, batch: messages.Evaluate) -> None:
         """Play the trials of a chunk."""

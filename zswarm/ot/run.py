@@ -180,10 +180,8 @@ class _Notebook:
             case None:
                 self._record.flush()
         if assessment is not None and work is not None:
-            counted, trials = (
-                work.first + int(work.counted.sum()),
-                work.first + len(work.seeds),
-            )
+            counted = work.first + int(work.counted.sum())
+            trials = work.first + len(work.seeds)
             self._logger.on_progress(assessment.generation, counted, trials)
 
     def _arbitrated(self, digest: bytes) -> None:
@@ -199,10 +197,8 @@ class _Notebook:
 
     def tell(self, ended: Assessment) -> PackedState:
         """Tell the optimizer a generation, and return its state before the next ask."""
-        self._fitness, self._measures = (
-            ended.fitness(),
-            ended.measures(self._optimizer.measures),
-        )
+        self._fitness = ended.fitness()
+        self._measures = ended.measures(self._optimizer.measures)
         self._optimizer.tell(self._fitness, self._measures)
         state = self._optimizer.state()
         return self._record.pack(ended.generation, ended.genomes, state)

@@ -38,7 +38,8 @@ from zswarm.ot.cluster.events import (
     Work,
 )
 from zswarm.ot.cluster.matching import Choice
-from zswarm.ot.cluster.servers import AGAIN_S, BACK_OFF_S, PAUSE_S, RENEW_S, RETRY_S
+from zswarm.ot.cluster.remote_server import AGAIN_S
+from zswarm.ot.cluster.servers import BACK_OFF_S, PAUSE_S, RENEW_S, RETRY_S
 from zswarm.ot.notes import Note
 from zswarm.ot.workload import Workload
 from zswarm.protocol import codec, labels

@@ -19,9 +19,9 @@ from zswarm.errors import LocalProtocolError
 from zswarm.ot.cluster.batches import Batches
 from zswarm.ot.cluster.events import MARGIN_S, QUERY_S, Ask, Complete, Failed, Seen
 from zswarm.ot.cluster.recovery import PATIENCE_S, PATIENCE_TRIALS
-from zswarm.ot.cluster.remote_server import SETBACKS_S
+from zswarm.ot.cluster.remote_server import AGAIN_S, SETBACKS_S
 from zswarm.ot.cluster.schedule import Schedule
-from zswarm.ot.cluster.servers import AGAIN_S, PAUSE_S, RETRY_S, Servers
+from zswarm.ot.cluster.servers import PAUSE_S, RETRY_S, Servers
 from zswarm.protocol.messages import Evaluate, Lease, Refused, Reply, Running, verb
 
 TIMEOUT_S = 60.0  # of a trial, in these terms

@@ -400,18 +400,38 @@ def test_this_machines_server_is_known_as_such_and_not_held_back() -> None:
 def test_only_this_machines_own_slots_end_a_run_by_their_refusal() -> None:
     def watch() -> Watch:
         options, none = ClusterConfig(), threading.Event()
-        local: Any = SimpleNamespace(ended=lambda: "")
+        local: Any = SimpleNamespace(ended=lambda: "", start_again=lambda: "")
         return Watch(options, "xor", local, none, say=lambda _: None, check=lambda: None)
 
-    standing = Standing(own="local-01234567")
+    standing = Standing(own=frozenset({"local-01234567"}))
     for event in ("refused", "mismatch", "banned", "unprepared"):
         event = f"server_{event}"
         watch().report(Note(event, "local-00000000", "you lose"), standing)
         with pytest.raises(EvaluationError, match="it does not fit"):
             watch().report(Note(event, "local-01234567", "it does not fit"), standing)
     served = watch()
-    served.report(None, Standing(serving=1, own="local-01234567"))
+    served.report(None, Standing(serving=1, own=frozenset({"local-01234567"})))
     served.report(Note("server_unprepared", "local-01234567", "disk full"), standing)
+
+
+def test_this_machines_server_is_known_as_such_when_it_is_started_again() -> None:
+    asking, put, delete = Asking(), zenoh.SampleKind.PUT, zenoh.SampleKind.DELETE
+    own, strangers = object(), object()
+    links_ = asking.cluster._links
+    tokens = [(put, 1), (put, 2), (delete, 1)]  # in any order
+    for kind, number in tokens:
+        key = keys.alive("default", f"local-{number:08x}")
+        sample: Any = SimpleNamespace(kind=kind, key_expr=key)
+        links_._on_token(own, True, sample)  # type: ignore[arg-type]
+        links_._on_token(strangers, False, sample)  # type: ignore[arg-type]
+    assert links_.own == {"local-00000001", "local-00000002"}
+    assert set(links_.home.values()) == {own}
+    servers = asking.cluster._dispatch.servers
+    for number in (1, 2):
+        servers.seen(f"local-{number:08x}", own=True)
+    assert servers.standing().own == links_.own
+    links_.forget("local-00000001")
+    assert list(links_.home) == ["local-00000002"]
 
 
 def test_300_tokens_of_a_name_make_sixteen_servers_and_one_note() -> None:

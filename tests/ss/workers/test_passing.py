@@ -57,7 +57,7 @@ def test_a_slot_reports_why_it_could_not_be_prepared(
 
     monkeypatch.setattr(child.SlotProcess, "_prepare", fails)
     monkeypatch.setattr(child.SlotProcess, "_run", fails)
-    command = PrepareSlot(3, reserve(), probe=True)
+    command = PrepareSlot(3, reserve())
     assert slot.handle(command) == Unprepared(3, str(error), passes)
     with pytest.raises(OSError, match=r"device|file"):
         slot.handle(RunChunk(3, None))  # type: ignore[arg-type]

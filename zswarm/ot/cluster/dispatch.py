@@ -43,10 +43,10 @@ from zswarm.ot.cluster.events import Answered, Command, Event, OpenQuery, Outbox
 from zswarm.ot.cluster.matching import Terms
 from zswarm.ot.cluster.queue import QueuedTrials
 from zswarm.ot.cluster.recovery import misplaced
-from zswarm.ot.cluster.remote_server import Phase, RemoteServer, SentBatch
-from zswarm.ot.cluster.servers import AGAIN_S, RETRY_S, Servers
+from zswarm.ot.cluster.remote_server import AGAIN_S, Phase, RemoteServer, SentBatch
+from zswarm.ot.cluster.servers import RETRY_S, Servers
 from zswarm.ot.notes import RunEvent
-from zswarm.protocol.messages import Fault, Outcomes, Refused, Reply, Running
+from zswarm.protocol.messages import Cancel, Fault, Outcomes, Refused, Reply, Running
 from zswarm.system.format import duration, plural
 
 
@@ -172,6 +172,7 @@ class Dispatch:
         text = f"{type(error).__name__}: {error} ({Path(place.filename).name}, line {place.lineno})"
         server = self.servers.known(query.server)
         self.servers.set_back(server, RunEvent.ANSWER_FAILED, text)
+        batches.idle.moved |= self.servers.by_id
         self._follow()
         if workload is None:
             self._derive()
@@ -228,7 +229,9 @@ class Dispatch:
     def _batch_runs(self, query: OpenQuery, batch: SentBatch, reply: Running) -> None:
         batches, now, heard = self.batches, self.out.now, batch.heard.sum()
         batches.count(batch, reply)
-        if not batch.missing:
+        if not batch.missing:  # other servers sent what it still computes
+            cancel = Cancel(lease=batch.server.lease, batches=[batch.id])
+            self.out.ask(batch.server.id, cancel)
             return
         batch.unanswered = 0
         batch.all_started |= reply.given

@@ -40,6 +40,12 @@ RELEASE_S = 2.0  # for the last messages, at most
 AT_ONCE = 12_000
 
 
+def _size(message: Evaluate) -> int:
+    """Return about how many bytes a message takes."""
+    arrays = len(message.participants) + len(message.seeds)
+    return sum(map(len, message.genomes)) + 8 * len(message.genomes) + arrays
+
+
 class Links(msgspec.Struct, eq=False):
     """The sessions of a run."""
 
@@ -55,7 +61,8 @@ class Links(msgspec.Struct, eq=False):
     # The session that saw a server; written before the server is Seen.
     home: dict[str, zenoh.Session] = {}
     senders: dict[str, session.Sender] = {}
-    own: str = ""  # this machine's server, once its token is seen
+    own: set[str] = set()  # this machine's servers whose tokens were seen
+    _present: set[str] = set()  # servers whose token is there
     _addresses: dict[str, str] = {}  # of links, by zenoh's id of the other side
     _members: frozenset[str] = frozenset()  # names of servers with certificates
     _announced: Announced = msgspec.UNSET  # type: ignore[assignment]
@@ -103,6 +110,12 @@ class Links(msgspec.Struct, eq=False):
     def hang_up(self, server: str) -> None:
         """End the sender to a server that left: one that is restarted is another server."""
         self.senders.pop(server).close()
+
+    def forget(self, server: str) -> None:
+        """Forget a server that left long ago, unless its token appears just now."""
+        home = self.home.pop(server, None)
+        if home is not None and server in self._present:
+            self.home.setdefault(server, home)
 
     def was_answered(self, question: int) -> None:
         """Take note that a question which carried a batch has ended."""
@@ -174,11 +187,9 @@ class Links(msgspec.Struct, eq=False):
 
     def _takes_at_once(self, server: str, message: Evaluate) -> bool:
         """Return whether zenoh takes a batch without waiting."""
-        size = sum(map(len, message.genomes)) + 8 * len(message.genomes)
-        size += len(message.participants) + len(message.seeds)
         shared = self.reach.through_router
         link_busy = self._unanswered if shared else self._waited_for[server]
-        return size < AT_ONCE and not link_busy
+        return not link_busy and _size(message) < AT_ONCE
 
     def _hand_over(self, server: str, send: Callable[[], None], *, at_once: bool) -> bool:
         """Have the server's thread make a call; return False if it cannot."""
@@ -243,13 +254,12 @@ class Links(msgspec.Struct, eq=False):
     def _on_token(self, opened: zenoh.Session, own: bool, sample: zenoh.Sample) -> None:
         seen = sample.kind == zenoh.SampleKind.PUT
         key = diagnosis.parsed(sample)
-        if key is None or (key.server == self.own and not own):
+        if key is None or (key.server in self.own and not own):
             return
         name = name_of(key.server, self._members)
         if key.version == keys.CURRENT:
             if own:
-                self.own, self.home[key.server] = key.server, opened
-                self.post(Seen(key.server, own) if seen else Gone(key.server))
+                self._on_own(opened, key.server, seen=seen)
             else:
                 self._on_server(opened, key.server, name, seen=seen)
         elif seen and name not in self._others:
@@ -258,12 +268,24 @@ class Links(msgspec.Struct, eq=False):
             wait.daemon = True
             wait.start()
 
+    def _on_own(self, opened: zenoh.Session, server: str, *, seen: bool) -> None:
+        """Take the token of this machine's server, or its end; it may be started again."""
+        if seen:
+            self.own.add(server)
+            self._present.add(server)
+            self.home[server] = opened
+            self.post(Seen(server, own=True))
+        else:
+            self._present.discard(server)
+            self.post(Gone(server))
+
     def _on_server(
         self, opened: zenoh.Session, server: str, name: str, *, seen: bool
     ) -> None:
         """Take the token of a server, or its end; of too many servers of a name, only some."""
         if seen:
             if self._announced.add(server, opened):
+                self._present.add(server)
                 self.home[server] = opened
                 self.post(Seen(server))
             elif name not in self._many:
@@ -274,9 +296,11 @@ class Links(msgspec.Struct, eq=False):
                 )
                 self.post(Note(RunEvent.SERVER_MISMATCH, server, text))
             return
+        self._present.discard(server)
         instead = self._announced.remove(server)
         self.post(Gone(server))
         if instead is not None:
+            self._present.add(instead[0])
             name, self.home[name] = instead
             self.post(Seen(name))
 

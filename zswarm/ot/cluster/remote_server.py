@@ -41,17 +41,20 @@ When a lease can be resumed: docs/protocol.md, "Times of a lease".
 
 import math
 from enum import Enum, auto
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import msgspec
 import numpy as np
 
 from zswarm.ot.cluster.machines import name_of
 from zswarm.ot.cluster.pace import Pace
-from zswarm.protocol.messages import PROBE_DIGEST
+from zswarm.protocol.messages import PROBE_DIGEST, Lease
+from zswarm.system.format import plural
 
 # Before one is asked again that cannot serve now; longer each time, until it sends an outcome.
 SETBACKS_S = (5, 10, 20, 40, 80, 160, 320, 600)
+# Before the same is asked again of one that had nothing new, or that got on with its first slot.
+AGAIN_S, PROGRESS_S = 1.0, 0.5
 
 
 class Phase(Enum):
@@ -78,6 +81,23 @@ MOVES = {
     Phase.BACKED_OFF: {Phase.SEEN, *_ENDS},
     Phase.BANNED: set[Phase](),
 }
+
+
+class PrepareProgress(NamedTuple):
+    """How far a server is that prepares its first slot."""
+
+    compiling: int  # kernels
+    probe_begun: int  # trials
+    probe_trials: int  # that the probe has
+
+    def words(self, simulator: str) -> str:
+        """Return what it does, for the user."""
+        if self.compiling:
+            kernels = plural(self.compiling, "kernel")
+            return f"compiling {kernels}, once for each version of zswarm"
+        if self.probe_trials == 1:
+            return f"plays one trial of {simulator}"
+        return f"plays trial {self.probe_begun} of {self.probe_trials} of {simulator}"
 
 
 class SentBatch(msgspec.Struct, eq=False):
@@ -140,6 +160,9 @@ class RemoteServer(msgspec.Struct, eq=False):
     growing: bool = False  # LEASED, and asked for more slots than before
     slots: int = 0
     ready: int = 0  # slots that can evaluate
+    progress: PrepareProgress | None = (
+        None  # while its first slot is prepared, if it reports that
+    )
     pace: Pace = msgspec.field(default_factory=Pace)
     # Its open query for an offer, a reservation or a renewal; 0: none.
     question: int = 0
@@ -156,6 +179,20 @@ class RemoteServer(msgspec.Struct, eq=False):
 
     def __post_init__(self) -> None:
         self.machine = self.machine or name_of(self.id)
+
+    def granted(self, lease: Lease) -> float:
+        """Take the state of its lease; return after how long to ask for it again at least.
+
+        The time counts from the last query, which the server holds until there is something new.
+        """
+        was_ready, was = self.ready, self.progress
+        self.lease, self.slots = lease.lease, min(lease.slots, self.wanted)
+        self.ready = min(lease.ready, self.slots)
+        progress = lease.compiling, lease.probe_begun, lease.probe_trials
+        self.progress = PrepareProgress(*progress) if any(progress) else None
+        if self.ready > was_ready or (self.progress and not was):
+            return 0.0
+        return AGAIN_S if self.progress == was else PROGRESS_S
 
     def taken(self) -> int:
         """Return how many slots the run has here, or asked for."""
@@ -182,8 +219,9 @@ class Standing(msgspec.Struct, frozen=True):
 
     serving: int = 0  # servers with a slot ready
     preparing: list[str] = []  # some of the servers that prepare their first slot
+    progress: PrepareProgress | None = None  # of the first of these
     leased: int = 0  # servers that granted a lease
     spare: int = 0  # servers that match and whose slots are not wanted
     slots: int = 0  # that are ready
     probe: bytes = b""  # digest of the probe's outcomes, once known
-    own: str = ""  # this machine's server, once seen
+    own: frozenset[str] = frozenset()  # this machine's servers, once seen

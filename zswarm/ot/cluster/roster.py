@@ -1,7 +1,7 @@
 """Counters of a run's servers, updated by each change of one: no event visits all servers."""
 
 import itertools
-from collections import Counter
+from collections import Counter, OrderedDict
 from collections.abc import Iterator
 
 import msgspec
@@ -9,9 +9,9 @@ import msgspec
 from zswarm.ot.cluster.remote_server import Phase, RemoteServer, Standing
 
 NAMED = 5  # servers that prepare, in a standing
-# Servers without a token that are remembered, for their leases may be resumed: more than can be
-# linked at a time. One that is restarted has another id.
-MAX_ABSENT = 10_000
+# A server without a token is remembered so long, for its lease may be resumed; after that it
+# expired. One that is restarted has another id.
+FORGET_S = 120.0
 
 
 class Roster(msgspec.Struct, eq=False):
@@ -26,11 +26,15 @@ class Roster(msgspec.Struct, eq=False):
     slots: int = 0  # ready
     granted: int = 0  # slots
     taken: int = 0  # slots, granted or asked for
-    own: str = ""  # this machine's server, once seen
+    own: set[str] = (
+        set()
+    )  # this machine's servers; one that is started again has another id
     machines: Counter[str] = msgspec.field(default_factory=Counter)  # taken, by machine
     _counted: dict[str, tuple[Phase, int, int, int, str]] = {}
-    # IDLE and without a token, the longest in front.
-    _absent: dict[str, RemoteServer] = {}
+    # IDLE and without a token, since when; the longest in front.
+    _absent: OrderedDict[str, tuple[float, RemoteServer]] = msgspec.field(
+        default_factory=OrderedDict
+    )
 
     def update(self, server: RemoteServer) -> None:
         """Count a server as it is now."""
@@ -56,27 +60,28 @@ class Roster(msgspec.Struct, eq=False):
         """Take note of a server's token."""
         self._absent.pop(name, None)
 
-    def remember(self, server: RemoteServer) -> RemoteServer | None:
-        """Remember an IDLE server without a token; return the one that is forgotten for it."""
-        self._absent[server.id] = server
-        if len(self._absent) <= MAX_ABSENT:
-            return None
-        oldest = self._absent.pop(next(iter(self._absent)))
-        if oldest.phase != Phase.IDLE:
-            return None
-        self._add(self._counted.pop(oldest.id, None), -1)
-        return oldest
+    def remember(self, server: RemoteServer, now: float) -> Iterator[RemoteServer]:
+        """Remember an IDLE server without a token for a while, and yield those to forget."""
+        self._absent[server.id] = now, server
+        self._absent.move_to_end(server.id)
+        while next(iter(self._absent.values()))[0] <= now - FORGET_S:
+            _, oldest = self._absent.popitem(last=False)[1]
+            if oldest.phase == Phase.IDLE:
+                self._add(self._counted.pop(oldest.id, None), -1)
+                yield oldest
 
     def standing(self, probe: bytes) -> Standing:
         """Return how the run stands with its servers."""
+        first = next(iter(self.preparing.values()), None)
         return Standing(
             serving=len(self.ready),
             preparing=list(itertools.islice(self.preparing, NAMED)),
+            progress=first.progress if first is not None else None,
             leased=self.phases[Phase.LEASED],
             spare=self.phases[Phase.SPARE],
             slots=self.slots,
             probe=probe,
-            own=self.own,
+            own=frozenset(self.own),
         )
 
     def computing(self) -> Iterator[RemoteServer]:

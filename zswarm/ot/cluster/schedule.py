@@ -37,9 +37,9 @@ SMALLEST_BATCH_S = 0.003
 LONG, IDLE_S = 10.0, 0.01
 TOLERANCE = 1.05  # of what a server may take longer than others: times are estimates
 ROUNDS = 2  # of trials on all slots; the end of more is estimated by rates alone
-STALE = (
-    1 / 8
-)  # an estimate is made again after this share of the time until the estimated end
+# An estimate is made again after this share of the time until the estimated end, but not before so
+# long for each server; and when this share of the slots came or left.
+STALE, ESTIMATE_SERVER_S = 1 / 8, 0.00005
 
 
 class Schedule(msgspec.Struct, eq=False):
@@ -49,53 +49,82 @@ class Schedule(msgspec.Struct, eq=False):
     queue: TrialQueue
     serving: dict[str, RemoteServer] = {}  # servers that can be given work
     slots: int = 0  # of these
+    # Slots and rate of each, as they are summed.
+    _summed: dict[str, tuple[int, float]] = {}
     fits: int = 1  # trials that fit into a message
-    trial_bytes: float = 1.0  # of a trial on a link
+    _genome_bytes: float = 0.0  # of a trial's candidates
+    _trial_bytes: float = 1.0  # of a trial on a link beside them
+    _alike: float = 1.0  # trials in a row of the same candidates
     _trial_timeout_s: float = 0.0
     _rate: float = 0.0  # trials per second of all that serve
     _end: float = 0.0  # of all that waits, as estimated last
     _stale_at: float = -math.inf
+    _moved: int = 0  # slots that came or left since then
 
     def begin(self, workload: Workload, terms: Terms) -> None:
         """Schedule the trials of a workload."""
         participants = terms.participants
         self._trial_timeout_s = terms.reserve.trial_timeout_s
-        sizes = [0] if terms.reserve.asks else list(map(len, workload.genomes))
-        sent = (max(sizes, default=0) + 16) * participants + 16
+        genomes = [] if terms.reserve.asks else workload.genomes
+        sent = (max(map(len, genomes), default=0) + 16) * participants + 16
         answered = 8 * (participants + terms.metrics) + 4
         by_bytes = BATCH_BYTES // max(sent, answered)
         self.fits = min(
             messages.MAX_TRIALS, messages.MAX_GENOMES // participants, by_bytes
         )
-        genomes = sum(sizes) / max(1, len(workload.seeds))
-        self.trial_bytes = genomes + 16 * participants + answered
-        self.restart()
-
-    def serve(self, serving: dict[str, RemoteServer]) -> None:
-        """Schedule for other servers, or for servers with other slots."""
-        self.serving = serving
-        self.slots = sum(server.ready for server in serving.values())
-        self.restart()
-
-    def restart(self) -> None:
-        """Estimate again."""
-        self._rate = sum(map(self.rate, self.serving.values()))
+        trials = len(workload.seeds)
+        candidates = max(1, len(genomes))
+        self._genome_bytes = sum(map(len, genomes)) / candidates * participants
+        self._trial_bytes = 16 * participants + answered
+        self._alike = max(1.0, trials * participants / candidates)
         self._stale_at = -math.inf
+        for server in self.serving.values():
+            self._sum(server)
+
+    def serve(self, server: RemoteServer) -> None:
+        """Schedule for a server that can be given work, or has other slots than before."""
+        self.serving[server.id] = server
+        self._sum(server)
+
+    def leave(self, server: RemoteServer) -> bool:
+        """Schedule nothing for a server any more; return whether anything was."""
+        served = self.serving.pop(server.id, None) is not None
+        if served:
+            self._sum(server)
+        return served
+
+    def _sum(self, server: RemoteServer) -> None:
+        """Sum slots and rates with those of a server as it is now."""
+        serves = server.id in self.serving
+        now = (server.ready, self.rate(server)) if serves else (0, 0.0)
+        slots, rate = self._summed.pop(server.id, (0, 0.0))
+        if serves:
+            self._summed[server.id] = now
+        self.slots, self._rate = self.slots + now[0] - slots, self._rate + now[1] - rate
+        self._moved += abs(now[0] - slots)
+        if self._moved > STALE * self.slots:
+            self._stale_at = -math.inf
 
     def rate(self, server: RemoteServer) -> float:
         """Return the trials per second of a server; 0.0 if none was measured."""
         if not (server.pace.trial_s and server.ready):
             return 0.0
-        return 1.0 / server.pace.each_s(server.ready, self.trial_bytes)
+        return 1.0 / server.pace.each_s(server.ready, self._bytes_each(server))
+
+    def _bytes(self, trials: int) -> float:
+        """Return the bytes of some trials in a row on a link, at most: some share candidates."""
+        genomes = min(trials, 1 + math.ceil((trials - 1) / self._alike))
+        return genomes * self._genome_bytes + trials * self._trial_bytes
+
+    def _bytes_each(self, server: RemoteServer) -> float:
+        """Return the bytes of each of as many trials as a server has slots."""
+        return self._bytes(server.ready) / max(1, server.ready)
 
     def computed(self, server: RemoteServer, seconds: float, trials: int) -> None:
         """Take the seconds that a server computed for some trials."""
+        server.pace.computed(seconds, trials)
         if server.id in self.serving:
-            self._rate -= self.rate(server)
-            server.pace.computed(seconds, trials)
-            self._rate += self.rate(server)
-        else:
-            server.pace.computed(seconds, trials)
+            self._sum(server)
 
     # ---- what is measured
 
@@ -108,6 +137,7 @@ class Schedule(msgspec.Struct, eq=False):
         server, now = batch.server, self.out.now
         batch.sent_at = server.pace.batch_at = now
         batch.due, batch.alone = self.due(server, batch.missing), alone
+        server.pace.sent_by = self._sent_by(server, batch.missing)
         self.be_patient(batch)
 
     def be_patient(self, batch: SentBatch) -> None:
@@ -149,7 +179,7 @@ class Schedule(msgspec.Struct, eq=False):
             return 0
         size = max(lacking, self._size_by_time(server))
         if not server.pace.link_measured and len(self.serving) > 1:
-            first = server.pace.first_trials(self.trial_bytes)
+            first = server.pace.first_trials(self._bytes(1))
             if missing >= first:
                 return 0
             size = min(size, first - missing)
@@ -172,7 +202,8 @@ class Schedule(msgspec.Struct, eq=False):
         pace = server.pace
         if not pace.trial_s:
             return 0
-        each_s, serving = pace.each_s(server.ready, self.trial_bytes), len(self.serving)
+        each_s = pace.each_s(server.ready, self._bytes_each(server))
+        serving = len(self.serving)
         parts = 2 * DEPTH if serving > 1 else 1
         share = self.queue.count / (each_s * max(self._rate, 1e-9) * parts)
         smallest_s = max(SMALLEST_BATCH_S, pace.round_trip_s)
@@ -183,14 +214,19 @@ class Schedule(msgspec.Struct, eq=False):
 
     def due(self, server: RemoteServer, trials: int) -> float:
         """Return when trials are expected to be done that are sent to a server now."""
-        pace, now = server.pace, self.out.now
-        begin = now + pace.round_trip_s + trials * self.trial_bytes * pace.byte_s
+        pace = server.pace
+        begin = self._sent_by(server, trials) + pace.round_trip_s
         if batches := server.batches.values():
             missing = sum([batch.missing for batch in batches])
             if missing + trials > server.ready:
                 latest = max([batch.due for batch in batches])
                 begin = max(begin, self._end_of(server, latest, missing))
         return begin + pace.trials_s(trials, server.ready)
+
+    def _sent_by(self, server: RemoteServer, trials: int) -> float:
+        """Return when trials are expected to be through the link that are sent now."""
+        begin = max(self.out.now, server.pace.sent_by) if server.batches else self.out.now
+        return begin + self._bytes(trials) * server.pace.byte_s
 
     def ends(self, batch: SentBatch) -> float:
         """Return when a batch is expected to be done; one that is late, in as long again."""
@@ -203,7 +239,7 @@ class Schedule(msgspec.Struct, eq=False):
         if due <= now:
             return 2 * now - due
         # Slots may have become ready since it was sent.
-        on_link_s = missing * self.trial_bytes * pace.byte_s
+        on_link_s = self._bytes(missing) * pace.byte_s
         backlog_s = on_link_s + pace.trials_s(missing, server.ready)
         return min(due, now + pace.round_trip_s + backlog_s)
 
@@ -230,12 +266,16 @@ class Schedule(msgspec.Struct, eq=False):
                     end = first.get(one.machine, math.inf)
                     first[one.machine] = min(end, self.due(one, 1))
                 self._end = max(self._end, *sorted(first.values())[:2])
-            self._stale_at = now + STALE * (self._end - now)
+            # All are looked at: not for every trial where there are many.
+            least_s = ESTIMATE_SERVER_S * len(self.serving)
+            self._stale_at = now + max(least_s, STALE * (self._end - now))
+            self._moved = 0
         return self.fitting(server, trials, now + TOLERANCE * (self._end - now))
 
     def _expected_end(self, waiting: int) -> float:
         """Return when all that waits is done if each trial is done where it ends first."""
-        self._rate = sum(map(self.rate, self.serving.values()))
+        for server in self.serving.values():
+            self._sum(server)
         servers = [server for server in self.serving.values() if self.rate(server)]
         if waiting > ROUNDS * self.slots:
             return self._end_by_rates(waiting, servers)
@@ -271,7 +311,7 @@ class Schedule(msgspec.Struct, eq=False):
     def _rounds(self, server: RemoteServer) -> list[tuple[float, float, int]]:
         """Return rounds of a server: when the first ends, seconds of a further one, trials."""
         pace = server.pace
-        link_s, trial_s = self.trial_bytes * pace.byte_s, pace.trial_s
+        link_s, trial_s = self._bytes_each(server) * pace.byte_s, pace.trial_s
         first = self.out.now + pace.round_trip_s + link_s + trial_s
         ends = [self.ends(batch) for batch in server.batches.values()]
         if link_s * server.ready > trial_s:

@@ -26,7 +26,6 @@ RETRY_S = (0.05, 0.2, 1.0)  # before a query that was not answered is sent again
 PAUSE_S = 1.0  # before a server that had no room, or that ended the lease, is asked again
 # Before a server that did not answer is asked again, unless it is seen before.
 BACK_OFF_S = 30.0
-AGAIN_S = 1.0  # before the same is asked again of a server that had nothing new
 
 
 class Servers(msgspec.Struct, eq=False):
@@ -62,12 +61,9 @@ class Servers(msgspec.Struct, eq=False):
         """Return how the run stands with its servers."""
         return self.roster.standing(self.probe)
 
-    def serving(self) -> dict[str, RemoteServer]:
-        """Return the servers that can be given work, those that rank first in front."""
-        ready = list(self.roster.ready.values())
-        if self.terms.choice.rank:
-            ready.sort(key=lambda server: server.place)
-        return {server.id: server for server in ready if server.paused_until is None}
+    def serves(self, server: RemoteServer) -> bool:
+        """Return whether a server can be given work."""
+        return server.id in self.roster.ready and server.paused_until is None
 
     # ---- events
 
@@ -76,7 +72,7 @@ class Servers(msgspec.Struct, eq=False):
         server = self.known(name)
         server.present, server.own = True, own
         if own:
-            self.roster.own = name
+            self.roster.own.add(name)
         self.roster.came(name)
         if server.phase == Phase.LEAVING:
             self._move(server, Phase.LEASED)
@@ -105,7 +101,7 @@ class Servers(msgspec.Struct, eq=False):
         server, verb = self.by_id.get(query.server), query.verb
         if server is None or query.question != server.question:
             return  # to Cancel or Release, or its server has left the phase in which it was asked
-        server.question = 0
+        server.question, asked_at = 0, server.asked_at  # it may be asked at once again
         if server.phase == Phase.LEAVING:
             return  # it is asked again when it is back
         match verb, reply:
@@ -123,7 +119,7 @@ class Servers(msgspec.Struct, eq=False):
                 self._not_answered(server, verb)
                 return
         server.unanswered, server.silence_reported = 0, False
-        server.pace.asked(self.out.now - server.asked_at, held=verb == "renew")
+        server.pace.asked(self.out.now - asked_at, held=verb == "renew")
 
     def ask_due(self) -> None:
         """Ask the servers whose time has come, and end pauses."""
@@ -244,9 +240,8 @@ class Servers(msgspec.Struct, eq=False):
     # ---- leases
 
     def _granted(self, server: RemoteServer, lease: Lease, verb: Verb) -> None:
-        was_ready, server.lease = server.ready, lease.lease
-        server.slots = min(lease.slots, server.wanted)
-        server.ready = ready = min(lease.ready, server.slots)
+        was_ready, again_s = server.ready, server.granted(lease)
+        ready = server.ready
         self.roster.update(server)
         self.allotment.granted(server)
         if lease.state == "failed" and lease.passing:
@@ -276,10 +271,11 @@ class Servers(msgspec.Struct, eq=False):
             self.machines.use(server.id, server.machine)
         if ready < min(server.wanted, server.capacity):
             # The server answers when more slots are ready, or after a while.
-            if verb == "reserve" or ready > was_ready:
+            again_at = server.asked_at + again_s
+            if verb == "reserve" or again_at <= self.out.now:
                 self._ask(server)
             else:
-                self.ask_by(server, max(self.out.now, server.asked_at + AGAIN_S))
+                self.ask_by(server, again_at)
 
     def _refused(self, server: RemoteServer, verb: Verb, refused: Refused) -> None:
         match verb, refused.code:
@@ -394,7 +390,7 @@ class Servers(msgspec.Struct, eq=False):
         self.allotment.follow(server, was)
 
     def _remember(self, server: RemoteServer) -> None:
-        """Remember an IDLE server without a token, and forget another one if there are many."""
-        if (oldest := self.roster.remember(server)) is not None:
+        """Remember an IDLE server without a token for a while, and forget those before it."""
+        for oldest in self.roster.remember(server, self.out.now):
             del self.by_id[oldest.id]
             self.forgotten.append(oldest.id)
