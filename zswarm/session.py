@@ -18,6 +18,7 @@ import zenoh
 
 from zswarm.errors import ConfigError, NoRouter
 from zswarm.protocol import endpoint
+from zswarm.protocol.messages import MAX_MESSAGE
 from zswarm.security import access, keyring, refusals
 from zswarm.security.keyring import Keyring
 from zswarm.security.members import Role
@@ -33,6 +34,7 @@ WAIT_BEFORE_CLOSE_S = 60
 # Of zenoh. A dead link on which a message hangs occupies one until it is given up.
 SENDING_THREADS = 64
 OPEN_FILES = 8192
+OTHER_BYTES = 64 << 10  # of a message of zenoh's, besides ours: its key, for example
 CLOSING_S = 1.0  # for a close that a dead link blocks
 QUEUE = 10_000  # waiting calls of a sender
 
@@ -242,7 +244,7 @@ def _link(keyring: Keyring | None) -> dict[str, Any]:
             "batch_size": 16384,
             "queue": {"congestion_control": {"block": blocked}},
         },
-        "rx": {"max_message_size": 64 << 20},
+        "rx": {"max_message_size": MAX_MESSAGE + OTHER_BYTES},
     }
     if keyring is not None:
         link |= {"protocols": ["tls"], "tls": _tls(keyring)}

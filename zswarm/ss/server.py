@@ -28,7 +28,7 @@ from zswarm.session import Reach
 from zswarm.ss.admission import Admission, read
 from zswarm.ss.health import Health
 from zswarm.ss.local.control import Control, Draining, LocalQuery, LocalRequest
-from zswarm.ss.network import Inbox, PeerQuery, Presence
+from zswarm.ss.network import Inbox, Item, PeerQuery, Presence
 from zswarm.ss.options import AT_START, Options, offered
 from zswarm.ss.slots import events
 from zswarm.ss.slots.table import SlotTable
@@ -42,6 +42,7 @@ from zswarm.system.text import clean
 from zswarm.system.version import VERSION
 
 TICK_S = 0.25
+PASS_S = 0.1  # for the items of one pass of the loop
 RETURN_S = 5.0  # to the network, which a reload lost
 FINISH_S = 2.0  # for the last answers
 
@@ -189,6 +190,8 @@ class Server:
             self._health.look(time.monotonic(), new=bool(ready))
 
     def _timeout(self) -> float | None:
+        if self._inbox:
+            return 0.0
         until = min(
             self._drain_by,
             self._return_at,
@@ -208,28 +211,35 @@ class Server:
                 worker.start()
 
     def _take_inbox(self) -> None:
+        """Take waiting items, for a while: the rest after slots and the watchdog had their turn."""
+        until = time.monotonic() + PASS_S
         for item in self._inbox.take():
-            match item:
-                case PeerQuery():
-                    if (asked := self._presence.decode(item)) is not None:
-                        self._queries[asked.query] = item
-                        self._handle(asked)
-                case LocalQuery(request, answer):
-                    if answer.set_running_or_notify_cancel():  # else its client is gone
-                        answer.set_result(self._answer_local(request))
-                case Unheard():
-                    self._questions.unheard(item.question, time.monotonic())
-                case FullPipe():
-                    self.workers[item.slot].watch_pipe()
-                case signal.SIGHUP:
-                    self._reload()
-                case int():
-                    self._signals.append(item)
-                    self._drain()
-                case _:
-                    self._handle(item)
-                    if isinstance(item, events.HolderAlive) and not item.alive:
-                        self._presence.forget(f"{item.user}/{item.run}")
+            self._take_item(item)
+            if time.monotonic() >= until:
+                return
+
+    def _take_item(self, item: Item) -> None:
+        match item:
+            case PeerQuery():
+                if (asked := self._presence.decode(item)) is not None:
+                    self._queries[asked.query] = item
+                    self._handle(asked)
+            case LocalQuery(request, answer):
+                if answer.set_running_or_notify_cancel():  # else its client is gone
+                    answer.set_result(self._answer_local(request))
+            case Unheard():
+                self._questions.unheard(item.question, time.monotonic())
+            case FullPipe():
+                self.workers[item.slot].watch_pipe()
+            case signal.SIGHUP:
+                self._reload()
+            case int():
+                self._signals.append(item)
+                self._drain()
+            case _:
+                self._handle(item)
+                if isinstance(item, events.HolderAlive) and not item.alive:
+                    self._presence.forget(f"{item.user}/{item.run}")
 
     def _handle(self, event: events.Event) -> None:
         """Give an event to the slot table, and carry out its commands."""
