@@ -46,6 +46,7 @@ def evolve(
         problem,
         run=notebook.run_id,
         epoch=record.meta("epoch"),
+        secret=record.meta("secret") or b"",
         slots=problem.trials_at_once(optimizer.candidates) or messages.MAX_SLOTS,
         probe=notebook.probe,
         say=logger.on_say,

@@ -128,6 +128,7 @@ def reserve(
     slots: int = 100,
     simulator: str = "minisim",
     memory_mb: int = 0,
+    proof: bytes = b"",
 ) -> Reserve:
     return Reserve(
         nonce=nonce.to_bytes(16, "big"),
@@ -138,6 +139,7 @@ def reserve(
         version_hash="",
         trial_timeout_s=TIMEOUT_S,
         trial_memory_mb=memory_mb,
+        proof=proof,
     )
 
 

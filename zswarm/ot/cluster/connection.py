@@ -8,6 +8,7 @@ import atexit
 import contextlib
 import functools
 import getpass
+import secrets
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Self
@@ -163,12 +164,14 @@ class Connection:
         say: Callable[[str], None],
         stop: threading.Event,
         epoch: int = 0,
+        secret: bytes = b"",
         probe: bytes = b"",
     ) -> "Iterator[Cluster]":
         """Hold leases of all servers that match a problem, within a ``with`` block.
 
         Args:
             run, epoch: how servers know the holder of the leases.
+            secret: by which they tell the run's programs from others; b"": a new one.
             slots: wanted at most, on every server.
             say: takes lines for the user.
             stop: ends an evaluation when it is set.
@@ -190,7 +193,13 @@ class Connection:
         experiment, simulator = problem.experiment, problem.simulator
         user = reach.keyring.name if reach.keyring else keys.fold(getpass.getuser())
         asked = terms(
-            experiment, options, simulator, epoch=epoch, slots=slots, probe=probe
+            experiment,
+            options,
+            simulator,
+            epoch=epoch,
+            secret=secret or secrets.token_bytes(16),
+            slots=slots,
+            probe=probe,
         )
         controllers = None
         if asked.reserve.asks:

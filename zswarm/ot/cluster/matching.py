@@ -37,6 +37,7 @@ class Terms(msgspec.Struct, frozen=True, kw_only=True):
 
     requirements: Requirements
     reserve: Reserve  # with the number of slots wanted on every server
+    secret: bytes = b""  # of the run; b"": its leases can be taken over by others
     choice: Choice = Choice()
     participants: int = 1  # of a trial
     metrics: int = 0  # of a trial
@@ -74,6 +75,7 @@ def terms(
     simulator: "Simulator",
     *,
     epoch: int,
+    secret: bytes,
     slots: int,
     probe: bytes,
 ) -> Terms:
@@ -94,6 +96,7 @@ def terms(
     return Terms(
         requirements=asked,
         reserve=reserve,
+        secret=secret,
         choice=choice(options),
         participants=simulator.participants,
         metrics=len(simulator.metrics),
