@@ -35,6 +35,8 @@ WAIT_BEFORE_CLOSE_S = 60
 SENDING_THREADS = 64
 OPEN_FILES = 8192
 OTHER_BYTES = 64 << 10  # of a message of zenoh's, besides ours: its key, for example
+RETRY_MS = 2000  # between attempts to dial a given endpoint, at most; and with keys:
+REFUSED_RETRY_MS = 30_000  # each refused handshake delays others there by 0.1 s
 CLOSING_S = 1.0  # for a close that a dead link blocks
 QUEUE = 10_000  # waiting calls of a sender
 
@@ -197,7 +199,7 @@ def _config(
             "exit_on_failure": {mode: False},
             "retry": {
                 "period_init_ms": 20,
-                "period_max_ms": 2000,
+                "period_max_ms": RETRY_MS if reach.keyring is None else REFUSED_RETRY_MS,
                 "period_increase_factor": 1.5,
             },
         },
