@@ -7,6 +7,7 @@ from collections.abc import Callable, Generator, Iterator
 from zswarm.ot.build import Parts
 from zswarm.ot.cluster.connection import Connection
 from zswarm.ot.cluster.events import Counted, Retracted
+from zswarm.ot.cluster.matching import RunProgram
 from zswarm.ot.cluster.shell import Cluster, Item
 from zswarm.ot.generation import Assessment
 from zswarm.ot.identity import here
@@ -45,8 +46,7 @@ def evolve(
     leased = connection.cluster(
         problem,
         run=notebook.run_id,
-        epoch=record.meta("epoch"),
-        secret=record.meta("secret") or b"",
+        program=RunProgram(record.meta("epoch"), record.meta("secret")),
         slots=problem.trials_at_once(optimizer.candidates) or messages.MAX_SLOTS,
         probe=notebook.probe,
         say=logger.on_say,

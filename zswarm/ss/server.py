@@ -23,7 +23,7 @@ from zswarm import session
 from zswarm.errors import ConfigError
 from zswarm.protocol import codec, keys
 from zswarm.protocol.messages import Sensors
-from zswarm.security import refusals
+from zswarm.security import keyring, refusals
 from zswarm.session import Reach
 from zswarm.ss.admission import Admission, read
 from zswarm.ss.health import Health
@@ -37,6 +37,7 @@ from zswarm.ss.workers.child import Here, SharedMemory
 from zswarm.ss.workers.output import LINE_WIDTH
 from zswarm.ss.workers.parent import Worker
 from zswarm.ss.workers.remote import CANCELLED, FullPipe, Questions, Unheard
+from zswarm.system import landlock
 from zswarm.system.systemd import Notify
 from zswarm.system.text import clean
 from zswarm.system.version import VERSION
@@ -106,6 +107,10 @@ class Server:
             self._open_local(stack)
             if not self._private:
                 refusals.watch_links()
+                if reason := landlock.why_not(keyring.folders()):
+                    log.warning(
+                        "keys_not_hidden", reason=f"slots can read them: {reason}"
+                    )
             stack.callback(self._presence.close)
             self._open(self.options, self._reach)
             log.info(

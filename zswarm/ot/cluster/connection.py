@@ -23,6 +23,7 @@ from zswarm.protocol.keys import RunKey
 if TYPE_CHECKING:
     import numpy as np
 
+    from zswarm.ot.cluster.matching import RunProgram
     from zswarm.ot.cluster.shell import Cluster, Item
     from zswarm.ot.evaluator import CandidateEvaluator, CandidateOutcomes
     from zswarm.ot.problem import Problem
@@ -163,21 +164,19 @@ class Connection:
         slots: int,
         say: Callable[[str], None],
         stop: threading.Event,
-        epoch: int = 0,
-        secret: bytes = b"",
+        program: "RunProgram | None" = None,
         probe: bytes = b"",
     ) -> "Iterator[Cluster]":
         """Hold leases of all servers that match a problem, within a ``with`` block.
 
         Args:
-            run, epoch: how servers know the holder of the leases.
-            secret: by which they tell the run's programs from others; b"": a new one.
+            run, program: how servers know the holder of the leases.
             slots: wanted at most, on every server.
             say: takes lines for the user.
             stop: ends an evaluation when it is set.
             probe: digest of the probe's outcomes, if it is known.
         """
-        from zswarm.ot.cluster.matching import terms
+        from zswarm.ot.cluster.matching import RunProgram, terms
         from zswarm.ot.cluster.remote_controllers import RemoteControllers
         from zswarm.ot.cluster.shell import Cluster
         from zswarm.ot.cluster.watch import Watch
@@ -192,22 +191,15 @@ class Connection:
         options, reach, local = self.options, self.reach, self.local
         experiment, simulator = problem.experiment, problem.simulator
         user = reach.keyring.name if reach.keyring else keys.fold(getpass.getuser())
-        asked = terms(
-            experiment,
-            options,
-            simulator,
-            epoch=epoch,
-            secret=secret or secrets.token_bytes(16),
-            slots=slots,
-            probe=probe,
-        )
+        program = program or RunProgram(0, secrets.token_bytes(16))
+        asked = terms(experiment, options, simulator, program, slots=slots, probe=probe)
         controllers = None
         if asked.reserve.asks:
             controllers = RemoteControllers(
                 problem.representation, simulator.participants
             )
-        name = experiment.problem.simulator
-        watch = Watch(options, name, local, hinted=self._hinted, say=say, check=check)
+        kind = experiment.problem.simulator
+        watch = Watch(options, kind, local, hinted=self._hinted, say=say, check=check)
         cluster = Cluster(
             RunKey(options.realm, user, run),
             asked,

@@ -32,6 +32,13 @@ class Choice(NamedTuple):
         return labels.place(self.rank, offer.labels)
 
 
+class RunProgram(NamedTuple):
+    """How servers know one of the programs of a run."""
+
+    epoch: int  # how often the run was resumed
+    secret: bytes  # of the run
+
+
 class Terms(msgspec.Struct, frozen=True, kw_only=True):
     """What a run asks of servers, and how it uses them."""
 
@@ -73,9 +80,8 @@ def terms(
     complete: Experiment,
     options: ClusterConfig,
     simulator: "Simulator",
+    program: RunProgram,
     *,
-    epoch: int,
-    secret: bytes,
     slots: int,
     probe: bytes,
 ) -> Terms:
@@ -84,7 +90,7 @@ def terms(
     asked = requirements(complete, options)
     reserve = Reserve(
         nonce=secrets.token_bytes(16),
-        epoch=epoch,
+        epoch=program.epoch,
         slots=min(slots, MAX_SLOTS),
         simulator=Part(problem.simulator, problem.settings),
         representation=Part(representation.kind, representation.settings),
@@ -96,7 +102,7 @@ def terms(
     return Terms(
         requirements=asked,
         reserve=reserve,
-        secret=secret,
+        secret=program.secret,
         choice=choice(options),
         participants=simulator.participants,
         metrics=len(simulator.metrics),
