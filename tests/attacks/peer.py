@@ -2,7 +2,7 @@
 
 import secrets
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -44,23 +44,23 @@ class Peer:
     ) -> list[bytes | None]:
         """Send bytes; return a list that gets the answer, or None, when the query ends."""
         ended: list[bytes | None] = []
-        self.session_ask(verb, body, run, timeout_s, ended)
+        key = keys.request("default", self.server, self.user, run, verb)
+        self.ask_key(key, body, ended.append, timeout_s)
         return ended
 
-    def session_ask(
+    def ask_key(
         self,
-        verb: str,
+        key: str,
         body: bytes,
-        run: str,
-        timeout_s: float,
-        ended: list[bytes | None],
+        answered: Callable[[bytes | None], None],
+        timeout_s: float = 5.0,
     ) -> None:
-        key = keys.request("default", self.server, self.user, run, verb)
+        """Send bytes to any key; ``answered`` is called once."""
         session.ask(
             self.session,
             key,
             body,
-            lambda answer, _: ended.append(answer),
+            lambda answer, _: answered(answer),
             timeout_s=timeout_s,
         )
 

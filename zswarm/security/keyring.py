@@ -64,7 +64,7 @@ def of_user() -> Path:
 
 
 def folders() -> set[Path]:
-    """Return where keys of this machine may be, whoever uses them."""
+    """Return where keys of this machine may be, of any user."""
     return {SYSTEM, of_user(), find() or SYSTEM}
 
 

@@ -244,7 +244,8 @@ class Presence(msgspec.Struct, eq=False):
                 log.warning("malformed", **fields, count=self.malformed)
             unknown = isinstance(error, UnknownMessageError)
             code: Refusal = "unsupported" if unknown else "malformed"
-            self.answer(query, codec.encode(Refused(code=code, reason=str(error))))
+            refused = Refused(code=code, reason=str(error)[:MAX_TEXT])
+            self.answer(query, codec.encode(refused))
             return None
         query.run, query.version = f"{key.user}/{key.run}", key.version
         if key.version in versions.OLDER:
