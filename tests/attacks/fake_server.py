@@ -13,13 +13,14 @@ import zenoh
 
 from tests.attacks.mutation import mutated
 from tests.integration.programs import free_port
-from zswarm import session
+from zswarm import evaluate, session
 from zswarm.errors import RemoteProtocolError
 from zswarm.protocol import codec, keys, messages
 from zswarm.protocol.keys import ServerKey
 
-SHOWN = 6  # servers at a time
-RENEWED_S = 0.2  # an optimizer drops servers whose answers are not valid: there are always new ones
+METRICS = len(evaluate.build("xor", {}, "fully-meshed", {})[0].metrics)
+SHOWN = 12  # servers at a time
+RENEWED_S = 0.05  # an optimizer drops servers whose answers are not valid: there are always new ones
 CODES = [
     "malformed",
     "lease-lost",
@@ -183,7 +184,7 @@ class FakeServers:
             "batch": batch,
             "trials": codec.indices(range(some)),
             "fitness": np.full(some, draw.random()).tobytes(),
-            "metrics": np.full(some, 1.0).tobytes(),
+            "metrics": np.ones(some * METRICS).tobytes(),
             "seconds": 0.001 * some,
         }
         match draw.randrange(10):
@@ -197,7 +198,7 @@ class FakeServers:
         fields |= {
             "trials": b"",
             "fitness": np.full(count, draw.random()).tobytes(),
-            "metrics": np.full(count, 1.0).tobytes(),
+            "metrics": np.ones(count * METRICS).tobytes(),
             "seconds": 0.001 * count,
         }
         return messages.Outcomes(**fields)

@@ -26,9 +26,10 @@ from zswarm.protocol.messages import Evaluate, Lease, Part, Refused
 
 pytestmark = pytest.mark.attacks
 
-SECONDS = float(os.environ.get("FUZZ_SECONDS", "30"))
+SECONDS = float(os.environ.get("FUZZ_SECONDS", "20"))
 SEED = int(os.environ.get("FUZZ_SEED", "0")) or secrets.randbits(32)
 MEMORY_MB = 50.0  # more than at the start, which is after a tenth of the time
+LONGEST_S = 120.0
 OPEN = 64  # queries at once
 GENES = evaluate.build("xor", {}, "fully-meshed", {})[1].genes or 0
 KEYS = (
@@ -199,7 +200,9 @@ class Run(Optimizer):
 
     def begin(self) -> None:
         wait_until(
-            lambda: self.process.poll() is not None or self.out.read_text(), "it begins"
+            lambda: self.process.poll() is not None or self.out.read_text(),
+            "it begins",
+            LONGEST_S,
         )
 
 
