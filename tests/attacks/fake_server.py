@@ -20,7 +20,8 @@ from zswarm.protocol.keys import ServerKey
 
 METRICS = len(evaluate.build("xor", {}, "fully-meshed", {})[0].metrics)
 SHOWN = 12  # servers at a time
-RENEWED_S = 0.05  # an optimizer drops servers whose answers are not valid: there are always new ones
+# An optimizer drops servers whose answers are not valid: there are always new ones.
+RENEWED_S = 0.05
 CODES = [
     "malformed",
     "lease-lost",

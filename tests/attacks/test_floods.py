@@ -5,6 +5,7 @@ import time
 from pathlib import Path
 
 import msgspec
+import psutil
 import pytest
 
 from tests.attacks.peer import Peer, cpu_s, memory_mb, reserve, serving
@@ -163,3 +164,21 @@ def test_tokens_of_made_up_runs_delay_nobody(tmp_path: Path) -> None:
             name = f"zswarm/v1/default/ot/mallory/{secrets.token_hex(4)}/alive"
             liveliness.declare_token(name).undeclare()
         assert ada.offer_s() < ANSWERED_S
+
+
+def test_requests_under_made_up_names_start_few_threads(tmp_path: Path) -> None:
+    """Each run has a thread for its answers."""
+    with (
+        serving(tmp_path) as server,
+        Peer(server, "mallory") as mallory,
+        Peer(server, "ada") as ada,
+    ):
+        process = psutil.Process(server.process.pid)
+        before, ended = process.num_threads(), []
+        for number in range(2_000):
+            body = codec.encode(Renew(lease=bytes(16)))
+            ended.append(mallory.send("renew", body, f"run-{number}"))
+        assert slowest_s(ada, ended) < ANSWERED_S
+        threads = process.num_threads() - before
+        print(f"2000 names: {threads} threads")
+        assert threads < 300
