@@ -1,5 +1,6 @@
 """One who sends much, or much at once, does not stop a server's service to others."""
 
+import os
 import secrets
 import time
 from pathlib import Path
@@ -9,6 +10,8 @@ import psutil
 import pytest
 
 from tests.attacks.peer import Peer, cpu_s, memory_mb, reserve, serving
+from tests.integration.programs import Program
+from tests.repository import REPOSITORY
 from zswarm.protocol import codec, messages
 from zswarm.protocol.messages import Lease, Refused, Renew
 from zswarm.ss.slots.leases import MAX_LEASES_OF_USER
@@ -19,6 +22,7 @@ NOTHING = 8 << 20  # empty lists, of a byte each
 # Generous where this machine computes much else; the numbers of an idle one are printed.
 ANSWERED_S = 20.0
 LONGEST_S = 120.0
+MANY = 20_000  # answers, which no buffer of a link holds
 
 
 def settings(count: int) -> msgspec.Raw:
@@ -182,3 +186,26 @@ def test_requests_under_made_up_names_start_few_threads(tmp_path: Path) -> None:
         threads = process.num_threads() - before
         print(f"2000 names: {threads} threads")
         assert threads < 300
+
+
+def test_one_who_takes_no_answers_delays_no_offer(tmp_path: Path) -> None:
+    """The answers to offers share a thread, which must not wait for its link."""
+    with serving(tmp_path) as server, Peer(server, "ada") as ada:
+        command = ["-m", "tests.attacks.deaf", server.endpoint, ada.server]
+        path = os.pathsep.join([str(REPOSITORY), os.environ.get("PYTHONPATH", "")])
+        deaf = Program(tmp_path, "deaf", command, PYTHONPATH=path)
+        try:
+            begun, slowest = time.monotonic(), 0.0
+            while not asked(deaf) > MANY:
+                slowest = max(slowest, ada.offer_s())
+                assert deaf.process.poll() is None, deaf.err.read_text()
+                assert time.monotonic() < begun + LONGEST_S, f"asked {asked(deaf)} times"
+                time.sleep(0.1)
+            print(f"{asked(deaf)} offers without taking answers: honest {slowest:.2f} s")
+            assert slowest < ANSWERED_S
+        finally:
+            deaf.close()
+
+
+def asked(deaf: Program) -> int:
+    return int((deaf.out.read_text().split() or ["0"])[-1])

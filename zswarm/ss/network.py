@@ -15,7 +15,7 @@ import msgspec
 import structlog
 import zenoh
 
-from zswarm import session
+from zswarm import daemon, session
 from zswarm.errors import RemoteProtocolError, UnknownMessageError
 from zswarm.protocol import codec, keys, versions
 from zswarm.protocol.messages import MAX_TEXT, Refusal, Refused
@@ -49,13 +49,13 @@ class PeerQuery:
         self.key = str(query.key_expr)
         self.size = len(query.payload) if query.payload is not None else 0
         self.user, self.refusal = "", ""
+        self.run = "malformed"  # user and run, whose thread answers
         try:
             key = keys.parse_server_key(self.key)
-            self.user = key.user
+            self.user, self.run = key.user, f"{key.user}/{key.run}"
             codec.check_size(key.verb, self.size)
         except RemoteProtocolError as error:
             self.refusal = str(error)
-        self.run = "malformed"  # user and run, once it is decoded
         self.version = keys.CURRENT  # of the peer's protocol
 
     def body(self) -> bytes:
@@ -188,7 +188,7 @@ class Presence(msgspec.Struct, eq=False):
         """Open the session; declare the liveliness token if the server is to be visible."""
         self._session, self.endpoints = session.open_server(listen, reach)
         if not self.private:
-            session.watch(self._session, self.endpoints, reach, "server")
+            daemon.watch(self._session, self.endpoints, reach, "server")
         refusals.watch_routers(reach.connect, reach.keyring)
         on_query = zenoh.handlers.Callback(self._on_query, indirect=False)
         on_run = zenoh.handlers.Callback(self._on_run, indirect=False)
@@ -247,7 +247,7 @@ class Presence(msgspec.Struct, eq=False):
             refused = Refused(code=code, reason=str(error)[:MAX_TEXT])
             self.answer(query, codec.encode(refused))
             return None
-        query.run, query.version = f"{key.user}/{key.run}", key.version
+        query.version = key.version
         if key.version in versions.OLDER:
             self._older[query.run] = key.version
         return events.Asked(id(query), key.user, key.run, message)

@@ -19,7 +19,7 @@ from collections.abc import Callable
 import msgspec
 import structlog
 
-from zswarm import session
+from zswarm import daemon
 from zswarm.errors import ConfigError
 from zswarm.protocol import codec, keys
 from zswarm.protocol.messages import Sensors
@@ -119,7 +119,7 @@ class Server:
                 capacity=len(self.workers),
                 realm=self.options.realm,
                 listen=self._presence.endpoints,
-                keys=session.keys_in_words(self._reach),
+                keys=daemon.keys_in_words(self._reach),
                 simulators=self._admission.simulators,
                 slot_memory_mb=self.workers[0].memory_mb,
                 program=VERSION,
@@ -133,7 +133,7 @@ class Server:
         """Return how the server is reached, with the keys that are installed now."""
         if self._private:
             return Reach(options.connect, options.multicast)
-        reach = session.daemon_reach(
+        reach = daemon.find_reach(
             "ss",
             options.connect,
             multicast=options.multicast,
@@ -376,7 +376,7 @@ class Server:
             log.info(
                 "reloaded",
                 listen=self._presence.endpoints,
-                keys=session.keys_in_words(reach),
+                keys=daemon.keys_in_words(reach),
             )
         self._health.ready()
 
