@@ -21,7 +21,7 @@ from zswarm.protocol.keys import ServerKey
 METRICS = len(evaluate.build("xor", {}, "fully-meshed", {})[0].metrics)
 SHOWN = 12  # servers at a time
 # An optimizer drops servers whose answers are not valid: there are always new ones.
-RENEWED_S = 0.05
+RENEWED_S = 0.2
 CODES = [
     "malformed",
     "lease-lost",
