@@ -5,6 +5,7 @@ a program with further optional fields works with one that lacks them. Arrays ar
 bytes.
 """
 
+import hashlib
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -15,8 +16,11 @@ MAX_GENOMES = 4096  # in one batch
 MAX_GENOME = 16_000_000  # bytes
 MAX_TRIALS = 65_536  # in one batch
 MAX_TEXT = 500  # characters
-MAX_SLOTS = 65_535
+MAX_VALUES = 10_000  # in the settings of a message: texts, numbers, lists and maps
+# Bytes of the settings of simulator and representation; names and versions are sent with them.
+MAX_SETTINGS = 48 << 10
 MAX_EPOCH = 1_000_000  # resumes of a run
+MAX_SLOTS = 65_535
 MAX_SECONDS = 1e9
 MIN_SECONDS = 1e-9  # of a time that is not 0: it is divided by
 MAX_OUTCOME = 1e300  # absolute value: sums of many stay finite
@@ -35,10 +39,11 @@ PROBE_DIGEST = 8  # bytes, of one trial
 
 Text = Annotated[str, Meta(max_length=MAX_TEXT)]
 Token = Annotated[bytes, Meta(min_length=16, max_length=16)]
+Proof = Annotated[bytes, Meta(max_length=32)]
 Count = Annotated[int, Meta(ge=0, le=2**53)]
+Epoch = Annotated[int, Meta(ge=0, le=MAX_EPOCH)]
 Seconds = Annotated[float, Meta(ge=0, le=MAX_SECONDS)]  # 0, or MIN_SECONDS at least
 Slots = Annotated[int, Meta(ge=0, le=MAX_SLOTS)]
-Epoch = Annotated[int, Meta(ge=0, le=MAX_EPOCH)]
 TrialIndex = Annotated[int, Meta(ge=0, lt=MAX_TRIALS)]  # in a batch
 Megabytes = Annotated[int, Meta(ge=0, le=2**40)]  # of 2^20 bytes
 Genome = Annotated[bytes, Meta(max_length=MAX_GENOME)]
@@ -113,6 +118,8 @@ class Reserve(Message, frozen=True, tag="reserve"):
     trial_memory_mb: Megabytes = 0
     # The controllers stay at the optimizer, which is asked in each turn, or for each agent.
     asks: Asks = ""
+    # The same for all programs of the run, and known to no others: see ``proof``.
+    proof: Proof = b""
 
 
 class Renew(Message, frozen=True, tag="renew"):
@@ -277,8 +284,29 @@ VERBS: dict[type[Request], Verb] = {
     Cancel: "cancel",
     Release: "release",
 }
+# Bytes of a request. A larger one is refused before it is decoded.
+MAX_REQUEST: dict[str, int] = {
+    "offer": 64 << 10,
+    "reserve": 64 << 10,
+    "renew": 4 << 10,
+    "evaluate": MAX_MESSAGE,
+    "cancel": 640 << 10,
+    "release": 4 << 10,
+}
 Reply = Offer | Lease | Outcomes | Running | Fault | Refused | Done
 Reaction = Actuators | Refused
+
+
+def proof(secret: bytes, server: str) -> bytes:
+    """Return what shows to one server that a program belongs to a run, and to no other server.
+
+    Args:
+        secret: of the run; b"": it has none.
+        server: id of the server.
+    """
+    if not secret:
+        return b""
+    return hashlib.blake2b(server.encode(), key=secret, digest_size=16).digest()
 
 
 def verb(request: Request) -> Verb:
