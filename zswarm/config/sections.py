@@ -180,6 +180,25 @@ class ClusterConfig(
             )
 
 
+class AssessmentConfig(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
+):
+    """``[assessment]``: which candidate of the whole run is the champion. Search is as without."""
+
+    budget: Annotated[
+        Literal["auto"] | Annotated[float, Meta(ge=0, le=10)],
+        about(
+            "simulations after the last generation, as a share of those of the run "
+            '([noise.md](noise.md)). "auto": 0.1 if trials differ; 0: none, the champion is the '
+            "best in search"
+        ),
+    ] = "auto"
+    candidates: Annotated[
+        int,
+        within(1, 1000, "the best distinct candidates of the whole run that are raced"),
+    ] = 20
+
+
 class RecordConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[record]``: what is kept of a run. Nothing in it changes the result."""
 

@@ -7,6 +7,7 @@ from zswarm.config.decode import convert
 from zswarm.errors import ConfigError, ZswarmError
 from zswarm.experiment import Experiment
 from zswarm.kernels.random import derive_seed
+from zswarm.ot.assessment import contest
 from zswarm.ot.optimizers.optimizer import Optimizer
 from zswarm.ot.problem import Problem
 from zswarm.plugins import registry
@@ -58,6 +59,7 @@ def build(complete: Experiment) -> Parts:
             f"optimizer: {kind} asks for {optimizer.candidates} candidates, but a game of {name} "
             f"takes {simulator.participants}"
         )
+    contest.check(problem, optimizer.candidates)
     return Parts(problem, optimizer)
 
 

@@ -4,6 +4,11 @@ import threading
 import time
 from collections.abc import Callable, Generator, Iterator
 
+from msgspec import structs
+
+from zswarm.config.decode import to_json
+from zswarm.controller import HeldOut
+from zswarm.ot.assessment.contest import Contest
 from zswarm.ot.build import Parts
 from zswarm.ot.cluster.connection import Connection
 from zswarm.ot.cluster.events import Counted, Retracted
@@ -13,6 +18,7 @@ from zswarm.ot.identity import here
 from zswarm.ot.logger import Generation, Logger, Result, Started
 from zswarm.ot.notes import Note, RunEvent, words
 from zswarm.ot.record.packing import PackedState
+from zswarm.ot.record.schema import ASSESSMENT
 from zswarm.ot.record.writer import Record
 from zswarm.ot.retelling import retell, timed
 from zswarm.ot.workload import Workload
@@ -58,12 +64,13 @@ def evolve(
             assessment = notebook.begin(first)
             items = cluster.evaluate(assessment.workload)
         for generation in range(first, last):
-            notebook.follow(items, assessment)
+            notebook.follow(items, assessment.workload)
             while assessment.advance():
                 record.begin(generation, assessment.workload)
                 if generation == first:
                     record.restore(assessment.workload)
-                notebook.follow(cluster.evaluate(assessment.workload), assessment)
+                items = cluster.evaluate(assessment.workload)
+                notebook.follow(items, assessment.workload)
             ended = assessment
             state = notebook.tell(ended)
             if generation + 1 < last:
@@ -74,7 +81,7 @@ def evolve(
             obey(cluster)
             if generation + 1 < last:
                 record.begin(generation + 1, assessment.workload)
-        record.end()
+        notebook.end(cluster, obey)
         for late in cluster.rest():
             notebook.take(late)
     return notebook.result(time.monotonic() - begin)
@@ -87,6 +94,8 @@ class _Notebook:
         self._problem, self._optimizer = parts
         self._record, self._logger = record, logger
         record.say = logger.on_say
+        self._held_out: HeldOut | None = None  # fitness of the champion
+        self._hash = ""  # of the assessment
         self.run_id: str = record.meta("run_id")
         self.probe: bytes = record.meta("probe") or b""
 
@@ -139,14 +148,16 @@ class _Notebook:
         record.restore(assessment.workload)
         return assessment
 
-    def follow(self, items: Iterator[Item | None], assessment: Assessment) -> None:
+    def follow(self, items: Iterator[Item | None], work: Workload) -> None:
         """Record what happens until a round of games is evaluated."""
         for item in items:
-            self.take(item, assessment)
+            self.take(item, work)
+            counted = work.first + int(work.counted.sum())
+            trials = work.first + len(work.seeds)
+            self._logger.on_progress(work.generation, counted, trials)
 
-    def take(self, item: Item | None, assessment: Assessment | None = None) -> None:
-        """Record what happened; outcomes belong to the generation."""
-        work: Workload | None = assessment.workload if assessment is not None else None
+    def take(self, item: Item | None, work: Workload | None = None) -> None:
+        """Record what happened; outcomes are of this workload."""
         match item:
             case Counted() if work is not None:
                 self._record.add(item, work)
@@ -159,12 +170,6 @@ class _Notebook:
                     self._logger.on_say(line)
             case None:
                 self._record.flush()
-        if assessment is not None and work is not None:
-            counted, trials = (
-                work.first + int(work.counted.sum()),
-                work.first + len(work.seeds),
-            )
-            self._logger.on_progress(assessment.generation, counted, trials)
 
     def tell(self, ended: Assessment) -> PackedState:
         """Tell the optimizer a generation, and return its state before the next ask."""
@@ -205,6 +210,35 @@ class _Notebook:
         self._logger.on_generation(generation)
         return generation
 
+    def end(self, cluster: Cluster, obey: Callable[[Cluster], None]) -> None:
+        """Assess the candidates of the run, if there is something to assess."""
+        if (contest := Contest.of_run(self._problem, self._record)) is not None:
+            self._assess(contest, cluster, obey)
+        self._record.end()
+
+    def _assess(
+        self, contest: Contest, cluster: Cluster, obey: Callable[[Cluster], None]
+    ) -> None:
+        """Race the best candidates on held-out seeds; the winner becomes the champion."""
+        record, problem = self._record, self._problem
+        record.begin_assessment(contest.plan)
+        while (work := contest.workload()) is not None:
+            record.begin(ASSESSMENT, work)
+            record.restore(work)
+            self.follow(cluster.evaluate(work), work)
+            contest.take(work)
+            obey(cluster)
+        if (found := contest.champion()) is None:
+            return
+        genome, self._held_out = found
+        self._hash = contest.hash(record.history().value)
+        champion = problem.controller(genome, self._held_out.in_search, self.run_id)
+        champion = structs.replace(champion, held_out=self._held_out)
+        record.champion(champion)
+        record.set_meta("assessment", to_json(structs.asdict(self._held_out)))
+        record.set_meta("assessment_hash", self._hash)
+        self._logger.on_champion(champion)
+
     def result(self, seconds: float) -> Result:
         """Record the end of the run."""
         record, history = self._record, self._record.history().hex()
@@ -217,6 +251,8 @@ class _Notebook:
             history_hash=history,
             seconds=round(seconds, 3),
             relative=self._optimizer.relative,
+            champion=self._held_out,
+            assessment_hash=self._hash,
             **record.counts(),
         )
 

@@ -16,7 +16,7 @@ import msgspec
 
 from zswarm import experiment
 from zswarm.config.sections import ABSOLUTE
-from zswarm.controller import CHAMPION, Controller, load_controller
+from zswarm.controller import CHAMPION, Controller, HeldOut, load_controller
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
 from zswarm.ot.record import verify
@@ -73,8 +73,8 @@ class Run:
     def experiment(self) -> Experiment:
         """The experiment with every default; no plug-in is imported, and texts are safe to show.
 
-        It is as the run began, except for ``generations`` and ``[cluster]``, which are read from
-        the file.
+        It is as the run began, except for ``generations``, ``[assessment]`` and ``[cluster]``,
+        which are read from the file.
 
         Raises:
             ConfigError: the file or the record is damaged.
@@ -88,6 +88,7 @@ class Run:
                 for name, part in parts.items()
             },
             "generations": file.generations,
+            "assessment": msgspec.to_builtins(file.assessment),
             "cluster": clean_all(msgspec.to_builtins(file.cluster)),
         }
         return experiment.check(mapping, f"{self.shown}/{DATABASE}")
@@ -116,6 +117,18 @@ class Run:
     def finished(self) -> bool:
         """Return whether the run has all its generations."""
         return self.history_hash is not None
+
+    @property
+    def held_out(self) -> HeldOut | None:
+        """The champion's fitness on seeds that evolution never used, and in search.
+
+        None if it was not assessed, or not yet.
+        """
+        found = self.meta.get("assessment")
+        try:
+            return None if found is None else msgspec.json.decode(found, type=HeldOut)
+        except (msgspec.DecodeError, TypeError):
+            raise self._damaged("its assessment is not valid JSON") from None
 
     @property
     def relative(self) -> bool:

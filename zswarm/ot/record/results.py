@@ -50,4 +50,9 @@ def result_after(folder: Path, generations: int) -> Result | None:
         faulted,
         doubtful,
         run.relative,
+        *(
+            ()
+            if last is not history[-1]
+            else (run.held_out, run.meta.get("assessment_hash", ""))
+        ),
     )

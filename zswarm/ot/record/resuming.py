@@ -9,10 +9,13 @@ import numpy as np
 from zswarm.errors import ConfigError
 from zswarm.ot.optimizers.optimizer import Told
 from zswarm.ot.record import statements
+from zswarm.ot.record.contenders import Contender, Contenders
 from zswarm.ot.record.database import Database
 from zswarm.ot.record.history_hash import START, History
 from zswarm.ot.record.packing import Place, unpack
 from zswarm.ot.workload import Workload
+
+CONTENDERS_AT_ONCE = 10_000  # rows
 
 
 class Resumed(NamedTuple):
@@ -133,6 +136,53 @@ class Recorded:
             "doubtful": "sum(count) FROM outcomes WHERE doubtful",
         }
         return {name: self._sum(sql) for name, sql in sums.items()}
+
+    def contenders(self, most: int) -> list[tuple[bytes, float]]:
+        """Return genome and fitness of the best distinct candidates, the best first.
+
+        Those whose genomes were dropped are left out.
+        """
+        return [
+            (self._genome(one.place), one.fitness)
+            for one in self._contenders(most, "genome IS NOT NULL").ranked()
+        ]
+
+    def _contenders(self, most: int, which: str = "TRUE") -> Contenders:
+        """Read the best distinct candidates."""
+        found, at = Contenders(most), 0
+        sql = (
+            f"SELECT digest, fitness, generation, candidate FROM candidates WHERE {which} "  # noqa: S608  ours
+            "AND fitness IS NOT NULL ORDER BY fitness DESC, generation, candidate LIMIT ? OFFSET ?"
+        )
+        while len(found.places()) < most and (
+            rows := self._database.rows(sql, CONTENDERS_AT_ONCE, at)
+        ):
+            found.add(Contender(row[0], row[1], (row[2], row[3])) for row in rows)
+            at += CONTENDERS_AT_ONCE
+        return found
+
+    def trials_differ(self, each: int) -> bool:
+        """Return whether outcomes of a candidate differ from trial to trial in generation 0.
+
+        Args:
+            each: trials of a candidate.
+        """
+        first: dict[int, bytes] = {}
+        for trials, fitness, metrics in self._database.rows(
+            "SELECT trials, fitness, metrics FROM outcomes WHERE generation = 0 ORDER BY id"
+        ):
+            indices = np.frombuffer(trials, "<u4").tolist()
+            both = [
+                np.frombuffer(numbers, "<f8").reshape(len(indices), -1)
+                for numbers in (fitness, metrics)
+            ]
+            for index, outcome in zip(indices, np.hstack(both), strict=True):
+                if (
+                    first.setdefault(index // each, outcome.tobytes())
+                    != outcome.tobytes()
+                ):
+                    return True
+        return False
 
     def _genome(self, place: Place) -> bytes:
         sql = "SELECT genome FROM candidates WHERE (generation, candidate) = (?, ?)"

@@ -101,7 +101,7 @@ class JsonStudyDisplay(PlainStudyDisplay):
         if ended.result is None:
             tables.print_json({"event": "failed", **values, "error": ended.error})
         else:
-            tables.print_json({"event": "run", **values, **ended.result._asdict()})
+            tables.print_json({"event": "run", **values, **ended.result.as_object()})
 
     def on_outcome(self, outcome: StudyOutcome | None) -> None:
         if outcome is None:
