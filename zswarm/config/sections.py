@@ -32,7 +32,8 @@ class ProblemConfig(
     seeds: Annotated[
         Literal["fixed", "fresh"],
         about(
-            "seeds of the trials: the same for the whole run, or new in each generation"
+            "seeds of the trials: the same for the whole run, or new in each generation, where "
+            "what survives is evaluated again ([noise.md](noise.md#fresh-seeds))"
         ),
     ] = "fixed"
     settings: Annotated[

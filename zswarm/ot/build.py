@@ -54,6 +54,8 @@ def build(complete: Experiment) -> Parts:
             "genomes again"
         )
     optimizer.relative = problem.ranking.relative
+    if complete.problem.seeds == "fresh" and not optimizer.relative:
+        optimizer.use_fresh_seeds()
     if optimizer.candidates is not None and optimizer.candidates < simulator.participants:
         raise ConfigError(
             f"optimizer: {kind} asks for {optimizer.candidates} candidates, but a game of {name} "

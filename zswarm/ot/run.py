@@ -21,6 +21,7 @@ from zswarm.ot.record.packing import PackedState
 from zswarm.ot.record.schema import ASSESSMENT
 from zswarm.ot.record.writer import Record
 from zswarm.ot.retelling import retell, timed
+from zswarm.ot.seen_seeds import SeenSeeds
 from zswarm.ot.workload import Workload
 from zswarm.protocol import messages
 
@@ -113,6 +114,8 @@ class _Notebook:
         if resumed.generation and optimizer.best()[0]:
             self._keep_champion()  # the program may have ended before it was written
         self._improved = optimizer.best()[1]
+        if optimizer.fresh:
+            self._seen = SeenSeeds.of_record(record)
         self._candidates = record.evaluations()
         now = here(complete, resumed.generation)
         record.note(Note(RunEvent.BEGAN, text=now.text, count=record.meta("epoch")))
@@ -177,6 +180,9 @@ class _Notebook:
             ended.fitness(),
             ended.measures(self._optimizer.measures),
         )
+        if self._optimizer.fresh:
+            told = self._seen.merge(ended.genomes, self._fitness, self._measures)
+            self._fitness, self._measures = told
         self._optimizer.tell(self._fitness, self._measures)
         state = self._optimizer.state()
         return self._record.pack(ended.generation, ended.genomes, state)
@@ -190,8 +196,10 @@ class _Notebook:
         statistics = optimizer.statistics()
         record.finish(ended.generation, genomes, fitness, statistics, state, measures)
         genome, best = optimizer.best()
-        # Scores of two generations do not compare: the latest champion counts.
-        if best > self._improved or (optimizer.relative and genome):
+        # Scores of two generations do not compare, and fresh seeds may show that the former best
+        # was lucky: the latest champion counts.
+        outdated = optimizer.fresh and best != self._improved
+        if best > self._improved or (genome and (optimizer.relative or outdated)):
             self._improved = best
             self._keep_champion(log=True)
         if standing.probe not in (b"", self.probe):  # or it was wrong, or of fewer trials

@@ -42,7 +42,10 @@ class Noisy(FakeConnection):
 
     def play(self, workload: Workload) -> Iterator[Counted | Retracted]:
         trials = np.flatnonzero(~workload.counted)
-        genes = [np.frombuffer(genome, "<f4")[0] for genome in workload.genomes]
+        genes = [
+            np.frombuffer(genome, "<f4")[0] if len(genome) % 4 == 0 else genome[-1] / 256
+            for genome in workload.genomes
+        ]
         for begin in range(0, len(trials), self.batch):
             part = trials[begin : begin + self.batch]
             who = workload.participants[part, 0]

@@ -172,9 +172,9 @@ class Run:
         return self.rows("SELECT count(*) FROM generations", tuple[int])[0][0]
 
     def best(self) -> float | None:
-        """Return the best fitness; if it is ``relative``, that of the last generation."""
+        """Return the best fitness, as the last generation knows it."""
         best = [row[2] for row in self._generations()]
-        if self.relative:
+        if self.relative or self._began["problem"].get("seeds") == "fresh":
             return best[-1] if best else None
         return max((value for value in best if value is not None), default=None)
 

@@ -1,5 +1,6 @@
 """What a resumed run reads back from its record."""
 
+import math
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -116,6 +117,21 @@ class Recorded:
         """Return the digests of a generation's genomes."""
         sql = "SELECT digest FROM candidates WHERE generation = ? ORDER BY candidate"
         return [row[0] for row in self._database.rows(sql, generation)]
+
+    def last_told(self) -> list[tuple[bytes, float, np.ndarray]]:
+        """Return digest, fitness and measures of each candidate of the last generation."""
+        rows = self._database.rows(
+            "SELECT digest, fitness, measures FROM candidates WHERE generation = "
+            "(SELECT max(generation) FROM generations) ORDER BY candidate"
+        )
+        return [
+            (
+                one,
+                math.nan if fitness is None else fitness,
+                np.frombuffer(raw or b"", "<f8"),
+            )
+            for one, fitness, raw in rows
+        ]
 
     def history(self) -> History:
         """Return the hash of the finished generations."""

@@ -18,7 +18,8 @@ DEPTH = 2  # of folders below one: runs/STUDY/RUN
 STATUS = {"pause": "paused", "drain": "stopping", "stop": "stopping"}
 SUMMARY = """
     SELECT count(*), sum(evaluations), max(finished_at),
-        CASE WHEN EXISTS (SELECT 1 FROM meta WHERE key = 'relative')
+        CASE WHEN EXISTS (SELECT 1 FROM meta WHERE key = 'relative'
+                OR (key = 'experiment' AND value LIKE '%"seeds": "fresh"%'))
             THEN (SELECT best FROM generations ORDER BY generation DESC LIMIT 1)
             ELSE max(best) END,
         (SELECT value FROM meta WHERE key = 'history_hash')
