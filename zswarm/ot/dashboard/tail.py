@@ -169,6 +169,7 @@ class RecordTail:
         rate = sum(server.rate(now) for server in servers) if running else 0.0
         each = complete.problem.trials if complete.ranking.kind == "absolute" else 0
         current, pace = self._generation + 1, self._pace()
+        champion = self._run.held_out
         left_s = round((complete.generations - current) * pace, 1)
         return {
             "status": found,
@@ -183,6 +184,7 @@ class RecordTail:
             "trial_rate": round(rate, 1),
             "eta_s": left_s if pace and found == "running" else None,
             "best": self._best,
+            "held_out": None if champion is None else champion.mean,
             "mean": self._mean,
             "at": self._newest() or None,
             "servers": sum(server.slots > 0 for server in servers) if running else 0,

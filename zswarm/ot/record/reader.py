@@ -278,7 +278,7 @@ class Run:
         ]
 
     def _repr_html_(self) -> str:
-        best = self.best()
+        best, held_out = self.best(), self.held_out and self.held_out.mean
         label = "best score of the last generation" if self.relative else "best fitness"
         state = "running" if self.going_on else "stopped: zswarm.resume continues it"
         state = "finished" if self.finished else state
@@ -287,6 +287,7 @@ class Run:
             "simulator": self.experiment.problem.simulator,
             "generations": f"{self.generations()} of {self.experiment.generations}, {state}",
             label: "" if best is None else f"{best:.6g}",
+            "champion, held-out": "" if held_out is None else f"{held_out:.6g}",
             "history": self.history_hash or "",
         }
         left = "style='text-align:left'"

@@ -194,21 +194,30 @@ def _described(ended: RunEnded) -> str:
     if result is None:
         return f"{name}  failed: {ended.error}"
     work = f"{plural(result.evaluations, 'evaluation')}, {duration(result.seconds)}"
-    parts = (name, f"best {result.best:.6g}", work, ", ".join(flaws(result)))
+    champion, held_out = result.champion, ""
+    if champion is not None and champion.mean is not None:
+        held_out = f"held-out {champion.mean:.6g}"
+    parts = (name, f"best {result.best:.6g}", held_out, work, ", ".join(flaws(result)))
     return "  ".join(filter(None, parts))
 
 
 def _show(outcome: StudyOutcome) -> None:
     """Print the table of settings, the failed runs, and what can be done next."""
     table = tables.table(
-        "setting", ">runs", ">q25", ">median", ">q75", ">best", ">evaluated"
+        "setting", ">runs", ">q25", ">median", ">q75", ">best", ">held-out", ">evaluated"
     )
     for summary in outcome.settings:
         label = summary.label or (
             "unchanged" if len(outcome.settings) > 1 else "all runs"
         )
         spread = summary.fitness
-        values = (spread.q25, spread.median, spread.q75, spread.best)
+        values = (
+            spread.q25,
+            spread.median,
+            spread.q75,
+            spread.best,
+            summary.held_out,
+        )
         numbers = ("" if value is None else f"{value:.6g}" for value in values)
         tables.row(table, label, summary.runs, *numbers, summary.evaluations)
     tables.show(table)
