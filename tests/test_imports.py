@@ -57,8 +57,8 @@ ot.commands.shared: BASE controller evaluate experiment ot.evolution ot.logger o
 ot.dashboard:       BASE controller experiment ot.notes ot.analysis ot.record plugins
 ot.display:         BASE controller ot.logger
 ot.doctor:          BASE kernels ot.cluster ot.record plugins protocol security session
-ot.estimate:        BASE evaluate experiment ot.build ot.notes ot.problem ot.cluster ot.optimizers
-                    ot.rankings ot.record plugins sims
+ot.estimate:        BASE evaluate experiment ot.build ot.notes ot.problem ot.assessment ot.cluster
+                    ot.optimizers ot.rankings ot.record plugins sims
 ot.optimizers:      BASE kernels nets
 ot.rankings:        BASE
 ot.record:          BASE controller experiment ot.logger ot.notes ot.workload ot.cluster

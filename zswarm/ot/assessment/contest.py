@@ -54,14 +54,14 @@ class Contest:
     def of_run(cls, problem: Problem, record: Record) -> Self | None:
         """Return what is to be assessed of a run after its last generation, or None."""
         complete = problem.experiment
-        if not complete.assessment.budget or unfit(problem):
-            return None
         trials = complete.problem.trials
-        budget = int(share(complete) * (record.evaluations() * trials))
+        budget = most_trials(problem, record.evaluations() * trials)
+        if not budget:
+            return None
         found = record.contenders(complete.assessment.candidates)
         differ = trials > 1 and record.trials_differ(trials)
         known_equal = trials > 1 and not differ and complete.problem.seeds == "fixed"
-        if budget < LEAST or not found or known_equal:
+        if not found or known_equal:
             return None
         genomes, in_search = zip(*found, strict=True)
         return cls(problem, genomes, in_search, budget, differ=differ)
@@ -114,6 +114,13 @@ def share(complete: Experiment) -> float:
     """Return the assessment's trials as a share of those of the run."""
     budget = complete.assessment.budget
     return SHARE if budget == "auto" else budget
+
+
+def most_trials(problem: Problem, trials: int) -> int:
+    """Return how many trials an assessment takes at most, after a search of some trials."""
+    complete = problem.experiment
+    budget = int(share(complete) * trials)
+    return 0 if unfit(problem) or budget < LEAST else budget
 
 
 def unfit(problem: Problem) -> str:

@@ -170,7 +170,8 @@ class RecordTail:
         each = complete.problem.trials if complete.ranking.kind == "absolute" else 0
         current, pace = self._generation + 1, self._pace()
         champion = self._run.held_out
-        left_s = round((complete.generations - current) * pace, 1)
+        left = complete.generations - current
+        left_s = round(left * pace, 1)
         return {
             "status": found,
             "running": running,
@@ -178,7 +179,7 @@ class RecordTail:
             "generation": current,  # finished ones
             "generations": complete.generations,
             "counted": self._counted.get(current, 0) if running else 0,
-            "trials": self._candidates * each if running else 0,
+            "trials": self._candidates * each if running and left else 0,
             "evaluations": self._evaluations,
             "rate": round(rate / each, 2) if each else None,
             "trial_rate": round(rate, 1),
