@@ -7,6 +7,7 @@ removes everything except the machines' control groups. These are then empty, an
 removes them.
 """
 
+import errno
 import os
 import re
 import secrets
@@ -349,14 +350,24 @@ def _forbidden() -> str:
 
 
 def _remove(group: Path) -> None:
-    """Remove a control group and those below it after a killed machine's last process left."""
+    """Remove a control group and those below it after a killed machine's last process left.
+
+    The kernel holds a group for a moment after its last process is gone, and processes that end
+    are no longer listed: only the removal itself shows that a group is empty.
+    """
+    wait_until(lambda: _removed(group), f"{group} is empty")
+
+
+def _removed(group: Path) -> bool:
     below = sorted(group.rglob("**/"), key=lambda path: len(path.parts), reverse=True)
-    wait_until(
-        lambda: not any((folder / "cgroup.procs").read_text() for folder in below),
-        f"{group} is empty",
-    )
-    for folder in below:
-        folder.rmdir()
+    try:
+        for folder in below:
+            folder.rmdir()
+    except OSError as error:
+        if error.errno != errno.EBUSY:
+            raise
+        return False
+    return True
 
 
 def _numbers(process: int) -> list[str]:

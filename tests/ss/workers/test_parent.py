@@ -119,6 +119,7 @@ def start(slot: Worker) -> None:
     assert not slot.here
     assert answer(slot) == Here(0)
     assert slot.here
+    pid(slot)
 
 
 def die(slot: Worker) -> None:
@@ -163,7 +164,7 @@ def pairs() -> Iterator[Any]:
 
 
 def pid(of: Worker) -> int:
-    """Its number, which the thread that started it may learn after it said that it is here."""
+    """Return the process's id, which its parent may read only after the process reported."""
     assert of._process is not None
     end = time.monotonic() + ANSWER_S
     while of._process.pid is None:
